@@ -1,0 +1,1 @@
+"""One open port each: the reading thread, reconnecting, the session rules, the counters. No rospy."""

@@ -1,0 +1,228 @@
+"""What every link has: one port, one thread that opens and reads it, and its counters."""
+import logging
+import threading
+import time
+import traceback
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
+
+from ..protocols.framing import CHECKSUM, Frame
+from .port import Port, PortError
+from .sparing_log import SparingLog
+
+OK, WARN, ERROR = 0, 1, 2      # as diagnostic_msgs/DiagnosticStatus has them
+RX, TX = 0, 1                  # as SerialMsg has them
+SILENCE = 1.0                  # s without a frame after which a talking board counts as silent
+_BACK_OFF = (0.1, 1.0)         # s from one try to open to the next: first, last
+
+Tap = Callable[[str, int, Frame], None]
+
+
+class Refused(Exception):
+    """A command was not sent; the text says why, for a person."""
+
+
+class Report(NamedTuple):
+    """How a link is, for /diagnostics."""
+
+    level: int
+    summary: str
+    values: List[Tuple[str, Any]]
+
+
+class Link:
+    """Base of the three links. A subclass overrides the hooks below; all run in the thread.
+
+    Args:
+        name: bus, arduino or mcu; in logs, `SerialMsg` and diagnostics.
+        port: opened and closed here, nowhere else.
+        decoder: of what the board sends.
+        frame_timeout: seconds without a byte after which an incomplete frame is given up.
+        clock: what stamps a read; not used for anything else.
+        logger: where lines for people go.
+    """
+
+    def __init__(self, name: str, port: Port, decoder: Any, frame_timeout: float = 0.05,
+                 clock: Callable[[], Any] = time.time,
+                 logger: Optional[logging.Logger] = None) -> None:
+        self.name = name
+        self.port = port
+        self.decoder = decoder
+        self.log = SparingLog(name, logger or logging.getLogger(__name__))
+        self.tap: Optional[Tap] = None     # is told every frame in and out; None: nobody listens
+        self.frames_received = 0
+        self.frames_sent = 0
+        self.reconnects = 0
+        self.last_frame_at: Optional[float] = None   # monotonic
+        self._clock = clock
+        self._frame_timeout = frame_timeout
+        self._connections = 0
+        self._trouble = ''                 # why the port is closed
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=name + ' link', daemon=True)
+        self._reported_errors = 0
+
+    # -- hooks ------------------------------------------------------------------------
+
+    def opened(self, now: float) -> None:
+        """The port is open."""
+
+    def closed(self, now: float) -> None:
+        """The port has been closed."""
+
+    def received(self, frame: Frame, now: float) -> None:
+        """A good frame has come."""
+
+    def damaged(self, frame: Frame, now: float) -> None:
+        """Bytes have come that are no good frame; they are counted and logged already."""
+
+    def tick(self, now: float) -> Optional[float]:
+        """Do what is due by time; return when to be called next at the latest, or None."""
+        return None
+
+    # -- for users --------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Begin to end; returns at once."""
+        self._stopping.set()
+        self.port.wake()
+
+    def join(self, timeout: float = 1.0) -> None:
+        """After `stop`: wait for the thread, which closes the port as it ends."""
+        if self._thread.is_alive():
+            self._thread.join(timeout)
+
+    def wake(self) -> None:
+        """Have `tick` called soon."""
+        self.port.wake()
+
+    def send(self, frame: bytes, type_: int, command: int, data: bytes, message: Any) -> None:
+        """Write one frame; PortError or PortBusy where it cannot be."""
+        self.port.write(frame)
+        self.frames_sent += 1
+        if self.tap:
+            self.tap(self.name, TX, Frame(frame, type_, command, data, message, self._clock()))
+
+    # -- diagnostics ------------------------------------------------------------------
+
+    def report(self, now: float) -> Report:
+        """How the link is; to be asked once a second, since errors count from the last time."""
+        errors = sum(self.decoder.errors.values())
+        new_errors, self._reported_errors = errors - self._reported_errors, errors
+        level, summary = self.condition(now)
+        if level == OK and new_errors:
+            level, summary = WARN, '%d error%s in the last second' % (
+                new_errors, 's' if new_errors > 1 else '')
+        counted = dict(self.decoder.errors)
+        checksum = counted.pop(CHECKSUM, 0)
+        framing = counted.pop('framing')
+        values = [
+            ('port', self.port.url),
+            ('state', summary),
+            ('frames received', self.frames_received),
+            ('frames sent', self.frames_sent),
+            ('bytes received', self.port.bytes_received),
+            ('bytes sent', self.port.bytes_sent),
+            ('checksum errors', checksum),
+            ('framing errors', framing),
+            ('reconnects', self.reconnects),
+            ('last frame age [s]', '%.3f' % (now - self.last_frame_at)
+             if self.last_frame_at is not None else 'never'),
+        ]
+        values += sorted((cause + ' errors', count) for cause, count in counted.items())
+        return Report(level, summary, values + self.own_values())
+
+    def condition(self, now: float) -> Tuple[int, str]:
+        """Level and a few words, new errors aside."""
+        if not self.port.is_open:
+            return ERROR, 'closed: %s' % (self._trouble or 'not opened yet')
+        if self.last_frame_at is None or now - self.last_frame_at > SILENCE:
+            return WARN, 'open, the board is silent'
+        return OK, 'open'
+
+    def own_values(self) -> List[Tuple[str, Any]]:
+        """Key-value pairs that only this kind of link has."""
+        return []
+
+    # -- the thread -------------------------------------------------------------------
+
+    def _run(self) -> None:
+        pause = _BACK_OFF[0]
+        while not self._stopping.is_set():
+            try:
+                self.port.open()
+            except PortError as error:
+                self._trouble = str(error)
+                self.log.warn('closed', '%s: %s' % (self.port.url, error))
+                self._stopping.wait(pause)
+                pause = min(pause * 2, _BACK_OFF[1])
+                self.idle(time.monotonic())
+                continue
+            pause = _BACK_OFF[0]
+            self._connections += 1
+            if self._connections > 1:
+                self.reconnects += 1
+            self.log.info('opened', '%s: open' % self.port.url)
+            self.decoder.reset()
+            try:
+                self._serve()
+            except PortError as error:
+                self._trouble = str(error)
+                self.log.warn('lost', '%s: %s; opening it again when it returns'
+                              % (self.port.url, error))
+            except Exception as error:  # pylint: disable=broad-except
+                # A fault in a callback must not leave a link dead: say it, and start over.
+                self._trouble = 'fault in the bridge: %r' % error
+                if not self._stopping.is_set():
+                    self.log.error('fault', ''.join(traceback.format_exc()))
+            self.port.close()
+            self.closed(time.monotonic())
+            if not self._stopping.is_set():
+                self._stopping.wait(pause)
+
+    def idle(self, now: float) -> None:
+        """The port is closed; called at every try to open it, at least once a second."""
+
+    def _serve(self) -> None:
+        """Read until the port goes or the link stops."""
+        now = time.monotonic()
+        self.opened(now)
+        last_byte = now
+        while not self._stopping.is_set():
+            due = self.tick(now)
+            if self.decoder.pending:
+                give_up = last_byte + self._frame_timeout
+                due = give_up if due is None else min(due, give_up)
+            data = self.port.read(None if due is None else due - now)
+            stamp = self._clock()
+            now = time.monotonic()
+            if data:
+                last_byte = now
+                self.take(data, stamp, now)
+            elif self.decoder.pending and now >= last_byte + self._frame_timeout:
+                while self.decoder.pending:
+                    self._deliver(self.decoder.give_up(), now)
+
+    def take(self, data: bytes, stamp: Any, now: float) -> None:
+        """Decode what was read and pass it on."""
+        self._deliver(self.decoder.feed(data, stamp), now)
+
+    def _deliver(self, frames: List[Frame], now: float) -> None:
+        for frame in frames:
+            if frame.cause:
+                self.log.warn(frame.cause, '%s: %s: %s' % (
+                    frame.cause, frame.error, frame.raw[:24].hex()))
+                self.damaged(frame, now)
+            else:
+                self.frames_received += 1
+                self.last_frame_at = now
+                self.received(frame, now)
+            if self.tap:
+                self.tap(self.name, RX, frame)
+
+    def errors(self) -> Dict[str, int]:
+        """Errors so far, by cause."""
+        return dict(self.decoder.errors)

@@ -1,0 +1,286 @@
+"""A serial port that can be waited on and never makes a writer wait.
+
+A port is anything pyserial opens. Where it is a file descriptor (every device, and socket://),
+reading sleeps in poll() until a byte comes, and writing hands over what the kernel takes at
+once. Other kinds (rfc2217://, loop://) are read in slices of 50 ms.
+"""
+import errno
+import fcntl
+import io
+import os
+import select
+import struct
+import termios
+import threading
+import time
+from typing import Optional
+
+import serial
+
+_READ_SIZE = 65536
+_SLICE = 0.05      # s
+_STALLED = 0.1     # s of wire time that wait to be sent as the port closes
+
+
+class PortError(Exception):
+    """The port cannot be opened or has gone; the text is for a person."""
+
+
+class PortBusy(Exception):
+    """The port takes no bytes now; none of this write has left."""
+
+
+def check_url(url: str) -> None:
+    """Raise ValueError where pyserial knows no such kind of port. Opens nothing."""
+    try:
+        serial.serial_for_url(url, do_not_open=True)
+    except serial.SerialException:
+        pass    # the kind is known, only the device is not there (hwgrep://)
+
+
+class Port:
+    """One port, opened exclusively, again and again as it comes and goes.
+
+    One thread opens, reads and closes; any thread may write or wake.
+    """
+
+    def __init__(self, url: str, baud: int = 115200, reset_on_open: bool = False) -> None:
+        self.url = url
+        self.baud = baud
+        self.bytes_received = 0
+        self.bytes_sent = 0
+        self._reset_on_open = reset_on_open
+        self._serial: Optional[serial.SerialBase] = None
+        self._fd = -1                    # -1: closed, or no descriptor to poll
+        self._lock = threading.Lock()    # writing, and the port's coming and going
+        self._rest = b''                 # of a frame that the kernel took in part
+        self._wake_read, self._wake_write = os.pipe()
+        os.set_blocking(self._wake_read, False)
+        os.set_blocking(self._wake_write, False)
+        self._poll = select.poll()
+        self._polls_output = False       # whether that poll waits for room to write, too
+
+    @property
+    def is_open(self) -> bool:
+        return self._serial is not None
+
+    def open(self) -> None:
+        """Open it.
+
+        Raises:
+            PortError: it cannot be opened now.
+        """
+        try:
+            opened = serial.serial_for_url(self.url, do_not_open=True)
+            opened.baudrate = self.baud
+            opened.timeout = _SLICE
+            opened.write_timeout = _SLICE
+            if not self.url.startswith(('socket:', 'rfc2217:', 'loop:')):
+                opened.exclusive = True
+            opened.open()
+        except (OSError, ValueError, termios.error) as error:
+            raise PortError(_explain(error)) from None
+        try:
+            fd = opened.fileno()
+        except (io.UnsupportedOperation, AttributeError):
+            fd = -1
+        if fd >= 0 and os.isatty(fd):
+            self._set_up_tty(opened, fd)
+        self._poll = select.poll()
+        self._polls_output = False
+        self._poll.register(self._wake_read, select.POLLIN)
+        if fd >= 0:
+            self._poll.register(fd, select.POLLIN)
+        with self._lock:
+            self._rest = b''
+            self._fd = fd
+            self._serial = opened
+
+    def close(self) -> None:
+        """Close it; nothing that was written and not yet sent is kept."""
+        stalled = self.backlog() > _STALLED or self._rest
+        with self._lock:
+            closing, self._serial = self._serial, None
+            fd, self._fd = self._fd, -1
+            self._rest = b''
+        if closing is None:
+            return
+        try:
+            if fd >= 0:
+                # A tty's close waits for its output to drain, up to half a minute where the
+                # line is held: drop what does not flow.
+                if stalled:
+                    _flush_output(fd)
+            closing.close()
+        except (OSError, termios.error):
+            pass
+
+    def read(self, timeout: Optional[float]) -> bytes:
+        """Sleep until bytes come, and return all that came; b'' after `timeout` s or `wake`.
+
+        None waits without end.
+
+        Raises:
+            PortError: the port has gone.
+        """
+        if self._fd < 0:
+            return self._read_sliced(timeout)
+        fd = self._fd
+        milliseconds = None if timeout is None else max(timeout, 0) * 1000
+        try:
+            if bool(self._rest) != self._polls_output:
+                self._polls_output = bool(self._rest)
+                self._poll.modify(fd, select.POLLIN | select.POLLOUT if self._polls_output
+                                  else select.POLLIN)
+            ready = self._poll.poll(milliseconds)
+            data = b''
+            for descriptor, event in ready:
+                if descriptor == self._wake_read:
+                    os.read(self._wake_read, _READ_SIZE)
+                    continue
+                if event & (select.POLLIN | select.POLLHUP | select.POLLERR):
+                    data = os.read(fd, _READ_SIZE)
+                    if not data:
+                        raise PortError('the device has gone')
+                if event & select.POLLNVAL:
+                    raise PortError('the device has gone')
+                if event & select.POLLOUT:
+                    with self._lock:
+                        self._send_rest()
+        except BlockingIOError:
+            return b''
+        except OSError as error:
+            raise PortError(_explain(error)) from None
+        self.bytes_received += len(data)
+        return data
+
+    def _read_sliced(self, timeout: Optional[float]) -> bytes:
+        deadline = None if timeout is None else time.monotonic() + timeout
+        port = self._serial
+        try:
+            while True:
+                data = port.read(max(port.in_waiting, 1) if port.in_waiting or deadline is None
+                                 or deadline > time.monotonic() else 0)
+                woken = bool(self._poll.poll(0))
+                if woken:
+                    os.read(self._wake_read, _READ_SIZE)
+                if data or woken or (deadline is not None and time.monotonic() >= deadline):
+                    self.bytes_received += len(data)
+                    return data
+        except (OSError, AttributeError, TypeError) as error:
+            raise PortError(_explain(error)) from None
+
+    def write(self, frame: bytes) -> None:
+        """Hand over one whole frame; never waits.
+
+        What the kernel does not take at once of a frame that it took in part goes out before
+        anything else does, so frames neither interleave nor stay half done.
+
+        Raises:
+            PortBusy: the kernel takes nothing now; nothing of this frame has left.
+            PortError: the port is closed or has gone.
+        """
+        with self._lock:
+            if self._serial is None:
+                raise PortError('the port is closed')
+            try:
+                if self._fd < 0:
+                    self._serial.write(frame)
+                    self.bytes_sent += len(frame)
+                    return
+                if self._rest:
+                    self._send_rest()
+                    if self._rest:
+                        raise PortBusy('the port takes no data')
+                sent = os.write(self._fd, frame)
+            except BlockingIOError:
+                raise PortBusy('the port takes no data') from None
+            except OSError as error:
+                raise PortError(_explain(error)) from None
+            self.bytes_sent += sent
+            if sent < len(frame):
+                self._rest = frame[sent:]
+                self.wake()
+
+    def _send_rest(self) -> None:
+        try:
+            sent = os.write(self._fd, self._rest)
+        except BlockingIOError:
+            return
+        self.bytes_sent += sent
+        self._rest = self._rest[sent:]
+
+    def backlog(self) -> float:
+        """Seconds of wire time that wait in the kernel to be sent; 0.0 where it cannot tell."""
+        fd = self._fd
+        if fd < 0:
+            return 0.0
+        try:
+            waiting = struct.unpack('i', fcntl.ioctl(fd, termios.TIOCOUTQ, b'\0\0\0\0'))[0]
+        except OSError:
+            return 0.0
+        return (waiting + len(self._rest)) * 10.0 / self.baud
+
+    def discard_output(self) -> None:
+        """Drop what was written and has not been sent."""
+        with self._lock:
+            self._rest = b''
+            if self._fd >= 0:
+                _flush_output(self._fd)
+
+    def wake(self) -> None:
+        """Make a `read` that sleeps return."""
+        try:
+            os.write(self._wake_write, b'.')
+        except BlockingIOError:
+            pass    # the pipe is full of wake-ups already
+
+    def _set_up_tty(self, opened: serial.SerialBase, fd: int) -> None:
+        try:
+            opened.set_low_latency_mode(True)   # an FTDI chip sits on data for 16 ms otherwise
+        except (AttributeError, OSError, ValueError, NotImplementedError):
+            pass
+        try:
+            # Without HUPCL, closing leaves DTR alone, so opening again does not reset a board
+            # whose reset hangs on DTR.
+            attributes = termios.tcgetattr(fd)
+            attributes[2] &= ~termios.HUPCL
+            termios.tcsetattr(fd, termios.TCSANOW, attributes)
+            if self._reset_on_open:
+                opened.dtr = False
+                time.sleep(0.05)
+                opened.dtr = True
+        except (OSError, termios.error):
+            pass
+
+
+def _flush_output(fd: int) -> None:
+    try:
+        termios.tcflush(fd, termios.TCOFLUSH)
+    except (OSError, termios.error):
+        pass    # not a tty
+
+
+_HINTS = {
+    errno.ENOENT: 'there is no such device; waiting for it',
+    errno.ENXIO: 'there is no such device; waiting for it',
+    errno.ENODEV: 'the device has gone',
+    errno.EIO: 'the device has gone',
+    errno.EACCES: 'permission denied; join the group that owns it '
+                  '(sudo usermod -a -G dialout $USER) and log in again',
+    errno.EPERM: 'permission denied',
+    errno.EBUSY: 'another program has it open',
+    errno.EAGAIN: 'another program has it open',
+    errno.EISDIR: 'this is a directory, not a serial port',
+    errno.ENOTTY: 'this is not a serial port',
+    errno.ECONNREFUSED: 'connection refused',
+}
+
+
+def _explain(error: BaseException) -> str:
+    code = getattr(error, 'errno', None)
+    if code is None and error.args and isinstance(error.args[0], int):
+        code = error.args[0]    # termios.error
+    if code is None and 'Inappropriate ioctl' in str(error):
+        code = errno.ENOTTY     # pyserial wraps it in a text
+    return _HINTS.get(code) or str(error)

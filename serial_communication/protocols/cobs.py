@@ -1,0 +1,62 @@
+"""Consistent Overhead Byte Stuffing: packets without a zero byte, so that a zero can end one.
+
+Reference: S. Cheshire and M. Baker, "Consistent Overhead Byte Stuffing", IEEE/ACM Transactions
+on Networking 7(2), 1999. A block is a code byte n, then n-1 bytes that are not zero, then a
+zero that is left out; code 255 stands for 254 bytes and no zero.
+"""
+
+_BLOCK = 254  # most bytes in one block
+
+
+class CobsError(ValueError):
+    """The bytes are no COBS encoding; the text says why."""
+
+
+def encode(data: bytes) -> bytes:
+    """`data` without zeros, a byte longer for every 254 begun; the ending 0x00 is not added."""
+    out = bytearray()
+    runs = bytes(data).split(b'\0')
+    last = len(runs) - 1
+    for index, run in enumerate(runs):
+        while len(run) >= _BLOCK:
+            out.append(_BLOCK + 1)
+            out += run[:_BLOCK]
+            run = run[_BLOCK:]
+            if not run and index == last:
+                return bytes(out)
+        out.append(len(run) + 1)
+        out += run
+    return bytes(out)
+
+
+def decode(encoded: bytes) -> bytes:
+    """The inverse of `encode`.
+
+    Raises:
+        CobsError: a zero inside, a code that runs past the end, or no byte at all.
+    """
+    size = len(encoded)
+    if not size:
+        raise CobsError('no bytes')
+    if 0 in encoded:
+        raise CobsError('zero inside')
+    at = 0
+    if size <= _BLOCK:
+        # No block can be full, so each code byte's place is a left-out zero's: write it there.
+        out = bytearray(encoded)
+        while at < size:
+            code = out[at]
+            out[at] = 0
+            at += code
+        del out[0]
+    else:
+        out = bytearray()
+        while at < size:
+            code = encoded[at]
+            out += encoded[at + 1:at + code]
+            at += code
+            if code <= _BLOCK and at < size:
+                out.append(0)
+    if at != size:
+        raise CobsError('a code runs past the end')
+    return bytes(out)

@@ -1,0 +1,1 @@
+"""The ROS side: parameters, topics, services, tf, diagnostics. The only part that knows rospy."""

@@ -1,0 +1,93 @@
+"""Topics and services of the bus link."""
+from typing import Any, Dict
+
+import rospy
+from sensor_msgs.msg import RelativeHumidity, Temperature
+from std_srvs.srv import Trigger, TriggerResponse
+
+from serial_communication.msg import Environment
+from serial_communication.srv import (BusRequest, BusRequestResponse, GetEnvironment,
+                                      GetEnvironmentResponse, Gimbal, GimbalResponse, Lift,
+                                      LiftResponse)
+
+from ..links.bus import BusLink, BusSettings
+from ..links.master import Outcome
+from ..links.port import Port
+from ..protocols import robot_ctrl_bus as bus
+from .publishing import publisher, wanted
+
+
+class BusInterface:
+    """Services in, readings out."""
+
+    def __init__(self, parameters: Dict[str, Any], **link_arguments) -> None:
+        p = parameters
+        self.link = BusLink(
+            Port(p['bus/port'], p['bus/baud']),
+            BusSettings(p['bus/reply_timeout'], p['bus/motion_timeout'], p['bus/retries'],
+                        p['bus/environment_period'], p['bus/environment_datelen'],
+                        p['bus/reply_has_cmd2']),
+            on_environment=self._publish_environment, **link_arguments)
+        self._environment = publisher('~environment', Environment)
+        self._temperature = publisher('~environment/temperature', Temperature)
+        self._humidity = publisher('~environment/humidity', RelativeHumidity)
+        self._frame_id = p['base_frame_id']
+
+    def advertise(self) -> None:
+        """Offer the services."""
+        for name, service, handler in (
+                ('~lift', Lift, self._lift), ('~gimbal', Gimbal, self._gimbal),
+                ('~get_environment', GetEnvironment, self._get_environment),
+                ('~bus/request', BusRequest, self._request),
+                ('~bus/echo', Trigger, self._echo), ('~bus/sync', Trigger, self._sync)):
+            rospy.Service(name, service, handler)
+
+    def _lift(self, request) -> LiftResponse:
+        return _answer(LiftResponse, self.link.lift(request.direction, request.distance))
+
+    def _gimbal(self, request) -> GimbalResponse:
+        return _answer(GimbalResponse, self.link.gimbal(request.direction, request.angle))
+
+    def _get_environment(self, _request) -> GetEnvironmentResponse:
+        outcome, reading = self.link.environment()
+        response = _answer(GetEnvironmentResponse, outcome)
+        if reading:
+            response.environment = self._message(reading, rospy.Time.now())
+            response.message = 'done: %s' % str(reading)
+        return response
+
+    def _request(self, request) -> BusRequestResponse:
+        outcome = self.link.request(bus.Request(request.cmd1, request.cmd2,
+                                                bytes(request.data)))
+        response = _answer(BusRequestResponse, outcome)
+        response.data = outcome.data
+        return response
+
+    def _echo(self, _request) -> TriggerResponse:
+        outcome = self.link.echo()
+        return TriggerResponse(outcome.success, '%.2f ms' % (outcome.round_trip * 1e3)
+                               if outcome.success else outcome.message)
+
+    def _sync(self, _request) -> TriggerResponse:
+        outcome = self.link.sync()
+        return TriggerResponse(outcome.success, 'synchronised' if outcome.success
+                               else outcome.message)
+
+    def _publish_environment(self, reading: bus.Environment, stamp: rospy.Time) -> None:
+        message = self._message(reading, stamp)
+        self._environment.publish(message)
+        if wanted(self._temperature):
+            self._temperature.publish(Temperature(message.header, reading.temperature, 0.0))
+        if wanted(self._humidity):
+            self._humidity.publish(RelativeHumidity(message.header, reading.humidity / 100, 0.0))
+
+    def _message(self, reading: bus.Environment, stamp: rospy.Time) -> Environment:
+        message = Environment(None, *reading)
+        message.header.stamp = stamp
+        message.header.frame_id = self._frame_id
+        return message
+
+
+def _answer(response_class, outcome: Outcome):
+    return response_class(success=outcome.success, status=outcome.status,
+                          error_code=outcome.error_code, message=outcome.message)

@@ -1,0 +1,54 @@
+"""/diagnostics: one status a link, once a second of the monotonic clock."""
+import threading
+import time
+from typing import Iterable
+
+import rospy
+from diagnostic_updater import Updater
+
+from ..links.link import Link
+
+_PERIOD = 1.0   # s
+
+
+class Diagnostics:
+    """An updater for each link, since the hardware id, the port, is an updater's."""
+
+    def __init__(self, links: Iterable[Link]) -> None:
+        self._updaters = []
+        for link in links:
+            updater = Updater()
+            updater.setHardwareID(link.port.url)
+            updater.add(link.name + ' link', _task(link))
+            self._updaters.append(updater)
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name='diagnostics', daemon=True)
+
+    def start(self) -> None:
+        """Publish from now on."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Publish no more."""
+        self._stopping.set()
+
+    def _run(self) -> None:
+        due = time.monotonic()
+        while not self._stopping.wait(max(0.0, due - time.monotonic())):
+            due = max(due + _PERIOD, time.monotonic())
+            for updater in self._updaters:
+                try:
+                    # Not update(): that one counts in ROS time, which may stand still.
+                    updater.force_update()
+                except rospy.ROSException:
+                    return    # shutting down
+
+
+def _task(link: Link):
+    def run(status):
+        report = link.report(time.monotonic())
+        status.summary(report.level, report.summary)
+        for key, value in report.values:
+            status.add(key, str(value))
+        return status
+    return run

@@ -1,0 +1,56 @@
+"""Angles into quaternions, and the frames that the sensors stand in."""
+from math import cos, sin
+from typing import Dict, List, Sequence, Tuple
+
+import rospy
+import tf2_ros
+from geometry_msgs.msg import TransformStamped
+
+
+def quaternion(roll: float, pitch: float, yaw: float) -> Tuple[float, float, float, float]:
+    """x, y, z, w of a turn by roll, pitch, yaw about the fixed axes x, y, z; radians."""
+    cr, sr = cos(roll / 2), sin(roll / 2)
+    cp, sp = cos(pitch / 2), sin(pitch / 2)
+    cy, sy = cos(yaw / 2), sin(yaw / 2)
+    return (sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy)
+
+
+def transform(parent: str, child: str, translation: Sequence[float],
+              rotation: Sequence[float], stamp: rospy.Time) -> TransformStamped:
+    """A transform message; `rotation` as x, y, z, w."""
+    message = TransformStamped()
+    message.header.stamp = stamp
+    message.header.frame_id = parent
+    message.child_frame_id = child
+    (message.transform.translation.x, message.transform.translation.y,
+     message.transform.translation.z) = translation
+    (message.transform.rotation.x, message.transform.rotation.y,
+     message.transform.rotation.z, message.transform.rotation.w) = rotation
+    return message
+
+
+def publish_mounts(base: str, mounts: Dict[str, List[float]]) -> tf2_ros.StaticTransformBroadcaster:
+    """Say once, for good, where each frame stands in `base`: x y z in m, roll pitch yaw in rad.
+
+    The returned broadcaster has to be kept.
+    """
+    broadcaster = tf2_ros.StaticTransformBroadcaster()
+    now = rospy.Time.now()
+    broadcaster.sendTransform([transform(base, child, mount[:3], quaternion(*mount[3:]), now)
+                               for child, mount in mounts.items()])
+    return broadcaster
+
+
+class OrientationBroadcaster:
+    """A measured orientation as a frame of its own, a child of the sensor's frame."""
+
+    def __init__(self, parent: str, child: str) -> None:
+        self._broadcaster = tf2_ros.TransformBroadcaster()
+        self._parent = parent
+        self._child = child
+
+    def send(self, orientation: Sequence[float], stamp: rospy.Time) -> None:
+        """Quaternion x, y, z, w."""
+        self._broadcaster.sendTransform(transform(self._parent, self._child, (0.0, 0.0, 0.0),
+                                                  orientation, stamp))

@@ -1,0 +1,101 @@
+"""Topics of the mcu link."""
+import time
+from math import inf, nan, radians
+from typing import Any, Dict, Optional
+
+import rospy
+from sensor_msgs.msg import Imu, Range
+
+from serial_communication.msg import McuStatus, McuStatus2
+
+from ..links.mcu import McuLink
+from ..links.port import Port
+from ..protocols import mcu
+from ..protocols.framing import CHECKSUM
+from .geometry import OrientationBroadcaster, quaternion
+from .publishing import diagonal, publisher, wanted
+
+_NOT_CONNECTED = 0xFFFF   # what no sensor reads
+
+
+class McuInterface:
+    """Measurements out, and word of the board's silence."""
+
+    def __init__(self, parameters: Dict[str, Any], **link_arguments) -> None:
+        p = parameters
+        self._turn = -1.0 if p['mcu/yaw_clockwise'] else 1.0
+        self._imu_message = _imu(p)
+        self._ranges = [(publisher('mcu/range_%d' % number, Range), _range(p, number))
+                        for number in (1, 2)]
+        self._status = publisher('mcu/status', McuStatus2)
+        self._adc_status = publisher('mcu/adc_status', McuStatus)
+        self._imu = publisher('mcu/imu', Imu)
+        self._orientation: Optional[OrientationBroadcaster] = None
+        if p['publish_tf']:
+            self._orientation = OrientationBroadcaster(p['mcu/imu_frame_id'],
+                                                       p['mcu/imu_orientation_frame_id'])
+        self.link = McuLink(Port(p['mcu/port'], p['mcu/baud']), p['mcu/timeout'],
+                            on_status=self._received, on_silence=self._silent, **link_arguments)
+
+    def advertise(self) -> None:
+        """Nothing is taken or offered: the board only talks."""
+
+    def _received(self, message: Any, seq: int, stamp: rospy.Time) -> None:
+        age = time.monotonic() - self.link.last_frame_at
+        if type(message) is mcu.AdcStatus:
+            if wanted(self._adc_status):
+                self._adc_status.publish(stamp, seq, True, True, self._crc_errors(), age,
+                                         *message.channels)
+            return
+        if wanted(self._status):
+            self._status.publish(stamp, seq, True, message.valid, self._crc_errors(), age,
+                                 *message)
+        for (topic, out), millimetres in zip(self._ranges, message[:2]):
+            if wanted(topic):
+                out.header.stamp = stamp
+                out.range = _metres(millimetres, out.min_range, out.max_range)
+                topic.publish(out)
+        if self._orientation or wanted(self._imu):
+            turned = quaternion(radians(message.roll), radians(message.pitch),
+                                radians(message.yaw) * self._turn)
+            out = self._imu_message
+            out.header.stamp = stamp
+            out.orientation.x, out.orientation.y, out.orientation.z, out.orientation.w = turned
+            self._imu.publish(out)
+            if self._orientation:
+                self._orientation.send(turned, stamp)
+
+    def _silent(self, kinds: set, seq: int, age: float) -> None:
+        head = (rospy.Time.now(), seq, False, False, self._crc_errors(), age)
+        if mcu.AdcStatus in kinds:
+            self._adc_status.publish(*head, *[_NOT_CONNECTED] * 6)
+        if mcu.SensorStatus in kinds or not kinds:
+            self._status.publish(*head, _NOT_CONNECTED, _NOT_CONNECTED, nan, nan, nan)
+
+    def _crc_errors(self) -> int:
+        return self.link.decoder.errors[CHECKSUM]
+
+
+def _metres(millimetres: int, low: float, high: float) -> float:
+    """As REP 117 has it: NaN for no reading, an infinity for one beyond the limits."""
+    if millimetres == mcu.RANGE_TIMED_OUT:
+        return nan
+    metres = millimetres / 1000
+    return -inf if metres < low else inf if metres > high else metres
+
+
+def _range(p: Dict[str, Any], number: int) -> Range:
+    message = Range(radiation_type=Range.INFRARED, field_of_view=p['mcu/field_of_view'],
+                    min_range=p['mcu/min_range'], max_range=p['mcu/max_range'])
+    message.header.frame_id = p['mcu/range_%d_frame_id' % number]
+    return message
+
+
+def _imu(p: Dict[str, Any]) -> Imu:
+    message = Imu()
+    message.header.frame_id = p['mcu/imu_frame_id']
+    level, yaw = p['mcu/roll_pitch_stdev'] ** 2, p['mcu/yaw_stdev'] ** 2
+    message.orientation_covariance = diagonal(level, level, yaw)
+    message.angular_velocity_covariance = diagonal(-1.0, 0.0, 0.0)    # -1: not measured
+    message.linear_acceleration_covariance = diagonal(-1.0, 0.0, 0.0)
+    return message

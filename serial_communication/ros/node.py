@@ -1,0 +1,79 @@
+"""The node: reads the parameters, puts the links together with ROS, and ends them in order."""
+import logging
+import os
+import signal
+import sys
+import threading
+import time
+
+import rospy
+
+from . import parameters
+from .arduino import ArduinoInterface
+from .bus import BusInterface
+from .diagnostics import Diagnostics
+from .geometry import publish_mounts
+from .mcu import McuInterface
+from .traffic import Traffic
+
+_SWITCH_INTERVAL = 0.0005   # s that a busy thread may keep the interpreter from the heartbeat
+_SHUTDOWN = 1.0             # s for the links to end in
+
+
+def main() -> None:
+    """Run until ROS or a signal ends it."""
+    sys.setswitchinterval(_SWITCH_INTERVAL)
+    rospy.init_node('serial_communication')
+    try:
+        values, warnings = parameters.check(rospy.get_param('~', {}), rospy.get_name())
+    except parameters.ParameterError as error:
+        rospy.logfatal(str(error))
+        sys.exit(1)
+    for warning in warnings:
+        rospy.logwarn(warning)
+    bridge = Bridge(values)
+    rospy.on_shutdown(bridge.stop)
+    signal.signal(signal.SIGHUP, lambda *_: rospy.signal_shutdown('the terminal has gone'))
+    bridge.start()
+    rospy.spin()
+
+
+class Bridge:
+    """The links that have a port, and what belongs to all of them."""
+
+    def __init__(self, p: dict) -> None:
+        arguments = {'frame_timeout': p['frame_timeout'], 'clock': rospy.Time.now,
+                     'logger': logging.getLogger('rosout')}
+        self._interfaces = [interface(p, **arguments) for name, interface in (
+            ('bus', BusInterface), ('arduino', ArduinoInterface), ('mcu', McuInterface))
+            if p[name + '/port']]
+        self._links = [interface.link for interface in self._interfaces]
+        if not self._links:
+            rospy.logwarn('no port is set (bus/port, arduino/port, mcu/port): nothing to do')
+        self._mounts = publish_mounts(p['base_frame_id'], {
+            p[name + '_frame_id']: p[name + '_mount'] for name in (
+                'arduino/imu', 'mcu/imu', 'mcu/range_1', 'mcu/range_2')
+            if p[name.split('/')[0] + '/port']})
+        self._traffic = Traffic(self._links)
+        self._diagnostics = Diagnostics(self._links)
+
+    def start(self) -> None:
+        """Open the ports and take calls."""
+        for link in self._links:
+            link.start()
+        for interface in self._interfaces:
+            interface.advertise()
+        self._diagnostics.start()
+
+    def stop(self) -> None:
+        """SPEED 0 first, then everything ends; in 1 s even where a port hangs."""
+        # Whatever then keeps the interpreter alive (a thread in a dead connection, say).
+        last_resort = threading.Timer(1.5, os._exit, (0,))
+        last_resort.daemon = True
+        last_resort.start()
+        for link in sorted(self._links, key=lambda link: link.name != 'arduino'):
+            link.stop()
+        deadline = time.monotonic() + _SHUTDOWN
+        for link in self._links:
+            link.join(max(0.0, deadline - time.monotonic()))
+        self._diagnostics.stop()

@@ -1,0 +1,69 @@
+"""serial_msg: every frame of every link, while somebody looks."""
+import queue
+import threading
+from typing import Iterable
+
+import rospy
+
+from serial_communication.msg import SerialMsg
+
+from ..links.link import Link
+from ..protocols.framing import Frame
+from .publishing import publisher
+
+_QUEUED = 2000   # frames that wait for this thread at most; newer ones are left out
+
+
+class Traffic(rospy.SubscribeListener):
+    """Publishes from a thread of its own, so that looking on slows down nothing.
+
+    While nobody subscribes, the links are not listened to at all.
+    """
+
+    def __init__(self, links: Iterable[Link]) -> None:
+        super().__init__()
+        self._links = list(links)
+        self._queue: queue.Queue = queue.Queue(_QUEUED)
+        threading.Thread(target=self._run, name='serial_msg', daemon=True).start()
+        self._topic = publisher('serial_msg', SerialMsg, subscriber_listener=self)
+
+    def peer_subscribe(self, topic_name, topic_publish, peer_publish) -> None:
+        """Somebody looks."""
+        for link in self._links:
+            link.tap = self._take
+
+    def peer_unsubscribe(self, topic_name, num_peers) -> None:
+        """Somebody looks no more."""
+        if not num_peers:
+            for link in self._links:
+                link.tap = None
+
+    def _take(self, link: str, direction: int, frame: Frame) -> None:
+        try:
+            self._queue.put_nowait((link, direction, frame))
+        except queue.Full:
+            pass
+
+    def _run(self) -> None:
+        while True:
+            link, direction, frame = self._queue.get()
+            message = SerialMsg(link=link, direction=direction, type=frame.type,
+                                command=frame.command, data=frame.data, frame=frame.raw,
+                                text=_text(frame), error=_error(frame))
+            message.header.stamp = frame.stamp or rospy.Time.now()
+            try:
+                self._topic.publish(message)
+            except rospy.ROSException:
+                return    # shutting down
+
+
+def _text(frame: Frame) -> str:
+    if frame.message is not None:
+        return str(frame.message)
+    if frame.cause:
+        return '%d bytes refused' % len(frame.raw)
+    return 'a frame of type 0x%02x, which is not known here' % frame.type
+
+
+def _error(frame: Frame) -> str:
+    return '%s: %s' % (frame.cause, frame.error) if frame.cause else ''

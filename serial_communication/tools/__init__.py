@@ -1,0 +1,1 @@
+"""Programs for people: the live table, the fault campaign, the bench."""
