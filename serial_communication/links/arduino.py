@@ -3,7 +3,8 @@ motor alive. What may reach the motor, and when, is decided here and nowhere els
 import os
 import threading
 import time
-from typing import Any, Callable, List, NamedTuple, Optional, Tuple
+from collections import deque
+from typing import Any, Callable, Deque, List, NamedTuple, Optional, Tuple
 
 from ..protocols import arduino
 from ..protocols.framing import Frame
@@ -57,6 +58,7 @@ class ArduinoLink(Link):
         self._calibrating_since = 0.0
         self._finished = False               # SPEED 0 was the last word
         self._cut_off = False                # the latest packet may have left in part
+        self._unsaid: Deque[Tuple[str, str]] = deque()
         self._open = threading.Event()
         self._heart = threading.Thread(target=self._beat, name='arduino heartbeat', daemon=True)
         self._board_lines = float(_BOARD_LINES)
@@ -68,7 +70,7 @@ class ArduinoLink(Link):
         """PWM of the drive motor, saturated to ±1000; Refused where it cannot be sent now."""
         limit = arduino.SPEED_LIMIT
         if not -limit <= value <= limit:
-            self.log.warn('saturated', 'speed %d is beyond ±%d; sent as that' % (value, limit))
+            self.log.warn('saturated', 'speed %d is beyond %d either way; sent as that' % (value, limit))
             value = limit if value > 0 else -limit
         with self._commands:
             self._command(arduino.SpeedCommand(value))
@@ -133,8 +135,8 @@ class ArduinoLink(Link):
         """The port does not flow: drop what waits, or it reaches the board late, commands too."""
         self.port.discard_output()
         self._cut_off = True
-        self.log.warn('stalled', 'the port takes no data; what waited was dropped, '
-                                 'the board stops its motor')
+        self._say_later('stalled', 'the port takes no data; what waited was dropped, '
+                                   'the board stops its motor')
 
     # -- the heartbeat ------------------------------------------------------------------
 
@@ -144,9 +146,12 @@ class ArduinoLink(Link):
 
     def stop(self) -> None:
         """SPEED 0, then silence."""
+        self._stopping.set()
+        self._open.set()
+        if self._heart.is_alive():
+            self._heart.join(_LAST_WORD)     # so that no heartbeat follows the last word
         with self._commands:
             self._finished = True
-            self._stopping.set()
             try:
                 if self.port.backlog() > _STALLED:
                     self._unblock()
@@ -154,7 +159,6 @@ class ArduinoLink(Link):
             except (PortBusy, PortError):
                 pass     # closed, or stuck: without heartbeats the board stops by itself
         self._let_out()
-        self._open.set()
         super().stop()
 
     def _let_out(self) -> None:
@@ -186,8 +190,6 @@ class ArduinoLink(Link):
     def _heartbeat(self) -> bool:
         if self.port.backlog() > _STALLED:
             self._unblock()
-        if self._finished:
-            return False
         try:
             self._send(arduino.Heartbeat())
         except (PortBusy, PortError):
@@ -204,8 +206,13 @@ class ArduinoLink(Link):
             except (PortBusy, PortError):
                 return      # tried again in a moment
             self._moving = False
-        self.log.warn('speed timeout', 'no speed command for %g s: SPEED 0 sent'
-                      % self.settings.speed_timeout)
+        self._say_later('speed timeout', 'no speed command for %g s: SPEED 0 sent'
+                        % self.settings.speed_timeout)
+
+    def _say_later(self, cause: str, text: str) -> None:
+        """Have the link's thread log it: a log may block, a heartbeat and a command may not."""
+        self._unsaid.append((cause, text))
+        self.wake()
 
     # -- hooks --------------------------------------------------------------------------
 
@@ -240,6 +247,8 @@ class ArduinoLink(Link):
             self._on_message(message, frame.stamp)
 
     def tick(self, now: float) -> Optional[float]:
+        while self._unsaid:
+            self.log.warn(*self._unsaid.popleft())
         if not self.calibrating:
             return None
         due = self._calibrating_since + self.settings.calibration_timeout

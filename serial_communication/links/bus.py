@@ -8,6 +8,7 @@ from .link import ERROR, OK, WARN, Link
 from .master import NOT_SENT, PATIENCE, Call, Master, Outcome
 from .port import Port, PortBusy, PortError
 
+_SETTLE = 0.001     # s of silence before a move or a raw request: a doubled reply ends within
 _SLOW = (bus.LIFT, bus.GIMBAL)    # functions that move something
 
 
@@ -130,10 +131,12 @@ class BusLink(Link):
             master.tick(now)
             if not master.wants_to_send() or self.decoder.pending:
                 break
+            if master.next_is_final() and now < self.last_byte_at + _SETTLE:
+                return self.last_byte_at + _SETTLE
             # A request leaves only when everything received before it has been taken in.
             data = self.port.read(0)
             if data:
-                now = time.monotonic()
+                self.last_byte_at = now = time.monotonic()
                 self.take(data, self._clock(), now)
                 continue
             self._send_next(time.monotonic())
@@ -176,6 +179,9 @@ class BusLink(Link):
         if not amiss:
             return OK, 'ready'
         return (ERROR if 'does not answer' in amiss else WARN), amiss
+
+    def error_count(self) -> int:
+        return super().error_count() + self.master.timeouts
 
     def own_values(self) -> List[Tuple[str, Any]]:
         times = sorted(self.master.round_trips)

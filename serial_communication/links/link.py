@@ -3,7 +3,7 @@ import logging
 import threading
 import time
 import traceback
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, List, NamedTuple, Optional, Tuple
 
 from ..protocols.framing import CHECKSUM, Frame
 from .port import Port, PortError
@@ -53,6 +53,7 @@ class Link:
         self.frames_sent = 0
         self.reconnects = 0
         self.last_frame_at: Optional[float] = None   # monotonic
+        self.last_byte_at = 0.0                      # monotonic
         self._clock = clock
         self._frame_timeout = frame_timeout
         self._connections = 0
@@ -110,7 +111,7 @@ class Link:
 
     def report(self, now: float) -> Report:
         """How the link is; to be asked once a second, since errors count from the last time."""
-        errors = sum(self.decoder.errors.values())
+        errors = self.error_count()
         new_errors, self._reported_errors = errors - self._reported_errors, errors
         level, summary = self.condition(now)
         if level == OK and new_errors:
@@ -142,6 +143,10 @@ class Link:
         if self.last_frame_at is None or now - self.last_frame_at > SILENCE:
             return WARN, 'open, the board is silent'
         return OK, 'open'
+
+    def error_count(self) -> int:
+        """All that went wrong on the line so far."""
+        return sum(self.decoder.errors.values())
 
     def own_values(self) -> List[Tuple[str, Any]]:
         """Key-value pairs that only this kind of link has."""
@@ -190,19 +195,19 @@ class Link:
         """Read until the port goes or the link stops."""
         now = time.monotonic()
         self.opened(now)
-        last_byte = now
+        self.last_byte_at = now
         while not self._stopping.is_set():
             due = self.tick(now)
             if self.decoder.pending:
-                give_up = last_byte + self._frame_timeout
+                give_up = self.last_byte_at + self._frame_timeout
                 due = give_up if due is None else min(due, give_up)
             data = self.port.read(None if due is None else due - now)
             stamp = self._clock()
             now = time.monotonic()
             if data:
-                last_byte = now
+                self.last_byte_at = now
                 self.take(data, stamp, now)
-            elif self.decoder.pending and now >= last_byte + self._frame_timeout:
+            elif self.decoder.pending and now >= self.last_byte_at + self._frame_timeout:
                 while self.decoder.pending:
                     self._deliver(self.decoder.give_up(), now)
 
@@ -223,6 +228,3 @@ class Link:
             if self.tap:
                 self.tap(self.name, RX, frame)
 
-    def errors(self) -> Dict[str, int]:
-        """Errors so far, by cause."""
-        return dict(self.decoder.errors)

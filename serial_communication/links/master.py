@@ -8,6 +8,8 @@ time it is, asks `next_request` what to send, and sleeps until `deadline`. The r
 3. No reply within its timeout: the request's outcome is unknown.
 4. What moves something, and raw requests, are sent again only where a reply said that nothing
    was executed.
+   A board may also send INVALID for noise, and execute the request behind it: before a move is
+   sent again or given up, an ECHO must return. A reply that comes before it decides.
 5. Replies carry no number. After a timeout, a damaged reply or one that nobody asked for, the
    link is out of step: an ECHO with a fresh nonce goes out, and all is dropped until that very
    echo is back. A board that never echoes gets a SYNC and a silence instead.
@@ -61,6 +63,7 @@ class Call:
         self.tries = tries
         self.submitted = now
         self.setback: Optional[Outcome] = None   # how the try before this one ended
+        self.doubtful = False    # whether that may have been said of noise, not of this
         self.outcome: Optional[Outcome] = None
         self._sent = False
         self._lock = threading.Lock()
@@ -158,13 +161,19 @@ class Master:
             self.in_step = False
             exchange.call.finish(Outcome(
                 TIMEOUT, 'the port closed before the reply came (%s): %s' % (why, _UNKNOWN)))
-        self._refuse_all('the port is closed (%s); nothing was sent' % why)
+        self._refuse_all('the port is closed (%s)' % why)
 
     def received(self, frame: Frame, now: float) -> None:
         """A sound reply has come."""
         reply = frame.message
         exchange = self._exchange
-        if exchange is None:
+        again = self._again
+        if (again is not None and again.doubtful and reply.cmd1 != bus.INVALID
+                and _answers(reply, again.request)):
+            # So the INVALID was for noise: this is the reply.
+            self._again = None
+            again.finish(_told(reply, again.request, now - again.submitted))
+        elif exchange is None:
             self._out_of_step(f'a reply that nobody asked for: {reply}')
         elif exchange.kind == _CALL:
             self._call_answered(exchange, reply, now)
@@ -185,8 +194,11 @@ class Master:
         if exchange is not None and exchange.kind == _CALL and frame.cause == CHECKSUM:
             # It has the form of a reply. Plain noise may come while a motion lasts, and the
             # reply behind it is good: for that, wait on.
-            self._end_call(exchange, now, Outcome(
-                TIMEOUT, 'the reply was damaged: ' + _UNKNOWN))
+            outcome = Outcome(TIMEOUT, 'the reply was damaged: ' + _UNKNOWN)
+            if exchange.call.repeatable:
+                self._try_again(exchange, now, outcome)
+            else:
+                self._finish(exchange, now, outcome)
 
     # -- what to do ---------------------------------------------------------------------
 
@@ -229,6 +241,13 @@ class Master:
         return bool(not self.synchronised or not self.in_step or self._again or self._calls
                     or self._polls)
 
+    def next_is_final(self) -> bool:
+        """Whether the next request is one that a stray reply must not seem to answer."""
+        if not (self.synchronised and self.in_step):
+            return False
+        call = self._again or (self._calls and self._calls[0])
+        return bool(call) and not call.repeatable
+
     def next_request(self, now: float) -> Optional[bus.Request]:
         """The request to send now, which is outstanding from here on."""
         if not self.wants_to_send():
@@ -242,6 +261,10 @@ class Master:
         while self._again or self._calls or self._polls:
             if self._again:
                 call, self._again = self._again, None
+                if not call.tries:
+                    call.finish(call.setback)
+                    continue
+                call.doubtful = False
             else:
                 call = (self._calls or self._polls).popleft()
             if call.claim():
@@ -274,23 +297,23 @@ class Master:
             return
         round_trip = now - exchange.sent
         self.round_trips.append(round_trip)
-        code = reply.error_code
-        if reply.cmd1 == bus.INVALID:
-            outcome = Outcome(bus.INVALID, 'refused, nothing was executed: %s'
-                              % bus.describe_error(code), code, reply.data, round_trip)
-            if code == bus.NOT_SYNCHRONISED:
-                self.synchronised = False
-            if code in (bus.NOT_SYNCHRONISED, bus.CHECKSUM_MISMATCH):
-                self._end_call(exchange, now, outcome, nothing_executed=True)
-                return
-        elif reply.cmd1 == bus.ERROR:
-            outcome = Outcome(bus.ERROR, 'the board refused: %s' % bus.describe_error(code),
-                              code, reply.data, round_trip)
+        outcome = _told(reply, request, round_trip)
+        if reply.cmd1 == bus.ECHO:
+            self._echoes = True
+        if reply.cmd1 != bus.INVALID:
+            self._finish(exchange, now, outcome)
+            return
+        call, code = exchange.call, reply.error_code
+        if code == bus.NOT_SYNCHRONISED:
+            self.synchronised = False
+        elif code != bus.CHECKSUM_MISMATCH:
+            call.tries = 0
+        if code != bus.NOT_SYNCHRONISED and not call.repeatable:
+            call.doubtful = True
+            self.in_step = False
+            self._hold(exchange, now, outcome)
         else:
-            if reply.cmd1 == bus.ECHO:
-                self._echoes = True
-            outcome = Outcome(reply.cmd1, f'done: {request}', 0, reply.data, round_trip)
-        self._finish(exchange, now, outcome)
+            self._try_again(exchange, now, outcome)
 
     def _sync_answered(self, reply: bus.Reply, now: float) -> None:
         if reply.cmd1 == bus.SYNC:
@@ -341,20 +364,25 @@ class Master:
             self._log.warn('timeout', f'no reply to "{exchange.request}" within '
                            f'{exchange.call.timeout:g} s')
             self._out_of_step('no reply')
-            self._end_call(exchange, now, Outcome(TIMEOUT, 'no reply within %g s: %s' % (
-                exchange.call.timeout, _UNKNOWN)))
+            outcome = Outcome(TIMEOUT, 'no reply within %g s: %s'
+                              % (exchange.call.timeout, _UNKNOWN))
+            if exchange.call.repeatable:
+                self._try_again(exchange, now, outcome)
+            else:
+                self._finish(exchange, now, outcome)
 
-    def _end_call(self, exchange: _Exchange, now: float, outcome: Outcome,
-                  nothing_executed: bool = False) -> None:
-        """A try is over without success: once more where that is allowed, or tell the caller."""
-        call = exchange.call
-        if (nothing_executed or call.repeatable) and call.tries > 0 and call.outcome is None:
-            self._exchange = None
-            self._served_until = now
-            call.setback = outcome
-            self._again = call
+    def _try_again(self, exchange: _Exchange, now: float, outcome: Outcome) -> None:
+        """Once more, or tell the caller that this was the last try."""
+        if exchange.call.tries:
+            self._hold(exchange, now, outcome)
         else:
             self._finish(exchange, now, outcome)
+
+    def _hold(self, exchange: _Exchange, now: float, outcome: Outcome) -> None:
+        self._exchange = None
+        self._served_until = now
+        self._again = exchange.call
+        self._again.setback = outcome
 
     def _finish(self, exchange: _Exchange, now: float, outcome: Outcome) -> None:
         self._exchange = None
@@ -369,6 +397,8 @@ class Master:
 
     def _limit(self, call: Call) -> float:
         """Until when a queued call waits for its turn: not long for a board that is deaf."""
+        if call.doubtful:
+            return self._served_until + call.timeout
         turn = max(call.submitted, self._served_until if call.setback else 0.0) + self._turn
         if self.synchronised and not call.setback or self._serves_a_call():
             return turn
@@ -382,9 +412,7 @@ class Master:
             if call.outcome is not None:      # its caller has gone
                 self._forget(call)
             elif now >= self._limit(call):
-                self._forget(call)
-                call.finish(call.setback or Outcome(NOT_SENT, self._why_not()
-                                                    + '; nothing was sent'))
+                self._drop(call, self._why_not())
 
     def _why_not(self) -> str:
         if not self._connected:
@@ -401,13 +429,32 @@ class Master:
             except ValueError:
                 pass
 
-    def _refuse_all(self, message: str) -> None:
+    def _refuse_all(self, why: str) -> None:
         for call in self._waiting():
-            self._forget(call)
-            call.finish(call.setback or Outcome(NOT_SENT, message))
+            self._drop(call, why)
+
+    def _drop(self, call: Call, why: str) -> None:
+        """A queued call is not sent, or not sent again."""
+        self._forget(call)
+        if call.doubtful:
+            call.finish(Outcome(TIMEOUT, '%s; %s' % (call.setback.message, _UNKNOWN)))
+        else:
+            call.finish(call.setback or Outcome(NOT_SENT, '%s; nothing was sent' % why))
 
 
 _UNKNOWN = 'it is not known whether this was executed; look before you repeat it'
+
+
+def _told(reply: bus.Reply, request: bus.Request, round_trip: float) -> Outcome:
+    """The outcome that a reply means."""
+    code = reply.error_code
+    if reply.cmd1 == bus.INVALID:
+        message = 'refused, nothing was executed: %s' % bus.describe_error(code)
+    elif reply.cmd1 == bus.ERROR:
+        message = 'the board refused: %s' % bus.describe_error(code)
+    else:
+        message = f'done: {request}'
+    return Outcome(reply.cmd1, message, code, reply.data, round_trip)
 
 
 def _answers(reply: bus.Reply, request: bus.Request) -> bool:

@@ -194,7 +194,7 @@ class Imu(NamedTuple):
         return 'norm of the quaternion is %.3f' % (square / _UNIT_SQUARED) ** 0.5
 
     def __str__(self) -> str:
-        return 'IMU q (%.3f %.3f %.3f %.3f) a (%.2f %.2f %.2f) m/s²' % (
+        return 'IMU q (%.3f %.3f %.3f %.3f) a (%.2f %.2f %.2f) m/s^2' % (
             self.orientation() + self.linear_acceleration())
 
 

@@ -124,7 +124,7 @@ class Environment(NamedTuple):
                                 round(self.humidity * 100))
 
     def __str__(self) -> str:
-        return 'smoke %d, %.2f °C, %.2f %%' % self
+        return 'smoke %d, %.2f C, %.2f %%' % self
 
 
 SYNC_REQUEST = Request(SYNC)
@@ -230,7 +230,7 @@ class _Decoder(StreamDecoder):
                 if at + 2 > size:
                     return self._keep(at, 2)
                 length = buffer[at + 1]
-                if length == 255:
+                if length == 255 or length > self._max_length:
                     self._failed(at, at + 2, FRAMING, 'Datelen')
                     at += 1
                     continue

@@ -23,7 +23,7 @@ class Traffic(rospy.SubscribeListener):
     def __init__(self, links: Iterable[Link]) -> None:
         super().__init__()
         self._links = list(links)
-        self._queue: queue.Queue = queue.Queue(_QUEUED)
+        self._queue: queue.SimpleQueue = queue.SimpleQueue()   # its put never waits
         threading.Thread(target=self._run, name='serial_msg', daemon=True).start()
         self._topic = publisher('serial_msg', SerialMsg, subscriber_listener=self)
 
@@ -39,10 +39,8 @@ class Traffic(rospy.SubscribeListener):
                 link.tap = None
 
     def _take(self, link: str, direction: int, frame: Frame) -> None:
-        try:
-            self._queue.put_nowait((link, direction, frame))
-        except queue.Full:
-            pass
+        if self._queue.qsize() < _QUEUED:
+            self._queue.put((link, direction, frame))
 
     def _run(self) -> None:
         while True:

@@ -1,0 +1,195 @@
+"""What every simulated board has, and the runner that drives one on a port."""
+import math
+import os
+import threading
+import time
+from typing import Any, Callable, Optional
+
+from ..links.port import Port, PortError
+from ..protocols.framing import Frame
+from .line import Line
+
+FRAME_TIMEOUT = 0.05     # s without a byte after which an incomplete frame is given up
+_BACK_OFF = (0.1, 1.0)   # s from one try to open the port to the next: first, last
+_LATE = 0.01             # s; being woken later than this goes into the journal
+_REALTIME_PRIORITY = 10  # below the bridge's heartbeat
+
+
+class Every:
+    """Deadlines a period apart from a start: no drift, and after a stall no burst."""
+
+    def __init__(self, period: float, now: float) -> None:
+        self.due = now + period
+        self._period = period
+        self._start = now
+        self._count = 1     # of periods from the start to `due`
+
+    def passed(self, now: float) -> bool:
+        """Whether the deadline has come; if so it moves on, past `now`."""
+        if now < self.due:
+            return False
+        self._count = max(self._count, math.floor((now - self._start) / self._period)) + 1
+        self.due = self._start + self._count * self._period
+        return True
+
+
+class Board:
+    """Base of the boards: a state machine in the time that it is given. No I/O, no clock.
+
+    A subclass overrides `power_on`, `power_off`, `frame` and `advance`.
+    """
+
+    NAME = ''
+    CHATTER = b''                        # what it babbles at a reset
+    DELIMITER: Optional[bytes] = None    # what has to stand before a frame for it to be found
+
+    def __init__(self) -> None:
+        self.line: Any = None            # set by the Line
+        self.decoder: Any = None         # of what it receives; None: it reads nothing
+        self._last_byte = 0.0
+
+    # -- what happens to it ---------------------------------------------------------------
+
+    def power_on(self, now: float) -> None:
+        """It starts, or restarts: what it knew is gone, things stand where they stood."""
+
+    def power_off(self, now: float) -> None:
+        """The moment of a reset."""
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Bytes have come."""
+        if self.decoder is None:
+            return
+        self._last_byte = now
+        for frame in self.decoder.feed(data, now):
+            self.frame(frame, now)
+
+    def tick(self, now: float) -> Optional[float]:
+        """Do what is due; return when to be called next at the latest, or None."""
+        partial = None
+        if self.decoder is not None and self.decoder.pending:
+            partial = self._last_byte + FRAME_TIMEOUT
+            if now >= partial:
+                partial = None
+                while self.decoder.pending:
+                    for frame in self.decoder.give_up():
+                        self.frame(frame, now)
+        due = self.advance(now)
+        if partial is None or due is None:
+            return due if partial is None else partial
+        return min(due, partial)
+
+    # -- hooks ----------------------------------------------------------------------------
+
+    def frame(self, frame: Frame, now: float) -> None:
+        """A frame has come, good or bad."""
+
+    def advance(self, now: float) -> Optional[float]:
+        """Move on to `now`; return when to be called next at the latest, or None."""
+        return None
+
+    def fields(self, frame: bytes, message: Any) -> dict:
+        """What the journal is told of a frame that is sent."""
+        raise NotImplementedError
+
+    # -- for subclasses ---------------------------------------------------------------------
+
+    def send(self, frame: bytes, message: Any) -> None:
+        """The one way out."""
+        self.line.send(frame, self.fields(frame, message))
+
+    def note(self, event: str, **fields: Any) -> None:
+        """A line for the journal."""
+        self.line.note(event, **fields)
+
+    def say(self, text: str) -> None:
+        """A line for a person."""
+        self.line.say(text)
+
+
+class Runner:
+    """Drives one board on one port until `stop`: opens it again whenever it vanishes.
+
+    Nothing is polled: it sleeps until bytes come or something is due.
+
+    Args:
+        board: switched on by `run`.
+        port: opened and closed here, nowhere else.
+        say: is called with lines for a person.
+        realtime: ask for real-time priority, for a board that measures the other end's pace.
+        line_arguments: as `Line` has them.
+    """
+
+    def __init__(self, board: Board, port: Port, say: Callable[[str], None] = lambda text: None,
+                 realtime: bool = False, **line_arguments: Any) -> None:
+        self.port = port
+        self.line = Line(board, port.write, say=say, **line_arguments)
+        self._say = say
+        self._realtime = realtime
+        self._stopping = threading.Event()
+
+    def stop(self) -> None:
+        """Make `run` return at once; from any other thread."""
+        self._stopping.set()
+        self.port.wake()
+
+    def run(self) -> None:
+        """Run the board in this thread."""
+        if self._realtime:
+            _be_quick()
+        self.line.start(time.monotonic())
+        pause, trouble = _BACK_OFF[0], ''
+        while not self._stopping.is_set():
+            try:
+                self.port.open()
+            except PortError as error:
+                if str(error) != trouble:
+                    trouble = str(error)
+                    self._say('%s: %s' % (self.port.url, trouble))
+                self._wait(pause)
+                pause = min(pause * 2, _BACK_OFF[1])
+                continue
+            pause, trouble = _BACK_OFF[0], ''
+            self._say('%s: open' % self.port.url)
+            self.line.opened(time.monotonic())
+            try:
+                self._serve()
+            except PortError as error:
+                trouble = str(error)
+                self._say('%s: %s; opening it again when it returns' % (self.port.url, trouble))
+            self.port.close()
+            self.line.closed(time.monotonic())
+
+    def _serve(self) -> None:
+        now = time.monotonic()
+        while not self._stopping.is_set():
+            due = self.line.tick(now)
+            timeout = None if due is None else max(due - now, 0.0)
+            if self.line.stalled(now):
+                self._stopping.wait(timeout)
+                data = b''
+            else:
+                data = self.port.read(timeout)
+            now = time.monotonic()
+            if due is not None and now > due + _LATE:
+                self.line.note('late', by=round(now - due, 4))
+            if data:
+                self.line.receive(data, now)
+
+    def _wait(self, seconds: float) -> None:
+        """The port is closed; the board lives on."""
+        now = time.monotonic()
+        until = now + seconds
+        while now < until and not self._stopping.is_set():
+            due = self.line.tick(now)
+            self._stopping.wait(max(min(until, until if due is None else due) - now, 0.0))
+            now = time.monotonic()
+
+
+def _be_quick() -> None:
+    """Real-time priority for this thread where the system allows it."""
+    try:
+        os.sched_setscheduler(threading.get_native_id(), os.SCHED_FIFO,
+                              os.sched_param(_REALTIME_PRIORITY))
+    except (OSError, AttributeError):
+        pass

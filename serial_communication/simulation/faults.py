@@ -1,0 +1,243 @@
+"""Faults on demand, for rehearsing a bad day: seeded, so that a run can be repeated.
+
+A fault is written KIND=RATE[:SECONDS]. RATE is a probability for each frame (0.01) or a number
+of events a minute (2/min). SECONDS, for the kinds that last, is a number or a range (0.5-2).
+``all`` is a mix of all kinds that fit the board (`MIXES`); a later KIND=RATE changes one of it.
+
+The n-th frame of two runs with one seed meets the same faults: each kind has random numbers of
+its own and takes the same number of them for each frame. A frame is changed by one kind at most
+(the first in `KINDS`' order); a delay may come on top.
+"""
+import re
+from random import Random
+from typing import Dict, Iterable, List, NamedTuple, Optional, Tuple
+
+SENT, RECEIVED, EVENT = 'sent', 'received', 'event'
+
+
+class Kind(NamedTuple):
+    """One kind of fault."""
+
+    where: str                                     # SENT, RECEIVED or EVENT
+    text: str                                      # what it does, for --help
+    seconds: Optional[Tuple[float, float]] = None  # how long it lasts if nobody says
+
+
+KINDS: Dict[str, Kind] = {
+    'drop': Kind(SENT, 'a frame is lost as a whole'),
+    'cut': Kind(SENT, 'a frame ends too early'),
+    'lose': Kind(SENT, 'one to three bytes of a frame are lost'),
+    'flip': Kind(SENT, 'one bit of a frame is flipped'),
+    'insert': Kind(SENT, 'one to three bytes get into or around a frame'),
+    'double': Kind(SENT, 'a frame is sent twice, in one write'),
+    'delay': Kind(SENT, 'a frame is held back, and all behind it', (0.02, 0.2)),
+    'late': Kind(SENT, 'the same for so long that a Master has given up', (0.6, 1.0)),
+    'rx-drop': Kind(RECEIVED, 'what one read gives is lost before it reaches the board'),
+    'rx-lose': Kind(RECEIVED, 'one to three bytes of it are lost'),
+    'rx-flip': Kind(RECEIVED, 'one bit of it is flipped'),
+    'rx-insert': Kind(RECEIVED, 'one to three bytes get into or around it'),
+    'silence': Kind(EVENT, 'nothing of what the board sends leaves it', (0.5, 2.0)),
+    'stall': Kind(EVENT, 'the board reads nothing, and the buffers fill up', (0.3, 2.0)),
+    'reset': Kind(EVENT, 'the board restarts with a babble and has forgotten all', (0.3, 1.0)),
+}
+
+MIXES: Dict[str, str] = {
+    'bus': 'drop=0.01 cut=0.01 lose=0.01 flip=0.01 insert=0.01 double=0.01 delay=0.01 late=0.005 '
+           'rx-drop=0.005 rx-lose=0.005 rx-flip=0.01 rx-insert=0.005 '
+           'silence=0.5/min stall=0.5/min reset=0.5/min',
+    'arduino': 'drop=0.001 cut=0.001 lose=0.001 flip=0.001 insert=0.001 double=0.001 '
+               'delay=6/min late=0.5/min '
+               'rx-drop=0.001 rx-lose=0.001 rx-flip=0.001 rx-insert=0.001 '
+               'silence=0.5/min stall=0.5/min reset=0.5/min',
+    'mcu': 'drop=0.005 cut=0.005 lose=0.005 flip=0.01 insert=0.005 double=0.005 '
+           'delay=6/min late=0.5/min silence=0.5/min reset=0.5/min',
+}
+
+_DEAF = ('mcu',)    # boards that never read
+
+
+class Rate(NamedTuple):
+    """How often a kind strikes: one of the two numbers is 0."""
+
+    probability: float
+    per_minute: float
+    seconds: Tuple[float, float]
+
+    def __str__(self) -> str:
+        often = '%g/min' % self.per_minute if self.per_minute else '%g' % self.probability
+        if self.seconds == (0.0, 0.0):
+            return often
+        return '%s:%g-%g' % ((often,) + self.seconds)
+
+
+def parse(texts: Iterable[str], board: str) -> Dict[str, Rate]:
+    """From what stands behind each ``--fault``.
+
+    Raises:
+        ValueError: no such fault, or one that makes no sense for this board; for a person.
+    """
+    rates: Dict[str, Rate] = {}
+    for text in texts:
+        for part in (MIXES[board].split() if text == 'all' else [text]):
+            kind, rate = _parse_one(part, board)
+            if rate.probability or rate.per_minute:
+                rates[kind] = rate
+            else:
+                rates.pop(kind, None)
+    return rates
+
+
+_RATE = re.compile(r'([a-z-]+)=(\d*\.?\d+)(/min)?(?::(\d*\.?\d+)(?:-(\d*\.?\d+))?)?$')
+
+
+def _parse_one(text: str, board: str) -> Tuple[str, Rate]:
+    match = _RATE.match(text)
+    if not match:
+        raise ValueError('fault %r is not "all" or KIND=RATE[:SECONDS], as flip=0.01 or '
+                         'silence=2/min:0.5-2' % text)
+    name, number, per_minute, low, high = match.groups()
+    kind = KINDS.get(name)
+    if kind is None:
+        raise ValueError('there is no fault %r, only %s' % (name, ', '.join(KINDS)))
+    if board in _DEAF and (kind.where == RECEIVED or name == 'stall'):
+        raise ValueError('fault %r: the %s board reads nothing anyway' % (name, board))
+    amount = float(number)
+    if kind.where == EVENT and not per_minute and amount:
+        raise ValueError('fault %r comes by the minute: write %s=%s/min' % (name, name, number))
+    if not per_minute and amount > 1:
+        raise ValueError('fault %r: a probability is 0 to 1, or write %s=%s/min'
+                         % (name, name, number))
+    if low and kind.seconds is None:
+        raise ValueError('fault %r lasts no time: leave the seconds out' % name)
+    seconds = kind.seconds or (0.0, 0.0)
+    if low:
+        seconds = (float(low), float(high or low))
+        if seconds[1] < seconds[0]:
+            raise ValueError('fault %r: %s-%s is no range' % (name, low, high))
+    return name, Rate(0.0 if per_minute else amount, amount if per_minute else 0.0, seconds)
+
+
+class _Trigger:
+    """When one kind strikes, and the numbers it needs then."""
+
+    def __init__(self, name: str, rate: Rate, seed: int) -> None:
+        self.name = name
+        self.rate = rate
+        self.details = Random('%d %s details' % (seed, name))
+        self.due: Optional[float] = None     # of the next event, where it comes by the minute
+        self._random = Random('%d %s' % (seed, name))
+
+    def start(self, now: float) -> None:
+        """The minutes count from here."""
+        if self.rate.per_minute:
+            self.due = now + self._gap()
+
+    def strikes(self, now: float) -> bool:
+        """To be asked once for each frame (or, for an event, at any time)."""
+        if self.due is None:
+            return self._random.random() < self.rate.probability
+        if now < self.due:
+            return False
+        self.due += self._gap()
+        return True
+
+    def seconds(self) -> float:
+        return self.details.uniform(*self.rate.seconds)
+
+    def _gap(self) -> float:
+        return self._random.expovariate(self.rate.per_minute / 60)
+
+
+class Fate(NamedTuple):
+    """What becomes of a frame."""
+
+    wire: bytes              # what goes out; b'' if nothing does
+    faults: Tuple[str, ...]  # what struck
+    delay: float             # s
+
+
+class Faults:
+    """The faults of one board. Without rates nothing ever happens."""
+
+    def __init__(self, rates: Optional[Dict[str, Rate]] = None, seed: int = 0) -> None:
+        self.rates = rates or {}
+        self.seed = seed
+        self.counts: Dict[str, int] = {}
+        triggers = [_Trigger(name, self.rates[name], seed) for name in KINDS if name in self.rates]
+        self._sent = [t for t in triggers if KINDS[t.name].where == SENT]
+        self._received = [t for t in triggers if KINDS[t.name].where == RECEIVED]
+        self._events = [t for t in triggers if KINDS[t.name].where == EVENT]
+
+    @property
+    def on_input(self) -> bool:
+        """Whether what a board receives may be changed."""
+        return bool(self._received)
+
+    def start(self, now: float) -> None:
+        """The minutes count from here."""
+        for trigger in self._sent + self._received + self._events:
+            trigger.start(now)
+
+    def sent(self, frame: bytes, now: float) -> Fate:
+        """What becomes of a frame that the board sends."""
+        wire, faults, delay = frame, [], 0.0
+        for trigger in self._sent:
+            if not trigger.strikes(now):
+                continue
+            if KINDS[trigger.name].seconds:
+                delay = max(delay, trigger.seconds())
+            elif wire is not frame:
+                continue     # one change is enough
+            else:
+                wire = _change(trigger.name, frame, trigger.details)
+            self._count(trigger.name)
+            faults.append(trigger.name)
+        return Fate(wire, tuple(faults), delay)
+
+    def received(self, data: bytes, now: float) -> Tuple[bytes, List[str]]:
+        """What one read gave: what the board gets of it, and what struck."""
+        changed, faults = data, []
+        for trigger in self._received:
+            if trigger.strikes(now) and changed is data:
+                changed = _change(trigger.name[3:], data, trigger.details)
+                self._count(trigger.name)
+                faults.append(trigger.name)
+        return changed, faults
+
+    def events(self, now: float) -> List[Tuple[str, float]]:
+        """What begins now: (kind, seconds it lasts)."""
+        begun = []
+        for trigger in self._events:
+            if trigger.strikes(now):
+                self._count(trigger.name)
+                begun.append((trigger.name, trigger.seconds()))
+        return begun
+
+    def next_event(self) -> Optional[float]:
+        """When `events` has to be asked next."""
+        return min((t.due for t in self._events if t.due is not None), default=None)
+
+    def _count(self, name: str) -> None:
+        self.counts[name] = self.counts.get(name, 0) + 1
+
+
+def _change(name: str, frame: bytes, random: Random) -> bytes:
+    """`frame` after that fault: other bytes than before, whatever it is."""
+    size = len(frame)
+    if name == 'drop':
+        return b''
+    if name == 'cut':
+        return frame[:random.randrange(1, size)] if size > 1 else b''
+    if name == 'double':
+        return frame + frame
+    if name == 'flip':
+        at = random.randrange(size)
+        return frame[:at] + bytes((frame[at] ^ 1 << random.randrange(8),)) + frame[at + 1:]
+    count = random.randint(1, 3)
+    if name == 'lose':
+        at = random.randrange(max(size - count, 0) + 1)
+        return frame[:at] + frame[at + count:]
+    if name == 'insert':
+        at = random.randint(0, size)
+        return frame[:at] + bytes(random.randrange(256) for _ in range(count)) + frame[at:]
+    raise ValueError(name)
