@@ -8,7 +8,7 @@ import time
 
 import rospy
 
-from . import parameters
+from . import direct, parameters
 from .arduino import ArduinoInterface
 from .bus import BusInterface
 from .diagnostics import Diagnostics
@@ -23,6 +23,7 @@ _SHUTDOWN = 1.0             # s for the links to end in
 def main() -> None:
     """Run until ROS or a signal ends it."""
     sys.setswitchinterval(_SWITCH_INTERVAL)
+    direct.install()
     rospy.init_node('serial_communication')
     try:
         values, warnings = parameters.check(rospy.get_param('~', {}), rospy.get_name())

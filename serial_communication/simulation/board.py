@@ -113,7 +113,7 @@ class Runner:
     Nothing is polled: it sleeps until bytes come or something is due.
 
     Args:
-        board: switched on by `run`.
+        board: switched on when the port opens for the first time.
         port: opened and closed here, nowhere else.
         say: is called with lines for a person.
         realtime: ask for real-time priority, for a board that measures the other end's pace.
@@ -137,8 +137,7 @@ class Runner:
         """Run the board in this thread."""
         if self._realtime:
             _be_quick()
-        self.line.start(time.monotonic())
-        pause, trouble = _BACK_OFF[0], ''
+        pause, trouble, powered = _BACK_OFF[0], '', False
         while not self._stopping.is_set():
             try:
                 self.port.open()
@@ -146,12 +145,15 @@ class Runner:
                 if str(error) != trouble:
                     trouble = str(error)
                     self._say('%s: %s' % (self.port.url, trouble))
-                self._wait(pause)
+                self._wait(pause, powered)
                 pause = min(pause * 2, _BACK_OFF[1])
                 continue
             pause, trouble = _BACK_OFF[0], ''
             self._say('%s: open' % self.port.url)
             self.line.opened(time.monotonic())
+            if not powered:     # by its own USB plug, as it were
+                self.line.start(time.monotonic())
+                powered = True
             try:
                 self._serve()
             except PortError as error:
@@ -176,8 +178,11 @@ class Runner:
             if data:
                 self.line.receive(data, now)
 
-    def _wait(self, seconds: float) -> None:
-        """The port is closed; the board lives on."""
+    def _wait(self, seconds: float, powered: bool) -> None:
+        """The port is closed; a board that is on lives on."""
+        if not powered:
+            self._stopping.wait(seconds)
+            return
         now = time.monotonic()
         until = now + seconds
         while now < until and not self._stopping.is_set():

@@ -53,6 +53,7 @@ MIXES: Dict[str, str] = {
            'delay=6/min late=0.5/min silence=0.5/min reset=0.5/min',
 }
 
+_RATE = re.compile(r'([a-z-]+)=(\d*\.?\d+)(/min)?(?::(\d*\.?\d+)(?:-(\d*\.?\d+))?)?$')
 _DEAF = ('mcu',)    # boards that never read
 
 
@@ -87,7 +88,9 @@ def parse(texts: Iterable[str], board: str) -> Dict[str, Rate]:
     return rates
 
 
-_RATE = re.compile(r'([a-z-]+)=(\d*\.?\d+)(/min)?(?::(\d*\.?\d+)(?:-(\d*\.?\d+))?)?$')
+def fits(name: str, board: str) -> bool:
+    """Whether that kind makes sense for this board: one that reads nothing cannot misread."""
+    return board not in _DEAF or not (KINDS[name].where == RECEIVED or name == 'stall')
 
 
 def _parse_one(text: str, board: str) -> Tuple[str, Rate]:
@@ -99,7 +102,7 @@ def _parse_one(text: str, board: str) -> Tuple[str, Rate]:
     kind = KINDS.get(name)
     if kind is None:
         raise ValueError('there is no fault %r, only %s' % (name, ', '.join(KINDS)))
-    if board in _DEAF and (kind.where == RECEIVED or name == 'stall'):
+    if not fits(name, board):
         raise ValueError('fault %r: the %s board reads nothing anyway' % (name, board))
     amount = float(number)
     if kind.where == EVENT and not per_minute and amount:
