@@ -60,6 +60,7 @@ class ArduinoLink(Link):
         self._cut_off = False                # the latest packet may have left in part
         self._unsaid: Deque[Tuple[str, str]] = deque()
         self._open = threading.Event()
+        self._heart_stopping = threading.Event()
         self._heart = threading.Thread(target=self._beat, name='arduino heartbeat', daemon=True)
         self._board_lines = float(_BOARD_LINES)
         self._board_line_at = 0.0
@@ -146,7 +147,7 @@ class ArduinoLink(Link):
 
     def stop(self) -> None:
         """SPEED 0, then silence."""
-        self._stopping.set()
+        self._heart_stopping.set()
         self._open.set()
         if self._heart.is_alive():
             self._heart.join(_LAST_WORD)     # so that no heartbeat follows the last word
@@ -171,11 +172,11 @@ class ArduinoLink(Link):
         """Absolute deadlines of the monotonic clock; after a stall no burst."""
         _be_quick()
         period = 1.0 / self.settings.heartbeat_rate
-        while not self._stopping.is_set():
+        while not self._heart_stopping.is_set():
             self._open.wait()
             last = None
             due = time.monotonic()
-            while self._open.is_set() and not self._stopping.is_set():
+            while self._open.is_set() and not self._heart_stopping.is_set():
                 now = time.monotonic()
                 if now >= due:
                     if self._heartbeat():
@@ -228,11 +229,10 @@ class ArduinoLink(Link):
                     self._moving = False
                 except PortBusy:
                     pass    # the heartbeat's thread tries again
-        if not self._stopping.is_set():
-            self._open.set()
+        self._open.set()
 
     def closed(self, now: float) -> None:
-        if not self._stopping.is_set():
+        if not self._heart_stopping.is_set():
             self._open.clear()
 
     def received(self, frame: Frame, now: float) -> None:

@@ -38,7 +38,8 @@ STEERING_LOCK = math.radians(25)
 BATTERY, SAG, DISCHARGE = 8.2, 0.6, 0.0005   # V; V at full load; V/s at full load
 G = 9.81
 
-_DEBUG, _INFO, _WARN = 0, 1, 2
+_QUOTED = 64               # bytes that the journal has of what is no good packet
+_INFO, _WARN = 1, 2        # severities
 _LEDS = ('left', 'right', 'brake', 'hazard', 'disable')
 
 
@@ -113,7 +114,7 @@ class ModelCar(Board):
 
     def frame(self, frame: Frame, now: float) -> None:
         if frame.cause:
-            self.note('rx', raw=frame.raw.hex(), cause=frame.cause, error=frame.error)
+            self.note('rx', raw=frame.raw[:_QUOTED].hex(), cause=frame.cause, error=frame.error)
             return
         self.note('rx', type=frame.type, data=frame.data.hex())
         message = frame.message

@@ -36,6 +36,7 @@ LIFT_SPEED = 100.0       # mm/s
 GIMBAL_SPEED = 90.0      # degrees/s
 
 _DECODED = 0xFFFF        # DATE bytes up to which a frame is recognised and refused as too long
+_QUOTED = 64             # bytes that the journal has of what is no sound request
 _MOST_QUEUED = 16        # requests that wait while a motion lasts; more are lost
 
 
@@ -135,8 +136,8 @@ class ControlBoard(Board):
         self.requests += 1
         number = self.requests
         if frame.cause:
-            self.note('request', k=number, raw=frame.raw.hex(), sound=False, cause=frame.cause,
-                      error=frame.error)
+            self.note('request', k=number, raw=frame.raw[:_QUOTED].hex(), sound=False,
+                      cause=frame.cause, error=frame.error)
             if frame.cause == CHECKSUM and not self._sound and not self._motion:
                 self._complaint = number
             return

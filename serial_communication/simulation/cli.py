@@ -18,6 +18,8 @@ from .journal import Journal
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _BURST, _RATE = 20, 2.0      # lines for people: in a burst, and a second after that
 
+_LONGEST = 150               # characters of one
+
 _EXAMPLES = """\
 examples:
   socat_pair /tmp/ttyV0 /tmp/ttyV1 &            two linked ports: one for the bridge, one for us
@@ -112,8 +114,10 @@ class _Voice:
             self._left_out += 1
             return
         self._credit -= 1
+        if len(text) > _LONGEST:
+            text = text[:_LONGEST] + ' …'
         if self._left_out:
-            text += ' (%d lines before this were left out)' % self._left_out
+            text += ' (%d more left out before this)' % self._left_out
             self._left_out = 0
         try:
             print('%s: %s' % (self._name, text), flush=True)
@@ -193,8 +197,8 @@ def _fault_help(board: str) -> str:
             lasts = ' (%g-%g s)' % kind.seconds if kind.seconds else ''
             lines.append('  %-10s %s%s' % (name, kind.text, lasts))
     mix = faults.MIXES[board].split()
-    lines.append('  %-10s %s' % ('all', ' '.join(mix[:8])))
-    lines += ['  %-10s %s' % ('', ' '.join(mix[at:at + 8])) for at in range(8, len(mix), 8)]
+    lines.append('  %-10s %s' % ('all', ' '.join(mix[:6])))
+    lines += ['  %-10s %s' % ('', ' '.join(mix[at:at + 6])) for at in range(6, len(mix), 6)]
     return '\n'.join(lines)
 
 

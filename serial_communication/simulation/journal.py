@@ -15,7 +15,8 @@ All boards:
               one write], [``sent`` false: it never left], [``why`` silence, drop, busy or closed],
               [``behind_damage`` true: its own bytes are right, but what went before it did not end
               as it should: it may be found or not]; and the board's own keys, below
-``chatter``   ``wire``: what a board babbles at a reset; [``sent`` false, ``why``]
+``chatter``   ``wire``: what a board babbles at a reset, or an empty packet;
+              [``sent`` false, ``why``]
 ``fault``     ``kind`` silence | stall | reset, ``seconds``: it begins, and how long it lasts
 ``rx-fault``  ``faults``, ``came`` what the port gave, ``became`` what the board was given of it
 ``rx-lost``   ``data``, ``why``: bytes that came while the board could not take them
@@ -28,7 +29,7 @@ bus:
 
 ``request``   ``k`` its running number, ``raw``, ``sound``; if sound ``text``, [``genuine`` false:
               damage on the way made this of something else and the checksum cannot tell];
-              if not ``cause``, ``error``
+              if not ``cause``, ``error``, and of ``raw`` 64 bytes at most
 ``executed``  ``n`` running number, ``k`` of the request, ``raw``, ``cmd1``, ``cmd2``, ``data``,
               ``text``, [``genuine`` false]; written when the execution begins
 ``done``      ``k``: a motion that was begun has ended, ``lift`` mm, ``pan`` and ``tilt`` degrees
@@ -38,7 +39,7 @@ arduino:
 
 ``tx``        ``type``, ``data``
 ``rx``        a packet came: ``type``, ``data`` (a heartbeat is type 11); if it is no good packet
-              ``raw``, ``cause``, ``error`` instead
+              ``raw`` (64 bytes at most), ``cause``, ``error`` instead
 ``motor``     ``on``, ``speed`` (-1000 … 1000), ``why``
 ``calibrate`` ``on`` true as it begins, false as it ends (then ``kept``: bytes read at once)
 
@@ -46,8 +47,10 @@ mcu:
 
 ``tx``        ``type``, ``seq``, ``raw``
 
-Bytes handed to a port may still be lost if its other end closes or reopens in that moment: a
-checker leaves some tenths of a second around that out of account.
+Damage may pass a checksum by chance (an XOR: one in 256, but never a single flipped bit), and the
+model car's packets have none: to know what the other end must have made of a frame that is not
+``ok``, decode its ``wire``. Bytes handed to a port may still be lost if its other end closes or
+reopens in that moment: a checker leaves some tenths of a second around that out of account.
 """
 import json
 import os

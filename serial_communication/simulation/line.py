@@ -22,7 +22,6 @@ class _Output(NamedTuple):
     data: bytes
     event: str              # for the journal, with the last piece; else ''
     fields: dict
-    wire: bytes             # all pieces of it
 
 
 class Line:
@@ -52,7 +51,9 @@ class Line:
         self._waiting = 0              # bytes in it
         self._free = 0.0               # when the last byte of the queue has left
         self._last = b''               # the last byte that left, b'': none since the port opened
-        self._whole = True             # no piece of the frame being sent was lost
+        self._begun = False            # some piece of a frame has left, not yet its last
+        self._whole = True             # no piece of it was lost
+        self._findable = True          # what left before it ended as it should
         self._silent_until = 0.0
         self._stalled_until = 0.0
         self._up_at: Optional[float] = None    # the board restarts and is up again then
@@ -113,7 +114,7 @@ class Line:
             self._put(self._queue.popleft())
         if self._queue:
             times.append(self._queue[0].ready)
-        if self._journal:
+        if self._journal is not None:
             times.append(self._journal.flush_due(now))
         return min((time for time in times if time is not None), default=None)
 
@@ -150,7 +151,7 @@ class Line:
 
     def note(self, event: str, **fields: Any) -> None:
         """A line for the journal, if there is one."""
-        if self._journal:
+        if self._journal is not None:
             self._journal.write(self._now, event, fields)
 
     def came(self, raw: bytes) -> bool:
@@ -190,16 +191,22 @@ class Line:
         for index, piece in enumerate(pieces):
             self._free = start = start + len(piece) * self._byte_time
             last = index == len(pieces) - 1
-            self._queue.append(_Output(start, piece, event if last else '', fields, wire))
+            self._queue.append(_Output(start, piece, event if last else '', fields))
         self._waiting += len(wire)
         if len(self._queue) == 1 and start <= self._now:
             self._put(self._queue.popleft())
 
     def _put(self, output: _Output, why: str = '') -> None:
         self._waiting -= len(output.data)
+        if not self._begun:
+            self._whole = True
+            delimiter = self.board.DELIMITER
+            self._findable = not delimiter or self._last in (b'', delimiter)
+        self._begun = not output.event
         if not why:
             try:
                 self._write(output.data)
+                self._last = output.data[-1:]
             except PortBusy:
                 why = 'busy'
             except PortError:
@@ -208,15 +215,12 @@ class Line:
             self._whole = False
         if not output.event:
             return
-        whole, self._whole = self._whole, True
         fields = output.fields
         if output.event == 'tx':
-            fields['ok'] = whole and 'wire' not in fields
-        if not whole:
+            intact = self._whole and 'wire' not in fields
+            fields['ok'] = intact and self._findable
+            if intact and not self._findable:
+                fields['behind_damage'] = True
+        if not self._whole:
             fields.update(sent=False, why=why or 'busy')
-        elif fields.get('ok') and self.board.DELIMITER and self._last \
-                and self._last != self.board.DELIMITER:
-            fields.update(ok=False, behind_damage=True)
-        if whole:
-            self._last = output.wire[-1:]
         self.note(output.event, **fields)

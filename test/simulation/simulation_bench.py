@@ -1,0 +1,121 @@
+"""A bench for a board under a clock of its own, and real ports for boards under the real one."""
+import contextlib
+import os
+import subprocess
+import threading
+import time
+
+from serial_communication.links.port import Port, PortBusy, PortError
+from serial_communication.simulation.board import Runner
+from serial_communication.simulation.line import Line
+
+ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+PATIENCE = 10.0   # s; far beyond what anything here takes
+
+
+class Notes(list):
+    """A journal in memory: (time, event, fields)."""
+
+    def write(self, now, event, fields):
+        self.append((now, event, dict(fields)))
+
+    def flush_due(self, now):
+        return None
+
+    def of(self, *events):
+        return [fields for _, event, fields in self if event in events]
+
+
+class Bench:
+    """A board on a line, where time passes only as far as it is told to."""
+
+    def __init__(self, board, decoder, **line_arguments):
+        self.board = board
+        self.decoder = decoder
+        self.now = 1000.0
+        self.wire = []          # (time, bytes)
+        self.said = []
+        self.notes = Notes()
+        self.busy = self.closed = False
+        self.line = Line(board, self._write, journal=self.notes, say=self.said.append,
+                         **line_arguments)
+        self.line.opened(self.now)
+        self.line.start(self.now)
+        self._taken = 0
+
+    def _write(self, data):
+        if self.closed:
+            raise PortError('the port is closed')
+        if self.busy:
+            raise PortBusy('the port takes no data')
+        self.wire.append((self.now, data))
+
+    def run(self, seconds, until=None):
+        """Let time pass, waking the board whenever it wants; False if `until` did not come."""
+        end = self.now + seconds
+        while True:
+            due = self.line.tick(self.now)
+            if until and until():
+                return True
+            assert due is None or due > self.now, 'it wants to be woken in the past'
+            if due is None or due > end:
+                self.now = end
+                return not until
+            self.now = due
+
+    def feed(self, data):
+        self.line.receive(data, self.now)
+        self.line.tick(self.now)
+
+    def output(self):
+        """The bytes written since the last call."""
+        data = b''.join(data for _, data in self.wire[self._taken:])
+        self._taken = len(self.wire)
+        return data
+
+    def messages(self, kind=None):
+        """What the other end decodes of that."""
+        frames = self.decoder.feed(self.output())
+        return [frame.message for frame in frames if frame.message is not None
+                and (kind is None or isinstance(frame.message, kind))]
+
+
+def wait_for(condition, what=''):
+    """Sleep until it holds."""
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end, 'waited in vain for %s' % (what or condition)
+        time.sleep(0.002)
+
+
+class Cable:
+    """A socat pair, which can be pulled out and put back."""
+
+    def __init__(self, directory):
+        self.a = str(directory / 'near' / 'ttyA')
+        self.b = str(directory / 'far' / 'ttyB')
+        self._process = None
+
+    def plug(self):
+        self._process = subprocess.Popen(
+            [os.path.join(ROOT, 'scripts', 'socat_pair'), self.a, self.b, '__name:=cable'])
+        wait_for(lambda: os.path.exists(self.a) and os.path.exists(self.b), 'the ports')
+
+    def unplug(self):
+        self._process.kill()
+        self._process.wait()
+
+
+@contextlib.contextmanager
+def running(board, port, **line_arguments):
+    """The board on a real port, in a thread."""
+    notes = Notes()
+    runner = Runner(board, Port(port), journal=notes, **line_arguments)
+    thread = threading.Thread(target=runner.run, name='board')
+    thread.start()
+    try:
+        yield notes
+    finally:
+        runner.stop()
+        thread.join(PATIENCE)
+        assert not thread.is_alive()

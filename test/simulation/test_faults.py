@@ -1,0 +1,388 @@
+"""Faults on demand: each kind happens, can be repeated, and is told apart from what is sound."""
+import json
+
+import pytest
+from simulation_bench import Bench, running, wait_for
+
+from serial_communication.links.mcu import McuLink
+from serial_communication.links.port import Port, PortBusy
+from serial_communication.protocols import arduino, mcu
+from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.simulation.arduino import ModelCar
+from serial_communication.simulation.board import FRAME_TIMEOUT
+from serial_communication.simulation.bus import ControlBoard
+from serial_communication.simulation.faults import KINDS, MIXES, Faults, parse
+from serial_communication.simulation.mcu import SensorBoard
+
+SYNC = bus.encode_request(bus.SYNC_REQUEST)
+HEARTBEAT = arduino.encode(arduino.Heartbeat())
+
+
+def make(board, decoder, *texts, seed=1, **arguments):
+    return Bench(board, decoder, faults=Faults(parse(texts, board.NAME), seed), **arguments)
+
+
+def sensors(*texts, seed=1, **arguments):
+    return make(SensorBoard(seed=1), mcu.Decoder(), *texts, seed=seed, **arguments)
+
+
+def car(*texts, seed=1, **arguments):
+    return make(ModelCar(seed=1), arduino.Decoder(), *texts, seed=seed, **arguments)
+
+
+def control(*texts, seed=1, **arguments):
+    return make(ControlBoard(seed=1), bus.ReplyDecoder(), *texts, seed=seed, **arguments)
+
+
+def sent(bench, fault):
+    """The journal's frames that met that fault."""
+    return [fields for fields in bench.notes.of('tx') if fault in fields.get('faults', ())]
+
+
+def wire(fields):
+    return bytes.fromhex(fields['wire'])
+
+
+def raw(fields):
+    return bytes.fromhex(fields['raw'])
+
+
+# -- what a board sends -------------------------------------------------------------------------
+
+
+def test_no_fault_without_asking():
+    bench = sensors()
+    bench.run(60)
+    assert all(fields['ok'] and 'faults' not in fields for fields in bench.notes.of('tx'))
+    assert bench.decoder.feed(bench.output()) and not sum(bench.decoder.errors.values())
+
+
+@pytest.mark.parametrize('kind, is_it', [
+    ('cut', lambda frame, wire: frame.startswith(wire) and 0 < len(wire) < len(frame)),
+    ('lose', lambda frame, wire: len(frame) - 3 <= len(wire) < len(frame)),
+    ('flip', lambda frame, wire: len(wire) == len(frame) and sum(
+        bin(one ^ other).count('1') for one, other in zip(frame, wire)) == 1),
+    ('insert', lambda frame, wire: len(frame) < len(wire) <= len(frame) + 3),
+])
+def test_damage(kind, is_it):
+    bench = sensors('%s=0.2' % kind)
+    bench.run(100)
+    hit = sent(bench, kind)
+    assert 300 < len(hit) < 500
+    assert all(is_it(raw(fields), wire(fields)) and not fields['ok'] for fields in hit)
+    assert sum(fields['ok'] for fields in bench.notes.of('tx')) == 2000 - len(hit)
+    assert b''.join(data for _, data in bench.wire) == b''.join(
+        wire(fields) if 'wire' in fields else raw(fields) for fields in bench.notes.of('tx'))
+    assert bench.line.faults.counts == {kind: len(hit)}
+
+
+def test_drop():
+    bench = sensors('drop=0.2')
+    bench.run(100)
+    hit = sent(bench, 'drop')
+    assert 300 < len(hit) < 500
+    assert all(fields['sent'] is False and fields['why'] == 'drop' and not fields['ok']
+               for fields in hit)
+    assert len(bench.wire) == 2000 - len(hit)
+
+
+def test_double_goes_out_in_one_write():
+    bench = sensors('double=0.2')
+    bench.run(100)
+    hit = sent(bench, 'double')
+    assert len(hit) > 300 and all(fields['copies'] == 2 and fields['ok'] for fields in hit)
+    doubled = {raw(fields) * 2 for fields in hit}
+    assert doubled < {data for _, data in bench.wire}
+
+
+@pytest.mark.parametrize('kind', ['delay', 'late'])
+def test_held_back_but_never_overtaken(kind):
+    bench = sensors('%s=0.02' % kind)
+    bench.run(100)
+    assert len(sent(bench, kind)) > 20
+    seqs = [frame.command for frame in bench.decoder.feed(bench.output())]
+    assert seqs == [number % 256 for number in range(len(seqs))]
+    times = [time for time, _ in bench.wire]
+    longest = max(after - before for before, after in zip(times, times[1:]))
+    low, high = KINDS[kind].seconds
+    assert low < longest < high + 0.2
+
+
+def test_late_reply_arrives_after_the_timeout():
+    bench = control('late=1:0.7')
+    bench.feed(SYNC)
+    bench.run(0.69)
+    assert bench.messages() == []
+    bench.run(0.02)
+    assert bench.messages() == [bus.Reply(bus.SYNC)]
+
+
+def test_seconds_of_ones_own():
+    bench = sensors('delay=1:0.3-0.4')
+    assert bench.line.faults.rates['delay'].seconds == (0.3, 0.4)
+
+
+# -- what a board receives ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize('kind', ['rx-drop', 'rx-lose', 'rx-flip', 'rx-insert'])
+def test_input_damage(kind):
+    bench = control('%s=0.3' % kind)
+    for _ in range(300):
+        bench.feed(bus.encode_request(bus.echo(b'12345678')))
+        bench.run(0.2)
+    hit = bench.notes.of('rx-fault')
+    assert 60 < len(hit) < 120
+    assert all(fields['faults'] == [kind] and fields['came'] != fields['became']
+               for fields in hit)
+    bad = [fields for fields in bench.notes.of('request') if not fields['sound']]
+    if kind == 'rx-flip':
+        # A bit of DATE or checksum: the form of a frame, so it is answered.
+        answers = [fields for fields in bench.notes.of('tx') if '0x40' in fields['text']]
+        assert bad and answers and len(answers) <= len(hit)
+    if kind == 'rx-drop':
+        assert not bad
+
+
+def test_lost_heartbeats_stop_the_motor():
+    bench = car('rx-drop=0.9')
+    for _ in range(300):
+        bench.feed(HEARTBEAT + arduino.encode(arduino.SpeedCommand(300)))
+        bench.run(0.01)
+    assert any(fields['why'] == 'no heartbeat for 30 ms' for fields in bench.notes.of('motor'))
+
+
+# -- events -------------------------------------------------------------------------------------
+
+
+def test_silence():
+    bench = sensors('silence=6/min:2')
+    bench.run(100)
+    begun = bench.notes.of('fault')
+    assert 4 <= len(begun) <= 20 and all(fields['kind'] == 'silence' for fields in begun)
+    missing = [fields for fields in bench.notes.of('tx') if fields.get('why') == 'silence']
+    assert len(missing) >= 39
+    times = [time for time, _ in bench.wire]
+    assert max(after - before for before, after in zip(times, times[1:])) >= 1.95
+    assert bench.said[0] == 'fault: silent for 2.0 s'
+
+
+def test_stall_stops_the_reading_for_a_while():
+    bench = car('stall=6/min:2')
+    assert bench.run(100, until=lambda: bench.line.stalled(bench.now))
+    start = bench.now
+    assert bench.run(10, until=lambda: not bench.line.stalled(bench.now))
+    assert bench.now == pytest.approx(start + 2)
+
+
+def test_reset_babbles_and_forgets():
+    bench = sensors('reset=6/min')
+    bench.run(100)
+    output = bench.output()
+    boots = len(bench.notes.of('boot')) - 1
+    assert boots >= 4 and output.count(SensorBoard.CHATTER) == boots
+    seqs = [frame.command for frame in bench.decoder.feed(output) if not frame.cause]
+    assert seqs.count(0) >= boots + 1
+    bench = control('reset=6/min')
+    bench.feed(SYNC)
+    assert bench.run(100, until=lambda: len(bench.notes.of('boot')) == 2)
+    assert not bench.board.synchronised
+    bench = car('reset=6/min')
+    logs = []
+    for _ in range(100):
+        bench.run(1)
+        logs += bench.messages(arduino.Log)
+    boots = len(bench.notes.of('boot'))
+    assert boots > 4 and logs.count(arduino.Log(1, 'IMU ready')) == boots
+
+
+def test_input_during_a_reset_is_lost():
+    bench = control('reset=6/min:1')
+    assert bench.run(100, until=lambda: bench.notes.of('fault'))
+    bench.feed(SYNC)
+    bench.run(0.9)
+    assert not bench.board.synchronised
+    assert bench.notes.of('rx-lost') == [{'data': SYNC.hex(), 'why': 'reset'}]
+
+
+def test_a_stalled_board_still_sends_and_reads_on(cable):
+    """On a real tty: what came meanwhile waits in the kernel."""
+    seqs = []
+    with running(SensorBoard(rate=200), cable.b,
+                 faults=Faults(parse(['reset=600/min:0.01', 'silence=300/min:0.02'], 'mcu'), 1)):
+        link = McuLink(Port(cable.a), on_status=lambda message, seq, stamp: seqs.append(seq))
+        link.start()
+        try:
+            wait_for(lambda: len(seqs) > 50, 'frames')
+        finally:
+            link.stop()
+    with running(ControlBoard(), cable.b,
+                 faults=Faults(parse(['stall=200/min:0.2'], 'bus'), 1)) as notes:
+        port = Port(cable.a)
+        port.open()
+        wait_for(lambda: notes.of('fault'), 'the stall')
+        port.write(SYNC)
+        wait_for(lambda: notes.of('request'), 'the reading')
+        port.close()
+
+
+# -- repeating, and knowing ---------------------------------------------------------------------
+
+
+def exercise(bench):
+    """The same hour for each bench."""
+    for number in range(400):
+        if bench.board.NAME == 'bus':
+            bench.feed(bus.encode_request(bus.SYNC_REQUEST if number % 5 == 0
+                                          else bus.echo(b'%d' % number)))
+        elif bench.board.NAME == 'arduino':
+            bench.feed(HEARTBEAT)
+        bench.run(0.09)
+    return bench
+
+
+@pytest.mark.parametrize('make_one', [sensors, car, control])
+def test_seed_repeats_a_run(make_one):
+    texts = ['all', 'flip=0.05', 'drop=0.05', 'reset=3/min', 'delay=0.02']
+    first, second, other = (exercise(make_one(*texts, seed=seed)) for seed in (3, 3, 4))
+    assert first.wire == second.wire
+    assert list(first.notes) == list(second.notes)
+    assert first.wire != other.wire
+
+
+def test_faults_of_one_kind_do_not_move_those_of_another():
+    alone, both = sensors('flip=0.1'), sensors('flip=0.1', 'delay=0.1', 'silence=1/min')
+    alone.run(50)
+    both.run(50)
+    numbers = [fields['n'] for fields in sent(both, 'flip')]     # some may still wait
+    assert numbers and numbers == [fields['n'] for fields in sent(alone, 'flip')][:len(numbers)]
+
+
+def hear(bench):
+    """What the other end decodes of all that went out, in its time."""
+    decoder, frames, last = bench.decoder, [], bench.now
+    for time, data in bench.wire + [(float('inf'), b'')]:
+        while decoder.pending and time >= last + FRAME_TIMEOUT:
+            frames += decoder.give_up()
+        frames += decoder.feed(data)
+        last = time
+    return frames
+
+
+HEAVY = ['cut=0.1', 'lose=0.1', 'flip=0.1', 'insert=0.1', 'drop=0.05', 'delay=0.01:0.01']
+
+
+@pytest.mark.parametrize('make_one', [sensors, car, control])
+@pytest.mark.parametrize('seed', range(3))
+def test_what_is_called_ok_is_found_by_the_other_end(make_one, seed):
+    """In order, among what damage may have made by chance."""
+    bench = exercise(make_one(*HEAVY, seed=seed))
+    found = iter([(frame.raw if bench.board.NAME != 'arduino' else frame.type, frame.data)
+                  for frame in hear(bench) if not frame.cause])
+    expected = [(raw(fields), None) if 'raw' in fields
+                else (fields['type'], bytes.fromhex(fields['data']))
+                for fields in bench.notes.of('tx') if fields['ok']]
+    assert len(expected) > 100
+    for first, second in expected:
+        assert any(first == one and second in (None, two) for one, two in found), (first, second)
+
+
+def test_intact_behind_damage_is_not_called_ok():
+    bench = car('cut=0.2')
+    bench.run(3)
+    notes = bench.notes.of('tx')
+    behind = [after for before, after in zip(notes, notes[1:])
+              if 'cut' in before.get('faults', ()) and 'faults' not in after]
+    assert behind and all(fields['behind_damage'] and not fields['ok'] for fields in behind)
+
+
+def test_a_port_that_takes_nothing_is_not_called_sent():
+    bench = sensors()
+    bench.busy = True
+    bench.run(1)
+    bench.busy, bench.closed = False, True
+    bench.run(1)
+    bench.line.closed(bench.now)
+    whys = [fields['why'] for fields in bench.notes.of('tx')]
+    assert set(whys) == {'busy', 'closed'}
+    assert all(fields['sent'] is False and not fields['ok'] for fields in bench.notes.of('tx'))
+
+
+def test_what_was_on_its_way_when_the_port_closed_is_lost():
+    bench = sensors('delay=1:5')
+    bench.run(1)
+    bench.line.closed(bench.now)
+    assert len(bench.notes.of('tx')) == 20
+    assert {fields['why'] for fields in bench.notes.of('tx')} == {'closed'}
+
+
+# -- the line's speed ---------------------------------------------------------------------------
+
+
+def test_baud_pace():
+    bench = control(baud=115200)
+    bench.feed(SYNC)
+    start = bench.now
+    bench.feed(bus.encode_request(bus.echo(bytes(1000))))
+    assert bench.run(1, until=lambda: len(bench.notes.of('tx')) == 2)
+    assert bench.now - start == pytest.approx((4 + 1000 + 5) * 10 / 115200, rel=0.02)
+    assert max(len(data) for _, data in bench.wire) <= 16
+    assert bench.messages()[-1] == bus.Reply(bus.ECHO, bytes(1000))
+
+
+def test_baud_pace_keeps_the_rate():
+    bench = car(baud=115200)
+    bench.run(10.01)
+    kinds = [type(message) for message in bench.messages()]
+    assert kinds.count(arduino.Imu) >= 1000
+
+
+# -- how they are written -----------------------------------------------------------------------
+
+
+def test_all_is_a_mix_of_everything_that_fits():
+    for board, mix in MIXES.items():
+        rates = parse(['all'], board)
+        assert len(rates) == len(mix.split())
+        if board != 'mcu':
+            assert set(rates) == set(KINDS)
+    rates = parse(['all', 'reset=0', 'flip=0.5'], 'bus')
+    assert 'reset' not in rates and rates['flip'].probability == 0.5
+
+
+@pytest.mark.parametrize('text, says', [
+    ('flip', 'KIND=RATE'), ('flip=', 'KIND=RATE'), ('flip=-1', 'KIND=RATE'),
+    ('flip=nan', 'KIND=RATE'), ('flap=0.1', 'no fault'), ('flip=2', '0 to 1'),
+    ('silence=0.1', '/min'), ('flip=0.1:3', 'no time'), ('delay=0.1:2-1', 'no range')])
+def test_bad_texts(text, says):
+    with pytest.raises(ValueError) as error:
+        parse([text], 'bus')
+    assert says in str(error.value)
+
+
+@pytest.mark.parametrize('text', ['rx-flip=0.1', 'stall=1/min'])
+def test_a_board_that_reads_nothing_cannot_misread(text):
+    with pytest.raises(ValueError):
+        parse([text], 'mcu')
+
+
+def test_journal_fields_are_json():
+    bench = exercise(control('all'))
+    assert json.dumps(list(bench.notes))
+
+
+def test_a_frame_sent_in_part_is_not_called_sent_and_spoils_the_next():
+    pieces, lost = [], []
+
+    def write(data):
+        pieces.append(data)
+        if len(pieces) > 1 and len(pieces[-2]) == 16 and not lost:    # the second half of an IMU
+            lost.append(data)
+            raise PortBusy('the port takes no data')
+
+    bench = car(baud=115200)
+    bench.line._write = write
+    bench.run(0.1)
+    first, second = [fields for fields in bench.notes.of('tx') if not fields['ok']]
+    assert first['type'] == 9 and first['sent'] is False and first['why'] == 'busy'
+    assert second['n'] == first['n'] + 1 and second['behind_damage']

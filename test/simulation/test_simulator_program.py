@@ -1,0 +1,229 @@
+"""The program, as a user and as roslaunch start it; socat_pair; the journal's file."""
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+
+import pytest
+from simulation_bench import PATIENCE, ROOT, wait_for
+
+from serial_communication.links.port import Port
+from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.simulation.journal import Journal
+
+SIMULATOR = os.path.join(ROOT, 'scripts', 'simulator')
+SOCAT_PAIR = os.path.join(ROOT, 'scripts', 'socat_pair')
+
+
+def run(*arguments, **options):
+    return subprocess.run([sys.executable, SIMULATOR] + list(arguments), timeout=PATIENCE,
+                          stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options)
+
+
+class Running:
+    """The program at work, its lines in a file."""
+
+    def __init__(self, directory, *arguments):
+        self._output = directory / 'output'
+        with open(self._output, 'w') as output:
+            self.process = subprocess.Popen([sys.executable, SIMULATOR] + list(arguments),
+                                            stdout=output, stderr=subprocess.STDOUT,
+                                            cwd=str(directory))
+
+    def text(self):
+        return self._output.read_text()
+
+    def end(self, number=signal.SIGTERM):
+        self.process.send_signal(number)
+        return self.process.wait(PATIENCE)
+
+
+@pytest.fixture
+def start(tmp_path):
+    begun = []
+
+    def begin(*arguments):
+        begun.append(Running(tmp_path, *arguments))
+        return begun[-1]
+
+    yield begin
+    for one in begun:
+        if one.process.poll() is None:
+            one.process.kill()
+            one.process.wait()
+
+
+@pytest.fixture
+def tty():
+    """A tty for the board, and the other end's file descriptor."""
+    near, far = pty.openpty()
+    yield os.ttyname(far), near
+    os.close(near)
+    os.close(far)
+
+
+@pytest.mark.parametrize('arguments, says', [
+    (['--help'], 'socat_pair'), (['bus', '--help'], '--lift-speed'),
+    (['arduino', '--help'], '--calibration-time'), (['mcu', '--help'], '--adc')])
+def test_help(arguments, says):
+    result = run(*arguments)
+    assert result.returncode == 0 and says in result.stdout and not result.stderr
+
+
+@pytest.mark.parametrize('arguments, says', [
+    ([], 'BOARD'), (['toaster'], 'toaster'), (['bus'], '--port'),
+    (['bus', '--port', 'x', '--fault', 'flap=1'], 'flap'),
+    (['bus', '--port', 'x', '--lift-speed', '0'], 'lift-speed'),
+    (['mcu', '--port', 'x', '--rate', 'fast'], 'rate'),
+    (['mcu', '--port', 'x', '--stall', '1'], 'stall'),
+    (['bus', '--port', 'nonsense://x'], 'nonsense')])
+def test_bad_arguments(arguments, says):
+    result = run(*arguments)
+    assert result.returncode == 2
+    assert says in result.stderr.splitlines()[-1] and 'Traceback' not in result.stderr
+
+
+def test_a_journal_that_cannot_be():
+    result = run('bus', '--port', 'x', '--journal', '/nowhere/at/all')
+    assert result.returncode == 1
+    assert result.stderr == 'journal /nowhere/at/all: No such file or directory\n'
+
+
+@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT])
+def test_ends_cleanly_while_it_works(start, tty, tmp_path, number):
+    simulator = start('arduino', '--port', tty[0], '--journal', 'journal', '--fault', 'all',
+                      '--seed', '3', '__name:=car', '__log:=/tmp/x.log', 'a:=b')
+    wait_for(lambda: 'open' in simulator.text(), 'the port')
+    assert os.read(tty[1], 1000)
+    assert simulator.end(number) == 0
+    assert 'seed 3' in simulator.text() and 'Traceback' not in simulator.text()
+    lines = (tmp_path / 'journal').read_text().splitlines(True)
+    assert all(line.endswith('\n') for line in lines)
+    entries = [json.loads(line) for line in lines]
+    assert entries[0]['ev'] == 'start' and entries[0]['board'] == 'arduino'
+    assert entries[0]['seed'] == 3 and entries[0]['faults']['flip'] == '0.001'
+    assert entries[-1]['ev'] == 'end' and entries[-1]['frames'] > 0
+    assert all(isinstance(entry['t'], float) for entry in entries)
+
+
+def test_ends_cleanly_while_it_waits(start):
+    simulator = start('bus', '--port', '/nowhere/ttyV1')
+    wait_for(simulator.text, 'a line')
+    assert simulator.end() == 0
+    assert simulator.text() == 'bus: /nowhere/ttyV1: there is no such device; waiting for it\n'
+
+
+def test_waits_for_its_port(start, tty, tmp_path):
+    name = tmp_path / 'port'
+    simulator = start('bus', '--port', str(name))
+    wait_for(lambda: 'waiting' in simulator.text(), 'the waiting')
+    name.symlink_to(tty[0])
+    wait_for(lambda: 'open' in simulator.text(), 'the port')
+    port_answers(tty[1])
+    assert simulator.end() == 0
+    assert len(simulator.text().splitlines()) == 3      # waiting, open, synchronised
+
+
+def port_answers(descriptor):
+    os.write(descriptor, bus.encode_request(bus.SYNC_REQUEST))
+    answer = b''
+    while len(answer) < 4:
+        answer += os.read(descriptor, 100)
+    assert answer == bus.encode_reply(bus.Reply(bus.SYNC))
+
+
+def test_duration():
+    assert run('mcu', '--port', '/nowhere/ttyV1', '--duration', '0.05').returncode == 0
+
+
+def test_runs_as_it_is_from_anywhere(tmp_path):
+    environment = {key: value for key, value in os.environ.items() if key != 'PYTHONPATH'}
+    assert run('--help', cwd=str(tmp_path), env=environment).returncode == 0
+
+
+def test_a_reader_of_its_lines_that_goes_does_not_matter(tty):
+    simulator = subprocess.Popen([sys.executable, SIMULATOR, 'bus', '--port', tty[0]],
+                                 stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    simulator.stdout.readline()
+    simulator.stdout.close()
+    port_answers(tty[1])
+    simulator.terminate()
+    errors = simulator.stderr.read()
+    simulator.stderr.close()
+    assert simulator.wait(PATIENCE) == 0 and errors == b''
+
+
+# -- the journal --------------------------------------------------------------------------------
+
+
+def test_journal_writes_in_batches(tmp_path):
+    path = tmp_path / 'journal'
+    journal = Journal(str(path))
+    journal.write(10.0, 'tx', {'n': 1})
+    assert journal.flush_due(10.1) == 10.5 and path.read_text() == ''
+    assert journal.flush_due(10.5) is None
+    assert path.read_text() == '{"t":10.0,"ev":"tx","n":1}\n'
+    for number in range(1000):
+        journal.write(11.0, 'tx', {'n': number})
+    assert len(path.read_text().splitlines()) == 1001
+    journal.close()
+    journal.write(12.0, 'tx', {})      # after its end: nothing
+
+
+def test_journal_survives_a_full_disk():
+    journal = Journal('/dev/full')
+    journal.write(1.0, 'tx', {})
+    journal.close()
+    assert 'No space left' in journal.trouble
+
+
+# -- socat_pair ---------------------------------------------------------------------------------
+
+
+def test_pair_is_linked_and_comes_back_over_stale_links(cable):
+    for _ in range(2):
+        ends = [Port(cable.a), Port(cable.b)]
+        for end in ends:
+            end.open()
+        ends[0].write(b'there')
+        assert ends[1].read(PATIENCE) == b'there'
+        ends[1].write(b'\x00back\x11\xff')
+        assert ends[0].read(PATIENCE) == b'\x00back\x11\xff'
+        for end in ends:
+            end.close()
+        cable.unplug()      # by SIGKILL: its links stay
+        assert os.path.lexists(cable.a)
+        cable.plug()
+
+
+def test_pair_ends_with_sigterm(tmp_path):
+    a, b = tmp_path / 'a', tmp_path / 'b'
+    pair = subprocess.Popen([SOCAT_PAIR, str(a), str(b)], stderr=subprocess.DEVNULL)
+    wait_for(lambda: a.exists() and b.exists(), 'the ports')
+    pair.terminate()
+    pair.wait(PATIENCE)
+    assert not os.path.lexists(str(a)) and not os.path.lexists(str(b))
+
+
+def test_pair_leaves_files_alone(tmp_path):
+    (tmp_path / 'a').write_text('precious')
+    result = subprocess.run([SOCAT_PAIR, str(tmp_path / 'a'), str(tmp_path / 'b')],
+                            stderr=subprocess.PIPE, timeout=PATIENCE)
+    assert result.returncode == 1 and b'exists' in result.stderr
+    assert (tmp_path / 'a').read_text() == 'precious'
+
+
+@pytest.mark.parametrize('arguments', [[], ['a'], ['a', 'a'], ['a', 'b', 'c'], ['--help'],
+                                       ['a,b', 'c']])
+def test_pair_usage(arguments):
+    result = subprocess.run([SOCAT_PAIR] + arguments, stderr=subprocess.PIPE, timeout=PATIENCE)
+    assert result.returncode == 2 and b'usage' in result.stderr
+
+
+def test_pair_without_socat(tmp_path):
+    result = subprocess.run(['/bin/sh', SOCAT_PAIR, 'a', 'b'], stderr=subprocess.PIPE,
+                            env={'PATH': str(tmp_path)}, timeout=PATIENCE)
+    assert result.returncode == 1
+    assert result.stderr.startswith(b'socat_pair: socat is missing; install it')
