@@ -1,6 +1,7 @@
 """The link to the model car: commands down, measurements up, and the heartbeat that keeps the
 motor alive. What may reach the motor, and when, is decided here and nowhere else."""
 import os
+import struct
 import threading
 import time
 from collections import deque
@@ -101,6 +102,7 @@ class ArduinoLink(Link):
             self._command(arduino.ImuCalibration())
             self._calibrating_since = time.monotonic()
             self.calibrating = True
+        self.wake()
         if self._on_calibrating:
             self._on_calibrating(True)
 
@@ -112,7 +114,7 @@ class ArduinoLink(Link):
                           'which takes minutes')
         try:
             message.pack()
-        except ValueError as error:
+        except (ValueError, struct.error) as error:
             raise Refused('refused: %s' % error) from None
         if self.port.backlog() > _STALLED:
             raise Refused(f'{message} refused: the port takes no data')
@@ -183,7 +185,9 @@ class ArduinoLink(Link):
                         if last is not None:
                             self.heartbeat_max_gap = max(self.heartbeat_max_gap, now - last)
                         last = now
-                    due = max(due + period, now)
+                    due += period
+                    if due < now:
+                        due = now + period
                 if self._moving and self.settings.speed_timeout and now >= self._speed_due:
                     self._stop_motor(now)
                 time.sleep(max(0.0, min(due - time.monotonic(), _LONGEST_NAP)))

@@ -9,6 +9,7 @@ from .master import NOT_SENT, PATIENCE, Call, Master, Outcome
 from .port import Port, PortBusy, PortError
 
 _SETTLE = 0.001     # s of silence before a move or a raw request: a doubled reply ends within
+_BLOCKED = 0.05     # s until a port that took no data is tried again
 _SLOW = (bus.LIFT, bus.GIMBAL)    # functions that move something
 
 
@@ -40,6 +41,7 @@ class BusLink(Link):
         self._on_environment = on_environment
         self._poll: Optional[Call] = None     # the latest
         self._next_poll = 0.0
+        self._blocked_until = 0.0
         self._asks_environment = False        # what is outstanding is an environment request
 
     # -- for callers --------------------------------------------------------------------
@@ -126,11 +128,13 @@ class BusLink(Link):
 
     def tick(self, now: float) -> Optional[float]:
         master = self.master
-        while True:
+        while not self._stopping.is_set():
             self._poll_environment(now)
             master.tick(now)
             if not master.wants_to_send() or self.decoder.pending:
                 break
+            if now < self._blocked_until:
+                return self._blocked_until
             if master.next_is_final() and now < self.last_byte_at + _SETTLE:
                 return self.last_byte_at + _SETTLE
             # A request leaves only when everything received before it has been taken in.
@@ -157,6 +161,7 @@ class BusLink(Link):
             self.log.warn('busy', '%s; is the board held by flow control?' % error)
             self.port.discard_output()
             self.master.not_sent(str(error))
+            self._blocked_until = now + _BLOCKED
         except PortError:
             self.master.not_sent('the port has gone')
             raise

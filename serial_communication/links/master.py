@@ -156,12 +156,13 @@ class Master:
     def disconnected(self, now: float, why: str) -> None:
         """The port has closed: everybody is told."""
         self._connected = False
+        self.synchronised = False
         exchange, self._exchange = self._exchange, None
         if exchange and exchange.call:
             self.in_step = False
             exchange.call.finish(Outcome(
                 TIMEOUT, 'the port closed before the reply came (%s): %s' % (why, _UNKNOWN)))
-        self._refuse_all('the port is closed (%s)' % why)
+        self._take_in()
 
     def received(self, frame: Frame, now: float) -> None:
         """A sound reply has come."""
@@ -204,9 +205,7 @@ class Master:
 
     def tick(self, now: float) -> None:
         """Time has passed, or a call was submitted."""
-        while self._inbox:
-            call, poll = self._inbox.popleft()
-            (self._polls if poll else self._calls).append(call)
+        self._take_in()
         exchange = self._exchange
         if exchange is not None and now >= exchange.deadline:
             self._timed_out(exchange, now)
@@ -276,7 +275,8 @@ class Master:
         """The request that `next_request` gave did not leave the port."""
         exchange, self._exchange = self._exchange, None
         if exchange is not None and exchange.call:
-            exchange.call.finish(Outcome(NOT_SENT, '%s; nothing was sent' % why))
+            exchange.call.finish(exchange.call.setback
+                                 or Outcome(NOT_SENT, '%s; nothing was sent' % why))
 
     # -- inside -------------------------------------------------------------------------
 
@@ -352,6 +352,7 @@ class Master:
         self.timeouts += 1
         if exchange.kind == _SYNC:
             self.synchronised = False
+            self.in_step = False     # its reply may still come, behind that of the next
             self._unanswered_syncs += 1
             self._log.warn('no answer', 'the board does not answer SYNC; asking on')
         elif exchange.kind == _ECHO:
@@ -400,12 +401,19 @@ class Master:
         if call.doubtful:
             return self._served_until + call.timeout
         turn = max(call.submitted, self._served_until if call.setback else 0.0) + self._turn
-        if self.synchronised and not call.setback or self._serves_a_call():
+        serving = self._exchange is not None and self._exchange.kind == _CALL
+        if serving or (self.in_step and self.synchronised and not call.setback):
             return turn
-        return min(turn, max(call.submitted, self._served_until) + PATIENCE)
+        # An ECHO may be answered only after what the board is busy with: a move, say.
+        patience = max(PATIENCE, call.timeout) if self.synchronised else PATIENCE
+        return min(turn, max(call.submitted, self._served_until) + patience)
 
-    def _serves_a_call(self) -> bool:
-        return self._exchange is not None and self._exchange.kind == _CALL
+    def _take_in(self) -> None:
+        while self._inbox:
+            call, poll = self._inbox.popleft()
+            (self._polls if poll else self._calls).append(call)
+        if not self._connected:
+            self._refuse_all('the port is closed')
 
     def _expire(self, now: float) -> None:
         for call in self._waiting():

@@ -11,6 +11,7 @@ Flag 0xA5: standard frame, Datelen is one byte, under 255. Flag 0x5A: long frame
 uint16, 255 or more. Datelen counts the DATE bytes. Checksum: XOR of every byte before it.
 Little-endian. Decisions where the source is silent: see "Protocols" in README.md.
 """
+import re
 from struct import Struct
 from typing import Any, NamedTuple
 
@@ -18,6 +19,7 @@ from .framing import CHECKSUM, FRAMING, StreamDecoder, running_xor
 
 STANDARD_FLAG = 0xA5
 LONG_FLAG = 0x5A
+_FLAG = re.compile(b'[%c%c]' % (STANDARD_FLAG, LONG_FLAG))
 MAX_LENGTH = 1024      # most DATE bytes accepted
 
 # CMD1 of a request; a SYNC or ECHO reply has the same.
@@ -272,9 +274,8 @@ class _Decoder(StreamDecoder):
         return 1 << 16
 
     def _next_flag(self, at: int) -> int:
-        found = [place for place in (self._buffer.find(STANDARD_FLAG, at),
-                                     self._buffer.find(LONG_FLAG, at)) if place >= 0]
-        return min(found) if found else len(self._buffer)
+        found = _FLAG.search(self._buffer, at)
+        return found.start() if found else len(self._buffer)
 
 
 class ReplyDecoder(_Decoder):

@@ -1,0 +1,191 @@
+"""The other end of a link's port, for tests: a real tty, and boards that do as they are told.
+
+The boards are not those of the simulation: they are as simple as can be, so that a test shows
+all that they do.
+"""
+import os
+import pty
+import select
+import threading
+import time
+import tty
+from contextlib import contextmanager
+
+from serial_communication.protocols import arduino
+from serial_communication.protocols import robot_ctrl_bus as bus
+
+PATIENCE = 8.0      # s that a condition may take on the slowest machine
+
+
+def wait_for(condition, seconds=PATIENCE, what='the condition'):
+    """Until it is true; returns its value."""
+    deadline = time.monotonic() + seconds
+    while True:
+        value = condition()
+        if value:
+            return value
+        assert time.monotonic() < deadline, '%s did not come true in %g s' % (what, seconds)
+        time.sleep(0.002)
+
+
+class Line:
+    """A pty under a path of its own, which can vanish and return as another device."""
+
+    def __init__(self, path):
+        self.path = str(path)
+        self.fd = -1
+
+    def plug(self):
+        self.fd, slave = pty.openpty()
+        tty.setraw(slave)
+        os.set_blocking(self.fd, False)
+        new = self.path + '.new'
+        os.symlink(os.ttyname(slave), new)
+        os.replace(new, self.path)
+        self._slave = slave       # held, so that a port that is closed is no hang-up here
+        return self
+
+    def unplug(self):
+        if self.fd >= 0:
+            os.unlink(self.path)
+            os.close(self._slave)
+            fd, self.fd = self.fd, -1
+            os.close(fd)
+
+    def write(self, data):
+        """All of it; the other side must read."""
+        while data:
+            _, writable, _ = select.select([], [self.fd], [], PATIENCE)
+            assert writable, 'nobody reads'
+            data = data[os.write(self.fd, data):]
+
+    def read(self, seconds=0.0):
+        """What has come by now, or comes first; b'' if nothing does."""
+        readable, _, _ = select.select([self.fd], [], [], seconds)
+        try:
+            return os.read(self.fd, 65536) if readable else b''
+        except (BlockingIOError, OSError):
+            return b''
+
+    def read_all(self, quiet=0.1):
+        """Until nothing has come for so long."""
+        data = b''
+        while True:
+            part = self.read(quiet)
+            if not part:
+                return data
+            data += part
+
+
+class Board:
+    """A thread that decodes what comes and calls `take` with each good frame."""
+
+    def __init__(self, line, decoder, name):
+        self.line = line
+        self.seen = []             # frames, with the time of each in `stamp`
+        self._decoder = decoder
+        self._ending = threading.Event()
+        self._paused = threading.Event()
+        self._idle = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    def messages(self, kind=None):
+        """What has come so far."""
+        return [frame.message for frame in list(self.seen)
+                if kind is None or isinstance(frame.message, kind)]
+
+    def take(self, frame):
+        """For subclasses."""
+
+    def idle(self):
+        """For subclasses: called a hundred times a second or so."""
+
+    def start(self):
+        self._thread.start()
+        return self
+
+    def stop(self):
+        self._ending.set()
+        self._thread.join(1.0)
+
+    @contextmanager
+    def unplugged(self):
+        """The port is away as long as this lasts."""
+        self._paused.set()
+        assert self._idle.wait(PATIENCE)
+        self.line.unplug()
+        yield
+        self.line.plug()
+        self._idle.clear()
+        self._paused.clear()
+
+    def _run(self):
+        while not self._ending.is_set():
+            if self._paused.is_set():
+                self._decoder.reset()
+                self._idle.set()
+                self._ending.wait(0.002)
+                continue
+            data = self.line.read(0.005)
+            for frame in self._decoder.feed(data, time.monotonic()):
+                if not frame.cause:
+                    self.seen.append(frame)
+                    self.take(frame)
+            self.idle()
+
+
+class BusBoard(Board):
+    """Executes all that it is asked; `script` decides otherwise.
+
+    script(request) gives the bytes to send in place of the usual reply, or None for that one.
+    """
+
+    def __init__(self, line):
+        super().__init__(line, bus.RequestDecoder(), 'bus board')
+        self.script = lambda request: None
+        self.executed = []
+        self.answered = []       # requests that got a reply
+
+    def requests(self, cmd1=None):
+        return [request for request in self.messages() if cmd1 in (None, request.cmd1)]
+
+    def moves(self):
+        """Lifts, turns and raw requests, in their order."""
+        return [request for request in self.requests(bus.FUNCTION)
+                if request != bus.ENVIRONMENT_REQUEST]
+
+    def take(self, frame):
+        request = frame.message
+        wire = self.script(request)
+        self.line.write(self.reply(request) if wire is None else wire)
+
+    def reply(self, request):
+        """Execute it; the usual reply's bytes."""
+        if request.cmd1 in (bus.SYNC, bus.ECHO):
+            return bus.encode_reply(bus.Reply(request.cmd1, request.data))
+        self.executed.append(request)
+        if request == bus.ENVIRONMENT_REQUEST:
+            return bus.encode_reply(bus.Reply(bus.OK, bus.Environment(350, 25.63, 48.12).pack()))
+        return bus.encode_reply(bus.Reply(bus.OK))
+
+
+class CarBoard(Board):
+    """Keeps what it is sent; with `streaming` it sends an IMU packet as often as it can."""
+
+    IMU = arduino.encode(arduino.Imu(16384, *[0] * 10))
+
+    def __init__(self, line):
+        super().__init__(line, arduino.BoardDecoder(), 'car board')
+        self.streaming = False
+
+    def idle(self):
+        if self.streaming:
+            self.line.write(self.IMU)
+
+    def heartbeats(self):
+        return len(self.messages(arduino.Heartbeat))
+
+    def commands(self):
+        """All but the heartbeats."""
+        return [message for message in self.messages()
+                if not isinstance(message, arduino.Heartbeat)]

@@ -1,0 +1,177 @@
+"""What every link has: a log that is sparing, counters, threads with names that end."""
+import logging
+import os
+import re
+import threading
+import time
+
+import pytest
+
+import serial_communication.links
+from boards import wait_for
+from serial_communication.links.arduino import ArduinoLink
+from serial_communication.links.bus import BusLink
+from serial_communication.links.mcu import McuLink
+from serial_communication.links.port import Port
+from serial_communication.links.sparing_log import SparingLog
+from serial_communication.protocols import arduino, mcu
+
+every_link = pytest.mark.parametrize('kind, names', [
+    (BusLink, {'bus link'}), (ArduinoLink, {'arduino link', 'arduino heartbeat'}),
+    (McuLink, {'mcu link'})], ids=('bus', 'arduino', 'mcu'))
+
+
+# -- the log --------------------------------------------------------------------------------------
+
+@pytest.fixture
+def log(logger):
+    clock = [0.0]
+    made = SparingLog('bus', logger, 10.0, lambda: clock[0])
+    made.clock = clock
+    return made
+
+
+def test_a_cause_is_said_once_in_ten_seconds_with_the_number_held_back(log, lines):
+    for tenth in range(0, 205):
+        log.clock[0] = tenth / 10
+        log.warn('noise', 'noise again')
+    assert lines() == ['bus: noise again', 'bus: noise again (and 99 more like it)',
+                       'bus: noise again (and 99 more like it)']
+
+
+def test_causes_do_not_hold_each_other_back(log, lines):
+    log.warn('one', 'first')
+    log.error('two', 'second')
+    log.info('three', 'third')
+    log.warn('one', 'first')
+    assert lines(level=logging.INFO) == ['bus: first', 'bus: second', 'bus: third']
+
+
+def test_a_cause_that_rests_long_enough_is_said_without_a_number(log, lines):
+    log.warn('one', 'first')
+    log.clock[0] = 10.0
+    log.warn('one', 'second')
+    assert lines() == ['bus: first', 'bus: second']
+
+
+def test_levels_are_those_of_the_names(log, caplog):
+    for name, level in (('info', logging.INFO), ('warn', logging.WARNING),
+                        ('error', logging.ERROR)):
+        getattr(log, name)(name, 'text')
+        assert caplog.records[-1].levelno == level
+
+
+# -- every link -----------------------------------------------------------------------------------
+
+def threads():
+    return {thread.name for thread in threading.enumerate()}
+
+
+@every_link
+@pytest.mark.parametrize('present', [True, False], ids=('port open', 'port absent'))
+def test_threads_have_names_and_end_within_a_second_of_stop(line, logger, kind, names, present):
+    link = kind(Port(line.path if present else line.path + '.absent'), logger=logger)
+    assert not names & threads()
+    link.start()
+    wait_for(lambda: link.port.is_open == present and names <= threads())
+    begun = time.monotonic()
+    link.stop()
+    link.join()
+    wait_for(lambda: not names & threads(), 1.0)
+    assert time.monotonic() - begun < 1.5
+    assert not link.port.is_open
+
+
+@every_link
+def test_an_absent_port_is_warned_of_once(line, logger, running, lines, kind, names):
+    link = running(kind(Port(line.path + '.absent'), logger=logger))
+    assert link.report(time.monotonic()).summary.startswith('closed: ')
+    wait_for(lambda: lines())
+    threading.Event().wait(0.5)
+    assert len(lines('no such device')) == 1
+    report = link.report(time.monotonic())
+    assert report.level == 2 and 'no such device' in report.summary
+
+
+@every_link
+def test_a_port_that_flaps_is_opened_each_time_and_logged_sparingly(line, logger, running, lines,
+                                                                    kind, names):
+    link = running(kind(Port(line.path), logger=logger))
+    for count in range(3):
+        wait_for(lambda: link.port.is_open and link.reconnects == count)
+        line.unplug()
+        wait_for(lambda: not link.port.is_open)
+        line.plug()
+    wait_for(lambda: link.port.is_open and link.reconnects == 3)
+    assert len(lines('the device has gone')) <= 1
+    assert len(lines('permission')) == 0
+
+
+def test_a_port_is_found_within_a_second_and_a_half_of_its_return(line, logger, running):
+    """However long it was away: the pauses between tries do not grow without end."""
+    link = running(McuLink(Port(line.path), logger=logger))
+    wait_for(lambda: link.port.is_open)
+    line.unplug()
+    wait_for(lambda: not link.port.is_open)
+    threading.Event().wait(2.3)
+    line.plug()
+    back = time.monotonic()
+    wait_for(lambda: link.port.is_open)
+    assert time.monotonic() - back < 1.5
+
+
+def test_noise_is_counted_reported_and_logged_sparingly(line, logger, running, lines):
+    link = running(McuLink(Port(line.path), timeout=20.0, logger=logger))
+    wait_for(lambda: link.port.is_open)
+    good = mcu.encode(mcu.AdcStatus((1, 2, 3, 4, 5, 6)), 1)
+    bad = good[:-2] + bytes((good[-2] ^ 1, 3))
+    for _ in range(50):
+        line.write(bad + b'noise')
+    line.write(good)
+    wait_for(lambda: link.frames_received)
+    report = link.report(time.monotonic())
+    values = dict(report.values)
+    assert (values['checksum errors'], values['framing errors']) == (50, 50)
+    assert (report.level, report.summary) == (1, '100 errors in the last second')
+    assert link.report(time.monotonic()).level == 0
+    assert len(lines('checksum: ')) == len(lines('framing: ')) == 1
+    assert values['bytes received'] == 50 * (len(bad) + 5) + len(good)
+    assert values['port'] == line.path and float(values['last frame age [s]']) < 20
+
+
+def test_a_silent_board_is_reported(line, logger, running):
+    link = running(ArduinoLink(Port(line.path), logger=logger))
+    wait_for(lambda: link.port.is_open)
+    assert link.condition(time.monotonic()) == (1, 'open, the board is silent')
+    line.write(arduino.encode(arduino.Ticks(1)))
+    wait_for(lambda: link.frames_received)
+    assert link.condition(time.monotonic()) == (0, 'open')
+    assert link.condition(time.monotonic() + 1.1)[0] == 1
+
+
+def test_a_link_leaves_no_file_open(line, logger):
+    def descriptors():
+        return len(os.listdir('/proc/self/fd'))
+
+    before = None
+    for _ in range(3):
+        link = McuLink(Port(line.path), logger=logger)
+        own = descriptors()          # the port's pipe, for waking, is as old as the port
+        link.start()
+        wait_for(lambda: link.port.is_open)
+        link.stop()
+        link.join()
+        wait_for(lambda: descriptors() <= own)
+        before = before or own
+    assert descriptors() <= before + 4
+
+
+def test_links_and_protocols_know_nothing_of_ros():
+    root = os.path.dirname(os.path.dirname(serial_communication.links.__file__))
+    imports = re.compile(r'^\s*(from|import)\s+(rospy|\w+_msgs|tf2?_ros|\.\.ros|.*\.ros\b)',
+                         re.MULTILINE)
+    for folder in ('links', 'protocols'):
+        for name in os.listdir(os.path.join(root, folder)):
+            if name.endswith('.py'):
+                with open(os.path.join(root, folder, name), encoding='utf-8') as file:
+                    assert not imports.search(file.read()), name

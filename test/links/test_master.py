@@ -1,0 +1,880 @@
+"""The Master's session as a state machine: every rule, with a clock of the test's own."""
+import logging
+
+import pytest
+
+from serial_communication.links import master as master_module
+from serial_communication.links.master import (ECHO_TRIES, NOT_SENT, PATIENCE, TIMEOUT, Call,
+                                               Master)
+from serial_communication.links.sparing_log import SparingLog
+from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.protocols.framing import CHECKSUM, FRAMING, Frame, bad_frame
+
+REPLY_TIMEOUT, MOTION_TIMEOUT = 0.5, 5.0
+SYNC_REPLY = bus.Reply(bus.SYNC)
+OK_REPLY = bus.Reply(bus.OK)
+AIR_REPLY = bus.Reply(bus.OK, bus.Environment(350, 25.63, 48.12).pack())
+LIFT, GIMBAL = bus.lift(0, 100), bus.gimbal(1, 30)
+AIR = bus.ENVIRONMENT_REQUEST
+RAW = bus.Request(bus.FUNCTION, 0x30, b'raw')
+MOVING_OR_RAW = pytest.mark.parametrize('request_', [LIFT, GIMBAL, RAW], ids=str)
+REPEATABLE = pytest.mark.parametrize('request_, answer', [
+    (AIR, AIR_REPLY), (bus.echo(b'mine'), bus.Reply(bus.ECHO, b'mine')),
+    (bus.SYNC_REQUEST, SYNC_REPLY)], ids=('environment', 'echo', 'sync'))
+
+
+def invalid(code):
+    return bus.Reply(bus.INVALID, bytes((code,)))
+
+
+def error(code):
+    return bus.Reply(bus.ERROR, code.to_bytes(2, 'little'))
+
+
+class Session:
+    """A Master, its clock, and what it says."""
+
+    def __init__(self, caplog):
+        caplog.set_level(logging.INFO)
+        self._caplog = caplog
+        self.now = 100.0
+        self.nonces = []
+        self.master = Master(REPLY_TIMEOUT, MOTION_TIMEOUT, SparingLog(
+            'bus', logging.getLogger('session'), clock=lambda: self.now), self._nonce)
+
+    def _nonce(self):
+        self.nonces.append(b'n%03d' % len(self.nonces))
+        return self.nonces[-1]
+
+    def call(self, request, tries=3, poll=False):
+        """Submit a call as `BusLink` makes it."""
+        slow = request.cmd2 in (bus.LIFT, bus.GIMBAL)
+        repeatable = request.cmd1 in (bus.SYNC, bus.ECHO) or request == AIR
+        call = Call(request, MOTION_TIMEOUT if slow else REPLY_TIMEOUT, repeatable, tries,
+                    self.now)
+        self.master.submit(call, poll)
+        return call
+
+    def ask(self):
+        """What goes out now; None for nothing."""
+        self.master.tick(self.now)
+        assert self.master.wants_to_send() or self.master.next_request(self.now) is None
+        return self.master.next_request(self.now)
+
+    def reply(self, *replies):
+        """Replies that one read brings."""
+        for reply in replies:
+            wire = bus.encode_reply(reply)
+            self.master.received(Frame(wire, reply.cmd1, 0, reply.data, reply), self.now)
+
+    def damage(self, cause=CHECKSUM):
+        self.master.damaged(bad_frame(b'\xa5\0\2\0', cause, 'damaged'), self.now)
+
+    def later(self, seconds):
+        self.now += seconds
+        self.master.tick(self.now)
+
+    def connect(self):
+        """A board that answers SYNC at once."""
+        self.master.connected(self.now)
+        assert self.ask() == bus.SYNC_REQUEST
+        self.reply(SYNC_REPLY)
+        return self
+
+    def find_step(self):
+        """The ECHO goes out, and comes back."""
+        request = self.ask()
+        assert request == bus.echo(self.nonces[-1])
+        self.reply(bus.Reply(bus.ECHO, request.data))
+        assert self.master.in_step
+
+    def warnings(self, containing=''):
+        return [record.getMessage() for record in self._caplog.records
+                if record.levelno >= logging.WARNING and containing in record.getMessage()]
+
+
+@pytest.fixture
+def fresh(caplog):
+    """Never connected."""
+    return Session(caplog)
+
+
+@pytest.fixture
+def session(fresh):
+    """Connected and synchronised."""
+    return fresh.connect()
+
+
+# -- 1. one request outstanding; calls before polls -----------------------------------------------
+
+def test_nothing_is_sent_while_a_request_is_outstanding(session):
+    calls = [session.call(LIFT), session.call(GIMBAL)]
+    assert session.ask() == LIFT
+    assert session.ask() is None and session.master.outstanding
+    session.later(1.0)
+    assert session.ask() is None
+    session.reply(OK_REPLY)
+    assert calls[0].outcome.success and calls[1].outcome is None
+    assert session.ask() == GIMBAL
+    session.reply(OK_REPLY)
+    assert calls[1].outcome.success and session.ask() is None
+    assert not session.master.wants_to_send() and session.master.deadline() is None
+
+
+def test_calls_go_in_their_order_and_before_polls(session):
+    session.call(RAW)
+    assert session.ask() == RAW
+    session.call(AIR, poll=True)
+    for request in (LIFT, GIMBAL, bus.echo(b'x')):
+        session.call(request)
+    session.reply(OK_REPLY)
+    for request, answer in ((LIFT, OK_REPLY), (GIMBAL, OK_REPLY),
+                            (bus.echo(b'x'), bus.Reply(bus.ECHO, b'x')), (AIR, AIR_REPLY)):
+        assert session.ask() == request
+        session.reply(answer)
+    assert session.ask() is None
+
+
+def test_an_outcome_tells_what_the_board_said(session):
+    session.call(AIR)
+    call = session.call(AIR)
+    session.ask()
+    session.reply(AIR_REPLY)
+    session.ask()
+    session.now += 0.125
+    session.reply(AIR_REPLY)
+    outcome = call.outcome
+    assert (outcome.status, outcome.data, outcome.error_code) == (bus.OK, AIR_REPLY.data, 0)
+    assert outcome.success and outcome.round_trip == pytest.approx(0.125)
+    assert list(session.master.round_trips) == pytest.approx([0.0, 0.125])
+
+
+# -- 2. SYNC first --------------------------------------------------------------------------------
+
+def test_nothing_is_sent_before_a_connection(fresh):
+    call = fresh.call(LIFT)
+    assert fresh.ask() is None and not fresh.master.wants_to_send()
+    fresh.later(PATIENCE)
+    assert call.outcome.status == NOT_SENT and 'closed' in call.outcome.message
+
+
+def test_sync_is_asked_until_it_is_answered_and_nothing_else_before(fresh):
+    fresh.master.connected(fresh.now)
+    for _ in range(7):
+        assert fresh.ask() == bus.SYNC_REQUEST
+        assert fresh.ask() is None
+        fresh.later(REPLY_TIMEOUT)
+    call = fresh.call(LIFT)
+    assert fresh.ask() == bus.SYNC_REQUEST
+    assert not fresh.master.synchronised and 'SYNC' in fresh.master.condition()
+    fresh.reply(SYNC_REPLY)
+    assert fresh.master.synchronised
+    while fresh.master.in_step is False:
+        fresh.find_step()
+    assert fresh.ask() == LIFT
+    fresh.reply(OK_REPLY)
+    assert call.outcome.success
+    assert len(fresh.warnings('does not answer SYNC')) == 1
+
+
+@pytest.mark.parametrize('reply', [OK_REPLY, invalid(0x40), invalid(0x10), error(0x8000),
+                                   bus.Reply(bus.ECHO, b'x'), bus.Reply(0x77)], ids=str)
+def test_no_other_reply_answers_a_sync(fresh, reply):
+    fresh.master.connected(fresh.now)
+    assert fresh.ask() == bus.SYNC_REQUEST
+    fresh.reply(reply)
+    assert not fresh.master.synchronised and fresh.ask() in (None, bus.SYNC_REQUEST)
+
+
+def test_a_new_connection_begins_with_sync(session):
+    session.master.disconnected(session.now, 'unplugged')
+    assert session.ask() is None
+    session.master.connected(session.now)
+    session.call(LIFT)
+    assert session.ask() == bus.SYNC_REQUEST
+
+
+# -- 3., 4. timeouts; what is sent again, and what never ------------------------------------------
+
+@pytest.mark.parametrize('request_, timeout', [
+    (LIFT, MOTION_TIMEOUT), (GIMBAL, MOTION_TIMEOUT), (RAW, REPLY_TIMEOUT)], ids=str)
+def test_no_reply_within_its_timeout_means_unknown_and_never_again(session, request_, timeout):
+    call = session.call(request_)
+    assert session.ask() == request_
+    assert session.master.deadline() == pytest.approx(session.now + timeout)
+    session.later(timeout - 0.001)
+    assert call.outcome is None
+    session.later(0.002)
+    assert call.outcome.status == TIMEOUT and not call.outcome.success
+    assert 'not known' in call.outcome.message
+    assert session.master.timeouts == 1
+    session.find_step()
+    assert session.ask() is None, 'a request with an unknown outcome was sent again'
+
+
+@REPEATABLE
+def test_what_may_be_repeated_is_sent_once_and_retried_twice(session, request_, answer):
+    call = session.call(request_, tries=3)
+    for _ in range(3):
+        assert call.outcome is None
+        assert session.ask() == request_
+        session.later(REPLY_TIMEOUT)
+        session.find_step()
+    assert call.outcome.status == TIMEOUT
+    assert session.ask() is None
+
+
+@REPEATABLE
+def test_a_repeated_request_may_succeed(session, request_, answer):
+    call = session.call(request_, tries=2)
+    for _ in range(2):
+        assert session.ask() == request_
+        if call.tries:
+            session.later(REPLY_TIMEOUT)
+            session.find_step()
+    session.reply(answer)
+    assert call.outcome.success and call.outcome.data == answer.data
+
+
+@MOVING_OR_RAW
+def test_a_request_whose_checksum_failed_at_the_board_goes_again_as_it_is(session, request_):
+    call = session.call(request_, tries=3)
+    session.call(RAW)
+    for _ in range(2):
+        assert session.ask() == request_
+        session.reply(invalid(0x40))
+        session.find_step()
+    assert call.outcome is None
+    assert session.ask() == request_, 'it goes before the next call'
+    session.reply(OK_REPLY)
+    assert call.outcome.success
+    assert session.master.in_step
+
+
+@MOVING_OR_RAW
+@pytest.mark.parametrize('code', [0x40, 0x20])
+@pytest.mark.parametrize('reply', [OK_REPLY, error(0x8002)], ids=str)
+def test_an_invalid_that_was_for_noise_does_not_hide_the_reply_behind_it(session, request_, code,
+                                                                         reply):
+    """Else it would go out, or be told refused, and be executed all the same."""
+    call = session.call(request_)
+    session.ask()
+    session.reply(invalid(code))
+    assert call.outcome is None
+    echo = session.ask()
+    assert echo.cmd1 == bus.ECHO
+    session.reply(reply)
+    assert call.outcome.status == reply.cmd1
+    assert session.ask() is None and not session.master.in_step
+    session.reply(bus.Reply(bus.ECHO, echo.data))
+    assert session.master.in_step and session.ask() is None
+
+
+@MOVING_OR_RAW
+@pytest.mark.parametrize('end', ['closed', 'no echo'])
+def test_an_invalid_that_no_echo_confirms_is_not_told_as_a_refusal(session, request_, end):
+    call = session.call(request_)
+    session.ask()
+    session.reply(invalid(0x40))
+    session.ask()
+    if end == 'closed':
+        session.master.disconnected(session.now, 'unplugged')
+    else:
+        for _ in range(100):
+            session.later(REPLY_TIMEOUT / 5)
+            asked = session.ask()
+            assert asked is None or asked.cmd1 in (bus.ECHO, bus.SYNC)
+            if call.outcome:
+                break
+    assert call.outcome.status == TIMEOUT and 'not known' in call.outcome.message
+
+
+def test_what_goes_next_is_final_if_it_may_not_be_repeated(session):
+    assert not session.master.next_is_final()
+    for request, final in ((LIFT, True), (RAW, True), (AIR, False), (bus.SYNC_REQUEST, False)):
+        session.call(request)
+        session.master.tick(session.now)
+        assert session.master.next_is_final() == final
+        session.ask()
+        session.reply({AIR: AIR_REPLY, bus.SYNC_REQUEST: SYNC_REPLY}.get(request, OK_REPLY))
+    session.damage(FRAMING)
+    session.call(LIFT)
+    session.master.tick(session.now)
+    assert not session.master.next_is_final(), 'an ECHO goes first'
+
+
+@MOVING_OR_RAW
+def test_a_request_to_an_unsynchronised_board_goes_again_after_sync(session, request_):
+    call = session.call(request_)
+    assert session.ask() == request_
+    session.reply(invalid(0x10))
+    assert not session.master.synchronised
+    assert session.ask() == bus.SYNC_REQUEST
+    session.later(REPLY_TIMEOUT / 2)
+    session.reply(SYNC_REPLY)
+    assert session.ask() == request_
+    session.reply(OK_REPLY)
+    assert call.outcome.success
+
+
+@MOVING_OR_RAW
+@pytest.mark.parametrize('code', [0x40, 0x10])
+def test_a_request_that_is_never_accepted_is_refused_after_its_tries(session, request_, code):
+    call = session.call(request_, tries=3)
+    sent = 0
+    for _ in range(10):
+        asked = session.ask()
+        if asked == request_:
+            sent += 1
+            session.reply(invalid(code))
+        elif asked == bus.SYNC_REQUEST:
+            session.reply(SYNC_REPLY)
+        elif asked:
+            session.reply(bus.Reply(bus.ECHO, asked.data))
+    assert sent == 3
+    assert (call.outcome.status, call.outcome.error_code) == (bus.INVALID, code)
+    assert 'nothing was executed' in call.outcome.message
+
+
+@MOVING_OR_RAW
+@pytest.mark.parametrize('reply', [invalid(0x20), invalid(0x77), error(0x8000), error(0x8001),
+                                   error(0x8002)], ids=str)
+def test_a_refusal_is_told_with_its_code_and_nothing_goes_again(session, request_, reply):
+    call = session.call(request_)
+    session.ask()
+    session.reply(reply)
+    if reply.cmd1 == bus.INVALID:
+        session.find_step()     # nothing else came: it was for this request
+        assert session.ask() is None
+    assert call.outcome.status == reply.cmd1 and not call.outcome.success
+    assert call.outcome.error_code == reply.error_code
+    assert bus.describe_error(reply.error_code) in call.outcome.message
+    assert session.ask() is None and session.master.in_step
+
+
+def test_a_request_tried_in_vain_is_not_sent_after_a_timeout_either(session):
+    """INVALID 0x40, sent again, no reply: now the outcome is unknown."""
+    call = session.call(LIFT, tries=3)
+    session.ask()
+    session.reply(invalid(0x40))
+    session.find_step()
+    assert session.ask() == LIFT
+    session.later(MOTION_TIMEOUT)
+    assert call.outcome.status == TIMEOUT
+    session.find_step()
+    assert session.ask() is None
+
+
+# -- 5. out of step -------------------------------------------------------------------------------
+
+def test_after_a_timeout_nothing_goes_out_before_the_echo_is_back(session):
+    first, second = session.call(LIFT), session.call(GIMBAL)
+    session.ask()
+    session.later(MOTION_TIMEOUT - 1.0)
+    second_submitted_late = session.call(RAW)
+    session.later(1.0)
+    request = session.ask()
+    assert request.cmd1 == bus.ECHO and len(request.data) == 4
+    assert first.outcome.status == TIMEOUT
+    for late in (OK_REPLY, SYNC_REPLY, error(0x8002), AIR_REPLY, bus.Reply(bus.ECHO, b'none'),
+                 bus.Reply(bus.ECHO, request.data + b'x'), bus.Reply(bus.OK, request.data)):
+        session.reply(late)
+        assert session.ask() is None and not session.master.in_step
+    session.reply(bus.Reply(bus.ECHO, request.data))
+    assert session.master.in_step
+    assert session.ask() in (GIMBAL, RAW)
+    assert second_submitted_late.outcome is None or second.outcome is None
+
+
+def test_a_late_reply_is_never_taken_for_the_next_requests(session):
+    first = session.call(LIFT)
+    session.ask()
+    session.later(MOTION_TIMEOUT)
+    second = session.call(GIMBAL)
+    echo = session.ask()
+    session.reply(OK_REPLY, bus.Reply(bus.ECHO, echo.data))
+    assert session.ask() == GIMBAL
+    assert second.outcome is None and first.outcome.status == TIMEOUT
+    session.reply(error(0x8002))
+    assert second.outcome.status == bus.ERROR
+
+
+def test_every_nonce_is_fresh(session):
+    session.call(RAW)
+    session.ask()
+    session.later(REPLY_TIMEOUT)
+    asked = []
+    for _ in range(ECHO_TRIES):
+        request = session.ask()
+        assert request.cmd1 == bus.ECHO
+        asked.append(request.data)
+        session.later(REPLY_TIMEOUT)
+    assert len(set(asked)) == ECHO_TRIES
+
+
+def test_nonces_are_four_random_bytes_by_default(caplog):
+    machine = Master(REPLY_TIMEOUT, MOTION_TIMEOUT, SparingLog('bus', logging.getLogger('x')))
+    seen = set()
+    for _ in range(20):
+        machine.connected(0.0)
+        machine.next_request(0.0)
+        machine.received(Frame(b'', 0, 0, b'', SYNC_REPLY), 0.0)
+        machine.damaged(bad_frame(b'x', FRAMING, 'noise'), 0.0)
+        seen.add(machine.next_request(0.0).data)
+        machine.disconnected(0.0, '')
+    assert len(seen) == 20 and {len(nonce) for nonce in seen} == {4}
+
+
+def test_an_echo_of_an_earlier_nonce_is_dropped(session):
+    session.call(RAW)
+    session.ask()
+    session.later(REPLY_TIMEOUT)
+    first = session.ask()
+    session.later(REPLY_TIMEOUT)
+    second = session.ask()
+    session.reply(bus.Reply(bus.ECHO, first.data))
+    assert not session.master.in_step and session.ask() is None
+    session.reply(bus.Reply(bus.ECHO, second.data))
+    assert session.master.in_step
+
+
+@pytest.mark.parametrize('code', [0x40, 0x20])
+def test_an_echo_that_was_not_accepted_goes_again_with_a_fresh_nonce(session, code):
+    session.damage(FRAMING)
+    first = session.ask()
+    session.reply(invalid(code))
+    second = session.ask()
+    assert (first.cmd1, second.cmd1) == (bus.ECHO, bus.ECHO) and first != second
+    session.reply(bus.Reply(bus.ECHO, second.data))
+    assert session.master.in_step
+
+
+def test_an_echo_to_an_unsynchronised_board_is_followed_by_sync_and_an_echo(session):
+    session.damage(FRAMING)
+    session.ask()
+    session.reply(invalid(0x10))
+    assert session.ask() == bus.SYNC_REQUEST
+    session.reply(SYNC_REPLY)
+    session.find_step()
+
+
+@pytest.mark.parametrize('reply', [OK_REPLY, SYNC_REPLY, error(0x8000), invalid(0x40),
+                                   bus.Reply(bus.ECHO, b'x')], ids=str)
+def test_a_reply_that_nobody_asked_for_asks_for_an_echo(session, reply):
+    session.reply(reply)
+    assert not session.master.in_step and len(session.warnings('out of step')) == 1
+    session.call(LIFT)
+    session.find_step()
+    assert session.ask() == LIFT
+
+
+def test_a_doubled_reply_is_not_the_next_requests(session):
+    first, second = session.call(LIFT), session.call(GIMBAL)
+    session.ask()
+    session.reply(OK_REPLY, OK_REPLY)
+    assert first.outcome.success and second.outcome is None
+    session.find_step()
+    assert session.ask() == GIMBAL
+
+
+@MOVING_OR_RAW
+def test_a_damaged_reply_means_unknown_and_asks_for_an_echo(session, request_):
+    call, after = session.call(request_), session.call(AIR)
+    session.ask()
+    session.damage(CHECKSUM)
+    assert call.outcome.status == TIMEOUT and 'not known' in call.outcome.message
+    session.find_step()
+    assert session.ask() == AIR and after.outcome is None
+
+
+@REPEATABLE
+def test_a_damaged_reply_to_what_may_be_repeated_is_asked_for_again(session, request_, answer):
+    call = session.call(request_)
+    session.ask()
+    session.damage(CHECKSUM)
+    assert call.outcome is None
+    session.find_step()
+    assert session.ask() == request_
+    session.reply(answer)
+    assert call.outcome.success
+
+
+@MOVING_OR_RAW
+def test_noise_while_a_request_lasts_does_not_hide_the_reply_behind_it(session, request_):
+    call = session.call(request_)
+    session.ask()
+    session.damage(FRAMING)
+    assert call.outcome is None
+    session.reply(OK_REPLY)
+    assert call.outcome.success
+    session.call(RAW)
+    session.find_step()
+    assert session.ask() == RAW
+
+
+@pytest.mark.parametrize('request_, foreign', [
+    (LIFT, AIR_REPLY), (LIFT, SYNC_REPLY), (LIFT, bus.Reply(bus.ECHO, b'n000')),
+    (GIMBAL, bus.Reply(bus.OK, b'\0')), (AIR, OK_REPLY), (AIR, bus.Reply(bus.OK, bytes(7))),
+    (RAW, SYNC_REPLY), (RAW, bus.Reply(bus.ECHO, b'raw')), (RAW, bus.Reply(0x77)),
+    (bus.echo(b'mine'), bus.Reply(bus.ECHO, b'ours')), (bus.echo(b'mine'), OK_REPLY),
+    (bus.SYNC_REQUEST, OK_REPLY)], ids=str)
+def test_a_reply_that_cannot_be_this_requests_is_not_given_to_its_caller(session, request_,
+                                                                         foreign):
+    call = session.call(request_)
+    session.ask()
+    session.reply(foreign)
+    assert call.outcome is None and session.master.outstanding
+    assert not session.master.in_step
+
+
+def test_a_board_that_never_echoes_gets_a_sync_and_a_silence_with_one_warning(session):
+    for round_ in range(4):
+        session.call(RAW)
+        assert session.ask() == RAW
+        session.later(REPLY_TIMEOUT)
+        late = session.call(LIFT)
+        echoes = 0
+        while True:
+            asked = session.ask()
+            if asked.cmd1 != bus.ECHO:
+                break
+            echoes += 1
+            session.later(REPLY_TIMEOUT)
+        assert echoes == (ECHO_TRIES if round_ == 0 else 0)
+        assert asked == bus.SYNC_REQUEST
+        session.reply(SYNC_REPLY)
+        assert not session.master.in_step and session.ask() is None
+        session.later(REPLY_TIMEOUT - 0.01)
+        assert session.ask() is None, 'it is to be silent so long'
+        session.later(0.02)
+        assert session.master.in_step and session.ask() == LIFT
+        session.reply(OK_REPLY)
+        assert late.outcome.success
+    assert len(session.warnings('does not answer ECHO')) == 1
+
+
+@pytest.mark.parametrize('sound', [OK_REPLY, None], ids=('a reply', 'noise'))
+def test_what_comes_in_the_silence_is_dropped_and_the_silence_begins_again(session, sound):
+    session.call(RAW)
+    session.ask()
+    for _ in range(1 + ECHO_TRIES):
+        session.later(REPLY_TIMEOUT)
+        session.ask()
+    session.reply(SYNC_REPLY)
+    call = session.call(LIFT)
+    session.later(REPLY_TIMEOUT - 0.1)
+    if sound:
+        session.reply(sound)
+    else:
+        session.damage(FRAMING)
+    session.later(REPLY_TIMEOUT - 0.1)
+    assert session.ask() is None and not session.master.in_step and call.outcome is None
+    session.later(0.2)
+    assert session.ask() == LIFT
+
+
+def test_a_board_that_echoed_before_is_asked_for_an_echo_again(session):
+    """Three lost ECHOs are bad luck, not a board without ECHO."""
+    session.damage(FRAMING)
+    session.find_step()
+    session.damage(FRAMING)
+    for _ in range(ECHO_TRIES):
+        assert session.ask().cmd1 == bus.ECHO
+        session.later(REPLY_TIMEOUT)
+    assert session.ask() == bus.SYNC_REQUEST
+    session.reply(SYNC_REPLY)
+    session.later(REPLY_TIMEOUT)
+    assert session.master.in_step
+    session.damage(FRAMING)
+    session.find_step()
+
+
+def test_a_board_that_does_not_answer_the_sync_in_place_of_an_echo_is_unsynchronised(session):
+    session.call(RAW)
+    session.ask()
+    for _ in range(1 + ECHO_TRIES):
+        session.later(REPLY_TIMEOUT)
+        session.ask()
+    session.later(REPLY_TIMEOUT)
+    assert not session.master.synchronised
+    assert session.ask() == bus.SYNC_REQUEST
+
+
+def test_a_late_reply_to_an_earlier_sync_is_not_taken_for_a_callers(fresh):
+    """Two SYNCs went out, both answers come late: the second is nobody's."""
+    fresh.master.connected(fresh.now)
+    fresh.ask()
+    fresh.later(REPLY_TIMEOUT)
+    assert fresh.ask() == bus.SYNC_REQUEST
+    fresh.later(0.1)
+    fresh.reply(SYNC_REPLY)               # to the first
+    call = fresh.call(bus.SYNC_REQUEST)
+    asked = fresh.ask()
+    fresh.reply(SYNC_REPLY)               # to the second
+    assert call.outcome is None, 'the answer to an earlier SYNC was given to a caller'
+    assert asked.cmd1 == bus.ECHO, 'after a timeout the link is out of step'
+
+
+# -- INVALID in every state -----------------------------------------------------------------------
+
+@pytest.mark.parametrize('code', [0x40, 0x20, 0x10])
+def test_invalid_while_nothing_is_outstanding(session, code):
+    session.reply(invalid(code))
+    assert not session.master.in_step
+    session.find_step()
+
+
+@pytest.mark.parametrize('code', [0x40, 0x20, 0x10])
+def test_invalid_to_a_sync_asks_on(fresh, code):
+    fresh.master.connected(fresh.now)
+    fresh.ask()
+    fresh.reply(invalid(code))
+    fresh.later(REPLY_TIMEOUT)
+    assert fresh.ask() == bus.SYNC_REQUEST
+    fresh.reply(SYNC_REPLY)
+    assert fresh.master.synchronised
+
+
+@pytest.mark.parametrize('code', [0x40, 0x20, 0x10])
+def test_invalid_in_the_silence(session, code):
+    session.call(RAW)
+    session.ask()
+    for _ in range(1 + ECHO_TRIES):
+        session.later(REPLY_TIMEOUT)
+        session.ask()
+    session.reply(SYNC_REPLY)
+    session.reply(invalid(code))
+    assert session.ask() is None
+    session.later(REPLY_TIMEOUT)
+    assert session.master.in_step or session.ask() == bus.SYNC_REQUEST
+
+
+@REPEATABLE
+@pytest.mark.parametrize('code', [0x40, 0x10])
+def test_invalid_to_what_may_be_repeated(session, request_, answer, code):
+    call = session.call(request_)
+    assert session.ask() == request_
+    session.reply(invalid(code))
+    if code == 0x10:
+        assert session.ask() == bus.SYNC_REQUEST
+        session.reply(SYNC_REPLY)
+    assert session.ask() == request_
+    session.reply(answer)
+    assert call.outcome.success
+
+
+def test_a_board_that_answers_every_echo_with_invalid_is_served_in_the_end(session):
+    session.damage(FRAMING)
+    call = session.call(LIFT)
+    asked = []
+    for _ in range(10):
+        request = session.ask()
+        if request == LIFT:
+            break
+        if request is None:
+            session.later(REPLY_TIMEOUT)
+            continue
+        asked.append(request.cmd1)
+        session.reply(SYNC_REPLY if request.cmd1 == bus.SYNC else invalid(0x20))
+    assert asked == [bus.ECHO] * ECHO_TRIES + [bus.SYNC]
+    session.reply(OK_REPLY)
+    assert call.outcome.success
+
+
+# -- the port closes ------------------------------------------------------------------------------
+
+@MOVING_OR_RAW
+def test_a_call_that_was_outstanding_is_unknown_and_those_that_waited_are_not_sent(session,
+                                                                                   request_):
+    sent, waiting, poll = session.call(request_), session.call(LIFT), session.call(AIR, poll=True)
+    session.ask()
+    session.master.disconnected(session.now, 'unplugged')
+    assert sent.outcome.status == TIMEOUT and 'unplugged' in sent.outcome.message
+    assert waiting.outcome.status == poll.outcome.status == NOT_SENT
+    assert 'nothing was sent' in waiting.outcome.message
+
+
+@pytest.mark.parametrize('seen', [True, False], ids=('queued', 'in the inbox'))
+def test_nothing_of_before_is_sent_after_a_reconnect(session, seen):
+    session.call(LIFT)
+    session.ask()
+    session.call(GIMBAL)
+    if seen:
+        session.later(0.0)
+    session.master.disconnected(session.now, 'unplugged')
+    session.connect()
+    if not session.master.in_step:
+        session.find_step()
+    assert session.ask() is None
+
+
+def test_a_call_that_is_cut_off_leaves_the_link_out_of_step(session):
+    session.call(LIFT)
+    session.ask()
+    session.master.disconnected(session.now, 'unplugged')
+    session.connect()
+    call = session.call(GIMBAL)
+    session.find_step()          # its reply may still come
+    assert session.ask() == GIMBAL and call.outcome is None
+
+
+def test_a_call_submitted_in_the_instant_of_the_closing_is_refused_with_the_others(session):
+    """It waits in the inbox, where no tick has seen it."""
+    call = session.call(LIFT)
+    session.master.disconnected(session.now, 'unplugged')
+    assert call.outcome is not None and call.outcome.status == NOT_SENT
+
+
+def test_a_call_to_a_closed_port_does_not_wait_long(session):
+    session.master.disconnected(session.now, 'unplugged')
+    call = session.call(RAW)
+    session.later(0.0)
+    session.later(PATIENCE + 0.01)
+    assert call.outcome is not None, 'a port that is closed serves nobody'
+    assert call.outcome.status == NOT_SENT
+
+
+def test_a_request_that_did_not_leave_the_port_is_not_sent(session):
+    call = session.call(LIFT)
+    session.ask()
+    session.master.not_sent('the port takes no data')
+    assert call.outcome.status == NOT_SENT and 'takes no data' in call.outcome.message
+    assert not session.master.outstanding
+
+
+def test_a_repeated_request_that_did_not_leave_this_time_was_sent_before(session):
+    """What a caller is told is true: "nothing was sent" would not be."""
+    call = session.call(AIR)
+    session.ask()
+    session.later(REPLY_TIMEOUT)
+    session.find_step()
+    assert session.ask() == AIR
+    session.master.not_sent('the port takes no data')
+    assert call.outcome.status == TIMEOUT
+
+
+def test_a_repeated_request_that_waits_as_the_port_closes_was_sent_before(session):
+    call = session.call(AIR)
+    session.ask()
+    session.later(REPLY_TIMEOUT)
+    session.master.disconnected(session.now, 'unplugged')
+    assert call.outcome.status == TIMEOUT
+
+
+# -- waiting --------------------------------------------------------------------------------------
+
+def test_a_call_behind_a_motion_waits_for_it(session):
+    session.call(LIFT)
+    session.ask()
+    call = session.call(RAW)
+    session.later(MOTION_TIMEOUT - 0.1)
+    assert call.outcome is None
+    session.reply(OK_REPLY)
+    assert session.ask() == RAW
+
+
+def test_a_queued_call_expires_unsent(session):
+    session.call(LIFT)
+    session.ask()
+    session.later(1.0)
+    session.call(GIMBAL)
+    call = session.call(RAW)
+    session.reply(OK_REPLY)
+    assert session.ask() == GIMBAL
+    session.later(MOTION_TIMEOUT)
+    assert call.outcome.status == NOT_SENT and 'nothing was sent' in call.outcome.message
+    while True:
+        asked = session.ask()
+        assert asked != RAW
+        if asked is None:
+            break
+        session.reply(bus.Reply(bus.ECHO, asked.data))
+
+
+def test_a_call_to_a_board_that_never_synchronises_expires_soon(fresh):
+    fresh.master.connected(fresh.now)
+    fresh.ask()
+    call = fresh.call(LIFT)
+    fresh.later(0.0)
+    assert fresh.master.deadline() <= fresh.now + PATIENCE
+    fresh.later(REPLY_TIMEOUT)
+    fresh.ask()
+    fresh.later(PATIENCE)
+    assert call.outcome.status == NOT_SENT and 'SYNC' in call.outcome.message
+
+
+def test_a_call_to_a_board_gone_deaf_is_answered_within_its_timeout_and_a_second(session):
+    """While the link looks for its step it serves nobody, so nobody waits for their turn."""
+    session.call(RAW)
+    session.ask()
+    session.later(REPLY_TIMEOUT)
+    call, submitted = session.call(bus.Request(bus.FUNCTION, 0x31, b'second')), session.now
+    for _ in range(100):
+        session.ask()
+        session.later(0.05)
+        if call.outcome is not None:
+            break
+    assert call.outcome.status == NOT_SENT
+    assert session.now - submitted <= REPLY_TIMEOUT + 1.0 + 0.1
+
+
+@MOVING_OR_RAW
+def test_a_caller_that_has_given_up_is_never_sent(session, request_):
+    session.call(LIFT)
+    session.ask()
+    call = session.call(request_)
+    outcome = call.wait(0.0)
+    assert outcome.status == NOT_SENT
+    session.reply(OK_REPLY)
+    assert session.ask() is None and not session.master.wants_to_send()
+    assert call.outcome is outcome
+
+
+def test_a_caller_that_has_given_up_is_not_sent_again(session):
+    call = session.call(LIFT)
+    session.ask()
+    outcome = call.wait(0.0)
+    assert outcome.status == TIMEOUT and 'not known' in outcome.message
+    session.reply(invalid(0x40))
+    session.find_step()
+    assert session.ask() is None
+    assert call.outcome is outcome
+
+
+def test_the_first_outcome_stands():
+    call = Call(LIFT, 1.0, False, 1, 0.0)
+    first, second = (master_module.Outcome(status, '') for status in (NOT_SENT, bus.OK))
+    call.finish(first)
+    call.finish(second)
+    assert call.wait(0.0) is first
+    assert not call.claim()
+
+
+def test_the_deadline_is_that_of_the_request_or_of_a_waiting_call(session):
+    session.call(RAW)
+    session.ask()
+    session.call(LIFT)
+    session.master.tick(session.now)
+    assert session.master.deadline() == pytest.approx(session.now + REPLY_TIMEOUT)
+
+
+# -- conditions -----------------------------------------------------------------------------------
+
+def test_the_condition_says_what_is_amiss(fresh):
+    assert fresh.master.condition() == 'synchronising'
+    fresh.connect()
+    assert fresh.master.condition() == ''
+    fresh.damage(FRAMING)
+    assert fresh.master.condition() == 'out of step'
+    fresh.ask()
+    fresh.later(REPLY_TIMEOUT)
+    assert fresh.master.condition() == 'the board does not answer ECHO'
+    fresh.find_step()
+    assert fresh.master.condition() == ''
+
+
+def test_a_bad_line_is_reported_sparingly(session):
+    for _ in range(100):
+        session.damage(FRAMING)
+        session.find_step()
+    assert len(session.warnings('out of step')) == 1

@@ -1,0 +1,191 @@
+"""The link to the sensor board, over a real tty: what was lost, and when it fell silent."""
+import threading
+import time
+
+import pytest
+
+from boards import wait_for
+from serial_communication.links.link import ERROR, OK, WARN
+from serial_communication.links.mcu import McuLink
+from serial_communication.links.port import Port
+from serial_communication.protocols import mcu
+
+
+def status(seq, range_1=100):
+    return mcu.encode(mcu.SensorStatus(range_1 + seq, 200, 1.0, 2.0, 3.0), seq)
+
+
+ADC = mcu.AdcStatus((1, 2, 3, 4, 5, 6))
+
+
+class Watched:
+    """A link and what it told."""
+
+    def __init__(self, link_arguments):
+        self.got = []
+        self.silences = []
+        self.link = McuLink(on_status=lambda *told: self.got.append(told),
+                            on_silence=self._silent, **link_arguments)
+
+    def _silent(self, kinds, seq, age):
+        self.silences.append((set(kinds), seq, age))
+
+    def seqs(self):
+        return [seq for _, seq, _ in self.got]
+
+
+@pytest.fixture
+def watch(line, logger, running):
+    def start(timeout=20.0, **arguments):
+        watched = Watched(dict(port=Port(line.path), timeout=timeout, logger=logger, **arguments))
+        running(watched.link)
+        wait_for(lambda: watched.link.port.is_open)
+        return watched
+    return start
+
+
+def test_frames_are_passed_on_with_seq_and_stamp(line, watch):
+    watched = watch(clock=lambda: 'stamp')
+    line.write(status(7) + mcu.encode(ADC, 8))
+    wait_for(lambda: len(watched.got) == 2)
+    assert watched.got == [(mcu.SensorStatus(107, 200, 1.0, 2.0, 3.0), 7, 'stamp'),
+                           (ADC, 8, 'stamp')]
+    assert watched.link.frames_lost == 0 and not watched.link.silent
+    assert watched.link.report(time.monotonic())[:2] == (OK, 'open')
+
+
+@pytest.mark.parametrize('seqs, lost', [
+    ((1, 2, 3), 0), ((1, 3), 1), ((1, 11, 12), 9), ((254, 255, 0, 1), 0), ((250, 4), 9),
+    ((255, 1), 1), ((200, 0), 55), ((9,), 0)])
+def test_lost_frames_are_counted_over_the_modulo(line, watch, seqs, lost):
+    watched = watch()
+    line.write(b''.join(map(status, seqs)))
+    wait_for(lambda: len(watched.got) == len(seqs))
+    assert watched.seqs() == list(seqs) and watched.link.frames_lost == lost
+    assert dict(watched.link.own_values())['frames lost'] == lost
+
+
+def test_a_doubled_frame_is_passed_on_once(line, watch):
+    watched = watch()
+    line.write(status(1) + status(2) * 3 + status(3))
+    wait_for(lambda: 3 in watched.seqs())
+    assert watched.seqs() == [1, 2, 3]
+    assert (watched.link.duplicates, watched.link.frames_lost) == (2, 0)
+
+
+def test_a_damaged_frame_is_a_lost_one_and_is_not_passed_on(line, watch):
+    damaged = bytearray(status(2))
+    damaged[6] ^= 1
+    watched = watch()
+    line.write(status(1) + bytes(damaged) + status(3))
+    wait_for(lambda: len(watched.got) == 2)
+    assert watched.seqs() == [1, 3] and watched.link.frames_lost == 1
+    assert watched.link.decoder.errors['checksum'] == 1
+
+
+def test_a_frame_of_an_unknown_type_keeps_the_count_and_is_not_passed_on(line, watch):
+    watched = watch()
+    line.write(status(1) + mcu.encode_raw(0x77, 2, b'?') + status(3))
+    wait_for(lambda: len(watched.got) == 2)
+    assert watched.seqs() == [1, 3] and watched.link.frames_lost == 0
+    assert watched.link.decoder.errors['unknown type'] == 1
+
+
+def test_a_frame_behind_a_false_start_comes_after_frame_timeout(line, watch):
+    watched = watch(frame_timeout=0.1)
+    line.write(b'\x02\xc8\x63' + status(5))
+    wait_for(lambda: watched.got)
+    assert watched.seqs() == [5] and watched.link.decoder.errors['framing'] == 1
+
+
+def test_silence_is_told_once_a_second_with_a_growing_age(line, watch, lines):
+    watched = watch(timeout=0.2)
+    last = time.monotonic()
+    line.write(status(9) + mcu.encode(ADC, 10))
+    wait_for(lambda: len(watched.got) == 2)
+    wait_for(lambda: len(watched.silences) >= 3)
+    took = time.monotonic() - last
+    assert {(frozenset(kinds), seq) for kinds, seq, _ in watched.silences} == {
+        (frozenset((mcu.SensorStatus, mcu.AdcStatus)), 10)}
+    ages = [age for _, _, age in watched.silences]
+    assert 0.2 <= ages[0] < took and ages == sorted(ages) and ages[-1] <= took
+    assert ages[2] - ages[0] >= 1.9, 'once a second, not more often'
+    assert watched.link.silent and len(lines('no valid frame')) == 1
+    assert watched.link.report(time.monotonic()).level == WARN
+
+
+def test_frames_that_return_end_the_silence(line, watch):
+    watched = watch(timeout=0.15)
+    line.write(status(1))
+    wait_for(lambda: watched.silences)
+    line.write(status(2))
+    wait_for(lambda: len(watched.got) == 2)
+    assert not watched.link.silent
+    count = len(watched.silences)
+    wait_for(lambda: len(watched.silences) > count)
+    assert watched.silences[-1][1] == 2 and watched.silences[-1][2] < watched.silences[0][2] + 5
+
+
+def test_no_silence_is_told_while_frames_come(line, watch):
+    watched = watch(timeout=1.0)
+    begun, seq = time.monotonic(), 0
+    while time.monotonic() < begun + 1.3:
+        line.write(status(seq % 256))
+        seq += 1
+        time.sleep(0.02)
+    wait_for(lambda: len(watched.got) == seq)
+    assert watched.silences == [] and watched.link.frames_lost == 0
+
+
+def test_noise_does_not_count_as_life(line, watch):
+    watched = watch(timeout=0.2)
+    deadline = time.monotonic() + 5
+    while not watched.silences and time.monotonic() < deadline:
+        line.write(b'\x02\x0c\x10 noise \x03')
+        time.sleep(0.01)
+    assert watched.silences and watched.got == []
+
+
+def test_a_board_that_never_spoke_is_silent_from_the_start(line, watch):
+    watched = watch(timeout=0.1)
+    wait_for(lambda: watched.silences)
+    assert watched.silences[0][0] == set()
+    assert watched.link.condition(time.monotonic()) == (WARN, 'open, the board is silent')
+
+
+def test_silence_is_told_while_the_port_is_away_and_ends_with_its_return(line, watch):
+    watched = watch(timeout=0.1)
+    line.write(status(200))
+    wait_for(lambda: watched.got)
+    line.unplug()
+    wait_for(lambda: len(watched.silences) >= 2)
+    assert watched.silences[-1][1] == 200
+    assert watched.link.report(time.monotonic()).level == ERROR
+    line.plug()
+    wait_for(lambda: watched.link.port.is_open)
+    line.write(status(3))
+    wait_for(lambda: len(watched.got) == 2)
+    assert watched.link.frames_lost == 0, 'what a port away lost is not counted'
+    assert watched.link.reconnects == 1
+
+
+def test_a_half_frame_of_before_is_forgotten_at_the_reconnect(line, watch):
+    watched = watch(frame_timeout=20.0)
+    line.write(status(1)[:9])
+    wait_for(lambda: watched.link.decoder.pending)
+    line.unplug()
+    wait_for(lambda: not watched.link.port.is_open)
+    line.plug()
+    wait_for(lambda: watched.link.port.is_open)
+    line.write(status(2))
+    wait_for(lambda: watched.got)
+    assert watched.seqs() == [2] and not any(watched.link.decoder.errors.values())
+
+
+def test_a_link_that_is_stopped_tells_nothing_more(line, watch):
+    watched = watch(timeout=0.1)
+    watched.link.stop()
+    watched.link.join()
+    told = len(watched.silences)
+    threading.Event().wait(0.3)
+    assert len(watched.silences) == told and not watched.link.port.is_open
