@@ -1,0 +1,59 @@
+// See sht3x.h.
+
+#include "sht3x.h"
+
+#include <Wire.h>
+
+namespace {
+
+const uint8_t kAddress = 0x44;
+const uint8_t kSingleShot[2] = {0x24, 0x00};  // high repeatability, no clock stretching
+const uint32_t kMeasuringMs = 20;
+const uint32_t kPeriodMs = 250;
+const uint32_t kValidMs = 2000;
+
+// A word and its CRC (polynomial 0x31, from 0xFF): over all three bytes the CRC is 0.
+bool read_word(uint16_t* word) {
+  *word = 0;
+  uint8_t crc = 0xFF;
+  for (uint8_t i = 0; i < 3; ++i) {
+    const uint8_t byte = Wire.read();
+    if (i < 2) *word = *word << 8 | byte;
+    crc ^= byte;
+    for (uint8_t bit = 0; bit < 8; ++bit) crc = crc & 0x80 ? crc << 1 ^ 0x31 : crc << 1;
+  }
+  return crc == 0;
+}
+
+}  // namespace
+
+void Sht3x::poll(uint32_t now_ms) {
+  const uint32_t since = now_ms - started_ms_;
+  if (measuring_ && since >= kMeasuringMs) {
+    measuring_ = false;
+    if (fetch()) {
+      measured_ = true;
+      measured_ms_ = now_ms;
+    }
+  } else if (!measuring_ && since >= kPeriodMs) {
+    started_ms_ = now_ms;
+    measuring_ = start();
+  }
+}
+
+bool Sht3x::valid(uint32_t now_ms) const { return measured_ && now_ms - measured_ms_ < kValidMs; }
+
+bool Sht3x::start() {
+  Wire.beginTransmission(kAddress);
+  Wire.write(kSingleShot, sizeof kSingleShot);
+  return Wire.endTransmission() == 0;
+}
+
+bool Sht3x::fetch() {
+  uint16_t temperature, humidity;
+  if (Wire.requestFrom(kAddress, uint8_t(6)) != 6) return false;
+  if (!read_word(&temperature) || !read_word(&humidity)) return false;
+  temperature_ = int16_t((int32_t(temperature) * 17500 + 32767) / 65535 - 4500);
+  humidity_ = uint16_t((uint32_t(humidity) * 10000 + 32767) / 65535);
+  return true;
+}

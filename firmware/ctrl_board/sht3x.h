@@ -1,0 +1,31 @@
+// An SHT3x, measured again and again without waiting for it.
+
+#ifndef CTRL_BOARD_SHT3X_H
+#define CTRL_BOARD_SHT3X_H
+
+#include <stdint.h>
+
+class Sht3x {
+ public:
+  // To be called often.
+  void poll(uint32_t now_ms);
+
+  // Whether there is a reading of the last two seconds.
+  bool valid(uint32_t now_ms) const;
+
+  int16_t temperature() const { return temperature_; }  // 0.01 degree Celsius
+  uint16_t humidity() const { return humidity_; }       // 0.01 %
+
+ private:
+  bool start();
+  bool fetch();
+
+  bool measuring_ = false;
+  bool measured_ = false;
+  uint32_t started_ms_ = 0;
+  uint32_t measured_ms_ = 0;
+  int16_t temperature_ = 0;
+  uint16_t humidity_ = 0;
+};
+
+#endif

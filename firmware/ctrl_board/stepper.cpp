@@ -1,0 +1,93 @@
+// See stepper.h.
+
+#include "stepper.h"
+
+#include <Arduino.h>
+#include <avr/interrupt.h>
+#include <util/atomic.h>
+
+namespace {
+
+// While a move lasts Timer2 interrupts at this rate; a step comes when the phase overflows.
+const uint32_t kTickHz = 16000;
+const uint8_t kTimer2Top = F_CPU / 8 / kTickHz - 1;
+
+constexpr uint16_t phase_per_tick(uint16_t steps_per_second) {
+  return uint16_t(uint32_t(steps_per_second) * 65536 / kTickHz);
+}
+
+// From standstill a stepper takes this rate at once; beyond it, 1 a tick more, which is 3900 steps/s².
+const uint16_t kStartVelocity = phase_per_tick(300);
+
+volatile uint8_t* step_port;
+uint8_t step_mask;
+volatile uint8_t* switch_port;
+uint8_t switch_mask;
+
+volatile uint32_t steps_left = 0;
+volatile uint32_t steps_missed = 0;
+uint32_t ramp_steps;  // taken while speeding up: as many are needed to slow down
+uint16_t velocity;
+uint16_t top_velocity;
+uint16_t phase;
+
+void stop() {
+  TIMSK2 = 0;
+  steps_missed = steps_left;
+  steps_left = 0;
+}
+
+}  // namespace
+
+ISR(TIMER2_COMPA_vect) {
+  *step_port &= ~step_mask;  // a step's pulse lasts one tick
+  if (steps_left == 0 || (switch_mask != 0 && !(*switch_port & switch_mask))) {
+    stop();
+    return;
+  }
+  const bool slowing = steps_left <= ramp_steps;
+  if (slowing) {
+    if (velocity > kStartVelocity) --velocity;
+  } else if (velocity < top_velocity) {
+    ++velocity;
+  }
+  const uint16_t before = phase;
+  phase += velocity;
+  if (phase < before) {
+    *step_port |= step_mask;
+    --steps_left;
+    if (!slowing && velocity < top_velocity) ++ramp_steps;
+  }
+}
+
+void stepper_begin() {
+  TCCR2A = _BV(WGM21);  // clear on compare
+  TCCR2B = _BV(CS21);   // clock / 8
+  OCR2A = kTimer2Top;
+}
+
+void stepper_start(const StepperAxis& axis, bool positive, uint32_t steps, EndSwitchPin end_switch) {
+  digitalWrite(axis.direction_pin, positive);
+  step_port = portOutputRegister(digitalPinToPort(axis.step_pin));
+  step_mask = digitalPinToBitMask(axis.step_pin);
+  switch_port = portInputRegister(digitalPinToPort(end_switch));
+  switch_mask = end_switch == 0 ? 0 : digitalPinToBitMask(end_switch);
+  ramp_steps = 0;
+  phase = 0;
+  velocity = kStartVelocity;
+  top_velocity = phase_per_tick(axis.steps_per_second);
+  ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+    steps_missed = 0;
+    steps_left = steps;
+    TCNT2 = 0;
+    TIFR2 = _BV(OCF2A);
+    TIMSK2 = _BV(OCIE2A);
+  }
+}
+
+bool stepper_running() { return TIMSK2 != 0; }
+
+uint32_t stepper_steps_missed() {
+  ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { return steps_missed; }
+  return 0;
+}

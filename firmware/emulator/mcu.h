@@ -1,0 +1,118 @@
+// The emulated ATmega328P: libsimavr behind a small interface, with a UART that takes its time.
+
+#ifndef EMULATOR_MCU_H
+#define EMULATOR_MCU_H
+
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <map>
+#include <string>
+#include <utility>
+#include <vector>
+
+struct avr_t;
+struct avr_uart_t;
+struct avr_irq_t;
+
+// A device on the I2C bus.
+class I2cDevice {
+ public:
+  virtual ~I2cDevice() {}
+  // Addressed, to be read or written; false leaves the address without an acknowledge.
+  virtual bool start(bool read) = 0;
+  virtual void write(uint8_t byte) = 0;
+  virtual uint8_t read() = 0;
+  virtual void power_on() = 0;
+};
+
+class Mcu {
+ public:
+  // Throws std::runtime_error when the ELF cannot be loaded.
+  Mcu(const std::string& elf, unsigned baud);
+  ~Mcu();
+  Mcu(const Mcu&) = delete;
+
+  uint64_t cycles() const;
+  uint64_t frequency() const;
+  double seconds() const { return double(cycles()) / frequency(); }
+
+  // Runs to this cycle, or a few beyond it. False when the program has crashed or stopped.
+  bool run_until(uint64_t cycle);
+
+  void reset();
+  // As reset(), but the RAM holds noise and the I2C devices start anew. The EEPROM stays.
+  void power_cycle();
+
+  // Bytes on their way to the board: they arrive one by one at wire speed.
+  void uart_receive(const uint8_t* bytes, size_t size);
+  size_t uart_backlog() const { return uart_in_.size(); }
+  // Takes the bytes whose stop bit the board has sent by now.
+  std::string uart_take_sent();
+  // Emulated seconds at which the last byte had arrived.
+  double uart_last_received() const { return uart_last_received_; }
+  uint64_t uart_received() const { return uart_received_; }
+  uint64_t uart_overruns() const { return uart_overruns_; }
+
+  void attach_i2c(uint8_t address, I2cDevice* device) { i2c_devices_[address] = device; }
+
+  // Answers what voltage is on an ADC channel.
+  std::function<double(int channel)> adc_volts;
+  // Called after each reset, when all outputs have changed without being written.
+  std::function<void()> after_reset;
+
+  uint32_t program_counter() const;
+  uint8_t data(uint16_t address) const;
+  void on_write(uint16_t address, std::function<void()> callback);
+  void on_output_pin(char port, int bit, std::function<void(bool level)> callback);
+  bool output_pin(char port, int bit) const;
+  void drive_pin(char port, int bit, bool level);
+  // Calls back every `cycles`, across resets.
+  void every(uint64_t cycles, std::function<void()> callback);
+
+  std::vector<uint8_t> eeprom() const;
+  void set_eeprom(const std::vector<uint8_t>& content);
+
+ private:
+  struct Hook {
+    uint64_t period;  // cycles; 0: not a timer
+    std::function<void()> on_event;
+    std::function<void(bool)> on_level;
+  };
+
+  struct DrivenPins {
+    uint8_t mask = 0;
+    uint8_t levels = 0;
+  };
+
+  void apply_driven_pins(char port, const DrivenPins& pins);
+  void start_timers();
+  void start_timer(Hook& hook);
+  void i2c_message(uint32_t value);
+  void adc_trigger(uint32_t value);
+  uint64_t feed_uart(uint64_t when);
+  void uart_output(uint8_t byte);
+
+  avr_t* avr_;
+  avr_uart_t* uart_;
+  avr_irq_t* uart_input_;
+  avr_irq_t* i2c_input_;
+  avr_irq_t* adc_;
+  std::map<char, DrivenPins> driven_pins_;  // by port
+  std::deque<Hook> hooks_;  // a deque keeps their addresses
+
+  double cycles_per_wire_byte_;
+  std::deque<uint8_t> uart_in_;
+  double uart_line_free_ = 0;  // cycle at which the next byte from the wire may start
+  bool uart_feeding_ = false;
+  std::deque<std::pair<uint64_t, uint8_t>> uart_out_;
+  uint64_t uart_out_free_ = 0;
+  double uart_last_received_ = 0;
+  uint64_t uart_received_ = 0;
+  uint64_t uart_overruns_ = 0;
+
+  std::map<uint8_t, I2cDevice*> i2c_devices_;
+  I2cDevice* i2c_selected_ = nullptr;
+};
+
+#endif

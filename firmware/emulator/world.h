@@ -1,0 +1,64 @@
+// What surrounds an emulated board: named values that a control client reads and sets, and their history.
+
+#ifndef EMULATOR_WORLD_H
+#define EMULATOR_WORLD_H
+
+#include <deque>
+#include <functional>
+#include <map>
+#include <memory>
+#include <string>
+#include <utility>
+
+#include "mcu.h"
+
+class Values {
+ public:
+  // Emulated seconds, for the history.
+  std::function<double()> clock;
+
+  // A number that is only read.
+  void reading(const std::string& name, std::function<double()> get);
+  // A number that a client may set.
+  void variable(const std::string& name, double* storage);
+  void variable(const std::string& name, std::function<double()> get, std::function<void(double)> set);
+  // An output of the board: every change is kept with its time.
+  void record(const std::string& name, double value);
+
+  bool has(const std::string& name) const;
+  double get(const std::string& name) const;
+  // False when the name is not one that can be set.
+  bool set(const std::string& name, double value);
+  // "time value time value …", oldest first; empty for a name that is no recorded output.
+  std::string history(const std::string& name) const;
+  std::string names() const;
+
+ private:
+  struct Entry {
+    std::function<double()> get;
+    std::function<void(double)> set;
+  };
+  std::map<std::string, Entry> entries_;
+  std::map<std::string, std::deque<std::pair<double, double>>> histories_;
+};
+
+class World {
+ public:
+  virtual ~World() {}
+
+  Values values;
+
+ protected:
+  // A step of the world, in emulated time: fine enough for an encoder edge.
+  static constexpr double kStep = 250e-6;
+};
+
+// `still`: nothing moves but what the board moves and what a client sets.
+std::unique_ptr<World> make_car_world(Mcu& mcu, bool still);
+std::unique_ptr<World> make_ctrl_world(Mcu& mcu, bool still);
+std::unique_ptr<World> make_range_world(Mcu& mcu, bool still);
+
+// A demo's gentle up and down between two values.
+double wave(double seconds, double period, double low, double high);
+
+#endif

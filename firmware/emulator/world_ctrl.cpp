@@ -1,0 +1,153 @@
+// The control board's surroundings: a lift with end switches and a two-axis gimbal, all on step and
+// direction pins, a smoke sensor, and an SHT3x.
+
+#include <cmath>
+
+#include "world.h"
+
+namespace {
+
+// One stepper: counts the steps that its driver is given.
+class Axis {
+ public:
+  Axis(Mcu& mcu, Values& values, const std::string& name, double steps_per_unit, double start, char step_port,
+       int step_bit, char direction_port, int direction_bit)
+      : mcu_(mcu), steps_per_unit_(steps_per_unit), start_(start) {
+    mcu.on_output_pin(step_port, step_bit, [=](bool level) {
+      if (level && !level_) step(mcu_.output_pin(direction_port, direction_bit));
+      level_ = level;
+    });
+    values.reading(name + "_position", [this] { return position(); });
+    values.reading(name + "_steps", [this] { return double(steps_); });
+    values.reading(name + "_moves", [this] { return double(moves_); });
+    values.reading(name + "_last_step", [this] { return last_step_; });
+  }
+
+  double position() const { return start_ + steps_ / steps_per_unit_; }
+
+ private:
+  // A pause this long, or a turn back, makes the next step the first of another move.
+  static constexpr double kPause = 0.02;
+
+  void step(bool positive) {
+    const double now = mcu_.seconds();
+    if (moves_ == 0 || now - last_step_ > kPause || positive != positive_) ++moves_;
+    last_step_ = now;
+    positive_ = positive;
+    steps_ += positive ? 1 : -1;
+  }
+
+  Mcu& mcu_;
+  double steps_per_unit_;
+  double start_;
+  long steps_ = 0;
+  unsigned moves_ = 0;
+  double last_step_ = 0;
+  bool positive_ = false;
+  bool level_ = false;
+};
+
+// Single-shot measurements without clock stretching: two command bytes, 15 ms, six bytes with CRCs.
+class Sht3x : public I2cDevice {
+ public:
+  explicit Sht3x(Mcu& mcu) : mcu_(mcu) {}
+
+  bool start(bool read) override {
+    if (!present) return false;
+    count_ = 0;
+    if (!read) return true;
+    if (mcu_.seconds() < ready_at_) return false;  // still measuring: the address is not acknowledged
+    put(0, (temperature + 45) / 175 * 65535);
+    put(3, humidity / 100 * 65535);
+    ready_at_ = INFINITY;
+    return true;
+  }
+
+  void write(uint8_t byte) override {
+    command_ = uint16_t(command_ << 8 | byte);
+    if (++count_ == 2 && (command_ >> 8) == 0x24) ready_at_ = mcu_.seconds() + 0.015;
+  }
+
+  uint8_t read() override { return count_ < 6 ? result_[count_++] : 0xFF; }
+  void power_on() override { ready_at_ = INFINITY; }
+
+  double present = 1;
+  double temperature = 22.5;  // degrees Celsius
+  double humidity = 45;       // %
+
+ private:
+  void put(int at, double value) {
+    const uint16_t raw = uint16_t(std::lround(std::fmax(0, std::fmin(65535, value))));
+    result_[at] = uint8_t(raw >> 8);
+    result_[at + 1] = uint8_t(raw);
+    uint8_t crc = 0xFF;
+    for (int i = 0; i < 2; ++i) {
+      crc ^= result_[at + i];
+      for (int bit = 0; bit < 8; ++bit) crc = uint8_t(crc & 0x80 ? crc << 1 ^ 0x31 : crc << 1);
+    }
+    result_[at + 2] = crc;
+  }
+
+  Mcu& mcu_;
+  uint16_t command_ = 0;
+  int count_ = 0;
+  double ready_at_ = INFINITY;
+  uint8_t result_[6] = {0, 0, 0, 0, 0, 0};
+};
+
+class CtrlWorld : public World {
+ public:
+  CtrlWorld(Mcu& mcu, bool still)
+      : mcu_(mcu),
+        lift_(mcu, values, "lift", 25, 300, 'D', 3, 'D', 4),
+        pan_(mcu, values, "pan", 10, 0, 'D', 5, 'D', 6),
+        tilt_(mcu, values, "tilt", 10, 0, 'D', 7, 'B', 0),
+        sht3x_(mcu) {
+    values.clock = [this] { return mcu_.seconds(); };
+    mcu.attach_i2c(0x44, &sht3x_);
+    mcu.adc_volts = [this](int channel) { return channel == 0 ? (smoke_ + 0.5) * 5 / 1024 : 0; };
+    mcu.every(uint64_t(kStep * mcu.frequency()), [this, still] { step(still); });
+    drive_switches();
+    values.variable("smoke", &smoke_);
+    values.variable("temperature", &sht3x_.temperature);
+    values.variable("humidity", &sht3x_.humidity);
+    values.variable("sht3x_present", &sht3x_.present);
+    values.variable("lift_bottom", &lift_bottom_);
+    values.variable("lift_top", &lift_top_);
+  }
+
+ private:
+  void step(bool still) {
+    const bool top = lift_.position() >= lift_top_;
+    const bool bottom = lift_.position() <= lift_bottom_;
+    if (top != at_top_ || bottom != at_bottom_) drive_switches();
+    if (still) return;
+    const double now = mcu_.seconds();
+    smoke_ = wave(now, 20, 90, 160);
+    sht3x_.temperature = wave(now, 60, 21, 24);
+    sht3x_.humidity = wave(now, 45, 40, 50);
+  }
+
+  // The end switches close to ground.
+  void drive_switches() {
+    at_top_ = lift_.position() >= lift_top_;
+    at_bottom_ = lift_.position() <= lift_bottom_;
+    mcu_.drive_pin('B', 1, !at_top_);
+    mcu_.drive_pin('B', 2, !at_bottom_);
+  }
+
+  Mcu& mcu_;
+  Axis lift_, pan_, tilt_;
+  Sht3x sht3x_;
+  double smoke_ = 120;       // raw ADC
+  double lift_bottom_ = 0;   // mm
+  double lift_top_ = 600;    // mm
+  bool at_top_ = false;
+  bool at_bottom_ = false;
+};
+
+}  // namespace
+
+std::unique_ptr<World> make_ctrl_world(Mcu& mcu, bool still) {
+  return std::unique_ptr<World>(new CtrlWorld(mcu, still));
+}

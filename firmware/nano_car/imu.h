@@ -1,0 +1,58 @@
+// The MPU6050: orientation by a Mahony filter on the chip, and the calibration kept in EEPROM.
+
+#ifndef NANO_CAR_IMU_H
+#define NANO_CAR_IMU_H
+
+#include <arduino_packets.h>
+#include <stdint.h>
+
+class Imu {
+ public:
+  enum Calibration : uint8_t { None, Running, Done, Moved, Failed };
+
+  // Wakes the sensor and reads the stored calibration; false when the sensor does not answer.
+  bool begin();
+
+  bool calibrated() const { return calibrated_; }
+
+  // Reads the sensor once and turns the orientation by `seconds` of the rate. False: no answer.
+  bool update(float seconds, serial_communication::ImuData* out);
+
+  // The car must stand level and still until calibrate() has returned Done or Moved.
+  void start_calibration();
+
+  // To be called every 10 ms while the calibration runs; reads the sensor once.
+  Calibration calibrate();
+
+ private:
+  struct Sample {
+    int16_t acceleration[3];
+    int16_t temperature;
+    int16_t rate[3];
+  };
+
+  struct Offsets {
+    float acceleration[3];
+    float rate[3];
+  };
+
+  bool read(Sample* sample);
+  void load();
+  void store() const;
+  void align(const float acceleration[3]);
+  void rotate(const float acceleration[3], const float rate[3], float seconds);
+
+  Offsets offsets_;
+  bool calibrated_;
+  bool aligned_;
+  float q_[4];
+
+  // Sums of a running calibration.
+  uint16_t samples_;
+  int32_t sum_acceleration_[3];
+  int32_t sum_rate_[3];
+  int16_t rate_min_[3];
+  int16_t rate_max_[3];
+};
+
+#endif

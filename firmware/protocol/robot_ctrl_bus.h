@@ -1,0 +1,282 @@
+// The Slave of robot-ctrl-bus: the control board's end of a strict one-request-one-reply link.
+//
+//   request:  | Flag | Datelen | CMD1 | CMD2 | DATE … | Checksum |
+//   reply:    | Flag | Datelen | CMD1 | DATE …        | Checksum |
+//
+// Flag 0xA5: Datelen is one byte, below 255. Flag 0x5A: Datelen is a uint16, little-endian.
+// Datelen counts the DATE bytes. Checksum is the XOR of every byte before it.
+//
+// Rules that keep the Master's view true:
+// - One reply a request. While a motion lasts nothing more is taken in (ready() is false, the bytes
+//   wait in the caller's UART buffer), so a later request is answered after it, in order: an ECHO
+//   that comes back proves that everything asked before has ended.
+// - A failed check gives up one byte, not a frame: a frame that begins inside a false start is found.
+//   INVALID goes out only when nothing of the damaged bytes can still become a frame and the line has been
+//   silent for a moment; a valid frame in the same burst of bytes takes its place. Otherwise the Master
+//   would be told "not executed" about a lift that is executed a moment later, and send it again.
+// - A frame cut short is given up in silence after the frame timeout; the Master's own timeout follows.
+
+#ifndef SERIAL_COMMUNICATION_ROBOT_CTRL_BUS_H
+#define SERIAL_COMMUNICATION_ROBOT_CTRL_BUS_H
+
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+namespace serial_communication {
+
+const uint8_t kFlagStandard = 0xA5;
+const uint8_t kFlagLong = 0x5A;
+
+// An INVALID is owed until the line has been silent for this long.
+const uint8_t kInvalidSilenceMs = 5;
+
+// CMD1 of requests
+const uint8_t kCmdSync = 0x00;
+const uint8_t kCmdEcho = 0x01;
+const uint8_t kCmdFunction = 0x55;
+// CMD1 of replies; SYNC and ECHO are answered under their own number
+const uint8_t kReplyOk = 0x02;
+const uint8_t kReplyError = 0x03;
+const uint8_t kReplyInvalid = 0xFF;
+// CMD2
+const uint8_t kFunctionLift = 0x20;
+const uint8_t kFunctionGimbal = 0x21;
+const uint8_t kFunctionEnvironment = 0x22;
+// INVALID: the frame was not accepted
+const uint8_t kInvalidChecksum = 0x40;
+const uint8_t kInvalidTooLong = 0x20;
+const uint8_t kInvalidNotSynchronised = 0x10;
+// ERROR: understood, and failed
+const uint16_t kErrorUnsupported = 0x8000;
+const uint16_t kErrorMalformed = 0x8001;
+const uint16_t kErrorOperation = 0x8002;
+
+// What a function came to. OK carries `size` bytes of `data`, Error its `error`.
+struct BusResult {
+  enum Outcome : uint8_t { Ok, Error, Pending };
+
+  Outcome outcome;
+  uint16_t error;
+  uint8_t data[16];
+  uint8_t size;
+
+  static BusResult ok() { return BusResult{Ok, 0, {0}, 0}; }
+  static BusResult failed(uint16_t error) { return BusResult{Error, error, {0}, 0}; }
+  static BusResult pending() { return BusResult{Pending, 0, {0}, 0}; }
+
+  void append_uint16(uint16_t value) {
+    data[size++] = static_cast<uint8_t>(value);
+    data[size++] = static_cast<uint8_t>(value >> 8);
+  }
+};
+
+// What the board does with requests of CMD1 0x55. Neither call may wait.
+class BusHandler {
+ public:
+  // Starts function `cmd2`. Pending: it takes time, and poll() tells when it has ended.
+  virtual BusResult request(uint8_t cmd2, const uint8_t* data, uint16_t size) = 0;
+  // Called by the Slave's poll() while a function is pending.
+  virtual BusResult poll() = 0;
+
+ protected:
+  ~BusHandler() {}
+};
+
+// `Sink` is any callable (const uint8_t* bytes, size_t size); a reply is several calls.
+// `MaxData` bounds the DATE of a request: the whole of the Slave's memory.
+template <class Sink, uint16_t MaxData = 255>
+class RobotCtrlBusSlave {
+ public:
+  struct Counters {
+    uint16_t requests;
+    uint16_t checksum_errors;
+    uint16_t too_long;
+    uint16_t garbage_bytes;
+    uint16_t timeouts;
+  };
+
+  RobotCtrlBusSlave(Sink sink, BusHandler& handler, uint32_t frame_timeout_ms = 50)
+      : counters(), sink_(sink), handler_(handler), frame_timeout_ms_(frame_timeout_ms) {}
+
+  // Whether feed() may be called: false while a function takes its time.
+  bool ready() const { return !pending_; }
+
+  bool synchronised() const { return synchronised_; }
+
+  void feed(uint8_t byte, uint32_t now_ms) {
+    poll(now_ms);
+    if (pending_) return;
+    last_byte_ms_ = now_ms;
+    buffer_[size_++] = byte;
+    scan();
+  }
+
+  // To be called often: ends a pending function, and gives up frames cut short.
+  void poll(uint32_t now_ms) {
+    if (pending_) {
+      const BusResult result = handler_.poll();
+      if (result.outcome == BusResult::Pending) return;
+      pending_ = false;
+      reply(result);
+      scan();
+    }
+    const uint32_t silence = now_ms - last_byte_ms_;
+    while (size_ > 0 && !pending_ && silence >= frame_timeout_ms_) {
+      ++counters.timeouts;
+      drop(1);
+      scan();
+    }
+    if (invalid_ != 0 && size_ == 0 && !pending_ && silence >= kInvalidSilenceMs) {
+      reply_invalid(invalid_);
+      invalid_ = 0;
+    }
+  }
+
+  Counters counters;
+
+ private:
+  static const uint16_t kBufferSize = MaxData + 6;  // a long frame's five bytes of header, and the checksum
+  enum class Check : uint8_t { Incomplete, Complete, ChecksumError, TooLong, NoFrame };
+
+  // Handles every frame in the buffer; leaves at most the beginning of one.
+  void scan() {
+    while (size_ > 0 && !pending_) {
+      if (buffer_[0] != kFlagStandard && buffer_[0] != kFlagLong) {
+        drop_to_flag();
+        continue;
+      }
+      switch (check()) {
+        case Check::Incomplete:
+          return;
+        case Check::Complete:
+          invalid_ = 0;
+          ++counters.requests;
+          execute();
+          drop(frame_size_);
+          break;
+        case Check::ChecksumError:
+          ++counters.checksum_errors;
+          note_invalid(kInvalidChecksum);
+          drop(1);
+          break;
+        case Check::TooLong:
+          ++counters.too_long;
+          note_invalid(kInvalidTooLong);
+          drop(1);
+          break;
+        case Check::NoFrame:
+          ++counters.garbage_bytes;
+          drop(1);
+          break;
+      }
+    }
+  }
+
+  Check check() {
+    const bool is_long = buffer_[0] == kFlagLong;
+    header_size_ = is_long ? 5 : 4;
+    if (size_ < header_size_ - 2) return Check::Incomplete;
+    data_size_ = buffer_[1];
+    if (is_long) data_size_ |= static_cast<uint16_t>(buffer_[2]) << 8;
+    if (is_long ? data_size_ < 255 : data_size_ == 255) return Check::NoFrame;
+    if (data_size_ > MaxData) return Check::TooLong;
+    if (size_ < header_size_ + 1) return Check::Incomplete;
+    // The environment request is documented with Datelen 2 and yet without DATE.
+    if (!is_long && data_size_ == 2 && buffer_[2] == kCmdFunction && buffer_[3] == kFunctionEnvironment &&
+        checksum_fits(4)) {
+      data_size_ = 0;
+      frame_size_ = 5;
+      return Check::Complete;
+    }
+    frame_size_ = header_size_ + data_size_ + 1;
+    if (size_ < frame_size_) return Check::Incomplete;
+    return checksum_fits(frame_size_ - 1) ? Check::Complete : Check::ChecksumError;
+  }
+
+  bool checksum_fits(uint16_t at) const {
+    uint8_t checksum = 0;
+    for (uint16_t i = 0; i < at; ++i) checksum ^= buffer_[i];
+    return checksum == buffer_[at];
+  }
+
+  void execute() {
+    const uint8_t cmd1 = buffer_[header_size_ - 2];
+    const uint8_t cmd2 = buffer_[header_size_ - 1];
+    const uint8_t* data = buffer_ + header_size_;
+    if (cmd1 == kCmdSync) {
+      synchronised_ = true;
+      send(kCmdSync, 0, 0);
+    } else if (!synchronised_) {
+      reply_invalid(kInvalidNotSynchronised);
+    } else if (cmd1 == kCmdEcho) {
+      send(kCmdEcho, data, data_size_);
+    } else if (cmd1 == kCmdFunction) {
+      reply(handler_.request(cmd2, data, data_size_));
+    } else {
+      reply(BusResult::failed(kErrorUnsupported));
+    }
+  }
+
+  void reply(const BusResult& result) {
+    if (result.outcome == BusResult::Ok) {
+      send(kReplyOk, result.data, result.size);
+    } else if (result.outcome == BusResult::Error) {
+      const uint8_t data[2] = {static_cast<uint8_t>(result.error), static_cast<uint8_t>(result.error >> 8)};
+      send(kReplyError, data, 2);
+    } else {
+      pending_ = true;
+    }
+  }
+
+  void reply_invalid(uint8_t code) { send(kReplyInvalid, &code, 1); }
+
+  void send(uint8_t cmd1, const uint8_t* data, uint16_t size) {
+    uint8_t header[4];
+    uint8_t length = 0;
+    header[length++] = size < 255 ? kFlagStandard : kFlagLong;
+    header[length++] = static_cast<uint8_t>(size);
+    if (size >= 255) header[length++] = static_cast<uint8_t>(size >> 8);
+    header[length++] = cmd1;
+    uint8_t checksum = 0;
+    for (uint8_t i = 0; i < length; ++i) checksum ^= header[i];
+    for (uint16_t i = 0; i < size; ++i) checksum ^= data[i];
+    sink_(static_cast<const uint8_t*>(header), length);
+    if (size > 0) sink_(data, size);
+    sink_(static_cast<const uint8_t*>(&checksum), 1);
+  }
+
+  void note_invalid(uint8_t code) {
+    if (invalid_ == 0) invalid_ = code;
+  }
+
+  void drop_to_flag() {
+    uint16_t count = 1;
+    while (count < size_ && buffer_[count] != kFlagStandard && buffer_[count] != kFlagLong) ++count;
+    counters.garbage_bytes += count;
+    drop(count);
+  }
+
+  void drop(uint16_t count) {
+    size_ -= count;
+    memmove(buffer_, buffer_ + count, size_);
+  }
+
+  Sink sink_;
+  BusHandler& handler_;
+  uint32_t frame_timeout_ms_;
+  uint32_t last_byte_ms_ = 0;
+  uint8_t buffer_[kBufferSize];
+  uint16_t size_ = 0;
+  // Of the frame that check() looked at last:
+  uint16_t header_size_ = 0;
+  uint16_t data_size_ = 0;
+  uint16_t frame_size_ = 0;
+  bool synchronised_ = false;
+  bool pending_ = false;
+  uint8_t invalid_ = 0;  // the INVALID code that is owed
+};
+
+}  // namespace serial_communication
+
+#endif

@@ -1,0 +1,129 @@
+"""Starts emulated boards and talks to their control channel. Needs neither ROS nor the Python package.
+
+    build_firmware('/some/dir')
+    with EmulatedBoard('/some/dir', 'car') as board:
+        port = serial.Serial(board.port, 115200)
+        board.set('yaw', 30)
+        board.wait_until(lambda: board.get('turning') == 0, seconds=5)
+"""
+import os
+import shutil
+import socket
+import subprocess
+import tempfile
+import time
+
+FIRMWARE = os.path.join(os.path.dirname(os.path.abspath(__file__)), os.pardir, os.pardir, 'firmware')
+
+# The program that belongs into each world.
+IMAGES = {'car': 'nano_car_emulated.elf', 'ctrl': 'ctrl_board.elf', 'range': 'range_imu.elf'}
+
+
+class BoardError(Exception):
+    """The emulator did not start, ended, or refused a command."""
+
+
+def build_firmware(build):
+    """Builds the firmware and the emulator into the directory `build`; does nothing when up to date."""
+    result = subprocess.run(['make', '-C', FIRMWARE, 'BUILD=' + os.path.abspath(build), '-j2'],
+                            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, universal_newlines=True)
+    if result.returncode != 0:
+        raise BoardError('the firmware does not build:\n' + result.stdout)
+
+
+class EmulatedBoard(object):
+    """One emulator process; a context manager.
+
+    build: the directory that make built into.
+    world: car, ctrl or range.
+    still: nothing moves but what the board moves and what is set.
+    port: an existing tty for the UART; by default the emulator makes a pty, and `port` is its link.
+    eeprom: a file to keep the EEPROM in.
+    """
+
+    def __init__(self, build, world, still=True, port=None, eeprom=None, image=None):
+        self._directory = tempfile.mkdtemp(prefix='avr_board_')
+        self._socket = None
+        self._pending = b''
+        self.port = port or os.path.join(self._directory, 'uart')
+        control = os.path.join(self._directory, 'control')
+        command = [os.path.join(build, 'avr_board'), '--world', world, '--control', control]
+        command += ['--port', port] if port else ['--link', self.port]
+        command += ['--still'] if still else []
+        command += ['--eeprom', eeprom] if eeprom else []
+        command.append(os.path.join(build, image or IMAGES[world]))
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+                                        universal_newlines=True)
+        # The first line comes when everything is set up.
+        self.banner = self.process.stdout.readline()
+        if 'on' not in self.banner.split():
+            self.close()
+            raise BoardError('the emulator did not start: ' + self.banner)
+        self._socket = socket.socket(socket.AF_UNIX)
+        self._socket.connect(control)
+        self._socket.settimeout(10)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exception):
+        self.close()
+
+    def close(self):
+        """Ends the emulator and returns the last line that it printed."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+        if self.process.poll() is None:
+            self.process.terminate()
+        output = self.process.communicate(timeout=10)[0]
+        shutil.rmtree(self._directory, ignore_errors=True)
+        return output.strip().split('\n')[-1]
+
+    def ask(self, line):
+        """Sends one line to the control channel and returns the answer."""
+        self._socket.sendall(line.encode('ascii') + b'\n')
+        while b'\n' not in self._pending:
+            received = self._socket.recv(4096)
+            if not received:
+                raise BoardError('the emulator ended')
+            self._pending += received
+        answer, self._pending = self._pending.split(b'\n', 1)
+        answer = answer.decode('ascii')
+        if answer.startswith('error'):
+            raise BoardError('%s: %s' % (line, answer))
+        return answer
+
+    def get(self, name):
+        """The value of that name, as a float."""
+        return float(self.ask('get ' + name))
+
+    def set(self, name, value):
+        self.ask('set %s %.10g' % (name, value))
+
+    def history(self, name):
+        """The changes of a recorded output, oldest first: a list of (emulated seconds, value)."""
+        numbers = [float(word) for word in self.ask('history ' + name).split()]
+        return list(zip(numbers[0::2], numbers[1::2]))
+
+    def reset(self):
+        self.ask('reset')
+
+    def power_cycle(self):
+        self.ask('power_cycle')
+
+    @property
+    def time(self):
+        """Emulated seconds since the start."""
+        return self.get('time')
+
+    def wait_until(self, condition, seconds):
+        """Asks for `condition` until it holds; fails after so many emulated seconds."""
+        end = self.time + seconds
+        while not condition():
+            if self.time > end:
+                # A computer that was kept from running may have missed it: once more.
+                if condition():
+                    return
+                raise AssertionError('not within %g emulated seconds' % seconds)
+            time.sleep(0.001)

@@ -1,0 +1,826 @@
+"""The boards' firmware in an emulated ATmega328P, seen on the wire and over the control channel.
+
+What is timed is timed in emulated seconds: a slow machine makes a test longer, not wrong.
+"""
+import math
+import os
+import struct
+import subprocess
+
+import pytest
+import serial
+
+from emulated_board import EmulatedBoard, IMAGES
+
+DEBUG, INFO, WARN, ERROR, SPEED, STEERING, LED, ANGLE, TICKS, IMU, VOLTAGE, HEARTBEAT, CALIBRATION = range(13)
+RATE_SCALE = 4000.0 / 65536 * math.pi / 180 * 25  # rad/s
+ACCELERATION_SCALE = 8.0 / 65536 * 9.81           # m/s^2
+
+
+def xor(data):
+    value = 0
+    for byte in data:
+        value ^= byte
+    return value
+
+
+def open_port(board):
+    return serial.Serial(board.port, 115200, timeout=0)
+
+
+# The model car
+
+def cobs_encode(data):
+    out = b''
+    for block in data.split(b'\x00'):
+        assert len(block) < 254
+        out += bytes([len(block) + 1]) + block
+    return out
+
+
+def cobs_decode(data):
+    """The packet, or nothing for one that was cut off."""
+    out = b''
+    at = 0
+    while at < len(data):
+        code = data[at]
+        if at + code > len(data):
+            return b''
+        out += data[at + 1:at + code] + b'\x00'
+        at += code
+    return out[:-1]
+
+
+# Of the packets with data of one length, for telling those that a reset has cut off.
+LENGTHS = {ANGLE: 2, TICKS: 1, IMU: 22, VOLTAGE: 4}
+
+
+def packet(kind, data=b''):
+    return cobs_encode(bytes([kind]) + data) + b'\x00'
+
+
+def driving(speed):
+    """A heartbeat and a speed command."""
+    return packet(HEARTBEAT) + packet(SPEED, struct.pack('<h', speed))
+
+
+class Car(object):
+    """The computer's end of the car's link; collects every packet from the board's start on."""
+
+    def __init__(self, board):
+        self.board = board
+        self.port = open_port(board)
+        self.packets = []
+        # Opening the port drops what was sent before, in the middle of a packet.
+        board.reset()
+        self._rest = b''
+        board.wait_until(lambda: b'\x00' in self._receive(), 1)
+        self._rest = self._rest.split(b'\x00', 1)[1]
+
+    def _receive(self):
+        self._rest += self.port.read(4096)
+        return self._rest
+
+    def send(self, kind, data=b''):
+        self.port.write(packet(kind, data))
+
+    def drive(self, speed):
+        """To be repeated, as a driver does."""
+        self.port.write(driving(speed))
+
+    def read(self, kind=None):
+        """Takes in what has arrived; returns the data of all packets of that kind so far."""
+        frames = self._receive().split(b'\x00')
+        self._rest = frames.pop()
+        for frame in frames:
+            decoded = cobs_decode(frame)
+            if decoded and len(decoded) - 1 == LENGTHS.get(decoded[0], len(decoded) - 1):
+                self.packets.append((decoded[0], decoded[1:]))
+        return [data for packet_kind, data in self.packets if packet_kind == kind]
+
+    def forget(self):
+        self.read()
+        self.packets = []
+
+    def next(self, kind, count=1, seconds=5):
+        """The data of the next packets of that kind."""
+        self.forget()
+        self.board.wait_until(lambda: len(self.read(kind)) >= count, seconds)
+        return self.read(kind)[:count]
+
+    def texts(self):
+        return [(kind, data.rstrip(b'\x00').decode('ascii', 'replace')) for kind, data in self.packets if kind <= ERROR]
+
+    def wait_for_text(self, text, seconds=5):
+        def arrived():
+            self.read()
+            return any(text in logged for _, logged in self.texts())
+        self.board.wait_until(arrived, seconds)
+
+    def orientation(self):
+        return imu_values(self.next(IMU)[0])[0]
+
+
+def imu_values(data):
+    """Orientation (w, x, y, z), rates, accelerations, temperature; in ROS's axes and units."""
+    fields = struct.unpack('>11h', data)
+    w, x, y, z = [value / 16384.0 for value in fields[:4]]
+    rates = [value * RATE_SCALE for value in fields[4:7]]
+    accelerations = [value * ACCELERATION_SCALE for value in fields[7:10]]
+    return (w,) + to_ros((x, y, z)), to_ros(rates), to_ros(accelerations), fields[10] / 340.0 + 36.53
+
+
+def to_ros(vector):
+    """The board's axes into ROS's."""
+    return vector[1], -vector[0], vector[2]
+
+
+def from_euler(yaw, pitch, roll):
+    """The quaternion of these angles in degrees, in ROS's order."""
+    cy, sy = math.cos(math.radians(yaw) / 2), math.sin(math.radians(yaw) / 2)
+    cp, sp = math.cos(math.radians(pitch) / 2), math.sin(math.radians(pitch) / 2)
+    cr, sr = math.cos(math.radians(roll) / 2), math.sin(math.radians(roll) / 2)
+    return (cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy)
+
+
+def angle_between(a, b):
+    """Degrees between two orientations."""
+    dot = abs(sum(p * q for p, q in zip(a, b)))
+    norm = math.sqrt(sum(p * p for p in a) * sum(q * q for q in b))
+    return math.degrees(2 * math.acos(min(1.0, dot / norm)))
+
+
+@pytest.fixture
+def car(firmware_build):
+    with EmulatedBoard(firmware_build, 'car') as board:
+        car = Car(board)
+        car.wait_for_text('IMU ready')
+        yield car
+        assert board.get('rx_overruns') == 0
+        car.port.close()
+
+
+def drive_until(car, speed, condition, seconds=5):
+    def step():
+        car.drive(speed)
+        car.read()
+        return condition()
+    car.board.wait_until(step, seconds)
+
+
+@pytest.mark.parametrize('speed, pwm, direction', [(400, 102, 1), (-400, 102, -1), (1000, 255, 1), (-3000, 255, -1),
+                                                   (7, 2, 1)])
+def test_speed_command_sets_the_pwm(car, speed, pwm, direction):
+    car.drive(speed)
+    car.board.wait_until(lambda: len(car.board.history('motor_pwm')) == 3, 1)
+    assert [value for _, value in car.board.history('motor_pwm')] == [0, pwm, 0]
+    assert [value for _, value in car.board.history('motor_direction')] == [0, direction, 0]
+
+
+def test_speed_without_heartbeats_does_nothing(car):
+    car.send(SPEED, struct.pack('<h', 500))
+    car.send(STEERING, struct.pack('<H', 1234))
+    car.board.wait_until(lambda: car.board.get('servo_us') == 1234, 1)
+    assert car.board.history('motor_pwm') == [(0, 0)]
+
+
+def test_motor_stops_when_heartbeats_stop(car):
+    board = car.board
+    for round_number in range(1, 6):
+        # In one go, and the last byte is a heartbeat's.
+        car.port.write(driving(700) * 3 + packet(HEARTBEAT))
+        # 0, then on and off once a round.
+        board.wait_until(lambda: len(board.history('motor_pwm')) == 1 + 2 * round_number, 1)
+        when, pwm = board.history('motor_pwm')[-1]
+        assert pwm == 0
+        assert 0.030 <= when - board.get('last_rx_time') <= 0.040
+        car.wait_for_text('heartbeat lost')
+        car.forget()
+    # Heartbeats alone do not start it again.
+    for _ in range(20):
+        car.send(HEARTBEAT)
+    received = board.get('rx_bytes')
+    board.wait_until(lambda: board.get('rx_bytes') >= received and len(car.next(TICKS, 10)) == 10, 2)
+    assert board.get('motor_pwm') == 0
+
+
+def test_speed_zero_stops_at_once(car):
+    # In one go: speed, 10 ms of heartbeats, speed 0, heartbeats for longer than their timeout.
+    car.port.write(driving(300) + packet(HEARTBEAT) * 38 + driving(0) + packet(HEARTBEAT) * 200)
+    history = car.board.history
+    car.board.wait_until(lambda: len(history('motor_pwm')) == 3, 1)
+    assert [value for _, value in history('motor_pwm')] == [0, 77, 0]
+    assert history('motor_pwm')[2][0] - history('motor_pwm')[1][0] == pytest.approx(0.0105, abs=0.004)
+    car.next(TICKS, 10)
+    assert not [text for _, text in car.texts() if 'heartbeat' in text]
+
+
+def test_ticks_are_the_wheels_turns(car):
+    board = car.board
+    drive_until(car, 1000, lambda: board.get('wheel_turns') > 10)
+    board.wait_until(lambda: car.read() is not None and board.get('wheel_speed') == 0, 5)
+    car.board.wait_until(lambda: sum(data[0] for data in car.read(TICKS)) >= board.get('wheel_ticks'), 2)
+    ticks = sum(data[0] for data in car.read(TICKS))
+    assert ticks == board.get('wheel_ticks')
+    assert abs(ticks - 64 * board.get('wheel_turns')) <= 1
+    assert max(data[0] for data in car.read(TICKS)) <= 11  # 15 turns of 64 ticks a second
+
+
+@pytest.mark.parametrize('pulse, servo', [(1000, 1000), (1501, 1501), (2000, 2000), (100, 1000), (65535, 2000)])
+def test_steering_command_sets_the_servo(car, pulse, servo):
+    car.send(STEERING, struct.pack('<H', pulse))
+    car.board.wait_until(lambda: car.board.get('servo_us') == servo, 1)
+
+
+def test_steering_feedback(car):
+    for raw in (0, 300, 1023):
+        car.board.set('steering_feedback', raw)
+        car.next(ANGLE, 3)
+        assert struct.unpack('<H', car.next(ANGLE)[0])[0] == raw
+
+
+@pytest.mark.parametrize('command, lamps', [('left', (1, 0, 0)), ('right', (0, 1, 0)), ('brake', (0, 0, 1)),
+                                            ('hazard', (1, 1, 0))])
+def test_lamps(car, command, lamps):
+    board = car.board
+    names = ('led_left', 'led_right', 'led_brake')
+    car.send(LED, command.encode('ascii') + b'\x00')
+    board.wait_until(lambda: tuple(board.get(name) for name in names) == lamps, 5)
+    if command != 'brake':
+        lit = names[lamps.index(1)]
+        board.wait_until(lambda: len(board.history(lit)) >= 5, 3)  # it blinks
+    car.send(LED, b'disable\x00')
+    board.wait_until(lambda: not any(board.get(name) for name in names), 1)
+    assert not [text for kind, text in car.texts() if 'LED' in text]
+
+
+def test_unknown_lamp_command_is_logged(car):
+    car.send(LED, b'rainbow\x00')
+    car.wait_for_text('unknown LED command')
+    assert (WARN, 'unknown LED command') in car.texts()
+
+
+def test_battery_within_one_percent(car):
+    assert struct.unpack('<f', car.next(VOLTAGE)[0])[0] == pytest.approx(14.8, rel=0.01)
+    car.board.set('battery', 7.4)
+    # Three seconds of averages, and the second in which it changed.
+    measured = [struct.unpack('<f', data)[0] for data in car.next(VOLTAGE, 4, seconds=6)]
+    assert measured == sorted(measured, reverse=True)
+    assert measured[-1] == pytest.approx(7.4, rel=0.01)
+
+
+def test_imu_at_rest(car):
+    car.board.set('imu_temperature', 25.0)
+    car.next(IMU, 3)
+    orientation, rates, accelerations, temperature = imu_values(car.next(IMU)[0])
+    assert angle_between(orientation, (1, 0, 0, 0)) < 0.5
+    assert max(abs(rate) for rate in rates) < 0.03
+    assert accelerations == pytest.approx((0, 0, 9.81), abs=0.05)
+    assert temperature == pytest.approx(25.0, abs=0.01)
+
+
+def takes(board, action, seconds):
+    """Whether `action` takes so long, within 5 %. A test that was kept from running sees a longer time: again."""
+    for _ in range(5):
+        start = board.time
+        action()
+        if board.time - start == pytest.approx(seconds, rel=0.05):
+            return True
+    return False
+
+
+def test_imu_comes_at_100_hz(car):
+    assert takes(car.board, lambda: car.next(IMU, 100), 1)
+
+
+def turn_to(car, **angles):
+    for name, angle in angles.items():
+        if car.board.get(name) != angle:
+            car.board.set(name, angle)
+    car.board.wait_until(lambda: car.read() is not None and car.board.get('turning') == 0, 10)
+    car.next(IMU, 5)
+
+
+@pytest.mark.parametrize('yaw, pitch, roll', [(30, 0, 0), (-100, 0, 0), (0, 20, 0), (0, 0, -35), (60, -15, 10)])
+def test_rotation_of_the_world_is_rotation_in_the_packets(car, yaw, pitch, roll):
+    turn_to(car, yaw=yaw)
+    turn_to(car, pitch=pitch)
+    turn_to(car, roll=roll)
+    assert angle_between(car.orientation(), from_euler(yaw, pitch, roll)) < 2
+
+
+def test_rates_add_up_to_the_rotation(car):
+    car.next(IMU)
+    car.forget()
+    car.board.set('yaw', 90)
+    car.board.wait_until(lambda: car.read() is not None and car.board.get('turning') == 0, 5)
+    at_rest = len(car.read(IMU)) + 5
+    car.board.wait_until(lambda: len(car.read(IMU)) >= at_rest, 1)
+    rates = [imu_values(data)[1] for data in car.read(IMU)]
+    # From the packets, not the clock: 100 a second.
+    turned = [math.degrees(sum(rate[axis] for rate in rates)) / 100 for axis in range(3)]
+    assert turned == pytest.approx([0, 0, 90], abs=3)
+
+
+def test_gravity_follows_the_tilt(car):
+    turn_to(car, roll=30)
+    accelerations = imu_values(car.next(IMU)[0])[2]
+    assert accelerations == pytest.approx((0, 9.81 * math.sin(math.radians(30)), 9.81 * math.cos(math.radians(30))),
+                                          abs=0.05)
+
+
+def yaw_drift(car):
+    """Degrees that the orientation turns in one emulated second."""
+    packets = car.next(IMU, 101)
+    return angle_between(imu_values(packets[0])[0], imu_values(packets[-1])[0])
+
+
+def test_calibration_takes_the_drift_away_and_survives_a_power_cycle(firmware_build, tmp_path):
+    eeprom = str(tmp_path / 'eeprom')
+    with EmulatedBoard(firmware_build, 'car', eeprom=eeprom) as board:
+        car = Car(board)
+        board.set('gyro_bias_z', 4)
+        board.set('gyro_bias_x', -1)
+        board.set('accel_bias_y', 0.05)
+        car.wait_for_text('IMU ready, not calibrated')
+        assert yaw_drift(car) == pytest.approx(4, abs=1)
+
+        started = board.time
+        car.send(CALIBRATION)
+        car.wait_for_text('IMU calibration')
+        car.forget()
+        # No IMU data, and no input: not now and not afterwards. The rest goes on.
+        car.send(STEERING, struct.pack('<H', 1900))
+        car.next(TICKS, 100)
+        car.drive(500)
+        car.wait_for_text('IMU calibrated', seconds=10)
+        assert board.time - started > 2.9
+        texts_at = [index for index, packet in enumerate(car.packets) if packet[0] == INFO][0]
+        assert not [packet for packet in car.packets[:texts_at] if packet[0] == IMU]
+        assert yaw_drift(car) < 0.2
+        assert board.get('servo_us') == 1500
+        assert board.history('motor_pwm') == [(0, 0)]
+
+        car.forget()
+        board.power_cycle()
+        car.wait_for_text('IMU ready')
+        assert (INFO, 'IMU ready') in car.texts()
+        assert yaw_drift(car) < 0.2
+        accelerations = imu_values(car.next(IMU)[0])[2]
+        assert accelerations == pytest.approx((0, 0, 9.81), abs=0.05)
+        car.port.close()
+    with EmulatedBoard(firmware_build, 'car', eeprom=eeprom) as board:
+        car = Car(board)
+        car.wait_for_text('IMU ready')
+        assert (INFO, 'IMU ready') in car.texts()
+        car.port.close()
+
+
+def test_calibration_of_a_moving_car_is_dropped(car):
+    car.send(CALIBRATION)
+    car.wait_for_text('IMU calibration')
+    car.board.set('yaw', 40)
+    car.wait_for_text('calibration dropped', seconds=10)
+    car.board.power_cycle()
+    car.wait_for_text('not calibrated')
+
+
+def test_imu_that_is_pulled_and_put_back(car):
+    car.board.set('imu_present', 0)
+    car.wait_for_text('IMU does not answer')
+    car.forget()
+    car.send(STEERING, struct.pack('<H', 1700))
+    car.board.wait_until(lambda: car.board.get('servo_us') == 1700, 1)
+    car.board.set('imu_present', 1)
+    car.wait_for_text('IMU ready')
+    assert angle_between(car.orientation(), (1, 0, 0, 0)) < 2
+
+
+def test_car_reset_in_mid_traffic_recovers(car):
+    board = car.board
+    for _ in range(3):
+        drive_until(car, 600, lambda: board.get('motor_pwm') == 153)
+        car.port.write(b'\x04\x04')  # the reset comes inside a packet
+        car.forget()
+        board.reset()
+        assert board.get('motor_pwm') == 0
+        car.wait_for_text('IMU ready')
+        drive_until(car, 600, lambda: board.get('motor_pwm') == 153)
+        assert angle_between(car.orientation(), (1, 0, 0, 0)) < 2
+
+
+def test_garbage_does_not_stop_the_car_from_listening(car):
+    car.port.write(bytes(range(1, 256)) * 8 + b'\x00\x00')
+    car.send(STEERING, struct.pack('<H', 1111))
+    car.board.wait_until(lambda: car.board.get('servo_us') == 1111, 2)
+
+
+def test_demo_world_turns_the_driving_car(firmware_build):
+    with EmulatedBoard(firmware_build, 'car', still=False) as board:
+        car = Car(board)
+        car.wait_for_text('IMU ready')
+        car.send(STEERING, struct.pack('<H', 1300))
+        drive_until(car, 500, lambda: board.get('yaw') > 20, seconds=20)
+        car.port.close()
+
+
+# The control board
+
+SYNC = bytes.fromhex('a5000000a5')
+LIFT, GIMBAL, ENVIRONMENT = 0x20, 0x21, 0x22
+UP, DOWN = 0, 1
+OK = b'\x02'
+
+
+def request(cmd1, cmd2=0, data=b''):
+    flag = struct.pack('<BH', 0x5A, len(data)) if len(data) >= 255 else struct.pack('<BB', 0xA5, len(data))
+    frame = flag + bytes([cmd1, cmd2]) + data
+    return frame + bytes([xor(frame)])
+
+
+class Master(object):
+    """The computer's end of the bus; a reply is returned as CMD1 and DATE."""
+
+    def __init__(self, board):
+        self.board = board
+        self.port = open_port(board)
+        self._received = b''
+
+    def write(self, data):
+        self.port.write(data)
+
+    def reply(self, seconds=1):
+        def whole():
+            self._received += self.port.read(4096)
+            return self._size() is not None
+        self.board.wait_until(whole, seconds)
+        size = self._size()
+        frame, self._received = self._received[:size], self._received[size:]
+        assert xor(frame) == 0, frame.hex()
+        return frame[2 if frame[0] == 0xA5 else 3:-1]
+
+    def _size(self):
+        data = self._received
+        if len(data) < 3:
+            return None
+        assert data[0] in (0xA5, 0x5A), data.hex()
+        size = data[1] + 4 if data[0] == 0xA5 else struct.unpack_from('<H', data, 1)[0] + 5
+        return size if len(data) >= size else None
+
+    def ask(self, cmd1, cmd2=0, data=b'', seconds=1):
+        self.write(request(cmd1, cmd2, data))
+        return self.reply(seconds)
+
+    def function(self, cmd2, data=b'', seconds=5):
+        return self.ask(0x55, cmd2, data, seconds)
+
+    def sync(self):
+        assert self.ask(0) == b'\x00'
+
+    def silence(self, seconds):
+        """Nothing arrives for so long."""
+        end = self.board.time + seconds
+        self.board.wait_until(lambda: self.board.time > end, 2 * seconds + 1)
+        self._received += self.port.read(4096)
+        assert self._received == b''
+
+
+def error(code):
+    return b'\x03' + struct.pack('<H', code)
+
+
+@pytest.fixture
+def master(firmware_build):
+    with EmulatedBoard(firmware_build, 'ctrl') as board:
+        board.wait_until(lambda: board.time > 0.05, 1)
+        master = Master(board)
+        yield master
+        assert board.get('rx_overruns') == 0
+        master.port.close()
+
+
+@pytest.fixture
+def bus(master):
+    master.sync()
+    return master
+
+
+def test_invalid_before_sync(master):
+    assert master.function(LIFT, bytes([UP, 10])) == b'\xff\x10'
+    assert master.ask(1, 0, b'ping') == b'\xff\x10'
+    assert master.board.get('lift_steps') == 0
+    master.sync()
+    assert master.ask(1, 0, b'ping') == b'\x01ping'
+
+
+def test_echo_of_every_size(bus):
+    for size in (0, 1, 4, 60, 254, 255, 300):
+        data = bytes(index % 256 for index in range(size))
+        assert bus.ask(1, 0, data) == b'\x01' + data
+
+
+def test_bytes_take_their_time(bus):
+    data = bytes(254)
+    start = bus.board.time
+    assert bus.ask(1, 0, data) == b'\x01' + data
+    # 259 bytes out at 115200 baud, 258 back at the board's own 117647.
+    assert 259 * 10 / 115200.0 + 258 * 10 / 117647.0 < bus.board.time - start
+
+
+def test_errors(bus):
+    assert bus.function(0x77) == error(0x8000)
+    assert bus.ask(0x0A) == error(0x8000)
+    assert bus.function(LIFT, bytes([2, 10])) == error(0x8001)
+    assert bus.function(LIFT, bytes([0])) == error(0x8001)
+    assert bus.function(GIMBAL, bytes([4, 10])) == error(0x8001)
+    assert bus.function(GIMBAL, bytes([0, 10, 0])) == error(0x8001)
+    for axis in ('lift', 'pan', 'tilt'):
+        assert bus.board.get(axis + '_steps') == 0
+
+
+def test_damaged_and_too_long_requests_are_invalid(bus):
+    damaged = bytearray(request(0x55, LIFT, bytes([UP, 100])))
+    damaged[5] ^= 0x04
+    bus.write(bytes(damaged))
+    assert bus.reply() == b'\xff\x40'
+    bus.write(request(1, 0, bytes(301)))
+    assert bus.reply() == b'\xff\x20'
+    bus.silence(0.2)
+    assert bus.ask(1, 0, b'next') == b'\x01next'
+    assert bus.board.get('lift_steps') == 0
+
+
+def test_a_request_after_noise_is_executed_once(bus):
+    for count, noise in enumerate((b'\xa5', b'\xa5\x02', b'\x5a\xff\xff', b'\xa5\x00\x00\x00\x00', b'\x00\xff\x12'), 1):
+        bus.write(noise + request(0x55, GIMBAL, bytes([0, 2])))
+        assert bus.reply(seconds=3) == OK
+        bus.silence(0.1)
+        assert bus.board.get('pan_steps') == 20 * count
+
+
+@pytest.mark.parametrize('direction, distance', [(UP, 100), (DOWN, 255), (UP, 1), (DOWN, 37)])
+def test_lift_moves_by_what_was_asked_once(bus, direction, distance):
+    board = bus.board
+    start = board.time
+    assert bus.function(LIFT, bytes([direction, distance])) == OK
+    taken = board.time - start
+    sign = 1 if direction == UP else -1
+    assert board.get('lift_steps') == sign * distance * 25
+    assert board.get('lift_position') == 300 + sign * distance
+    assert board.get('lift_moves') == 1
+    # The reply came when the lift had stopped, and within the Master's five seconds.
+    assert start < board.get('lift_last_step') < start + taken < start + 5
+    assert taken > distance / 80.0
+    bus.silence(0.1)
+    assert board.get('lift_steps') == sign * distance * 25
+
+
+def test_lift_there_and_back(bus):
+    for distance in (3, 50, 8):
+        assert bus.function(LIFT, bytes([UP, distance])) == OK
+        assert bus.function(LIFT, bytes([DOWN, distance])) == OK
+    assert bus.board.get('lift_position') == 300
+    assert bus.board.get('lift_moves') == 6
+    assert bus.function(LIFT, bytes([UP, 0])) == OK
+    assert bus.board.get('lift_moves') == 6
+
+
+@pytest.mark.parametrize('direction, axis, sign', [(0, 'pan', 1), (1, 'pan', -1), (2, 'tilt', 1), (3, 'tilt', -1)])
+def test_gimbal_turns_by_what_was_asked_once(bus, direction, axis, sign):
+    assert bus.function(GIMBAL, bytes([direction, 30])) == OK
+    assert bus.board.get(axis + '_steps') == sign * 300
+    assert bus.board.get(axis + '_position') == sign * 30
+    assert bus.board.get(axis + '_moves') == 1
+    for other in {'lift', 'pan', 'tilt'} - {axis}:
+        assert bus.board.get(other + '_steps') == 0
+
+
+def test_gimbal_refuses_what_is_beyond_its_limit(bus):
+    assert bus.function(GIMBAL, bytes([2, 91])) == error(0x8002)
+    assert bus.function(GIMBAL, bytes([0, 171])) == error(0x8002)
+    assert bus.board.get('tilt_steps') == bus.board.get('pan_steps') == 0
+    assert bus.function(GIMBAL, bytes([3, 90])) == OK
+    assert bus.function(GIMBAL, bytes([3, 1])) == error(0x8002)
+    assert bus.board.get('tilt_position') == -90
+
+
+def test_end_switch_stops_the_lift(bus):
+    bus.board.set('lift_top', 320)
+    assert bus.function(LIFT, bytes([UP, 100])) == error(0x8002)
+    assert 320 <= bus.board.get('lift_position') < 320.5
+    assert bus.function(LIFT, bytes([UP, 1])) == error(0x8002)  # refused: the switch is closed
+    assert 320 <= bus.board.get('lift_position') < 320.5
+    assert bus.function(LIFT, bytes([DOWN, 20])) == OK
+    assert bus.board.get('lift_moves') == 2
+
+
+def test_what_is_asked_during_a_motion_is_answered_after_it(bus):
+    bus.write(request(0x55, LIFT, bytes([UP, 40])))
+    bus.board.wait_until(lambda: bus.board.get('lift_moves') == 1, 1)
+    bus.write(request(1, 0, b'nonce'))
+    bus.silence(0.2)
+    assert bus.reply(seconds=2) == OK
+    assert bus.reply() == b'\x01nonce'
+    assert bus.board.get('lift_position') == 340
+
+
+def test_environment(bus):
+    board = bus.board
+    for smoke, temperature, humidity in ((350, 25.63, 48.12), (1023, -12.5, 100), (0, 0, 0)):
+        board.set('smoke', smoke)
+        board.set('temperature', temperature)
+        board.set('humidity', humidity)
+        changed = board.time
+        board.wait_until(lambda: board.time > changed + 0.6, 2)  # two measurements
+        for frame in (bytes.fromhex('a5025522d0'), request(0x55, ENVIRONMENT)):
+            bus.write(frame)
+            reply = bus.reply()
+            assert reply[:1] == OK
+            measured = struct.unpack('<HhH', reply[1:])
+            assert measured[0] == smoke
+            assert measured[1] == pytest.approx(temperature * 100, abs=1)
+            assert measured[2] == pytest.approx(humidity * 100, abs=1)
+
+
+def test_environment_without_its_sensor_is_an_error(bus):
+    bus.board.wait_until(lambda: bus.function(ENVIRONMENT)[:1] == OK, 2)
+    bus.board.set('sht3x_present', 0)
+    bus.board.wait_until(lambda: bus.function(ENVIRONMENT) == error(0x8002), 4)
+    bus.board.set('sht3x_present', 1)
+    bus.board.wait_until(lambda: bus.function(ENVIRONMENT)[:1] == OK, 2)
+
+
+def test_ctrl_reset_in_mid_motion_recovers(bus):
+    board = bus.board
+    bus.write(request(0x55, LIFT, bytes([UP, 200])))
+    board.wait_until(lambda: board.get('lift_moves') == 1, 1)
+    bus.write(b'\xa5\x04')  # the reset comes inside a request
+    board.reset()
+    bus.silence(0.1)
+    stopped = board.get('lift_steps')
+    assert bus.function(LIFT, bytes([UP, 10])) == b'\xff\x10'
+    bus.sync()
+    assert bus.function(LIFT, bytes([UP, 10])) == OK
+    assert board.get('lift_steps') == stopped + 250
+
+
+# The sensor board
+
+class Frames(object):
+    """Sensor status frames from the board."""
+
+    def __init__(self, board):
+        self.board = board
+        self.port = open_port(board)
+        self._received = b''
+        self.frames = []
+
+    def read(self):
+        self._received += self.port.read(4096)
+        while len(self._received) >= 16:
+            frame, self._received = self._received[:16], self._received[16:]
+            assert frame[:3] == b'\x02\x0c\x10' and frame[15] == 3 and xor(frame[2:14]) == frame[14], frame.hex()
+            self.frames.append((frame[3],) + struct.unpack('<HHhhh', frame[4:14]))
+        return self.frames
+
+    def forget_a_cut_frame(self):
+        """After a reset, before the first new frame."""
+        start = self.board.time
+        self.board.wait_until(lambda: self.board.time > start + 0.02, 1)
+        self.port.read(4096)
+        self._received = b''
+
+    def next(self, count=1):
+        self.read()
+        self.frames = []
+        self.board.wait_until(lambda: len(self.read()) >= count, 1 + count / 10.0)
+        return self.frames[:count]
+
+
+@pytest.fixture
+def sensors(firmware_build):
+    with EmulatedBoard(firmware_build, 'range') as board:
+        frames = Frames(board)
+        yield frames
+        frames.port.close()
+
+
+def test_sensor_values_arrive(sensors):
+    for range1, range2, heading, pitch, roll in ((500, 8190, 90.5, -12.25, 33), (47, 58, 0, -2.4375, 2.4375)):
+        for name, value in (('range1', range1), ('range2', range2), ('heading', heading), ('pitch', pitch),
+                            ('roll', roll)):
+            sensors.board.set(name, value)
+        sensors.next(3)
+        frame = sensors.next()[0]
+        assert frame[1:3] == (range1, range2)
+        assert [angle / 100.0 for angle in frame[3:]] == pytest.approx([heading, pitch, roll], abs=0.011)
+
+
+@pytest.mark.parametrize('heading', [0, 179.5, 180, 327.5, 328, 350, 359.9375])
+def test_heading_wraps_in_the_frame(sensors, heading):
+    sensors.board.set('heading', heading)
+    sensors.next(2)
+    yaw = sensors.next()[0][3]
+    assert (yaw < -18000) == (heading > 327.67)
+    assert (yaw + 65536 if yaw < -18000 else yaw) == pytest.approx(heading * 100, abs=1)
+
+
+def test_twenty_frames_a_second_numbered_in_order(sensors):
+    sensors.next()  # begins with a frame
+    assert takes(sensors.board, lambda: sensors.next(40), 2)
+    numbers = [frame[0] for frame in sensors.next(40)]
+    assert numbers == [(numbers[0] + index) % 256 for index in range(40)]
+
+
+@pytest.mark.parametrize('fault', ['alive', 'present'])
+def test_sensor_that_times_out(sensors, fault):
+    board = sensors.board
+    board.set('range2', 333)
+    board.wait_until(lambda: sensors.next()[0][1:3] == (800, 333), 2)
+    board.set('range2_' + fault, 0)
+    board.wait_until(lambda: sensors.next()[0][2] == 0xFFFF, 2)
+    assert sensors.next()[0][1] == 800
+    board.set('range2_' + fault, 1)
+    board.wait_until(lambda: sensors.next()[0][2] == 333, 3)
+
+
+def test_range_board_restarts(sensors):
+    sensors.next(5)
+    sensors.board.power_cycle()
+    sensors.forget_a_cut_frame()
+    board = sensors.board
+    board.wait_until(lambda: sensors.next()[0][1:3] == (800, 800), 2)
+    assert sensors.next()[0][0] < 40
+
+
+# The emulator
+
+def test_serial_end_that_vanishes_and_returns(firmware_build, tmp_path):
+    link = str(tmp_path / 'tty')
+    masters = []
+
+    def plug():
+        master, slave = os.openpty()
+        os.set_blocking(master, False)
+        if os.path.lexists(link):
+            os.unlink(link)
+        os.symlink(os.ttyname(slave), link)
+        masters.append((master, slave))
+        return master, slave
+
+    def frames_arrive(master):
+        received = []
+
+        def some():
+            try:
+                received.append(os.read(master, 4096))
+            except BlockingIOError:
+                pass
+            return b'\x02\x0c\x10' in b''.join(received)
+        return some
+
+    master, slave = plug()
+    with EmulatedBoard(firmware_build, 'range', port=link) as board:
+        board.wait_until(frames_arrive(master), 3)
+        os.close(master)
+        os.close(slave)
+        master, slave = plug()
+        board.wait_until(frames_arrive(master), 3)
+    os.close(master)
+    os.close(slave)
+
+
+def test_control_channel_answers_one_line(firmware_build):
+    with EmulatedBoard(firmware_build, 'car') as board:
+        names = board.ask('list').split()
+        assert 'motor_pwm' in names and 'time' in names
+        for name in names:
+            board.get(name)
+        assert 'speed' in board.ask('get speed')
+        for wrong in ('get nonsense', 'set motor_pwm 3', 'set yaw', 'set yaw fast', 'dance', '', 'history yaw'):
+            with pytest.raises(Exception, match='error'):
+                board.ask(wrong)
+        link = board.port
+        assert os.path.islink(link)
+        last = board.close()
+        assert 'emulated' in last and 'CPU' in last
+        assert board.process.returncode == 0
+        assert not os.path.lexists(link)
+
+
+def test_roslaunch_arguments_and_clear_errors(firmware_build, tmp_path):
+    def run(*arguments):
+        result = subprocess.run([os.path.join(firmware_build, 'avr_board')] + list(arguments), stdout=subprocess.PIPE,
+                                stderr=subprocess.PIPE, universal_newlines=True, timeout=10)
+        return result.returncode, result.stderr.strip().split('\n')[-1]
+
+    elf = os.path.join(firmware_build, IMAGES['car'])
+    extra = ['__name:=car', '__log:=' + str(tmp_path / 'log')]
+    assert run(*extra) == (1, 'avr_board: no ELF file given; --help lists the options')
+    assert run('--world', 'moon', elf, *extra) == (1, 'avr_board: --world must be car, ctrl or range, not "moon"')
+    assert run('--world', 'car', '/no/such.elf') == (1, 'avr_board: cannot load the ELF file /no/such.elf')
+    assert run('--world', 'car', '--link', '/no/such/link', elf)[1] == \
+        'avr_board: cannot make the link /no/such/link: No such file or directory'
+    assert run('--world', 'car', '--control', '/no/such/socket', elf)[0] == 1
+    assert run('--world', 'car', '--frobnicate', elf)[0] == 1

@@ -1,0 +1,412 @@
+"""The protocol headers, compiled for the PC, against the wire's examples and a model in Python."""
+import json
+import os
+import random
+import struct
+import subprocess
+
+import pytest
+
+from emulated_board import FIRMWARE
+
+HERE = os.path.dirname(os.path.abspath(__file__))
+
+with open(os.path.join(HERE, 'vectors.json')) as _file:
+    VECTORS = json.load(_file)
+
+
+def unhex(text):
+    return bytes.fromhex(text)
+
+
+def plain(text):
+    return text.replace(' ', '')
+
+
+class Driver(object):
+    def __init__(self, program):
+        self._process = subprocess.Popen([program], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                                         universal_newlines=True)
+
+    def __call__(self, line):
+        self._process.stdin.write(line + '\n')
+        self._process.stdin.flush()
+        return self._process.stdout.readline().strip()
+
+    def close(self):
+        self._process.stdin.close()
+        self._process.stdout.close()
+        self._process.wait()
+
+
+@pytest.fixture(scope='session')
+def program(tmp_path_factory):
+    path = str(tmp_path_factory.mktemp('driver') / 'protocol_driver')
+    subprocess.check_call(['g++', '-std=c++11', '-O1', '-Wall', '-Wextra', '-Werror', '-fsanitize=address,undefined',
+                           '-fno-sanitize-recover=all', '-I', os.path.join(FIRMWARE, 'protocol'),
+                           os.path.join(HERE, 'protocol_driver.cpp'), '-o', path])
+    return path
+
+
+@pytest.fixture
+def driver(program):
+    driver = Driver(program)
+    yield driver
+    driver.close()
+
+
+# COBS
+
+def cobs_encode(data):
+    out = bytearray()
+    block = bytearray()
+    for index, byte in enumerate(data):
+        if byte:
+            block.append(byte)
+        # A full block at the end needs no other after it.
+        if not byte or (len(block) == 254 and index + 1 < len(data)):
+            out.append(len(block) + 1)
+            out += block
+            block = bytearray()
+    out.append(len(block) + 1)
+    out += block
+    return bytes(out)
+
+
+@pytest.mark.parametrize('pair', VECTORS['cobs']['pairs'], ids=lambda pair: '%d bytes' % len(unhex(pair['decoded'])))
+def test_cobs_both_ways(driver, pair):
+    assert driver('encode ' + plain(pair['decoded'])) == plain(pair['encoded'])
+    assert driver('decode ' + plain(pair['encoded'])) == plain(pair['decoded'])
+
+
+@pytest.mark.parametrize('case', VECTORS['cobs']['rejected'], ids=lambda case: case['name'])
+def test_cobs_rejects(driver, case):
+    assert driver('decode ' + plain(case['encoded'])) == 'rejected'
+
+
+def test_cobs_agrees_with_the_model(driver):
+    rng = random.Random(1)
+    for _ in range(500):
+        size = rng.choice([0, 1, 2, 10, 253, 254, 255, 256, 508, 509, 700])
+        data = bytes(rng.choice([0, 1, rng.randrange(256)]) if rng.random() < 0.1 else rng.randrange(1, 256)
+                     for _ in range(size))
+        encoded = cobs_encode(data)
+        assert driver('encode ' + data.hex()) == encoded.hex()
+        assert driver('decode ' + encoded.hex()) == data.hex()
+
+
+# Arduino packets
+
+SENDERS = {4: 'speed %d', 5: 'steering %d', 7: 'angle %d', 8: 'ticks %d', 10: 'voltage %r', 11: 'heartbeat',
+           12: 'calibration', 0: 'text 0 %s', 1: 'text 1 %s', 6: 'text 6 %s'}
+
+
+@pytest.mark.parametrize('packet', VECTORS['arduino']['packets'], ids=lambda packet: packet['wire'])
+def test_arduino_packets(driver, packet):
+    kind = packet['type']
+    assert driver('packet %d %s' % (kind, plain(packet['payload']))) == plain(packet['wire'])
+    if kind == 9:
+        command = 'imu ' + ' '.join(str(field) for field in struct.unpack('>11h', unhex(packet['payload'])))
+    else:
+        command = SENDERS[kind] % ((packet['value'],) if 'value' in packet else ())
+    assert driver(command) == plain(packet['wire'])
+    answer = driver('parse ' + plain(packet['wire']))
+    assert answer.startswith('%d:%s' % (kind, plain(packet['payload'])))
+    if kind == 4:
+        assert '=%d ' % packet['value'] in answer
+    if kind == 9:
+        assert '=' + plain(packet['payload']) in answer
+    if kind == 10:
+        assert float(answer.split('=')[1].split()[0]) == pytest.approx(packet['value'], abs=1e-5)
+    assert answer.endswith('| cobs=0 long=0 length=0 unknown=0 timeout=0')
+
+
+def test_every_type_has_its_length(driver):
+    lengths = {4: 2, 5: 2, 7: 2, 8: 1, 9: 22, 10: 4, 11: 0, 12: 0}
+    for kind in range(13):
+        for size in range(0, 40):
+            wire = cobs_encode(bytes([kind]) + b'\x01' * size) + b'\x00'
+            valid = size <= 31 if kind == 6 else size == lengths.get(kind, size)
+            assert driver('parse ' + wire.hex()).startswith('%d:' % kind) == valid, (kind, size)
+
+
+def test_speed_saturates(driver):
+    for sent, taken in ((1000, 1000), (1001, 1000), (32767, 1000), (-1001, -1000), (-32768, -1000)):
+        wire = cobs_encode(b'\x04' + struct.pack('<h', sent)) + b'\x00'
+        assert '=%d ' % taken in driver('parse ' + wire.hex())
+
+
+def test_bad_packets_are_counted_and_take_no_good_one_with_them(driver):
+    good = '020b00'
+    assert driver('parse 00 00 ' + good) == '11: | cobs=0 long=0 length=0 unknown=0 timeout=0'
+    assert driver('parse 051122 00 ' + good).endswith('cobs=1 long=0 length=0 unknown=0 timeout=0')
+    assert driver('parse 020d00 ' + good).endswith('cobs=0 long=0 length=0 unknown=1 timeout=0')
+    assert driver('parse 03040100 ' + good).endswith('cobs=0 long=0 length=1 unknown=0 timeout=0')
+    too_long = cobs_encode(b'\x01' + b'x' * 256) + b'\x00'
+    for bad in ('051122 00', '020d00', '03040100', too_long.hex(), '11' * 2000 + '00'):
+        assert driver('parse %s %s' % (bad, good)).startswith('11: |'), bad
+    longest = cobs_encode(b'\x01' + b'x' * 255) + b'\x00'
+    assert driver('parse ' + longest.hex()).startswith('1:' + '78' * 255)
+
+
+def test_a_packet_without_its_end_is_given_up(driver):
+    assert driver('parse 0404 +49 900100') == '4:9001=400 | cobs=0 long=0 length=0 unknown=0 timeout=0'
+    assert driver('parse 0404 +50 020b00') == '11: | cobs=0 long=0 length=0 unknown=0 timeout=1'
+
+
+# robot-ctrl-bus
+
+SYNC, SYNC_REPLY = 'a5000000a5', 'a50000a5'
+LIFT_UP_100, OK = 'a50255200064b6', 'a50002a7'
+
+
+def invalid(code):
+    frame = bytes([0xA5, 1, 0xFF, code])
+    return (frame + bytes([xor(frame)])).hex()
+
+
+def xor(data):
+    value = 0
+    for byte in data:
+        value ^= byte
+    return value
+
+
+def request(cmd1, cmd2=0, data=b''):
+    flag = struct.pack('<BH', 0x5A, len(data)) if len(data) >= 255 else struct.pack('<BB', 0xA5, len(data))
+    frame = flag + bytes([cmd1, cmd2]) + data
+    return frame + bytes([xor(frame)])
+
+
+def bus(driver, *tokens):
+    """The replies after each token, and what the board executed."""
+    answer = driver('bus ' + ' '.join(tokens))
+    replies, executed = answer.split('|')
+    return replies.split(), executed.split()
+
+
+EXPECTED = {
+    'sync': SYNC_REPLY,
+    'gimbal left 30 degrees': OK,
+    'gimbal tilt down 90 degrees': OK,
+    'environment, Datelen 0x02 as documented': 'a506025e01030acc1229',
+    'environment, Datelen 0x00': 'a506025e01030acc1229',
+}
+
+
+@pytest.mark.parametrize('case', VECTORS['bus']['requests'], ids=lambda case: case['name'])
+def test_bus_requests(driver, case):
+    frame = plain(case['frame'])
+    assert request(case['cmd1'], case['cmd2'], unhex(case['data'])).hex() == frame or 'documented' in case['name']
+    if case['name'].startswith('echo'):
+        expected = reply_of(1, unhex(case['data'])).hex()
+    else:
+        expected = EXPECTED.get(case['name'], '-')  # a lift answers when it has ended
+    one_by_one = [frame[i:i + 2] for i in range(0, len(frame), 2)]
+    assert bus(driver, SYNC, frame)[0] == [SYNC_REPLY, expected]
+    replies, executed = bus(driver, SYNC, *one_by_one)
+    assert replies == [SYNC_REPLY] + ['-'] * (len(one_by_one) - 1) + [expected]
+    if case['cmd1'] == 0x55:
+        assert executed == ['%02x:%s' % (case['cmd2'], plain(case['data']))]
+
+
+def reply_of(cmd1, data=b''):
+    frame = struct.pack('<BH', 0x5A, len(data)) if len(data) >= 255 else struct.pack('<BB', 0xA5, len(data))
+    frame += bytes([cmd1]) + data
+    return frame + bytes([xor(frame)])
+
+
+@pytest.mark.parametrize('case', VECTORS['bus']['replies'], ids=lambda case: case['name'])
+def test_bus_replies(driver, case):
+    """Each reply of the examples that this board can be brought to give."""
+    frame = plain(case['frame'])
+    assert reply_of(case['cmd1'], unhex(case['data'])).hex() == frame
+    provoke = {
+        'sync': [SYNC],
+        'ok': [SYNC, request(0x55, 0x21, b'\x00\x1e').hex()],
+        'ok with environment: smoke 350, 25.63 C, 48.12 %': [SYNC, 'a5025522d0'],
+        'error 0x8000: unsupported command': [SYNC, request(0x55, 0x77).hex()],
+        'error 0x8001: malformed data': [SYNC, request(0x55, 0x21, b'\x04\x1e').hex()],
+        'invalid 0x40: checksum mismatch': [SYNC, 'a50255200064b7', '+5'],
+        'invalid 0x20: too long': [SYNC, '5a2d01' + '0100', '+5'],
+        'invalid 0x10: not synchronised': [LIFT_UP_100],
+    }
+    if case['name'].startswith('echo'):
+        provoke[case['name']] = [SYNC, request(1, 0, unhex(case['data'])).hex()]
+    if case['name'] in provoke:
+        assert bus(driver, *provoke[case['name']])[0][-1] == frame
+    else:
+        assert case['error'] == 0x8002 if 'error' in case else 'smoke 65535' in case['name']
+
+
+def test_bus_executes_nothing_before_sync(driver):
+    replies, executed = bus(driver, LIFT_UP_100, request(1, 0, b'x').hex(), request(0x55, 0x22).hex())
+    assert replies == [invalid(0x10)] * 3
+    assert executed == []
+
+
+def test_bus_motion_takes_its_time_and_everything_waits_for_it(driver):
+    echo = request(1, 0, b'\xde\xad').hex()
+    replies, executed = bus(driver, SYNC, LIFT_UP_100, '+3000', echo, SYNC, '!', LIFT_UP_100, '!')
+    assert replies == [SYNC_REPLY, '-', '-', '-', '-', OK + reply_of(1, b'\xde\xad').hex() + SYNC_REPLY, '-', OK]
+    assert executed == ['20:0064'] * 2
+
+
+def test_bus_finds_a_frame_inside_a_false_start(driver):
+    # A lone flag, a header, a whole bad frame, a long flag: the request after it is executed once, and the
+    # Master never reads INVALID for it.
+    for noise in ('a5', 'a502', 'a50a', '5a', '5affff', '5a0001', 'a5a5a5', 'a500000000', 'a5025520', '00ff12'):
+        replies, executed = bus(driver, SYNC, noise + request(0x55, 0x21, b'\x00\x1e').hex(), '+60')
+        assert ''.join(reply for reply in replies if reply != '-') == SYNC_REPLY + OK, noise
+        assert executed == ['21:001e'], noise
+
+
+def test_bus_gives_up_a_frame_cut_short(driver):
+    replies, executed = bus(driver, SYNC, 'a5ff', '+49', 'a5f0', '+50', LIFT_UP_100, '!')
+    assert replies == [SYNC_REPLY, '-', '-', '-', '-', '-', OK]
+    assert executed == ['20:0064']
+
+
+def test_bus_answers_a_damaged_burst_once(driver):
+    damaged = 'a50255200064b7' + 'a5000001a5' + '5a' + '000102'
+    replies, executed = bus(driver, SYNC, damaged, '+100')
+    assert ''.join(reply for reply in replies if reply != '-') == SYNC_REPLY + invalid(0x40)
+    assert executed == []
+
+
+def test_bus_answers_a_request_that_is_too_long_once_after_its_end(driver):
+    long_request = request(1, 0, bytes(range(256)) * 2)
+    replies, executed = bus(driver, SYNC, long_request.hex(), '+100')
+    assert ''.join(reply for reply in replies if reply != '-') == SYNC_REPLY + invalid(0x20)
+
+
+def test_bus_rejects(driver):
+    for case in VECTORS['bus']['rejected']:
+        assert bus(driver, SYNC, plain(case['frame']), '+60')[1] == []
+
+
+class SlaveModel(object):
+    """What the Slave makes of one burst of bytes with silence after it."""
+
+    MAX_DATA = 300
+
+    def __init__(self):
+        self.executed = []
+
+    def burst(self, data):
+        replies = b''
+        code = None
+        at = 0
+        while at < len(data):
+            size, verdict = self.frame(data[at:])
+            if verdict == 'ok':
+                replies += self.execute(data[at:at + size])
+                code = None
+                at += size
+                continue
+            if verdict in (0x40, 0x20) and code is None:
+                code = verdict
+            at += 1
+        return replies + (bytes.fromhex(invalid(code)) if code else b'')
+
+    def frame(self, data):
+        """Length and verdict of what begins here: ok, an INVALID code, or None for nothing."""
+        if data[0] not in (0xA5, 0x5A):
+            return 1, None
+        header = 5 if data[0] == 0x5A else 4
+        if len(data) < header - 2:
+            return 1, None
+        length = struct.unpack_from('<H', data, 1)[0] if header == 5 else data[1]
+        if (length < 255) if header == 5 else (length == 255):
+            return 1, None
+        if length > self.MAX_DATA:
+            return 1, 0x20
+        if data[:4] == b'\xa5\x02\x55\x22' and data[4:5] == b'\xd0':
+            return 5, 'ok'
+        end = header + length
+        if len(data) <= end:
+            return 1, None
+        return (end + 1, 'ok') if xor(data[:end]) == data[end] else (1, 0x40)
+
+    def execute(self, frame):
+        header = 5 if frame[0] == 0x5A else 4
+        cmd1, cmd2, data = frame[header - 2], frame[header - 1], frame[header:-1]
+        if cmd1 == 0:
+            return reply_of(0)
+        if cmd1 == 1:
+            return reply_of(1, data)
+        if cmd1 != 0x55:
+            return reply_of(3, b'\x00\x80')
+        self.executed.append('%02x:%s' % (cmd2, data.hex()))
+        if cmd2 == 0x22:
+            return reply_of(2, struct.pack('<HhH', 350, 2563, 4812))
+        if cmd2 == 0x21:
+            return reply_of(2) if len(data) == 2 and data[0] <= 3 else reply_of(3, b'\x01\x80')
+        return reply_of(3, b'\x00\x80')
+
+
+def random_burst(rng):
+    burst = b''
+    for _ in range(rng.randrange(1, 4)):
+        kind = rng.randrange(6)
+        size = rng.choice([0, 1, 2, 2, 3, 7, 60, 255, 256, 299])
+        data = bytes(rng.choice([0xA5, 0x5A, 0, 1, rng.randrange(256)]) for _ in range(size))
+        frame = request(rng.choice([0, 1, 0x55, 0x55, 0x55, 9]), rng.choice([0x21, 0x21, 0x22, 0x23]), data)
+        if kind == 0:
+            frame = bytes(rng.choice([0xA5, 0x5A, 0, 2, 0x55, 0x22, rng.randrange(256)])
+                          for _ in range(rng.randrange(12)))
+        elif kind == 1 and frame:
+            at = rng.randrange(len(frame))
+            frame = frame[:at] + bytes([frame[at] ^ (1 << rng.randrange(8))]) + frame[at + 1:]
+        elif kind == 2:
+            frame = frame[:rng.randrange(len(frame) + 1)]
+        elif kind == 3:
+            frame = unhex('a5025522d0')
+        # The model knows no motions.
+        burst += frame.replace(b'\x55\x20', b'\x55\x21')
+    return burst
+
+
+def test_bus_agrees_with_the_model(driver):
+    rng = random.Random(2)
+    for _ in range(1500):
+        model = SlaveModel()
+        expected = [SYNC_REPLY]
+        tokens = [SYNC]
+        for _ in range(4):
+            burst = random_burst(rng)
+            if not burst or b'\x55\x20' in burst:
+                continue
+            cut = rng.randrange(1, len(burst) + 1)
+            tokens += [chunk.hex() for chunk in (burst[:cut], burst[cut:]) if chunk] + ['+60']
+            expected.append(model.burst(burst).hex())
+        replies, executed = bus(driver, *(tokens[:1] + ['+60'] + tokens[1:]))
+        assert ''.join(reply for reply in replies if reply != '-') == ''.join(expected), tokens
+        assert executed == model.executed, tokens
+
+
+# STX/ETX
+
+@pytest.mark.parametrize('case', VECTORS['mcu']['frames'], ids=lambda case: '%d-%d' % (case['type'], case['seq']))
+def test_stx_etx_frames(driver, case):
+    if case['seq']:
+        assert driver('skip %d' % case['seq']) == 'ok'
+    value = case['value']
+    if case['type'] == 0x10:
+        command = 'sensor %d %d %d %d %d' % (value['vl53_1'], value['vl53_2'], round(value['yaw'] * 100),
+                                             round(value['pitch'] * 100), round(value['roll'] * 100))
+    else:
+        command = 'adc ' + ' '.join(str(channel) for channel in value['adc'])
+    assert driver(command) == plain(case['frame'])
+
+
+def test_stx_etx_sequence_counts_modulo_256(driver):
+    sequence = [unhex(driver('adc 1 2 3 4 5 6'))[3] for _ in range(300)]
+    assert sequence == [number % 256 for number in range(300)]
+
+
+def test_heading_wraps_and_can_be_restored(driver):
+    for heading in range(0, 36000, 25):
+        frame = unhex(driver('sensor 1 2 %d 0 0' % heading))
+        yaw = struct.unpack_from('<h', frame, 8)[0]
+        assert (yaw + 65536 if yaw < -18000 else yaw) == heading
