@@ -1,6 +1,6 @@
 """Read by catkin_python_setup() alone; build with catkin."""
-from setuptools import setup
 from catkin_pkg.python_setup import generate_distutils_setup
+from setuptools import setup
 
 setup(**generate_distutils_setup(
     packages=['serial_communication'] + ['serial_communication.' + name for name in (

@@ -1,1 +1,1 @@
-"""One open port each: the reading thread, reconnecting, the session rules, the counters. No rospy."""
+"""One open port each: its reading thread, reconnecting, session rules and counters. No rospy."""

@@ -72,7 +72,8 @@ class ArduinoLink(Link):
         """PWM of the drive motor, saturated to ±1000; Refused where it cannot be sent now."""
         limit = arduino.SPEED_LIMIT
         if not -limit <= value <= limit:
-            self.log.warn('saturated', 'speed %d is beyond %d either way; sent as that' % (value, limit))
+            self.log.warn('saturated', 'speed %d is beyond %d either way; sent as that'
+                          % (value, limit))
             value = limit if value > 0 else -limit
         with self._commands:
             self._command(arduino.SpeedCommand(value))

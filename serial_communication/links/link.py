@@ -227,4 +227,3 @@ class Link:
                 self.received(frame, now)
             if self.tap:
                 self.tap(self.name, RX, frame)
-

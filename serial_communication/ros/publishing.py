@@ -15,6 +15,7 @@ def wanted(*publishers: rospy.Publisher) -> bool:
     """Whether anybody subscribes to one of them."""
     return any(one.get_num_connections() for one in publishers)
 
+
 def diagonal(x: float, y: float, z: float) -> list:
     """A covariance matrix, row by row."""
     return [x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, z]

@@ -1,0 +1,198 @@
+# What scripts/demo and scripts/test have in common: from a machine without ROS to a built and
+# sourced package. To be sourced by them; then call  set_up run  or  set_up run test avr.
+#
+# Where nothing is missing and nothing has changed it takes a fraction of a second: no network,
+# no package manager, no cmake.
+
+checkout=$(dirname "$(dirname "$(readlink -f "${BASH_SOURCE[0]}")")")
+build=$checkout/build
+noetic=/opt/ros/noetic
+
+# The packages, all of them, for what each is needed, and their names on both systems.
+packages() {
+    cat <<'END'
+# need | Debian 12                                   | Ubuntu 20.04 with /opt/ros/noetic
+run    | ros-core-python-dev rosbash catkin          | ros-noetic-ros-core
+run    | python3-tf2-ros python3-diagnostic-updater  | ros-noetic-tf2-ros ros-noetic-diagnostic-updater
+run    | python3-serial socat cmake make g++         | python3-serial socat cmake make g++
+test   | python3-rostest python3-rosbag              | ros-noetic-rostest ros-noetic-rosbag
+test   | python3-pytest python3-hypothesis           | python3-pytest python3-hypothesis
+test   | catkin-lint python3-flake8                  | catkin-lint python3-flake8
+test   | shellcheck libxml2-utils                    | shellcheck libxml2-utils
+avr    | gcc-avr avr-libc arduino-core-avr           | gcc-avr avr-libc arduino-core-avr
+avr    | simavr libsimavr-dev libelf-dev pkg-config  | simavr libsimavr-dev libelf-dev pkg-config
+END
+}
+
+say() { printf '==> %s\n' "$*"; }
+
+fail() {
+    printf '%s: %s\n' "${0##*/}" "$*" >&2
+    exit 1
+}
+
+# set_up NEED...: install what is missing for these, build, and source the result.
+set_up() {
+    forget_other_ros
+    if [[ ! -d $noetic ]]; then
+        is_debian_12 || fail "this system is neither Debian 12 nor one with $noetic;" \
+            "use one of these, or a container of one."
+    fi
+    local missing
+    missing=$(missing_packages "$@")
+    # shellcheck disable=SC2086
+    [[ -z $missing ]] || install $missing
+    [[ ! -d $noetic ]] || source_quietly "$noetic/setup.bash"
+    build_if_changed
+    source_quietly "$build/devel/setup.bash"
+    name_this_host
+    # Logs stay with the build: the home folder may be missing, or not ours to write to.
+    export ROS_HOME=$build/ros ROS_LOG_DIR=$build/ros/log
+    mkdir -p "$ROS_LOG_DIR"
+    find "$ROS_LOG_DIR" -mindepth 1 -mtime +7 -delete
+}
+
+# Another ROS, or another Python, that the caller's shell is set up for would mix with this one.
+# Where the master is (ROS_MASTER_URI, ROS_IP, ROS_HOSTNAME) remains the caller's choice.
+forget_other_ros() {
+    unset AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PKG_CONFIG_PATH \
+        PYTHONPATH PYTHONHOME VIRTUAL_ENV ROS_DISTRO ROS_ETC_DIR ROS_PACKAGE_PATH \
+        ROS_PYTHON_VERSION ROS_ROOT ROS_VERSION
+    export PYTHONNOUSERSITE=1
+    export PATH="/usr/bin:/bin:/usr/sbin:/sbin:$PATH"    # ROS belongs to the system's python3
+}
+
+is_debian_12() (
+    [[ -r /etc/os-release ]] || return 1
+    # shellcheck disable=SC1091
+    . /etc/os-release
+    [[ ${ID:-} == debian && ${VERSION_ID:-} == 12 ]]
+)
+
+# -- packages ------------------------------------------------------------------------------
+
+# missing_packages NEED...
+missing_packages() {
+    local needed installed package
+    needed=$(needed_packages "$@")
+    # shellcheck disable=SC2086
+    installed=$(dpkg-query -W -f '${db:Status-Status} ${Package}\n' $needed 2>/dev/null || true)
+    for package in $needed; do
+        grep -qx "installed $package" <<<"$installed" || built_from_source "$package" ||
+            printf '%s ' "$package"
+    done
+    # A bare root may have no /etc/hosts; this package gives localhost and the host their names.
+    means_something localhost || printf 'libnss-myhostname '
+}
+
+needed_packages() {
+    local need debian ubuntu
+    packages | while IFS='|' read -r need debian ubuntu; do
+        if [[ " $* " == *" ${need// /} "* ]]; then
+            if [[ -d $noetic ]]; then echo "$ubuntu"; else echo "$debian"; fi
+        fi
+    done
+}
+
+# A ROS that somebody has built needs no package of that name.
+built_from_source() {
+    local name=${1#ros-noetic-}
+    [[ $name != "$1" && -e $noetic/share/${name//-/_}/package.xml ]]
+}
+
+# install PACKAGE...
+install() {
+    local as_root=() log
+    if ((EUID)); then
+        may_use_sudo || fail "these packages are missing, and only root may install them: $*;" \
+            "run this as root, or as a user with sudo, or have them installed."
+        as_root=(sudo)
+    fi
+    log=$(mktemp)
+    say "Installing what is missing ($# packages and what they need): a few minutes, once ..."
+    # The lists are fetched only where they do not do: none yet, or too old.
+    if ! apt_install "$@" &>"$log"; then
+        "${as_root[@]}" apt-get -q update &>>"$log" || true
+        apt_install "$@" &>>"$log" || explain_failed_install "$log"
+    fi
+    rm -f "$log"
+}
+
+apt_install() {
+    "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get -q -y \
+        -o DPkg::Lock::Timeout=300 install --no-install-recommends "$@" </dev/null
+}
+
+# sudo may ask for a password, if there is somebody to ask.
+may_use_sudo() {
+    command -v sudo >/dev/null || return 1
+    sudo -n true 2>/dev/null || { [[ -t 0 ]] && sudo -v; }
+}
+
+explain_failed_install() {
+    grep -E '^(E|Err):?' "$1" | tail -n 5 >&2 || true
+    if grep -qE 'Could not resolve|Temporary failure|Could not connect|Unable to connect' "$1"; then
+        fail "the packages cannot be fetched: connect this machine to the network and try" \
+            "again (all that apt-get said: $1)."
+    fi
+    fail "apt-get could not install $missing; see above, and $1 for all that it said."
+}
+
+# -- build ---------------------------------------------------------------------------------
+
+build_if_changed() {
+    mkdir -p "$build" 2>/dev/null || true
+    [[ -w $build ]] ||
+        fail "$build cannot be written to; take a checkout of your own, or give it to $(id -un)."
+    (
+        flock 9 ||
+            fail "$build/.lock cannot be locked."
+        local wanted log=$build/build.log
+        wanted=$(build_inputs)
+        if [[ -e $build/devel/setup.bash && $wanted == "$(cat "$build/.built" 2>/dev/null)" ]]; then
+            exit 0
+        fi
+        say "Building in $build ..."
+        # cmake refuses a build folder that has moved, and keeps what is no longer wanted.
+        find "$build" -mindepth 1 -maxdepth 1 ! -name .lock ! -name ros -exec rm -rf {} + ||
+            fail "$build holds files of another user; remove it, then try again."
+        if ! { cmake -S "$checkout" -B "$build" -DPYTHON_EXECUTABLE=/usr/bin/python3 \
+            -DCATKIN_ENABLE_TESTING=OFF && make -C "$build"; } &>"$log"; then
+            tail -n 20 "$log" >&2
+            fail "the build failed; see above, and $log for all of it."
+        fi
+        echo "$wanted" >"$build/.built"
+    ) 9>"$build/.lock" || exit
+}
+
+# All that the build depends on: where it stands, for which ROS, and the files it reads.
+build_inputs() {
+    (
+        cd "$checkout" || exit
+        printf '%s\n' "$checkout" "$(readlink -f /usr/bin/python3)" "${ROS_ROOT:-}"
+        sha256sum CMakeLists.txt package.xml setup.py msg/* srv/*
+    ) | sha256sum
+}
+
+# setup.bash reads variables that may not be set.
+source_quietly() {
+    set +u
+    # shellcheck disable=SC1090
+    . "$1"
+    set -u
+}
+
+# ROS programs tell each other their host's name, so it has to mean something.
+name_this_host() {
+    means_something localhost ||
+        fail "the name localhost means nothing here: add the line '127.0.0.1 localhost' to" \
+            "/etc/hosts."
+    if [[ -z ${ROS_HOSTNAME:-}${ROS_IP:-} ]] &&
+        ! means_something "$(</proc/sys/kernel/hostname)"; then
+        export ROS_HOSTNAME=localhost
+    fi
+}
+
+means_something() {
+    timeout 3 getent ahosts "$1" >/dev/null
+}

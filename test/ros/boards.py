@@ -1,0 +1,526 @@
+"""What the tests of the ROS side share.
+
+The boards at the far ends of the lines, played here so that exact bytes can be asserted; lines
+and bridges that a test starts and ends itself; and ways to wait for a condition, with a
+deadline, instead of for a time.
+"""
+import os
+import re
+import signal
+import subprocess
+import tempfile
+import threading
+import time
+from collections import deque
+from typing import Dict, NamedTuple
+
+import roslib.packages
+import rospy
+import serial
+from diagnostic_msgs.msg import DiagnosticArray
+from rosgraph_msgs.msg import Log
+from std_srvs.srv import Trigger
+
+from serial_communication.protocols import arduino, mcu
+from serial_communication.protocols import robot_ctrl_bus as bus
+
+PACKAGE = 'serial_communication'
+OK, WARN, ERROR = 0, 1, 2        # levels of diagnostics
+RX, TX = 0, 1                    # directions of SerialMsg
+NOT_SENT, TIMEOUT = 253, 254     # statuses of a bus service beside a reply's CMD1
+GIVE_UP = 0.3                    # s after which a board drops a frame cut short
+PATIENCE = 15.0                  # s; only a test that fails waits as long
+
+SYNC_FRAME = bytes.fromhex('a5000000a5')
+HEARTBEAT_PACKET = bytes.fromhex('020b00')
+SPEED_0_PACKET = bytes.fromhex('0204010100')
+CALIBRATION_PACKET = bytes.fromhex('020c00')
+AIR = bus.Environment(350, 25.63, 48.12)
+AIR_DATA = bytes.fromhex('5e01030acc12')
+
+
+# -- waiting ----------------------------------------------------------------------------
+
+
+def until(condition, what, seconds=PATIENCE, doing=None, every=0.01):
+    """Wait for `condition()`, which is returned; AssertionError after `seconds`.
+
+    `doing` is called meanwhile, every `every` seconds, the first time at once.
+    """
+    deadline = time.monotonic() + seconds
+    while True:
+        if doing:
+            doing()
+        value = condition()
+        if value:
+            return value
+        if time.monotonic() > deadline:
+            raise AssertionError('not within %g s: %s' % (seconds, what))
+        time.sleep(every)
+
+
+class Waiter(threading.Thread):
+    """A blocking call made elsewhere, so that the test can act while it waits."""
+
+    def __init__(self, function, *arguments):
+        super().__init__(daemon=True)
+        self.answer = None
+        self.error = None
+        self.took = 0.0
+        self._call = lambda: function(*arguments)
+        self.start()
+
+    def run(self):
+        began = time.monotonic()
+        try:
+            self.answer = self._call()
+        except Exception as error:  # pylint: disable=broad-except
+            self.error = error
+        self.took = time.monotonic() - began
+
+    def result(self, seconds=PATIENCE):
+        """What the call returned."""
+        self.join(seconds)
+        assert not self.is_alive(), 'the call has not returned within %g s' % seconds
+        if self.error:
+            raise self.error
+        return self.answer
+
+
+# -- boards -----------------------------------------------------------------------------
+
+
+class Board:
+    """The far end of a line: takes all that comes, and opens the port again when it returns."""
+
+    def __init__(self, path, decoder):
+        self.wire = bytearray()      # all bytes since `forget`
+        self.frames = []             # the good ones; stamped in seconds of time.monotonic()
+        self.bad = []
+        self._path = path
+        self._decoder = decoder
+        self._port = None
+        self._last_byte = 0.0
+        self._writing = threading.Lock()
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=path, daemon=True)
+        self._thread.start()
+
+    @property
+    def connected(self):
+        """Whether the far end is open."""
+        return self._port is not None
+
+    @property
+    def raws(self):
+        """The good frames as they were on the wire."""
+        return [frame.raw for frame in self.frames]
+
+    def forget(self):
+        """Begin the records anew."""
+        self.wire, self.frames, self.bad = bytearray(), [], []
+
+    def unread(self):
+        """How many bytes wait for the thread, which may ask this from `take`."""
+        return self._port.in_waiting
+
+    def write(self, data):
+        """Put bytes on the line; False where there is none just now."""
+        with self._writing:
+            try:
+                self._port.write(data)
+                return True
+            except (OSError, AttributeError, TypeError):
+                return False
+
+    def close(self):
+        """Leave the line."""
+        self._closing.set()
+        self._thread.join(5)
+
+    def take(self, frame):
+        """A good frame has come."""
+
+    def _run(self):
+        while not self._closing.is_set():
+            try:
+                # Exclusively: a program that holds a link whose device has another owner now
+                # must not take this line's bytes.
+                self._port = serial.Serial(self._path, 115200, timeout=0.05, exclusive=True)
+            except (OSError, ValueError):
+                self._closing.wait(0.02)
+                continue
+            port = self._port
+            self._decoder.reset()
+            try:
+                while not self._closing.is_set():
+                    self._read(port)
+            except (OSError, TypeError):
+                pass        # the line was cut
+            self._port = None
+            try:
+                port.close()
+            except OSError:
+                pass
+
+    def _read(self, port):
+        data = port.read(max(1, port.in_waiting))
+        now = time.monotonic()
+        frames = []
+        if data:
+            self._last_byte = now
+            self.wire.extend(data)
+            frames = self._decoder.feed(data, now)
+        elif now > self._last_byte + GIVE_UP:
+            frames = self._decoder.give_up()
+        for frame in frames:
+            if frame.cause:
+                self.bad.append(frame)
+            else:
+                self.frames.append(frame)
+                self.take(frame)
+
+
+class BusBoard(Board):
+    """The main control board: answers SYNC and ECHO, obeys, and can be told to do otherwise.
+
+    `script` holds what the next requests but SYNC and ECHO get: a Reply, bytes, None for no
+    answer, or a function of the request that returns one of these. `echo` and `sync`, where
+    set, are such functions for theirs. On a `polled` board the environment is not scripted.
+    """
+
+    def __init__(self, path, has_cmd2=False, polled=False):
+        self._polled = polled
+        self.script = deque()
+        self.echo = None
+        self.sync = None
+        self.air = AIR
+        self._has_cmd2 = has_cmd2
+        super().__init__(path, bus.RequestDecoder())
+
+    @property
+    def others(self):
+        """The frames that are neither SYNC nor ECHO."""
+        return [frame.raw for frame in self.frames if frame.type not in (bus.SYNC, bus.ECHO)]
+
+    def say(self, reply):
+        """Send a Reply, or bytes; nothing for None."""
+        if isinstance(reply, bus.Reply):
+            reply = bus.encode_reply(reply, self._has_cmd2)
+        if reply:
+            self.write(reply)
+
+    def take(self, frame):
+        request = frame.message
+        own = {bus.SYNC: self.sync, bus.ECHO: self.echo}
+        if self._polled and request == bus.Request(bus.FUNCTION, bus.ENVIRONMENT):
+            answer = self._obey
+        elif request.cmd1 in own:
+            answer = own[request.cmd1] or (lambda r: bus.Reply(r.cmd1, r.data, r.cmd2))
+        else:
+            answer = self.script.popleft() if self.script else self._obey
+        self.say(answer(request) if callable(answer) and not isinstance(answer, bus.Reply)
+                 else answer)
+
+    def _obey(self, request):
+        if request.cmd1 != bus.FUNCTION or request.cmd2 not in (bus.LIFT, bus.GIMBAL,
+                                                                bus.ENVIRONMENT):
+            return bus.Reply(bus.ERROR, bus.UNSUPPORTED.to_bytes(2, 'little'), request.cmd2)
+        data = self.air.pack() if request.cmd2 == bus.ENVIRONMENT else b''
+        return bus.Reply(bus.OK, data, request.cmd2)
+
+
+class CarBoard(Board):
+    """The model car."""
+
+    def __init__(self, path):
+        super().__init__(path, arduino.BoardDecoder())
+
+    @property
+    def heartbeats(self):
+        """When each came, in seconds of time.monotonic()."""
+        return [frame.stamp for frame in self.frames if frame.raw == HEARTBEAT_PACKET]
+
+    @property
+    def commands(self):
+        """The packets that are no heartbeats."""
+        return [frame.raw for frame in self.frames if frame.raw != HEARTBEAT_PACKET]
+
+    @property
+    def speeds(self):
+        """The speed commands among them, as numbers."""
+        return [frame.message.value for frame in self.frames
+                if isinstance(frame.message, arduino.SpeedCommand)]
+
+    def say(self, message):
+        """Send a typed message."""
+        self.write(arduino.encode(message))
+
+    def wait_for_heartbeats(self, number):
+        """Time as the board has it: `number` heartbeats from now."""
+        wanted = len(self.heartbeats) + number
+        until(lambda: len(self.heartbeats) >= wanted, '%d heartbeats' % number)
+
+    def heartbeat_rate(self, number):
+        """In Hz, over `number` heartbeats from now."""
+        self.forget()
+        self.wait_for_heartbeats(number)
+        stamps = self.heartbeats
+        return (len(stamps) - 1) / (stamps[-1] - stamps[0])
+
+
+class SensorBoard(Board):
+    """The board with the range sensors. It hears nothing: `wire` must stay empty."""
+
+    def __init__(self, path):
+        self.seq = 0
+        super().__init__(path, mcu.Decoder())
+
+    def say(self, message):
+        """Send a typed message as the next frame."""
+        self.write(mcu.encode(message, self.seq))
+        self.seq = (self.seq + 1) % 256
+
+
+def level_imu():
+    """A plausible IMU packet, level and at rest."""
+    return arduino.Imu(16384, 0, 0, 0, 0, 0, 0, 0, 0, 8192, 0)
+
+
+def ranges(first=470, second=580, yaw=0.0, pitch=0.0, roll=0.0):
+    """A sensor status."""
+    return mcu.SensorStatus(first, second, yaw, pitch, roll)
+
+
+# -- lines and bridges of a test's own ----------------------------------------------------
+
+
+def program(name):
+    """The path of one of the package's programs."""
+    found = roslib.packages.find_node(PACKAGE, name)
+    assert found, 'the package has no program %s' % name
+    return found[0]
+
+
+def own_folder():
+    """A new folder for ports, short enough for every name in it."""
+    return tempfile.mkdtemp(prefix='rostest_')
+
+
+class Line:
+    """A socat pair that can be cut and mended."""
+
+    def __init__(self, near):
+        self.near = near
+        self.far = near + '_board'
+        self._process = None
+
+    def plug(self):
+        """Connect both ends."""
+        self._process = subprocess.Popen([program('socat_pair'), self.near, self.far],
+                                         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        until(lambda: os.path.exists(self.near) and os.path.exists(self.far),
+              'socat makes %s' % self.near)
+        return self
+
+    def unplug(self):
+        """Cut it; both ports are gone when this returns."""
+        if self._process is None:
+            return
+        # The links first: never do they point to a device that is another's by now.
+        for path in (self.near, self.far):
+            if os.path.lexists(path):
+                os.unlink(path)
+        self._process.kill()
+        self._process.wait(10)
+        self._process = None
+
+
+class Bridge:
+    """A bridge that the test starts and ends, with parameters and a name of its own."""
+
+    def __init__(self, name=PACKAGE, parameters=None, arguments=()):
+        if rospy.has_param('/' + name):
+            rospy.delete_param('/' + name)
+        for key, value in (parameters or {}).items():
+            rospy.set_param('/%s/%s' % (name, key), value)
+        self.name = name
+        self._output = tempfile.TemporaryFile('w+')
+        self.process = subprocess.Popen(
+            [program('serial_communication_node'), '__name:=' + name] + list(arguments),
+            stdout=self._output, stderr=subprocess.STDOUT)
+
+    def output(self):
+        """What it has printed so far, without colours."""
+        self._output.seek(0)
+        return re.sub('\033\\[[0-9;]*m', '', self._output.read())
+
+    def wait_for(self, words):
+        """The first line with `words` that it has printed, or prints soon.
+
+        What a node says as it starts, a subscriber of /rosout is late for.
+        """
+        def find():
+            return [line for line in self.output().split('\n') if words in line]
+        return until(find, '%s prints "%s"' % (self.name, words), every=0.05)[0]
+
+    @property
+    def alive(self):
+        """Whether its process runs."""
+        return self.process.poll() is None
+
+    def end(self, number=signal.SIGINT):
+        """Send a signal; return the seconds until the process has ended, and its status."""
+        began = time.monotonic()
+        if self.alive:
+            self.process.send_signal(number)
+        try:
+            status = self.process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait(10)
+            raise AssertionError('still runs %g s after signal %d' % (PATIENCE, number))
+        return time.monotonic() - began, status
+
+
+# -- the ROS side -------------------------------------------------------------------------
+
+
+class Topic:
+    """A topic's messages from now on; returns when somebody publishes it, unless told not to."""
+
+    def __init__(self, name, message_class, wait=True):
+        self.messages = []
+        self.arrivals = []     # when each came, in seconds of time.monotonic()
+        self.name = name
+        self._subscriber = rospy.Subscriber(name, message_class, self._take, queue_size=5000,
+                                            tcp_nodelay=True)
+        if wait:
+            until(self._subscriber.get_num_connections, '%s is published' % name)
+
+    def _take(self, message):
+        self.arrivals.append(time.monotonic())
+        self.messages.append(message)
+
+    def forget(self):
+        """Begin the record anew."""
+        self.messages, self.arrivals = [], []
+
+    def first(self, condition=lambda message: True, doing=None, what='', seconds=PATIENCE):
+        """The first message that meets `condition`; `doing` is done until it is there."""
+        def find():
+            return next(([m] for m in list(self.messages) if condition(m)), None)
+        return until(find, '%s %s' % (self.name, what or 'carries such a message'), seconds,
+                     doing, every=0.02)[0]
+
+    def next(self, condition=lambda message: True, **arguments):
+        """The first such message from now on."""
+        self.forget()
+        return self.first(condition, **arguments)
+
+    def close(self):
+        """Subscribe no more."""
+        self._subscriber.unregister()
+
+
+class Rosout(Topic):
+    """What nodes say to people."""
+
+    def __init__(self):
+        super().__init__('/rosout', Log, wait=False)
+
+    def lines(self, node, words, level=0):
+        """The lines of `node` so far with `words` in them, at `level` if given."""
+        return [m.msg for m in list(self.messages)
+                if m.name == '/' + node and words in m.msg and level in (0, m.level)]
+
+    def wait_for(self, node, words, level=0, doing=None):
+        """The first such line."""
+        return until(lambda: self.lines(node, words, level), '%s says "%s"' % (node, words),
+                     doing=doing, every=0.05)[0]
+
+
+class Status(NamedTuple):
+    """A status of one link, as it came on /diagnostics."""
+
+    level: int
+    message: str
+    hardware_id: str
+    keys: Dict[str, str]
+    arrived: float
+
+
+class Diagnostics(Topic):
+    """The statuses of one node."""
+
+    def __init__(self, node=PACKAGE):
+        self._node = node
+        super().__init__('/diagnostics', DiagnosticArray, wait=False)
+
+    def statuses(self, link):
+        """Those of one link that came so far; the word that the node starts is left out."""
+        return [Status(ord(s.level) if isinstance(s.level, bytes) else s.level, s.message,
+                       s.hardware_id, {value.key: value.value for value in s.values}, arrived)
+                for message, arrived in zip(list(self.messages), list(self.arrivals))
+                for s in message.status
+                if s.name == '%s: %s link' % (self._node, link) and s.values]
+
+    def wait_for(self, link, condition, what, doing=None):
+        """The first status of `link` that meets `condition`."""
+        return self.wait_for_all((link,), lambda status, _link: condition(status), what,
+                                 doing)[link]
+
+    def fresh(self, link, condition, what, doing=None):
+        """The same, from now on."""
+        self.forget()
+        return self.wait_for(link, condition, what, doing)
+
+    def wait_for_all(self, links, condition, what, doing=None):
+        """For each of `links` the first status with which `condition(status, link)` holds."""
+        found = {}
+
+        def complete():
+            for link in links:
+                if link not in found:
+                    met = [s for s in self.statuses(link) if condition(s, link)]
+                    found.update({link: s for s in met[:1]})
+            return len(found) == len(links)
+        try:
+            until(complete, 'a status with ' + what, doing=doing, every=0.02)
+        except AssertionError as error:
+            raise AssertionError('%s; last: %s' % (error, {
+                link: self.statuses(link)[-1:] for link in links if link not in found})) from None
+        return found
+
+    def fresh_of_all(self, links, condition, what, doing=None):
+        """The same, from now on."""
+        self.forget()
+        return self.wait_for_all(links, condition, what, doing)
+
+
+def service(name, service_class):
+    """A caller of a service that is there."""
+    rospy.wait_for_service(name, PATIENCE)
+    return rospy.ServiceProxy(name, service_class)
+
+
+def command_topic(name, message_class):
+    """A publisher that the bridge listens to."""
+    topic = rospy.Publisher(name, message_class, queue_size=100, tcp_nodelay=True)
+    until(topic.get_num_connections, 'the bridge subscribes to %s' % name)
+    return topic
+
+
+def settle(node, board):
+    """The bus of `node` is in step, and nothing waits; `board` has forgotten all before."""
+    board.script.clear()
+    board.echo = board.sync = None
+    echo = service('/%s/bus/echo' % node, Trigger)
+    until(lambda: board.connected, 'the board has its port')
+    until(lambda: echo().success, 'the bus answers ECHO')
+    board.forget()
+
+
+def values_of(message, *names):
+    """The fields with these names, as a tuple."""
+    return tuple(getattr(message, name) for name in names)

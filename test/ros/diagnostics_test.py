@@ -1,0 +1,159 @@
+#!/usr/bin/env python3
+"""/diagnostics: the names, the keys, and a level that follows what happens on the line."""
+import unittest
+
+import rospy
+import rostest
+
+from boards import (ERROR, OK, PACKAGE, WARN, BusBoard, CarBoard, Diagnostics, SensorBoard,
+                    level_imu, ranges, service, settle, until)
+from serial_communication.protocols import mcu
+from serial_communication.srv import Lift
+
+LINKS = 'bus', 'arduino', 'mcu'
+KEYS = {'port', 'state', 'frames received', 'frames sent', 'bytes received', 'bytes sent',
+        'checksum errors', 'framing errors', 'reconnects', 'last frame age [s]'}
+OWN_KEYS = {'bus': {'timeouts', 'round trip p50 [ms]', 'round trip max [ms]'},
+            'arduino': {'heartbeats sent', 'heartbeat max gap [ms]'},
+            'mcu': {'frames lost'}}
+NOISE = {'bus': bytes.fromhex('112233'), 'arduino': bytes.fromhex('ff010200'),
+         'mcu': bytes.fromhex('112233')}
+BAD_CHECKSUM = {'bus': bytes.fromhex('a50002a6'),
+                'mcu': bytes.fromhex('020c1001010002000300040005000003')}
+
+
+def number(status, key):
+    """The value of a key that is a number."""
+    return float(status.keys[key])
+
+
+class DiagnosticsTest(unittest.TestCase):
+    """Three boards that talk, and one who reads the statuses."""
+
+    def setUp(self):
+        settle(PACKAGE, BOARDS['bus'])
+        self.diagnostics = Diagnostics()
+
+    def tearDown(self):
+        self.diagnostics.close()
+
+    @staticmethod
+    def talk():
+        """What the boards that talk by themselves say."""
+        BOARDS['arduino'].say(level_imu())
+        BOARDS['mcu'].say(ranges())
+
+    def fresh(self, link, condition, what, doing=None):
+        """The first such status of one link from now on, while all boards talk."""
+        return self.diagnostics.fresh(link, condition, what, doing or self.talk)
+
+    def fresh_of_all(self, level, links=LINKS, doing=None):
+        """The first status of each link at that level from now on, while all boards talk."""
+        return self.diagnostics.fresh_of_all(links, lambda s, _link: s.level == level,
+                                             'level %d' % level, doing or self.talk)
+
+    def test_each_link_has_one_status_with_every_key_and_its_port_as_hardware_id(self):
+        for link, status in self.fresh_of_all(OK).items():
+            self.assertEqual(status.hardware_id, '%s_%s' % (LINE, link))
+            self.assertEqual(status.keys['port'], status.hardware_id)
+            self.assertEqual((KEYS | OWN_KEYS[link]) - set(status.keys), set(), link)
+            self.assertTrue(status.message)
+        names = {s.name for m in self.diagnostics.messages for s in m.status
+                 if s.name.startswith(PACKAGE)}
+        self.assertEqual(names, {'serial_communication: %s link' % link for link in LINKS})
+
+    def test_a_status_comes_once_a_second(self):
+        for link in LINKS:
+            until(lambda name=link: len(self.diagnostics.statuses(name)) >= 4, 'four statuses')
+            times = [status.arrived for status in self.diagnostics.statuses(link)]
+            self.assertTrue(0.7 < (times[-1] - times[0]) / (len(times) - 1) < 2.0, times)
+
+    def test_links_that_talk_are_ok_and_count_what_they_carry(self):
+        first, later = self.fresh_of_all(OK), self.fresh_of_all(OK)
+        for link in LINKS:
+            for key in ('frames received', 'bytes received') + (
+                    ('frames sent', 'bytes sent') if link != 'mcu' else ()):
+                self.assertGreater(number(later[link], key), number(first[link], key), link)
+            self.assertLess(number(later[link], 'last frame age [s]'), 1.0)
+            self.assertEqual(later[link].keys['reconnects'], '0')
+            self.assertTrue(later[link].keys['state'])
+        self.assertEqual(later['mcu'].keys['bytes sent'], '0')
+        self.assertGreater(number(later['arduino'], 'heartbeats sent'),
+                           number(first['arduino'], 'heartbeats sent'))
+        self.assertGreater(number(later['arduino'], 'heartbeat max gap [ms]'), 5.0)
+        p50, most = (number(later['bus'], 'round trip %s [ms]' % key) for key in ('p50', 'max'))
+        self.assertTrue(0.0 < p50 <= most < 1000.0, (p50, most))
+
+    def test_errors_in_the_last_second_are_a_warning_and_counted_by_cause(self):
+        for key, damage in ('framing errors', NOISE), ('checksum errors', BAD_CHECKSUM):
+            before = self.fresh_of_all(OK)
+            for link in damage:
+                BOARDS[link].write(damage[link])
+            after = self.diagnostics.fresh_of_all(
+                damage, lambda s, _: s.level == WARN and number(s, key)
+                == number(before[l], key) + 1, 'WARN and one more of the ' + key, self.talk)
+            self.assertEqual(set(after), set(damage))
+        self.fresh_of_all(OK)
+
+    def test_silent_boards_are_a_warning(self):
+        self.fresh_of_all(OK)
+        silent = self.fresh_of_all(WARN, ('arduino', 'mcu'), lambda: None)
+        for status in silent.values():
+            self.assertIn('silent', status.message)
+            self.assertGreater(number(status, 'last frame age [s]'), 0.9)
+
+    def test_frames_lost_are_counted_and_no_error(self):
+        board = BOARDS['mcu']
+        before = self.fresh('mcu', lambda s: s.level == OK, 'OK')
+        board.seq = (board.seq + 5) % 256
+        after = self.fresh('mcu', lambda s: number(s, 'frames lost')
+                           != number(before, 'frames lost'), 'more frames lost')
+        self.assertEqual(number(after, 'frames lost'), number(before, 'frames lost') + 5)
+        self.assertEqual(after.level, OK)
+
+    def test_an_unknown_type_with_a_sound_checksum_is_counted(self):
+        before = self.fresh('mcu', lambda s: s.level == OK, 'OK')
+        board = BOARDS['mcu']
+        board.write(mcu.encode_raw(0x55, board.seq, b'\x01'))
+        board.seq = (board.seq + 1) % 256
+        self.fresh('mcu', lambda s: number(s, 'unknown type errors')
+                   == number(before, 'unknown type errors') + 1, 'an unknown type')
+
+    def test_a_request_without_reply_is_counted(self):
+        before = self.fresh('bus', lambda s: s.level == OK, 'OK')
+        BOARDS['bus'].script.append(None)
+        self.assertFalse(service('/serial_communication/lift', Lift)(0, 1).success)
+        self.fresh('bus', lambda s: number(s, 'timeouts') > number(before, 'timeouts'),
+                   'more timeouts')
+
+    def test_a_board_that_does_not_answer_is_an_error_until_it_does(self):
+        def mute(_request):
+            return None
+
+        board = BOARDS['bus']
+        board.echo = board.sync = mute
+        board.script.extend([None] * 1000)
+        status = self.fresh('bus', lambda s: s.level == ERROR, 'ERROR')
+        self.assertIn('does not answer', status.message)
+        board.echo = board.sync = None
+        board.script.clear()
+        self.fresh('bus', lambda s: s.level == OK, 'OK again')
+
+    def test_a_closed_port_is_an_error(self):
+        closed = Diagnostics('closed')
+        found = closed.wait_for_all(LINKS, lambda s, _link: 'no such device' in s.message,
+                                    'no device')
+        for link, status in found.items():
+            self.assertEqual(status.level, ERROR)
+            self.assertEqual(status.hardware_id, '%s_absent_%s' % (LINE, link))
+            self.assertEqual((KEYS | OWN_KEYS[link]) - set(status.keys), set(), link)
+            self.assertEqual(status.keys['frames received'], '0')
+        closed.close()
+
+
+if __name__ == '__main__':
+    rospy.init_node('diagnostics_test')
+    LINE = rospy.get_param('~line')
+    BOARDS = {'bus': BusBoard(LINE + '_bus_board'), 'arduino': CarBoard(LINE + '_arduino_board'),
+              'mcu': SensorBoard(LINE + '_mcu_board')}
+    rostest.rosrun(PACKAGE, 'diagnostics', '__main__')

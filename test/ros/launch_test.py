@@ -1,0 +1,128 @@
+#!/usr/bin/env python3
+"""bridge.launch: with ports on the command line, and with simulated boards."""
+import os
+import shutil
+import signal
+import subprocess
+import tempfile
+import unittest
+
+import rosgraph
+import rospy
+import rostest
+from sensor_msgs.msg import Imu, Range, RelativeHumidity, Temperature
+from std_msgs.msg import Bool
+from std_srvs.srv import Empty, Trigger
+
+from boards import (OK, PACKAGE, PATIENCE, BusBoard, CarBoard, Diagnostics, Line, Topic,
+                    command_topic, own_folder, service, until)
+from serial_communication.msg import (Environment, McuStatus2, SerialMsg, SpeedPWMCommand,
+                                      SteeringFeedback, Ticks, Voltage)
+from serial_communication.protocols import arduino
+from serial_communication.srv import GetEnvironment, Gimbal, Lift
+
+SIMULATED_TOPICS = (
+    ('/serial_msg', SerialMsg), ('/serial_communication/imu', Imu),
+    ('/serial_communication/imu/temperature', Temperature),
+    ('/serial_communication/imu/calibrating', Bool),
+    ('/serial_communication/voltage', Voltage), ('/serial_communication/ticks', Ticks),
+    ('/serial_communication/steering_angle', SteeringFeedback),
+    ('/serial_communication/environment', Environment),
+    ('/serial_communication/environment/temperature', Temperature),
+    ('/serial_communication/environment/humidity', RelativeHumidity),
+    ('/mcu/status', McuStatus2), ('/mcu/imu', Imu), ('/mcu/range_1', Range),
+    ('/mcu/range_2', Range))
+
+
+class Launch(unittest.TestCase):
+    """roslaunch, started and ended as by hand."""
+
+    def setUp(self):
+        self.folder = own_folder()
+        self.lines, self.boards, self.process = [], [], None
+
+    def tearDown(self):
+        if self.process and self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+            self.process.wait(PATIENCE)
+        for part in self.boards:
+            part.close()
+        for line in self.lines:
+            line.unplug()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def launch(self, *arguments):
+        """roslaunch serial_communication bridge.launch, with these arguments."""
+        self.output = tempfile.TemporaryFile('w+')
+        self.process = subprocess.Popen(['roslaunch', PACKAGE, 'bridge.launch'] + list(arguments),
+                                        stdout=self.output, stderr=subprocess.STDOUT)
+
+    def end(self):
+        """Ctrl-C."""
+        self.process.send_signal(signal.SIGINT)
+        status = self.process.wait(PATIENCE)
+        self.output.seek(0)
+        text = self.output.read()
+        self.assertEqual(status, 0, text)
+        self.assertNotIn('Traceback', text)
+        self.assertNotIn('escalating', text)
+
+    def launch_with_two_ports(self, *arguments):
+        """With a bus board and a car on lines of the test's own; both work when it returns."""
+        self.lines = [Line(os.path.join(self.folder, name)).plug() for name in ('bus', 'arduino')]
+        bus_board, car = BusBoard(self.lines[0].far), CarBoard(self.lines[1].far)
+        self.boards = [bus_board, car]
+        self.launch('bus_port:=' + self.lines[0].near, 'arduino_port:=' + self.lines[1].near,
+                    *arguments)
+        until(lambda: service('/serial_communication/lift', Lift)(0, 100).success,
+              'the lift answers')
+        self.assertIn(bytes.fromhex('a50255200064b6'), bus_board.raws)
+        Topic('/serial_communication/voltage', Voltage).first(
+            doing=lambda: car.say(arduino.Voltage(12.0)))
+        return car
+
+    def test_ports_on_the_command_line_are_used_and_ctrl_c_ends_with_speed_0(self):
+        car = self.launch_with_two_ports()
+        # What stands in the config file is loaded beside.
+        self.assertEqual(rospy.get_param('/serial_communication/mcu/max_range'), 2.0)
+        self.assertEqual(rospy.get_param('/serial_communication/arduino/heartbeat_rate'), 100.0)
+        command_topic('/serial_communication/speed', SpeedPWMCommand).publish(value=300)
+        until(lambda: 300 in car.speeds, 'the car drives')
+        self.end()
+        until(lambda: car.raws[-1:] == [bytes.fromhex('0204010100')],
+              'SPEED 0 is the last packet: %s' % car.raws[-3:])
+
+    def test_an_empty_port_on_the_command_line_turns_its_link_off(self):
+        self.launch_with_two_ports('mcu_port:=')
+        state = rosgraph.Master('/launch_test').getSystemState()[0]
+        self.assertEqual([name for name, nodes in state if name.startswith('/mcu')
+                          and '/serial_communication' in nodes], [])
+
+    def test_simulated_boards_carry_data_on_every_topic_and_obey(self):
+        self.launch('sim:=true', 'sim_dir:=' + self.folder, 'publish_tf:=true')
+        topics = [Topic(name, message_class) for name, message_class in SIMULATED_TOPICS]
+        for topic in topics:
+            topic.first()
+        for link in 'bus', 'arduino', 'mcu':
+            topics[0].first(lambda m, name=link: m.link == name, what='carries frames of ' + link)
+        answers = [service('/serial_communication/lift', Lift)(0, 100),
+                   service('/serial_communication/gimbal', Gimbal)(0, 30),
+                   service('/serial_communication/get_environment', GetEnvironment)()]
+        for answer in answers:
+            self.assertTrue(answer.success, answer.message)
+        self.assertEqual(service('/serial_communication/lift', Lift)(2, 100).status, 253)
+        self.assertTrue(service('/serial_communication/bus/echo', Trigger)().success)
+        found = Diagnostics().wait_for_all(('bus', 'arduino', 'mcu'),
+                                           lambda s, _link: s.level == OK, 'OK')
+        self.assertEqual(found['mcu'].hardware_id, os.path.join(self.folder, 'mcu'))
+        imu = topics[1]
+        until(lambda: len(imu.messages) >= 100, 'a hundred IMU messages')
+        self.assertLess(imu.arrivals[99] - imu.arrivals[0], 4.0)
+        service('/serial_communication/calibrate_imu', Empty)()
+        topics[3].first(lambda m: m.data)
+        self.end()
+
+
+if __name__ == '__main__':
+    rospy.init_node('launch_test')
+    rostest.rosrun(PACKAGE, 'launch', '__main__')

@@ -1,0 +1,202 @@
+#!/usr/bin/env python3
+"""The mcu link: each frame's topics with their exact values, and what is said of a silence."""
+import unittest
+from math import inf, isinf, isnan, pi, sqrt
+
+import rospy
+import rostest
+from sensor_msgs.msg import Imu, Range
+
+from boards import PACKAGE, SensorBoard, Topic, ranges, until, values_of
+from serial_communication.msg import McuStatus, McuStatus2
+from serial_communication.protocols import mcu
+
+HALF = sqrt(0.5)
+SENSOR_FRAME = bytes.fromhex('020c109c2f003a0000000dfff3009803')     # SEQ 156
+WRAPPED_FRAME = bytes.fromhex('020c10fffffffe1fb8882823b0b93c03')    # range 1 timed out, yaw 350
+ADC_FRAME = bytes.fromhex('020e01ea000000000f0000001f0290006903')    # SEQ 234
+BAD_CRC_FRAME = bytes.fromhex('020c1001010002000300040005000003')
+GOT = 'connected', 'valid', 'seq', 'vl53_1', 'vl53_2'
+
+
+class McuTest(unittest.TestCase):
+    """The board at the end of one line, which never hears a byte."""
+
+    namespace = ''
+
+    @classmethod
+    def setUpClass(cls):
+        cls.board = BOARDS[cls.namespace]
+        until(lambda: cls.board.connected, 'the board has its port')
+
+    def tearDown(self):
+        self.assertEqual(bytes(self.board.wire), b'')
+
+    def topic(self, name, message_class):
+        return Topic('%s/mcu/%s' % (self.namespace, name), message_class)
+
+    def first(self, name, message_class, frame, condition=lambda message: True):
+        """The message that `frame`, sent until it is there, makes of itself."""
+        def send():
+            self.board.write(frame if isinstance(frame, bytes) else mcu.encode(frame, 0))
+            # Never the same frame twice in a row, which counts as doubled.
+            self.board.write(mcu.encode_raw(0x7F, 0, b''))
+        topic = self.topic(name, message_class)
+        try:
+            return topic.first(condition, doing=send)
+        finally:
+            topic.close()
+
+    def assert_orientation(self, message, *expected):
+        for value, wanted in zip(values_of(message.orientation, 'x', 'y', 'z', 'w'), expected):
+            self.assertAlmostEqual(value, wanted, 6)
+
+
+class Frames(McuTest):
+    """With the default parameters."""
+
+    def test_a_sensor_status_has_its_values(self):
+        status = self.first('status', McuStatus2, SENSOR_FRAME, lambda m: m.connected)
+        self.assertEqual(values_of(status, *GOT), (True, True, 156, 47, 58))
+        for value, wanted in zip(values_of(status, 'yaw', 'pitch', 'roll'), (0.0, -2.43, 2.43)):
+            self.assertAlmostEqual(value, wanted, 5)
+        self.assertLess(abs((rospy.Time.now() - status.stamp).to_sec()), 5.0)
+        self.assertTrue(0.0 <= status.last_frame_age_sec < 1.0)
+
+    def test_a_timed_out_sensor_makes_the_status_invalid_and_a_wrapped_yaw_is_restored(self):
+        status = self.first('status', McuStatus2, WRAPPED_FRAME, lambda m: m.seq == 255)
+        self.assertEqual(values_of(status, *GOT), (True, False, 255, 65535, 8190))
+        self.assertEqual(values_of(status, 'yaw', 'pitch', 'roll'), (350.0, 90.0, -180.0))
+
+    def test_the_other_sensor_timed_out_makes_it_invalid_too(self):
+        status = self.first('status', McuStatus2, ranges(100, 0xFFFF), lambda m: m.vl53_1 == 100)
+        self.assertFalse(status.valid)
+
+    def test_crc_errors_are_counted(self):
+        counts = self.topic('status', McuStatus2)
+        self.board.say(ranges(1))
+        before = counts.first(doing=lambda: self.board.say(ranges(1))).crc_error_count
+        for number in range(3):
+            self.board.write(BAD_CRC_FRAME)
+            self.board.say(ranges(2 + number))
+        self.assertEqual(counts.first(lambda m: m.vl53_1 == 4).crc_error_count, before + 3)
+
+    def test_an_adc_status_has_its_values(self):
+        status = self.first('adc_status', McuStatus, ADC_FRAME, lambda m: m.connected)
+        self.assertEqual(values_of(status, 'connected', 'valid', 'seq'), (True, True, 234))
+        self.assertEqual(values_of(status, *('adc%d' % channel for channel in range(6))),
+                         (0, 0, 15, 0, 543, 144))
+        self.assertLess(abs((rospy.Time.now() - status.stamp).to_sec()), 5.0)
+        self.assertTrue(0.0 <= status.last_frame_age_sec < 1.0)
+
+    def test_the_orientation_turns_counter_clockwise(self):
+        for angles, expected in (
+                ((90.0, 0.0, 0.0), (0.0, 0.0, -HALF, HALF)),
+                ((0.0, 90.0, 0.0), (0.0, HALF, 0.0, HALF)),
+                ((0.0, 0.0, 90.0), (HALF, 0.0, 0.0, HALF)),
+                ((90.0, 0.0, 90.0), (0.5, -0.5, -0.5, 0.5)),
+                ((90.0, 90.0, 0.0), (0.5, 0.5, -0.5, 0.5))):
+            wanted = tuple(round(value, 3) for value in expected)
+            message = self.first('imu', Imu, ranges(1, 2, *angles), lambda m, w=wanted: tuple(
+                round(v, 3) + 0.0 for v in values_of(m.orientation, 'x', 'y', 'z', 'w')) == w)
+            self.assert_orientation(message, *expected)
+
+    def test_the_imu_says_what_it_does_not_measure(self):
+        message = self.first('imu', Imu, ranges())
+        self.assertEqual(message.header.frame_id, 'mcu_imu')
+        self.assertEqual(message.angular_velocity_covariance[0], -1.0)
+        self.assertEqual(message.linear_acceleration_covariance[0], -1.0)
+        for index, degrees in ((0, 1.0), (4, 1.0), (8, 5.0)):
+            self.assertAlmostEqual(message.orientation_covariance[index],
+                                   (degrees * pi / 180) ** 2)
+
+    def test_each_range_is_told_as_rep_117_has_it(self):
+        for name, place in (('range_1', 0), ('range_2', 1)):
+            for millimetres, expected in ((470, 0.47), (30, 0.03), (2000, 2.0), (29, -inf),
+                                          (2001, inf), (0xFFFF, None)):
+                def is_it(message, wanted=expected):
+                    return isnan(message.range) if wanted is None else (
+                        message.range == wanted if isinf(wanted)
+                        else abs(message.range - wanted) < 1e-6)
+                both = [1000, 1000]
+                both[place] = millimetres
+                message = self.first(name, Range, ranges(*both), is_it)
+                self.assertEqual(message.header.frame_id, name)
+                self.assertEqual(message.radiation_type, Range.INFRARED)
+                self.assertAlmostEqual(message.min_range, 0.03)
+                self.assertAlmostEqual(message.max_range, 2.0)
+                self.assertAlmostEqual(message.field_of_view, 25 * pi / 180, 6)
+
+    def test_silence_is_told_once_a_second_with_its_age_until_frames_return(self):
+        self.board.seq = 41
+        topic, adc = self.topic('status', McuStatus2), self.topic('adc_status', McuStatus)
+        self.first('adc_status', McuStatus, ADC_FRAME, lambda m: m.connected)
+        topic.first(lambda m: m.connected, doing=lambda: self.board.say(ranges()))
+        seq = self.board.seq - 1
+        until(lambda: sum(not m.connected for m in list(topic.messages)) >= 3, 'three reports')
+        silent = [m for m in topic.messages if not m.connected][:3]
+        for message in silent:
+            self.assertEqual(values_of(message, *GOT), (False, False, seq, 65535, 65535))
+            for angle in values_of(message, 'yaw', 'pitch', 'roll'):
+                self.assertTrue(isnan(angle))
+        ages = [message.last_frame_age_sec for message in silent]
+        self.assertTrue(0.99 < ages[0] < 3.0, ages)
+        for before, after in zip(silent, silent[1:]):
+            step = after.last_frame_age_sec - before.last_frame_age_sec
+            self.assertTrue(0.8 < step < 3.0, ages)
+            self.assertAlmostEqual((after.stamp - before.stamp).to_sec(), step, 1)
+        quiet = adc.first(lambda m: not m.connected)
+        self.assertFalse(quiet.valid)
+        self.assertEqual(values_of(quiet, *('adc%d' % n for n in range(6))), (65535,) * 6)
+        back = topic.next(lambda m: m.connected, doing=lambda: self.board.say(ranges()))
+        self.assertTrue(back.valid)
+        self.assertLess(back.last_frame_age_sec, 1.0)
+
+
+class Other(McuTest):
+    """With every parameter changed."""
+
+    namespace = '/other'
+
+    def test_the_yaw_keeps_its_sign_where_the_board_turns_as_ros_does(self):
+        message = self.first('imu', Imu, ranges(1, 2, 90.0), lambda m: m.orientation.z)
+        self.assert_orientation(message, 0.0, 0.0, HALF, HALF)
+        self.assertEqual(message.header.frame_id, 'head')
+        self.assertAlmostEqual(message.orientation_covariance[0], 0.09)
+        self.assertAlmostEqual(message.orientation_covariance[8], 0.16)
+
+    def test_the_ranges_have_the_limits_and_frames_given(self):
+        first = self.first('range_1', Range, ranges(8190, 99))
+        second = self.first('range_2', Range, ranges(8190, 99), lambda m: isinf(m.range))
+        self.assertAlmostEqual(first.range, 8.19, 6)
+        self.assertEqual(second.range, -inf)
+        self.assertEqual((first.header.frame_id, second.header.frame_id), ('front', 'rear'))
+        for message in first, second:
+            for name, value in (('min_range', 0.1), ('max_range', 8.5), ('field_of_view', 0.2)):
+                self.assertAlmostEqual(getattr(message, name), value, 6)
+
+    def test_the_silence_begins_after_the_timeout_given(self):
+        topic = self.topic('status', McuStatus2)
+        topic.first(lambda m: m.connected, doing=lambda: self.board.say(ranges()))
+        age = topic.first(lambda m: not m.connected).last_frame_age_sec
+        self.assertTrue(0.29 < age < 0.99, age)
+
+
+class Absent(unittest.TestCase):
+    """A port that is absent from the start on."""
+
+    def test_the_status_says_so_and_its_age_grows(self):
+        topic = Topic('/absent/mcu/status', McuStatus2)
+        until(lambda: len(topic.messages) >= 3, 'three reports')
+        for message in topic.messages:
+            self.assertEqual(values_of(message, *GOT), (False, False, 0, 65535, 65535))
+        ages = [message.last_frame_age_sec for message in topic.messages]
+        self.assertGreater(ages[0], 0.99)
+        self.assertGreater(ages[2] - ages[0], 1.5)
+
+
+if __name__ == '__main__':
+    rospy.init_node('mcu_test')
+    LINE = rospy.get_param('~line')
+    BOARDS = {'': SensorBoard(LINE + '_board'), '/other': SensorBoard(LINE + '_other_board')}
+    rostest.rosrun(PACKAGE, 'mcu', '__main__')

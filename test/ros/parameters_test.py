@@ -1,0 +1,160 @@
+#!/usr/bin/env python3
+"""Parameters: a wrong one ends the node with one line; every link can be used without the
+others."""
+import re
+import signal
+import subprocess
+import unittest
+from multiprocessing.pool import ThreadPool
+
+import rosgraph
+import rospy
+import rostest
+
+from boards import PACKAGE, PATIENCE, Bridge, until
+
+# Parameter, value, what the line says that it may be. One of each kind: parameter_table_test
+# goes through every parameter, without a process for each.
+WRONG = (
+    ('frame_timeout', 'soon', 'a number from 0.001 to 10 (s)'),
+    ('publish_tf', 1, 'true or false'),
+    ('base_frame_id', '', 'text'),
+    ('bus/port', 5, 'text'),
+    ('bus/port', 'nosuch://device', 'text'),
+    ('bus/baud', 9600.5, 'a whole number from 50 to 4000000 (baud)'),
+    ('bus/baud', 49, 'a whole number from 50 to 4000000 (baud)'),
+    ('bus/reply_timeout', float('nan'), 'a number from 0.01 to 60 (s)'),
+    ('bus/environment_datelen', 1, '0 or 2'),
+    ('arduino/heartbeat_rate', 0, 'a number from 1 to 1000 (Hz)'),
+    ('arduino/imu_mount', [0, 0, 0], 'a list of 6 numbers'),
+    ('mcu/range_1_mount', [0, 0, 0, 0, 0, 'up'], 'a list of 6 numbers'),
+    ('mcu/min_range', 3.0, 'less than mcu/max_range'),
+    ('arduino', 'off', 'a group of parameters'),
+)
+
+
+def start_and_read(number, parameter, value):
+    """Status and output of a bridge with that parameter, which has ended by itself."""
+    bridge = Bridge('wrong_%d' % number, {parameter: value})
+    try:
+        return bridge.process.wait(2 * PATIENCE), bridge.output()
+    except subprocess.TimeoutExpired:
+        return 'it goes on', bridge.output()
+    finally:
+        bridge.process.kill()
+        bridge.process.wait(10)
+
+
+class WrongParameters(unittest.TestCase):
+    """Each ends the node at start."""
+
+    def test_each_ends_the_node_with_one_line_that_names_it_what_it_is_and_what_it_may_be(self):
+        with ThreadPool(2) as pool:
+            results = pool.starmap(start_and_read, [(number, name, value) for number, (
+                name, value, _) in enumerate(WRONG)])
+        for number, ((name, value, allowed), (status, output)) in enumerate(zip(WRONG, results)):
+            with self.subTest(parameter=name, value=value):
+                lines = [line for line in output.split('\n') if line.strip()]
+                self.assertEqual(len(lines), 1, output)
+                self.assertIn('parameter /wrong_%d/%s is ' % (number, name), lines[0])
+                self.assertIn('3' if value == 3.0 else repr(value), lines[0])
+                self.assertIn(allowed, lines[0])
+                self.assertIn('FATAL', lines[0])
+                self.assertEqual(status, 1)
+
+
+class Names(unittest.TestCase):
+    """Which links there are, and names that are no parameters."""
+
+    TOPICS = {
+        'bus': {'~environment', '~environment/temperature', '~environment/humidity'},
+        'arduino': {'~imu', '~imu/temperature', '~imu/calibrating', '~voltage', '~ticks',
+                    '~steering_angle'},
+        'mcu': {'mcu/status', 'mcu/adc_status', 'mcu/imu', 'mcu/range_1', 'mcu/range_2'},
+    }
+    SUBSCRIBED = {'bus': set(), 'arduino': {'~speed', '~steering', '~led'}, 'mcu': set()}
+    SERVICES = {
+        'bus': {'~lift', '~gimbal', '~get_environment', '~bus/request', '~bus/echo',
+                '~bus/sync'},
+        'arduino': {'~calibrate_imu'}, 'mcu': set(),
+    }
+    OF_ROS = {'/rosout', '/tf', '/tf_static', '/clock', '/statistics'}
+
+    def setUp(self):
+        self.bridge = None
+
+    def tearDown(self):
+        if self.bridge and self.bridge.alive:
+            self.bridge.process.kill()
+            self.bridge.process.wait(10)
+
+    def start(self, *links, **parameters):
+        """A bridge with these links, on ports that are not there."""
+        given = {link + '/port': '/tmp/rostest_absent/' + link for link in links}
+        given.update((name.replace('__', '/'), value) for name, value in parameters.items())
+        self.bridge = Bridge('bridge', given)
+        until(lambda: '/serial_msg' in self.seen()[0] or not self.bridge.alive,
+              'the bridge is up')
+        self.assertTrue(self.bridge.alive, self.bridge.output())
+
+    @staticmethod
+    def seen():
+        """What the bridge publishes, subscribes to and serves."""
+        state = rosgraph.Master('/parameters_test').getSystemState()
+        return [{name for name, nodes in entries if '/bridge' in nodes} for entries in state]
+
+    def expected(self, links, table):
+        return {'/bridge/' + name[1:] if name[0] == '~' else '/' + name
+                for link in links for name in table[link]}
+
+    def assert_interface(self, *links):
+        """Exactly the topics and services of these links, and those of every node."""
+        services = self.expected(links, self.SERVICES)
+        until(lambda: self.seen()[2] >= services and '/diagnostics' in self.seen()[0]
+              if links else True, 'services of %s' % (links,))
+        published, subscribed, served = self.seen()
+        self.assertEqual(published - self.OF_ROS - {'/diagnostics'},
+                         self.expected(links, self.TOPICS) | {'/serial_msg'})
+        self.assertEqual(subscribed - self.OF_ROS, self.expected(links, self.SUBSCRIBED))
+        self.assertEqual({name for name in served if not re.search('logger', name)}, services)
+
+    def assert_ends(self):
+        _seconds, status = self.bridge.end(signal.SIGINT)
+        self.assertEqual(status, 0, self.bridge.output())
+
+    def test_the_bus_alone(self):
+        self.start('bus')
+        self.assert_interface('bus')
+        self.assert_ends()
+
+    def test_the_arduino_alone(self):
+        self.start('arduino')
+        self.assert_interface('arduino')
+        self.assert_ends()
+
+    def test_the_mcu_alone(self):
+        self.start('mcu')
+        self.assert_interface('mcu')
+        self.assert_ends()
+
+    def test_no_port_at_all_lives_and_says_so(self):
+        self.start()
+        self.assertIn('WARN', self.bridge.wait_for('no port is set'))
+        self.assert_interface()
+        self.assertTrue(self.bridge.alive)
+        self.assert_ends()
+
+    def test_an_unknown_name_is_a_warning_with_a_suggestion(self):
+        self.start('bus', 'arduino', 'mcu', mcu__timeuot=3.0, publish_ft=True, mcu__colour='red')
+        for name, words in (('mcu/timeuot', 'did you mean mcu/timeout?'),
+                            ('publish_ft', 'did you mean publish_tf?'), ('mcu/colour', '')):
+            line = self.bridge.wait_for('parameter /bridge/%s is not known' % name)
+            self.assertIn('WARN', line)
+            self.assertIn(words, line)
+        self.assert_interface('bus', 'arduino', 'mcu')
+        self.assert_ends()
+
+
+if __name__ == '__main__':
+    rospy.init_node('parameters_test')
+    rostest.rosrun(PACKAGE, 'parameters', '__main__')

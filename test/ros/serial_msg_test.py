@@ -1,0 +1,124 @@
+#!/usr/bin/env python3
+"""serial_msg: every frame of every link, in and out, good and bad."""
+import unittest
+
+import rospy
+import rostest
+
+from boards import (HEARTBEAT_PACKET, PACKAGE, RX, TX, BusBoard, CarBoard, SensorBoard, Topic,
+                    command_topic, ranges, service, settle, until, values_of)
+from serial_communication.msg import SerialMsg, SpeedPWMCommand
+from serial_communication.protocols import mcu
+from serial_communication.srv import BusRequest, Lift
+
+FIELDS = 'type', 'command', 'data', 'frame', 'error'
+
+
+class SerialMsgTest(unittest.TestCase):
+    """Three boards, and one who looks on."""
+
+    def setUp(self):
+        settle(PACKAGE, BUS)
+        until(lambda: CAR.heartbeats and SENSORS.connected, 'the other boards are there')
+        self.topic = Topic('/serial_msg', SerialMsg)
+        self.topic.first(lambda m: m.link == 'arduino')    # the tap is open
+
+    def tearDown(self):
+        self.topic.close()
+
+    def of(self, link, direction, condition=lambda message: True):
+        """The first frame on that link in that direction."""
+        return self.topic.first(lambda m: (m.link, m.direction) == (link, direction)
+                                and condition(m), what='%s %d' % (link, direction))
+
+    def assert_frame(self, message, type_, command, data, frame, words):
+        self.assertEqual(values_of(message, *FIELDS), (
+            type_, command, bytes.fromhex(data), bytes.fromhex(frame), ''))
+        self.assert_text(message, words)
+
+    def assert_bad(self, message, frame, cause):
+        self.assertEqual(message.frame, bytes.fromhex(frame))
+        self.assertIn(cause, message.error)
+        self.assert_text(message, '')
+
+    def assert_text(self, message, words):
+        self.assertIn(words, message.text)
+        self.assertTrue(message.text.strip())
+        self.assertNotIn('\n', message.text + message.error)
+        self.assertLess(abs((rospy.Time.now() - message.header.stamp).to_sec()), 5.0)
+
+    def test_the_frames_of_the_bus(self):
+        service('/serial_communication/lift', Lift)(0, 100)
+        self.assert_frame(self.of('bus', TX), 0x55, 0x20, '0064', 'a50255200064b6',
+                          'lift up 100 mm')
+        self.assert_frame(self.of('bus', RX), 0x02, 0, '', 'a50002a7', 'OK')
+
+    def test_a_long_frame_of_the_bus(self):
+        data = bytes(300)
+        service('/serial_communication/bus/request', BusRequest)(0x01, 0, data)
+        for direction in TX, RX:
+            message = self.of('bus', direction)
+            self.assertEqual(values_of(message, 'type', 'command', 'data', 'error'),
+                             (0x01, 0, data, ''))
+            self.assertEqual(message.frame[:3], b'\x5a\x2c\x01')
+
+    def test_a_damaged_frame_of_the_bus(self):
+        BUS.write(bytes.fromhex('a50002a6'))
+        self.assert_bad(self.of('bus', RX, lambda m: m.error), 'a50002a6', 'checksum')
+
+    def test_noise_on_the_bus(self):
+        BUS.write(bytes.fromhex('112233'))
+        self.assert_bad(self.of('bus', RX, lambda m: m.error), '112233', 'framing')
+
+    def test_the_packets_of_the_arduino(self):
+        command_topic('/serial_communication/speed', SpeedPWMCommand).publish(value=-1000)
+        self.assert_frame(self.of('arduino', TX, lambda m: m.type == 4), 4, 0, '18fc',
+                          '040418fc00', 'speed -1000')
+        self.assert_frame(self.of('arduino', TX, lambda m: m.frame == HEARTBEAT_PACKET),
+                          11, 0, '', '020b00', 'heartbeat')
+        CAR.write(bytes.fromhex('060acdcc6c4100'))
+        self.assert_frame(self.of('arduino', RX), 10, 0, 'cdcc6c41', '060acdcc6c4100', '14.8')
+
+    def test_bad_packets_of_the_arduino(self):
+        for packet, cause in (('ff010200', 'framing'), ('0408010200', 'length'),
+                              ('026300', 'unknown type'), ('0407ffff00', 'implausible')):
+            self.topic.forget()
+            CAR.write(bytes.fromhex(packet))
+            self.assert_bad(self.of('arduino', RX), packet, cause)
+
+    def test_the_frames_of_the_mcu(self):
+        SENSORS.write(bytes.fromhex('020c109c2f003a0000000dfff3009803'))
+        self.assert_frame(self.of('mcu', RX), 0x10, 156, '2f003a0000000dfff300',
+                          '020c109c2f003a0000000dfff3009803', '47 mm')
+        self.topic.forget()
+        SENSORS.write(bytes.fromhex('020e01ea000000000f0000001f0290006903'))
+        self.assert_frame(self.of('mcu', RX), 0x01, 234, '000000000f0000001f029000',
+                          '020e01ea000000000f0000001f0290006903', '543')
+
+    def test_bad_frames_of_the_mcu(self):
+        for frame, cause in (('020c1001010002000300040005000003', 'checksum'),
+                             ('112233', 'framing')):
+            self.topic.forget()
+            SENSORS.write(bytes.fromhex(frame))
+            self.assert_bad(self.of('mcu', RX), frame, cause)
+
+    def test_good_frames_between_bad_ones_are_all_there_in_order(self):
+        good = [mcu.encode(ranges(number), number) for number in range(20)]
+        SENSORS.write(b'\x02\x0c'.join(good))
+        until(lambda: sum(m.link == 'mcu' and not m.error for m in list(self.topic.messages))
+              >= 20, 'twenty frames')
+        self.assertEqual([m.frame for m in self.topic.messages
+                          if m.link == 'mcu' and not m.error], good)
+
+    def test_who_looks_again_sees_frames_again(self):
+        self.topic.close()
+        self.topic = Topic('/serial_msg', SerialMsg)
+        self.of('arduino', TX)
+
+
+if __name__ == '__main__':
+    rospy.init_node('serial_msg_test')
+    LINE = rospy.get_param('~line')
+    BUS, CAR, SENSORS = (BusBoard(LINE + '_bus_board'), CarBoard(LINE + '_arduino_board'),
+                         SensorBoard(LINE + '_mcu_board'))
+    rostest.rosrun(PACKAGE, 'serial_msg', '__main__')

@@ -1,0 +1,73 @@
+#!/usr/bin/env python3
+"""With simulated time that never begins, everything that counts seconds counts them still."""
+import unittest
+
+import rospy
+import rostest
+from diagnostic_msgs.msg import DiagnosticArray
+from sensor_msgs.msg import Imu
+from std_srvs.srv import Trigger
+
+from boards import (PACKAGE, TIMEOUT, BusBoard, CarBoard, SensorBoard, Topic, command_topic,
+                    level_imu, ranges, service, settle, until)
+from serial_communication.msg import Environment, McuStatus2, SpeedPWMCommand
+from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.srv import GetEnvironment, Lift
+
+
+class SimulatedTime(unittest.TestCase):
+    """No /clock at all."""
+
+    @classmethod
+    def setUpClass(cls):
+        assert rospy.Time.now() == rospy.Time(0), 'time stands still'
+        settle(PACKAGE, BUS)
+        until(lambda: CAR.heartbeats and SENSORS.connected, 'the other boards are there')
+
+    def test_heartbeats_are_sent(self):
+        rate = CAR.heartbeat_rate(200)
+        self.assertTrue(40 < rate < 130, rate)
+
+    def test_a_speed_that_is_not_renewed_ends(self):
+        CAR.forget()
+        command_topic('/serial_communication/speed', SpeedPWMCommand).publish(value=300)
+        until(lambda: CAR.speeds == [300, 0], 'SPEED 0')
+
+    def test_services_answer_and_time_out(self):
+        lift = service('/serial_communication/lift', Lift)
+        self.assertTrue(lift(0, 100).success)
+        self.assertTrue(service('/serial_communication/get_environment',
+                                GetEnvironment)().success)
+        BUS.script.append(None)
+        self.assertEqual(lift(0, 100).status, TIMEOUT)
+        until(lambda: service('/serial_communication/bus/echo', Trigger)().success, 'an echo')
+
+    def test_the_air_is_polled_and_published(self):
+        topic = Topic('/serial_communication/environment', Environment)
+        until(lambda: len(topic.messages) >= 3, 'three readings')
+
+    def test_measurements_are_published_with_the_time_that_stands_still(self):
+        topic = Topic('/serial_communication/imu', Imu)
+        message = topic.first(doing=lambda: CAR.say(level_imu()))
+        self.assertEqual(message.header.stamp, rospy.Time(0))
+
+    def test_the_mcus_silence_is_noticed(self):
+        topic = Topic('/mcu/status', McuStatus2)
+        topic.first(lambda m: m.connected, doing=lambda: SENSORS.say(ranges()))
+        topic.forget()
+        until(lambda: sum(not m.connected for m in list(topic.messages)) >= 2, 'two reports')
+
+    def test_diagnostics_come_once_a_second(self):
+        topic = Topic('/diagnostics', DiagnosticArray)
+        until(lambda: len(topic.messages) >= 3 * 3, 'three rounds of three links')
+        spent = topic.arrivals[-1] - topic.arrivals[0]
+        self.assertTrue(1.5 < spent < 6.0, spent)
+
+
+if __name__ == '__main__':
+    rospy.init_node('simulated_time_test')
+    LINE = rospy.get_param('~line')
+    BUS, CAR, SENSORS = (BusBoard(LINE + '_bus_board', polled=True),
+                         CarBoard(LINE + '_arduino_board'), SensorBoard(LINE + '_mcu_board'))
+    BUS.air = bus.Environment(1, 2.0, 3.0)
+    rostest.rosrun(PACKAGE, 'simulated_time', '__main__')

@@ -1,0 +1,76 @@
+#!/usr/bin/env python3
+"""tf: where the sensors stand, and with publish_tf how they are turned."""
+import unittest
+from math import sqrt
+
+import rospy
+import rostest
+from sensor_msgs.msg import Imu
+from tf2_msgs.msg import TFMessage
+
+from boards import PACKAGE, CarBoard, SensorBoard, Topic, ranges, until, values_of
+from serial_communication.protocols import arduino
+
+HALF = sqrt(0.5)
+
+
+class TfTest(unittest.TestCase):
+    """What stands on /tf and /tf_static, by node."""
+
+    def transform(self, topic, node, child, doing=None):
+        """The first transform of `child` that `node` sends."""
+        def find():
+            return [t for m in list(topic.messages) if m._connection_header['callerid'] == node
+                    for t in m.transforms if t.child_frame_id == child]
+        return until(find, '%s of %s' % (child, node), doing=doing, every=0.02)[-1]
+
+    def assert_transform(self, found, parent, translation, rotation):
+        self.assertEqual(found.header.frame_id, parent)
+        for got, wanted in ((values_of(found.transform.translation, 'x', 'y', 'z'), translation),
+                            (values_of(found.transform.rotation, 'x', 'y', 'z', 'w'),
+                             rotation)):
+            for value, right in zip(got, wanted):
+                self.assertAlmostEqual(value, right, 6)
+
+    def test_the_mounts_stand_where_the_parameters_say(self):
+        topic = Topic('/tf_static', TFMessage)
+        for child, translation, rotation in (
+                ('car_imu', (0.1, -0.2, 0.3), (0, 0, HALF, HALF)),
+                ('head', (0, 0, 1), (1, 0, 0, 0)),
+                ('front', (0.5, 0, 0), (0, HALF, 0, HALF)),
+                ('range_2', (-0.5, 0, 0), (0.5, 0.5, 0.5, 0.5))):
+            self.assert_transform(self.transform(topic, '/moving', child), 'trunk',
+                                  translation, rotation)
+
+    def test_the_mounts_of_links_in_use_alone_are_there_by_default(self):
+        topic = Topic('/tf_static', TFMessage)
+        self.assert_transform(self.transform(topic, '/still', 'imu'), 'base_link', (0, 0, 0),
+                              (0, 0, 0, 1))
+        self.assertEqual({t.child_frame_id for m in topic.messages for t in m.transforms
+                          if m._connection_header['callerid'] == '/still'}, {'imu'})
+
+    def test_the_measured_orientations_are_children_of_their_sensors(self):
+        topic = Topic('/tf', TFMessage)
+        packet = arduino.Imu(8192, 8192, -8192, 8192, 0, 0, 0, 0, 0, 8192, 0)
+        found = self.transform(topic, '/moving', 'car_attitude', lambda: CAR.say(packet))
+        self.assert_transform(found, 'car_imu', (0, 0, 0), (-0.5, -0.5, 0.5, 0.5))
+        self.assertLess(abs((rospy.Time.now() - found.header.stamp).to_sec()), 5.0)
+        found = self.transform(topic, '/moving', 'head_attitude',
+                               lambda: SENSORS.say(ranges(yaw=90.0)))
+        self.assert_transform(found, 'head', (0, 0, 0), (0, 0, -HALF, HALF))
+
+    def test_without_publish_tf_nothing_is_said_of_orientations(self):
+        topic = Topic('/tf', TFMessage)
+        imu = Topic('/still/imu', Imu)
+        packet = arduino.Imu(16384, 0, 0, 0, 0, 0, 0, 0, 0, 8192, 0)
+        imu.first(doing=lambda: STILL.say(packet))
+        self.transform(topic, '/moving', 'car_attitude', lambda: CAR.say(packet))
+        self.assertEqual({m._connection_header['callerid'] for m in topic.messages}, {'/moving'})
+
+
+if __name__ == '__main__':
+    rospy.init_node('tf_test')
+    LINE = rospy.get_param('~line')
+    CAR, SENSORS = CarBoard(LINE + '_arduino_board'), SensorBoard(LINE + '_mcu_board')
+    STILL = CarBoard(LINE + '_still_board')
+    rostest.rosrun(PACKAGE, 'tf', '__main__')

@@ -1,0 +1,103 @@
+"""Counts what the test programs of scripts/test have done, from the XML files they left.
+
+    results.py FOLDER
+
+FOLDER holds one folder a test program, with its JUnit XML files, `log` (what it said) and
+`status` (its exit status). Where there is a file `by_status`, the program is one test itself. A
+program that gave no result, or failed although no test of it did, counts as one failure under
+its own name. Prints the failures, then the line `N passed, N failed` (and `, N skipped`), and
+ends with status 1 if anything failed.
+"""
+import sys
+from pathlib import Path
+from typing import List, NamedTuple, Tuple
+from xml.etree import ElementTree
+
+_LOG_LINES = 40      # of a program that gave no result
+_MESSAGE_LINES = 40  # of a failed test
+
+
+class Results(NamedTuple):
+    """Of one test program, or of all of them."""
+
+    passed: int
+    failures: List[Tuple[str, str]]    # name of the test, and what it said
+    skipped: int
+
+    def __str__(self) -> str:
+        text = '%d passed, %d failed' % (self.passed, len(self.failures))
+        return text + (', %d skipped' % self.skipped if self.skipped else '')
+
+
+def of_program(folder: Path) -> Results:
+    """What one test program has done."""
+    passed, failures, skipped = 0, [], 0
+    for path in sorted(folder.rglob('*.xml')):
+        # rostest's own file names each program that it ran as a test; those count in their
+        # own files, and here only where they ended without one.
+        wraps = path.name.startswith('rostest-')
+        try:
+            cases = list(ElementTree.parse(str(path)).getroot().iter('testcase'))
+        except ElementTree.ParseError as error:
+            failures.append((path.name, 'no XML: %s' % error))
+            continue
+        for case in cases:
+            bad = [child for child in case if child.tag in ('failure', 'error')]
+            if bad:
+                failures.append(('%s.%s' % (case.get('classname', ''), case.get('name', '')),
+                                 '\n'.join(_said(child) for child in bad)))
+            elif case.find('skipped') is not None:
+                skipped += 1
+            elif not wraps:
+                passed += 1
+    status = _read(folder / 'status').strip() or 'none'
+    if status == '0' and (folder / 'by_status').exists():
+        passed += 1
+    if not failures and (status != '0' or not passed + skipped):
+        failures.append((folder.name, '%s (status %s); it said last:\n%s' % (
+            'failed as a whole' if passed + skipped else 'gave no result', status,
+            _tail(_read(folder / 'log'), _LOG_LINES))))
+    return Results(passed, failures, skipped)
+
+
+def total(parts: List[Results]) -> Results:
+    """All of them together."""
+    return Results(sum(part.passed for part in parts),
+                   [failure for part in parts for failure in part.failures],
+                   sum(part.skipped for part in parts))
+
+
+def _said(element: ElementTree.Element) -> str:
+    """Its text, which says the same as its message, at length, where there is one."""
+    return _tail((element.text or '').strip() or element.get('message') or '', _MESSAGE_LINES)
+
+
+def _tail(text: str, count: int) -> str:
+    lines = text.rstrip().splitlines()
+    return '\n'.join((['...'] if len(lines) > count else []) + lines[-count:])
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(errors='replace')
+    except OSError:
+        return ''
+
+
+def main(argv: List[str]) -> int:
+    """Print the failures and the count of all programs in a folder."""
+    folders = sorted(path for path in Path(argv[0]).iterdir() if path.is_dir())
+    parts = [(folder.name, of_program(folder)) for folder in folders]
+    for program, results in parts:
+        for name, said in results.failures:
+            print('\n--- %s: %s' % (program, name))
+            print('\n'.join('    ' + line for line in said.splitlines()))
+    result = total([results for _, results in parts])
+    print('\n' + str(result))
+    return 1 if result.failures or not parts else 0
+
+
+if __name__ == '__main__':
+    if hasattr(sys.stdout, 'reconfigure'):
+        sys.stdout.reconfigure(errors='replace')
+    sys.exit(main(sys.argv[1:]))

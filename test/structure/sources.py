@@ -1,0 +1,38 @@
+"""The files of this package, by kind."""
+from pathlib import Path
+from typing import List
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = ROOT / 'serial_communication'
+
+
+def _with_interpreter(*names: str) -> List[Path]:
+    """Programs without an ending whose first line names one of these interpreters."""
+    found = []
+    for path in sorted((ROOT / 'scripts').iterdir()) + sorted((ROOT / '.ci').iterdir()):
+        if path.is_file() and not path.suffix:
+            first = path.read_text().split('\n', 1)[0]
+            if first.startswith('#!') and first.split('/')[-1].split()[-1] in names:
+                found.append(path)
+    return found
+
+
+def python_programs() -> List[Path]:
+    """What rosrun finds."""
+    return _with_interpreter('python3')
+
+
+def shell_files() -> List[Path]:
+    """Scripts, and what they source."""
+    return _with_interpreter('bash', 'sh') + sorted((ROOT / 'scripts').glob('*.bash'))
+
+
+def python_files() -> List[Path]:
+    """Everything that a Python interpreter reads."""
+    return [ROOT / 'setup.py', *sorted(PACKAGE.rglob('*.py')),
+            *sorted((ROOT / 'test').rglob('*.py')), *python_programs()]
+
+
+def name(path: Path) -> str:
+    """As a test's id."""
+    return str(path.relative_to(ROOT))

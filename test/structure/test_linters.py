@@ -1,0 +1,67 @@
+"""Linters for what is Python, shell, XML and catkin."""
+import shutil
+import subprocess
+import sys
+
+import pytest
+from sources import PACKAGE, ROOT, name, python_files, python_programs, shell_files
+
+# catkin_lint on what it is right about only in general:
+IGNORED = (
+    'package_path_name',      # the folder of a checkout may have any name
+    'literal_project_name',   # the node's file has the same name as the package
+    'uninstalled_script',     # demo and test belong to a checkout; the rest: see below
+)
+LAUNCH_ARGUMENTS = ([], ['sim:=true'], ['publish_tf:=true', 'mcu_port:=', 'bus_port:=/dev/ttyS7'])
+
+
+def run(*command) -> str:
+    """What a linter that passes says; the test fails with its words otherwise."""
+    if not shutil.which(str(command[0])):
+        pytest.fail('%s is missing; scripts/test installs it' % command[0])
+    done = subprocess.run([str(each) for each in command], cwd=str(ROOT), text=True, timeout=120,
+                          stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    if done.returncode:
+        pytest.fail(done.stdout, pytrace=False)
+    return done.stdout
+
+
+def test_flake8():
+    # W503 and W504, each the other's contrary: operators stand where the line reads best.
+    run(sys.executable, '-m', 'flake8', '--isolated', '--jobs=1', '--max-line-length=100',
+        '--extend-ignore=W503,W504', *python_files())
+
+
+@pytest.mark.parametrize('path', shell_files(), ids=name)
+def test_shellcheck(path):
+    # SC2015: `a && b || complain` is what it looks like where b is a test as well.
+    run('shellcheck', '--exclude=SC2015', '--external-sources', '--source-path', ROOT, path)
+
+
+@pytest.mark.parametrize('path', [ROOT / 'package.xml', *sorted(ROOT.glob('launch/*.launch')),
+                                  *sorted(ROOT.glob('test/ros/*.test'))], ids=name)
+def test_xml(path):
+    run('xmllint', '--noout', path)
+
+
+def test_catkin_lint():
+    run('catkin_lint', '-W2', '--strict', *['--ignore=' + rule for rule in IGNORED], ROOT)
+
+
+@pytest.mark.parametrize('arguments', LAUNCH_ARGUMENTS, ids=lambda given: ' '.join(given) or '-')
+def test_launch_file(arguments):
+    nodes = run('roslaunch', '--nodes', 'serial_communication', 'bridge.launch', *arguments)
+    assert '/serial_communication' in nodes.split()
+
+
+def test_every_message_and_program_is_in_cmake():
+    cmake = (ROOT / 'CMakeLists.txt').read_text().split()
+    wanted = [path.name for folder in ('msg', 'srv') for path in (ROOT / folder).iterdir()]
+    wanted += ['scripts/' + path.name for path in python_programs()]
+    assert [each for each in wanted if each not in cmake] == []
+
+
+def test_every_package_is_in_setup():
+    setup = (ROOT / 'setup.py').read_text()
+    assert [path.parent.name for path in PACKAGE.glob('*/__init__.py')
+            if repr(path.parent.name) not in setup] == []

@@ -1,0 +1,106 @@
+"""Python 3.8 (Ubuntu 20.04) can run everything here; the newest syntax and names are left out.
+
+A parser that is told to read 3.8 takes newer names and annotations, so these are looked for."""
+import ast
+from typing import Iterator
+
+import pytest
+from sources import name, python_files
+
+VERSION = (3, 8)
+
+NEWER_MODULES = {'graphlib', 'tomllib', 'zoneinfo'}
+
+# Attributes and imported names that 3.8 does not have, where they are unlikely to be ours.
+NEWER_NAMES = {
+    'removeprefix', 'removesuffix',                       # str, bytes
+    'bit_count', 'pairwise', 'batched', 'randbytes',      # int, itertools, random
+    'is_relative_to', 'hardlink_to', 'with_stem',         # pathlib
+    'pidfd_open', 'pidfd_send_signal', 'to_thread', 'TaskGroup', 'file_digest', 'unparse',
+    'enterContext', 'assertNoLogs', 'get_annotations',    # unittest, inspect
+    'StrEnum', 'ExceptionGroup', 'BaseExceptionGroup', 'UTC', 'add_note', 'EncodingWarning',
+    'Annotated', 'ParamSpec', 'Concatenate', 'TypeAlias', 'TypeGuard', 'Self', 'LiteralString',
+    'aclosing', 'KW_ONLY',                                # contextlib, dataclasses
+}
+NEWER_FUNCTIONS = {('functools', 'cache'), ('math', 'lcm'), ('math', 'nextafter'),
+                   ('math', 'ulp'), ('math', 'cbrt'), ('math', 'exp2'), ('contextlib', 'chdir'),
+                   ('asyncio', 'timeout'), ('asyncio', 'Runner'), ('operator', 'call'),
+                   ('statistics', 'correlation'), ('statistics', 'linear_regression')}
+NEWER_ARGUMENTS = {('zip', 'strict'), ('dataclass', 'slots'), ('dataclass', 'kw_only'),
+                   ('Popen', 'process_group'), ('run', 'process_group')}
+
+NOT_GENERIC = {'list', 'dict', 'tuple', 'set', 'frozenset', 'type', 'deque', 'defaultdict',
+               'OrderedDict', 'Counter', 'Queue', 'SimpleQueue', 'Popen', 'CompletedProcess',
+               'PathLike', 'partial'}
+
+
+def too_new(text: str, filename: str = '') -> Iterator[str]:
+    """Each use of something newer, in words."""
+    try:
+        tree = ast.parse(text, filename, feature_version=VERSION)
+    except SyntaxError as error:
+        yield '%s: %s' % (error.lineno, error.msg)
+        return
+    for node in ast.walk(tree):
+        for what in _uses(node):
+            yield '%d: %s' % (node.lineno, what)
+
+
+def _uses(node: ast.AST) -> Iterator[str]:
+    if isinstance(node, ast.Import):
+        yield from (alias.name for alias in node.names
+                    if alias.name.split('.')[0] in NEWER_MODULES)
+    elif isinstance(node, ast.ImportFrom):
+        if node.module and node.module.split('.')[0] in NEWER_MODULES:
+            yield node.module
+        yield from (alias.name for alias in node.names if alias.name in NEWER_NAMES
+                    or (node.module, alias.name) in NEWER_FUNCTIONS)
+    elif isinstance(node, ast.Attribute):
+        owner = node.value.id if isinstance(node.value, ast.Name) else ''
+        if node.attr in NEWER_NAMES or (owner, node.attr) in NEWER_FUNCTIONS:
+            yield node.attr
+    elif isinstance(node, ast.Subscript):
+        if _last(node.value) in NOT_GENERIC and isinstance(node.ctx, ast.Load):
+            yield '%s[...]' % _last(node.value)
+    elif isinstance(node, ast.Call):
+        yield from ('%s(%s=)' % (_last(node.func), keyword.arg) for keyword in node.keywords
+                    if (_last(node.func), keyword.arg) in NEWER_ARGUMENTS)
+    elif isinstance(node, (ast.arg, ast.AnnAssign)):
+        yield from _unions(node.annotation)
+    elif isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+        yield from _unions(node.returns)
+        for decorator in node.decorator_list:
+            if not isinstance(decorator, (ast.Name, ast.Attribute, ast.Call)):
+                yield 'a decorator that is an expression'
+
+
+def _last(node: ast.AST) -> str:
+    return node.id if isinstance(node, ast.Name) else getattr(node, 'attr', '')
+
+
+def _unions(annotation) -> Iterator[str]:
+    if annotation is not None and any(isinstance(each, ast.BinOp) for each in
+                                      ast.walk(annotation)):
+        yield 'X | Y in an annotation'
+
+
+@pytest.mark.parametrize('path', python_files(), ids=name)
+def test_python_3_8_reads_it(path):
+    found = ['%s:%s' % (name(path), use) for use in too_new(path.read_text(), str(path))]
+    assert not found, '\n'.join(found)
+
+
+@pytest.mark.parametrize('text', [
+    'match x:\n    case 1: pass', 'with (open(a) as b, open(c) as d): pass',
+    'try: pass\nexcept* ValueError: pass', 'def f(a: list[int]): pass', 'a: int | None = None',
+    'def f() -> int | None: pass', 'x.removeprefix("a")', 'from functools import cache',
+    'import tomllib', 'zip(a, b, strict=True)', 'a: Dict[str, tuple[int, ...]]'])
+def test_what_is_too_new_is_found(text):
+    assert list(too_new(text))
+
+
+@pytest.mark.parametrize('text', [
+    'if (n := 3): pass', 'def f(a, /, b): pass', 'f"{a=}"', 'a: "Optional[int]" = b | c',
+    'names[0]', 'x.cache', 'cache(x)'])
+def test_what_is_old_enough_passes(text):
+    assert not list(too_new(text))
