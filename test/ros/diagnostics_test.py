@@ -90,8 +90,8 @@ class DiagnosticsTest(unittest.TestCase):
             for link in damage:
                 BOARDS[link].write(damage[link])
             after = self.diagnostics.fresh_of_all(
-                damage, lambda s, _: s.level == WARN and number(s, key)
-                == number(before[l], key) + 1, 'WARN and one more of the ' + key, self.talk)
+                damage, lambda s, name: s.level == WARN and number(s, key)
+                == number(before[name], key) + 1, 'WARN and one more of the ' + key, self.talk)
             self.assertEqual(set(after), set(damage))
         self.fresh_of_all(OK)
 
