@@ -13,7 +13,8 @@ from struct import Struct
 from typing import Any, Dict, List, NamedTuple, Tuple
 
 from . import cobs
-from .framing import FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN, Frame, bad_frame
+from .framing import (FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN, Frame, bad_frame,
+                      good_frame)
 
 MAX_PACKET = 256                        # type and data, decoded
 _MAX_ENCODED = MAX_PACKET + 2           # the same in COBS
@@ -23,6 +24,8 @@ GYRO_SCALE = 4000 / 65536 * pi / 180 * 25   # rad/s per LSB, found by experiment
 _QUATERNION = 1 / 16384
 _ACCELERATION = 8 / 65536 * 9.81        # m/s² per LSB
 _UNIT_SQUARED = 16384 ** 2
+
+_new = tuple.__new__                    # a NamedTuple without its constructor
 
 Vector = Tuple[float, float, float]
 
@@ -34,7 +37,8 @@ def _layout(type_: int, layout: str):
         cls.TYPE = type_
         cls.SIZE = struct.size
         cls.pack = lambda self: struct.pack(*self)
-        cls.unpack = classmethod(lambda c, data: c._make(struct.unpack(data)))
+        cls.unpack = classmethod(lambda c, data: _new(c, struct.unpack(data)))
+        cls.implausible = getattr(cls, 'implausible', None)
         return cls
     return add
 
@@ -91,6 +95,7 @@ class LedCommand(NamedTuple):
 
     TYPE = 6
     SIZE = None
+    implausible = None
 
     text: str
 
@@ -319,17 +324,16 @@ class _Decoder:
             return self._bad(raw, UNKNOWN, 'message type %d is not known here' % type_,
                              stamp, type_, data)
         if message_class is Log:
-            return Frame(raw, type_, 0, data, Log.unpack(type_, data), stamp)
-        if message_class.SIZE not in (None, len(data)):
+            return good_frame(raw, type_, 0, data, Log.unpack(type_, data), stamp)
+        if message_class.SIZE != len(data) and message_class.SIZE is not None:
             return self._bad(raw, LENGTH, 'a %s has %d bytes of data, not %d' % (
                 message_class.__name__, message_class.SIZE, len(data)), stamp, type_, data)
         message = message_class.unpack(data)
         if self._check:
-            implausible = getattr(message, 'implausible', None)
-            reason = implausible() if implausible else ''
+            reason = message.implausible and message.implausible()
             if reason:
                 return self._bad(raw, IMPLAUSIBLE, reason, stamp, type_, data)
-        return Frame(raw, type_, 0, data, message, stamp)
+        return good_frame(raw, type_, 0, data, message, stamp)
 
     def _bad(self, raw, cause, error, stamp, type_=0, data=b'') -> Frame:
         self.errors[cause] += 1

@@ -16,6 +16,8 @@ UNKNOWN = 'unknown type'     # a sound frame of a type nobody told us of
 IMPLAUSIBLE = 'implausible'  # a sound packet whose values cannot be
 OVERSIZE = 'oversize'        # a packet longer than any packet may be
 
+_new = tuple.__new__
+
 MAX_REPORTED = 512  # bytes of noise that one bad frame quotes at most
 
 
@@ -30,6 +32,12 @@ class Frame(NamedTuple):
     stamp: Any = None   # what `feed` was given with the frame's last byte
     cause: str = ''     # empty for a good frame, else one of the causes above
     error: str = ''     # the cause in words
+
+
+def good_frame(raw: bytes, type_: int, command: int, data: bytes, message: Any,
+               stamp: Any) -> Frame:
+    """A `Frame` without a cause; in half the time of the constructor, which this often matters."""
+    return _new(Frame, (raw, type_, command, data, message, stamp, '', ''))
 
 
 def bad_frame(raw: bytes, cause: str, error: str, stamp: Any = None, type_: int = 0,
@@ -93,7 +101,8 @@ class StreamDecoder:
         """The frame at the front stays incomplete: go on at the byte after its first."""
         if not self._buffer:
             return []
-        self._failed(0, len(self._buffer), FRAMING, 'cut short')
+        if self._offset >= self._blamed:
+            self._failed(0, len(self._buffer), FRAMING, 'cut short')
         return self._run(1)
 
     def reset(self) -> None:
@@ -120,8 +129,8 @@ class StreamDecoder:
         arrivals, received = self._arrivals, self._offset + end
         while arrivals[0][0] < received:
             arrivals.popleft()
-        self._frames.append(Frame(bytes(self._buffer[start:end]), type_, command, data,
-                                  message, arrivals[0][1]))
+        self._frames.append(good_frame(bytes(self._buffer[start:end]), type_, command, data,
+                                       message, arrivals[0][1]))
         self._reported = end
         self._blamed = received
         self._noisy = False
@@ -129,10 +138,8 @@ class StreamDecoder:
     def _failed(self, start: int, end: int, cause: str, error: str) -> None:
         """What began at `start` and would have ended at `end` is no frame.
 
-        Counted once: false starts inside a stretch that is blamed already are not.
+        To be called once for one damage: not for false starts before `_blamed`.
         """
-        if self._offset + start < self._blamed:
-            return
         self.errors[cause] += 1
         self._blamed = self._offset + end
         self._noisy = False

@@ -18,6 +18,7 @@ ETX = 0x03
 MIN_LEN = 2            # TYPE and SEQ
 RANGE_TIMED_OUT = 0xFFFF  # what a range sensor that did not answer reads
 
+_new = tuple.__new__   # a NamedTuple without its constructor: decoding is mostly that
 _WRAP = 655.36         # degrees by which a heading over 327.67 wraps in the int16
 
 
@@ -38,8 +39,8 @@ class SensorStatus(NamedTuple):
         """From the payload. A yaw under -180° is a heading that wrapped: restored."""
         range_1, range_2, yaw, pitch, roll = cls.LAYOUT.unpack(data)
         yaw /= 100
-        return cls(range_1, range_2, yaw if yaw >= -180 else round(yaw + _WRAP, 2),
-                   pitch / 100, roll / 100)
+        return _new(cls, (range_1, range_2, yaw if yaw >= -180 else round(yaw + _WRAP, 2),
+                          pitch / 100, roll / 100))
 
     def pack(self) -> bytes:
         """The payload. Angles are rounded to 0.01° and wrap as the board's int16 does."""
@@ -107,6 +108,7 @@ class Decoder(StreamDecoder):
     def _search(self, at: int) -> None:
         buffer, xor = self._buffer, self._xor
         size = len(buffer)
+        blamed = self._blamed - self._offset
         while True:
             start = buffer.find(STX, at)
             if start != at:
@@ -115,40 +117,35 @@ class Decoder(StreamDecoder):
                         self._noise(at, size)
                     return self._keep(size, 1)
                 self._noise(at, start)
-            if start + 3 > size:
-                if start + 2 == size and buffer[start + 1] < MIN_LEN:
-                    self._failed(start, size, FRAMING, 'LEN')
-                    at = start + 1
-                    continue
+            if start + 3 > size and not (start + 2 == size and buffer[start + 1] < MIN_LEN):
                 return self._keep(start, size - start + 1)
             length = buffer[start + 1]
-            type_ = buffer[start + 2]
-            own = _LENGTHS[type_]
+            cause = FRAMING
             if length < MIN_LEN:
-                self._failed(start, start + 2, FRAMING, 'LEN')
-                at = start + 1
-                continue
-            if own and length != own:
-                self._failed(start, start + 3, FRAMING, 'LEN')
-                at = start + 1
-                continue
-            end = start + length + 4
-            if end > size:
-                return self._keep(start, end - start)
-            if buffer[end - 1] != ETX:
-                self._failed(start, end, FRAMING, 'ETX')
-                at = start + 1
-                continue
-            # XOR of TYPE … CRC is 0 in a sound frame.
-            if xor[end - 2] != xor[start + 1]:
-                self._failed(start, end, CHECKSUM, 'CRC does not match')
-                at = start + 1
-                continue
-            data = bytes(buffer[start + 4:end - 2])
-            if own:
-                message = MESSAGES[type_].unpack(data)
+                end, error = start + 2, 'LEN'
             else:
-                message = None
-                self.errors[UNKNOWN] += 1
-            self._good(start, end, type_, buffer[start + 3], data, message)
-            at = end
+                type_ = buffer[start + 2]
+                own = _LENGTHS[type_]
+                end = start + length + 4
+                if own and length != own:
+                    end, error = start + 3, 'LEN'
+                elif end > size:
+                    return self._keep(start, end - start)
+                elif buffer[end - 1] != ETX:
+                    error = 'ETX'
+                elif xor[end - 2] != xor[start + 1]:    # XOR of TYPE … CRC is 0 in a sound frame
+                    cause, error = CHECKSUM, 'CRC does not match'
+                else:
+                    data = bytes(buffer[start + 4:end - 2])
+                    message = None
+                    if own:
+                        message = MESSAGES[type_].unpack(data)
+                    else:
+                        self.errors[UNKNOWN] += 1
+                    self._good(start, end, type_, buffer[start + 3], data, message)
+                    at = blamed = end
+                    continue
+            if start >= blamed:
+                self._failed(start, end, cause, error)
+                blamed = end
+            at = start + 1

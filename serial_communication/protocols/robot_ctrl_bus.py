@@ -54,6 +54,7 @@ ERROR_TEXTS = {
 LIFT_DIRECTIONS = ('up', 'down')
 GIMBAL_DIRECTIONS = ('left', 'right', 'up', 'down')
 
+_new = tuple.__new__
 _REPLY_NAMES = {SYNC: 'SYNC', ECHO: 'ECHO', OK: 'OK', ERROR: 'ERROR', INVALID: 'INVALID'}
 
 
@@ -217,57 +218,54 @@ class _Decoder(StreamDecoder):
     def _message(self, commands: bytes, data: bytes) -> Any:
         raise NotImplementedError
 
-    def _whole(self, start: int, size: int) -> int:
-        """The end of a sound frame shorter than its Datelen says, or 0."""
+    def _short_end(self, start: int) -> int:
+        """The end of a sound frame at `start` that is shorter than its Datelen says, or 0."""
         return 0
 
     def _search(self, at: int) -> None:
         buffer, xor = self._buffer, self._xor
         size = len(buffer)
-        overhead = 3 + self._commands   # of a standard frame
+        blamed = self._blamed - self._offset
         while at < size:
             flag = buffer[at]
             if flag == STANDARD_FLAG:
-                payload = at + 2 + self._commands
-                if at + 2 > size:
-                    return self._keep(at, 2)
-                length = buffer[at + 1]
-                if length == 255 or length > self._max_length:
-                    self._failed(at, at + 2, FRAMING, 'Datelen')
-                    at += 1
-                    continue
-                end = at + overhead + length
+                header = 2
             elif flag == LONG_FLAG:
-                payload = at + 3 + self._commands
-                if at + 3 > size:
-                    return self._keep(at, 3)
-                length = buffer[at + 1] | buffer[at + 2] << 8
-                if length < 255 or length > self._max_length:
-                    self._failed(at, at + 3, FRAMING, 'Datelen')
-                    at += 1
-                    continue
-                end = at + overhead + 1 + length
+                header = 3
             else:
                 start = self._next_flag(at)
                 self._noise(at, start)
                 at = start
                 continue
-            short = self._whole(at, size)
-            if short:
-                end = short
-            elif end > size:
-                # One byte more may complete a frame that is shorter than it says.
-                return self._keep(at, min(end - at, self._first_look(size - at)))
-            # XOR of a sound frame, checksum included, is 0.
-            if xor[end - 1] != (xor[at - 1] if at else self._before):
-                self._failed(at, end, CHECKSUM, 'the checksum does not match')
-                at += 1
-                continue
-            commands = bytes(buffer[payload - self._commands:payload])
-            data = bytes(buffer[payload:end - 1])
-            message = self._message(commands, data)
-            self._good(at, end, commands[0], message.cmd2, data, message)
-            at = end
+            if at + header > size:
+                return self._keep(at, header)
+            if header == 2:
+                length = buffer[at + 1]
+                fits = length < 255
+            else:
+                length = buffer[at + 1] | buffer[at + 2] << 8
+                fits = length >= 255
+            cause = FRAMING
+            if not fits or length > self._max_length:
+                end, error = at + header, 'Datelen'
+            else:
+                payload = at + header + self._commands
+                end = self._short_end(at) or payload + length + 1
+                if end > size:
+                    # One byte more may complete a frame that is shorter than it says.
+                    return self._keep(at, min(end - at, self._first_look(size - at)))
+                if xor[end - 1] == (xor[at - 1] if at else self._before):
+                    commands = bytes(buffer[payload - self._commands:payload])
+                    data = bytes(buffer[payload:end - 1])
+                    message = self._message(commands, data)
+                    self._good(at, end, commands[0], message.cmd2, data, message)
+                    at = blamed = end
+                    continue
+                cause, error = CHECKSUM, 'the checksum does not match'
+            if at >= blamed:
+                self._failed(at, end, cause, error)
+                blamed = end
+            at += 1
         self._keep(at, 1)
 
     def _first_look(self, size: int) -> int:
@@ -286,7 +284,7 @@ class ReplyDecoder(_Decoder):
         self._commands = 2 if has_cmd2 else 1
 
     def _message(self, commands: bytes, data: bytes) -> Reply:
-        return Reply(commands[0], data, commands[1] if len(commands) > 1 else 0)
+        return _new(Reply, (commands[0], data, commands[1] if len(commands) > 1 else 0))
 
 
 class RequestDecoder(_Decoder):
@@ -298,7 +296,7 @@ class RequestDecoder(_Decoder):
     def _message(self, commands: bytes, data: bytes) -> Request:
         return Request(commands[0], commands[1], data)
 
-    def _whole(self, start: int, size: int) -> int:
+    def _short_end(self, start: int) -> int:
         end = start + len(self._ENVIRONMENT)
         return end if self._buffer[start:end] == self._ENVIRONMENT else 0
 

@@ -1,0 +1,94 @@
+"""rosrun serial_communication bench: how fast, how even and how cheap the node is, here.
+
+Everything runs on this machine: a roscore of its own, the node, boards behind ptys, and what the
+node is compared with: a node that polls its ports (the reference), and one that only publishes
+(the floor). Exit status 0 if the bench worked, whatever it measured.
+"""
+import argparse
+import json
+import signal
+import sys
+import time
+from typing import Any, Dict, List, Optional
+
+from .bench_report import judge, plain, plot, render
+from .bench_sections import SECTIONS, Plan
+from .bench_stage import BenchError, Stage, machine, stolen
+
+
+def main(arguments: Optional[List[str]] = None) -> int:
+    """Run it; returns the exit status."""
+    options = _parser().parse_args(arguments)
+    plan = Plan(options.duration or (1.0 if options.short else 3.5), 2 if options.short else 12,
+                options.short)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)    # as Ctrl-C: end the children
+    try:
+        results = measure(options.only, plan)
+    except KeyboardInterrupt:
+        print('stopped', file=sys.stderr)
+        return 130
+    except BenchError as error:
+        print('the bench does not work: %s' % error, file=sys.stderr)
+        return 1
+    print(render(results), file=sys.stderr if options.json == '-' else sys.stdout)
+    if options.json == '-':
+        print(json.dumps(results, indent=1))
+    elif options.json:
+        with open(options.json, 'w') as file:
+            json.dump(results, file, indent=1)
+    if options.plot:
+        _plot(results, options.plot)
+    return 0
+
+
+def measure(names: List[str], plan: Plan) -> Dict[str, Any]:
+    """The sections of these names."""
+    results: Dict[str, Any] = {'machine': machine(), 'plan': plan._asdict()}
+    began, before = time.monotonic(), stolen()
+    with Stage() as stage:
+        for name, section in SECTIONS.items():
+            if name in names:
+                print('%4.0f s  %s: %s' % (time.monotonic() - began, name,
+                                           section.__doc__.splitlines()[0]), file=sys.stderr)
+                results[name] = section(stage, plan)
+                stage.clear()
+    results['goals'] = judge(results)
+    lost, spent = (after - then for after, then in zip(stolen(), before))
+    results['machine']['stolen %'] = round(100 * lost / spent, 2)
+    results['machine']['seconds'] = round(time.monotonic() - began, 1)
+    return plain(results)
+
+
+def _plot(results: Dict[str, Any], path: str) -> None:
+    if 'scale' not in results:
+        print('no plot: it shows the section "scale", which was not run', file=sys.stderr)
+        return
+    try:
+        plot(results['scale'], path)
+    except ImportError:
+        print('no plot: it needs python3-matplotlib', file=sys.stderr)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog='bench', description=__doc__.split('\n\n')[0])
+    parser.add_argument('--short', action='store_true',
+                        help='a second a turn, under a minute in all: to see that it works')
+    parser.add_argument('--json', metavar='FILE', help='everything measured; - for stdout')
+    parser.add_argument('--plot', metavar='FILE.png', help='cost against load, from "scale"')
+    parser.add_argument('--only', metavar='SECTION,...', type=_sections, default=list(SECTIONS),
+                        help='of ' + ', '.join(SECTIONS))
+    parser.add_argument('--duration', metavar='S', type=float, default=0.0,
+                        help='seconds a turn (3.5, with --short 1)')
+    return parser
+
+
+def _sections(text: str) -> List[str]:
+    names = text.split(',')
+    for name in names:
+        if name not in SECTIONS:
+            raise argparse.ArgumentTypeError('%r is none of %s' % (name, ', '.join(SECTIONS)))
+    return names
+
+
+if __name__ == '__main__':
+    sys.exit(main())
