@@ -69,12 +69,14 @@ class StreamDecoder:
 
     def __init__(self) -> None:
         self.errors: Dict[str, int] = {CHECKSUM: 0, FRAMING: 0}
-        self._buffer = bytearray()
-        self._xor = bytearray()     # beside each byte: XOR of all bytes received up to it
+        # Nothing pending, which is the rule: the very bytes that were read. Else a bytearray.
+        self._buffer = b''
+        self._xor = b''             # beside each byte: XOR of all bytes received up to it
         self._before = 0            # the same for the byte before the buffer's first
         self._need = 1              # bytes in the buffer before searching on makes sense
         self._offset = 0            # bytes received before the buffer's first
-        self._arrivals = deque()    # (bytes received in all, stamp), a pair for each read
+        self._stamp = None          # of the latest read
+        self._arrivals = deque()    # (bytes received in all, stamp) of each read still pending
         self._blamed = 0            # up to this byte of the stream, damage is counted already
         self._noisy = False         # the last byte looked at is noise that is counted already
         self._frames: List[Frame] = []
@@ -89,12 +91,16 @@ class StreamDecoder:
         """Take bytes as they were read; return the frames, good and bad, now complete."""
         if not data:
             return []
-        buffer = self._buffer
-        self._xor += running_xor(data, self._xor[-1] if buffer else self._before)
-        buffer += data
-        self._arrivals.append((self._offset + len(buffer), stamp))
-        if len(buffer) < self._need:
-            return []
+        self._stamp = stamp
+        if not self._buffer:
+            self._buffer = data
+            self._xor = running_xor(data, self._before)
+        else:
+            self._xor += running_xor(data, self._xor[-1])
+            self._buffer += data
+            self._arrivals.append((self._offset + len(self._buffer), stamp))
+            if len(self._buffer) < self._need:
+                return []
         return self._run(0)
 
     def give_up(self) -> List[Frame]:
@@ -126,14 +132,21 @@ class StreamDecoder:
         """A sound frame stands at buffer[start:end]."""
         if start > self._reported:
             self._report_noise(start)
-        arrivals, received = self._arrivals, self._offset + end
+        stamp = self._stamp
+        if self._arrivals:
+            stamp = self._arrived(self._offset + end)
+        self._frames.append(good_frame(bytes(self._buffer[start:end]), type_, command, data,
+                                       message, stamp))
+        self._reported = end
+        self._blamed = self._offset + end
+        self._noisy = False
+
+    def _arrived(self, received: int) -> Any:
+        """The stamp of the read that brought that byte."""
+        arrivals = self._arrivals
         while arrivals[0][0] < received:
             arrivals.popleft()
-        self._frames.append(good_frame(bytes(self._buffer[start:end]), type_, command, data,
-                                       message, arrivals[0][1]))
-        self._reported = end
-        self._blamed = received
-        self._noisy = False
+        return arrivals[0][1]
 
     def _failed(self, start: int, end: int, cause: str, error: str) -> None:
         """What began at `start` and would have ended at `end` is no frame.
@@ -146,8 +159,7 @@ class StreamDecoder:
         if cause == CHECKSUM:
             if start > self._reported:
                 self._report_noise(start)
-            self._frames.append(bad_frame(self._buffer[start:end], cause, error,
-                                          self._arrivals[-1][1]))
+            self._frames.append(bad_frame(self._buffer[start:end], cause, error, self._stamp))
             self._reported = end
 
     def _noise(self, start: int, end: int) -> None:
@@ -160,22 +172,32 @@ class StreamDecoder:
         """The search ended: all before `start` is decided; go on at `need` bytes from there."""
         if start > self._reported:
             self._report_noise(start)
-        self._reported = max(self._reported - start, 0)
         if start:
             self._before = self._xor[start - 1]
             self._offset += start
+        size = len(self._buffer) - start
+        if not size:
+            self._buffer = self._xor = b''
+            self._reported = 0
+            self._arrivals.clear()
+            return
+        self._reported = max(self._reported - start, 0)
+        self._need = need
+        if self._arrivals:
+            self._arrived(self._offset + 1)      # forgets the reads that are decided
+        else:
+            self._arrivals.append((self._offset + size, self._stamp))
+        if isinstance(self._buffer, bytearray):
             del self._buffer[:start]
             del self._xor[:start]
-            arrivals = self._arrivals
-            while arrivals and arrivals[0][0] <= self._offset:
-                arrivals.popleft()
-        self._need = need
+        else:
+            self._buffer = bytearray(self._buffer[start:])
+            self._xor = bytearray(self._xor[start:])
 
     def _report_noise(self, end: int) -> None:
         size = end - self._reported
         self._frames.append(bad_frame(
             self._buffer[self._reported:end], FRAMING,
             '%d byte%s that %s no frame' % (size, 's' if size > 1 else '',
-                                            'are' if size > 1 else 'is'),
-            self._arrivals[-1][1]))
+                                            'are' if size > 1 else 'is'), self._stamp))
         self._reported = end
