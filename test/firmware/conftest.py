@@ -1,7 +1,9 @@
 """Fixtures of the firmware tests: one build for all of them.
 
-FIRMWARE_BUILD names a build directory to use and keep; without it the build goes to a temporary one.
+FIRMWARE_BUILD names a build directory to use and keep; without it the build goes to a temporary
+one.
 """
+
 import os
 
 import pytest

@@ -1,11 +1,14 @@
-"""Starts emulated boards and talks to their control channel. Needs neither ROS nor the Python package.
+"""Starts emulated boards and talks to their control channel.
 
-    build_firmware('/some/dir')
-    with EmulatedBoard('/some/dir', 'car') as board:
-        port = serial.Serial(board.port, 115200)
-        board.set('yaw', 30)
-        board.wait_until(lambda: board.get('turning') == 0, seconds=5)
+Needs neither ROS nor the Python package.
+
+build_firmware('/some/dir')
+with EmulatedBoard('/some/dir', 'car') as board:
+    port = serial.Serial(board.port, 115200)
+    board.set('yaw', 30)
+    board.wait_until(lambda: board.get('turning') == 0, seconds=5)
 """
+
 import os
 import shutil
 import socket
@@ -13,7 +16,9 @@ import subprocess
 import tempfile
 import time
 
-FIRMWARE = os.path.join(os.path.dirname(os.path.abspath(__file__)), os.pardir, os.pardir, 'firmware')
+FIRMWARE = os.path.join(
+    os.path.dirname(os.path.abspath(__file__)), os.pardir, os.pardir, 'firmware'
+)
 
 # The program that belongs into each world.
 IMAGES = {'car': 'nano_car_emulated.elf', 'ctrl': 'ctrl_board.elf', 'range': 'range_imu.elf'}
@@ -24,9 +29,13 @@ class BoardError(Exception):
 
 
 def build_firmware(build):
-    """Builds the firmware and the emulator into the directory `build`; does nothing when up to date."""
-    result = subprocess.run(['make', '-C', FIRMWARE, 'BUILD=' + os.path.abspath(build), '-j2'],
-                            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, universal_newlines=True)
+    """Builds the firmware and the emulator into the directory `build`, if they are not there."""
+    result = subprocess.run(
+        ['make', '-C', FIRMWARE, 'BUILD=' + os.path.abspath(build), '-j2'],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        universal_newlines=True,
+    )
     if result.returncode != 0:
         raise BoardError('the firmware does not build:\n' + result.stdout)
 
@@ -52,8 +61,9 @@ class EmulatedBoard(object):
         command += ['--still'] if still else []
         command += ['--eeprom', eeprom] if eeprom else []
         command.append(os.path.join(build, image or IMAGES[world]))
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-                                        universal_newlines=True)
+        self.process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, universal_newlines=True
+        )
         # The first line comes when everything is set up.
         self.banner = self.process.stdout.readline()
         if 'on' not in self.banner.split():

@@ -2,6 +2,7 @@
 
 What is timed is timed in emulated seconds: a slow machine makes a test longer, not wrong.
 """
+
 import math
 import os
 import struct
@@ -12,9 +13,23 @@ import serial
 
 from emulated_board import EmulatedBoard, IMAGES
 
-DEBUG, INFO, WARN, ERROR, SPEED, STEERING, LED, ANGLE, TICKS, IMU, VOLTAGE, HEARTBEAT, CALIBRATION = range(13)
+(
+    DEBUG,
+    INFO,
+    WARN,
+    ERROR,
+    SPEED,
+    STEERING,
+    LED,
+    ANGLE,
+    TICKS,
+    IMU,
+    VOLTAGE,
+    HEARTBEAT,
+    CALIBRATION,
+) = range(13)
 RATE_SCALE = 4000.0 / 65536 * math.pi / 180 * 25  # rad/s
-ACCELERATION_SCALE = 8.0 / 65536 * 9.81           # m/s^2
+ACCELERATION_SCALE = 8.0 / 65536 * 9.81  # m/s^2
 
 
 def xor(data):
@@ -29,6 +44,7 @@ def open_port(board):
 
 
 # The model car
+
 
 def cobs_encode(data):
     out = b''
@@ -109,12 +125,17 @@ class Car(object):
         return self.read(kind)[:count]
 
     def texts(self):
-        return [(kind, data.rstrip(b'\x00').decode('ascii', 'replace')) for kind, data in self.packets if kind <= ERROR]
+        return [
+            (kind, data.rstrip(b'\x00').decode('ascii', 'replace'))
+            for kind, data in self.packets
+            if kind <= ERROR
+        ]
 
     def wait_for_text(self, text, seconds=5):
         def arrived():
             self.read()
             return any(text in logged for _, logged in self.texts())
+
         self.board.wait_until(arrived, seconds)
 
     def orientation(self):
@@ -127,7 +148,12 @@ def imu_values(data):
     w, x, y, z = [value / 16384.0 for value in fields[:4]]
     rates = [value * RATE_SCALE for value in fields[4:7]]
     accelerations = [value * ACCELERATION_SCALE for value in fields[7:10]]
-    return (w,) + to_ros((x, y, z)), to_ros(rates), to_ros(accelerations), fields[10] / 340.0 + 36.53
+    return (
+        (w,) + to_ros((x, y, z)),
+        to_ros(rates),
+        to_ros(accelerations),
+        fields[10] / 340.0 + 36.53,
+    )
 
 
 def to_ros(vector):
@@ -140,8 +166,12 @@ def from_euler(yaw, pitch, roll):
     cy, sy = math.cos(math.radians(yaw) / 2), math.sin(math.radians(yaw) / 2)
     cp, sp = math.cos(math.radians(pitch) / 2), math.sin(math.radians(pitch) / 2)
     cr, sr = math.cos(math.radians(roll) / 2), math.sin(math.radians(roll) / 2)
-    return (cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy)
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
 
 
 def angle_between(a, b):
@@ -166,11 +196,14 @@ def drive_until(car, speed, condition, seconds=5):
         car.drive(speed)
         car.read()
         return condition()
+
     car.board.wait_until(step, seconds)
 
 
-@pytest.mark.parametrize('speed, pwm, direction', [(400, 102, 1), (-400, 102, -1), (1000, 255, 1), (-3000, 255, -1),
-                                                   (7, 2, 1)])
+@pytest.mark.parametrize(
+    'speed, pwm, direction',
+    [(400, 102, 1), (-400, 102, -1), (1000, 255, 1), (-3000, 255, -1), (7, 2, 1)],
+)
 def test_speed_command_sets_the_pwm(car, speed, pwm, direction):
     car.drive(speed)
     car.board.wait_until(lambda: len(car.board.history('motor_pwm')) == 3, 1)
@@ -201,7 +234,9 @@ def test_motor_stops_when_heartbeats_stop(car):
     for _ in range(20):
         car.send(HEARTBEAT)
     received = board.get('rx_bytes')
-    board.wait_until(lambda: board.get('rx_bytes') >= received and len(car.next(TICKS, 10)) == 10, 2)
+    board.wait_until(
+        lambda: board.get('rx_bytes') >= received and len(car.next(TICKS, 10)) == 10, 2
+    )
     assert board.get('motor_pwm') == 0
 
 
@@ -211,7 +246,9 @@ def test_speed_zero_stops_at_once(car):
     history = car.board.history
     car.board.wait_until(lambda: len(history('motor_pwm')) == 3, 1)
     assert [value for _, value in history('motor_pwm')] == [0, 77, 0]
-    assert history('motor_pwm')[2][0] - history('motor_pwm')[1][0] == pytest.approx(0.0105, abs=0.004)
+    assert history('motor_pwm')[2][0] - history('motor_pwm')[1][0] == pytest.approx(
+        0.0105, abs=0.004
+    )
     car.next(TICKS, 10)
     assert not [text for _, text in car.texts() if 'heartbeat' in text]
 
@@ -220,14 +257,18 @@ def test_ticks_are_the_wheels_turns(car):
     board = car.board
     drive_until(car, 1000, lambda: board.get('wheel_turns') > 10)
     board.wait_until(lambda: car.read() is not None and board.get('wheel_speed') == 0, 5)
-    car.board.wait_until(lambda: sum(data[0] for data in car.read(TICKS)) >= board.get('wheel_ticks'), 2)
+    car.board.wait_until(
+        lambda: sum(data[0] for data in car.read(TICKS)) >= board.get('wheel_ticks'), 2
+    )
     ticks = sum(data[0] for data in car.read(TICKS))
     assert ticks == board.get('wheel_ticks')
     assert abs(ticks - 64 * board.get('wheel_turns')) <= 1
     assert max(data[0] for data in car.read(TICKS)) <= 11  # 15 turns of 64 ticks a second
 
 
-@pytest.mark.parametrize('pulse, servo', [(1000, 1000), (1501, 1501), (2000, 2000), (100, 1000), (65535, 2000)])
+@pytest.mark.parametrize(
+    'pulse, servo', [(1000, 1000), (1501, 1501), (2000, 2000), (100, 1000), (65535, 2000)]
+)
 def test_steering_command_sets_the_servo(car, pulse, servo):
     car.send(STEERING, struct.pack('<H', pulse))
     car.board.wait_until(lambda: car.board.get('servo_us') == servo, 1)
@@ -240,8 +281,10 @@ def test_steering_feedback(car):
         assert struct.unpack('<H', car.next(ANGLE)[0])[0] == raw
 
 
-@pytest.mark.parametrize('command, lamps', [('left', (1, 0, 0)), ('right', (0, 1, 0)), ('brake', (0, 0, 1)),
-                                            ('hazard', (1, 1, 0))])
+@pytest.mark.parametrize(
+    'command, lamps',
+    [('left', (1, 0, 0)), ('right', (0, 1, 0)), ('brake', (0, 0, 1)), ('hazard', (1, 1, 0))],
+)
 def test_lamps(car, command, lamps):
     board = car.board
     names = ('led_left', 'led_right', 'led_brake')
@@ -281,7 +324,10 @@ def test_imu_at_rest(car):
 
 
 def takes(board, action, seconds):
-    """Whether `action` takes so long, within 5 %. A test that was kept from running sees a longer time: again."""
+    """Whether `action` takes so long, within 5 %.
+
+    A test that was kept from running sees a longer time: again.
+    """
     for _ in range(5):
         start = board.time
         action()
@@ -302,7 +348,9 @@ def turn_to(car, **angles):
     car.next(IMU, 5)
 
 
-@pytest.mark.parametrize('yaw, pitch, roll', [(30, 0, 0), (-100, 0, 0), (0, 20, 0), (0, 0, -35), (60, -15, 10)])
+@pytest.mark.parametrize(
+    'yaw, pitch, roll', [(30, 0, 0), (-100, 0, 0), (0, 20, 0), (0, 0, -35), (60, -15, 10)]
+)
 def test_rotation_of_the_world_is_rotation_in_the_packets(car, yaw, pitch, roll):
     turn_to(car, yaw=yaw)
     turn_to(car, pitch=pitch)
@@ -326,8 +374,9 @@ def test_rates_add_up_to_the_rotation(car):
 def test_gravity_follows_the_tilt(car):
     turn_to(car, roll=30)
     accelerations = imu_values(car.next(IMU)[0])[2]
-    assert accelerations == pytest.approx((0, 9.81 * math.sin(math.radians(30)), 9.81 * math.cos(math.radians(30))),
-                                          abs=0.05)
+    assert accelerations == pytest.approx(
+        (0, 9.81 * math.sin(math.radians(30)), 9.81 * math.cos(math.radians(30))), abs=0.05
+    )
 
 
 def yaw_drift(car):
@@ -434,7 +483,11 @@ OK = b'\x02'
 
 
 def request(cmd1, cmd2=0, data=b''):
-    flag = struct.pack('<BH', 0x5A, len(data)) if len(data) >= 255 else struct.pack('<BB', 0xA5, len(data))
+    flag = (
+        struct.pack('<BH', 0x5A, len(data))
+        if len(data) >= 255
+        else struct.pack('<BB', 0xA5, len(data))
+    )
     frame = flag + bytes([cmd1, cmd2]) + data
     return frame + bytes([xor(frame)])
 
@@ -454,6 +507,7 @@ class Master(object):
         def whole():
             self._received += self.port.read(4096)
             return self._size() is not None
+
         self.board.wait_until(whole, seconds)
         size = self._size()
         frame, self._received = self._received[:size], self._received[size:]
@@ -552,7 +606,9 @@ def test_damaged_and_too_long_requests_are_invalid(bus):
 
 
 def test_a_request_after_noise_is_executed_once(bus):
-    for count, noise in enumerate((b'\xa5', b'\xa5\x02', b'\x5a\xff\xff', b'\xa5\x00\x00\x00\x00', b'\x00\xff\x12'), 1):
+    for count, noise in enumerate(
+        (b'\xa5', b'\xa5\x02', b'\x5a\xff\xff', b'\xa5\x00\x00\x00\x00', b'\x00\xff\x12'), 1
+    ):
         bus.write(noise + request(0x55, GIMBAL, bytes([0, 2])))
         assert bus.reply(seconds=3) == OK
         bus.silence(0.1)
@@ -586,7 +642,9 @@ def test_lift_there_and_back(bus):
     assert bus.board.get('lift_moves') == 6
 
 
-@pytest.mark.parametrize('direction, axis, sign', [(0, 'pan', 1), (1, 'pan', -1), (2, 'tilt', 1), (3, 'tilt', -1)])
+@pytest.mark.parametrize(
+    'direction, axis, sign', [(0, 'pan', 1), (1, 'pan', -1), (2, 'tilt', 1), (3, 'tilt', -1)]
+)
 def test_gimbal_turns_by_what_was_asked_once(bus, direction, axis, sign):
     assert bus.function(GIMBAL, bytes([direction, 30])) == OK
     assert bus.board.get(axis + '_steps') == sign * 300
@@ -667,6 +725,7 @@ def test_ctrl_reset_in_mid_motion_recovers(bus):
 
 # The sensor board
 
+
 class Frames(object):
     """Sensor status frames from the board."""
 
@@ -680,7 +739,9 @@ class Frames(object):
         self._received += self.port.read(4096)
         while len(self._received) >= 16:
             frame, self._received = self._received[:16], self._received[16:]
-            assert frame[:3] == b'\x02\x0c\x10' and frame[15] == 3 and xor(frame[2:14]) == frame[14], frame.hex()
+            assert (
+                frame[:3] == b'\x02\x0c\x10' and frame[15] == 3 and xor(frame[2:14]) == frame[14]
+            ), frame.hex()
             self.frames.append((frame[3],) + struct.unpack('<HHhhh', frame[4:14]))
         return self.frames
 
@@ -707,14 +768,24 @@ def sensors(firmware_build):
 
 
 def test_sensor_values_arrive(sensors):
-    for range1, range2, heading, pitch, roll in ((500, 8190, 90.5, -12.25, 33), (47, 58, 0, -2.4375, 2.4375)):
-        for name, value in (('range1', range1), ('range2', range2), ('heading', heading), ('pitch', pitch),
-                            ('roll', roll)):
+    for range1, range2, heading, pitch, roll in (
+        (500, 8190, 90.5, -12.25, 33),
+        (47, 58, 0, -2.4375, 2.4375),
+    ):
+        for name, value in (
+            ('range1', range1),
+            ('range2', range2),
+            ('heading', heading),
+            ('pitch', pitch),
+            ('roll', roll),
+        ):
             sensors.board.set(name, value)
         sensors.next(3)
         frame = sensors.next()[0]
         assert frame[1:3] == (range1, range2)
-        assert [angle / 100.0 for angle in frame[3:]] == pytest.approx([heading, pitch, roll], abs=0.011)
+        assert [angle / 100.0 for angle in frame[3:]] == pytest.approx(
+            [heading, pitch, roll], abs=0.011
+        )
 
 
 @pytest.mark.parametrize('heading', [0, 179.5, 180, 327.5, 328, 350, 359.9375])
@@ -756,6 +827,7 @@ def test_range_board_restarts(sensors):
 
 # The emulator
 
+
 def test_serial_end_that_vanishes_and_returns(firmware_build, tmp_path):
     link = str(tmp_path / 'tty')
     masters = []
@@ -778,6 +850,7 @@ def test_serial_end_that_vanishes_and_returns(firmware_build, tmp_path):
             except BlockingIOError:
                 pass
             return b'\x02\x0c\x10' in b''.join(received)
+
         return some
 
     master, slave = plug()
@@ -798,7 +871,15 @@ def test_control_channel_answers_one_line(firmware_build):
         for name in names:
             board.get(name)
         assert 'speed' in board.ask('get speed')
-        for wrong in ('get nonsense', 'set motor_pwm 3', 'set yaw', 'set yaw fast', 'dance', '', 'history yaw'):
+        for wrong in (
+            'get nonsense',
+            'set motor_pwm 3',
+            'set yaw',
+            'set yaw fast',
+            'dance',
+            '',
+            'history yaw',
+        ):
             with pytest.raises(Exception, match='error'):
                 board.ask(wrong)
         link = board.port
@@ -811,16 +892,29 @@ def test_control_channel_answers_one_line(firmware_build):
 
 def test_roslaunch_arguments_and_clear_errors(firmware_build, tmp_path):
     def run(*arguments):
-        result = subprocess.run([os.path.join(firmware_build, 'avr_board')] + list(arguments), stdout=subprocess.PIPE,
-                                stderr=subprocess.PIPE, universal_newlines=True, timeout=10)
+        result = subprocess.run(
+            [os.path.join(firmware_build, 'avr_board')] + list(arguments),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            universal_newlines=True,
+            timeout=10,
+        )
         return result.returncode, result.stderr.strip().split('\n')[-1]
 
     elf = os.path.join(firmware_build, IMAGES['car'])
     extra = ['__name:=car', '__log:=' + str(tmp_path / 'log')]
     assert run(*extra) == (1, 'avr_board: no ELF file given; --help lists the options')
-    assert run('--world', 'moon', elf, *extra) == (1, 'avr_board: --world must be car, ctrl or range, not "moon"')
-    assert run('--world', 'car', '/no/such.elf') == (1, 'avr_board: cannot load the ELF file /no/such.elf')
-    assert run('--world', 'car', '--link', '/no/such/link', elf)[1] == \
-        'avr_board: cannot make the link /no/such/link: No such file or directory'
+    assert run('--world', 'moon', elf, *extra) == (
+        1,
+        'avr_board: --world must be car, ctrl or range, not "moon"',
+    )
+    assert run('--world', 'car', '/no/such.elf') == (
+        1,
+        'avr_board: cannot load the ELF file /no/such.elf',
+    )
+    assert (
+        run('--world', 'car', '--link', '/no/such/link', elf)[1]
+        == 'avr_board: cannot make the link /no/such/link: No such file or directory'
+    )
     assert run('--world', 'car', '--control', '/no/such/socket', elf)[0] == 1
     assert run('--world', 'car', '--frobnicate', elf)[0] == 1
