@@ -1,0 +1,130 @@
+"""What the tests with emulated AVR boards need beside `boards`: the firmware, built; one board
+and one bridge on it; and rotations, put together here from the turns that they are made of.
+"""
+import os
+import subprocess
+import sys
+import unittest
+from contextlib import contextmanager
+from math import acos, cos, degrees, radians, sin, sqrt
+
+from boards import PACKAGE, Bridge, program, until
+
+_TEST = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+sys.path.insert(0, os.path.join(_TEST, 'firmware'))
+
+from emulated_board import EmulatedBoard  # noqa: E402  pylint: disable=wrong-import-position
+
+
+def firmware_build():
+    """The folder with the firmware and the emulator, up to date: where avr_board keeps them."""
+    build = os.environ.get('FIRMWARE_BUILD') or os.path.join(os.path.dirname(_TEST), 'build',
+                                                             'firmware')
+    built = subprocess.run([program('avr_board'), 'bus', '--help'],
+                           env=dict(os.environ, FIRMWARE_BUILD=build), stdout=subprocess.PIPE,
+                           stderr=subprocess.STDOUT, universal_newlines=True)
+    assert built.returncode == 0, built.stdout
+    return build
+
+
+class OnBoard(unittest.TestCase):
+    """One emulated board in a world at rest, and a bridge with that link alone."""
+
+    WORLD = ''           # car, ctrl or range
+    LINK = ''            # the link's name in the parameters
+    PARAMETERS = {}      # of the bridge, beside the port
+
+    @classmethod
+    def setUpClass(cls):
+        cls.board = EmulatedBoard(firmware_build(), cls.WORLD)
+        cls.addClassCleanup(cls.board.close)
+        cls.bridge = None
+        cls.addClassCleanup(cls.end_bridge)
+        cls.start_bridge()
+
+    @classmethod
+    def start_bridge(cls):
+        """A bridge, if none runs."""
+        if cls.bridge is None or not cls.bridge.alive:
+            cls.bridge = Bridge(parameters=dict(cls.PARAMETERS,
+                                                **{cls.LINK + '/port': cls.board.port}))
+
+    @classmethod
+    def end_bridge(cls):
+        """End it, whatever state it is in."""
+        if cls.bridge is None:
+            return
+        try:
+            cls.bridge.end()
+        finally:
+            if 'Traceback' in cls.bridge.output():
+                raise AssertionError(cls.bridge.output())
+
+    def setUp(self):
+        self.start_bridge()
+
+    def tearDown(self):
+        self.assertEqual(self.board.get('rx_overruns'), 0, 'the bridge sends too fast')
+
+    def kill_bridge(self):
+        """SIGKILL: not a byte more."""
+        self.bridge.process.kill()
+        self.bridge.process.wait(10)
+
+    def own(self, name):
+        """A name in the bridge's namespace."""
+        return '/%s/%s' % (PACKAGE, name)
+
+    def collect(self, topic):
+        """That Topic, closed at the end of the test."""
+        self.addCleanup(topic.close)
+        return topic
+
+    def until_is(self, name, value, doing=None):
+        """Wait until the board's world has that value."""
+        until(lambda: self.board.get(name) == value,
+              '%s is %g' % (name, value), doing=doing, every=0.005)
+
+    def until_emulated(self, seconds):
+        """Wait for so many seconds of the board's time to pass."""
+        end = self.board.time + seconds
+        until(lambda: self.board.time >= end, '%g emulated seconds' % seconds, every=0.0005)
+
+    @contextmanager
+    def about(self, **case):
+        """What fails inside is about this case. (rostest overlooks what fails in a subTest.)"""
+        try:
+            yield
+        except AssertionError as error:
+            raise AssertionError('%s: %s' % (case, error)) from error
+
+
+# -- rotations ----------------------------------------------------------------------------
+
+
+def times(p, q):
+    """The quaternion p q: first q, then p; w, x, y, z."""
+    a, b, c, d = p
+    w, x, y, z = q
+    return (a * w - b * x - c * y - d * z, a * x + b * w + c * z - d * y,
+            a * y - b * z + c * w + d * x, a * z + b * y - c * x + d * w)
+
+
+def turn(yaw, pitch, roll):
+    """That yaw about z, on it that pitch about y, on it that roll about x; in degrees."""
+    def about(axis, angle):
+        half = radians(angle) / 2
+        return (cos(half),) + tuple(sin(half) * part for part in axis)
+    return times(times(about((0, 0, 1), yaw), about((0, 1, 0), pitch)), about((1, 0, 0), roll))
+
+
+def upward(orientation):
+    """Where "up" is for a body turned so: x, y, z."""
+    w, x, y, z = orientation
+    return times(times((w, -x, -y, -z), (0, 0, 0, 1)), orientation)[1:]
+
+
+def apart(p, q):
+    """The angle between two orientations, in degrees."""
+    norm = sqrt(sum(part * part for part in p) * sum(part * part for part in q))
+    return degrees(2 * acos(min(1.0, abs(sum(a * b for a, b in zip(p, q))) / norm)))

@@ -1,0 +1,733 @@
+#!/usr/bin/env python3
+"""The bridge and real firmware: boards that are emulated microcontrollers, end to end.
+
+What a command does is looked up in the emulated world (registers, pins, steps), and what the
+world does is looked for on the topics. What is timed is timed in emulated seconds.
+"""
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import tempfile
+import unittest
+from math import degrees, inf, isnan
+from xmlrpc.client import ServerProxy
+
+import rosgraph
+import rospy
+import rostest
+import tf2_ros
+from sensor_msgs.msg import Imu, Range, RelativeHumidity, Temperature
+from std_msgs.msg import Bool, String
+from std_srvs.srv import Empty, Trigger
+
+from avr_boards import OnBoard, apart, turn, upward
+from boards import (NOT_SENT, OK, PACKAGE, PATIENCE, RX, TIMEOUT, TX, Diagnostics, Rosout, Topic,
+                    Waiter, command_topic, own_folder, service, until)
+from launch_test import SIMULATED_TOPICS
+from serial_communication.msg import (Environment, McuStatus2, SerialMsg, SpeedPWMCommand,
+                                      SteeringFeedback, SteeringPWMCommand, Ticks, Voltage)
+from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.srv import (BusRequest, GetEnvironment, Gimbal, GimbalRequest, Lift,
+                                      LiftRequest)
+
+LOG_WARN = 4     # levels of rosgraph_msgs/Log
+GRAVITY = 9.81
+TRIES = 10       # of what a computer that stalls for 30 ms may spoil
+STOP = 0.040     # s, emulated, from the last heartbeat's arrival to a motor that is off
+
+
+def orientation(message):
+    """w, x, y, z."""
+    q = getattr(message, 'orientation', None) or message.transform.rotation
+    return q.w, q.x, q.y, q.z
+
+
+def errors_between(first, last):
+    """How many errors, of any kind, were counted from one status' keys to another's."""
+    return sum(int(last[key]) - int(first[key]) for key in last if key.endswith(' errors'))
+
+
+class CarBench(OnBoard):
+    """What tests of the model car have in common."""
+
+    WORLD, LINK, PARAMETERS = 'car', 'arduino', {'publish_tf': True}
+
+    def command(self, name, message_class):
+        """A publisher of commands."""
+        publisher = command_topic(self.own(name), message_class)
+        self.addCleanup(publisher.unregister)
+        return publisher
+
+    def speed(self):
+        return self.command('speed', SpeedPWMCommand)
+
+    def drive_until_pwm(self, speed, value, pwm):
+        """Command that speed until the register has what belongs to it."""
+        self.until_is('motor_pwm', pwm, doing=lambda: speed.publish(value=value))
+
+    def pwm(self):
+        """The changes of the PWM register: (emulated seconds, value)."""
+        return self.board.history('motor_pwm')
+
+    def wait_for_heartbeats(self, number):
+        """That many, or other commands as long, from now; as the board's UART has it."""
+        end = self.board.get('rx_bytes') + 3 * number
+        until(lambda: self.board.get('rx_bytes') >= end, '%d heartbeats' % number)
+
+    def imu(self):
+        return self.collect(Topic(self.own('imu'), Imu))
+
+    def drift(self, imu):
+        """By how many degrees the orientation turns in one emulated second: a hundred packets."""
+        imu.forget()
+        until(lambda: len(imu.messages) > 100, 'a hundred IMU messages')
+        return apart(orientation(imu.messages[0]), orientation(imu.messages[100]))
+
+
+class Car(CarBench):
+    """Motor, servo, lamps, encoder, battery and IMU of the model car."""
+
+    def tearDown(self):
+        self.until_is('motor_pwm', 0)
+        super().tearDown()
+
+    # -- the motor ----------------------------------------------------------------------
+
+    def test_a_speed_sets_the_pwm_register_and_the_direction(self):
+        speed = self.speed()
+        for value, pwm, direction in ((400, 102, 1), (-400, 102, -1), (1000, 255, 1),
+                                      (-3000, 255, -1), (7, 2, 1), (0, 0, 0)):
+            self.until_is('motor_direction', direction,
+                          doing=lambda v=value: speed.publish(value=v))
+            self.drive_until_pwm(speed, value, pwm)
+            self.assertEqual(self.board.get('motor_direction'), direction)
+
+    def test_the_motor_stops_after_the_speed_timeout_and_keeps_still(self):
+        speed, traffic = self.speed(), self.collect(Topic('/serial_msg', SerialMsg))
+        for _ in range(TRIES):
+            traffic.forget()
+            before = self.pwm()
+            left_out = self.left_out()
+            speed.publish(value=400)
+            until(lambda: len(self.pwm()) >= len(before) + 2, 'the motor goes on and off')
+            (on, pwm), (off, _) = self.pwm()[len(before):][:2]
+            # What the board logs leaves before what it measures next.
+            begun = len(traffic.messages)
+            until(lambda: len([m for m in traffic.messages[begun:] if m.direction == RX]) > 20,
+                  'the board sends on')
+            if any(b'heartbeat lost' in m.data for m in list(traffic.messages)):
+                continue     # the bridge was kept from running: the board itself stopped it
+            self.assertEqual(pwm, 102)
+            speeds = [m for m in traffic.messages if m.direction == TX and m.type == 4]
+            self.assertEqual([m.data for m in speeds], [b'\x90\x01', b'\x00\x00'])
+            # Emulated time may be shorter than the bridge's, by what was left out.
+            self.assertGreater(off - on + self.left_out() - left_out, 0.48)
+            self.assertLess(off - on, 0.7)
+            self.wait_for_heartbeats(20)
+            self.assertEqual(len(self.pwm()), len(before) + 2)
+            return
+        self.fail('heartbeats come too late, every time')
+
+    def left_out(self):
+        """Seconds of real time that the emulator could not keep up with."""
+        return float(self.board.ask('get speed').split()[-2])
+
+    def test_killed_while_driving_and_started_again(self):
+        rounds = 0
+        for _ in range(TRIES):
+            rounds += self.kill_while_driving()
+            # Heartbeats again, but no command: the motor stays off.
+            changes = self.pwm()
+            self.start_bridge()
+            self.wait_for_heartbeats(60)
+            self.assertEqual(self.pwm(), changes)
+            self.assertEqual(self.board.get('motor_pwm'), 0)
+            if rounds == 3:
+                break
+        self.assertEqual(rounds, 3, 'heartbeats come too late, almost every time')
+        self.drive_until_pwm(self.speed(), 700, 179)
+
+    def kill_while_driving(self):
+        """Whether it was the last heartbeat that decided when the motor stopped."""
+        speed = command_topic(self.own('speed'), SpeedPWMCommand)
+        self.drive_until_pwm(speed, 700, 179)
+        speed.unregister()
+        # So the last byte that arrives is a heartbeat's, not a command's.
+        self.wait_for_heartbeats(8)
+        self.kill_bridge()
+        self.until_is('motor_pwm', 0)
+        self.until_emulated(0.1)
+        (when, pwm), heard = self.pwm()[-1], self.board.get('last_rx_time')
+        self.assertEqual(pwm, 0)
+        self.assertLessEqual(when - heard, STOP)
+        # Sooner: a stall, or the speed timeout of a computer that stalls, came before the kill.
+        return when - heard >= 0.030
+
+    def test_ticks_are_the_wheels_turns(self):
+        board, speed = self.board, self.speed()
+        ticks = self.collect(Topic(self.own('ticks'), Ticks))
+        self.until_is('wheel_speed', 0)
+        self.until_emulated(0.1)
+        ticks.next()
+        ticks.forget()
+        counted, turned = board.get('wheel_ticks'), board.get('wheel_turns')
+
+        def total():
+            return sum(m.value for m in list(ticks.messages))
+        for value in 1000, -600:
+            began = board.get('wheel_turns')
+            until(lambda: abs(board.get('wheel_turns') - began) > 3, 'the wheel turns',
+                  doing=lambda v=value: speed.publish(value=v))
+            speed.publish(value=0)
+            self.until_is('wheel_speed', 0)
+            until(lambda: total() >= board.get('wheel_ticks') - counted, 'all ticks arrive')
+            if value > 0:
+                self.assertLessEqual(abs(total() - 64 * (board.get('wheel_turns') - turned)), 1)
+        begun = len(ticks.messages)
+        until(lambda: len(ticks.messages) >= begun + 20, 'more of ~ticks')
+        self.assertEqual(total(), board.get('wheel_ticks') - counted)
+        self.assertGreater(total(), 400)
+        self.assertLessEqual(max(m.value for m in ticks.messages), 12)
+
+    # -- servo, lamps, battery, logs ------------------------------------------------------
+
+    def test_steering_and_its_feedback(self):
+        steering = self.command('steering', SteeringPWMCommand)
+        angle = self.collect(Topic(self.own('steering_angle'), SteeringFeedback))
+        for pulse, servo, feedback in ((1300, 1300, 392), (2000, 2000, 812), (900, 1000, 212),
+                                       (1500, 1500, 512)):
+            self.until_is('servo_us', servo, doing=lambda p=pulse: steering.publish(value=p))
+            angle.next(lambda m, f=feedback: m.value == f, what='says %d' % feedback)
+        self.addCleanup(self.board.set, 'steering_feedback', -1)
+        for raw in 0, 1023:
+            self.board.set('steering_feedback', raw)
+            angle.next(lambda m, r=raw: m.value == r, what='says %d' % raw)
+            self.assertEqual(angle.next().value, raw)
+
+    def test_lamps(self):
+        led, rosout = self.command('led', String), self.collect(Rosout())
+        lamps = 'led_left', 'led_right', 'led_brake'
+        for text, lit in (('left', (1, 0, 0)), ('right', (0, 1, 0)), ('brake', (0, 0, 1)),
+                          ('disable', (0, 0, 0))):
+            led.publish(text)
+            until(lambda: tuple(self.board.get(name) for name in lamps) == lit,
+                  '%s lights %s' % (text, lit))
+        rosout.wait_for(PACKAGE, 'arduino says: unknown LED command', LOG_WARN,
+                        doing=lambda: led.publish('rainbow'))
+        self.assertEqual([self.board.get(name) for name in lamps], [0, 0, 0])
+
+    def test_battery_volts_within_one_percent(self):
+        voltage = self.collect(Topic(self.own('voltage'), Voltage))
+        self.addCleanup(self.board.set, 'battery', 14.8)
+        self.assertAlmostEqual(voltage.next().value, 14.8, delta=0.148)
+        self.board.set('battery', 7.4)
+        voltage.next(lambda m: abs(m.value - 7.4) <= 0.074, what='falls to 7.4 V')
+        self.assertAlmostEqual(voltage.next().value, 7.4, delta=0.074)
+
+    def test_what_the_board_logs_is_on_rosout_at_its_severity(self):
+        rosout = self.collect(Rosout())
+        self.until_emulated(0.2)
+        rosout.wait_for(PACKAGE, 'arduino says: IMU ready, not calibrated', LOG_WARN,
+                        doing=self.reset_now_and_then)
+
+    def reset_now_and_then(self):
+        """Until the subscription to /rosout stands."""
+        if self.board.time - getattr(self, '_reset_at', 0) > 0.5:
+            self._reset_at = self.board.time
+            self.board.reset()
+
+    # -- the IMU ------------------------------------------------------------------------
+
+    def turn_to(self, imu, yaw, pitch, roll):
+        """Turn the car there, axis after axis; the messages of that are in `imu`."""
+        imu.next()
+        imu.forget()
+        for name, angle in (('yaw', yaw), ('pitch', pitch), ('roll', roll)):
+            if self.board.get(name) != angle:
+                self.board.set(name, angle)
+                self.until_is('turning', 0)
+        still = len(imu.messages) + 5
+        until(lambda: len(imu.messages) > still, 'IMU messages of the car at rest')
+
+    def test_a_rotation_of_the_world_is_that_rotation_on_imu_and_tf(self):
+        imu = self.imu()
+        transforms = tf2_ros.Buffer()
+        listener = tf2_ros.TransformListener(transforms)
+        self.addCleanup(listener.unregister)
+        self.addCleanup(self.turn_to, imu, 0, 0, 0)
+        for angles in (50, 0, 0), (50, -20, 0), (50, -20, 35), (-40, 15, -25):
+            with self.about(yaw_pitch_roll=angles):
+                self.turn_to(imu, *angles)
+                message = imu.messages[-1]
+                self.assertEqual(message.header.frame_id, 'imu')
+                self.assertLess(apart(orientation(message), turn(*angles)), 2.0)
+                for value, wanted in zip(self.vector(message.linear_acceleration),
+                                         upward(turn(*angles))):
+                    self.assertAlmostEqual(value, GRAVITY * wanted, delta=0.1)
+                for value in self.vector(message.angular_velocity):
+                    self.assertAlmostEqual(value, 0.0, delta=0.03)
+                stamp = message.header.stamp
+                until(lambda s=stamp: transforms.can_transform('base_link', 'imu_orientation', s),
+                      'tf has it')
+                found = transforms.lookup_transform('imu', 'imu_orientation', stamp)
+                self.assertLess(apart(orientation(found), orientation(message)), 0.01)
+                found = transforms.lookup_transform('base_link', 'imu_orientation', stamp)
+                self.assertLess(apart(orientation(found), turn(*angles)), 2.0)
+
+    @staticmethod
+    def vector(message):
+        return message.x, message.y, message.z
+
+    def test_rates_add_up_to_the_rotation(self):
+        imu = self.imu()
+        self.addCleanup(self.turn_to, imu, 0, 0, 0)
+        for name, angles, axis, angle in (
+                ('yaw', (80, 0, 0), 2, 80), ('yaw back', (0, 0, 0), 2, -80),
+                ('pitch', (0, 30, 0), 1, 30), ('roll', (0, 0, -40), 0, -40)):
+            with self.about(turned=name):
+                if name == 'roll':
+                    self.turn_to(imu, 0, 0, 0)
+                self.turn_to(imu, *angles)
+                rates = [self.vector(m.angular_velocity) for m in list(imu.messages)]
+                # A hundred packets a second, by the board's own clock.
+                turned = [degrees(sum(parts)) / 100 for parts in zip(*rates)]
+                for index, value in enumerate(turned):
+                    self.assertAlmostEqual(value, angle if index == axis else 0, delta=3.0)
+
+    def test_the_imus_temperature(self):
+        temperature = self.collect(Topic(self.own('imu/temperature'), Temperature))
+        self.addCleanup(self.board.set, 'imu_temperature', 32)
+        self.board.set('imu_temperature', -11.5)
+        temperature.first(lambda m: abs(m.temperature + 11.5) < 0.01, what='says -11.5')
+
+    # -- resets -------------------------------------------------------------------------
+
+    def test_a_reset_in_mid_traffic_recovers(self):
+        speed, imu, diagnostics = self.speed(), self.imu(), self.collect(Diagnostics())
+        traffic = self.collect(Topic('/serial_msg', SerialMsg))
+        first = diagnostics.fresh('arduino', lambda s: s.level == OK, 'OK').keys
+
+        def cut():
+            return [m for m in list(traffic.messages) if m.error and m.direction == RX]
+        resets = 0
+        # At another moment of the board's 10 ms each time; some are in the middle of a packet.
+        while resets < 3 or not cut():
+            self.assertLess(resets, 60, 'no reset has cut a packet')
+            self.drive_until_pwm(speed, 600, 153)
+            self.until_emulated(0.0007 * resets)
+            self.board.reset()
+            self.assertEqual(self.board.get('motor_pwm'), 0)
+            resets += 1
+            imu.next()
+        self.drive_until_pwm(speed, 600, 153)
+        self.assertLess(apart(orientation(imu.next()), (1, 0, 0, 0)), 2.0)
+        self.assertLessEqual(len(cut()), resets)
+        # A status that is older than the last of this may still be on its way.
+        last = diagnostics.fresh('arduino', lambda s: s.level == OK and errors_between(
+            first, s.keys) == len(cut()), '%d errors' % len(cut())).keys
+        self.assertEqual(last['reconnects'], '0')
+        self.assertGreater(int(last['frames received']), int(first['frames received']))
+
+
+class Calibration(CarBench):
+    """A car whose gyro is off."""
+
+    def test_a_calibration_takes_the_bias_away_for_good(self):
+        board, imu, rosout = self.board, self.imu(), self.collect(Rosout())
+        calibrating = self.collect(Topic(self.own('imu/calibrating'), Bool))
+        speed, steering = self.speed(), self.command('steering', SteeringPWMCommand)
+        calibrate = service(self.own('calibrate_imu'), Empty)
+        self.assertFalse(calibrating.first().data)
+        board.set('gyro_bias_z', 4)
+        board.set('gyro_bias_x', -1)
+        board.set('accel_bias_y', 0.05)
+        self.until_emulated(0.1)
+        self.assertGreater(self.drift(imu), 3.0)
+
+        # From a car that drives: it stops, and obeys nobody until the calibration is over.
+        self.drive_until_pwm(speed, 500, 128)
+        calibrate()
+        calibrating.first(lambda m: m.data, what='turns true')
+        self.until_is('motor_pwm', 0)
+        rosout.wait_for(PACKAGE, 'arduino says: IMU calibration: do not move the car')
+        changes = board.history('motor_pwm')
+        imu.forget()
+        rosout.wait_for(PACKAGE, 'speed 500 refused: the IMU is being calibrated', LOG_WARN,
+                        doing=lambda: (speed.publish(value=500), steering.publish(value=1900)))
+        with self.assertRaises(rospy.ServiceException):
+            calibrate()
+        self.assertEqual([m.data for m in calibrating.messages], [False, True])
+        self.assertEqual(imu.messages, [])
+        # Latched: whoever comes later is told too.
+        self.assertTrue(self.collect(Topic(self.own('imu/calibrating'), Bool)).first().data)
+
+        until(lambda: len(calibrating.messages) == 3, 'the calibration is over')
+        self.assertFalse(calibrating.messages[2].data)
+        rosout.wait_for(PACKAGE, 'arduino says: IMU calibrated')
+        self.assertEqual(board.history('motor_pwm'), changes)
+        self.assertEqual(board.get('servo_us'), 1500)
+        self.assert_level(imu)
+
+        # The RAM goes, the EEPROM stays, the sensor's bias too.
+        rosout.forget()
+        board.power_cycle()
+        rosout.wait_for(PACKAGE, 'arduino says: IMU ready')
+        self.assertEqual(rosout.lines(PACKAGE, 'not calibrated'), [])
+        self.assert_level(imu)
+        self.drive_until_pwm(speed, 500, 128)
+        speed.publish(value=0)
+        self.until_is('motor_pwm', 0)
+
+    def assert_level(self, imu):
+        imu.next()
+        self.assertLess(self.drift(imu), 0.2)
+        for value, wanted in zip((imu.messages[-1].linear_acceleration.x,
+                                  imu.messages[-1].linear_acceleration.y), (0, 0)):
+            self.assertAlmostEqual(value, wanted, delta=0.05)
+        self.assertLess(apart(orientation(imu.messages[-1]), (1, 0, 0, 0)), 1.0)
+
+
+class ControlBoard(OnBoard):
+    """Lift, gimbal and air."""
+
+    WORLD, LINK = 'ctrl', 'bus'
+    AXES = 'lift', 'pan', 'tilt'
+
+    def setUp(self):
+        super().setUp()
+        echo = service(self.own('bus/echo'), Trigger)
+        until(lambda: echo().success, 'the bus answers ECHO')
+        self.lift = service(self.own('lift'), Lift)
+        self.gimbal = service(self.own('gimbal'), Gimbal)
+
+    def state(self):
+        """Position, steps and motions of every axis."""
+        return {axis: tuple(self.board.get(axis + part)
+                            for part in ('_position', '_steps', '_moves')) for axis in self.AXES}
+
+    def settled(self):
+        """The same, when nothing has moved for a while."""
+        before = self.state()
+        self.until_emulated(0.15)
+        after = self.state()
+        return after if after == before else self.settled()
+
+    def assert_moves(self, call, **by):
+        """`call` succeeds, and moves each axis by so many (units, steps, motions)."""
+        before = self.settled()
+        answer = call()
+        self.assertTrue(answer.success, answer.message)
+        self.assertEqual((answer.status, answer.error_code), (bus.OK, 0))
+        done = self.state()
+        for axis in self.AXES:
+            for was, now, wanted in zip(before[axis], done[axis], by.get(axis, (0, 0, 0))):
+                self.assertAlmostEqual(now - was, wanted, 6)
+        # The answer came when it had ended, and nothing comes after it.
+        self.assertEqual(self.settled(), done)
+
+    def assert_refused(self, answer, status, code, before):
+        self.assertFalse(answer.success)
+        self.assertEqual((answer.status, answer.error_code), (status, code), answer.message)
+        self.assertEqual(self.settled(), before)
+
+    def test_the_lift_moves_by_what_was_asked_once(self):
+        # The longest move of all fits into the default timeout.
+        for direction, distance in ((LiftRequest.UP, 255), (LiftRequest.DOWN, 100),
+                                    (LiftRequest.UP, 1)):
+            with self.about(direction=direction, distance=distance):
+                signed = distance if direction == LiftRequest.UP else -distance
+                self.assert_moves(lambda d=direction, mm=distance: self.lift(d, mm),
+                                  lift=(signed, 25 * signed, 1))
+        self.assert_moves(lambda: self.lift(0, 0))
+
+    def test_the_gimbal_turns_by_what_was_asked_once(self):
+        for direction, angle, axis, sign in (
+                (GimbalRequest.LEFT, 30, 'pan', 1), (GimbalRequest.RIGHT, 45, 'pan', -1),
+                (GimbalRequest.UP, 20, 'tilt', 1), (GimbalRequest.DOWN, 31, 'tilt', -1)):
+            with self.about(direction=direction):
+                self.assert_moves(lambda d=direction, a=angle: self.gimbal(d, a),
+                                  **{axis: (sign * angle, sign * angle * 10, 1)})
+
+    def test_calls_at_once_are_each_done_once(self):
+        def all_at_once():
+            # No two in one direction: without a pause between them they would look like one.
+            calls = [Waiter(self.lift, 1, 8), Waiter(self.gimbal, 0, 6), Waiter(self.lift, 0, 5),
+                     Waiter(self.gimbal, 3, 5), Waiter(self.gimbal, 1, 7)]
+            answers = [call.result() for call in calls]
+            return next((a for a in answers if not a.success), answers[0])
+        self.assert_moves(all_at_once, lift=(-3, -75, 2), pan=(-1, -10, 2), tilt=(-5, -50, 1))
+
+    def test_what_is_refused_moves_nothing(self):
+        before = self.settled()
+        self.addCleanup(self.board.set, 'lift_top', 600)
+        self.board.set('lift_top', self.board.get('lift_position') - 0.01)
+        self.until_emulated(0.05)
+        self.assert_refused(self.lift(0, 10), bus.ERROR, bus.OPERATION_FAILED, before)
+        self.assert_refused(self.gimbal(2, 200), bus.ERROR, bus.OPERATION_FAILED, before)
+        self.assert_refused(self.lift(2, 10), NOT_SENT, 0, before)
+        self.assert_refused(self.gimbal(4, 10), NOT_SENT, 0, before)
+        request = service(self.own('bus/request'), BusRequest)
+        self.assert_refused(request(0x55, 0x20, b'\x02\x0a'), bus.ERROR, bus.MALFORMED, before)
+        self.assert_refused(request(0x55, 0x77, b''), bus.ERROR, bus.UNSUPPORTED, before)
+        # The other way it goes.
+        self.assert_moves(lambda: self.lift(1, 3), lift=(-3, -75, 1))
+
+    def test_the_air_is_the_worlds(self):
+        get = service(self.own('get_environment'), GetEnvironment)
+        topics = [self.collect(Topic(self.own(name), message_class)) for name, message_class in (
+            ('environment', Environment), ('environment/temperature', Temperature),
+            ('environment/humidity', RelativeHumidity))]
+        for smoke, temperature, humidity in ((350, 25.63, 48.12), (1023, -12.5, 100)):
+            for name, value in (('smoke', smoke), ('temperature', temperature),
+                                ('humidity', humidity)):
+                self.board.set(name, value)
+            self.until_emulated(0.6)    # two measurements
+            answer = get()
+            self.assertTrue(answer.success, answer.message)
+            air = answer.environment
+            self.assertEqual(air.smoke, smoke)
+            self.assertAlmostEqual(air.temperature, temperature, delta=0.011)
+            self.assertAlmostEqual(air.humidity, humidity, delta=0.011)
+            topics[0].first(lambda m, a=air: (m.smoke, m.temperature, m.humidity)
+                            == (a.smoke, a.temperature, a.humidity))
+            topics[1].first(lambda m, t=air.temperature: abs(m.temperature - t) < 1e-4)
+            topics[2].first(lambda m, h=air.humidity: abs(m.relative_humidity - h / 100) < 1e-4)
+
+    def test_a_sensor_that_is_gone_is_an_error_and_returns(self):
+        get = service(self.own('get_environment'), GetEnvironment)
+        self.addCleanup(self.board.set, 'sht3x_present', 1)
+        self.board.set('sht3x_present', 0)
+        until(lambda: (lambda a: not a.success and (a.status, a.error_code)
+                       == (bus.ERROR, bus.OPERATION_FAILED))(get()), 'ERROR operation failed')
+        self.board.set('sht3x_present', 1)
+        until(lambda: get().success, 'a reading again')
+
+    def test_a_reset_between_two_calls_is_not_even_noticed(self):
+        for _ in range(5):
+            self.board.reset()
+            self.until_emulated(0.05)
+            self.assert_moves(lambda: self.gimbal(1, 2), pan=(-2, -20, 1))
+
+    def test_a_reset_in_mid_motion_recovers(self):
+        diagnostics = self.collect(Diagnostics())
+        air = self.collect(Topic(self.own('environment'), Environment))
+        first = diagnostics.fresh('bus', lambda s: s.level == OK, 'OK').keys
+        before = self.settled()['lift']
+        call = Waiter(self.lift, 1, 100)
+        until(lambda: self.board.get('lift_moves') > before[2], 'the lift moves')
+        self.until_emulated(0.2)
+        self.board.reset()
+        stopped = self.settled()['lift']
+        self.assertLess(stopped[0], before[0] - 1)
+        self.assertGreater(stopped[0], before[0] - 99)
+        # What is true: nobody knows.
+        answer = call.result()
+        self.assertFalse(answer.success)
+        self.assertEqual(answer.status, TIMEOUT, answer.message)
+        self.assertEqual(self.settled()['lift'], stopped)
+        air.next()
+        self.assert_moves(lambda: self.lift(0, 10), lift=(10, 250, 1))
+        last = diagnostics.fresh('bus', lambda s: s.level == OK, 'OK again').keys
+        self.assertEqual(int(last['timeouts']) - int(first['timeouts']), 1)
+        for key in 'reconnects', 'checksum errors':
+            self.assertEqual(last[key], '0', key)
+
+
+class SensorBoard(OnBoard):
+    """Ranges and orientation."""
+
+    WORLD, LINK, PARAMETERS = 'range', 'mcu', {'publish_tf': True}
+
+    def setUp(self):
+        super().setUp()
+        self.status = self.collect(Topic('/mcu/status', McuStatus2))
+        self.status.first(lambda m: m.connected)
+
+    def range(self, number):
+        return self.collect(Topic('/mcu/range_%d' % number, Range))
+
+    def restore(self, **values):
+        """At the end of the test."""
+        for name, value in values.items():
+            self.addCleanup(self.board.set, name, value)
+
+    def test_ranges(self):
+        first, second = self.range(1), self.range(2)
+        self.restore(range1=800, range2=800)
+        for left, right, metres, more_metres in ((470, 1234, 0.47, 1.234),
+                                                 (20, 8190, -inf, inf)):
+            self.board.set('range1', left)
+            self.board.set('range2', right)
+            self.status.next(lambda m, lr=(left, right): (m.vl53_1, m.vl53_2) == lr and m.valid
+                             and m.connected)
+            for topic, wanted in ((first, metres), (second, more_metres)):
+                got = topic.next(lambda m, w=wanted: m.range == w or abs(m.range - w) < 1e-6)
+                self.assertEqual(got.header.frame_id, topic.name.split('/')[-1])
+
+    def test_a_sensor_that_times_out_is_nan_and_not_valid(self):
+        first, second = self.range(1), self.range(2)
+        self.restore(range1=800, range2=800, range1_alive=1, range2_present=1)
+        for name, dead, living in (('range1_alive', first, second),
+                                   ('range2_present', second, first)):
+            with self.about(fault=name):
+                at = int(name[5]) - 1
+                self.board.set(name, 0)
+                lost = self.status.next(lambda m, i=at: (m.vl53_1, m.vl53_2)[i] == 65535)
+                self.assertFalse(lost.valid)
+                self.assertTrue(lost.connected)
+                self.assertEqual((lost.vl53_1, lost.vl53_2)[1 - at], 800)
+                dead.next(lambda m: isnan(m.range), what='says NaN')
+                self.assertAlmostEqual(living.next().range, 0.8, 6)
+                self.board.set(name, 1)
+                back = self.status.next(lambda m, i=at: (m.vl53_1, m.vl53_2)[i] == 800)
+                self.assertTrue(back.valid)
+                dead.next(lambda m: abs(m.range - 0.8) < 1e-6, what='measures again')
+
+    def test_heading_pitch_and_roll(self):
+        imu = self.collect(Topic('/mcu/imu', Imu))
+        transforms = tf2_ros.Buffer()
+        listener = tf2_ros.TransformListener(transforms)
+        self.addCleanup(listener.unregister)
+        self.restore(heading=0, pitch=0, roll=0)
+        # 350 does not fit the frame's int16, and ROS turns the other way.
+        for heading, pitch, roll in ((90, 0, 0), (350, 0, 0), (328, -20, 15), (179.5, 30, -40)):
+            with self.about(heading=heading, pitch=pitch, roll=roll):
+                for name, value in (('heading', heading), ('pitch', pitch), ('roll', roll)):
+                    self.board.set(name, value)
+                wanted = turn(-heading, pitch, roll)
+                status = self.status.next(lambda m, h=heading, p=pitch, r=roll: max(
+                    abs(m.yaw - h), abs(m.pitch - p), abs(m.roll - r)) < 0.011)
+                self.assertTrue(status.valid)
+                imu.next(lambda m, w=wanted: apart(orientation(m), w) < 0.1)
+                message = imu.next()
+                self.assertLess(apart(orientation(message), wanted), 0.1)
+                stamp = message.header.stamp
+                until(lambda s=stamp: transforms.can_transform('mcu_imu', 'mcu_imu_orientation',
+                                                               s), 'tf has it')
+                found = transforms.lookup_transform('mcu_imu', 'mcu_imu_orientation', stamp)
+                self.assertLess(apart(orientation(found), wanted), 0.1)
+
+    def test_a_reset_in_mid_frame_recovers(self):
+        diagnostics = self.collect(Diagnostics())
+        traffic = self.collect(Topic('/serial_msg', SerialMsg))
+
+        def settled(condition, what):
+            return diagnostics.fresh('mcu', lambda s: s.level == OK and condition(s.keys), what)
+        first = settled(lambda keys: True, 'OK').keys
+        traffic.forget()
+        began = traffic.first(lambda m: not m.error).command
+
+        def damaged():
+            return [m for m in list(traffic.messages) if m.error]
+        resets = 0
+        while resets < 3 or not damaged():
+            self.assertLess(resets, 60, 'no reset has cut a frame')
+            self.reset_while_sending()
+            resets += 1
+            self.status.next(lambda m: m.connected and m.valid and m.vl53_1 == 800)
+        frames = [m for m in list(traffic.messages) if not m.error]
+        self.assertEqual(frames[0].command, began)
+        pairs = list(zip(frames, frames[1:]))
+        # Frame 0 of two starts in a row is the same, byte for byte.
+        doubled = sum(was.frame == now.frame for was, now in pairs)
+        lost = sum((now.command - was.command - 1) % 256 for was, now in pairs
+                   if was.frame != now.frame)
+        # A status that is older than the last of this may still be on its way.
+        last = settled(lambda keys: (errors_between(first, keys), *(
+            int(keys[key]) - int(first[key]) for key in ('frames lost', 'frames doubled')))
+            == (len(damaged()), lost, doubled),
+            '%d errors, %d lost, %d doubled' % (len(damaged()), lost, doubled)).keys
+        self.assertEqual(last['reconnects'], '0')
+        self.assertTrue(self.status.next().valid)
+
+    def reset_while_sending(self):
+        """Reset the board as soon as it has begun a frame."""
+        sent = self.board.get('tx_bytes')
+        until(lambda: self.board.get('tx_bytes') != sent, 'the board sends', every=0)
+        self.board.reset()
+
+
+class Launched(unittest.TestCase):
+    """bridge.launch sim:=avr: all three boards at once, and a bridge that is started again."""
+
+    NAMESPACE = '/launched'
+    NODE = NAMESPACE + '/' + PACKAGE
+
+    def setUp(self):
+        self.folder = own_folder()
+        self.addCleanup(shutil.rmtree, self.folder, ignore_errors=True)
+        self.output = tempfile.TemporaryFile('w+')
+        self.addCleanup(self.output.close)
+        self.process = subprocess.Popen(
+            ['roslaunch', PACKAGE, 'bridge.launch', 'sim:=avr', 'sim_dir:=' + self.folder],
+            env=dict(os.environ, ROS_NAMESPACE=self.NAMESPACE), stdout=self.output,
+            stderr=subprocess.STDOUT)
+        self.addCleanup(self.end)
+
+    def end(self):
+        """Ctrl-C; returns what it has said, and with which status it ended."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+        status = self.process.wait(2 * PATIENCE)
+        self.output.seek(0)
+        return self.output.read(), status
+
+    def ask(self, link, line):
+        """A line to the control channel of that link's board."""
+        with socket.socket(socket.AF_UNIX) as control:
+            control.settimeout(PATIENCE)
+            control.connect(os.path.join(self.folder, link + '.control'))
+            control.sendall(line.encode() + b'\n')
+            return control.makefile().readline().strip()
+
+    def get(self, link, name):
+        return float(self.ask(link, 'get ' + name))
+
+    def bridge_pid(self):
+        """Of the bridge that answers; 0 where none does."""
+        try:
+            uri = rosgraph.Master('/avr_test').lookupNode(self.NODE)
+            return ServerProxy(uri).getPid('/avr_test')[2]
+        except (OSError, rosgraph.MasterException):
+            return 0
+
+    def test_all_boards_work_and_a_bridge_that_is_killed_returns_with_the_motor_off(self):
+        for name, message_class in SIMULATED_TOPICS:
+            topic = Topic(self.NAMESPACE + name, message_class)
+            self.addCleanup(topic.close)
+            topic.first(seconds=2 * PATIENCE)
+        answer = service(self.NODE + '/lift', Lift)(0, 4)
+        self.assertTrue(answer.success, answer.message)
+        self.assertEqual(self.get('bus', 'lift_position'), 304)
+        self.assertTrue(service(self.NODE + '/gimbal', Gimbal)(1, 3).success)
+        self.assertEqual(self.get('bus', 'pan_position'), -3)
+
+        def drive():
+            speed = command_topic(self.NODE + '/speed', SpeedPWMCommand)
+            until(lambda: self.get('arduino', 'motor_pwm') == 128, 'the motor runs',
+                  doing=lambda: speed.publish(value=500))
+            speed.unregister()
+        drive()
+        pid = self.bridge_pid()
+        os.kill(pid, signal.SIGKILL)
+        until(lambda: self.get('arduino', 'motor_pwm') == 0, 'the motor stops')
+        changes = self.ask('arduino', 'history motor_pwm')
+        until(lambda: self.bridge_pid() not in (0, pid), 'roslaunch starts the bridge again',
+              every=0.1)
+        heard = self.get('arduino', 'rx_bytes')
+        until(lambda: self.get('arduino', 'rx_bytes') > heard + 200, 'heartbeats come again')
+        self.assertEqual(self.ask('arduino', 'history motor_pwm'), changes)
+        drive()
+        text, status = self.end()
+        self.assertEqual(status, 0, text)
+        self.assertNotIn('escalating', text)
+        self.assertNotIn('Traceback', text)
+        self.assertEqual([name for name in os.listdir(self.folder) if name != 'arduino.eeprom'],
+                         [], 'what the boards leave behind')
+
+
+if __name__ == '__main__':
+    rospy.init_node('avr_test')
+    rostest.rosrun(PACKAGE, 'avr', '__main__')
