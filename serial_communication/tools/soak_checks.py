@@ -1,0 +1,444 @@
+"""The invariants of the arduino and mcu links, of the node, and of its ports.
+
+Pure functions over records (see soak_records): each returns rows of the table.
+"""
+import re
+from bisect import bisect_left, bisect_right
+from typing import Dict, Iterable, List, NamedTuple, Tuple
+
+from ..protocols import arduino
+from .soak_align import Sent, align
+from .soak_records import Intervals
+from .soak_table import Row
+
+GAP = 0.030              # s without a heartbeat after which the board stops its motor
+LATE_ZERO = 0.050        # s that SPEED 0 may come later than speed_timeout
+RETURN = 1.5             # s from a port's return to data
+_KEPT = 1.0              # s; a command that reaches the board later than this was kept
+_LOG_PERIOD = 10.0       # s from one line of a cause to the next
+_LOG_JITTER = 0.25       # s that a log's own clock may be off
+_CALIBRATION_CALL = 5.0  # s after a call in which the board's calibration is that call's
+
+
+# -- what was published ------------------------------------------------------------------------
+
+
+def check_published(group: str, says: str, topics: Dict[str, Tuple[List[Sent], List]],
+                    late: float = 3.0) -> Tuple[Row, int, int]:
+    """Every frame that has to be published was: once, in order, with its own values.
+
+    Args:
+        topics: by name, what was sent and the (stamp, key, time of arrival) of what was
+            published.
+
+    Returns:
+        The row, how many messages were published of damage that nobody can see, and how many
+        of frames whose own bytes were right but not those around them.
+    """
+    tries, worst, held, blind, maybe = 0, 0.0, 0.0, 0, 0
+    violations: List[Tuple[float, str]] = []
+    for name, (sent, published) in topics.items():
+        found = align(sent, published, late=late)
+        tries += sum(1 for one in sent if one.must)
+        violations += [(sent[i].t, '%s: frame %d was not published: %s'
+                        % (name, sent[i].n, sent[i].key)) for i in found.lost]
+        violations += [(published[j][0], '%s: published, but no frame says so: %s'
+                        % (name, published[j][1])) for j in found.extra]
+        held = max([held] + [one[2] - one[0] for one in published if len(one) > 2])
+        for i, j in found.pairs:
+            if sent[i].must and _lonely(sent, i):
+                worst = max(worst, published[j][0] - sent[i].t)
+            blind += sent[i].kind == 'blind'
+            maybe += sent[i].kind == 'maybe'
+    return Row(group, says, tries, sorted(violations),
+               '%.0f ms from the board to the stamp, %.0f ms on to a subscriber'
+               % (worst * 1e3, held * 1e3)), blind, maybe
+
+
+def _lonely(sent: List[Sent], i: int) -> bool:
+    """Whether no neighbour has the same value: only then is it sure which one was published."""
+    key = sent[i].key
+    return all(one.key != key for one in sent[max(i - 3, 0):i] + sent[i + 1:i + 4])
+
+
+# -- what the model car saw -----------------------------------------------------------------------
+
+
+class Packet(NamedTuple):
+    """A packet that reached the board's end of the line, whatever the board made of it."""
+
+    t: float
+    type: int
+    data: bytes
+    taken: bool = True       # the board has read it, at that time
+
+
+def packets_of(journal: List[Dict]) -> Tuple[List[Packet], List[Packet]]:
+    """All that the bridge sent, as the port gave it; and what damage in the board made."""
+    came, made = [], []
+    damaged = {event['t']: event for event in journal if event['ev'] == 'rx-fault'}
+    for event in journal:
+        kind, t = event['ev'], event['t']
+        if kind == 'rx-fault':
+            came += _decoded(t, event['came'])
+        elif kind == 'rx-lost':
+            came += _decoded(t, event['data'], False)
+        elif kind == 'calibrate' and event.get('kept'):
+            came += _decoded(t, event['kept'], False)
+        elif kind == 'rx' and 'type' in event:
+            packet = Packet(t, event['type'], bytes.fromhex(event['data']))
+            if t not in damaged:
+                came.append(packet)
+            elif packet not in _decoded(t, damaged[t]['came']):
+                made.append(packet)
+        elif kind == 'rx' and t not in damaged:
+            came += _behind_damage(t, bytes.fromhex(event['raw']))
+    return came, made
+
+
+def _behind_damage(t: float, raw: bytes) -> List[Packet]:
+    """The packet at the end of a bad one: its start is what damage has left of another."""
+    for start in range(1, len(raw) - 2):
+        found = _decoded(t, raw[start:].hex(), False)
+        if found:
+            return found
+    return []
+
+
+def _decoded(t: float, data: str, taken: bool = True) -> List[Packet]:
+    return [Packet(t, frame.type, frame.data, taken)
+            for frame in arduino.BoardDecoder().feed(bytes.fromhex(data)) if not frame.cause]
+
+
+def closed_times(journal: List[Dict], end: float) -> Intervals:
+    """When the board's end of its port was closed."""
+    pairs, since = [], 0.0
+    for event in journal:
+        if event['ev'] == 'port':
+            if event['open']:
+                if since is not None:
+                    pairs.append((since, event['t']))
+                since = None
+            else:
+                since = event['t']
+    if since is not None:
+        pairs.append((since, max(end, since)))
+    return Intervals(pairs)
+
+
+def fault_times(journal: List[Dict], kinds: Iterable[str], after: float = 0.05) -> Intervals:
+    """When the board had such a fault, and a little longer."""
+    return Intervals([(event['t'], event['t'] + event['seconds'] + after) for event in journal
+                      if event['ev'] == 'fault' and event['kind'] in kinds])
+
+
+def calibrations(journal: List[Dict], end: float) -> List[Tuple[float, float]]:
+    """When the board calibrated."""
+    pairs: List[Tuple[float, float]] = []
+    since = None
+    for event in journal:
+        if event['ev'] == 'calibrate' and event['on']:
+            since = event['t']
+        elif since is not None and (event['ev'] == 'boot' or event['ev'] == 'calibrate'):
+            pairs.append((since, event['t']))
+            since = None
+    if since is not None:
+        pairs.append((since, max(end, since)))
+    return pairs
+
+
+def late_times(journal: List[Dict]) -> Intervals:
+    """When the simulated board was not woken by its machine."""
+    return Intervals([(event['t'] - event['by'] - 0.001, event['t'] + 0.001)
+                      for event in journal if event['ev'] == 'late'])
+
+
+def check_heartbeat(journal: List[Dict], metronome: List[Dict], end: float) -> List[Row]:
+    """No gap while the port is open and the board takes what comes.
+
+    Args:
+        metronome: when a process that only sleeps, at the boards' priority, was woken late.
+    """
+    beats = sorted({packet.t for packet in packets_of(journal)[0] if packet.type == 11})
+    blind = closed_times(journal, end) + fault_times(journal, ('stall',)) + Intervals(
+        [(start, stop + 0.05) for start, stop in calibrations(journal, end)])
+    late = late_times(journal)
+    stalls = Intervals([(one['t'] - 0.005, one['t'] + one['late'] + 0.005) for one in metronome])
+    witnessed = 0
+    gaps, apart, violations = [], [], []
+    ends = [event['t'] for event in journal if event['ev'] == 'port' and not event['open']]
+    pairs = list(zip(beats, beats[1:]))
+    for closing in ends:        # the last beat before a port went
+        at = bisect_right(beats, closing) - 1
+        if closing < end and at >= 0 and closing - beats[at] >= GAP:
+            pairs.append((beats[at], closing - 1e-6))
+    for before, after in pairs:
+        if after > end or blind.touches(before, after):
+            continue
+        gap = after - before
+        if gap >= GAP and late.touches(before, after):
+            apart.append(gap)
+            continue
+        gaps.append(gap)
+        if gap >= GAP:
+            stalled = stalls.touches(before, after)
+            witnessed += stalled
+            violations.append((before, 'no heartbeat for %.1f ms%s' % (
+                gap * 1e3, ', while the whole machine was late' if stalled else '')))
+    gaps.sort()
+    figures = ', '.join('%s %.1f' % (name, gaps[min(int(len(gaps) * share), len(gaps) - 1)] * 1e3)
+                        for name, share in (('p50', .5), ('p99', .99), ('p99.99', .9999),
+                                            ('max', 1))) + ' ms' if gaps else 'none'
+    return [
+        Row('heartbeat', 'no gap of 30 ms while the port is open', len(gaps), violations, figures,
+            note='beside it, a process that only sleeps 10 ms at a time was woken over 5 ms late '
+            '%d times, by %.0f ms at most; %d of the gaps fall into these times' % (
+                len(metronome), max([one['late'] for one in metronome] or [0]) * 1e3, witnessed)),
+        Row('heartbeat', 'gaps of 30 ms around a moment in which the simulator itself was late',
+            len(apart), [], '%.1f ms' % (max(apart) * 1e3) if apart else '', False,
+            'the simulated board was not woken in time by its own machine and may have read late '
+            'what had come in time; its journal marks these moments' if apart else '')]
+
+
+def check_motor(journal: List[Dict], commands: List[Dict], unplugged: List[float],
+                bridge_calibrations: Intervals, speed_timeout: float, end: float) -> List[Row]:
+    """What reached the motor was commanded, just now, and ends in time."""
+    came, made = packets_of(journal)
+    speeds = sorted((packet for packet in came if packet.type == 4 and packet.t <= end),
+                    key=lambda packet: packet.t)
+    published: Dict[int, List[float]] = {}
+    for entry in commands:
+        if entry['topic'] == 'speed':
+            published.setdefault(_saturated(entry['value']), []).append(entry['t'])
+    zeros = published.get(0, [])
+    calls = [entry['t0'] for entry in commands if entry['topic'] == 'calibrate'
+             and not entry['error']]
+    deaf = Intervals([pair for pair in calibrations(journal, end)
+                      if any(pair[0] - _CALIBRATION_CALL <= call <= pair[0] for call in calls)])
+    stalled = fault_times(journal, ('stall', 'reset'), 0.2)
+    old, calibrating, uncommanded, zero_rows = [], [], [], []
+    tries_old = tries_zero = 0
+    worst_zero = oldest = 0.0
+    used = set()
+    blind = closed_times(journal, end) + stalled + Intervals(
+        calibrations(journal, end)) + late_times(journal)
+    for index, packet in enumerate(speeds):
+        value = int.from_bytes(packet.data, 'little', signed=True)
+        if value:
+            times = published.get(value, [])
+            at = bisect_right(times, packet.t) - 1
+            if at < 0:
+                uncommanded.append((packet.t, 'SPEED %d, which nobody commanded' % value))
+                continue
+            tries_old += 1
+            commanded = times[at]
+            age = packet.t - commanded
+            if abs(value) < arduino.SPEED_LIMIT:
+                if (value, commanded) in used:
+                    uncommanded.append((packet.t, 'SPEED %d twice, commanded once' % value))
+                used.add((value, commanded))
+            if not stalled.holds(packet.t):
+                oldest = max(oldest, age)
+                if age > _KEPT:
+                    old.append((packet.t, 'SPEED %d, commanded %.2f s before' % (value, age)))
+            cut = bisect_left(unplugged, commanded)
+            if cut < len(unplugged) and unplugged[cut] < packet.t:
+                old.append((packet.t, 'SPEED %d, commanded at %.3f; the port went at %.3f'
+                            % (value, commanded, unplugged[cut])))
+            if deaf.holds(packet.t):
+                calibrating.append((packet.t, 'SPEED %d reached the board while it calibrated'
+                                    % value))
+            elif bridge_calibrations.holds(commanded):
+                calibrating.append((packet.t, 'SPEED %d, commanded at %.3f, during a calibration'
+                                    % (value, commanded)))
+        following = speeds[index + 1] if index + 1 < len(speeds) else None
+        if not value:
+            continue
+        until = following.t if following else end
+        if blind.touches(packet.t, min(until, packet.t + speed_timeout + LATE_ZERO)):
+            continue
+        tries_zero += 1
+        gap = until - packet.t
+        if gap > speed_timeout + LATE_ZERO:
+            zero_rows.append((packet.t, 'SPEED %d, then nothing for %.0f ms' % (value, gap * 1e3)))
+        if following and not int.from_bytes(following.data, 'little', signed=True):
+            at = bisect_right(zeros, following.t) - 1
+            if at < 0 or zeros[at] < packet.t - 0.1:     # nobody commanded it
+                worst_zero = max(worst_zero, gap)
+                if gap < speed_timeout - 0.05 and not bisect_right(
+                        calls, following.t) - bisect_right(calls, packet.t - 0.1):
+                    uncommanded.append((following.t, 'SPEED 0 after %.0f ms, which nobody '
+                                        'commanded' % (gap * 1e3)))
+    ran_on = _ran_on(journal, speeds, deaf + stalled)
+    return [
+        Row('arduino', 'nothing for the motor that was commanded before a reconnect', tries_old,
+            old, 'oldest command %.0f ms' % (oldest * 1e3)),
+        Row('arduino', 'nothing for the motor that was commanded during a calibration',
+            len(deaf.pairs), calibrating, '%.1f s of calibration' % deaf.seconds()),
+        Row('arduino', 'SPEED 0 within speed_timeout + 50 ms of the last command', tries_zero,
+            zero_rows, '%.0f ms' % (worst_zero * 1e3)),
+        Row('arduino', 'no speed that was not commanded, none twice', len(speeds), uncommanded),
+        Row('arduino', 'SPEED 0 that damage on the way took: the motor ran on', len(ran_on), [],
+            'for %.1f s' % max(ran_on) if ran_on else '', False,
+            'the bridge sent it in time, the line lost it; the heartbeat keeps the motor running '
+            'until something else stops it' if ran_on else ''),
+        Row('arduino', 'packets that damage on the way to the board made', len(made), [], '', False,
+            'the link has no checksum: the board takes damaged bytes for a command if they '
+            'decode' if made else '')]
+
+
+def _ran_on(journal: List[Dict], speeds: List[Packet], but: Intervals) -> List[float]:
+    """How long the motor ran on after each SPEED 0 that reached the port and not the board."""
+    states = [(event['t'], event['on']) for event in journal if event['ev'] == 'motor']
+    times = [t for t, _on in states]
+    found = []
+    for packet in speeds:
+        at = bisect_right(times, packet.t + 0.05) - 1
+        if packet.data == bytes(2) and at >= 0 and states[at][1] and times[at] < packet.t and \
+                not but.holds(packet.t):
+            until = times[at + 1] if at + 1 < len(times) else packet.t
+            found.append(until - packet.t)
+    return found
+
+
+def _saturated(value: int) -> int:
+    return min(max(value, -arduino.SPEED_LIMIT), arduino.SPEED_LIMIT)
+
+
+# -- the sensor board ------------------------------------------------------------------------------
+
+
+def check_lost_frames(received: List[Tuple[float, int, int, int]], resets: Intervals,
+                      counted: int) -> Row:
+    """The bridge counts the frames that it lost as the board counts those it sent.
+
+    Args:
+        received: (time, how often the port had gone before, n, seq) of each frame taken in.
+        counted: by the bridge in this time.
+    """
+    tries = expected = 0
+    violations = []
+    for (t0, cuts0, n0, seq0), (t1, cuts1, n1, seq1) in zip(received, received[1:]):
+        if cuts0 != cuts1:
+            continue
+        tries += 1
+        gap = (seq1 - seq0 - 1) % 256
+        expected += gap
+        if n0 < 0 or n1 < 0:
+            continue        # a frame of noise alone, which has the right checksum
+        if not resets.touches(t0, t1) and gap != n1 - n0 - 1:
+            violations.append((t1, 'SEQ says %d lost, the board sent %d in between'
+                               % (gap, n1 - n0 - 1)))
+    if counted != expected:
+        violations.append((received[-1][0] if received else 0.0,
+                           'the bridge counted %d lost frames, the board %d'
+                           % (counted, expected)))
+    return Row('mcu', 'lost frames are counted as the board counted them', tries, violations,
+               '%d lost' % expected)
+
+
+# -- the node -------------------------------------------------------------------------------------
+
+
+def check_level(usage: List[Dict], start: float, settled: float, end: float) -> List[Row]:
+    """Memory, threads and open files do not grow once the node has settled."""
+    rows = []
+    middle = (settled + end) / 2
+    for key, unit, slack in (('memory', 'MB', 4.0), ('threads', '', 4), ('files', '', 6)):
+        early = [one[key] for one in usage if settled <= one['t'] < middle]
+        later = [one[key] for one in usage if middle <= one['t'] <= end]
+        violations = []
+        worst = ''
+        if early and later:
+            growth = _median(later) - _median(early)
+            worst = '%.1f to %.1f %s, most %.1f' % (
+                _median(early), _median(later), unit, max(early + later))
+            if growth > slack:
+                violations.append((end, '%s grew by %.1f %s between the halves of the time after '
+                                   'the first %.0f s' % (key, growth, unit, settled - start)))
+        rows.append(Row('node', '%s level after the first %.0f s' % (
+            {'files': 'open files'}.get(key, key), settled - start), len(early) + len(later),
+            violations, worst.replace('  ', ' ').replace(' ,', ',')))
+    return rows
+
+
+def _median(values: List[float]) -> float:
+    return sorted(values)[len(values) // 2]
+
+
+_LINE = re.compile(r'\[.*?\]\[(\w+)\] (\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3}): (.*)')
+_NUMBERS = re.compile(r'\b(0x)?[0-9a-f]*\d[0-9a-f.]*\b|\b[0-9a-f]{6,}\b')
+
+
+def log_lines(text: str, seconds_of) -> List[Tuple[float, str, str]]:
+    """(time, severity, text) of each entry of a rospy log file."""
+    found = []
+    for line in text.splitlines():
+        match = _LINE.match(line)
+        if match:
+            found.append((seconds_of(match.group(2)), match.group(1), match.group(3)))
+    return found
+
+
+def cause_of(text: str) -> Tuple[str, str]:
+    """(link, cause) of a line of the bridge's: its words without what differs each time."""
+    link, _colon, rest = text.partition(': ')
+    if link not in ('bus', 'arduino', 'mcu'):
+        return '', _NUMBERS.sub('#', text)[:80]
+    rest = re.sub(r' \(and \d+ more like it\)$', '', rest)
+    if rest.startswith(('checksum', 'framing', 'length', 'unknown type', 'implausible',
+                        'oversize', 'out of step')):
+        return link, rest.split(':')[0]
+    rest = re.sub(r'^no reply to ".*" within', 'no reply within', rest)
+    rest = re.sub(r'^(speed|steering|LED) \S* ?refused: .*', r'\1 refused', rest)
+    return link, _NUMBERS.sub('#', rest)[:60]
+
+
+def check_log(lines: List[Tuple[float, str, str]]) -> List[Row]:
+    """No cause more than one line in 10 s per link; nothing that is a fault of the bridge's."""
+    last: Dict[Tuple[str, str], float] = {}
+    violations, faults, closest = [], [], 1e9
+    tries = said = 0
+    for t, _severity, text in lines:
+        if 'Traceback' in text or 'fault in the bridge' in text or 'the bridge is stuck' in text:
+            faults.append((t, text[:200]))
+        if text.startswith('arduino says: '):
+            said += 1
+            continue
+        link, cause = cause_of(text)
+        if not link:
+            continue
+        tries += 1
+        if (link, cause) in last:
+            gap = t - last[link, cause]
+            closest = min(closest, gap)
+            if gap < _LOG_PERIOD - _LOG_JITTER:
+                violations.append((t, '%.2f s after the one before: %s' % (gap, text[:150])))
+        last[link, cause] = t
+    return [Row('node', 'no cause has more than one log line in 10 s per link', tries, violations,
+                '%.1f s apart' % closest if closest < 1e9 else '',
+                note="the board's own log lines, %d of them, have a limit of their own" % said
+                if said else ''),
+            Row('node', 'no traceback, no link that gets stuck', len(lines), faults)]
+
+
+def check_returns(link: str, returns: List[Tuple[float, float]], data: List[float]) -> Row:
+    """Data flows again soon after a port's return.
+
+    Args:
+        returns: (when it came back and the board was there, until when it stayed).
+        data: when frames of this link were taken in, in order.
+    """
+    tries, worst, violations = 0, 0.0, []
+    for back, until in returns:
+        if until - back < RETURN:
+            continue
+        tries += 1
+        at = bisect_right(data, back)
+        took = data[at] - back if at < len(data) else 1e9
+        worst = max(worst, took)
+        if took > RETURN:
+            violations.append((back, 'no data for %s' % (
+                '%.2f s' % took if took < 1e9 else 'good')))
+    return Row('ports', 'data of the %s link within 1.5 s of its port\'s return' % link, tries,
+               violations, '%.2f s' % worst if tries and worst < 1e9 else '')

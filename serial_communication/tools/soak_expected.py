@@ -1,0 +1,295 @@
+"""What the bridge has to publish for what a board's journal says was on the wire.
+
+The values are worked out here once more, from the protocols' own description, so that a fault
+in the bridge's conversions shows. Keys are integers where the wire has integers: a published
+float is turned back into what the board must have sent, and refused if it is none of that.
+"""
+import struct
+from collections import deque
+from math import cos, inf, isinf, isnan, pi, radians, sin
+from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional, Tuple
+
+from ..protocols import arduino, mcu
+from ..protocols import robot_ctrl_bus as bus
+from .soak_align import Sent
+from .soak_records import Intervals
+
+NODE = '/serial_communication'
+_GYRO = 4000 / 65536 * pi / 180 * 25
+_ACCELERATION = 8 / 65536 * 9.81
+_GIVEN_UP = 0.05         # s after which a decoder drops what has begun
+_TOLERANCE = 0.01        # of a step
+_DECODERS = {'arduino': arduino.Decoder, 'mcu': mcu.Decoder, 'bus': bus.ReplyDecoder}
+
+
+class Arrival(NamedTuple):
+    """One frame of the journal, and what its bytes on the wire are to any decoder."""
+
+    t: float
+    n: int
+    own: Any             # (type, command, data) that the board sent
+    ok: bool
+    copies: int
+    made: Tuple          # of a frame that is not ok: each (type, command, data) found in it
+
+
+def arrivals(journal: List[Dict], kind: str) -> List[Arrival]:
+    """Each `tx` that left, with what a decoder finds in its bytes where they were damaged.
+
+    When a decoder gives up what is incomplete is a matter of milliseconds, so two are asked: one
+    that is hasty and one that is patient. What any of them makes of damage may be published; and
+    a good frame of which another with the right checksum was made may be missing.
+    """
+    decoders = [(_DECODERS[kind](), _GIVEN_UP / 2), (_DECODERS[kind](), _GIVEN_UP * 4)]
+    recent: Deque[Any] = deque(maxlen=50)     # what boards sent: finding that is no surprise
+    out: List[Arrival] = []
+    ends: List[int] = []                      # of each in `out`: bytes of the line up to it
+    last, total = 0.0, 0
+    for event in journal:
+        if event['ev'] == 'port':
+            for decoder, _patience in decoders:
+                decoder.reset()
+        if event['ev'] not in ('tx', 'chatter') or event.get('sent') is False:
+            continue
+        own, raw = _own(event, kind) if event['ev'] == 'tx' else (None, b'')
+        wire = bytes.fromhex(event['wire']) if 'wire' in event else raw * event.get('copies', 1)
+        if kind != 'arduino':       # whose values repeat, and whose frames never wait for others
+            recent.append(own)
+        damaged = not event.get('ok') or any(decoder.pending for decoder, _ in decoders)
+        before: List[Any] = []
+        made: List[Any] = []
+        longest = 0
+        for decoder, patience in decoders:
+            given_up: List[Any] = []
+            while decoder.pending and event['t'] - last > patience:
+                given_up += decoder.give_up()
+            for frames, where in ((given_up, before), (decoder.feed(wire), made)):
+                for frame in frames:
+                    found = _of(frame)
+                    if damaged and not frame.cause and (
+                            found not in recent if recent else found != own):
+                        longest = max(longest, len(frame.raw))
+                        if found not in where:
+                            where.append(found)
+        if own is None:
+            # Noise: a decoder may begin to look anywhere in it.
+            for start in range(1, len(wire)):
+                made += [_of(frame) for frame in _DECODERS[kind]().feed(wire[start:])
+                         if not frame.cause and _of(frame) not in made]
+        total += len(wire)
+        if before:
+            out.append(Arrival(last, 0, None, False, 1, tuple(before)))
+            ends.append(total - len(wire))
+        out.append(Arrival(event['t'], event.get('n', 0), own, event.get('ok', False),
+                           event.get('copies', 1), tuple(made)))
+        ends.append(total)
+        last = event['t']
+        if longest and kind != 'arduino':
+            _swallow(out, ends, total - longest - len(wire))
+    return out
+
+
+def _swallow(out: List[Arrival], ends: List[int], start: int) -> None:
+    """From that byte on, a frame that damage made has the right checksum: others are in it."""
+    for index in range(len(out) - 1, -1, -1):
+        if ends[index] <= start:
+            return
+        out[index] = out[index]._replace(ok=False)
+
+
+def _own(event: Dict, kind: str) -> Tuple[Any, bytes]:
+    if kind == 'arduino':
+        data = bytes.fromhex(event['data'])
+        return (event['type'], 0, data), arduino.encode_raw(event['type'], data)
+    raw = bytes.fromhex(event['raw'])
+    if kind == 'mcu':
+        return (event['type'], event['seq'], raw[4:-2]), raw
+    frame = bus.ReplyDecoder().feed(raw)[0]
+    return (frame.type, 0, frame.data), raw
+
+
+def _of(frame) -> Tuple[int, int, bytes]:
+    return frame.type, frame.command, frame.data
+
+
+def expected(frames: List[Arrival], key: Callable[[Any], Any], doubled: bool,
+             exempt: Intervals) -> List[Sent]:
+    """What one topic has to carry.
+
+    Args:
+        key: of (type, command, data): what is published of it, or None.
+        doubled: whether a frame that came twice in one write is published twice.
+        exempt: times in which nothing has to arrive.
+    """
+    out = []
+    for frame in frames:
+        own = key(frame.own) if frame.own else None
+        if own is not None:
+            must = frame.ok and not exempt.holds(frame.t)
+            for _ in range(frame.copies if doubled else 1):
+                out.append(Sent(frame.t, own, must, 'ok' if frame.ok else 'maybe', frame.n))
+        for made in frame.made:
+            other = key(made)
+            if other is not None and other != own:
+                out.append(Sent(frame.t, other, False, 'blind', frame.n))
+    return out
+
+
+# -- keys of what boards send -----------------------------------------------------------------
+
+
+def _unpack(frame: Tuple[int, int, bytes], type_: int, layout: str) -> Optional[Tuple]:
+    if frame[0] != type_ or len(frame[2]) != struct.calcsize(layout):
+        return None
+    return struct.unpack(layout, frame[2])
+
+
+def _imu_sent(frame) -> Any:
+    values = _unpack(frame, 9, '>11h')
+    return values[:10] if values else None
+
+
+def _orientation_sent(frame) -> Any:
+    values = _unpack(frame, 9, '>11h')
+    return values[:4] if values else None
+
+
+def _temperature_sent(frame) -> Any:
+    values = _unpack(frame, 9, '>11h')
+    return values[10] if values else None
+
+
+def _one(type_: int, layout: str) -> Callable[[Any], Any]:
+    def key(frame) -> Any:
+        values = _unpack(frame, type_, layout)
+        return values[0] if values else None
+    return key
+
+
+def _status(frame) -> Optional[Tuple]:
+    """range 1, range 2, yaw, pitch, roll; angles in 0.01 degrees, the yaw restored."""
+    values = _unpack(frame, 0x10, '<HHhhh')
+    if not values:
+        return None
+    yaw = values[2] if values[2] >= -18000 else values[2] + 65536
+    return values[:2] + (yaw,) + values[3:]
+
+
+def _status_sent(frame) -> Any:
+    values = _status(frame)
+    if not values:
+        return None
+    return (frame[1], True, 0xFFFF not in values[:2]) + values
+
+
+def _range_sent(index: int) -> Callable[[Any], Any]:
+    def key(frame) -> Any:
+        values = _status(frame)
+        if not values:
+            return None
+        millimetres = values[index]
+        if millimetres == 0xFFFF:
+            return 'nan'
+        return '-inf' if millimetres < 30 else 'inf' if millimetres > 2000 else millimetres
+    return key
+
+
+def _turn_sent(frame) -> Any:
+    values = _status(frame)
+    if not values:
+        return None
+    roll, pitch, yaw = radians(values[4] / 100), radians(values[3] / 100), radians(
+        -values[2] / 100)
+    cr, sr, cp, sp = cos(roll / 2), sin(roll / 2), cos(pitch / 2), sin(pitch / 2)
+    cy, sy = cos(yaw / 2), sin(yaw / 2)
+    return _rounded(sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy,
+                    cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy)
+
+
+def _rounded(*values: float) -> Tuple:
+    return tuple(round(value, 7) + 0.0 for value in values)
+
+
+def _air_sent(frame) -> Any:
+    return struct.unpack('<HhH', frame[2]) if frame[0] == bus.OK and len(frame[2]) == 6 else None
+
+
+# -- keys of what is published ----------------------------------------------------------------
+
+
+def _steps(value: float, step: float, offset: float = 0.0) -> Any:
+    """How many steps that is; the value itself if it is no whole number of them."""
+    steps = (value - offset) / step
+    return round(steps) if abs(steps - round(steps)) < _TOLERANCE else value
+
+
+def _orientation(q) -> Tuple:
+    step = 1 / 16384
+    return _steps(q.w, step), _steps(-q.y, step), _steps(q.x, step), _steps(q.z, step)
+
+
+def _imu_published(m) -> Any:
+    w, a = m.angular_velocity, m.linear_acceleration
+    return _orientation(m.orientation) + (
+        _steps(-w.y, _GYRO), _steps(w.x, _GYRO), _steps(w.z, _GYRO),
+        _steps(-a.y, _ACCELERATION), _steps(a.x, _ACCELERATION), _steps(a.z, _ACCELERATION))
+
+
+def _hundredths(value: float) -> Any:
+    return round(value * 100) if abs(value * 100 - round(value * 100)) < 0.01 else value
+
+
+def _status_published(m) -> Any:
+    if not m.connected:
+        return None     # the board's silence; no frame
+    return (m.seq, m.connected, m.valid, m.vl53_1, m.vl53_2, _hundredths(m.yaw),
+            _hundredths(m.pitch), _hundredths(m.roll))
+
+
+def _range_published(m) -> Any:
+    if isnan(m.range):
+        return 'nan'
+    if isinf(m.range):
+        return 'inf' if m.range == inf else '-inf'
+    return round(m.range * 1000)
+
+
+def _turn_published(q) -> Tuple:
+    return _rounded(q.x, q.y, q.z, q.w)
+
+
+class Topic(NamedTuple):
+    """How one topic is held against a journal. A `name` with a space stands for a part of it."""
+
+    link: str
+    name: str
+    sent: Callable[[Any], Any]
+    published: Callable[[Any], Any]     # None: nothing that a frame made
+
+
+TOPICS = (
+    Topic('arduino', NODE + '/imu', _imu_sent, _imu_published),
+    Topic('arduino', NODE + '/imu/temperature', _temperature_sent,
+          lambda m: _steps(m.temperature, 1 / 340, 36.53)),
+    Topic('arduino', NODE + '/voltage', _one(10, '<f'), lambda m: m.value),
+    Topic('arduino', NODE + '/ticks', _one(8, '<B'), lambda m: m.value),
+    Topic('arduino', NODE + '/steering_angle', _one(7, '<H'), lambda m: m.value),
+    Topic('arduino', '/tf imu_orientation', _orientation_sent,
+          lambda m: _orientation(m.transforms[0].transform.rotation)),
+    Topic('mcu', '/mcu/status', _status_sent, _status_published),
+    Topic('mcu', '/mcu/range_1', _range_sent(0), _range_published),
+    Topic('mcu', '/mcu/range_2', _range_sent(1), _range_published),
+    Topic('mcu', '/mcu/imu', _turn_sent, lambda m: _turn_published(m.orientation)),
+    Topic('mcu', '/tf mcu_imu_orientation', _turn_sent,
+          lambda m: _turn_published(m.transforms[0].transform.rotation)),
+    Topic('bus', NODE + '/environment', _air_sent,
+          lambda m: (m.smoke, _hundredths(m.temperature), _hundredths(m.humidity))),
+    Topic('bus', NODE + '/environment/temperature', lambda frame: _part(_air_sent(frame), 1),
+          lambda m: _hundredths(m.temperature)),
+    Topic('bus', NODE + '/environment/humidity', lambda frame: _part(_air_sent(frame), 2),
+          lambda m: _hundredths(m.relative_humidity * 100)),
+)
+
+
+def _part(values: Optional[Tuple], index: int) -> Any:
+    return values[index] if values else None

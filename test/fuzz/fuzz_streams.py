@@ -1,0 +1,41 @@
+"""What the fuzz tests share: bytes that are made to hurt."""
+from hypothesis import strategies as st
+
+from serial_communication.protocols import arduino, mcu
+from serial_communication.protocols import robot_ctrl_bus as bus
+
+# Bytes that mean something to one of the protocols, and their neighbours.
+TELLING = sorted({bus.STANDARD_FLAG, bus.LONG_FLAG, mcu.STX, mcu.ETX, 0, 1, 2, 3, 4, 7, 8, 9, 10,
+                  11, 12, 14, 16, 23, 24, 0x55, 0x20, 0x21, 0x22, 0xFD, 0xFE, 0xFF})
+
+telling = st.lists(st.sampled_from(TELLING), min_size=1, max_size=40).map(bytes)
+sound = st.one_of(
+    st.builds(lambda cmd1, data: bus.encode_reply(bus.Reply(cmd1, data)),
+              st.sampled_from((0, 1, 2, 3, 0xFF)), st.binary(max_size=300)),
+    st.builds(lambda cmd1, cmd2, data: bus.encode_request(bus.Request(cmd1, cmd2, data)),
+              st.sampled_from((0, 1, 0x55)), st.sampled_from((0, 0x20, 0x21, 0x22)),
+              st.binary(max_size=10)),
+    st.builds(mcu.encode_raw, st.sampled_from((0x01, 0x10, 0x77)), st.integers(0, 255),
+              st.binary(max_size=20)),
+    st.builds(lambda type_, data: arduino.encode_raw(type_, data), st.integers(0, 13),
+              st.binary(max_size=30)))
+
+
+@st.composite
+def damaged(draw):
+    """A sound frame with a byte changed, taken away, or put in."""
+    frame = bytearray(draw(sound))
+    at = draw(st.integers(0, len(frame) - 1))
+    kind = draw(st.sampled_from(('change', 'take', 'put')))
+    if kind == 'change':
+        frame[at] ^= draw(st.integers(1, 255))
+    elif kind == 'take':
+        del frame[at]
+    else:
+        frame.insert(at, draw(st.integers(0, 255)))
+    return bytes(frame)
+
+
+garbage = st.lists(st.one_of(st.binary(max_size=60), telling, sound, damaged(),
+                             st.builds(lambda unit, n: unit * n, telling, st.integers(1, 40))),
+                   max_size=20).map(b''.join)

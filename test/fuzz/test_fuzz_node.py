@@ -1,0 +1,146 @@
+"""Any bytes at all into the three ports of a running node: it lives, and good frames still come."""
+import os
+import pty
+import threading
+import time
+import tty
+from collections import deque
+
+import pytest
+from fuzz_streams import garbage
+from hypothesis import given
+
+rospy = pytest.importorskip('rospy')
+from serial_communication.msg import McuStatus2, SerialMsg, Ticks  # noqa: E402
+from serial_communication.protocols import arduino, mcu  # noqa: E402
+from serial_communication.protocols import robot_ctrl_bus as bus  # noqa: E402
+from serial_communication.srv import BusRequest  # noqa: E402
+from serial_communication.tools.soak_run import usage_of  # noqa: E402
+from serial_communication.tools.soak_stage import Stage  # noqa: E402
+
+NODE = '/serial_communication'
+PATIENCE = 10.0          # s; only a test that fails waits as long
+_GIVEN_UP = 0.08         # s after which the node has given up what was incomplete
+_GROWTH = 8.0            # MB that a node may grow by under fire
+
+_number = [0]            # of the example
+
+
+def until(condition, what, doing=lambda: None, every=0.02):
+    """Wait for `condition()`; meanwhile `doing()` again and again."""
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline, what
+        doing()
+        time.sleep(every)
+
+
+class Far:
+    """The board's end of a port."""
+
+    def __init__(self, decoder=None):
+        self._master, slave = pty.openpty()
+        tty.setraw(slave)
+        self.name = os.ttyname(slave)
+        self._decoder = decoder
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def write(self, data):
+        while data:
+            data = data[os.write(self._master, data):]
+
+    def _run(self):
+        while True:
+            try:
+                data = os.read(self._master, 4096)
+            except OSError:
+                return
+            for frame in self._decoder.feed(data) if self._decoder else ():
+                self._answer(frame)
+
+    def _answer(self, frame):
+        """As a board on the bus that has every function and does nothing."""
+        if frame.cause:
+            return
+        request = frame.message
+        cmd1 = request.cmd1 if request.cmd1 in (bus.SYNC, bus.ECHO) else bus.OK
+        data = b'' if request.cmd1 == bus.SYNC else request.data
+        self.write(bus.encode_reply(bus.Reply(cmd1, data)))
+
+
+class Scene:
+    """The node, its three ports, and what it publishes."""
+
+    def __init__(self, folder):
+        self.stage = Stage(folder).__enter__()
+        self.ports = {'bus': Far(bus.RequestDecoder()), 'arduino': Far(), 'mcu': Far()}
+        self.bridge = self.stage.bridge({name: port.name for name, port in self.ports.items()},
+                                        {'bus/reply_timeout': 0.2, 'bus/environment_period': 0.0})
+        rospy.init_node('fuzz', anonymous=True, disable_signals=True, disable_rosout=True)
+        self.seen = {'ticks': deque(maxlen=50), 'ranges': deque(maxlen=50)}
+        self.seq = 0
+        rospy.Subscriber(NODE + '/ticks', Ticks, lambda m: self.seen['ticks'].append(m.value))
+        rospy.Subscriber('/mcu/status', McuStatus2, lambda m: self.seen['ranges'].append(
+            m.vl53_1))
+        rospy.Subscriber('/serial_msg', SerialMsg, lambda m: None)
+        rospy.wait_for_service(NODE + '/bus/request', PATIENCE)
+        self.request = rospy.ServiceProxy(NODE + '/bus/request', BusRequest)
+        self.good_frames_come()
+        self.memory = usage_of(self.bridge.pid)['memory']
+
+    def good_frames_come(self):
+        """Something of each board gets through, and it is what the board sent."""
+        _number[0] += 1
+        number = _number[0]
+        ticks, status = number % 250 + 1, mcu.SensorStatus(number % 2000 + 30, 500, 1.0, 2.0, 3.0)
+        for values in self.seen.values():
+            values.clear()
+
+        def talk():
+            if not self.seen['ticks']:
+                self.ports['arduino'].write(b'\0' + arduino.encode(arduino.Ticks(ticks)))
+            if not self.seen['ranges']:
+                self.seq = (self.seq + 1) % 256
+                self.ports['mcu'].write(mcu.encode(status, self.seq))
+
+        until(lambda: ticks in self.seen['ticks'] and status.range_1 in self.seen['ranges'],
+              'data of both boards', talk, 0.05)
+        data = number.to_bytes(8, 'little')
+        until(lambda: bytes(self.request(bus.FUNCTION, 0xF0, data).data) == data,
+              'a request is answered')
+
+    def close(self):
+        self.stage.__exit__()
+
+
+@pytest.fixture(scope='module')
+def scene(tmp_path_factory):
+    before = dict(os.environ)
+    one = Scene(str(tmp_path_factory.mktemp('fuzz')))
+    yield one
+    one.close()
+    os.environ.clear()
+    os.environ.update(before)
+
+
+@given(for_bus=garbage, for_arduino=garbage, for_mcu=garbage)
+def test_the_node_lives_and_good_frames_still_come(scene, for_bus, for_arduino, for_mcu):
+    scene.ports['bus'].write(for_bus)
+    scene.ports['arduino'].write(for_arduino)
+    scene.ports['mcu'].write(for_mcu)
+    time.sleep(_GIVEN_UP)
+    assert scene.bridge.alive, scene.bridge.tail()
+    scene.good_frames_come()
+
+
+def test_the_node_has_not_grown_and_says_nothing_of_a_fault(scene):
+    assert scene.bridge.alive
+    assert usage_of(scene.bridge.pid)['memory'] - scene.memory < _GROWTH
+    with open(scene.bridge.log, errors='replace') as log:
+        text = log.read()
+    assert 'Traceback' not in text and 'fault in the bridge' not in text, text[-3000:]
+
+
+def test_the_scene_can_fail(scene):
+    with pytest.raises(AssertionError):
+        until(lambda: False, 'never', every=PATIENCE)

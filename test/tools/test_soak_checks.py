@@ -1,0 +1,318 @@
+"""Each check passes sound records and finds what is wrong with doctored ones."""
+import pytest
+
+from serial_communication.tools.soak_align import Sent
+from serial_communication.tools.soak_checks import (
+    cause_of, check_heartbeat, check_level, check_log, check_lost_frames, check_motor,
+    check_published, check_returns, closed_times, log_lines, packets_of)
+from serial_communication.tools.soak_records import Intervals
+
+END = 100.0
+
+
+def beats(*times):
+    return [{'t': t, 'ev': 'rx', 'type': 11, 'data': ''} for t in times]
+
+
+def steadily(start, end, period=0.01):
+    return beats(*[start + index * period for index in range(int((end - start) / period))])
+
+
+def heartbeat(journal, metronome=()):
+    journal = sorted([{'t': 0.0, 'ev': 'port', 'open': True}] + journal,
+                     key=lambda event: event['t'])
+    return check_heartbeat(journal, list(metronome), END)
+
+
+class TestHeartbeat:
+    def test_steady(self):
+        gaps, apart = heartbeat(steadily(1, 5))
+        assert gaps.violations == [] and gaps.tries == 399 and apart.tries == 0
+        assert gaps.worst.endswith('max 10.0 ms')
+
+    def test_a_gap(self):
+        gaps, _apart = heartbeat(steadily(1, 2) + steadily(2.03, 3))
+        assert len(gaps.violations) == 1 and '40.0 ms' in gaps.violations[0][1]
+
+    def test_a_gap_of_29_ms_is_none(self):
+        assert heartbeat(beats(1, 1.029, 1.04))[0].violations == []
+
+    def test_one_that_the_board_damaged_itself_has_come(self):
+        damaged = [{'t': 2.01, 'ev': 'rx-fault', 'faults': ['rx-flip'], 'came': '020b00',
+                    'became': '024b00'}]
+        assert heartbeat(steadily(1, 2) + damaged + steadily(2.03, 3))[0].violations == []
+
+    def test_while_the_board_reads_nothing(self):
+        stall = [{'t': 2.0, 'ev': 'fault', 'kind': 'stall', 'seconds': 0.5}]
+        assert heartbeat(steadily(1, 2) + stall + steadily(2.5, 3))[0].violations == []
+
+    def test_after_the_board_reads_again(self):
+        stall = [{'t': 2.0, 'ev': 'fault', 'kind': 'stall', 'seconds': 0.5}]
+        gaps, _apart = heartbeat(steadily(1, 2) + stall + steadily(2.56, 3) + steadily(3.1, 4))
+        assert len(gaps.violations) == 1
+
+    def test_while_the_board_restarts(self):
+        lost = [{'t': 2.0 + index / 100, 'ev': 'rx-lost', 'data': '020b00', 'why': 'reset'}
+                for index in range(50)]
+        assert heartbeat(steadily(1, 2) + lost + steadily(2.5, 3))[0].violations == []
+
+    def test_while_the_board_calibrates(self):
+        on = [{'t': 2.0, 'ev': 'calibrate', 'on': True},
+              {'t': 3.0, 'ev': 'calibrate', 'on': False, 'kept': ''}]
+        assert heartbeat(steadily(1, 2) + on + steadily(3.01, 4))[0].violations == []
+
+    def test_while_the_port_is_closed(self):
+        port = [{'t': 2.0, 'ev': 'port', 'open': False}, {'t': 3.0, 'ev': 'port', 'open': True}]
+        assert heartbeat(steadily(1, 2) + port + steadily(3.4, 4))[0].violations == []
+
+    def test_the_last_one_before_the_port_went(self):
+        port = [{'t': 2.05, 'ev': 'port', 'open': False}, {'t': 3.0, 'ev': 'port', 'open': True}]
+        assert len(heartbeat(steadily(1, 2) + port + steadily(3.4, 4))[0].violations) == 1
+
+    def test_while_the_simulator_was_late_is_shown_apart(self):
+        late = [{'t': 2.039, 'ev': 'late', 'by': 0.03}]
+        gaps, apart = heartbeat(steadily(1, 2) + late + steadily(2.04, 3))
+        assert gaps.violations == [] and apart.tries == 1 and '50.0 ms' in apart.worst
+
+    def test_late_at_another_time_excuses_nothing(self):
+        late = [{'t': 1.5, 'ev': 'late', 'by': 0.02}]
+        assert len(heartbeat(steadily(1, 2) + late + steadily(2.04, 3))[0].violations) == 1
+
+    def test_what_the_whole_machine_was_late_for_is_said_and_still_a_violation(self):
+        gaps, _apart = heartbeat(steadily(1, 2) + steadily(2.04, 3), [{'t': 2.0, 'late': 0.03}])
+        assert 'whole machine' in gaps.violations[0][1]
+
+
+def speed(t, value):
+    return {'t': t, 'ev': 'rx', 'type': 4, 'data': value.to_bytes(2, 'little', signed=True).hex()}
+
+
+def told(t, value):
+    return {'t': t, 'topic': 'speed', 'value': value}
+
+
+CALIBRATION = {'topic': 'calibrate', 't0': 4.9, 't1': 4.95, 'error': ''}
+
+
+def motor(journal, commands, unplugged=(), bridge=()):
+    journal = sorted([{'t': 0.0, 'ev': 'port', 'open': True}] + journal,
+                     key=lambda event: event['t'])
+    reconnect, calibration, zero, commanded, _ran_on, made = check_motor(
+        journal, commands, list(unplugged), Intervals(bridge), 0.5, END)
+    return {name: row.violations for name, row in (
+        ('reconnect', reconnect), ('calibration', calibration), ('zero', zero),
+        ('commanded', commanded))}, made.tries
+
+
+class TestMotor:
+    def test_driven_and_stopped(self):
+        found, _made = motor([speed(1.0, 300), speed(1.505, 0)], [told(0.99, 300)])
+        assert not any(found.values())
+
+    def test_never_stopped(self):
+        found, _made = motor([speed(1.0, 300)], [told(0.99, 300)])
+        assert len(found['zero']) == 1
+
+    def test_stopped_late(self):
+        found, _made = motor([speed(1.0, 300), speed(1.56, 0)], [told(0.99, 300)])
+        assert len(found['zero']) == 1
+
+    def test_stopped_too_early(self):
+        found, _made = motor([speed(1.0, 300), speed(1.2, 0)], [told(0.99, 300)])
+        assert len(found['commanded']) == 1
+
+    def test_stopped_by_command(self):
+        found, _made = motor([speed(1.0, 300), speed(1.2, 0)], [told(0.99, 300), told(1.19, 0)])
+        assert not any(found.values())
+
+    def test_not_commanded(self):
+        found, _made = motor([speed(1.0, 300), speed(1.5, 0)], [told(0.99, 301)])
+        assert len(found['commanded']) == 1
+
+    def test_twice(self):
+        found, _made = motor([speed(1.0, 300), speed(1.1, 300), speed(1.6, 0)], [told(0.99, 300)])
+        assert len(found['commanded']) == 1
+
+    def test_saturated(self):
+        found, _made = motor([speed(1.0, -1000), speed(1.5, 0)], [told(0.99, -20000)])
+        assert not any(found.values())
+
+    def test_commanded_before_a_reconnect(self):
+        port = [{'t': 1.1, 'ev': 'port', 'open': False}, {'t': 1.3, 'ev': 'port', 'open': True}]
+        found, _made = motor(port + [speed(1.5, 300), speed(2.0, 0)], [told(1.0, 300)], [1.1])
+        assert len(found['reconnect']) == 1
+        found, _made = motor(port + [speed(1.5, 300), speed(2.0, 0)], [told(1.45, 300)], [1.1])
+        assert not found['reconnect']
+
+    def test_kept_for_long(self):
+        found, _made = motor([speed(3.0, 300), speed(3.5, 0)], [told(1.0, 300)])
+        assert len(found['reconnect']) == 1
+
+    def test_reached_a_board_that_calibrates(self):
+        journal = [{'t': 5.0, 'ev': 'calibrate', 'on': True},
+                   {'t': 6.0, 'ev': 'rx-lost', 'why': 'calibrating', 'data': '030421020000'},
+                   {'t': 8.0, 'ev': 'calibrate', 'on': False, 'kept': '0404210300'}]
+        found, _made = motor(journal, [told(5.9, 0x321), CALIBRATION])
+        assert len(found['calibration']) == 1
+
+    def test_commanded_while_the_bridge_said_that_it_calibrates(self):
+        found, _made = motor([speed(7.0, 300), speed(7.5, 0)], [told(6.9, 300), CALIBRATION],
+                             bridge=[(4.95, 8.0)])
+        assert len(found['calibration']) == 1
+
+    def test_made_by_damage(self):
+        journal = [{'t': 1.0, 'ev': 'rx-fault', 'faults': ['rx-flip'], 'came': '0404210300',
+                    'became': '0404210100'}, speed(1.0, 0x121), speed(1.5, 0)]
+        found, made = motor(journal, [told(0.99, 0x321)])
+        assert not any(found.values()) and made == 1
+
+
+def test_a_speed_0_that_damage_took():
+    journal = [{'t': 1.0, 'ev': 'port', 'open': True}, speed(2.0, 300),
+               {'t': 2.0, 'ev': 'motor', 'on': True, 'speed': 300, 'why': ''},
+               {'t': 2.5, 'ev': 'rx', 'raw': '020b400204010100', 'cause': 'framing', 'error': ''},
+               {'t': 5.0, 'ev': 'motor', 'on': False, 'speed': 0, 'why': ''}]
+    rows = check_motor(journal, [told(1.99, 300)], [], Intervals(), 0.5, END)
+    assert [len(row.violations) for row in rows] == [0] * 6
+    assert rows[4].tries == 1 and rows[4].worst == 'for 2.5 s' and not rows[4].judged
+
+
+def test_packets_that_stand_behind_the_rest_of_another():
+    came, _made = packets_of([{'t': 1.0, 'ev': 'rx', 'raw': '0c09020b00', 'cause': 'framing',
+                               'error': ''}])
+    assert [packet.type for packet in came] == [11]
+
+
+def test_closed_times():
+    journal = [{'t': 1.0, 'ev': 'port', 'open': True}, {'t': 2.0, 'ev': 'port', 'open': False},
+               {'t': 3.0, 'ev': 'port', 'open': True}]
+    assert closed_times(journal, END).pairs == [(0.0, 1.0), (2.0, 3.0)]
+
+
+def published(values, sent=None):
+    sent = sent or [Sent(index / 10, index, True, 'ok', index) for index in range(10)]
+    row, blind, _maybe = check_published('g', 's', {'topic': (sent, values)})
+    return row, blind
+
+
+class TestPublished:
+    def test_all(self):
+        row, _blind = published([(index / 10 + 0.001, index) for index in range(10)])
+        assert row.violations == [] and row.tries == 10 and row.worst.startswith('1 ms')
+
+    def test_one_lost(self):
+        row, _blind = published([(index / 10, index) for index in range(10) if index != 4])
+        assert len(row.violations) == 1 and 'frame 4 was not' in row.violations[0][1]
+
+    def test_one_wrong(self):
+        row, _blind = published([(index / 10, index if index != 4 else 44) for index in range(10)])
+        assert len(row.violations) == 2
+
+    def test_damage_that_nobody_can_see(self):
+        sent = [Sent(0.0, 1, True, 'ok'), Sent(0.1, 2, False, 'blind'), Sent(0.2, 3, True, 'ok')]
+        row, blind = published([(0.0, 1), (0.1, 2), (0.2, 3)], sent)
+        assert row.violations == [] and blind == 1
+
+
+def lost(received, counted, resets=()):
+    return check_lost_frames(received, Intervals(resets), counted).violations
+
+
+class TestLostFrames:
+    def test_counted(self):
+        assert lost([(1, 0, 1, 0), (2, 0, 2, 1), (3, 0, 5, 4)], 2) == []
+
+    def test_not_counted(self):
+        assert len(lost([(1, 0, 1, 0), (2, 0, 2, 1), (3, 0, 5, 4)], 0)) == 1
+
+    def test_the_board_sent_more(self):
+        assert len(lost([(1, 0, 1, 0), (2, 0, 7, 1)], 0)) == 1
+
+    def test_a_restart_is_a_gap(self):
+        assert lost([(1, 0, 10, 9), (2, 0, 11, 0)], 246, resets=[(1.2, 1.5)]) == []
+
+    def test_a_port_that_went(self):
+        assert lost([(1, 0, 10, 9), (2, 1, 17, 16)], 0) == []
+
+    def test_a_frame_of_noise(self):
+        assert lost([(1, 0, 10, 9), (2, 0, -1, 12), (3, 0, 11, 10)], 2 + 253) == []
+
+
+def level(memory):
+    usage = [{'t': float(t), 'memory': memory(t), 'threads': 20, 'files': 90}
+             for t in range(100)]
+    return [row.violations for row in check_level(usage, 0.0, 33.0, 100.0)]
+
+
+def test_level():
+    assert level(lambda t: 40.0 + (t < 10) * t) == [[], [], []]
+
+
+def test_growing():
+    assert len(level(lambda t: 40.0 + t)[0]) == 1
+
+
+LOG = """\
+[rosout][WARNING] 2026-11-21 01:12:04,470: mcu: /tmp/x/mcu: there is no such device (and 15 more like it)
+[rosout][WARNING] 2026-11-21 01:12:05,172: bus: checksum: the checksum does not match: a502
+[rosout][WARNING] 2026-11-21 01:12:%s,974: bus: checksum: the checksum does not match: a5f200
+[rosout][WARNING] 2026-11-21 01:12:05,172: mcu: checksum: CRC does not match: 02
+[rosout][WARNING] 2026-11-21 01:12:05,172: arduino says: IMU ready
+[rosout][WARNING] 2026-11-21 01:12:05,173: arduino says: IMU ready
+"""  # noqa: E501
+
+
+def seconds_of(text):
+    return float(text[17:].replace(',', '.'))
+
+
+def test_log_with_time_in_between():
+    row, faults = check_log(log_lines(LOG % 15, seconds_of))
+    assert row.violations == [] and faults.violations == [] and row.tries == 4
+
+
+def test_log_too_often():
+    assert len(check_log(log_lines(LOG % 12, seconds_of))[0].violations) == 1
+
+
+def test_log_with_a_fault_of_the_bridge():
+    text = '[rosout][ERROR] 2026-11-21 01:12:04,470: mcu: Traceback (most recent call last):'
+    assert len(check_log(log_lines(text, seconds_of))[1].violations) == 1
+
+
+@pytest.mark.parametrize('one, other', [
+    ('bus: checksum: it does not match: a5', 'bus: checksum: it does not match: a7 (and 3 more '
+     'like it)'),
+    ('bus: no reply to "lift up 3 mm" within 0.5 s', 'bus: no reply to "lift down 4 mm" within '
+     '0.5 s'),
+    ('arduino: speed 3 refused: the port is closed', 'arduino: speed 700 refused: the port is '
+     'closed')])
+def test_the_same_cause(one, other):
+    assert cause_of(one) == cause_of(other)
+
+
+@pytest.mark.parametrize('one, other', [
+    ('bus: checksum: x', 'mcu: checksum: x'), ('bus: checksum: x', 'bus: framing: x')])
+def test_another_cause(one, other):
+    assert cause_of(one) != cause_of(other)
+
+
+class TestReturns:
+    def test_in_time(self):
+        assert check_returns('bus', [(1.0, 9.0)], [0.5, 2.0]).violations == []
+
+    def test_too_late(self):
+        assert len(check_returns('bus', [(1.0, 9.0)], [0.5, 2.6]).violations) == 1
+
+    def test_never(self):
+        assert len(check_returns('bus', [(1.0, 9.0)], [0.5]).violations) == 1
+
+    def test_gone_again_before_anybody_could_tell(self):
+        assert check_returns('bus', [(1.0, 2.0)], []).tries == 0
+
+
+def test_intervals():
+    found = Intervals([(3, 4), (1, 2), (1.5, 2.5)])
+    assert found.pairs == [(1, 2.5), (3, 4)] and found.seconds() == 2.5
+    assert found.holds(2.2) and not found.holds(2.7) and found.touches(2.6, 3.1)
+    assert not found.touches(2.6, 2.9) and not Intervals().holds(1)
