@@ -14,6 +14,7 @@ from .soak_table import Row
 GAP = 0.030              # s without a heartbeat after which the board stops its motor
 LATE_ZERO = 0.050        # s that SPEED 0 may come later than speed_timeout
 RETURN = 1.5             # s from a port's return to data
+_CROSSING = 0.010        # s that a byte may take from one end of the line to the other
 _KEPT = 1.0              # s; a command that reaches the board later than this was kept
 _LOG_PERIOD = 10.0       # s from one line of a cause to the next
 _LOG_JITTER = 0.25       # s that a log's own clock may be off
@@ -153,19 +154,43 @@ def late_times(journal: List[Dict]) -> Intervals:
                       for event in journal if event['ev'] == 'late'])
 
 
-def check_heartbeat(journal: List[Dict], metronome: List[Dict], end: float) -> List[Row]:
+def line_times(beats: List[float], written: List[float]) -> Intervals:
+    """When the line itself was late: a heartbeat had been written in time and came much later.
+
+    A pseudo terminal passes bytes on in a kernel thread of ordinary priority, which competes
+    with whatever else this machine runs. A serial line does not.
+
+    Args:
+        beats: when heartbeats came; `written`: when the bridge had handed them to its port.
+    """
+    pairs = []
+    for before, after in zip(beats, beats[1:]):
+        if after - before < 2 * _CROSSING:
+            continue
+        at = bisect_right(written, before + 0.003)
+        # The one written before this gap may be the one that ended it, too.
+        if at and at < len(written) and written[at] - written[at - 1] < GAP and \
+                written[at] - before < GAP and after - written[at] > _CROSSING:
+            pairs.append((written[at], after))
+    return Intervals(pairs)
+
+
+def check_heartbeat(journal: List[Dict], metronome: List[Dict], written: List[float],
+                    end: float) -> List[Row]:
     """No gap while the port is open and the board takes what comes.
 
     Args:
         metronome: when a process that only sleeps, at the boards' priority, was woken late.
+        written: when the bridge had handed heartbeats to its port, as serial_msg tells.
     """
     beats = sorted({packet.t for packet in packets_of(journal)[0] if packet.type == 11})
     blind = closed_times(journal, end) + fault_times(journal, ('stall',)) + Intervals(
         [(start, stop + 0.05) for start, stop in calibrations(journal, end)])
-    late = late_times(journal)
+    late, line = late_times(journal), line_times(beats, written)
     stalls = Intervals([(one['t'] - 0.005, one['t'] + one['late'] + 0.005) for one in metronome])
     witnessed = 0
-    gaps, apart, violations = [], [], []
+    gaps, violations = [], []
+    apart: Dict[str, List[float]] = {'simulator': [], 'line': []}
     ends = [event['t'] for event in journal if event['ev'] == 'port' and not event['open']]
     pairs = list(zip(beats, beats[1:]))
     for closing in ends:        # the last beat before a port went
@@ -177,31 +202,52 @@ def check_heartbeat(journal: List[Dict], metronome: List[Dict], end: float) -> L
             continue
         gap = after - before
         if gap >= GAP and late.touches(before, after):
-            apart.append(gap)
-            continue
-        gaps.append(gap)
-        if gap >= GAP:
-            stalled = stalls.touches(before, after)
-            witnessed += stalled
-            violations.append((before, 'no heartbeat for %.1f ms%s' % (
-                gap * 1e3, ', while the whole machine was late' if stalled else '')))
-    gaps.sort()
-    figures = ', '.join('%s %.1f' % (name, gaps[min(int(len(gaps) * share), len(gaps) - 1)] * 1e3)
-                        for name, share in (('p50', .5), ('p99', .99), ('p99.99', .9999),
-                                            ('max', 1))) + ' ms' if gaps else 'none'
+            apart['simulator'].append(gap)
+        elif gap >= GAP and line.touches(before, after):
+            apart['line'].append(gap)
+        else:
+            gaps.append(gap)
+            if gap >= GAP:
+                stalled = stalls.touches(before, after)
+                witnessed += stalled
+                violations.append((before, 'no heartbeat for %.1f ms%s' % (
+                    gap * 1e3, ', while the whole machine was late' if stalled else '')))
+    own = [after - before for before, after in zip(written, written[1:])
+           if after <= end and not blind.touches(before, after)]
     return [
-        Row('heartbeat', 'no gap of 30 ms while the port is open', len(gaps), violations, figures,
+        Row('heartbeat', 'no gap of 30 ms while the port is open', len(gaps), violations,
+            _figures(gaps),
             note='beside it, a process that only sleeps 10 ms at a time was woken over 5 ms late '
             '%d times, by %.0f ms at most; %d of the gaps fall into these times' % (
                 len(metronome), max([one['late'] for one in metronome] or [0]) * 1e3, witnessed)),
+        Row('heartbeat', 'likewise as the bridge handed them to its port', len(own), [],
+            _figures(own), False),
         Row('heartbeat', 'gaps of 30 ms around a moment in which the simulator itself was late',
-            len(apart), [], '%.1f ms' % (max(apart) * 1e3) if apart else '', False,
+            len(apart['simulator']), [], _longest(apart['simulator']), False,
             'the simulated board was not woken in time by its own machine and may have read late '
-            'what had come in time; its journal marks these moments' if apart else '')]
+            'what had come in time; its journal marks these moments'
+            if apart['simulator'] else ''),
+        Row('heartbeat', 'gaps of 30 ms in which the line was late, not the bridge',
+            len(apart['line']), [], _longest(apart['line']), False,
+            'the bridge had handed the heartbeats over in time; the pseudo terminals that stand '
+            'for the line passed them on late, by a kernel thread that competes with the busy '
+            'processes' if apart['line'] else '')]
+
+
+def _figures(gaps: List[float]) -> str:
+    gaps = sorted(gaps)
+    return ', '.join('%s %.1f' % (name, gaps[min(int(len(gaps) * share), len(gaps) - 1)] * 1e3)
+                     for name, share in (('p50', .5), ('p99', .99), ('p99.99', .9999),
+                                         ('max', 1))) + ' ms' if gaps else 'none'
+
+
+def _longest(gaps: List[float]) -> str:
+    return '%.1f ms' % (max(gaps) * 1e3) if gaps else ''
 
 
 def check_motor(journal: List[Dict], commands: List[Dict], unplugged: List[float],
-                bridge_calibrations: Intervals, speed_timeout: float, end: float) -> List[Row]:
+                bridge_calibrations: Intervals, written: List[float], speed_timeout: float,
+                end: float) -> List[Row]:
     """What reached the motor was commanded, just now, and ends in time."""
     came, made = packets_of(journal)
     speeds = sorted((packet for packet in came if packet.type == 4 and packet.t <= end),
@@ -221,7 +267,8 @@ def check_motor(journal: List[Dict], commands: List[Dict], unplugged: List[float
     worst_zero = oldest = 0.0
     used = set()
     blind = closed_times(journal, end) + stalled + Intervals(
-        calibrations(journal, end)) + late_times(journal)
+        calibrations(journal, end)) + late_times(journal) + line_times(
+            sorted({packet.t for packet in came if packet.type == 11}), written)
     for index, packet in enumerate(speeds):
         value = int.from_bytes(packet.data, 'little', signed=True)
         if value:

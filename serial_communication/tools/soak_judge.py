@@ -49,6 +49,7 @@ class _Published(NamedTuple):
     lost: List[Tuple[float, int]]                 # the mcu link's count in the diagnostics
     traffic: Dict[str, List[Tuple[float, Tuple]]]  # by link: good frames in, of serial_msg
     taken: List[Tuple[float, float, Tuple]]       # of the mcu: arrival, stamp, frame
+    beats: List[float]                            # when the bridge had written a heartbeat
     offset: float
 
 
@@ -78,8 +79,10 @@ def judge(folder: str) -> List[Row]:
     rows += _of_link('arduino', 'every undamaged packet published once, in order', frames,
                      published, exempt)
     rows += check_motor(journals['arduino'], commands, _cuts(events, 'arduino'),
-                        _bridge_calibrates(commands, published), SPEED_TIMEOUT, end)
-    rows += check_heartbeat(journals['arduino'], read_lines(path('metronome.jsonl')), end)
+                        _bridge_calibrates(commands, published), published.beats,
+                        SPEED_TIMEOUT, end)
+    rows += check_heartbeat(journals['arduino'], read_lines(path('metronome.jsonl')),
+                            published.beats, end)
     rows += _of_link('mcu', 'every undamaged frame published once, in order', frames, published,
                      exempt)
     rows += _lost_frames(frames['mcu'], journals['mcu'], published, events)
@@ -101,7 +104,7 @@ def _read(folder: str) -> _Published:
     by_topic: Dict[str, List] = {}
     for topic in TOPICS:
         by_topic.setdefault(topic.name.split(' ')[0], []).append(topic)
-    out = _Published({topic.name: [] for topic in TOPICS}, [], [], {}, [], offset)
+    out = _Published({topic.name: [] for topic in TOPICS}, [], [], {}, [], [], offset)
     instances = {name: message_class() for name, message_class in _CLASSES.items()}
     for t, name, data in messages:
         message = instances[name]
@@ -131,7 +134,10 @@ def _read_traffic(folder: str, out: _Published) -> None:
     message = SerialMsg()
     for t, _name, data in read_messages(path)[1]:
         message.deserialize(data)
-        if message.direction == SerialMsg.RX and not message.error:
+        if message.direction == SerialMsg.TX:
+            if message.type == 11 and message.link == 'arduino':
+                out.beats.append(message.header.stamp.to_sec() - out.offset)
+        elif not message.error:
             frame = message.type, message.command, bytes(message.data)
             out.traffic.setdefault(message.link, []).append((
                 message.header.stamp.to_sec() - out.offset, frame))

@@ -18,10 +18,11 @@ def steadily(start, end, period=0.01):
     return beats(*[start + index * period for index in range(int((end - start) / period))])
 
 
-def heartbeat(journal, metronome=()):
+def heartbeat(journal, metronome=(), written=()):
     journal = sorted([{'t': 0.0, 'ev': 'port', 'open': True}] + journal,
                      key=lambda event: event['t'])
-    return check_heartbeat(journal, list(metronome), END)
+    gaps, _own, late, line = check_heartbeat(journal, list(metronome), list(written), END)
+    return (gaps, late, line) if written else (gaps, late)
 
 
 class TestHeartbeat:
@@ -83,6 +84,27 @@ class TestHeartbeat:
         assert 'whole machine' in gaps.violations[0][1]
 
 
+WRITTEN = [index / 100 for index in range(100, 310)]
+
+
+class TestLine:
+    """The pseudo terminals that stand for it were late."""
+
+    def test_written_in_time_and_late_at_the_board(self):
+        gaps, _late, line = heartbeat(steadily(1, 2) + steadily(2.05, 3), written=WRITTEN)
+        assert gaps.violations == [] and line.tries == 1 and line.worst == '60.0 ms'
+
+    def test_written_late(self):
+        written = [t for t in WRITTEN if not 1.995 < t < 2.045]
+        gaps, _late, line = heartbeat(steadily(1, 2) + steadily(2.05, 3), written=written)
+        assert len(gaps.violations) == 1 and line.tries == 0
+
+    def test_not_written(self):
+        """What serial_msg does not tell excuses nothing."""
+        gaps, _late, line = heartbeat(steadily(1, 2) + steadily(2.05, 3), written=[0.5])
+        assert len(gaps.violations) == 1 and line.tries == 0
+
+
 def speed(t, value):
     return {'t': t, 'ev': 'rx', 'type': 4, 'data': value.to_bytes(2, 'little', signed=True).hex()}
 
@@ -98,7 +120,7 @@ def motor(journal, commands, unplugged=(), bridge=()):
     journal = sorted([{'t': 0.0, 'ev': 'port', 'open': True}] + journal,
                      key=lambda event: event['t'])
     reconnect, calibration, zero, commanded, _ran_on, made = check_motor(
-        journal, commands, list(unplugged), Intervals(bridge), 0.5, END)
+        journal, commands, list(unplugged), Intervals(bridge), [], 0.5, END)
     return {name: row.violations for name, row in (
         ('reconnect', reconnect), ('calibration', calibration), ('zero', zero),
         ('commanded', commanded))}, made.tries
@@ -172,7 +194,7 @@ def test_a_speed_0_that_damage_took():
                {'t': 2.0, 'ev': 'motor', 'on': True, 'speed': 300, 'why': ''},
                {'t': 2.5, 'ev': 'rx', 'raw': '020b400204010100', 'cause': 'framing', 'error': ''},
                {'t': 5.0, 'ev': 'motor', 'on': False, 'speed': 0, 'why': ''}]
-    rows = check_motor(journal, [told(1.99, 300)], [], Intervals(), 0.5, END)
+    rows = check_motor(journal, [told(1.99, 300)], [], Intervals(), [], 0.5, END)
     assert [len(row.violations) for row in rows] == [0] * 6
     assert rows[4].tries == 1 and rows[4].worst == 'for 2.5 s' and not rows[4].judged
 
