@@ -4,5 +4,5 @@ from setuptools import setup
 
 setup(**generate_distutils_setup(
     packages=['serial_communication'] + ['serial_communication.' + name for name in (
-        'protocols', 'links', 'ros', 'simulation', 'tools')],
+        'protocols', 'links', 'ros', 'simulation', 'tools', 'tools.bench', 'tools.soak')],
     package_dir={'': '.'}))

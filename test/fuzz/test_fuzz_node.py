@@ -15,8 +15,8 @@ from serial_communication.msg import McuStatus2, SerialMsg, Ticks  # noqa: E402
 from serial_communication.protocols import arduino, mcu  # noqa: E402
 from serial_communication.protocols import robot_ctrl_bus as bus  # noqa: E402
 from serial_communication.srv import BusRequest  # noqa: E402
-from serial_communication.tools.soak_run import usage_of  # noqa: E402
-from serial_communication.tools.soak_stage import Stage  # noqa: E402
+from serial_communication.tools.soak.run import usage_of  # noqa: E402
+from serial_communication.tools.soak.stage import Stage  # noqa: E402
 
 NODE = '/serial_communication'
 PATIENCE = 10.0          # s; only a test that fails waits as long

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from worst_streams import worst_streams
+from serial_communication.tools.soak.worst_streams import worst_streams
 
 _CALL = 10          # lines
 _SIZE = 8000

@@ -6,65 +6,65 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from serial_communication.protocols import robot_ctrl_bus as bus
-from serial_communication.tools import bench_decoders, bench_report
-from serial_communication.tools.bench_boards import COUNTED, arduino_turn, mcu_turn
+from serial_communication.tools.bench import decoders, report
+from serial_communication.tools.bench.boards import COUNTED, arduino_turn, mcu_turn
 
-PROTOCOLS = bench_decoders.protocols()
+PROTOCOLS = decoders.protocols()
 
 
 # -- figures ----------------------------------------------------------------------------------
 
 def test_percentile():
     values = [5, 1, 4, 2, 3]
-    assert [bench_report.percentile(values, percent) for percent in (0, 20, 50, 99, 100)] == [
+    assert [report.percentile(values, percent) for percent in (0, 20, 50, 99, 100)] == [
         1, 1, 3, 5, 5]
-    assert math.isnan(bench_report.percentile([], 50))
+    assert math.isnan(report.percentile([], 50))
 
 
 @given(st.lists(st.integers(), min_size=1), st.floats(0.1, 100))
 def test_percentile_is_exceeded_by_no_more_than_the_rest(values, percent):
-    found = bench_report.percentile(values, percent)
+    found = report.percentile(values, percent)
     assert found in values
     assert sum(value <= found for value in values) >= len(values) * percent / 100 - 1e-9
 
 
 def test_over_turns():
-    figures = bench_report.over_turns([[1, 2, 3], [2, 3, 4], [], [3, 4, 50]], scale=1)
+    figures = report.over_turns([[1, 2, 3], [2, 3, 4], [], [3, 4, 50]], scale=1)
     assert (figures['p50'], figures['p99'], figures['max'], figures['count']) == (3, 4, 50, 9)
     assert figures['p99.9'] == 50
-    assert math.isnan(bench_report.over_turns([])['p50'])
+    assert math.isnan(report.over_turns([])['p50'])
 
 
 def test_match_finds_the_latest_that_fits():
     sent = [(254, 0.0), (255, 1.0), (256, 2.0), (510, 3.0)]
-    latencies, missing = bench_report.match(sent, [(254, 0.25), (0, 2.5), (254, 3.125)], 256)
+    latencies, missing = report.match(sent, [(254, 0.25), (0, 2.5), (254, 3.125)], 256)
     assert latencies == [0.25, 0.5, 0.125]
     assert missing == 1
 
 
 def test_match_ignores_what_was_never_sent():
-    assert bench_report.match([(1, 5.0)], [(1, 4.0), (2, 6.0)], 256) == ([], 1)
+    assert report.match([(1, 5.0)], [(1, 4.0), (2, 6.0)], 256) == ([], 1)
 
 
 def test_queue_gaps():
     # (number, first byte of the request, last byte of the reply, bytes)
     exchanges = [(0, 1.0, 2.0, 15), (1, 2.25, 3.0, 15), (2, 9.0, 9.5, 15)]
     calls = [(0.5, 2.1, 0), (0.75, 3.1, 1), (8.9, 9.6, 2)]
-    assert bench_report.queue_gaps(exchanges, calls, 0.001) == ([0.25], [6.0])
+    assert report.queue_gaps(exchanges, calls, 0.001) == ([0.25], [6.0])
     # A call that has only just begun may not be in the queue yet.
-    assert bench_report.queue_gaps(exchanges[:2], [(0.5, 2.1, 0), (1.9, 3.1, 1)], 0.5) == (
+    assert report.queue_gaps(exchanges[:2], [(0.5, 2.1, 0), (1.9, 3.1, 1)], 0.5) == (
         [], [0.25])
 
 
 # -- the decoders that it compares with -------------------------------------------------------
 
-@pytest.mark.parametrize('size', (0, 1, 7, bench_decoders.READ))
+@pytest.mark.parametrize('size', (0, 1, 7, decoders.READ))
 @pytest.mark.parametrize('link', sorted(PROTOCOLS))
 def test_both_decoders_give_the_same_messages(link, size):
     protocol = PROTOCOLS[link]
-    reads = bench_decoders.read_in(protocol.clean, size)
-    ours = bench_decoders.messages(protocol.package(), reads)
-    theirs = bench_decoders.messages(protocol.bytewise(), reads)
+    reads = decoders.read_in(protocol.clean, size)
+    ours = decoders.messages(protocol.package(), reads)
+    theirs = decoders.messages(protocol.bytewise(), reads)
     assert ours == theirs
     assert [type(message) for message in ours] == [type(message) for message in theirs]
     assert len(ours) == len(protocol.clean)
@@ -73,21 +73,21 @@ def test_both_decoders_give_the_same_messages(link, size):
 @pytest.mark.parametrize('link', sorted(PROTOCOLS))
 def test_a_false_frame_costs_the_machine_more_than_the_package(link):
     protocol = PROTOCOLS[link]
-    reads = bench_decoders.read_in(bench_decoders.noise(protocol.clean), bench_decoders.READ)
-    ours = bench_decoders.messages(protocol.package(), reads)
-    theirs = bench_decoders.messages(protocol.bytewise(), reads)
+    reads = decoders.read_in(decoders.noise(protocol.clean), decoders.READ)
+    ours = decoders.messages(protocol.package(), reads)
+    theirs = decoders.messages(protocol.bytewise(), reads)
     assert 0 < len(theirs) <= len(ours) <= len(protocol.clean)
 
 
 def test_long_replies_are_the_same():
     frames = [bus.encode_reply(bus.Reply(bus.ECHO, bytes(size % 256 for size in range(length))))
               for length in (0, 1, 254, 255, 300, 1024)]
-    assert bench_decoders.messages(bench_decoders.ByteBus(), frames) == bench_decoders.messages(
+    assert decoders.messages(decoders.ByteBus(), frames) == decoders.messages(
         bus.ReplyDecoder(), frames)
 
 
 def test_every_decoder_is_timed():
-    rows = bench_decoders.run(0.0)['rows']
+    rows = decoders.run(0.0)['rows']
     assert {row['link'] for row in rows} == set(PROTOCOLS)
     for row in rows:
         assert row['package']['MB/s'] > 0 and row['bytewise']['MB/s'] > 0
@@ -99,13 +99,13 @@ def test_every_decoder_is_timed():
 
 @pytest.mark.parametrize('n', (0, 1, 255, 256, 8191, 70000))
 def test_a_running_number_comes_back(n):
-    imu, ticks, angle, voltage = bench_decoders.messages(
+    imu, ticks, angle, voltage = decoders.messages(
         PROTOCOLS['arduino'].package(), [packet for _, packet in arduino_turn(n)])
     assert imu.az == n % COUNTED['imu']
     assert ticks.value == n % COUNTED['ticks']
     assert angle.value == n % COUNTED['steering_angle']
     assert round(voltage.value * 128) == n % COUNTED['voltage']
-    status, = bench_decoders.messages(
+    status, = decoders.messages(
         PROTOCOLS['mcu'].package(), [frame for _, frame in mcu_turn(n)])
     assert status.range_1 == n % COUNTED['status']
 
@@ -127,7 +127,7 @@ RESULTS = {
 
 
 def test_the_worst_figure_decides():
-    judged = {row['what']: row for row in bench_report.judge(RESULTS)}
+    judged = {row['what']: row for row in report.judge(RESULTS)}
     p50 = judged['latency p50, against the polling reference']
     assert (p50['measured'], p50['met']) == (pytest.approx(0.3), False)
     assert p50['details'] == 'arduino 0.10, mcu 0.30'
@@ -139,21 +139,21 @@ def test_the_worst_figure_decides():
 
 
 def test_only_the_sections_that_were_run_are_judged():
-    assert bench_report.judge({}) == []
-    assert len(bench_report.judge({'latency': RESULTS['latency']})) == 2
+    assert report.judge({}) == []
+    assert len(report.judge({'latency': RESULTS['latency']})) == 2
 
 
 def test_plain_is_json():
-    assert bench_report.plain({'a': [float('nan'), 1.0], 'b': {'c': (float('nan'),)}}) == {
+    assert report.plain({'a': [float('nan'), 1.0], 'b': {'c': (float('nan'),)}}) == {
         'a': [None, 1.0], 'b': {'c': [None]}}
 
 
 def test_table():
-    assert bench_report.table(('name', 'ms', ''), [('a', 1.25, 'x'), ('bcdef', 12345.6, ''),
-                                                   ('g', None, 'y')]) == (
+    assert report.table(('name', 'ms', ''), [('a', 1.25, 'x'), ('bcdef', 12345.6, ''),
+                                             ('g', None, 'y')]) == (
         'name      ms\n'
         '-----  -----  -\n'
         'a       1.25  x\n'
         'bcdef  12346\n'
         'g          -  y')
-    assert bench_report.table(('a', 'b'), []) == 'a  b\n-  -'
+    assert report.table(('a', 'b'), []) == 'a  b\n-  -'

@@ -1,5 +1,5 @@
 """Pairing what was published with what was sent."""
-from serial_communication.tools.soak_align import Sent, align
+from serial_communication.tools.soak.align import Sent, align
 
 
 def sent(*keys, may=()):

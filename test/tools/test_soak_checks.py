@@ -1,11 +1,11 @@
 """Each check passes sound records and finds what is wrong with doctored ones."""
 import pytest
 
-from serial_communication.tools.soak_align import Sent
-from serial_communication.tools.soak_checks import (
+from serial_communication.tools.soak.align import Sent
+from serial_communication.tools.soak.checks import (
     cause_of, check_heartbeat, check_level, check_log, check_lost_frames, check_motor,
     check_published, check_returns, closed_times, log_lines, packets_of)
-from serial_communication.tools.soak_records import Intervals
+from serial_communication.tools.soak.records import Intervals
 
 END = 100.0
 

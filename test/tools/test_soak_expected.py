@@ -1,8 +1,8 @@
 """What has to be published for what a journal says was on the wire."""
 from serial_communication.protocols import arduino, mcu
 from serial_communication.protocols import robot_ctrl_bus as bus
-from serial_communication.tools.soak_expected import TOPICS, arrivals, expected
-from serial_communication.tools.soak_records import Intervals
+from serial_communication.tools.soak.expected import TOPICS, arrivals, expected
+from serial_communication.tools.soak.records import Intervals
 
 TICKS = next(topic for topic in TOPICS if topic.name.endswith('/ticks'))
 STATUS = next(topic for topic in TOPICS if topic.name == '/mcu/status')

@@ -17,7 +17,7 @@ from typing import Any, Dict, List, Optional
 
 import rosgraph
 
-from .soak_records import Lines
+from .records import Lines
 
 LINKS = ('bus', 'arduino', 'mcu')
 CABLE_PRIORITY = 15      # real-time: between the simulated boards' and the heartbeat's
@@ -249,7 +249,8 @@ class Stage:
 
     def bridge(self, ports: Dict[str, str], parameters: Dict[str, Any],
                name: str = 'bridge') -> Child:
-        """The node; `parameters` by their names, with the slash."""
+        """The node; `parameters` by their names, with the slash. Those of one before it go."""
+        _forget_parameters()
         command = self._bridge or [
             sys.executable, '-c', 'from serial_communication.ros.node import main; main()']
         arguments = ['_%s/port:=%s' % port for port in ports.items()]
@@ -258,13 +259,13 @@ class Stage:
         return self.child(name, command + ['__name:=serial_communication'] + arguments)
 
     def user(self, role: str, file: str, seed: int, **options: Any) -> Child:
-        """A process of soak_children."""
-        return self.child(role, [sys.executable, '-m', __package__ + '.soak_children', role,
+        """A process of children.py."""
+        return self.child(role, [sys.executable, '-m', __package__ + '.children', role,
                                  self.path(file), str(seed)], **options)
 
     def program(self, name: str) -> str:
         """A script of this package, in a checkout or installed."""
-        here = os.path.join(os.path.dirname(os.path.realpath(__file__)), os.pardir, os.pardir,
+        here = os.path.join(os.path.dirname(os.path.realpath(__file__)), *[os.pardir] * 3,
                             'scripts', name)
         if os.path.exists(here):
             return here
@@ -296,6 +297,13 @@ def _answers(master: rosgraph.Master) -> bool:
         return bool(master.getPid())
     except (OSError, rosgraph.MasterException):
         return False
+
+
+def _forget_parameters() -> None:
+    try:
+        rosgraph.Master('/soak').deleteParam('/serial_communication')
+    except rosgraph.MasterException:
+        pass        # there are none
 
 
 def _free_port() -> int:

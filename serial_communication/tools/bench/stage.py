@@ -31,7 +31,7 @@ class BenchError(RuntimeError):
 
 
 class Child:
-    """One process; if it takes orders, see bench_child."""
+    """One process; if it takes orders, see child.py."""
 
     def __init__(self, stage: 'Stage', name: str, command: List[str], fds=(), env=None,
                  orders: bool = True) -> None:
@@ -248,12 +248,12 @@ class Boards:
         for link in links:
             master, self.ports[link] = stage.pty()
             if link == 'bus':
-                self.bus = stage.child('bus board', 'bench_boards', 'bus', master, fds=(master,))
+                self.bus = stage.child('bus board', 'boards', 'bus', master, fds=(master,))
                 continue
-            self.talkers[link] = stage.child(link + ' board', 'bench_boards', 'talker', master,
+            self.talkers[link] = stage.child(link + ' board', 'boards', 'talker', master,
                                              link, fds=(master,))
             if link == 'arduino':
-                self.listener = stage.child('listener', 'bench_boards', 'listener', master,
+                self.listener = stage.child('listener', 'boards', 'listener', master,
                                             fds=(master,))
 
     def talk(self, rates: Dict[str, float], seconds: float) -> Dict[str, list]:

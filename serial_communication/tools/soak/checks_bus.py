@@ -2,8 +2,8 @@
 from bisect import bisect_right
 from typing import Dict, List, NamedTuple, Tuple
 
-from ..protocols import robot_ctrl_bus as bus
-from .soak_table import Row
+from ...protocols import robot_ctrl_bus as bus
+from .table import Row
 
 NOT_SENT, TIMEOUT = 253, 254
 PATIENCE = 1.0           # s over its timeout in which a call has to be answered

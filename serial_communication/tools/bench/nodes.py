@@ -20,12 +20,12 @@ from std_srvs.srv import Trigger
 from serial_communication.msg import (Environment, McuStatus2, SteeringFeedback, Ticks, Voltage)
 from serial_communication.srv import BusRequest, GetEnvironment
 
-from ..protocols import arduino, mcu
-from ..protocols import robot_ctrl_bus as bus
-from ..ros.geometry import quaternion
-from .bench_boards import RAW_COMMAND, imu_count
-from .bench_child import serve, sleep_until
-from .bench_decoders import ByteArduino, ByteBus, ByteMcu
+from ...protocols import arduino, mcu
+from ...protocols import robot_ctrl_bus as bus
+from ...ros.geometry import quaternion
+from .boards import RAW_COMMAND, imu_count
+from .child import serve, sleep_until
+from .decoders import ByteArduino, ByteBus, ByteMcu
 
 POLLS = 200                # a second
 HEARTBEAT_EVERY = 2        # polls
@@ -294,7 +294,7 @@ class Caller:
 
 
 def main() -> None:
-    """bench_nodes ROLE [ARGUMENT…]."""
+    """nodes ROLE [ARGUMENT…]."""
     role, arguments = sys.argv[1], sys.argv[2:]
     sys.setswitchinterval(0.0005)
     name = NODE if role in ('reference', 'floor') else role

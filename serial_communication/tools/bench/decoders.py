@@ -8,9 +8,9 @@ import random
 import time
 from typing import Any, Callable, Dict, List, NamedTuple, Tuple
 
-from ..protocols import arduino, mcu
-from ..protocols import robot_ctrl_bus as bus
-from .bench_boards import arduino_turn, mcu_turn
+from ...protocols import arduino, mcu
+from ...protocols import robot_ctrl_bus as bus
+from .boards import arduino_turn, mcu_turn
 
 READ = 4096     # bytes in one large read
 _KNOWN = {message.TYPE: message for message in (

@@ -13,7 +13,7 @@ from typing import Any, Dict, List, Set
 import rosgraph
 from diagnostic_msgs.msg import DiagnosticArray
 
-from .bench_child import serve
+from .child import serve
 
 _ID = '/counter'
 _LENGTH = struct.Struct('<I')
@@ -115,7 +115,7 @@ class Counter:
 
 
 def main() -> None:
-    """bench_counter."""
+    """counter."""
     counter = Counter()
     serve(connect=counter.connect, waiting=counter.waiting, begin=counter.begin,
           collect=counter.collect, diagnostics=counter.diagnostics)

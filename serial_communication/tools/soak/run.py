@@ -18,8 +18,8 @@ import sys
 import time
 from typing import Any, Callable, Dict, List, Tuple
 
-from .soak_records import Lines
-from .soak_stage import Child, Stage
+from .records import Lines
+from .stage import Child, Stage
 
 CYCLE = 60.0
 FLAP = 0.25              # s down, and as long up: twice a second

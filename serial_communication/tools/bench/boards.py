@@ -14,9 +14,9 @@ import threading
 import time
 from typing import Dict, List, Tuple
 
-from ..protocols import arduino, mcu
-from ..protocols import robot_ctrl_bus as bus
-from .bench_child import be_a_board, jittered, serve, sleep_until, wait_until
+from ...protocols import arduino, mcu
+from ...protocols import robot_ctrl_bus as bus
+from .child import be_a_board, jittered, serve, sleep_until, wait_until
 
 BITS = 10              # of a byte on the wire, start and stop bit included
 RAW_COMMAND = 0x40     # CMD2 of a function that only this board has
@@ -234,7 +234,7 @@ class BusBoard:
 
 
 def main() -> None:
-    """bench_boards ROLE FD [LINK]; timer has no FD."""
+    """boards ROLE FD [LINK]; timer has no FD."""
     role, fd = sys.argv[1], int((sys.argv + ['-1'])[2])
     sys.setswitchinterval(0.0005)
     if role == 'talker':

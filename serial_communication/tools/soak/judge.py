@@ -14,15 +14,15 @@ from tf2_msgs.msg import TFMessage
 from serial_communication.msg import (Environment, McuStatus2, SerialMsg, SteeringFeedback, Ticks,
                                       Voltage)
 
-from .soak_align import Sent
-from .soak_checks import (check_heartbeat, check_level, check_log, check_lost_frames, check_motor,
-                          check_published, check_returns, closed_times, fault_times, log_lines,
-                          packets_of)
-from .soak_checks_bus import check_bus, outcomes
-from .soak_expected import NODE, TOPICS, Arrival, arrivals, expected
-from .soak_records import Intervals, read_lines, read_messages
-from .soak_run import PARAMETERS, SPEED_TIMEOUT
-from .soak_table import Row
+from .align import Sent
+from .checks import (check_heartbeat, check_level, check_log, check_lost_frames, check_motor,
+                     check_published, check_returns, closed_times, fault_times, log_lines,
+                     packets_of)
+from .checks_bus import check_bus, outcomes
+from .expected import NODE, TOPICS, Arrival, arrivals, expected
+from .records import Intervals, read_lines, read_messages
+from .run import PARAMETERS, SPEED_TIMEOUT
+from .table import Row
 
 LINKS = ('bus', 'arduino', 'mcu')
 ENDING = 2.0             # s that the node may take to end

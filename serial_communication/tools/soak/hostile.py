@@ -1,23 +1,21 @@
 """What the worst bytes that anyone can send cost, beside clean traffic: `soak --hostile`.
 
 Twice: the decoder alone, in nanoseconds a byte; and the whole node, in CPU time a byte from the
-port to its subscribers. The streams are those of test/protocols/worst_streams.py, so this needs
-a checkout.
+port to its subscribers.
 """
 import fcntl
-import importlib.util
 import os
 import pty
 import select
 import struct
-import sys
 import termios
 import time
 import tty
 from typing import Any, Callable, Dict, List, NamedTuple
 
-from .soak_stage import Child, SoakError, Stage
-from .soak_table import Row
+from .stage import Child, SoakError, Stage
+from .table import Row
+from .worst_streams import worst_streams
 
 LIMIT = 5.0              # times the cost of clean traffic
 READ = 4096              # bytes; what a tty gives at once
@@ -45,7 +43,7 @@ def decoder_costs(size: int = _SIZE) -> List[Cost]:
     """Of every stream."""
     cleans: Dict[str, float] = {}
     costs = []
-    for stream in _streams(size):
+    for stream in worst_streams(size):
         if stream.link not in cleans:
             cleans[stream.link] = _nanoseconds(stream.decoder, stream.clean)
         costs.append(Cost(stream.link, stream.name, cleans[stream.link],
@@ -56,7 +54,7 @@ def decoder_costs(size: int = _SIZE) -> List[Cost]:
 def node_costs(stage: Stage, costs: List[Cost], say: Callable[[str], None]) -> List[Cost]:
     """Of the streams that cost a decoder most, for a node with a subscriber of everything."""
     found = []
-    streams = {(stream.link, stream.name): stream for stream in _streams(_NODE_SIZE)}
+    streams = {(stream.link, stream.name): stream for stream in worst_streams(_NODE_SIZE)}
     for link in ('bus', 'arduino', 'mcu'):
         worst = sorted((cost for cost in costs if cost.link == link),
                        key=lambda cost: -cost.worst)[:_NODES_STREAMS]
@@ -182,17 +180,3 @@ class _Feeder:
         self._stage.end(self._node)
         os.close(self._master)
         os.close(self._slave)
-
-
-def _streams(size: int) -> List[Any]:
-    path = os.path.join(os.path.dirname(os.path.realpath(__file__)), os.pardir, os.pardir, 'test',
-                        'protocols', 'worst_streams.py')
-    if not os.path.exists(path):
-        raise SoakError('the streams stand in test/protocols/worst_streams.py of a checkout')
-    name = 'serial_communication_worst_streams'
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, path)
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[name] = module
-        spec.loader.exec_module(module)
-    return sys.modules[name].worst_streams(size)

@@ -1,6 +1,6 @@
 """The processes that use the bridge during a campaign: callers, a commander, subscribers.
 
-    python3 -m serial_communication.tools.soak_children ROLE FILE SEED [N]
+    python3 -m serial_communication.tools.soak.children ROLE FILE SEED [N]
 
 They end at SIGTERM or SIGINT, with all they know in their file. The commander takes orders on
 stdin: ``calibrate``.
@@ -20,8 +20,8 @@ from std_srvs.srv import Empty, Trigger
 from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 from serial_communication.srv import BusRequest, GetEnvironment, Gimbal, Lift
 
-from ..protocols import robot_ctrl_bus as bus
-from .soak_records import Lines, MessageFile
+from ...protocols import robot_ctrl_bus as bus
+from .records import Lines, MessageFile
 
 NODE = '/serial_communication'
 TOPICS = [NODE + name for name in (

@@ -9,10 +9,10 @@ from collections import deque
 from math import cos, inf, isinf, isnan, pi, radians, sin
 from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional, Tuple
 
-from ..protocols import arduino, mcu
-from ..protocols import robot_ctrl_bus as bus
-from .soak_align import Sent
-from .soak_records import Intervals
+from ...protocols import arduino, mcu
+from ...protocols import robot_ctrl_bus as bus
+from .align import Sent
+from .records import Intervals
 
 NODE = '/serial_communication'
 _GYRO = 4000 / 65536 * pi / 180 * 25

@@ -14,10 +14,10 @@ from typing import Any, Callable, Dict, List, Optional, Tuple
 
 import rosgraph
 
-from .soak_checks import packets_of
-from .soak_records import read_lines, read_messages
-from .soak_stage import LINKS, Stage
-from .soak_table import Row
+from .checks import packets_of
+from .records import read_lines, read_messages
+from .stage import LINKS, Stage
+from .table import Row
 
 NODE = '/serial_communication'
 ENDING = 2.0             # s that the node may take to end

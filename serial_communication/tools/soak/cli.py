@@ -14,12 +14,12 @@ import time
 from random import SystemRandom
 from typing import List, Optional
 
-from .soak_hostile import decoder_costs, node_costs, render_costs, rows_of
-from .soak_judge import judge
-from .soak_run import Campaign
-from .soak_shutdown import Shutdown
-from .soak_stage import SoakError, Stage
-from .soak_table import as_dict, render
+from .hostile import decoder_costs, node_costs, render_costs, rows_of
+from .judge import judge
+from .run import Campaign
+from .shutdown import Shutdown
+from .stage import SoakError, Stage
+from .table import as_dict, render
 
 
 def main(arguments: Optional[List[str]] = None) -> int:

@@ -11,9 +11,9 @@ import sys
 import time
 from typing import Any, Dict, List, Optional
 
-from .bench_report import judge, plain, plot, render
-from .bench_sections import SECTIONS, Plan
-from .bench_stage import BenchError, Stage, machine, stolen
+from .report import judge, plain, plot, render
+from .sections import SECTIONS, Plan
+from .stage import BenchError, Stage, machine, stolen
 
 
 def main(arguments: Optional[List[str]] = None) -> int:

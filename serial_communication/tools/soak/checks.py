@@ -1,15 +1,15 @@
 """The invariants of the arduino and mcu links, of the node, and of its ports.
 
-Pure functions over records (see soak_records): each returns rows of the table.
+Pure functions over records (see records.py): each returns rows of the table.
 """
 import re
 from bisect import bisect_left, bisect_right
 from typing import Dict, Iterable, List, NamedTuple, Tuple
 
-from ..protocols import arduino
-from .soak_align import Sent, align
-from .soak_records import Intervals
-from .soak_table import Row
+from ...protocols import arduino
+from .align import Sent, align
+from .records import Intervals
+from .table import Row
 
 GAP = 0.030              # s without a heartbeat after which the board stops its motor
 LATE_ZERO = 0.050        # s that SPEED 0 may come later than speed_timeout

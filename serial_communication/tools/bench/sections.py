@@ -7,11 +7,11 @@ import statistics
 import time
 from typing import Any, Callable, Dict, List, NamedTuple
 
-from . import bench_decoders
-from .bench_boards import BITS, COUNTED, TURNS
-from .bench_nodes import ENVIRONMENT_EVERY, NODE, POLLS
-from .bench_report import match, over_turns, queue_gaps
-from .bench_stage import Child, Stage, wait_for
+from .boards import BITS, COUNTED, TURNS
+from .nodes import ENVIRONMENT_EVERY, NODE, POLLS
+from .decoders import run as run_decoders
+from .report import match, over_turns, queue_gaps
+from .stage import Child, Stage, wait_for
 
 RATES = {'arduino': 100.0, 'mcu': 20.0}           # turns a second, as the boards have it
 _OF_LINK = {'arduino': ('imu', 'ticks', 'steering_angle', 'voltage'), 'mcu': ('status',),
@@ -50,10 +50,10 @@ class _Pair:
         ports = self.boards['bridge'].ports
         self.nodes = [
             stage.bridge('/bridge', ports, bus__environment_period=ENVIRONMENT_EVERY / POLLS),
-            stage.child('reference', 'bench_nodes', 'reference',
+            stage.child('reference', 'nodes', 'reference',
                         *['%s=%s' % port for port in self.boards['reference'].ports.items()],
                         namespace='/reference')]
-        self.subscriber = stage.child('subscriber', 'bench_nodes', 'subscriber', '/bridge',
+        self.subscriber = stage.child('subscriber', 'nodes', 'subscriber', '/bridge',
                                       '/reference')
         wait_for(lambda: self.subscriber.ask('missing'), 'latency')
         for side, boards in self.boards.items():
@@ -98,7 +98,7 @@ def latency(stage: Stage, plan: Plan) -> Dict[str, Any]:
 def heartbeat(stage: Stage, plan: Plan) -> Dict[str, Any]:
     """The interval between heartbeats, idle and with two busy processes."""
     pair = _Pair(stage)
-    timer = stage.child('timer', 'bench_boards', 'timer')
+    timer = stage.child('timer', 'boards', 'timer')
     result = {}
     for name, seconds in (('idle', plan.seconds), ('busy', 2 * plan.seconds)):
         busy = [stage.busy() for _ in range(2 if name == 'busy' else 0)]
@@ -125,8 +125,8 @@ def cpu(stage: Stage, plan: Plan) -> Dict[str, Any]:
     boards = {name: stage.boards() for name in ('bridge', 'no subscriber')}
     nodes = {'bridge': stage.bridge('/bridge', boards['bridge'].ports),
              'no subscriber': stage.bridge('/quiet', boards['no subscriber'].ports),
-             'floor': stage.child('floor', 'bench_nodes', 'floor', namespace='/floor')}
-    subscriber = stage.child('subscriber', 'bench_nodes', 'subscriber', '/bridge', '/floor')
+             'floor': stage.child('floor', 'nodes', 'floor', namespace='/floor')}
+    subscriber = stage.child('subscriber', 'nodes', 'subscriber', '/bridge', '/floor')
     wait_for(lambda: subscriber.ask('missing'), 'cpu')
 
     def load(name: str, seconds: float) -> None:
@@ -166,7 +166,7 @@ def bus(stage: Stage, plan: Plan) -> Dict[str, Any]:
     """Round trips with several callers, at the wire's pace and without."""
     boards = stage.boards(('bus',))
     node = stage.bridge('/bridge', boards.ports, bus__environment_period=0.0)
-    caller = stage.child('caller', 'bench_nodes', 'caller', '/bridge')
+    caller = stage.child('caller', 'nodes', 'caller', '/bridge')
     caller.ask('ready')
     cases = [(wire, kind) for wire in (115200, 0)
              for kind in ('environment', 'echo', 'raw', 'mixed')]
@@ -211,7 +211,7 @@ def _bus_row(wire: int, kind: str, turns: list) -> Dict[str, Any]:
 
 def decoders(_stage: Any, plan: Plan) -> Dict[str, Any]:
     """Bytes to typed messages, against a byte at a time."""
-    return bench_decoders.run(4.0 if plan.short else 8.0 * plan.seconds)
+    return run_decoders(4.0 if plan.short else 8.0 * plan.seconds)
 
 
 # -- 6: until something is lost -----------------------------------------------------------------
@@ -241,7 +241,7 @@ def _scale_row(stage: Stage, link: str, baud: int, load: float,
                seconds: float) -> Dict[str, Any]:
     boards = stage.boards((link,))
     node = stage.bridge('/bridge', boards.ports, **{link + '__baud': baud})
-    counter = stage.child('counter', 'bench_counter')
+    counter = stage.child('counter', 'counter')
     prefix = '/bridge/mcu/' if link == 'mcu' else '/bridge/%s/' % NODE
     topics = [prefix + name for name in _TOPICS[link]]
     wait_for(lambda: counter.ask('connect', node='/bridge/' + NODE,

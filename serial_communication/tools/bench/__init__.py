@@ -1,0 +1,1 @@
+"""Measures the bridge beside other programs: see cli.py."""
