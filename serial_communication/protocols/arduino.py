@@ -310,10 +310,9 @@ class _Decoder:
 
     def _packet(self, encoded: bytes, stamp: Any) -> Frame:
         raw = encoded + b'\0'
-        try:
-            packet = cobs.decode(encoded)
-        except cobs.CobsError as error:
-            return self._bad(raw, FRAMING, str(error), stamp)
+        packet = cobs.undo(encoded)
+        if packet is None:
+            return self._bad(raw, FRAMING, 'a code runs past the end', stamp)
         if not packet:
             return self._bad(raw, FRAMING, 'a packet without a type', stamp)
         if len(packet) > MAX_PACKET:

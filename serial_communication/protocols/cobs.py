@@ -4,6 +4,7 @@ Reference: S. Cheshire and M. Baker, "Consistent Overhead Byte Stuffing", IEEE/A
 on Networking 7(2), 1999. A block is a code byte n, then n-1 bytes that are not zero, then a
 zero that is left out; code 255 stands for 254 bytes and no zero.
 """
+from typing import Optional
 
 _BLOCK = 254  # most bytes in one block
 
@@ -35,11 +36,23 @@ def decode(encoded: bytes) -> bytes:
     Raises:
         CobsError: a zero inside, a code that runs past the end, or no byte at all.
     """
-    size = len(encoded)
-    if not size:
+    if not encoded:
         raise CobsError('no bytes')
     if 0 in encoded:
         raise CobsError('zero inside')
+    decoded = undo(encoded)
+    if decoded is None:
+        raise CobsError('a code runs past the end')
+    return decoded
+
+
+def undo(encoded: bytes) -> Optional[bytes]:
+    """`decode` for a decoder's inner loop, which knows that `encoded` has bytes and no zero.
+
+    None where a code runs past the end: an exception would cost a bad packet more time than all
+    the rest of it.
+    """
+    size = len(encoded)
     at = 0
     if size <= _BLOCK:
         # No block can be full, so each code byte's place is a left-out zero's: write it there.
@@ -57,6 +70,4 @@ def decode(encoded: bytes) -> bytes:
             at += code
             if code <= _BLOCK and at < size:
                 out.append(0)
-    if at != size:
-        raise CobsError('a code runs past the end')
-    return bytes(out)
+    return bytes(out) if at == size else None
