@@ -52,6 +52,13 @@ def test_a_packet_behind_one_without_an_end():
     assert (8, False, 'blind') not in joined and (8, False, 'maybe') in joined
 
 
+def test_noise_that_came_before_a_packet_which_the_records_have_before_it():
+    noise = {'t': 1.0001, 'ev': 'chatter', 'wire': '0202'}
+    frames = arrivals([packet(1.0, 7), noise, packet(1.01, 9)], 'arduino')
+    joined, = arduino.Decoder().feed(bytes.fromhex('0202' + '03080700'))
+    assert not joined.cause and (joined.type, 0, joined.data) in frames[0].made
+
+
 def status(t, seq, **more):
     message = mcu.SensorStatus(100 + seq, 200, 12.34, 1.0, 2.0)
     return dict({'t': t, 'ev': 'tx', 'n': seq, 'type': 16, 'seq': seq, 'ok': True,

@@ -4,7 +4,7 @@ Pure functions over records (see records.py): each returns rows of the table.
 """
 import re
 from bisect import bisect_left, bisect_right
-from typing import Dict, Iterable, List, NamedTuple, Tuple
+from typing import Dict, Iterable, List, NamedTuple, Optional, Tuple
 
 from ...protocols import arduino
 from .align import Sent, align
@@ -78,23 +78,38 @@ def packets_of(journal: List[Dict]) -> Tuple[List[Packet], List[Packet]]:
     """All that the bridge sent, as the port gave it; and what damage in the board made."""
     came, made = [], []
     damaged = {event['t']: event for event in journal if event['ev'] == 'rx-fault'}
+    rest = b''      # what damage has left of a packet without its end: the next one joins it
     for event in journal:
         kind, t = event['ev'], event['t']
         if kind == 'rx-fault':
             came += _decoded(t, event['came'])
+            rest = (rest + bytes.fromhex(event['became'])).rpartition(b'\0')[2]
         elif kind == 'rx-lost':
             came += _decoded(t, event['data'], False)
         elif kind == 'calibrate' and event.get('kept'):
             came += _decoded(t, event['kept'], False)
-        elif kind == 'rx' and 'type' in event:
-            packet = Packet(t, event['type'], bytes.fromhex(event['data']))
-            if t not in damaged:
-                came.append(packet)
-            elif packet not in _decoded(t, damaged[t]['came']):
+        elif kind == 'rx' and t in damaged:
+            packet = _packet(event)
+            if packet and packet not in _decoded(t, damaged[t]['came']):
                 made.append(packet)
-        elif kind == 'rx' and t not in damaged:
-            came += _behind_damage(t, bytes.fromhex(event['raw']))
+        elif kind == 'rx':
+            packet = _packet(event)
+            raw = arduino.encode_raw(packet.type, packet.data) if packet else bytes.fromhex(
+                event['raw'])
+            if rest and raw.startswith(rest):
+                came += _decoded(t, raw[len(rest):].hex())
+                made += [packet] if packet else []
+            else:
+                came += [packet] if packet else _behind_damage(t, raw)
+            rest = b''
     return came, made
+
+
+def _packet(event: Dict) -> Optional[Packet]:
+    """Of an `rx`; None where the board made nothing of it."""
+    if 'type' not in event:
+        return None
+    return Packet(event['t'], event['type'], bytes.fromhex(event['data']))
 
 
 def _behind_damage(t: float, raw: bytes) -> List[Packet]:

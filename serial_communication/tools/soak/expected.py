@@ -19,6 +19,7 @@ _GYRO = 4000 / 65536 * pi / 180 * 25
 _ACCELERATION = 8 / 65536 * 9.81
 _GIVEN_UP = 0.05         # s after which a decoder drops what has begun
 _TOLERANCE = 0.01        # of a step
+_BESIDE = 0.02           # s that noise may have come before or after its note says
 _DECODERS = {'arduino': arduino.Decoder, 'mcu': mcu.Decoder, 'bus': bus.ReplyDecoder}
 
 
@@ -43,6 +44,7 @@ def arrivals(journal: List[Dict], kind: str) -> List[Arrival]:
     decoders = [(_DECODERS[kind](), _GIVEN_UP / 2), (_DECODERS[kind](), _GIVEN_UP * 4)]
     recent: Deque[Any] = deque(maxlen=50)     # what boards sent: finding that is no surprise
     out: List[Arrival] = []
+    wires: List[bytes] = []                   # of each in `out`
     ends: List[int] = []                      # of each in `out`: bytes of the line up to it
     last, total = 0.0, 0
     for event in journal:
@@ -79,14 +81,39 @@ def arrivals(journal: List[Dict], kind: str) -> List[Arrival]:
         total += len(wire)
         if before:
             out.append(Arrival(last, 0, None, False, 1, tuple(before)))
+            wires.append(b'')
             ends.append(total - len(wire))
         out.append(Arrival(event['t'], event.get('n', 0), own, event.get('ok', False),
                            event.get('copies', 1), tuple(made)))
+        wires.append(wire)
         ends.append(total)
         last = event['t']
         if longest and kind != 'arduino':
             _swallow(out, ends, total - longest - len(wire))
+    _shift_noise(out, wires, _DECODERS[kind])
     return out
+
+
+def _shift_noise(out: List[Arrival], wires: List[bytes], decoder: Callable[[], Any]) -> None:
+    """Noise is written beside the board: it may have come before any frame of about its time."""
+    for index, noise in enumerate(out):
+        if noise.own is not None or not wires[index]:
+            continue
+        first = last = index
+        while first > 0 and noise.t - out[first - 1].t <= _BESIDE:
+            first -= 1
+        while last + 1 < len(out) and out[last + 1].t - noise.t <= _BESIDE:
+            last += 1
+        for near in range(first, last + 1):
+            if out[near].own is None:
+                continue
+            before = b'' if near == 0 or out[near - 1].ok else wires[near - 1]
+            stream = before + wires[index] + wires[near]
+            found = {_of(frame) for start in range(len(stream) - len(wires[near]))
+                     for frame in decoder().feed(stream[start:]) if not frame.cause}
+            made = out[near].made + tuple(
+                found - {out[near].own, out[near - 1].own} - set(out[near].made))
+            out[near] = out[near]._replace(made=made)
 
 
 def _swallow(out: List[Arrival], ends: List[int], start: int) -> None:
