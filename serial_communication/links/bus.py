@@ -71,7 +71,7 @@ class BusLink(Link):
         """Send any request and wait for its outcome.
 
         It is sent again after a timeout only if `repeatable`. Answered within its timeout and
-        the time that it waited for its turn, which is at most `motion_timeout` (0.9 s if that
+        the time that it waited for its turn, which is at most `motion_timeout` (0.8 s if that
         is shorter).
         """
         if len(request.data) > bus.MAX_LENGTH:

@@ -26,7 +26,7 @@ from .sparing_log import SparingLog
 NOT_SENT = 253     # refused here: nothing left the port
 TIMEOUT = 254      # the outcome is unknown: executed once or not at all
 ECHO_TRIES = 3     # unanswered ECHOs before a SYNC and a silence take their place
-PATIENCE = 0.9     # s that a call waits for a link that serves nobody
+PATIENCE = 0.8     # s that a call waits for a link that serves nobody
 
 
 class Outcome(NamedTuple):

@@ -67,6 +67,7 @@ def judge(folder: str) -> List[Row]:
               for link in LINKS}
     calls = read_lines(path('calls.jsonl'))
     commands = read_lines(path('commands.jsonl'))
+    metronome = read_lines(path('metronome.jsonl'))
     exempt = {link: _exempt(link, events, journals[link], published, start, end)
               for link in LINKS}
     blind_replies = [frame.t for frame in frames['bus'] for made in frame.made
@@ -80,9 +81,9 @@ def judge(folder: str) -> List[Row]:
                      published, exempt)
     rows += check_motor(journals['arduino'], commands, _cuts(events, 'arduino'),
                         _bridge_calibrates(commands, published), published.beats,
+                        Intervals([(one['t'], one['t'] + one['late']) for one in metronome]),
                         SPEED_TIMEOUT, end)
-    rows += check_heartbeat(journals['arduino'], read_lines(path('metronome.jsonl')),
-                            published.beats, end)
+    rows += check_heartbeat(journals['arduino'], metronome, published.beats, end)
     rows += _of_link('mcu', 'every undamaged frame published once, in order', frames, published,
                      exempt)
     rows += _lost_frames(frames['mcu'], journals['mcu'], published, events)
