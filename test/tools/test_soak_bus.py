@@ -1,5 +1,5 @@
 """What callers were told against what the board did, sound and doctored."""
-from serial_communication.tools.soak.checks_bus import check_bus
+from serial_communication.tools.soak.check_bus import check_bus
 
 TIMEOUTS = {'lift': 0.5, 'gimbal': 0.5, 'raw': 0.3}
 LIFT = {'cmd1': 0x55, 'cmd2': 0x20}

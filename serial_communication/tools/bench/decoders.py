@@ -17,13 +17,8 @@ _KNOWN = {message.TYPE: message for message in (
     arduino.SteeringAngle, arduino.Ticks, arduino.Imu, arduino.Voltage)}
 
 
-class ByteMcu:
-    """STX LEN body ETX, a byte at a time."""
-
-    def __init__(self) -> None:
-        self._state = 'WAIT_STX'
-        self._buffer = bytearray()
-        self._length = 0
+class _ByteWise:
+    """What the three state machines share."""
 
     def feed(self, data: bytes) -> List[Any]:
         """The messages that are complete now."""
@@ -33,6 +28,19 @@ class ByteMcu:
             if message is not None:
                 messages.append(message)
         return messages
+
+    def _byte(self, byte: int) -> Any:
+        """The message that this byte completes, or None."""
+        raise NotImplementedError
+
+
+class ByteMcu(_ByteWise):
+    """STX LEN body ETX, a byte at a time."""
+
+    def __init__(self) -> None:
+        self._state = 'WAIT_STX'
+        self._buffer = bytearray()
+        self._length = 0
 
     def _byte(self, byte: int) -> Any:
         if self._state == 'WAIT_STX':
@@ -66,21 +74,12 @@ class ByteMcu:
         return message.unpack(payload)
 
 
-class ByteArduino:
+class ByteArduino(_ByteWise):
     """A byte at a time up to a 0x00, then COBS undone a byte at a time, as PacketSerial does."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
         self._overflow = False
-
-    def feed(self, data: bytes) -> List[Any]:
-        """The messages that are complete now."""
-        messages = []
-        for byte in data:
-            message = self._byte(byte)
-            if message is not None:
-                messages.append(message)
-        return messages
 
     def _byte(self, byte: int) -> Any:
         if byte == 0:
@@ -124,7 +123,7 @@ class ByteArduino:
         return None if implausible and implausible() else message
 
 
-class ByteBus:
+class ByteBus(_ByteWise):
     """Flag, Datelen, CMD1, DATE, Checksum of a reply, a byte at a time."""
 
     def __init__(self) -> None:
@@ -133,15 +132,6 @@ class ByteBus:
         self._length = 0
         self._cmd1 = 0
         self._data = bytearray()
-
-    def feed(self, data: bytes) -> List[Any]:
-        """The replies that are complete now."""
-        messages = []
-        for byte in data:
-            message = self._byte(byte)
-            if message is not None:
-                messages.append(message)
-        return messages
 
     def _byte(self, byte: int) -> Any:
         state = self._state

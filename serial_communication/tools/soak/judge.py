@@ -15,10 +15,11 @@ from serial_communication.msg import (Environment, McuStatus2, SerialMsg, Steeri
                                       Voltage)
 
 from .align import Sent
-from .checks import (check_heartbeat, check_level, check_log, check_lost_frames, check_motor,
-                     check_published, check_returns, closed_times, fault_times, log_lines,
-                     packets_of)
-from .checks_bus import check_bus, outcomes
+from .check_arduino import (check_heartbeat, check_motor, closed_times, fault_times,
+                            packets_of)
+from .check_bus import check_bus, outcomes
+from .check_frames import check_lost_frames, check_published
+from .check_node import check_level, check_log, check_returns, log_lines
 from .expected import NODE, TOPICS, Arrival, arrivals, expected
 from .records import Intervals, read_lines, read_messages
 from .run import PARAMETERS, SPEED_TIMEOUT

@@ -14,7 +14,7 @@ from typing import Any, Callable, Dict, List, Optional, Tuple
 
 import rosgraph
 
-from .checks import packets_of
+from .check_arduino import packets_of
 from .records import read_lines, read_messages
 from .stage import LINKS, Stage
 from .table import Row

@@ -1,68 +1,17 @@
-"""The invariants of the arduino and mcu links, of the node, and of its ports.
-
-Pure functions over records (see records.py): each returns rows of the table.
-"""
-import re
+"""The heartbeat and the motor, as the model car saw them. Pure functions over records (see
+records.py)."""
 from bisect import bisect_left, bisect_right
 from typing import Dict, Iterable, List, NamedTuple, Optional, Tuple
 
 from ...protocols import arduino
-from .align import Sent, align
 from .records import Intervals
 from .table import Row
 
 GAP = 0.030              # s without a heartbeat after which the board stops its motor
 LATE_ZERO = 0.050        # s that SPEED 0 may come later than speed_timeout
-RETURN = 1.5             # s from a port's return to data
 _CROSSING = 0.010        # s that a byte may take from one end of the line to the other
 _KEPT = 1.0              # s; a command that reaches the board later than this was kept
-_LOG_PERIOD = 10.0       # s from one line of a cause to the next
-_LOG_JITTER = 0.25       # s that a log's own clock may be off
 _CALIBRATION_CALL = 5.0  # s after a call in which the board's calibration is that call's
-
-
-# -- what was published ------------------------------------------------------------------------
-
-
-def check_published(group: str, says: str, topics: Dict[str, Tuple[List[Sent], List]],
-                    late: float = 3.0) -> Tuple[Row, int, int]:
-    """Every frame that has to be published was: once, in order, with its own values.
-
-    Args:
-        topics: by name, what was sent and the (stamp, key, time of arrival) of what was
-            published.
-
-    Returns:
-        The row, how many messages were published of damage that nobody can see, and how many
-        of frames whose own bytes were right but not those around them.
-    """
-    tries, worst, held, blind, maybe = 0, 0.0, 0.0, 0, 0
-    violations: List[Tuple[float, str]] = []
-    for name, (sent, published) in topics.items():
-        found = align(sent, published, late=late)
-        tries += sum(1 for one in sent if one.must)
-        violations += [(sent[i].t, '%s: frame %d was not published: %s'
-                        % (name, sent[i].n, sent[i].key)) for i in found.lost]
-        violations += [(published[j][0], '%s: published, but no frame says so: %s'
-                        % (name, published[j][1])) for j in found.extra]
-        held = max([held] + [one[2] - one[0] for one in published if len(one) > 2])
-        for i, j in found.pairs:
-            if sent[i].must and _lonely(sent, i):
-                worst = max(worst, published[j][0] - sent[i].t)
-            blind += sent[i].kind == 'blind'
-            maybe += sent[i].kind == 'maybe'
-    return Row(group, says, tries, sorted(violations),
-               '%.0f ms from the board to the stamp, %.0f ms on to a subscriber'
-               % (worst * 1e3, held * 1e3)), blind, maybe
-
-
-def _lonely(sent: List[Sent], i: int) -> bool:
-    """Whether no neighbour has the same value: only then is it sure which one was published."""
-    key = sent[i].key
-    return all(one.key != key for one in sent[max(i - 3, 0):i] + sent[i + 1:i + 4])
-
-
-# -- what the model car saw -----------------------------------------------------------------------
 
 
 class Packet(NamedTuple):
@@ -378,142 +327,3 @@ def _ran_on(journal: List[Dict], speeds: List[Packet], but: Intervals) -> List[f
 
 def _saturated(value: int) -> int:
     return min(max(value, -arduino.SPEED_LIMIT), arduino.SPEED_LIMIT)
-
-
-# -- the sensor board ------------------------------------------------------------------------------
-
-
-def check_lost_frames(received: List[Tuple[float, int, int, int]], resets: Intervals,
-                      counted: int) -> Row:
-    """The bridge counts the frames that it lost as the board counts those it sent.
-
-    Args:
-        received: (time, how often the port had gone before, n, seq) of each frame taken in.
-        counted: by the bridge in this time.
-    """
-    tries = expected = 0
-    violations = []
-    for (t0, cuts0, n0, seq0), (t1, cuts1, n1, seq1) in zip(received, received[1:]):
-        if cuts0 != cuts1:
-            continue
-        tries += 1
-        gap = (seq1 - seq0 - 1) % 256
-        expected += gap
-        if n0 < 0 or n1 < 0:
-            continue        # a frame of noise alone, which has the right checksum
-        if not resets.touches(t0, t1) and gap != n1 - n0 - 1:
-            violations.append((t1, 'SEQ says %d lost, the board sent %d in between'
-                               % (gap, n1 - n0 - 1)))
-    if counted != expected:
-        violations.append((received[-1][0] if received else 0.0,
-                           'the bridge counted %d lost frames, the board %d'
-                           % (counted, expected)))
-    return Row('mcu', 'lost frames are counted as the board counted them', tries, violations,
-               '%d lost' % expected)
-
-
-# -- the node -------------------------------------------------------------------------------------
-
-
-def check_level(usage: List[Dict], start: float, settled: float, end: float) -> List[Row]:
-    """Memory, threads and open files do not grow once the node has settled."""
-    rows = []
-    middle = (settled + end) / 2
-    for key, unit, slack in (('memory', 'MB', 4.0), ('threads', '', 4), ('files', '', 6)):
-        early = [one[key] for one in usage if settled <= one['t'] < middle]
-        later = [one[key] for one in usage if middle <= one['t'] <= end]
-        violations = []
-        worst = ''
-        if early and later:
-            growth = _median(later) - _median(early)
-            worst = '%.1f to %.1f %s, most %.1f' % (
-                _median(early), _median(later), unit, max(early + later))
-            if growth > slack:
-                violations.append((end, '%s grew by %.1f %s between the halves of the time after '
-                                   'the first %.0f s' % (key, growth, unit, settled - start)))
-        rows.append(Row('node', '%s level after the first %.0f s' % (
-            {'files': 'open files'}.get(key, key), settled - start), len(early) + len(later),
-            violations, worst.replace('  ', ' ').replace(' ,', ',')))
-    return rows
-
-
-def _median(values: List[float]) -> float:
-    return sorted(values)[len(values) // 2]
-
-
-_LINE = re.compile(r'\[.*?\]\[(\w+)\] (\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3}): (.*)')
-_NUMBERS = re.compile(r'\b(0x)?[0-9a-f]*\d[0-9a-f.]*\b|\b[0-9a-f]{6,}\b')
-
-
-def log_lines(text: str, seconds_of) -> List[Tuple[float, str, str]]:
-    """(time, severity, text) of each entry of a rospy log file."""
-    found = []
-    for line in text.splitlines():
-        match = _LINE.match(line)
-        if match:
-            found.append((seconds_of(match.group(2)), match.group(1), match.group(3)))
-    return found
-
-
-def cause_of(text: str) -> Tuple[str, str]:
-    """(link, cause) of a line of the bridge's: its words without what differs each time."""
-    link, _colon, rest = text.partition(': ')
-    if link not in ('bus', 'arduino', 'mcu'):
-        return '', _NUMBERS.sub('#', text)[:80]
-    rest = re.sub(r' \(and \d+ more like it\)$', '', rest)
-    if rest.startswith(('checksum', 'framing', 'length', 'unknown type', 'implausible',
-                        'oversize', 'out of step')):
-        return link, rest.split(':')[0]
-    rest = re.sub(r'^no reply to ".*" within', 'no reply within', rest)
-    rest = re.sub(r'^(speed|steering|LED) \S* ?refused: .*', r'\1 refused', rest)
-    return link, _NUMBERS.sub('#', rest)[:60]
-
-
-def check_log(lines: List[Tuple[float, str, str]]) -> List[Row]:
-    """No cause more than one line in 10 s per link; nothing that is a fault of the bridge's."""
-    last: Dict[Tuple[str, str], float] = {}
-    violations, faults, closest = [], [], 1e9
-    tries = said = 0
-    for t, _severity, text in lines:
-        if 'Traceback' in text or 'fault in the bridge' in text or 'the bridge is stuck' in text:
-            faults.append((t, text[:200]))
-        if text.startswith('arduino says: '):
-            said += 1
-            continue
-        link, cause = cause_of(text)
-        if not link:
-            continue
-        tries += 1
-        if (link, cause) in last:
-            gap = t - last[link, cause]
-            closest = min(closest, gap)
-            if gap < _LOG_PERIOD - _LOG_JITTER:
-                violations.append((t, '%.2f s after the one before: %s' % (gap, text[:150])))
-        last[link, cause] = t
-    return [Row('node', 'no cause has more than one log line in 10 s per link', tries, violations,
-                '%.1f s apart' % closest if closest < 1e9 else '',
-                note="the board's own log lines, %d of them, have a limit of their own" % said
-                if said else ''),
-            Row('node', 'no traceback, no link that gets stuck', len(lines), faults)]
-
-
-def check_returns(link: str, returns: List[Tuple[float, float]], data: List[float]) -> Row:
-    """Data flows again soon after a port's return.
-
-    Args:
-        returns: (when it came back and the board was there, until when it stayed).
-        data: when frames of this link were taken in, in order.
-    """
-    tries, worst, violations = 0, 0.0, []
-    for back, until in returns:
-        if until - back < RETURN:
-            continue
-        tries += 1
-        at = bisect_right(data, back)
-        took = data[at] - back if at < len(data) else 1e9
-        worst = max(worst, took)
-        if took > RETURN:
-            violations.append((back, 'no data for %s' % (
-                '%.2f s' % took if took < 1e9 else 'good')))
-    return Row('ports', 'data of the %s link within 1.5 s of its port\'s return' % link, tries,
-               violations, '%.2f s' % worst if tries and worst < 1e9 else '')

@@ -1,0 +1,73 @@
+"""What was published against what the boards sent. Pure functions over records (see records.py)."""
+from typing import Dict, List, Tuple
+
+from .align import Sent, align
+from .records import Intervals
+from .table import Row
+
+
+def check_published(group: str, says: str, topics: Dict[str, Tuple[List[Sent], List]],
+                    late: float = 3.0) -> Tuple[Row, int, int]:
+    """Every frame that has to be published was: once, in order, with its own values.
+
+    Args:
+        topics: by name, what was sent and the (stamp, key, time of arrival) of what was
+            published.
+
+    Returns:
+        The row, how many messages were published of damage that nobody can see, and how many
+        of frames whose own bytes were right but not those around them.
+    """
+    tries, worst, held, blind, maybe = 0, 0.0, 0.0, 0, 0
+    violations: List[Tuple[float, str]] = []
+    for name, (sent, published) in topics.items():
+        found = align(sent, published, late=late)
+        tries += sum(1 for one in sent if one.must)
+        violations += [(sent[i].t, '%s: frame %d was not published: %s'
+                        % (name, sent[i].n, sent[i].key)) for i in found.lost]
+        violations += [(published[j][0], '%s: published, but no frame says so: %s'
+                        % (name, published[j][1])) for j in found.extra]
+        held = max([held] + [one[2] - one[0] for one in published if len(one) > 2])
+        for i, j in found.pairs:
+            if sent[i].must and _lonely(sent, i):
+                worst = max(worst, published[j][0] - sent[i].t)
+            blind += sent[i].kind == 'blind'
+            maybe += sent[i].kind == 'maybe'
+    return Row(group, says, tries, sorted(violations),
+               '%.0f ms from the board to the stamp, %.0f ms on to a subscriber'
+               % (worst * 1e3, held * 1e3)), blind, maybe
+
+
+def _lonely(sent: List[Sent], i: int) -> bool:
+    """Whether no neighbour has the same value: only then is it sure which one was published."""
+    key = sent[i].key
+    return all(one.key != key for one in sent[max(i - 3, 0):i] + sent[i + 1:i + 4])
+
+
+def check_lost_frames(received: List[Tuple[float, int, int, int]], resets: Intervals,
+                      counted: int) -> Row:
+    """The bridge counts the frames that it lost as the board counts those it sent.
+
+    Args:
+        received: (time, how often the port had gone before, n, seq) of each frame taken in.
+        counted: by the bridge in this time.
+    """
+    tries = expected = 0
+    violations = []
+    for (t0, cuts0, n0, seq0), (t1, cuts1, n1, seq1) in zip(received, received[1:]):
+        if cuts0 != cuts1:
+            continue
+        tries += 1
+        gap = (seq1 - seq0 - 1) % 256
+        expected += gap
+        if n0 < 0 or n1 < 0:
+            continue        # a frame of noise alone, which has the right checksum
+        if not resets.touches(t0, t1) and gap != n1 - n0 - 1:
+            violations.append((t1, 'SEQ says %d lost, the board sent %d in between'
+                               % (gap, n1 - n0 - 1)))
+    if counted != expected:
+        violations.append((received[-1][0] if received else 0.0,
+                           'the bridge counted %d lost frames, the board %d'
+                           % (counted, expected)))
+    return Row('mcu', 'lost frames are counted as the board counted them', tries, violations,
+               '%d lost' % expected)

@@ -1,0 +1,114 @@
+"""The node: its memory, its log, its ports' return. Pure functions over records (see records.py)."""
+import re
+from bisect import bisect_right
+from typing import Dict, List, Tuple
+
+from .table import Row
+
+RETURN = 1.5             # s from a port's return to data
+_LOG_PERIOD = 10.0       # s from one line of a cause to the next
+_LOG_JITTER = 0.25       # s that a log's own clock may be off
+
+
+def check_level(usage: List[Dict], start: float, settled: float, end: float) -> List[Row]:
+    """Memory, threads and open files do not grow once the node has settled."""
+    rows = []
+    middle = (settled + end) / 2
+    for key, unit, slack in (('memory', 'MB', 4.0), ('threads', '', 4), ('files', '', 6)):
+        early = [one[key] for one in usage if settled <= one['t'] < middle]
+        later = [one[key] for one in usage if middle <= one['t'] <= end]
+        violations = []
+        worst = ''
+        if early and later:
+            growth = _median(later) - _median(early)
+            worst = '%.1f to %.1f %s, most %.1f' % (
+                _median(early), _median(later), unit, max(early + later))
+            if growth > slack:
+                violations.append((end, '%s grew by %.1f %s between the halves of the time after '
+                                   'the first %.0f s' % (key, growth, unit, settled - start)))
+        rows.append(Row('node', '%s level after the first %.0f s' % (
+            {'files': 'open files'}.get(key, key), settled - start), len(early) + len(later),
+            violations, worst.replace('  ', ' ').replace(' ,', ',')))
+    return rows
+
+
+def _median(values: List[float]) -> float:
+    return sorted(values)[len(values) // 2]
+
+
+_LINE = re.compile(r'\[.*?\]\[(\w+)\] (\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3}): (.*)')
+_NUMBERS = re.compile(r'\b(0x)?[0-9a-f]*\d[0-9a-f.]*\b|\b[0-9a-f]{6,}\b')
+
+
+def log_lines(text: str, seconds_of) -> List[Tuple[float, str, str]]:
+    """(time, severity, text) of each entry of a rospy log file."""
+    found = []
+    for line in text.splitlines():
+        match = _LINE.match(line)
+        if match:
+            found.append((seconds_of(match.group(2)), match.group(1), match.group(3)))
+    return found
+
+
+def cause_of(text: str) -> Tuple[str, str]:
+    """(link, cause) of a line of the bridge's: its words without what differs each time."""
+    link, _colon, rest = text.partition(': ')
+    if link not in ('bus', 'arduino', 'mcu'):
+        return '', _NUMBERS.sub('#', text)[:80]
+    rest = re.sub(r' \(and \d+ more like it\)$', '', rest)
+    if rest.startswith(('checksum', 'framing', 'length', 'unknown type', 'implausible',
+                        'oversize', 'out of step')):
+        return link, rest.split(':')[0]
+    rest = re.sub(r'^no reply to ".*" within', 'no reply within', rest)
+    rest = re.sub(r'^(speed|steering|LED) \S* ?refused: .*', r'\1 refused', rest)
+    return link, _NUMBERS.sub('#', rest)[:60]
+
+
+def check_log(lines: List[Tuple[float, str, str]]) -> List[Row]:
+    """No cause more than one line in 10 s per link; nothing that is a fault of the bridge's."""
+    last: Dict[Tuple[str, str], float] = {}
+    violations, faults, closest = [], [], 1e9
+    tries = said = 0
+    for t, _severity, text in lines:
+        if 'Traceback' in text or 'fault in the bridge' in text or 'the bridge is stuck' in text:
+            faults.append((t, text[:200]))
+        if text.startswith('arduino says: '):
+            said += 1
+            continue
+        link, cause = cause_of(text)
+        if not link:
+            continue
+        tries += 1
+        if (link, cause) in last:
+            gap = t - last[link, cause]
+            closest = min(closest, gap)
+            if gap < _LOG_PERIOD - _LOG_JITTER:
+                violations.append((t, '%.2f s after the one before: %s' % (gap, text[:150])))
+        last[link, cause] = t
+    return [Row('node', 'no cause has more than one log line in 10 s per link', tries, violations,
+                '%.1f s apart' % closest if closest < 1e9 else '',
+                note="the board's own log lines, %d of them, have a limit of their own" % said
+                if said else ''),
+            Row('node', 'no traceback, no link that gets stuck', len(lines), faults)]
+
+
+def check_returns(link: str, returns: List[Tuple[float, float]], data: List[float]) -> Row:
+    """Data flows again soon after a port's return.
+
+    Args:
+        returns: (when it came back and the board was there, until when it stayed).
+        data: when frames of this link were taken in, in order.
+    """
+    tries, worst, violations = 0, 0.0, []
+    for back, until in returns:
+        if until - back < RETURN:
+            continue
+        tries += 1
+        at = bisect_right(data, back)
+        took = data[at] - back if at < len(data) else 1e9
+        worst = max(worst, took)
+        if took > RETURN:
+            violations.append((back, 'no data for %s' % (
+                '%.2f s' % took if took < 1e9 else 'good')))
+    return Row('ports', 'data of the %s link within 1.5 s of its port\'s return' % link, tries,
+               violations, '%.2f s' % worst if tries and worst < 1e9 else '')
