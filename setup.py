@@ -2,7 +2,9 @@
 from catkin_pkg.python_setup import generate_distutils_setup
 from setuptools import setup
 
+FOLDERS = ('protocols', 'links', 'ros', 'simulation',
+           'tools', 'tools.bench', 'tools.demo', 'tools.soak')
+
 setup(**generate_distutils_setup(
-    packages=['serial_communication'] + ['serial_communication.' + name for name in (
-        'protocols', 'links', 'ros', 'simulation', 'tools', 'tools.bench', 'tools.soak')],
+    packages=['serial_communication'] + ['serial_communication.' + name for name in FOLDERS],
     package_dir={'': '.'}))

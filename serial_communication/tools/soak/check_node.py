@@ -1,4 +1,4 @@
-"""The node: its memory, its log, its ports' return. Pure functions over records (see records.py)."""
+"""The node: its memory, log and ports. Pure functions over records (see records.py)."""
 import re
 from bisect import bisect_right
 from typing import Dict, List, Tuple

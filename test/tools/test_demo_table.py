@@ -3,8 +3,8 @@ import io
 from types import SimpleNamespace as Message
 
 import pytest
-from serial_communication.tools import table
-from serial_communication.tools.table import LinkState, Screen, State
+from serial_communication.tools.demo import table, topics
+from serial_communication.tools.demo.table import LinkState, Screen, State
 
 COUNTERS = {'port': '/dev/ttyS0', 'state': 'open', 'frames received': '1234567',
             'frames sent': '7654321', 'bytes received': '1', 'bytes sent': '2',
@@ -114,7 +114,7 @@ def test_what_is_missing():
 
 
 def test_values_in_words():
-    words = {each.name: each.words for each in table.TOPICS}
+    words = {each.name: each.words for each in topics.TOPICS}
     level = Message(x=0.0, y=0.0, z=0.7071068, w=0.7071068)
     assert words['mcu/imu'](Message(orientation=level)) == 'rpy 0.0 0.0 90.0 deg'
     for metres, said in ((float('nan'), 'no reading'), (float('inf'), 'farther than 2.00 m'),
