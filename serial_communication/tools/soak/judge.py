@@ -92,7 +92,7 @@ def judge(folder: str) -> List[Row]:
     rows += [_returns(link, events, journals[link], published, end) for link in LINKS]
     settled = start + min(_SETTLING, (end - start) / 3)
     rows += check_level(read_lines(path('usage.jsonl')), start, settled, end)
-    over = max(event['t'] for event in events if event['ev'] in ('finish', 'bridge ended'))
+    over = max([end] + [event['t'] for event in events if event['ev'] == 'bridge ended'])
     rows += check_log([line for line in _log(folder, published.offset) if line[0] <= over])
     rows.append(_ending(events, journals['arduino'], end))
     return rows

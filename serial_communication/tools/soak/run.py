@@ -2,9 +2,9 @@
 
 All of it repeats every `CYCLE` seconds (less, if the campaign is shorter), seeded:
 
-    0.10 … 0.24  the mcu's port flaps, twice a second        0.30  a calibration
-    0.37 … 0.49  the bus's port flaps, twice a second        0.55 … 0.68  the arduino's goes, thrice
-    0.73         bus and mcu go for a second                 0.78  a calibration, and the port goes
+    0.02 … 0.26  the mcu's port flaps, twice a second        0.30  a calibration
+    0.34 … 0.54  the bus's port flaps, twice a second        0.58 … 0.69  the arduino's goes, thrice
+    0.75         bus and mcu go for a second                 0.79  a calibration, and the port goes
 
 and all the time one subscriber is stopped for seconds, two processes take what CPU they get, the
 boards have every fault they know, and noise comes on the lines.
@@ -141,17 +141,17 @@ class Campaign:
         def at(share: float) -> float:
             return start + share * cycle
 
-        self._flap('mcu', at(0.10), at(0.24))
+        self._flap('mcu', at(0.02), at(0.26))
         self._at(at(0.30), self._calibrate)
-        self._flap('bus', at(0.37), at(0.49))
+        self._flap('bus', at(0.34), at(0.54))
         # Each time for longer, and with the time to come back that is asked for.
-        for index, share in enumerate((0.55, 0.61, 0.68)):
+        for index, share in enumerate((0.58, 0.63, 0.69)):
             self._cut('arduino', at(share), (0.15, 0.5, 1.2)[index] * self._random.uniform(
                 0.7, 1.2), index == 1)
         for link in 'bus', 'mcu':
-            self._cut(link, at(0.73), 1.0, self._random.random() < 0.5)
-        self._at(at(0.78), self._calibrate)
-        self._cut('arduino', at(0.78) + self._random.uniform(0.3, 2.0), 0.8, True)
+            self._cut(link, at(0.75), 1.0, self._random.random() < 0.5)
+        self._at(at(0.79), self._calibrate)
+        self._cut('arduino', at(0.79) + self._random.uniform(0.3, 2.0), 0.8, True)
 
     def _at(self, when: float, action: Callable[[float], None]) -> None:
         heapq.heappush(self._due, (when, next(self._count), action))
