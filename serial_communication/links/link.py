@@ -61,6 +61,8 @@ class Link:
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name + ' link', daemon=True)
         self._reported_errors = 0
+        self._front: Optional[int] = None  # where the frame begins that is pending …
+        self._front_at = 0.0               # … and since when it does
 
     # -- hooks ------------------------------------------------------------------------
 
@@ -196,10 +198,11 @@ class Link:
         now = time.monotonic()
         self.opened(now)
         self.last_byte_at = now
+        self._front = None
         while not self._stopping.is_set():
             due = self.tick(now)
             if self.decoder.pending:
-                give_up = self.last_byte_at + self._frame_timeout
+                give_up = min(self.last_byte_at + self._frame_timeout, self._doubt_at(now))
                 due = give_up if due is None else min(due, give_up)
             data = self.port.read(None if due is None else due - now)
             stamp = self._clock()
@@ -210,6 +213,16 @@ class Link:
             elif self.decoder.pending and now >= self.last_byte_at + self._frame_timeout:
                 while self.decoder.pending:
                     self._deliver(self.decoder.give_up(), now)
+            if self.decoder.pending and now >= self._doubt_at(now):
+                self._front = None
+                self._deliver(self.decoder.doubt(), now)
+
+    def _doubt_at(self, now: float) -> float:
+        """When the frame that is pending has taken longer than its bytes do on the wire."""
+        front = self.decoder.front
+        if front != self._front:
+            self._front, self._front_at = front, now
+        return self._front_at + self._frame_timeout + self.decoder.needed * 10.0 / self.port.baud
 
     def take(self, data: bytes, stamp: Any, now: float) -> None:
         """Decode what was read and pass it on."""

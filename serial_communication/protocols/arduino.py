@@ -258,6 +258,7 @@ def encode_raw(type_: int, data: bytes) -> bytes:
 class _Decoder:
     """Packets ended by 0x00. The next packet after a bad one begins behind its 0x00."""
 
+    front = needed = 0    # of a pending packet nothing is known until its 0x00 …
     _messages: Dict[int, Any] = {}
 
     def __init__(self, check_plausibility: bool = True) -> None:
@@ -302,6 +303,10 @@ class _Decoder:
             frames.append(bad_frame(self._begun, FRAMING, 'a packet cut short'))
         self.reset()
         return frames
+
+    def doubt(self) -> List[Frame]:
+        """… so no packet is held back by another one."""
+        return []
 
     def _oversize(self, packet: bytes, frames: List[Frame], stamp: Any) -> None:
         self.errors[OVERSIZE] += 1

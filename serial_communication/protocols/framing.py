@@ -6,6 +6,7 @@ the stretch is and however many false starts lie in it. A failed check moves the
 one byte, not past the false frame, so a good frame that begins inside is found. A frame that
 had to wait behind a false start keeps the stamp of the read that brought its last byte.
 """
+import copy
 from collections import deque
 from typing import Any, Dict, List, NamedTuple
 
@@ -60,6 +61,10 @@ def running_xor(data: bytes, before: int) -> bytes:
     return (value & ((1 << bits) - 1)).to_bytes(size, 'little')
 
 
+def _has_good(frames: List[Frame]) -> bool:
+    return any(not frame.cause for frame in frames)
+
+
 class StreamDecoder:
     """The buffer, the counting and the resynchronising that checksummed framings share.
 
@@ -87,6 +92,16 @@ class StreamDecoder:
         """Whether a frame has begun and is not complete."""
         return bool(self._buffer)
 
+    @property
+    def front(self) -> int:
+        """Where in the stream the frame begins that is pending, in bytes received before it."""
+        return self._offset
+
+    @property
+    def needed(self) -> int:
+        """How many bytes that frame has, as far as is known yet."""
+        return self._need
+
     def feed(self, data: bytes, stamp: Any = None) -> List[Frame]:
         """Take bytes as they were read; return the frames, good and bad, now complete."""
         if not data:
@@ -110,6 +125,26 @@ class StreamDecoder:
         if self._offset >= self._blamed:
             self._failed(0, len(self._buffer), FRAMING, 'cut short')
         return self._run(1)
+
+    def doubt(self) -> List[Frame]:
+        """The frame at the front takes long: give it up if a sound one stands behind its start.
+
+        Else a false length would hold sound frames back for as long as others follow them.
+        """
+        if not self._buffer:
+            return []
+        other = copy.copy(self)
+        other.errors = dict(self.errors)
+        other.reset()
+        found = other.feed(bytes(self._buffer[1:]))
+        while other.pending and not _has_good(found):
+            found = other.give_up()
+        if not _has_good(found):
+            return []
+        frames = self.give_up()
+        while not _has_good(frames):
+            frames += self.give_up()
+        return frames
 
     def reset(self) -> None:
         """Forget what is pending, as after a reconnect; the counts stay."""

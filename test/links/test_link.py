@@ -175,3 +175,33 @@ def test_links_and_protocols_know_nothing_of_ros():
             if name.endswith('.py'):
                 with open(os.path.join(root, folder, name), encoding='utf-8') as file:
                     assert not imports.search(file.read()), name
+
+
+def test_a_false_start_holds_nothing_back_though_frames_keep_coming(line, logger, running):
+    """A length of 255 would take sixteen of these frames, and no pause between them ends it."""
+    taken = []
+    link = running(McuLink(Port(line.path), timeout=20.0, logger=logger,
+                           on_status=lambda message, seq, stamp: taken.append(seq)))
+    wait_for(lambda: link.port.is_open)
+    line.write(bytes((mcu.STX, 255)))
+    for seq in range(10):
+        if taken:
+            break
+        threading.Event().wait(0.04)     # under frame_timeout
+        line.write(mcu.encode(mcu.SensorStatus(400, 500, 1.0, 2.0, 3.0), seq))
+    wait_for(lambda: taken)
+    assert taken[0] == 0 and len(taken) < 10
+
+
+def test_a_frame_that_is_only_slow_is_waited_for(line, logger, running):
+    """It takes longer than frame_timeout in all, with never as long a pause."""
+    taken = []
+    link = running(McuLink(Port(line.path), timeout=20.0, logger=logger, frame_timeout=1.0,
+                           on_status=lambda message, seq, stamp: taken.append(seq)))
+    wait_for(lambda: link.port.is_open)
+    wire = mcu.encode(mcu.SensorStatus(400, 500, 1.0, 2.0, 3.0), 7)
+    for start in range(0, len(wire), 2):
+        threading.Event().wait(0.2)
+        line.write(wire[start:start + 2])
+    wait_for(lambda: taken)
+    assert taken == [7] and link.error_count() == 0

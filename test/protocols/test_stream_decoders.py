@@ -292,6 +292,48 @@ def test_false_starts_inside_a_false_start_are_given_up_one_by_one(kind):
     assert rounds == [[], [], [sample_wires(kind)[0]]]
 
 
+@every_checksummed
+def test_doubt_finds_the_frames_behind_a_false_start(kind):
+    wires = sample_wires(kind)
+    for starts in (1, 3):
+        decoder = kind.make()
+        assert good(decoder.feed(kind.false_start * starts + b''.join(wires))) == []
+        assert [frame.raw for frame in good(decoder.doubt())] == wires
+        assert not decoder.pending and decoder.errors[FRAMING] >= 1
+
+
+@every_checksummed
+def test_doubt_leaves_a_frame_alone_that_is_only_slow(kind):
+    wire = sample_wires(kind)[0]
+    for size in range(1, len(wire)):
+        decoder = kind.make()
+        decoder.feed(wire[:size])
+        before = dict(decoder.errors), decoder.front, decoder.needed
+        assert decoder.doubt() == [] and decoder.pending
+        assert (decoder.errors, decoder.front, decoder.needed) == before
+        assert [frame.raw for frame in decoder.feed(wire[size:])] == [wire]
+
+
+@every_checksummed
+def test_doubt_of_nothing(kind):
+    decoder = kind.make()
+    assert decoder.doubt() == []
+    decoder.feed(sample_wires(kind)[0])
+    assert decoder.doubt() == []
+
+
+@every_checksummed
+def test_the_front_moves_only_as_frames_are_decided(kind):
+    wire = sample_wires(kind)[0]
+    decoder = kind.make()
+    decoder.feed(wire + wire[:3])
+    assert decoder.front == len(wire)
+    decoder.feed(wire[3:4])
+    assert decoder.front == len(wire) and decoder.needed <= len(wire)
+    decoder.feed(wire[4:] + wire[:2])
+    assert decoder.front == 2 * len(wire)
+
+
 @pytest.mark.parametrize('kind, wire', [
     (BUS, bus.encode_reply(bus.Reply(bus.OK, b'\xa5\x5a\x11' * 20))),
     (BOARD_BUS, bus.encode_request(bus.Request(bus.ECHO, 0, b'\xa5\x5a\x11' * 20))),
