@@ -93,6 +93,7 @@ def test_every_decoder_is_timed():
         assert row['package']['MB/s'] > 0 and row['bytewise']['MB/s'] > 0
         if row['stream'] == 'clean':
             assert row['same messages']
+            assert row['at best'] > 0
 
 
 # -- what the boards send ---------------------------------------------------------------------
