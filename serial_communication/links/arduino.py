@@ -196,9 +196,9 @@ class ArduinoLink(Link):
     def _heartbeat(self) -> bool:
         # The same three bytes every time, and few lines: this runs a hundred times a second.
         try:
-            if self.tap or self._cut_off or self.heartbeats_sent % _BEATS_A_LOOK == 0:
-                if self.port.backlog() > _STALLED:
-                    self._unblock()
+            if self.heartbeats_sent % _BEATS_A_LOOK == 0 and self.port.backlog() > _STALLED:
+                self._unblock()
+            if self.tap or self._cut_off:
                 self._send(arduino.Heartbeat())
             else:
                 self.port.write(_HEARTBEAT)

@@ -24,6 +24,8 @@ GYRO_SCALE = 4000 / 65536 * pi / 180 * 25   # rad/s per LSB, found by experiment
 _QUATERNION = 1 / 16384
 _ACCELERATION = 8 / 65536 * 9.81        # m/s² per LSB
 _UNIT_SQUARED = 16384 ** 2
+_LEAST_SQUARED = 0.95 ** 2 * _UNIT_SQUARED    # of a quaternion that can be
+_MOST_SQUARED = 1.05 ** 2 * _UNIT_SQUARED
 
 _new = tuple.__new__                    # a NamedTuple without its constructor
 
@@ -193,8 +195,9 @@ class Imu(NamedTuple):
         return self.raw_temperature / 340 + 36.53
 
     def implausible(self) -> str:
-        square = self.qw ** 2 + self.qx ** 2 + self.qy ** 2 + self.qz ** 2
-        if 0.95 ** 2 * _UNIT_SQUARED <= square <= 1.05 ** 2 * _UNIT_SQUARED:
+        qw, qx, qy, qz = self[:4]
+        square = qw * qw + qx * qx + qy * qy + qz * qz
+        if _LEAST_SQUARED <= square <= _MOST_SQUARED:
             return ''
         return 'norm of the quaternion is %.3f' % (square / _UNIT_SQUARED) ** 0.5
 
