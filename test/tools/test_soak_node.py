@@ -19,6 +19,12 @@ def test_growing():
     assert len(level(lambda t: 40.0 + t)[0]) == 1
 
 
+def test_what_ports_take_as_they_come_and_go_is_no_growth():
+    usage = [{'t': float(t), 'memory': 40.0, 'threads': 20,
+              'files': 94 if t in (40, 41) or t > 66 else 86} for t in range(100)]
+    assert not any(row.violations for row in check_level(usage, 0.0, 33.0, 100.0))
+
+
 LOG = """\
 [rosout][WARNING] 2026-11-21 01:12:04,470: mcu: /tmp/x/mcu: there is no such device (and 15 more like it)
 [rosout][WARNING] 2026-11-21 01:12:05,172: bus: checksum: the checksum does not match: a502
