@@ -189,6 +189,15 @@ class TestMotor:
         found, _made = motor(journal, [told(5.9, 0x321), CALIBRATION])
         assert len(found['calibration']) == 1
 
+    def test_read_at_once_with_the_call_for_the_calibration(self):
+        calibrate = [{'t': 5.0, 'ev': 'calibrate', 'on': True}]
+        commands = [told(4.9, 0x321), CALIBRATION]
+        found, _made = motor([speed(5.0, 0x321)] + calibrate, commands)
+        assert found['calibration'] == []
+        found, _made = motor(calibrate + [
+            {'t': 5.0, 'ev': 'rx-lost', 'why': 'calibrating', 'data': '0404210300'}], commands)
+        assert len(found['calibration']) == 1
+
     def test_commanded_while_the_bridge_said_that_it_calibrates(self):
         found, _made = motor([speed(7.0, 300), speed(7.5, 0)], [told(6.9, 300), CALIBRATION],
                              bridge=[(4.95, 8.0)])

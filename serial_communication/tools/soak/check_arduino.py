@@ -238,6 +238,7 @@ def check_motor(journal: List[Dict], commands: List[Dict], unplugged: List[float
              and not entry['error']]
     deaf = Intervals([pair for pair in calibrations(journal, end)
                       if any(pair[0] - _CALIBRATION_CALL <= call <= pair[0] for call in calls)])
+    began = {start for start, _end in deaf.pairs}
     stalled = fault_times(journal, ('stall', 'reset'), 0.2)
     old, calibrating, uncommanded, zero_rows = [], [], [], []
     tries_old = tries_zero = 0
@@ -269,7 +270,8 @@ def check_motor(journal: List[Dict], commands: List[Dict], unplugged: List[float
             if cut < len(unplugged) and unplugged[cut] < packet.t:
                 old.append((packet.t, 'SPEED %d, commanded at %.3f; the port went at %.3f'
                             % (value, commanded, unplugged[cut])))
-            if deaf.holds(packet.t):
+            # What the board took in the same read as the call came before it.
+            if deaf.holds(packet.t) and not (packet.taken and packet.t in began):
                 calibrating.append((packet.t, 'SPEED %d reached the board while it calibrated'
                                     % value))
             elif bridge_calibrations.holds(commanded):
