@@ -19,8 +19,8 @@ _LAST_WORD = 0.1         # s that SPEED 0 has to leave the port at the end
 _HEARTBEAT = arduino.encode(arduino.Heartbeat())
 _BEATS_A_LOOK = 5        # heartbeats from one look at what waits in the kernel to the next
 _REALTIME_PRIORITY = 20
-_BOARD_LINES = 20        # log lines of the board's in a burst …
-_BOARD_LINE_RATE = 2.0   # … and a second after that
+_BOARD_LINES = 100       # log lines of the board's in a burst …
+_BOARD_LINE_RATE = 10.0  # … and a second after that
 
 
 class ArduinoSettings(NamedTuple):
@@ -111,22 +111,24 @@ class ArduinoLink(Link):
 
     def _command(self, message: Any) -> None:
         if self._finished:
-            raise Refused(f'{message} refused: the bridge is stopping')
+            raise Refused(f'{message} refused: the bridge is stopping', 'stopping')
         if self.calibrating:
             raise Refused(f'{message} refused: the IMU is being calibrated, '
-                          'which takes minutes')
+                          'which takes minutes', 'calibrating')
         try:
             message.pack()
         except (ValueError, struct.error) as error:
-            raise Refused('refused: %s' % error) from None
+            too_long = len(getattr(message, 'text', '')) > arduino.LED_LIMIT
+            raise Refused('refused: %s' % error, 'too long' if too_long else 'value') from None
         if self.port.backlog() > _STALLED:
-            raise Refused(f'{message} refused: the port takes no data')
+            raise Refused(f'{message} refused: the port takes no data', 'busy')
         try:
             self._send(message)
         except (PortBusy, PortError) as error:
-            if isinstance(error, PortBusy):
+            busy = isinstance(error, PortBusy)
+            if busy:
                 self._unblock()
-            raise Refused(f'{message} refused: {error}') from None
+            raise Refused(f'{message} refused: {error}', 'busy' if busy else 'port') from None
 
     def _send(self, message: Any) -> None:
         data = message.pack()
@@ -240,6 +242,7 @@ class ArduinoLink(Link):
                 try:
                     self._send(arduino.SpeedCommand(0))
                     self._moving = False
+                    self._say_later('moved', 'the car was moving when the port went: SPEED 0 sent')
                 except PortBusy:
                     pass    # the heartbeat's thread tries again
         self._open.set()
@@ -271,8 +274,8 @@ class ArduinoLink(Link):
                          % self.settings.calibration_timeout)
         return None
 
-    def idle(self, now: float) -> None:
-        self.tick(now)
+    def idle(self, now: float) -> Optional[float]:
+        return self.tick(now)
 
     def _calibrated(self, why: str) -> None:
         self.calibrating = False

@@ -95,11 +95,11 @@ class BusLink(Link):
             return Outcome(NOT_SENT, '%s; nothing was sent' % error)
         return self.request(request)
 
-    def _call(self, request: bus.Request, repeatable: bool) -> Call:
+    def _call(self, request: bus.Request, repeatable: bool, poll: bool = False) -> Call:
         settings = self.settings
         slow = request.cmd1 == bus.FUNCTION and request.cmd2 in _SLOW
         return Call(request, settings.motion_timeout if slow else settings.reply_timeout,
-                    repeatable, 1 + settings.retries, time.monotonic())
+                    repeatable, 1 + settings.retries, time.monotonic(), poll)
 
     # -- hooks --------------------------------------------------------------------------
 
@@ -110,8 +110,9 @@ class BusLink(Link):
     def closed(self, now: float) -> None:
         self.master.disconnected(now, self._trouble or 'the bridge is stopping')
 
-    def idle(self, now: float) -> None:
+    def idle(self, now: float) -> Optional[float]:
         self.master.tick(now)
+        return self.master.deadline()
 
     def received(self, frame: Frame, now: float) -> None:
         asked = self._asks_environment
@@ -172,8 +173,8 @@ class BusLink(Link):
             return
         self._next_poll = max(self._next_poll + period, now)
         if self._poll is None or self._poll.outcome is not None:
-            self._poll = self._call(bus.ENVIRONMENT_REQUEST, True)
-            self.master.submit(self._poll, poll=True)
+            self._poll = self._call(bus.ENVIRONMENT_REQUEST, True, poll=True)
+            self.master.submit(self._poll)
 
     # -- diagnostics --------------------------------------------------------------------
 

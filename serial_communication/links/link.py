@@ -5,6 +5,7 @@ import time
 import traceback
 from typing import Any, Callable, List, NamedTuple, Optional, Tuple
 
+from ..protocols.frame_timer import FrameTimer
 from ..protocols.framing import CHECKSUM, Frame
 from .port import Port, PortError
 from .sparing_log import SparingLog
@@ -18,7 +19,11 @@ Tap = Callable[[str, int, Frame], None]
 
 
 class Refused(Exception):
-    """A command was not sent; the text says why, for a person."""
+    """A command was not sent; the text says why, for a person, and `cause` in a word or two."""
+
+    def __init__(self, text: str, cause: str) -> None:
+        super().__init__(text)
+        self.cause = cause
 
 
 class Report(NamedTuple):
@@ -55,14 +60,13 @@ class Link:
         self.last_frame_at: Optional[float] = None   # monotonic
         self.last_byte_at = 0.0                      # monotonic
         self._clock = clock
-        self._frame_timeout = frame_timeout
+        self._timer = FrameTimer(decoder, frame_timeout, port.baud)
         self._connections = 0
         self._trouble = ''                 # why the port is closed
         self._stopping = threading.Event()
+        self._opening_done = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name + ' link', daemon=True)
         self._reported_errors = 0
-        self._front: Optional[int] = None  # where the frame begins that is pending …
-        self._front_at = 0.0               # … and since when it does
 
     # -- hooks ------------------------------------------------------------------------
 
@@ -91,6 +95,7 @@ class Link:
     def stop(self) -> None:
         """Begin to end; returns at once."""
         self._stopping.set()
+        self._opening_done.set()
         self.port.wake()
 
     def join(self, timeout: float = 1.0) -> None:
@@ -106,8 +111,9 @@ class Link:
         """Write one frame; PortError or PortBusy where it cannot be."""
         self.port.write(frame)
         self.frames_sent += 1
-        if self.tap:
-            self.tap(self.name, TX, Frame(frame, type_, command, data, message, self._clock()))
+        tap = self.tap      # another thread may take it away meanwhile
+        if tap:
+            tap(self.name, TX, Frame(frame, type_, command, data, message, self._clock()))
 
     # -- diagnostics ------------------------------------------------------------------
 
@@ -159,14 +165,15 @@ class Link:
     def _run(self) -> None:
         pause = _BACK_OFF[0]
         while not self._stopping.is_set():
-            try:
-                self.port.open()
-            except PortError as error:
-                self._trouble = str(error)
-                self.log.warn('closed', '%s: %s' % (self.port.url, error))
-                self._stopping.wait(pause)
+            trouble = self._open_port()
+            if self._stopping.is_set():
+                self.port.close()
+                break
+            if trouble:
+                self._trouble = trouble
+                self.log.warn('closed', '%s: %s' % (self.port.url, trouble))
+                self._pause(self._stopping, pause)
                 pause = min(pause * 2, _BACK_OFF[1])
-                self.idle(time.monotonic())
                 continue
             pause = _BACK_OFF[0]
             self._connections += 1
@@ -187,22 +194,57 @@ class Link:
                     self.log.error('fault', ''.join(traceback.format_exc()))
             self.port.close()
             self.closed(time.monotonic())
-            if not self._stopping.is_set():
-                self._stopping.wait(pause)
+            self._pause(self._stopping, pause)
 
-    def idle(self, now: float) -> None:
-        """The port is closed; called at every try to open it, at least once a second."""
+    def _open_port(self) -> str:
+        """Open the port; why it cannot be opened, or nothing.
+
+        A network port may take seconds, and some devices hang: the link lives on meanwhile.
+        """
+        trouble: List[str] = []
+        done = self._opening_done
+        done.clear()
+
+        def opening() -> None:
+            try:
+                self.port.open()
+            except PortError as error:
+                trouble.append(str(error))
+            except Exception as error:  # pylint: disable=broad-except
+                trouble.append('fault as it was opened: %r' % error)
+            done.set()
+            if self._stopping.is_set():
+                self.port.close()       # nobody waits for it any more
+
+        threading.Thread(target=opening, name=self.name + ' opening', daemon=True).start()
+        while not done.is_set() and not self._stopping.is_set():
+            self._pause(done, _BACK_OFF[1])
+        return trouble[0] if trouble else ''
+
+    def _pause(self, until: threading.Event, seconds: float) -> None:
+        """Wait; what is due by time meanwhile is done."""
+        now = time.monotonic()
+        end = now + seconds
+        while now < end and not until.is_set() and not self._stopping.is_set():
+            due = self.idle(now)
+            until.wait(max((end if due is None else min(due, end)) - now, 0.0))
+            now = time.monotonic()
+
+    def idle(self, now: float) -> Optional[float]:
+        """`tick` while the port is closed; asked at least once a second."""
+        return None
 
     def _serve(self) -> None:
         """Read until the port goes or the link stops."""
         now = time.monotonic()
         self.opened(now)
         self.last_byte_at = now
-        self._front = None
+        timer = self._timer
+        timer.reset()
         while not self._stopping.is_set():
             due = self.tick(now)
             if self.decoder.pending:
-                give_up = min(self.last_byte_at + self._frame_timeout, self._doubt_at(now))
+                give_up = timer.due(self.last_byte_at, now)
                 due = give_up if due is None else min(due, give_up)
             data = self.port.read(None if due is None else due - now)
             stamp = self._clock()
@@ -210,25 +252,15 @@ class Link:
             if data:
                 self.last_byte_at = now
                 self.take(data, stamp, now)
-            elif self.decoder.pending and now >= self.last_byte_at + self._frame_timeout:
-                while self.decoder.pending:
-                    self._deliver(self.decoder.give_up(), now)
-            if self.decoder.pending and now >= self._doubt_at(now):
-                self._front = None
-                self._deliver(self.decoder.doubt(), now)
-
-    def _doubt_at(self, now: float) -> float:
-        """When the frame that is pending has taken longer than its bytes do on the wire."""
-        front = self.decoder.front
-        if front != self._front:
-            self._front, self._front_at = front, now
-        return self._front_at + self._frame_timeout + self.decoder.needed * 10.0 / self.port.baud
+            if self.decoder.pending:
+                self._deliver(timer.overdue(self.last_byte_at, now), now)
 
     def take(self, data: bytes, stamp: Any, now: float) -> None:
         """Decode what was read and pass it on."""
         self._deliver(self.decoder.feed(data, stamp), now)
 
     def _deliver(self, frames: List[Frame], now: float) -> None:
+        tap = self.tap
         for frame in frames:
             if frame.cause:
                 self.log.warn(frame.cause, '%s: %s: %s' % (
@@ -238,5 +270,5 @@ class Link:
                 self.frames_received += 1
                 self.last_frame_at = now
                 self.received(frame, now)
-            if self.tap:
-                self.tap(self.name, RX, frame)
+            if tap:
+                tap(self.name, RX, frame)

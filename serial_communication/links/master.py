@@ -9,7 +9,7 @@ time it is, asks `next_request` what to send, and sleeps until `deadline`. The r
 4. What moves something, and raw requests, are sent again only where a reply said that nothing
    was executed.
    A board may also send INVALID for noise, and execute the request behind it: before a move is
-   sent again or given up, an ECHO must return. A reply that comes before it decides.
+   sent again or given up, an ECHO must return. After an OK that comes before it, nobody knows.
 5. Replies carry no number. After a timeout, a damaged reply or one that nobody asked for, the
    link is out of step: an ECHO with a fresh nonce goes out, and all is dropped until that very
    echo is back. A board that never echoes gets a SYNC and a silence instead.
@@ -17,7 +17,7 @@ time it is, asks `next_request` what to send, and sleeps until `deadline`. The r
 import os
 import threading
 from collections import deque
-from typing import Callable, Deque, List, NamedTuple, Optional, Tuple
+from typing import Callable, Deque, List, NamedTuple, Optional
 
 from ..protocols import robot_ctrl_bus as bus
 from ..protocols.framing import CHECKSUM, Frame
@@ -53,15 +53,17 @@ class Call:
         repeatable: whether it may be sent again when its outcome is unknown.
         tries: how often it may be sent in all.
         now: the time of the call.
+        poll: nobody waits for it: every other call goes first.
     """
 
     def __init__(self, request: bus.Request, timeout: float, repeatable: bool, tries: int,
-                 now: float) -> None:
+                 now: float, poll: bool = False) -> None:
         self.request = request
         self.timeout = timeout
         self.repeatable = repeatable
         self.tries = tries
         self.submitted = now
+        self.poll = poll
         self.setback: Optional[Outcome] = None   # how the try before this one ended
         self.doubtful = False    # whether that may have been said of noise, not of this
         self.outcome: Optional[Outcome] = None
@@ -127,7 +129,7 @@ class Master:
         self._log = log
         self._nonce = nonce
         self._connected = False
-        self._inbox: Deque[Tuple[Call, bool]] = deque()   # from other threads
+        self._inbox: Deque[Call] = deque()      # from other threads
         self._calls: Deque[Call] = deque()
         self._polls: Deque[Call] = deque()
         self._again: Optional[Call] = None      # goes first: it was sent, in vain
@@ -139,9 +141,9 @@ class Master:
 
     # -- calls ------------------------------------------------------------------------
 
-    def submit(self, call: Call, poll: bool = False) -> None:
+    def submit(self, call: Call) -> None:
         """Queue a call; any thread. The outcome arrives in the call."""
-        self._inbox.append((call, poll))
+        self._inbox.append(call)
 
     # -- what happened ------------------------------------------------------------------
 
@@ -169,11 +171,16 @@ class Master:
         reply = frame.message
         exchange = self._exchange
         again = self._again
-        if (again is not None and again.doubtful and reply.cmd1 != bus.INVALID
+        if (again is not None and again.doubtful and reply.cmd1 not in (bus.ERROR, bus.INVALID)
                 and _answers(reply, again.request)):
-            # So the INVALID was for noise: this is the reply.
+            # Either the INVALID was for noise and this is the reply, or this is another's.
             self._again = None
-            again.finish(_told(reply, again.request, now - again.submitted))
+            again.finish(_not_known(again.setback))
+        elif (reply.cmd1 == bus.INVALID and reply.error_code == bus.NOT_SYNCHRONISED
+                and (exchange is None or exchange.kind == _SILENCE)):
+            self._exchange = None
+            self.synchronised = False
+            self._out_of_step(f'{reply}')
         elif exchange is None:
             self._out_of_step(f'a reply that nobody asked for: {reply}')
         elif exchange.kind == _CALL:
@@ -321,7 +328,6 @@ class Master:
             self._unanswered_syncs = 0
             if not self.synchronised:
                 self.synchronised = True
-                self._unanswered_echoes = 0
             elif not self.in_step:
                 # In place of an echo: after this SYNC, a silence.
                 self._expect_silence(now)
@@ -334,11 +340,10 @@ class Master:
             self._echoes = True
             self._unanswered_echoes = 0
             self.in_step = True
-        elif reply.cmd1 == bus.INVALID:
-            self._exchange = None     # damaged on the way: again, with a fresh nonce
-            self._unanswered_echoes += 1
-            if reply.error_code == bus.NOT_SYNCHRONISED:
-                self.synchronised = False
+        elif reply.cmd1 == bus.INVALID and reply.error_code == bus.NOT_SYNCHRONISED:
+            self._exchange = None
+            self.synchronised = False
+            self._echo_unanswered()
 
     def _expect_silence(self, now: float) -> None:
         self._exchange = _Exchange(_SILENCE, bus.SYNC_REQUEST, now, now + self._reply_timeout)
@@ -356,11 +361,7 @@ class Master:
             self._unanswered_syncs += 1
             self._log.warn('no answer', 'the board does not answer SYNC; asking on')
         elif exchange.kind == _ECHO:
-            self._unanswered_echoes += 1
-            if self._unanswered_echoes == ECHO_TRIES:
-                self._log.warn('no echo', 'the board does not answer ECHO; a SYNC and %g s of '
-                               'silence take its place' % self._reply_timeout)
-                self._echoes = self._echoes or False
+            self._echo_unanswered()
         else:
             self._log.warn('timeout', f'no reply to "{exchange.request}" within '
                            f'{exchange.call.timeout:g} s')
@@ -372,6 +373,13 @@ class Master:
             else:
                 self._finish(exchange, now, outcome)
 
+    def _echo_unanswered(self) -> None:
+        self._unanswered_echoes += 1
+        if self._unanswered_echoes == ECHO_TRIES:
+            self._log.warn('no echo', 'the board does not answer ECHO; a SYNC and %g s of '
+                           'silence take its place' % self._reply_timeout)
+            self._echoes = self._echoes or False
+
     def _try_again(self, exchange: _Exchange, now: float, outcome: Outcome) -> None:
         """Once more, or tell the caller that this was the last try."""
         if exchange.call.tries:
@@ -382,8 +390,12 @@ class Master:
     def _hold(self, exchange: _Exchange, now: float, outcome: Outcome) -> None:
         self._exchange = None
         self._served_until = now
-        self._again = exchange.call
-        self._again.setback = outcome
+        call = exchange.call
+        call.setback = outcome
+        if call.poll:
+            self._polls.appendleft(call)    # behind every call
+        else:
+            self._again = call
 
     def _finish(self, exchange: _Exchange, now: float, outcome: Outcome) -> None:
         self._exchange = None
@@ -399,7 +411,7 @@ class Master:
     def _limit(self, call: Call) -> float:
         """Until when a queued call waits for its turn: not long for a board that is deaf."""
         if call.doubtful:
-            return self._served_until + call.timeout
+            return self._served_until + max(call.timeout, PATIENCE)
         turn = max(call.submitted, self._served_until if call.setback else 0.0) + self._turn
         serving = self._exchange is not None and self._exchange.kind == _CALL
         if serving or (self.in_step and self.synchronised and not call.setback):
@@ -410,8 +422,8 @@ class Master:
 
     def _take_in(self) -> None:
         while self._inbox:
-            call, poll = self._inbox.popleft()
-            (self._polls if poll else self._calls).append(call)
+            call = self._inbox.popleft()
+            (self._polls if call.poll else self._calls).append(call)
         if not self._connected:
             self._refuse_all('the port is closed')
 
@@ -445,12 +457,20 @@ class Master:
         """A queued call is not sent, or not sent again."""
         self._forget(call)
         if call.doubtful:
-            call.finish(Outcome(TIMEOUT, '%s; %s' % (call.setback.message, _UNKNOWN)))
+            call.finish(_not_known(call.setback))
+        elif call.request == bus.SYNC_REQUEST:
+            call.finish(call.setback or Outcome(NOT_SENT, why))     # the link's own may have left
         else:
             call.finish(call.setback or Outcome(NOT_SENT, '%s; nothing was sent' % why))
 
 
 _UNKNOWN = 'it is not known whether this was executed; look before you repeat it'
+
+
+def _not_known(invalid: Outcome) -> Outcome:
+    """Of an INVALID that may have been said of noise before the request."""
+    return Outcome(TIMEOUT, 'the board said INVALID (%s), perhaps of noise on the line: %s'
+                   % (bus.describe_error(invalid.error_code), _UNKNOWN), invalid.error_code)
 
 
 def _told(reply: bus.Reply, request: bus.Request, round_trip: float) -> Outcome:

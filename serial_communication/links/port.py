@@ -8,6 +8,7 @@ import errno
 import fcntl
 import io
 import os
+import re
 import select
 import struct
 import termios
@@ -31,11 +32,13 @@ class PortBusy(Exception):
 
 
 def check_url(url: str) -> None:
-    """Raise ValueError where pyserial knows no such kind of port. Opens nothing."""
+    """Raise ValueError where pyserial cannot make sense of it. Opens nothing."""
     try:
         serial.serial_for_url(url, do_not_open=True)
     except serial.SerialException:
         pass    # the kind is known, only the device is not there (hwgrep://)
+    except re.error as error:
+        raise ValueError('hwgrep:// takes a regular expression: %s' % error) from None
 
 
 class Port:
@@ -74,7 +77,8 @@ class Port:
             opened = serial.serial_for_url(self.url, do_not_open=True)
             opened.baudrate = self.baud
             opened.timeout = _SLICE
-            opened.write_timeout = _SLICE
+            if not self.url.startswith('rfc2217:'):     # which has none
+                opened.write_timeout = _SLICE
             if not self.url.startswith(('socket:', 'rfc2217:', 'loop:')):
                 opened.exclusive = True
             opened.open()

@@ -11,6 +11,7 @@ layout, its limits. Decisions where the source is silent: see "Protocols" in REA
 from math import isfinite, pi
 from struct import Struct
 from typing import Any, Dict, List, NamedTuple, Tuple
+from unicodedata import category
 
 from . import cobs
 from .framing import (FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN, Frame, bad_frame,
@@ -45,6 +46,12 @@ def _layout(type_: int, layout: str):
     return add
 
 
+def _readable(text: str) -> str:
+    """One line that harms no terminal."""
+    return ''.join(c if c.isprintable() or category(c) == 'Zs' else '\N{REPLACEMENT CHARACTER}'
+                   for c in text)
+
+
 class Log(NamedTuple):
     """DEBUG, INFO, WARN, ERROR (0 … 3), board -> us: a line for people."""
 
@@ -58,8 +65,7 @@ class Log(NamedTuple):
     def unpack(cls, severity: int, data: bytes) -> 'Log':
         """From the data, usually ended by 0x00."""
         text = data.split(b'\0', 1)[0].decode('utf-8', 'replace')
-        return cls(severity, ''.join(c if c.isprintable() else '\N{REPLACEMENT CHARACTER}'
-                                     for c in text.rstrip('\r\n')))
+        return cls(severity, _readable(text.rstrip('\r\n')))
 
     @property
     def TYPE(self) -> int:  # noqa: N802 - the type is the severity
@@ -110,17 +116,17 @@ class LedCommand(NamedTuple):
         """The data.
 
         Raises:
-            ValueError: too long, not ASCII, or with a character that does not print.
+            ValueError: too long, not ASCII, or with the NUL that would end it early.
         """
         if len(self.text) > LED_LIMIT:
             raise ValueError('LED text is %d characters long, may be at most %d'
                              % (len(self.text), LED_LIMIT))
-        if not (self.text.isascii() and self.text.isprintable()):
-            raise ValueError('LED text %r must be printable ASCII' % self.text)
+        if not self.text.isascii() or '\0' in self.text:
+            raise ValueError('LED text %r must be ASCII, without a NUL' % self.text)
         return self.text.encode('ascii') + b'\0'
 
     def __str__(self) -> str:
-        return 'LED %s' % self.text
+        return 'LED %s' % _readable(self.text)
 
 
 @_layout(7, '<H')

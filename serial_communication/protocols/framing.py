@@ -19,7 +19,7 @@ OVERSIZE = 'oversize'        # a packet longer than any packet may be
 
 _new = tuple.__new__
 
-MAX_REPORTED = 512  # bytes of noise that one bad frame quotes at most
+MAX_REPORTED = 1100  # more than any frame has; bytes of noise that one bad frame quotes at most
 
 
 class Frame(NamedTuple):

@@ -218,6 +218,10 @@ class _Decoder(StreamDecoder):
     def _message(self, commands: bytes, data: bytes) -> Any:
         raise NotImplementedError
 
+    def _command(self, commands: bytes) -> int:
+        """What `Frame.command` is to say."""
+        return 0
+
     def _short_end(self, start: int) -> int:
         """The end of a sound frame at `start` that is shorter than its Datelen says, or 0."""
         return 0
@@ -258,7 +262,7 @@ class _Decoder(StreamDecoder):
                     commands = bytes(buffer[payload - self._commands:payload])
                     data = bytes(buffer[payload:end - 1])
                     message = self._message(commands, data)
-                    self._good(at, end, commands[0], message.cmd2, data, message)
+                    self._good(at, end, commands[0], self._command(commands), data, message)
                     at = blamed = end
                     continue
                 cause, error = CHECKSUM, 'the checksum does not match'
@@ -295,6 +299,9 @@ class RequestDecoder(_Decoder):
 
     def _message(self, commands: bytes, data: bytes) -> Request:
         return Request(commands[0], commands[1], data)
+
+    def _command(self, commands: bytes) -> int:
+        return commands[1]
 
     def _short_end(self, start: int) -> int:
         end = start + len(self._ENVIRONMENT)

@@ -67,7 +67,7 @@ class ArduinoInterface:
         try:
             command(message)
         except Refused as refused:
-            self.link.log.warn(name + ' refused', str(refused))
+            self.link.log.warn('%s refused: %s' % (name, refused.cause), str(refused))
 
     def _calibrate(self, _request) -> EmptyResponse:
         try:

@@ -1,5 +1,5 @@
 """Angles into quaternions, and the frames that the sensors stand in."""
-from math import cos, sin
+from math import cos, sin, sqrt
 from typing import Dict, List, Sequence, Tuple
 
 import rospy
@@ -51,6 +51,10 @@ class OrientationBroadcaster:
         self._child = child
 
     def send(self, orientation: Sequence[float], stamp: rospy.Time) -> None:
-        """Quaternion x, y, z, w."""
+        """Quaternion x, y, z, w, of any length: tf2 takes none whose norm is off by 0.5 %."""
+        norm = sqrt(sum(part * part for part in orientation))
+        if not norm:
+            return
+        orientation = [part / norm for part in orientation]
         self._broadcaster.sendTransform(transform(self._parent, self._child, (0.0, 0.0, 0.0),
                                                   orientation, stamp))

@@ -65,11 +65,11 @@ class McuInterface:
             if self._orientation:
                 self._orientation.send(turned, stamp)
 
-    def _silent(self, kinds: set, seq: int, age: float) -> None:
+    def _silent(self, kind: Optional[type], seq: int, age: float) -> None:
         head = (rospy.Time.now(), seq, False, False, self._crc_errors(), age)
-        if mcu.AdcStatus in kinds:
+        if kind is mcu.AdcStatus:
             self._adc_status.publish(*head, *[_NOT_CONNECTED] * 6)
-        if mcu.SensorStatus in kinds or not kinds:
+        else:
             self._status.publish(*head, _NOT_CONNECTED, _NOT_CONNECTED, nan, nan, nan)
 
     def _crc_errors(self) -> int:

@@ -56,8 +56,7 @@ class ModelCar(Board):
     DELIMITER = b'\0'
 
     def __init__(self, calibration_time: float = 10.0, seed: int = 0) -> None:
-        super().__init__()
-        self.decoder = arduino.BoardDecoder()
+        super().__init__(arduino.BoardDecoder())
         self.motor_on = False
         self.command = 0           # the SPEED that the motor runs with, 0 if it is off
         self.velocity = 0.0        # m/s

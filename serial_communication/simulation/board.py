@@ -6,6 +6,7 @@ import time
 from typing import Any, Callable, Optional
 
 from ..links.port import Port, PortError
+from ..protocols.frame_timer import FrameTimer
 from ..protocols.framing import Frame
 from .line import Line
 
@@ -37,15 +38,19 @@ class Board:
     """Base of the boards: a state machine in the time that it is given. No I/O, no clock.
 
     A subclass overrides `power_on`, `power_off`, `frame` and `advance`.
+
+    Args:
+        decoder: of what it receives; None: it reads nothing.
     """
 
     NAME = ''
     CHATTER = b''                        # what it babbles at a reset
     DELIMITER: Optional[bytes] = None    # what has to stand before a frame for it to be found
 
-    def __init__(self) -> None:
+    def __init__(self, decoder: Any = None) -> None:
         self.line: Any = None            # set by the Line
-        self.decoder: Any = None         # of what it receives; None: it reads nothing
+        self.decoder = decoder
+        self._timer = FrameTimer(decoder, FRAME_TIMEOUT) if decoder is not None else None
         self._last_byte = 0.0
 
     # -- what happens to it ---------------------------------------------------------------
@@ -66,18 +71,12 @@ class Board:
 
     def tick(self, now: float) -> Optional[float]:
         """Do what is due; return when to be called next at the latest, or None."""
-        partial = None
-        if self.decoder is not None and self.decoder.pending:
-            partial = self._last_byte + FRAME_TIMEOUT
-            if now >= partial:
-                partial = None
-                while self.decoder.pending:
-                    for frame in self.decoder.give_up():
-                        self.frame(frame, now)
-        due = self.advance(now)
-        if partial is None or due is None:
-            return due if partial is None else partial
-        return min(due, partial)
+        if self._timer is None:
+            return self.advance(now)
+        for frame in self._timer.overdue(self._last_byte, now):
+            self.frame(frame, now)
+        times = [self.advance(now), self._timer.due(self._last_byte, now)]
+        return min((due for due in times if due is not None), default=None)
 
     # -- hooks ----------------------------------------------------------------------------
 

@@ -35,7 +35,6 @@ TILT_RANGE = (-45, 90)
 LIFT_SPEED = 100.0       # mm/s
 GIMBAL_SPEED = 90.0      # degrees/s
 
-_DECODED = 0xFFFF        # DATE bytes up to which a frame is recognised and refused as too long
 _QUOTED = 64             # bytes that the journal has of what is no sound request
 _MOST_QUEUED = 16        # requests that wait while a motion lasts; more are lost
 
@@ -84,7 +83,8 @@ class ControlBoard(Board):
 
     Args:
         lift_speed, gimbal_speed: mm/s and degrees/s.
-        max_length: DATE bytes; a longer request is refused with 0x20.
+        max_length: DATE bytes; a longer request is refused with 0x20, but one that says it is
+            longer than the protocol's 1024, too, is no frame.
         reply_has_cmd2: replies carry their request's CMD2.
         seed: of the air's noise.
     """
@@ -95,8 +95,7 @@ class ControlBoard(Board):
     def __init__(self, lift_speed: float = LIFT_SPEED, gimbal_speed: float = GIMBAL_SPEED,
                  max_length: int = bus.MAX_LENGTH, reply_has_cmd2: bool = False,
                  seed: int = 0) -> None:
-        super().__init__()
-        self.decoder = bus.RequestDecoder(_DECODED)
+        super().__init__(bus.RequestDecoder(max(bus.MAX_LENGTH, max_length)))
         self.lift = Axis(LIFT_START, LIFT_RANGE, lift_speed)
         self.pan = Axis(0, PAN_RANGE, gimbal_speed)
         self.tilt = Axis(0, TILT_RANGE, gimbal_speed)

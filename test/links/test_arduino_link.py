@@ -51,7 +51,7 @@ def test_a_speed_is_saturated_with_a_warning(board, open_link, lines, asked, sen
     assert bool(lines(str(asked))) == (asked != sent)
 
 
-@pytest.mark.parametrize('text', ['x' * 31, 'blinké', 'a\n', 'a\0'])
+@pytest.mark.parametrize('text', ['x' * 31, 'blinké', 'a\0'])
 def test_a_led_text_that_cannot_be_is_refused(board, open_link, text):
     link = open_link()
     with pytest.raises(Refused) as refused:
@@ -92,7 +92,7 @@ def test_the_boards_log_is_passed_on_sparingly(line, board, open_link, lines):
     assert said == [(2, 'hot')]
     line.write(arduino.encode(arduino.Log(0, 'again')) * 500)
     wait_for(lambda: link.frames_received >= 501)
-    assert 5 <= len(said) <= 60
+    assert 50 <= len(said) <= 200
     assert len(lines('logs too much')) == 1
 
 

@@ -120,6 +120,59 @@ def test_a_port_is_found_within_a_second_and_a_half_of_its_return(line, logger, 
     assert time.monotonic() - back < 1.5
 
 
+class _Odd(Port):
+    """A port whose opening does as the test says."""
+
+    def __init__(self, url, opening):
+        super().__init__(url)
+        self.opening = opening
+
+    def open(self):
+        self.opening()
+        super().open()
+
+
+def test_whatever_an_opening_raises_is_said_and_it_is_tried_again(line, logger, running, lines):
+    troubles = [NotImplementedError('odd'), KeyError('odder')]
+
+    def opening():
+        if troubles:
+            raise troubles.pop()
+
+    link = running(McuLink(_Odd(line.path, opening), logger=logger))
+    wait_for(lambda: link.port.is_open)
+    assert lines('odder')
+
+
+def test_a_port_that_hangs_as_it_opens_leaves_the_link_alive(line, logger, running):
+    free = threading.Event()
+    silences = []
+    link = running(McuLink(_Odd(line.path, free.wait), timeout=0.1, logger=logger,
+                           on_silence=lambda *told: silences.append(told)))
+    wait_for(lambda: len(silences) >= 2)
+    free.set()
+    wait_for(lambda: link.port.is_open)
+
+
+def test_a_port_that_hangs_as_it_opens_does_not_hold_up_the_end(line, logger):
+    free, entered = threading.Event(), threading.Event()
+
+    def opening():
+        entered.set()
+        free.wait()
+
+    link = McuLink(_Odd(line.path, opening), logger=logger)
+    link.start()
+    wait_for(entered.is_set)
+    begun = time.monotonic()
+    link.stop()
+    link.join()
+    assert time.monotonic() - begun < 1.0 and 'mcu link' not in threads()
+    free.set()
+    wait_for(lambda: 'mcu opening' not in threads())
+    assert not link.port.is_open, 'it opened for nobody, and stays closed'
+
+
 def test_noise_is_counted_reported_and_logged_sparingly(line, logger, running, lines):
     link = running(McuLink(Port(line.path), timeout=20.0, logger=logger))
     wait_for(lambda: link.port.is_open)

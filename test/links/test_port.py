@@ -6,6 +6,8 @@ import threading
 import time
 
 import pytest
+import serial
+import serial.rfc2217
 
 from boards import PATIENCE, Line, wait_for
 from serial_communication.links.port import Port, PortBusy, PortError, check_url
@@ -182,7 +184,7 @@ def test_a_port_is_opened_exclusively(port, line):
     again.close()
 
 
-@pytest.mark.parametrize('url', ['nonsense://x', 'sockets://localhost:1', '://'])
+@pytest.mark.parametrize('url', ['nonsense://x', 'sockets://localhost:1', '://', 'hwgrep://['])
 def test_an_unknown_kind_of_port_is_a_value_error(url):
     with pytest.raises(ValueError):
         check_url(url)
@@ -231,10 +233,13 @@ def fill(port, first=0):
 def test_a_full_buffer_never_makes_a_writer_wait(port):
     fill(port)
     begun = time.monotonic()
-    for _ in range(100):
-        with pytest.raises(PortBusy):
+    refused = 0
+    while refused < 100:        # the kernel may still move some bytes on, and take a few more
+        try:
             port.write(b'x' * 100)
-    assert time.monotonic() - begun < 2.0
+        except PortBusy:
+            refused += 1
+        assert time.monotonic() - begun < 2.0
 
 
 def test_a_frame_that_was_taken_in_part_is_completed_before_the_next(port, line):
@@ -377,6 +382,55 @@ def test_a_socket_that_nobody_serves_says_so(free_server):
     number = free_server.getsockname()[1]
     free_server.close()
     assert 'refused' in refusal('socket://127.0.0.1:%d' % number).lower()
+
+
+def test_a_port_by_rfc2217(free_server, line):
+    """Telnet with serial options, as ser2net speaks it."""
+    port = Port('rfc2217://127.0.0.1:%d' % free_server.getsockname()[1], 57600)
+    ended = threading.Event()
+
+    def serve():
+        peer, _ = free_server.accept()
+        with _Device(line.path, timeout=0.05) as device:
+            manager = serial.rfc2217.PortManager(device, _Connection(peer))
+            peer.settimeout(0.05)
+            while not ended.is_set():
+                peer.sendall(b''.join(manager.escape(device.read(device.in_waiting))))
+                try:
+                    device.write(b''.join(manager.filter(peer.recv(1024))))
+                except socket.timeout:
+                    pass
+        peer.close()
+
+    server = threading.Thread(target=serve, name='rfc2217 server', daemon=True)
+    server.start()
+    try:
+        port.open()
+        port.write(b'\xff\x00down')
+        assert line.read_all() == b'\xff\x00down'
+        line.write(b'\xff\x00up')
+        got = b''
+        while len(got) < 4:
+            got += port.read(PATIENCE)
+        assert got == b'\xff\x00up'
+    finally:
+        ended.set()
+        server.join()
+        port.close()
+
+
+class _Device(serial.Serial):
+    """A pty has no modem lines."""
+
+    cts = dsr = ri = cd = False
+    rts = dtr = True
+
+
+class _Connection:
+    """What a PortManager writes its own words to."""
+
+    def __init__(self, peer):
+        self.write = peer.sendall
 
 
 @pytest.fixture

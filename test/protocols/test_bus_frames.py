@@ -158,7 +158,7 @@ def test_a_reply_may_carry_cmd2():
     reply = bus.Reply(bus.OK, b'\1\2\3', 0x20)
     wire = bus.encode_reply(reply, has_cmd2=True)
     assert wire == xored(hexed('a5 03 02 20 01 02 03'))
-    check_case(BUS_CMD2, wire, reply, bus.OK, 0x20, b'\1\2\3')
+    check_case(BUS_CMD2, wire, reply, bus.OK, 0, b'\1\2\3')
     assert decode(BUS, wire)[0] == []
 
 

@@ -284,7 +284,7 @@ class Tuned(ArduinoTest):
         self.led.publish('x' * 31)
         ROSOUT.wait_for(self.node, '31 characters', Log.WARN)
         self.led.publish('bräke')
-        self.led.publish('no\nline')
+        ROSOUT.wait_for(self.node, 'must be ASCII', Log.WARN)      # for another reason: said, too
         self.led.publish('x' * 30)
         self.assertEqual(self.sent(1), [b'\x20\x06' + b'x' * 30 + b'\x01\x00'])
         self.board.wait_for_heartbeats(3)

@@ -89,6 +89,13 @@ class Frames(McuTest):
         self.assertLess(abs((rospy.Time.now() - status.stamp).to_sec()), 5.0)
         self.assertTrue(0.0 <= status.last_frame_age_sec < 1.0)
 
+    def test_a_board_that_sends_the_same_again_and_again_is_connected(self):
+        statuses = self.topic('status', McuStatus2)
+        for number in range(1, 31):
+            until(lambda: len(statuses.messages) >= number, 'the status',
+                  doing=lambda: self.board.write(SENSOR_FRAME), every=0.05)
+        self.assertTrue(all(m.connected for m in statuses.messages[1:]))
+
     def test_the_orientation_turns_counter_clockwise(self):
         for angles, expected in (
                 ((90.0, 0.0, 0.0), (0.0, 0.0, -HALF, HALF)),

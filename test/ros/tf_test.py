@@ -59,6 +59,12 @@ class TfTest(unittest.TestCase):
                                lambda: SENSORS.say(ranges(yaw=90.0)))
         self.assert_transform(found, 'head', (0, 0, 0), (0, 0, -HALF, HALF))
 
+    def test_a_quaternion_that_is_a_little_off_is_sent_as_tf2_takes_it(self):
+        topic = Topic('/tf', TFMessage)
+        packet = arduino.Imu(16000, 0, 0, 0, 0, 0, 0, 0, 0, 8192, 0)      # norm 0.977
+        found = self.transform(topic, '/moving', 'car_attitude', lambda: CAR.say(packet))
+        self.assert_transform(found, 'car_imu', (0, 0, 0), (0, 0, 0, 1))
+
     def test_without_publish_tf_nothing_is_said_of_orientations(self):
         topic = Topic('/tf', TFMessage)
         imu = Topic('/still/imu', Imu)

@@ -134,6 +134,16 @@ def test_too_long():
     assert ask(bench, bus.echo(bytes(300))) == [bus.Reply(bus.ECHO, bytes(300))]
 
 
+@pytest.mark.parametrize('start', ['5affff', '5a0104', '5a0004', 'a5fe'])
+def test_a_false_length_holds_no_request_for_long_though_others_follow(start):
+    bench = make()
+    bench.feed(bytes.fromhex(start))
+    for _ in range(10):
+        bench.run(0.03)
+        bench.feed(bus.encode_request(bus.echo(b'hello')))
+    assert bench.messages()[:3] == [bus.Reply(bus.ECHO, b'hello')] * 3
+
+
 def test_damaged_request_is_answered_once_after_quiet():
     bench = make()
     bench.feed(damaged(LIFT_10))

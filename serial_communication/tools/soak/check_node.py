@@ -59,7 +59,7 @@ def cause_of(text: str) -> Tuple[str, str]:
                         'oversize', 'out of step')):
         return link, rest.split(':')[0]
     rest = re.sub(r'^no reply to ".*" within', 'no reply within', rest)
-    rest = re.sub(r'^(speed|steering|LED) \S* ?refused: .*', r'\1 refused', rest)
+    rest = re.sub(r'^(speed|steering|LED) .*?refused: (.*)', r'\1 refused: \2', rest)
     return link, _NUMBERS.sub('#', rest)[:60]
 
 

@@ -1,0 +1,53 @@
+"""When a frame that stays incomplete is given up. Times come from the caller's one clock."""
+from typing import Any, List, Optional
+
+from .framing import Frame
+
+
+class FrameTimer:
+    """Watches one decoder; serves both ends of a line.
+
+    A frame is given up when no byte has come for `timeout`. It is doubted when it has taken
+    `timeout` longer than its bytes do on the wire although bytes keep coming: a false length
+    must not hold sound frames back for as long as others follow them.
+
+    Args:
+        decoder: whose pending frame is watched.
+        timeout: s without a byte.
+        baud: of the line.
+    """
+
+    def __init__(self, decoder: Any, timeout: float, baud: int = 115200) -> None:
+        self._decoder = decoder
+        self._timeout = timeout
+        self._seconds_a_byte = 10.0 / baud
+        self._front: Optional[int] = None  # where the frame begins that is pending …
+        self._front_at = 0.0               # … and since when it does
+
+    def reset(self) -> None:
+        """The line is another one."""
+        self._front = None
+
+    def due(self, last_byte: float, now: float) -> Optional[float]:
+        """When to ask `overdue` at the latest; None while nothing is pending."""
+        if not self._decoder.pending:
+            return None
+        return min(last_byte + self._timeout, self._doubt_at(now))
+
+    def overdue(self, last_byte: float, now: float) -> List[Frame]:
+        """What turns up, good and bad, when what has waited too long is given up."""
+        decoder = self._decoder
+        frames: List[Frame] = []
+        if now >= last_byte + self._timeout:
+            while decoder.pending:
+                frames += decoder.give_up()
+        elif decoder.pending and now >= self._doubt_at(now):
+            self._front = None
+            frames = decoder.doubt()
+        return frames
+
+    def _doubt_at(self, now: float) -> float:
+        front = self._decoder.front
+        if front != self._front:
+            self._front, self._front_at = front, now
+        return self._front_at + self._timeout + self._decoder.needed * self._seconds_a_byte
