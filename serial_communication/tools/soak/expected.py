@@ -6,7 +6,7 @@ float is turned back into what the board must have sent, and refused if it is no
 """
 import struct
 from collections import deque
-from math import cos, inf, isinf, isnan, pi, radians, sin
+from math import cos, inf, isinf, isnan, pi, radians, sin, sqrt
 from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional, Tuple
 
 from ...protocols import arduino, mcu
@@ -176,9 +176,14 @@ def _imu_sent(frame) -> Any:
     return values[:10] if values else None
 
 
-def _orientation_sent(frame) -> Any:
+def _attitude_sent(frame) -> Any:
+    """In ROS's axes, of norm 1 as tf2 wants it."""
     values = _unpack(frame, 9, '>11h')
-    return values[:4] if values else None
+    if not values or not any(values[:4]):
+        return None
+    w, x, y, z = values[:4]
+    norm = sqrt(w * w + x * x + y * y + z * z)
+    return _rounded(y / norm, -x / norm, z / norm, w / norm)
 
 
 def _temperature_sent(frame) -> Any:
@@ -301,8 +306,8 @@ TOPICS = (
     Topic('arduino', NODE + '/voltage', _one(10, '<f'), lambda m: m.value),
     Topic('arduino', NODE + '/ticks', _one(8, '<B'), lambda m: m.value),
     Topic('arduino', NODE + '/steering_angle', _one(7, '<H'), lambda m: m.value),
-    Topic('arduino', '/tf imu_orientation', _orientation_sent,
-          lambda m: _orientation(m.transforms[0].transform.rotation)),
+    Topic('arduino', '/tf imu_orientation', _attitude_sent,
+          lambda m: _turn_published(m.transforms[0].transform.rotation)),
     Topic('mcu', '/mcu/status', _status_sent, _status_published),
     Topic('mcu', '/mcu/range_1', _range_sent(0), _range_published),
     Topic('mcu', '/mcu/range_2', _range_sent(1), _range_published),
