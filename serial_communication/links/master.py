@@ -411,7 +411,8 @@ class Master:
     def _limit(self, call: Call) -> float:
         """Until when a queued call waits for its turn: not long for a board that is deaf."""
         if call.doubtful:
-            return self._served_until + max(call.timeout, PATIENCE)
+            return min(self._served_until + max(call.timeout, PATIENCE),
+                       call.submitted + self._turn + call.timeout)
         turn = max(call.submitted, self._served_until if call.setback else 0.0) + self._turn
         serving = self._exchange is not None and self._exchange.kind == _CALL
         if serving or (self.in_step and self.synchronised and not call.setback):

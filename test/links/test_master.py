@@ -891,6 +891,27 @@ def test_a_call_to_a_board_gone_deaf_is_answered_within_its_timeout_and_a_second
     assert session.now - submitted <= REPLY_TIMEOUT + 1.0 + 0.1
 
 
+def test_a_doubt_that_comes_late_ends_within_the_timeout_and_a_second(fresh):
+    fresh.master = Master(REPLY_TIMEOUT, PATIENCE, SparingLog('bus', logging.getLogger('session')),
+                          fresh._nonce)
+    session = fresh.connect()
+    session.call(LIFT)
+    session.ask()
+    call, submitted = session.call(RAW), session.now
+    session.later(PATIENCE - 0.1)
+    session.reply(OK_REPLY)
+    assert session.ask() == RAW
+    session.later(REPLY_TIMEOUT - 0.1)
+    session.reply(invalid(0x40))
+    while call.outcome is None:
+        asked = session.ask()
+        assert asked is None or asked.cmd1 == bus.ECHO
+        session.now = session.master.deadline()
+        session.later(0.0)
+    assert call.outcome.status == TIMEOUT
+    assert session.now - submitted <= REPLY_TIMEOUT + 1.0
+
+
 @MOVING_OR_RAW
 def test_a_caller_that_has_given_up_is_never_sent(session, request_):
     session.call(LIFT)

@@ -94,6 +94,11 @@ def test_frames_that_a_false_start_held_back_must_still_come():
     assert statuses(noise, status(1.0, 5), status(1.05, 6)) == [(5, True, 'ok'), (6, True, 'ok')]
 
 
+def test_noise_that_is_the_frame_before_once_more():
+    noise = {'t': 1.5, 'ev': 'chatter', 'wire': status(1.0, 9)['raw']}
+    assert statuses(status(1.0, 9), noise) == [(9, True, 'ok'), (9, False, 'blind')]
+
+
 def test_a_frame_in_noise():
     noise = {'t': 0.99, 'ev': 'chatter', 'wire': '02a5' + status(1.0, 9)['raw']}
     assert (9, False, 'blind') in statuses(noise)

@@ -74,8 +74,8 @@ def arrivals(journal: List[Dict], kind: str) -> List[Arrival]:
                         if found not in where:
                             where.append(found)
         if own is None:
-            # Noise: a decoder may begin to look anywhere in it.
-            for start in range(1, len(wire)):
+            # Noise: a decoder may begin to look anywhere in it. Random bytes can be a frame.
+            for start in range(len(wire)):
                 made += [_of(frame) for frame in _DECODERS[kind]().feed(wire[start:])
                          if not frame.cause and _of(frame) not in made]
         total += len(wire)
