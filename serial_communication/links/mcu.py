@@ -45,7 +45,6 @@ class McuLink(Link):
         self._last_at = 0.0                     # … and when it came
         now = time.monotonic()
         self._heard: Dict[Optional[type], _Heard] = {None: _Heard(0, now, now + timeout)}
-        self._due = now + timeout               # none of these is due earlier
 
     def opened(self, now: float) -> None:
         self._last = None
@@ -67,21 +66,17 @@ class McuLink(Link):
             self._heard.pop(None, None)
             self.log.info('talks', 'the board talks')
         self._heard[type(frame.message)] = _Heard(frame.command, now, now + self._timeout)
-        self._due = min(self._due, now + self._timeout)
         if self._on_status:
             self._on_status(frame.message, frame.command, frame.stamp)
 
     def tick(self, now: float) -> float:
-        if now < self._due:
-            return self._due
         for kind, (seq, at, due) in self._heard.items():
             if now >= due:
                 self._heard[kind] = _Heard(seq, at, max(due + _STATUS_PERIOD, now))
                 self._miss(now)
                 if self._on_silence:
                     self._on_silence(kind, seq, now - at)
-        self._due = min(heard.due for heard in self._heard.values())
-        return self._due
+        return min(heard.due for heard in self._heard.values())
 
     def _miss(self, now: float) -> None:
         if not self.silent and all(now >= heard.at + self._timeout

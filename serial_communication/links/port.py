@@ -20,7 +20,6 @@ import serial
 
 _READ_SIZE = 65536
 _READABLE = select.POLLIN | select.POLLHUP | select.POLLERR
-_WRITABLE, _INVALID = select.POLLOUT, select.POLLNVAL
 _SLICE = 0.05      # s
 _STALLED = 0.1     # s of wire time that wait to be sent as the port closes
 
@@ -134,23 +133,23 @@ class Port:
         fd = self._fd
         milliseconds = None if timeout is None else max(timeout, 0) * 1000
         try:
-            if self._rest or self._polls_output:
+            if bool(self._rest) != self._polls_output:
                 self._polls_output = bool(self._rest)
                 self._poll.modify(fd, select.POLLIN | select.POLLOUT if self._polls_output
                                   else select.POLLIN)
             ready = self._poll.poll(milliseconds)
             data = b''
             for descriptor, event in ready:
-                if descriptor != fd:
-                    os.read(descriptor, _READ_SIZE)     # a wake-up
+                if descriptor == self._wake_read:
+                    os.read(self._wake_read, _READ_SIZE)
                     continue
                 if event & _READABLE:
                     data = os.read(fd, _READ_SIZE)
                     if not data:
                         raise PortError('the device has gone')
-                if event & _INVALID:
+                if event & select.POLLNVAL:
                     raise PortError('the device has gone')
-                if event & _WRITABLE:
+                if event & select.POLLOUT:
                     with self._lock:
                         self._send_rest()
         except BlockingIOError:

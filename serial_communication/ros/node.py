@@ -5,7 +5,6 @@ import signal
 import sys
 import threading
 import time
-from typing import Callable
 
 import rospy
 
@@ -40,24 +39,20 @@ def main() -> None:
     rospy.spin()
 
 
-def _clock() -> Callable[[], rospy.Time]:
-    """What stamps each read: rospy.Time.now, or its like in a quarter of the time."""
-    if rospy.get_param('/use_sim_time', False):
-        return rospy.Time.now
-    new, wall_time = rospy.Time.__new__, time.time_ns
-
-    def now() -> rospy.Time:
-        stamp = new(rospy.Time)
-        stamp.secs, stamp.nsecs = divmod(wall_time(), 1000000000)
-        return stamp
-    return now
+def _now() -> rospy.Time:
+    """rospy.Time.now(), of a wall clock in a quarter of the time; it stamps every read."""
+    if not rospy.rostime.is_wallclock():
+        return rospy.Time.now()
+    stamp = rospy.Time.__new__(rospy.Time)
+    stamp.secs, stamp.nsecs = divmod(time.time_ns(), 1000000000)
+    return stamp
 
 
 class Bridge:
     """The links that have a port, and what belongs to all of them."""
 
     def __init__(self, p: dict) -> None:
-        arguments = {'frame_timeout': p['frame_timeout'], 'clock': _clock(),
+        arguments = {'frame_timeout': p['frame_timeout'], 'clock': _now,
                      'logger': logging.getLogger('rosout')}
         self._interfaces = [interface(p, **arguments) for name, interface in (
             ('bus', BusInterface), ('arduino', ArduinoInterface), ('mcu', McuInterface))

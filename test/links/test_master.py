@@ -34,12 +34,13 @@ def error(code):
 class Session:
     """A Master, its clock, and what it says."""
 
-    def __init__(self, caplog):
+    def __init__(self, caplog, motion_timeout=MOTION_TIMEOUT):
         caplog.set_level(logging.INFO)
         self._caplog = caplog
         self.now = 100.0
         self.nonces = []
-        self.master = Master(REPLY_TIMEOUT, MOTION_TIMEOUT, SparingLog(
+        self._motion_timeout = motion_timeout
+        self.master = Master(REPLY_TIMEOUT, motion_timeout, SparingLog(
             'bus', logging.getLogger('session'), clock=lambda: self.now), self._nonce)
 
     def _nonce(self):
@@ -50,7 +51,7 @@ class Session:
         """Submit a call as `BusLink` makes it."""
         slow = request.cmd2 in (bus.LIFT, bus.GIMBAL)
         repeatable = request.cmd1 in (bus.SYNC, bus.ECHO) or request == AIR
-        call = Call(request, MOTION_TIMEOUT if slow else REPLY_TIMEOUT, repeatable, tries,
+        call = Call(request, self._motion_timeout if slow else REPLY_TIMEOUT, repeatable, tries,
                     self.now, poll)
         self.master.submit(call)
         return call
@@ -891,10 +892,8 @@ def test_a_call_to_a_board_gone_deaf_is_answered_within_its_timeout_and_a_second
     assert session.now - submitted <= REPLY_TIMEOUT + 1.0 + 0.1
 
 
-def test_a_doubt_that_comes_late_ends_within_the_timeout_and_a_second(fresh):
-    fresh.master = Master(REPLY_TIMEOUT, PATIENCE, SparingLog('bus', logging.getLogger('session')),
-                          fresh._nonce)
-    session = fresh.connect()
+def test_a_doubt_that_comes_late_ends_within_the_timeout_and_a_second(caplog):
+    session = Session(caplog, PATIENCE).connect()
     session.call(LIFT)
     session.ask()
     call, submitted = session.call(RAW), session.now
