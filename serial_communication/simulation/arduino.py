@@ -15,6 +15,7 @@ IMU_CALIBRATION: the board is deaf and sends no IMU data for `calibration_time` 
 one can watch it; the real one takes over five minutes). What comes meanwhile waits in a receive
 buffer of 64 bytes, the rest is lost, and is read afterwards all at once, as on a real Nano.
 """
+import argparse
 import math
 from collections import deque
 from random import Random
@@ -22,7 +23,7 @@ from typing import Any, Deque, Optional
 
 from ..protocols import arduino
 from ..protocols.framing import Frame
-from .board import Board, Every
+from .board import Board, Every, positive
 
 HEARTBEAT_TIMEOUT = 0.03   # s
 BEAT = 0.01                # s
@@ -52,8 +53,24 @@ class ModelCar(Board):
     """
 
     NAME = 'arduino'
+    SUMMARY = 'model car: motor, servo, encoder, IMU, battery'
+    FAULTS = ('drop=0.001 cut=0.001 lose=0.001 flip=0.001 insert=0.001 double=0.001 '
+              'delay=6/min late=0.5/min '
+              'rx-drop=0.001 rx-lose=0.001 rx-flip=0.001 rx-insert=0.001 '
+              'silence=0.5/min stall=0.5/min reset=0.5/min')
+    MEASURES_PACE = True
     CHATTER = b'\x14\x10avrboot\r\n\xff\x1c\xe0'
     DELIMITER = b'\0'
+
+    @classmethod
+    def add_options(cls, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument('--calibration-time', type=positive, default=10.0, metavar='S',
+                            help='how long an IMU calibration takes (%(default)g; the real one: '
+                                 'over 300)')
+
+    @classmethod
+    def from_options(cls, options: argparse.Namespace) -> 'ModelCar':
+        return cls(options.calibration_time, options.seed)
 
     def __init__(self, calibration_time: float = 10.0, seed: int = 0) -> None:
         super().__init__(arduino.BoardDecoder())
@@ -274,3 +291,6 @@ def _quaternion(roll: float, pitch: float, yaw: float):
     cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
     return (sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy,
             cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy)
+
+
+BOARD = ModelCar

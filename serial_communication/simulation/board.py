@@ -1,4 +1,5 @@
 """What every simulated board has, and the runner that drives one on a port."""
+import argparse
 import math
 import os
 import threading
@@ -14,6 +15,18 @@ FRAME_TIMEOUT = 0.05     # s without a byte after which an incomplete frame is g
 _BACK_OFF = (0.1, 1.0)   # s from one try to open the port to the next: first, last
 _LATE = 0.01             # s; being woken later than this goes into the journal
 _REALTIME_PRIORITY = 10  # below the bridge's heartbeat
+
+
+def positive(text: str) -> float:
+    """An option's number above 0.
+
+    Raises:
+        argparse.ArgumentTypeError: it is none.
+    """
+    value = float(text)
+    if not 0 < value < float('inf'):
+        raise argparse.ArgumentTypeError(f'{text} is not above 0')
+    return value
 
 
 class Every:
@@ -37,15 +50,29 @@ class Every:
 class Board:
     """Base of the boards: a state machine in the time that it is given. No I/O, no clock.
 
-    A subclass overrides `power_on`, `power_off`, `frame` and `advance`.
+    A subclass overrides the hooks, says what it is in the attributes below, and stands as `BOARD`
+    in its module, whose docstring is its page of the simulator's --help.
 
     Args:
         decoder: of what it receives; None: it reads nothing.
     """
 
     NAME = ''
+    SUMMARY = ''                         # what it is, in a line of --help
+    FAULTS = ''                          # what ``--fault all`` is: see faults.py
+    READS = True                         # False: it only talks
+    MEASURES_PACE = False                # it has to be woken in time: a heartbeat, say
     CHATTER = b''                        # what it babbles at a reset
     DELIMITER: Optional[bytes] = None    # what has to stand before a frame for it to be found
+
+    @classmethod
+    def add_options(cls, parser: argparse.ArgumentParser) -> None:
+        """Its own options on the simulator's command line."""
+
+    @classmethod
+    def from_options(cls, options: argparse.Namespace) -> 'Board':
+        """The board that these options describe; `options.seed` is a number."""
+        return cls()
 
     def __init__(self, decoder: Any = None) -> None:
         self.line: Any = None            # set by the Line

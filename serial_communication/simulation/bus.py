@@ -18,6 +18,7 @@ answer, nor does what trails a sound request: the Master's timeout deals with th
     0x55 0xF0    keeps its DATE in a memory of its own and answers OK with the same DATE: a
                  function that no bridge knows, to try raw requests on
 """
+import argparse
 import math
 from collections import deque
 from random import Random
@@ -25,7 +26,7 @@ from typing import Any, Deque, NamedTuple, Optional, Tuple
 
 from ..protocols import robot_ctrl_bus as bus
 from ..protocols.framing import CHECKSUM, Frame
-from .board import FRAME_TIMEOUT, Board
+from .board import FRAME_TIMEOUT, Board, positive
 
 MEMORY = 0xF0            # CMD2 of the function that a bridge does not know
 LIFT_RANGE = (0, 1000)   # mm
@@ -90,7 +91,27 @@ class ControlBoard(Board):
     """
 
     NAME = 'bus'
+    SUMMARY = 'main control board: lift, gimbal, air'
+    FAULTS = ('drop=0.01 cut=0.01 lose=0.01 flip=0.01 insert=0.01 double=0.01 delay=0.01 '
+              'late=0.005 rx-drop=0.005 rx-lose=0.005 rx-flip=0.01 rx-insert=0.005 '
+              'silence=0.5/min stall=0.5/min reset=0.5/min')
     CHATTER = b'\r\nboot 1.4\r\nRAM ok\r\nlift: ok gimbal: ok\r\n'
+
+    @classmethod
+    def add_options(cls, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument('--lift-speed', type=positive, default=LIFT_SPEED, metavar='MM/S',
+                            help='how fast the lift moves (%(default)g)')
+        parser.add_argument('--gimbal-speed', type=positive, default=GIMBAL_SPEED,
+                            metavar='DEG/S', help='how fast the gimbal turns (%(default)g)')
+        parser.add_argument('--max-length', type=_length, default=bus.MAX_LENGTH, metavar='N',
+                            help='longest DATE that it accepts (%(default)d)')
+        parser.add_argument('--reply-has-cmd2', action='store_true',
+                            help="replies carry their request's CMD2")
+
+    @classmethod
+    def from_options(cls, options: argparse.Namespace) -> 'ControlBoard':
+        return cls(options.lift_speed, options.gimbal_speed, options.max_length,
+                   options.reply_has_cmd2, options.seed)
 
     def __init__(self, lift_speed: float = LIFT_SPEED, gimbal_speed: float = GIMBAL_SPEED,
                  max_length: int = bus.MAX_LENGTH, reply_has_cmd2: bool = False,
@@ -261,3 +282,13 @@ def _invalid(code: int) -> bus.Reply:
 
 def _error(code: int) -> bus.Reply:
     return bus.Reply(bus.ERROR, code.to_bytes(2, 'little'))
+
+
+def _length(text: str) -> int:
+    value = int(text)
+    if not 0 < value <= bus.MAX_LENGTH:
+        raise argparse.ArgumentTypeError(f'{text} is not 1 to {bus.MAX_LENGTH}')
+    return value
+
+
+BOARD = ControlBoard

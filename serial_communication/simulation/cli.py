@@ -7,17 +7,16 @@ import sys
 import threading
 import time
 from random import SystemRandom
-from typing import Any, List, Optional
+from typing import Any, List, Optional, Type
 
+from ..boards import BOARDS, board_module
 from ..links.port import Port, check_url
-from ..protocols import robot_ctrl_bus
-from . import arduino, bus, faults, mcu
-from .board import Runner
+from . import faults
+from .board import Board, Runner, positive
 from .journal import Journal
 
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _BURST, _RATE = 20, 2.0      # lines for people: in a burst, and a second after that
-
 _LONGEST = 150               # characters of one
 
 _EXAMPLES = """\
@@ -28,6 +27,7 @@ examples:
   simulator arduino --port /tmp/ttyV3 --calibration-time 60
   simulator mcu --port /tmp/ttyV5 --adc --rate 50 --journal mcu.jsonl
   simulator arduino --port /tmp/ttyV3 --fault all --seed 7
+  simulator my_package.my_board --port /tmp/ttyV7     another package's: its module with `BOARD`
 
 It waits for a port that is absent and comes back to one that vanished. Ctrl-C ends it.
 """
@@ -45,8 +45,8 @@ def main(arguments: Optional[List[str]] = None) -> int:
     # Threads inherit the mask, so that only sigwait below takes these signals.
     signal.pthread_sigmask(signal.SIG_BLOCK, _STOPS)
     sabotage = faults.Faults(options.rates, options.seed)
-    board = _board(options)
-    runner = Runner(board, Port(options.port, options.baud), say, board.NAME == 'arduino',
+    board = options.board_class.from_options(options)
+    runner = Runner(board, Port(options.port, options.baud), say, board.MEASURES_PACE,
                     faults=sabotage, journal=journal,
                     baud=options.baud if options.baud_pace else 0)
     rates = {name: str(rate) for name, rate in options.rates.items()}
@@ -86,15 +86,6 @@ def _run(runner: Runner, status: List[int]) -> None:
         status.append(1)
         os.kill(os.getpid(), signal.SIGTERM)    # wakes the main thread
         raise
-
-
-def _board(options: argparse.Namespace) -> Any:
-    if options.board == 'bus':
-        return bus.ControlBoard(options.lift_speed, options.gimbal_speed, options.max_length,
-                                options.reply_has_cmd2, options.seed)
-    if options.board == 'arduino':
-        return arduino.ModelCar(options.calibration_time, options.seed)
-    return mcu.SensorBoard(options.rate, options.adc, options.seed)
 
 
 class _Voice:
@@ -143,25 +134,18 @@ def _parse(arguments: List[str]) -> argparse.Namespace:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         description='A simulated board on a serial port, for trying a bridge without hardware.')
     boards = parser.add_subparsers(dest='board', metavar='BOARD', required=True)
-    one = _add(boards, 'bus', bus, 'main control board: lift, gimbal, air')
-    one.add_argument('--lift-speed', type=_positive, default=bus.LIFT_SPEED, metavar='MM/S',
-                     help='how fast the lift moves (%(default)g)')
-    one.add_argument('--gimbal-speed', type=_positive, default=bus.GIMBAL_SPEED, metavar='DEG/S',
-                     help='how fast the gimbal turns (%(default)g)')
-    one.add_argument('--max-length', type=_max_length, default=robot_ctrl_bus.MAX_LENGTH,
-                     metavar='N', help='longest DATE that it accepts (%(default)d)')
-    one.add_argument('--reply-has-cmd2', action='store_true',
-                     help="replies carry their request's CMD2")
-    one = _add(boards, 'arduino', arduino, 'model car: motor, servo, encoder, IMU, battery')
-    one.add_argument('--calibration-time', type=_positive, default=10.0, metavar='S',
-                     help='how long an IMU calibration takes (%(default)g; the real one: over 300)')
-    one = _add(boards, 'mcu', mcu, 'sensor board: two ranges and orientation, or six ADC channels')
-    one.add_argument('--rate', type=_positive, default=mcu.RATE, metavar='HZ',
-                     help='frames a second (%(default)g)')
-    one.add_argument('--adc', action='store_true', help='be the board with six ADC channels')
+    for name in (*BOARDS, *_of_another_package(arguments)):
+        try:
+            module = board_module('simulation', name)
+        except ImportError as error:
+            parser.error(f'there is no board {name}, only {", ".join(BOARDS)}; and as the module '
+                         f'of another package: {error}')
+        if not hasattr(module, 'BOARD'):
+            parser.error(f'the module {name} has no BOARD, so it is none of a simulated board')
+        _add(boards, name, module.BOARD, module.__doc__)
     options = parser.parse_args(arguments)
     try:
-        options.rates = faults.parse(options.fault, options.board)
+        options.rates = faults.parse(options.fault, options.board_class)
     except ValueError as error:
         parser.error(str(error))
     if options.seed is None:
@@ -169,10 +153,17 @@ def _parse(arguments: List[str]) -> argparse.Namespace:
     return options
 
 
-def _add(boards: Any, name: str, module: Any, summary: str) -> argparse.ArgumentParser:
+def _of_another_package(arguments: List[str]) -> List[str]:
+    """The module that the first argument names, if it names one."""
+    return [name for name in arguments[:1] if re.fullmatch(r'\w+(\.\w+)*', name)
+            and name not in BOARDS]
+
+
+def _add(boards: Any, name: str, board: Type[Board], page: str) -> None:
     parser = boards.add_parser(
-        name, help=summary, formatter_class=argparse.RawDescriptionHelpFormatter,
-        description=module.__doc__, epilog=_fault_help(name))
+        name, help=board.SUMMARY, formatter_class=argparse.RawDescriptionHelpFormatter,
+        description=page, epilog=_fault_help(board))
+    parser.set_defaults(board_class=board)
     parser.add_argument('--port', required=True, type=_port,
                         help='a device, or whatever pyserial opens')
     parser.add_argument('--baud', type=int, default=115200, help='(%(default)d)')
@@ -185,18 +176,18 @@ def _add(boards: Any, name: str, module: Any, summary: str) -> argparse.Argument
     parser.add_argument('--journal', metavar='FILE',
                         help='append what happens, a JSON object a line (described in '
                              'serial_communication/simulation/journal.py)')
-    parser.add_argument('--duration', type=_positive, metavar='S', help='end after that')
-    return parser
+    parser.add_argument('--duration', type=positive, metavar='S', help='end after that')
+    board.add_options(parser)
 
 
-def _fault_help(board: str) -> str:
+def _fault_help(board: Type[Board]) -> str:
     lines = ['faults: KIND=RATE[:SECONDS], as flip=0.01 (of a hundred frames one) or '
              'silence=2/min:0.5-2']
     for name, kind in faults.KINDS.items():
         if faults.fits(name, board):
             lasts = ' (%g-%g s)' % kind.seconds if kind.seconds else ''
             lines.append('  %-10s %s%s' % (name, kind.text, lasts))
-    mix = faults.MIXES[board].split()
+    mix = board.FAULTS.split()
     lines.append('  %-10s %s' % ('all', ' '.join(mix[:6])))
     lines += ['  %-10s %s' % ('', ' '.join(mix[at:at + 6])) for at in range(6, len(mix), 6)]
     return '\n'.join(lines)
@@ -210,17 +201,3 @@ def _port(text: str) -> str:
     if not text:
         raise argparse.ArgumentTypeError('is empty')
     return text
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0 < value < float('inf'):
-        raise argparse.ArgumentTypeError('%s is not above 0' % text)
-    return value
-
-
-def _max_length(text: str) -> int:
-    value = int(text)
-    if not 0 < value <= robot_ctrl_bus.MAX_LENGTH:
-        raise argparse.ArgumentTypeError('%s is not 1 to %d' % (text, robot_ctrl_bus.MAX_LENGTH))
-    return value

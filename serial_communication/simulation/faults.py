@@ -2,7 +2,7 @@
 
 A fault is written KIND=RATE[:SECONDS]. RATE is a probability for each frame (0.01) or a number
 of events a minute (2/min). SECONDS, for the kinds that last, is a number or a range (0.5-2).
-``all`` is a mix of all kinds that fit the board (`MIXES`); a later KIND=RATE changes one of it.
+``all`` is the board's own mix of the kinds that fit it; a later KIND=RATE changes one of it.
 
 The n-th frame of two runs with one seed meets the same faults: each kind has random numbers of
 its own and takes the same number of them for each frame. A frame is changed by one kind at most
@@ -10,7 +10,7 @@ its own and takes the same number of them for each frame. A frame is changed by 
 """
 import re
 from random import Random
-from typing import Dict, Iterable, List, NamedTuple, Optional, Tuple
+from typing import Dict, Iterable, List, NamedTuple, Optional, Protocol, Tuple
 
 SENT, RECEIVED, EVENT = 'sent', 'received', 'event'
 
@@ -41,20 +41,7 @@ KINDS: Dict[str, Kind] = {
     'reset': Kind(EVENT, 'the board restarts with a babble and has forgotten all', (0.3, 1.0)),
 }
 
-MIXES: Dict[str, str] = {
-    'bus': 'drop=0.01 cut=0.01 lose=0.01 flip=0.01 insert=0.01 double=0.01 delay=0.01 late=0.005 '
-           'rx-drop=0.005 rx-lose=0.005 rx-flip=0.01 rx-insert=0.005 '
-           'silence=0.5/min stall=0.5/min reset=0.5/min',
-    'arduino': 'drop=0.001 cut=0.001 lose=0.001 flip=0.001 insert=0.001 double=0.001 '
-               'delay=6/min late=0.5/min '
-               'rx-drop=0.001 rx-lose=0.001 rx-flip=0.001 rx-insert=0.001 '
-               'silence=0.5/min stall=0.5/min reset=0.5/min',
-    'mcu': 'drop=0.005 cut=0.005 lose=0.005 flip=0.01 insert=0.005 double=0.005 '
-           'delay=6/min late=0.5/min silence=0.5/min reset=0.5/min',
-}
-
 _RATE = re.compile(r'([a-z-]+)=(\d*\.?\d+)(/min)?(?::(\d*\.?\d+)(?:-(\d*\.?\d+))?)?$')
-_DEAF = ('mcu',)    # boards that never read
 
 
 class Rate(NamedTuple):
@@ -71,7 +58,15 @@ class Rate(NamedTuple):
         return '%s:%g-%g' % ((often,) + self.seconds)
 
 
-def parse(texts: Iterable[str], board: str) -> Dict[str, Rate]:
+class Target(Protocol):
+    """What a board says of itself to whom faults are to happen."""
+
+    NAME: str
+    FAULTS: str    # its mix for ``all``
+    READS: bool    # False: it never reads, so it cannot misread
+
+
+def parse(texts: Iterable[str], board: Target) -> Dict[str, Rate]:
     """From what stands behind each ``--fault``.
 
     Raises:
@@ -79,7 +74,7 @@ def parse(texts: Iterable[str], board: str) -> Dict[str, Rate]:
     """
     rates: Dict[str, Rate] = {}
     for text in texts:
-        for part in (MIXES[board].split() if text == 'all' else [text]):
+        for part in (board.FAULTS.split() if text == 'all' else [text]):
             kind, rate = _parse_one(part, board)
             if rate.probability or rate.per_minute:
                 rates[kind] = rate
@@ -88,12 +83,12 @@ def parse(texts: Iterable[str], board: str) -> Dict[str, Rate]:
     return rates
 
 
-def fits(name: str, board: str) -> bool:
+def fits(name: str, board: Target) -> bool:
     """Whether that kind makes sense for this board: one that reads nothing cannot misread."""
-    return board not in _DEAF or not (KINDS[name].where == RECEIVED or name == 'stall')
+    return board.READS or not (KINDS[name].where == RECEIVED or name == 'stall')
 
 
-def _parse_one(text: str, board: str) -> Tuple[str, Rate]:
+def _parse_one(text: str, board: Target) -> Tuple[str, Rate]:
     match = _RATE.match(text)
     if not match:
         raise ValueError('fault %r is not "all" or KIND=RATE[:SECONDS], as flip=0.01 or '
@@ -103,7 +98,7 @@ def _parse_one(text: str, board: str) -> Tuple[str, Rate]:
     if kind is None:
         raise ValueError('there is no fault %r, only %s' % (name, ', '.join(KINDS)))
     if not fits(name, board):
-        raise ValueError('fault %r: the %s board reads nothing anyway' % (name, board))
+        raise ValueError(f'fault {name!r}: the {board.NAME} board reads nothing anyway')
     amount = float(number)
     if kind.where == EVENT and not per_minute and amount:
         raise ValueError('fault %r comes by the minute: write %s=%s/min' % (name, name, number))

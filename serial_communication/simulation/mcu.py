@@ -8,12 +8,13 @@
 
 The source's board sends every 50 ms (20 Hz); SEQ counts every frame and starts at 0.
 """
+import argparse
 import math
 from random import Random
 from typing import Any, Optional
 
 from ..protocols import mcu
-from .board import Board, Every
+from .board import Board, Every, positive
 
 RATE = 20.0              # Hz
 OUT_OF_RANGE = 8190      # mm, what the sensor says where nothing is near enough
@@ -32,9 +33,24 @@ class SensorBoard(Board):
     """
 
     NAME = 'mcu'
+    SUMMARY = 'sensor board: two ranges and orientation, or six ADC channels'
+    FAULTS = ('drop=0.005 cut=0.005 lose=0.005 flip=0.01 insert=0.005 double=0.005 '
+              'delay=6/min late=0.5/min silence=0.5/min reset=0.5/min')
+    READS = False
     CHATTER = (b'ets Jun  8 2016 00:22:57\r\n\r\nrst:0x1 (POWERON_RESET),boot:0x13 '
                b'(SPI_FAST_FLASH_BOOT)\r\nconfigsip: 0, SPIWP:0xee\r\nload:0x3fff0030,len:1184\r\n'
                b'entry 0x400805f0\r\n')
+
+    @classmethod
+    def add_options(cls, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument('--rate', type=positive, default=RATE, metavar='HZ',
+                            help='frames a second (%(default)g)')
+        parser.add_argument('--adc', action='store_true',
+                            help='be the board with six ADC channels')
+
+    @classmethod
+    def from_options(cls, options: argparse.Namespace) -> 'SensorBoard':
+        return cls(options.rate, options.adc, options.seed)
 
     def __init__(self, rate: float = RATE, adc: bool = False, seed: int = 0) -> None:
         super().__init__()
@@ -87,3 +103,6 @@ class SensorBoard(Board):
         if distance > FARTHEST:
             return OUT_OF_RANGE
         return max(round(distance + self._random.gauss(0, distance / 200)), 20)
+
+
+BOARD = SensorBoard

@@ -11,7 +11,7 @@ from serial_communication.protocols import robot_ctrl_bus as bus
 from serial_communication.simulation.arduino import ModelCar
 from serial_communication.simulation.board import FRAME_TIMEOUT
 from serial_communication.simulation.bus import ControlBoard
-from serial_communication.simulation.faults import KINDS, MIXES, Faults, parse
+from serial_communication.simulation.faults import KINDS, Faults, parse
 from serial_communication.simulation.mcu import SensorBoard
 
 SYNC = bus.encode_request(bus.SYNC_REQUEST)
@@ -19,7 +19,7 @@ HEARTBEAT = arduino.encode(arduino.Heartbeat())
 
 
 def make(board, decoder, *texts, seed=1, **arguments):
-    return Bench(board, decoder, faults=Faults(parse(texts, board.NAME), seed), **arguments)
+    return Bench(board, decoder, faults=Faults(parse(texts, board), seed), **arguments)
 
 
 def sensors(*texts, seed=1, **arguments):
@@ -209,7 +209,8 @@ def test_a_stalled_board_still_sends_and_reads_on(cable):
     """On a real tty: what came meanwhile waits in the kernel."""
     seqs = []
     with running(SensorBoard(rate=200), cable.b,
-                 faults=Faults(parse(['reset=600/min:0.01', 'silence=300/min:0.02'], 'mcu'), 1)):
+                 faults=Faults(parse(['reset=600/min:0.01', 'silence=300/min:0.02'],
+                                     SensorBoard), 1)):
         link = McuLink(Port(cable.a), on_status=lambda message, seq, stamp: seqs.append(seq))
         link.start()
         try:
@@ -217,7 +218,7 @@ def test_a_stalled_board_still_sends_and_reads_on(cable):
         finally:
             link.stop()
     with running(ControlBoard(), cable.b,
-                 faults=Faults(parse(['stall=200/min:0.2'], 'bus'), 1)) as notes:
+                 faults=Faults(parse(['stall=200/min:0.2'], ControlBoard), 1)) as notes:
         port = Port(cable.a)
         port.open()
         wait_for(lambda: notes.of('fault'), 'the stall')
@@ -341,12 +342,12 @@ def test_baud_pace_keeps_the_rate():
 
 
 def test_all_is_a_mix_of_everything_that_fits():
-    for board, mix in MIXES.items():
+    for board in (ControlBoard, ModelCar, SensorBoard):
         rates = parse(['all'], board)
-        assert len(rates) == len(mix.split())
-        if board != 'mcu':
+        assert len(rates) == len(board.FAULTS.split())
+        if board.READS:
             assert set(rates) == set(KINDS)
-    rates = parse(['all', 'reset=0', 'flip=0.5'], 'bus')
+    rates = parse(['all', 'reset=0', 'flip=0.5'], ControlBoard)
     assert 'reset' not in rates and rates['flip'].probability == 0.5
 
 
@@ -356,14 +357,14 @@ def test_all_is_a_mix_of_everything_that_fits():
     ('silence=0.1', '/min'), ('flip=0.1:3', 'no time'), ('delay=0.1:2-1', 'no range')])
 def test_bad_texts(text, says):
     with pytest.raises(ValueError) as error:
-        parse([text], 'bus')
+        parse([text], ControlBoard)
     assert says in str(error.value)
 
 
 @pytest.mark.parametrize('text', ['rx-flip=0.1', 'stall=1/min'])
 def test_a_board_that_reads_nothing_cannot_misread(text):
     with pytest.raises(ValueError):
-        parse([text], 'mcu')
+        parse([text], SensorBoard)
 
 
 def test_journal_fields_are_json():

@@ -232,7 +232,7 @@ def test_journal_of_a_request():
 def test_what_a_fault_made_of_a_request_is_not_called_genuine():
     """Insert faults until one makes a sound request of another: the checksum cannot tell."""
     bench = Bench(ControlBoard(), bus.ReplyDecoder(),
-                  faults=Faults(parse(['rx-insert=1'], 'bus'), 5))
+                  faults=Faults(parse(['rx-insert=1'], ControlBoard), 5))
     bench.board.synchronised = True
     request = bus.encode_request(bus.lift(0, 0xD2))
     for _ in range(4000):

@@ -73,7 +73,8 @@ def test_help(arguments, says):
 
 
 @pytest.mark.parametrize('arguments, says', [
-    ([], 'BOARD'), (['toaster'], 'toaster'), (['bus'], '--port'),
+    ([], 'BOARD'), (['toaster'], 'no board toaster'), (['json'], 'has no BOARD'),
+    (['bus'], '--port'),
     (['bus', '--port', 'x', '--fault', 'flap=1'], 'flap'),
     (['bus', '--port', 'x', '--lift-speed', '0'], 'lift-speed'),
     (['mcu', '--port', 'x', '--rate', 'fast'], 'rate'),
@@ -83,6 +84,60 @@ def test_bad_arguments(arguments, says):
     result = run(*arguments)
     assert result.returncode == 2
     assert says in result.stderr.splitlines()[-1] and 'Traceback' not in result.stderr
+
+
+_BEACON = '''"""A board of another package: it says hello ten times a second."""
+from serial_communication.simulation.board import Board, Every, positive
+
+
+class Beacon(Board):
+    NAME = SUMMARY = 'beacon'
+    FAULTS = 'drop=0.1'
+    READS = False
+
+    def __init__(self, rate):
+        super().__init__()
+        self.beat = Every(1 / rate, 0.0)
+
+    @classmethod
+    def add_options(cls, parser):
+        parser.add_argument('--rate', type=positive, default=100.0, help='hellos a second')
+
+    @classmethod
+    def from_options(cls, options):
+        return cls(options.rate)
+
+    def advance(self, now):
+        if self.beat.passed(now):
+            self.send(b'hello ', None)
+        return self.beat.due
+
+    def fields(self, frame, message):
+        return {}
+
+
+BOARD = Beacon
+'''
+
+
+@pytest.fixture
+def elsewhere(tmp_path, monkeypatch):
+    """Where Python looks for another package's modules."""
+    folder = tmp_path / 'elsewhere'
+    folder.mkdir()
+    (folder / 'beacon.py').write_text(_BEACON)
+    monkeypatch.setenv('PYTHONPATH', f'{folder}:{os.environ.get("PYTHONPATH", "")}')
+
+
+def test_a_board_of_another_package(elsewhere, start, tty):
+    path, near = tty
+    start('beacon', '--port', path, '--rate', '200', '--fault', 'drop=0.2')
+    heard = b''
+    while b'hello hello' not in heard:
+        heard += os.read(near, 100)
+    says = run('beacon', '--help').stdout
+    assert 'hellos a second' in says and 'says hello ten times' in says and 'drop=0.1' in says
+    assert 'stall' not in says      # a fault that makes no sense for a board that only talks
 
 
 def test_a_journal_that_cannot_be():

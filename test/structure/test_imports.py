@@ -1,5 +1,5 @@
 """Imports run one way: ros and tools -> links -> protocols <- simulation; and only ros and tools
-know ROS."""
+know ROS. The list of boards stands above all of them, and imports them by name."""
 import ast
 from pathlib import Path
 from typing import Iterator
@@ -11,9 +11,9 @@ from sources import PACKAGE, name
 ALLOWED = {
     'protocols': (),
     'links': ('protocols',),
-    'simulation': ('protocols', 'links.port'),
-    'ros': ('links', 'protocols', 'msg', 'srv'),
-    'tools': ('ros', 'links', 'protocols', 'simulation', 'msg', 'srv'),
+    'simulation': ('boards', 'protocols', 'links.port'),
+    'ros': ('boards', 'links', 'protocols', 'msg', 'srv'),
+    'tools': ('boards', 'ros', 'links', 'protocols', 'simulation', 'msg', 'srv'),
 }
 KNOWS_ROS = ('ros', 'tools')
 
