@@ -1,4 +1,5 @@
-"""The link to the main control board: a Master that serves blocking callers and polls the air."""
+"""The link to the main control board: a Master that serves blocking callers and polls."""
+import os
 import time
 from typing import Any, Callable, List, NamedTuple, Optional, Tuple
 
@@ -8,7 +9,6 @@ from .link import ERROR, OK, WARN, Link
 from .master import NOT_SENT, PATIENCE, Call, Master, Outcome
 from .port import Port, PortBusy, PortError
 
-_SETTLE = 0.001     # s of silence before a move or a raw request: a doubled reply ends within
 _BLOCKED = 0.05     # s until a port that took no data is tried again
 _SLOW = (bus.LIFT, bus.GIMBAL)    # functions that move something
 
@@ -22,6 +22,35 @@ class BusSettings(NamedTuple):
     environment_period: float = 1.0    # 0: never
     environment_datelen: int = 2
     reply_has_cmd2: bool = False
+
+
+class _Poller:
+    """Asks one thing every `period` seconds, unless the time before has no outcome yet.
+
+    Args:
+        period: s.
+        ask: submits the request; returns its call.
+    """
+
+    def __init__(self, period: float, ask: Callable[[], Call]) -> None:
+        self.due = 0.0
+        self._period = period
+        self._ask = ask
+        self._latest: Optional[Call] = None
+
+    def start(self, now: float) -> None:
+        """The periods count from here."""
+        self.due = now
+
+    def tick(self, now: float) -> None:
+        """Ask if it is time; what was missed meanwhile is not made up for."""
+        if now < self.due:
+            return
+        self.due += self._period
+        if self.due <= now:
+            self.due = now + self._period
+        if self._latest is None or self._latest.outcome is not None:
+            self._latest = self._ask()
 
 
 class BusLink(Link):
@@ -39,10 +68,12 @@ class BusLink(Link):
         self.settings = settings
         self.master = Master(settings.reply_timeout, settings.motion_timeout, self.log)
         self._on_environment = on_environment
-        self._poll: Optional[Call] = None     # the latest
-        self._next_poll = 0.0
+        self._pollers: List[_Poller] = []
         self._blocked_until = 0.0
-        self._asks_environment = False        # what is outstanding is an environment request
+        self._all_read = False      # the port has been looked at since the latest frame
+        if settings.environment_period:
+            self.poll(settings.environment_period, bus.ENVIRONMENT_REQUEST,
+                      bus.Environment.LAYOUT.size, self._environment_came)
 
     # -- for callers --------------------------------------------------------------------
 
@@ -56,55 +87,86 @@ class BusLink(Link):
 
     def environment(self) -> Tuple[Outcome, Optional[bus.Environment]]:
         """A fresh reading; None where there is none."""
-        outcome = self.request(bus.ENVIRONMENT_REQUEST, repeatable=True)
+        outcome = self.request(bus.ENVIRONMENT_REQUEST, repeatable=True,
+                               reply_length=bus.Environment.LAYOUT.size,
+                               on_success=self._environment_came)
         return outcome, bus.Environment.unpack(outcome.data) if outcome.success else None
 
     def echo(self) -> Outcome:
         """A round trip to the board and back."""
-        return self.request(bus.echo(b'ping'), repeatable=True)
+        return self.request(bus.echo(os.urandom(4)), repeatable=True)
 
     def sync(self) -> Outcome:
         """Synchronise the channel."""
         return self.request(bus.SYNC_REQUEST, repeatable=True)
 
-    def request(self, request: bus.Request, repeatable: bool = False) -> Outcome:
+    def request(self, request: bus.Request, repeatable: bool = False,
+                timeout: Optional[float] = None, reply_length: Optional[int] = None,
+                on_success: Optional[Callable[[Outcome], None]] = None) -> Outcome:
         """Send any request and wait for its outcome.
 
-        It is sent again after a timeout only if `repeatable`. Answered within its timeout and
-        the time that it waited for its turn, which is at most `motion_timeout` (0.8 s if that
-        is shorter).
+        Answered within its timeout and the time that it waited for its turn, which is at most
+        `motion_timeout` (0.8 s if that is shorter).
+
+        Args:
+            repeatable: it may be sent again after a timeout: it merely reads.
+            timeout: s from sending to the reply; None: as the settings have it for its kind.
+            reply_length: data bytes that its OK must have; None: any number.
+            on_success: is called in the link's thread with a successful outcome, before or
+                after this returns.
         """
         if len(request.data) > bus.MAX_LENGTH:
-            return Outcome(NOT_SENT, 'data is %d bytes long, may be at most %d; nothing was sent'
-                           % (len(request.data), bus.MAX_LENGTH))
+            return Outcome(NOT_SENT, f'data is {len(request.data)} bytes long, may be at most '
+                           f'{bus.MAX_LENGTH}; nothing was sent')
         if not self.port.is_open:
-            return Outcome(NOT_SENT, 'the port %s is closed (%s); nothing was sent'
-                           % (self.port.url, self._trouble or 'not opened yet'))
-        call = self._call(request, repeatable)
+            return Outcome(NOT_SENT, f'the port {self.port.url} is closed '
+                           f'({self._trouble or "not opened yet"}); nothing was sent')
+        call = self._call(request, repeatable, timeout, reply_length, on_success)
         self.master.submit(call)
         self.wake()
-        settings = self.settings
-        return call.wait(max(settings.motion_timeout, PATIENCE)
+        return call.wait(max(self.settings.motion_timeout, PATIENCE)
                          + call.tries * (call.timeout + PATIENCE))
+
+    def poll(self, period: float, request: bus.Request, reply_length: Optional[int],
+             on_success: Callable[[Outcome], None], timeout: Optional[float] = None) -> None:
+        """From the start on, send this repeatable request every `period` seconds.
+
+        To be called before `start`. The arguments are those of `request`.
+        """
+        def ask() -> Call:
+            call = self._call(request, True, timeout, reply_length, on_success, poll=True)
+            self.master.submit(call)
+            return call
+
+        self._pollers.append(_Poller(period, ask))
 
     def _move(self, build: Callable[[int, int], bus.Request], direction: int,
               amount: int) -> Outcome:
         try:
             request = build(direction, amount)
         except ValueError as error:
-            return Outcome(NOT_SENT, '%s; nothing was sent' % error)
+            return Outcome(NOT_SENT, f'{error}; nothing was sent')
         return self.request(request)
 
-    def _call(self, request: bus.Request, repeatable: bool, poll: bool = False) -> Call:
+    def _call(self, request: bus.Request, repeatable: bool, timeout: Optional[float],
+              reply_length: Optional[int], on_success: Optional[Callable[[Outcome], None]],
+              poll: bool = False) -> Call:
         settings = self.settings
-        slow = request.cmd1 == bus.FUNCTION and request.cmd2 in _SLOW
-        return Call(request, settings.motion_timeout if slow else settings.reply_timeout,
-                    repeatable, 1 + settings.retries, time.monotonic(), poll)
+        if timeout is None:
+            slow = request.cmd1 == bus.FUNCTION and request.cmd2 in _SLOW
+            timeout = settings.motion_timeout if slow else settings.reply_timeout
+        return Call(request, timeout, repeatable, 1 + settings.retries, time.monotonic(), poll,
+                    reply_length, on_success)
+
+    def _environment_came(self, outcome: Outcome) -> None:
+        if self._on_environment:
+            self._on_environment(bus.Environment.unpack(outcome.data), outcome.stamp)
 
     # -- hooks --------------------------------------------------------------------------
 
     def opened(self, now: float) -> None:
-        self._next_poll = now
+        for poller in self._pollers:
+            poller.start(now)
         self.master.connected(now)
 
     def closed(self, now: float) -> None:
@@ -112,69 +174,55 @@ class BusLink(Link):
 
     def idle(self, now: float) -> Optional[float]:
         self.master.tick(now)
-        return self.master.deadline()
+        return self.master.deadline(now)
 
     def received(self, frame: Frame, now: float) -> None:
-        asked = self._asks_environment
+        self._all_read = False
         self.master.received(frame, now)
-        if asked and not self.master.outstanding:
-            self._asks_environment = False
-            reply = frame.message
-            if (self._on_environment and reply.cmd1 == bus.OK
-                    and len(reply.data) == bus.Environment.LAYOUT.size):
-                self._on_environment(bus.Environment.unpack(reply.data), frame.stamp)
 
     def damaged(self, frame: Frame, now: float) -> None:
+        self._all_read = False
         self.master.damaged(frame, now)
 
     def tick(self, now: float) -> Optional[float]:
         master = self.master
-        while not self._stopping.is_set():
-            self._poll_environment(now)
-            master.tick(now)
-            if not master.wants_to_send() or self.decoder.pending:
-                break
+        if master.synchronised:
+            for poller in self._pollers:
+                poller.tick(now)
+        master.tick(now)
+        # A request leaves only when everything received before it has been taken in: unless a
+        # read has found nothing since the latest frame, the link reads first and comes back.
+        if master.wants_to_send(now) and not self.decoder.pending:
             if now < self._blocked_until:
                 return self._blocked_until
-            if master.next_is_final() and now < self.last_byte_at + _SETTLE:
-                return self.last_byte_at + _SETTLE
-            # A request leaves only when everything received before it has been taken in.
-            data = self.port.read(0)
-            if data:
-                self.last_byte_at = now = time.monotonic()
-                self.take(data, self._clock(), now)
-                continue
-            self._send_next(time.monotonic())
-        due = master.deadline()
-        if self.settings.environment_period and master.synchronised:
-            due = self._next_poll if due is None else min(due, self._next_poll)
-        return due
+            if not self._all_read:
+                self._all_read = True
+                return now
+            self._send_next(now)
+            if master.wants_to_send(now):
+                return max(now, self._blocked_until)
+        times = [poller.due for poller in self._pollers] if master.synchronised else []
+        deadline = master.deadline(now)
+        if deadline is not None:
+            times.append(deadline)
+        return min(times) if times else None
 
     def _send_next(self, now: float) -> None:
         request = self.master.next_request(now)
         if request is None:
             return
+        self._all_read = False
         frame = bus.encode_request(request, self.settings.environment_datelen)
-        self._asks_environment = request == bus.ENVIRONMENT_REQUEST
         try:
             self.send(frame, request.cmd1, request.cmd2, request.data, request)
         except PortBusy as error:
-            self.log.warn('busy', '%s; is the board held by flow control?' % error)
+            self.log.warn('busy', f'{error}; is the board held by flow control?')
             self.port.discard_output()
             self.master.not_sent(str(error))
             self._blocked_until = now + _BLOCKED
         except PortError:
             self.master.not_sent('the port has gone')
             raise
-
-    def _poll_environment(self, now: float) -> None:
-        period = self.settings.environment_period
-        if not period or now < self._next_poll or not self.master.synchronised:
-            return
-        self._next_poll = max(self._next_poll + period, now)
-        if self._poll is None or self._poll.outcome is not None:
-            self._poll = self._call(bus.ENVIRONMENT_REQUEST, True, poll=True)
-            self.master.submit(self._poll)
 
     # -- diagnostics --------------------------------------------------------------------
 
@@ -187,10 +235,10 @@ class BusLink(Link):
         return (ERROR if 'does not answer' in amiss else WARN), amiss
 
     def error_count(self) -> int:
-        return super().error_count() + self.master.timeouts
+        return super().error_count() + self.master.timeouts + self.master.length_errors
 
     def own_values(self) -> List[Tuple[str, Any]]:
         times = sorted(self.master.round_trips)
         return [('timeouts', self.master.timeouts),
-                ('round trip p50 [ms]', '%.2f' % (times[len(times) // 2] * 1e3) if times else '-'),
-                ('round trip max [ms]', '%.2f' % (times[-1] * 1e3) if times else '-')]
+                ('round trip p50 [ms]', f'{times[len(times) // 2] * 1e3:.2f}' if times else '-'),
+                ('round trip max [ms]', f'{times[-1] * 1e3:.2f}' if times else '-')]

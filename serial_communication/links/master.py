@@ -10,14 +10,27 @@ time it is, asks `next_request` what to send, and sleeps until `deadline`. The r
    was executed.
    A board may also send INVALID for noise, and execute the request behind it: before a move is
    sent again or given up, an ECHO must return. After an OK that comes before it, nobody knows.
-5. Replies carry no number. After a timeout, a damaged reply or one that nobody asked for, the
-   link is out of step: an ECHO with a fresh nonce goes out, and all is dropped until that very
-   echo is back. A board that never echoes gets a SYNC and a silence instead.
+5. A board may answer a move with data in its OK. Behind a fence such an OK is the move's; from a
+   board that never echoes it is taken for another request's reply.
+6. Replies carry no number, so one that is late or comes twice could be taken for the next
+   request's. Before every move and raw request stands a fence: an ECHO with a fresh nonce has
+   returned since the last byte of any other exchange. A line keeps its order, so what was under
+   way came before that echo. Repeatable requests need no fence: at worst they are told what the
+   board said to the same kind of request shortly before.
+   After a SYNC, a timeout, a damaged reply, one of a wrong length or one that nobody asked for,
+   the link is out of step: nothing at all goes out before such an ECHO, and whatever comes
+   before it returns is dropped.
+   Where `ECHO_TRIES` ECHOs in a row are not answered, a SYNC and a silence of the reply timeout
+   take the place of one. A board that has never echoed gets a silence of `QUIET` as its fence.
+7. A reply with another number of data bytes than its request's is told as that, at once behind
+   a fence. Without one, what may be repeated is asked once more behind the ECHO.
 """
+import enum
 import os
 import threading
 from collections import deque
-from typing import Callable, Deque, List, NamedTuple, Optional
+from dataclasses import dataclass
+from typing import Any, Callable, Deque, List, NamedTuple, Optional
 
 from ..protocols import robot_ctrl_bus as bus
 from ..protocols.framing import CHECKSUM, Frame
@@ -26,7 +39,10 @@ from .sparing_log import SparingLog
 NOT_SENT = 253     # refused here: nothing left the port
 TIMEOUT = 254      # the outcome is unknown: executed once or not at all
 ECHO_TRIES = 3     # unanswered ECHOs before a SYNC and a silence take their place
+QUIET = 0.02       # s of silence as a fence: a USB adapter hands bytes over up to 16 ms late
 PATIENCE = 0.8     # s that a call waits for a link that serves nobody
+
+_UNKNOWN = 'it is not known whether this was executed; look before you repeat it'
 
 
 class Outcome(NamedTuple):
@@ -37,11 +53,13 @@ class Outcome(NamedTuple):
     error_code: int = 0
     data: bytes = b''
     round_trip: float = 0.0  # s
+    length_fits: bool = True   # whether `data` is as long as the call expected
+    stamp: Any = None        # of the read that brought the reply
 
     @property
     def success(self) -> bool:
-        """Executed, exactly once."""
-        return self.status in (bus.SYNC, bus.ECHO, bus.OK)
+        """Executed, exactly once, and answered as expected."""
+        return self.status in (bus.SYNC, bus.ECHO, bus.OK) and self.length_fits
 
 
 class Call:
@@ -54,18 +72,25 @@ class Call:
         tries: how often it may be sent in all.
         now: the time of the call.
         poll: nobody waits for it: every other call goes first.
+        reply_length: data bytes that its OK must have; None: any number.
+        on_success: is called in the link's thread with a successful outcome.
     """
 
     def __init__(self, request: bus.Request, timeout: float, repeatable: bool, tries: int,
-                 now: float, poll: bool = False) -> None:
+                 now: float, poll: bool = False, reply_length: Optional[int] = None,
+                 on_success: Optional[Callable[[Outcome], None]] = None) -> None:
         self.request = request
         self.timeout = timeout
         self.repeatable = repeatable
         self.tries = tries
         self.submitted = now
         self.poll = poll
-        self.setback: Optional[Outcome] = None   # how the try before this one ended
-        self.doubtful = False    # whether that may have been said of noise, not of this
+        self.reply_length = reply_length
+        self.on_success = on_success
+        self.last_try: Optional[Outcome] = None   # how the try before this one ended
+        # Whether the INVALID that ended that try may have been said of noise. An ECHO that
+        # returns with no other reply before it confirms that it was said of this request.
+        self.invalid_unconfirmed = False
         self.outcome: Optional[Outcome] = None
         self._sent = False
         self._lock = threading.Lock()
@@ -95,17 +120,36 @@ class Call:
         return self.outcome
 
 
-class _Exchange(NamedTuple):
+class State(enum.Enum):
+    """What may be sent next."""
+
+    CLOSED = 'nothing: the port is closed'
+    UNSYNCHRONISED = 'SYNC'
+    OUT_OF_STEP = 'ECHO: a reply may still be under way'
+    IN_STEP = 'repeatable requests; an ECHO as a fence before others'
+    FENCED = 'any request: nothing can be under way'
+
+
+class _Kind(enum.Enum):
+    """What is outstanding."""
+
+    SYNC = 'a SYNC of the Master itself'
+    ECHO = 'an ECHO of the Master itself'
+    SILENCE = 'a silence in the place of an ECHO'
+    CALL = 'the request of a call'
+
+
+@dataclass
+class _Exchange:
     """The request that is outstanding."""
 
-    kind: str                 # one of those below
+    kind: _Kind
     request: bus.Request
     sent: float
     deadline: float
     call: Optional[Call] = None
-
-
-_SYNC, _ECHO, _SILENCE, _CALL = 'sync', 'echo', 'silence', 'call'
+    fenced: bool = False                      # no reply of before can come any more
+    other_reply: Optional[bus.Reply] = None   # the latest that cannot be its own
 
 
 class Master:
@@ -120,103 +164,106 @@ class Master:
 
     def __init__(self, reply_timeout: float, motion_timeout: float, log: SparingLog,
                  nonce: Callable[[], bytes] = lambda: os.urandom(4)) -> None:
+        self.state = State.CLOSED
         self.timeouts = 0
+        self.length_errors = 0
         self.round_trips: Deque[float] = deque(maxlen=200)
-        self.in_step = True
-        self.synchronised = False
         self._reply_timeout = reply_timeout
-        self._turn = max(motion_timeout, PATIENCE)
+        self._longest_turn = max(motion_timeout, PATIENCE)
         self._log = log
         self._nonce = nonce
-        self._connected = False
-        self._inbox: Deque[Call] = deque()      # from other threads
+        self._submitted: Deque[Call] = deque()  # from other threads
         self._calls: Deque[Call] = deque()
         self._polls: Deque[Call] = deque()
-        self._again: Optional[Call] = None      # goes first: it was sent, in vain
+        self._retry: Optional[Call] = None      # a call that is sent again goes first
         self._exchange: Optional[_Exchange] = None
         self._served_until = 0.0                # when the latest call's exchange ended
-        self._unanswered_echoes = 0
-        self._echoes: Optional[bool] = None     # whether this board answers ECHO at all
+        self._last_received = 0.0               # when the latest bytes came
         self._unanswered_syncs = 0
+        self._unanswered_echoes = 0
+        self._has_echoed = False                # since the port opened
+        self._reply_handlers = {
+            _Kind.SYNC: self._sync_answered, _Kind.ECHO: self._echo_answered,
+            _Kind.SILENCE: self._silence_broken, _Kind.CALL: self._call_answered}
+        self._timeout_handlers = {
+            _Kind.SYNC: self._sync_timed_out, _Kind.ECHO: self._echo_timed_out,
+            _Kind.SILENCE: self._silence_kept, _Kind.CALL: self._call_timed_out}
 
     # -- calls ------------------------------------------------------------------------
 
     def submit(self, call: Call) -> None:
         """Queue a call; any thread. The outcome arrives in the call."""
-        self._inbox.append(call)
+        self._submitted.append(call)
 
     # -- what happened ------------------------------------------------------------------
 
     def connected(self, now: float) -> None:
         """The port is open: nothing is known of the board."""
-        self._connected = True
-        self.synchronised = False
-        self._echoes = None
+        self.state = State.UNSYNCHRONISED
+        self._has_echoed = False
         self._unanswered_echoes = 0
         self._unanswered_syncs = 0
+        self._last_received = now
 
     def disconnected(self, now: float, why: str) -> None:
         """The port has closed: everybody is told."""
-        self._connected = False
-        self.synchronised = False
+        self.state = State.CLOSED
         exchange, self._exchange = self._exchange, None
-        if exchange and exchange.call:
-            self.in_step = False
+        if exchange is not None and exchange.call:
             exchange.call.finish(Outcome(
-                TIMEOUT, 'the port closed before the reply came (%s): %s' % (why, _UNKNOWN)))
-        self._take_in()
+                TIMEOUT, f'the port closed before the reply came ({why}): {_UNKNOWN}'))
+        self._queue_submitted()
 
     def received(self, frame: Frame, now: float) -> None:
-        """A sound reply has come."""
-        reply = frame.message
-        exchange = self._exchange
-        again = self._again
-        if (again is not None and again.doubtful and reply.cmd1 not in (bus.ERROR, bus.INVALID)
-                and _answers(reply, again.request)):
+        """A valid reply has come."""
+        self._last_received = now
+        exchange, reply = self._exchange, frame.message
+        if self._retry is not None and _may_be_behind_the_invalid(reply, self._retry):
             # Either the INVALID was for noise and this is the reply, or this is another's.
-            self._again = None
-            again.finish(_not_known(again.setback))
-        elif (reply.cmd1 == bus.INVALID and reply.error_code == bus.NOT_SYNCHRONISED
-                and (exchange is None or exchange.kind == _SILENCE)):
+            call, self._retry = self._retry, None
+            call.finish(_unknown_after_invalid(call.last_try))
+        elif exchange is None or (exchange.kind is _Kind.SILENCE and _lost_synchronism(reply)):
             self._exchange = None
-            self.synchronised = False
-            self._out_of_step(f'{reply}')
-        elif exchange is None:
             self._out_of_step(f'a reply that nobody asked for: {reply}')
-        elif exchange.kind == _CALL:
-            self._call_answered(exchange, reply, now)
-        elif exchange.kind == _SYNC:
-            self._sync_answered(reply, now)
-        elif exchange.kind == _ECHO:
-            self._echo_answered(exchange, reply, now)
+            if _lost_synchronism(reply):
+                self.state = State.UNSYNCHRONISED
         else:
-            self._expect_silence(now)
+            self._reply_handlers[exchange.kind](exchange, frame, now)
 
     def damaged(self, frame: Frame, now: float) -> None:
-        """Bytes have come that are no sound reply."""
+        """Bytes have come that are no valid reply."""
+        self._last_received = now
         exchange = self._exchange
-        if exchange is not None and exchange.kind == _SILENCE:
+        if exchange is not None and exchange.kind is _Kind.SILENCE:
             self._expect_silence(now)
             return
         self._out_of_step('damaged bytes')
-        if exchange is not None and exchange.kind == _CALL and frame.cause == CHECKSUM:
+        if exchange is not None and exchange.kind is _Kind.CALL and frame.cause == CHECKSUM:
             # It has the form of a reply. Plain noise may come while a motion lasts, and the
             # reply behind it is good: for that, wait on.
-            outcome = Outcome(TIMEOUT, 'the reply was damaged: ' + _UNKNOWN)
-            if exchange.call.repeatable:
-                self._try_again(exchange, now, outcome)
-            else:
-                self._finish(exchange, now, outcome)
+            self._repeat_or_finish(exchange, now, Outcome(
+                TIMEOUT, f'the reply was damaged: {_UNKNOWN}'))
 
     # -- what to do ---------------------------------------------------------------------
 
     def tick(self, now: float) -> None:
         """Time has passed, or a call was submitted."""
-        self._take_in()
+        self._queue_submitted()
         exchange = self._exchange
         if exchange is not None and now >= exchange.deadline:
-            self._timed_out(exchange, now)
-        self._expire(now)
+            self._exchange = None
+            self._timeout_handlers[exchange.kind](exchange, now)
+        self._abandon_overdue(now)
+
+    @property
+    def synchronised(self) -> bool:
+        """Whether the board has answered SYNC, and has not forgotten it since."""
+        return self.state not in (State.CLOSED, State.UNSYNCHRONISED)
+
+    @property
+    def in_step(self) -> bool:
+        """Whether requests of calls may be sent."""
+        return self.state in (State.IN_STEP, State.FENCED)
 
     @property
     def outstanding(self) -> bool:
@@ -233,216 +280,272 @@ class Master:
                     else 'out of step')
         return ''
 
-    def deadline(self) -> Optional[float]:
-        """When `tick` must be called at the latest."""
-        times = [self._limit(call) for call in self._waiting()]
+    def deadline(self, now: float) -> Optional[float]:
+        """When something is due: `tick` must be called then at the latest."""
+        times = [self._abandoned_at(call) for call in self._waiting()]
         if self._exchange is not None:
             times.append(self._exchange.deadline)
+        elif self.in_step and now < self._quiet_until():
+            times.append(self._quiet_until())
         return min(times) if times else None
 
-    def wants_to_send(self) -> bool:
+    def wants_to_send(self, now: float) -> bool:
         """Whether `next_request` has one."""
-        if not self._connected or self._exchange is not None:
+        if self.state is State.CLOSED or self._exchange is not None:
             return False
-        return bool(not self.synchronised or not self.in_step or self._again or self._calls
-                    or self._polls)
-
-    def next_is_final(self) -> bool:
-        """Whether the next request is one that a stray reply must not seem to answer."""
-        if not (self.synchronised and self.in_step):
-            return False
-        call = self._again or (self._calls and self._calls[0])
-        return bool(call) and not call.repeatable
+        if not self.in_step:
+            return True
+        return self._next_call() is not None and now >= self._quiet_until()
 
     def next_request(self, now: float) -> Optional[bus.Request]:
         """The request to send now, which is outstanding from here on."""
-        if not self.wants_to_send():
+        if not self.wants_to_send(now):
             return None
-        if not self.synchronised:
-            return self._send(_SYNC, bus.SYNC_REQUEST, now)
-        if not self.in_step:
-            if self._echoes is not False and self._unanswered_echoes < ECHO_TRIES:
-                return self._send(_ECHO, bus.echo(self._nonce()), now)
-            return self._send(_SYNC, bus.SYNC_REQUEST, now)
-        while self._again or self._calls or self._polls:
-            if self._again:
-                call, self._again = self._again, None
-                if not call.tries:
-                    call.finish(call.setback)
-                    continue
-                call.doubtful = False
+        if self.state is State.UNSYNCHRONISED:
+            return self._send(_Kind.SYNC, bus.SYNC_REQUEST, now)
+        if self.state is State.OUT_OF_STEP:
+            if self._unanswered_echoes < ECHO_TRIES:
+                return self._send(_Kind.ECHO, bus.echo(self._nonce()), now)
+            return self._send(_Kind.SYNC, bus.SYNC_REQUEST, now)
+        while True:
+            call = self._next_call()
+            if call is None:
+                return None
+            if call.outcome is not None:      # its caller has gone
+                self._remove(call)
+            elif call is self._retry and not call.tries:
+                self._remove(call)
+                call.finish(call.last_try)
+            elif self._needs_echo(call):
+                return self._send(_Kind.ECHO, bus.echo(self._nonce()), now)
+            elif now < self._quiet_until():
+                return None
             else:
-                call = (self._calls or self._polls).popleft()
-            if call.claim():
-                self._exchange = _Exchange(_CALL, call.request, now, now + call.timeout, call)
-                return call.request
-        return None
+                self._remove(call)
+                if call.claim():
+                    return self._send_call(call, now)
 
     def not_sent(self, why: str) -> None:
         """The request that `next_request` gave did not leave the port."""
         exchange, self._exchange = self._exchange, None
         if exchange is not None and exchange.call:
-            exchange.call.finish(exchange.call.setback
-                                 or Outcome(NOT_SENT, '%s; nothing was sent' % why))
+            exchange.call.finish(exchange.call.last_try
+                                 or Outcome(NOT_SENT, f'{why}; nothing was sent'))
 
-    # -- inside -------------------------------------------------------------------------
+    # -- fences -------------------------------------------------------------------------
 
-    def _send(self, kind: str, request: bus.Request, now: float) -> bus.Request:
-        self._exchange = _Exchange(kind, request, now, now + self._reply_timeout)
-        return request
+    @property
+    def _never_echoes(self) -> bool:
+        """Whether this board seems to know no ECHO."""
+        return not self._has_echoed and self._unanswered_echoes >= ECHO_TRIES
+
+    def _needs_echo(self, call: Call) -> bool:
+        """Whether an ECHO must return before this call's request goes out."""
+        return not call.repeatable and self.state is State.IN_STEP and not self._never_echoes
+
+    def _quiet_until(self) -> float:
+        """When the next call's request may go out to a board that never echoes."""
+        call = self._next_call()
+        if call is None or call.repeatable or not self._never_echoes:
+            return 0.0
+        return self._last_received + QUIET
 
     def _out_of_step(self, why: str) -> None:
         if self.in_step:
-            self._log.warn('out of step', 'out of step: %s; finding it again with an ECHO' % why)
-        self.in_step = False
+            self._log.warn('out of step', f'out of step: {why}; finding it again with an ECHO')
+        if self.synchronised:
+            self.state = State.OUT_OF_STEP
 
-    def _call_answered(self, exchange: _Exchange, reply: bus.Reply, now: float) -> None:
-        request = exchange.request
-        if not _answers(reply, request):
-            # Somebody else's, or an echo of other bytes. The right one may still come.
-            self._out_of_step(f'{reply} to {request}')
-            return
-        round_trip = now - exchange.sent
-        self.round_trips.append(round_trip)
-        outcome = _told(reply, request, round_trip)
-        if reply.cmd1 == bus.ECHO:
-            self._echoes = True
-        if reply.cmd1 != bus.INVALID:
-            self._finish(exchange, now, outcome)
-            return
-        call, code = exchange.call, reply.error_code
-        if code == bus.NOT_SYNCHRONISED:
-            self.synchronised = False
-        elif code != bus.CHECKSUM_MISMATCH:
-            call.tries = 0
-        if code != bus.NOT_SYNCHRONISED and not call.repeatable:
-            call.doubtful = True
-            self.in_step = False
-            self._hold(exchange, now, outcome)
-        else:
-            self._try_again(exchange, now, outcome)
+    # -- sending ------------------------------------------------------------------------
 
-    def _sync_answered(self, reply: bus.Reply, now: float) -> None:
+    def _send(self, kind: _Kind, request: bus.Request, now: float) -> bus.Request:
+        self._exchange = _Exchange(kind, request, now, now + self._reply_timeout)
+        return request
+
+    def _send_call(self, call: Call, now: float) -> bus.Request:
+        call.invalid_unconfirmed = False
+        self._exchange = _Exchange(_Kind.CALL, call.request, now, now + call.timeout, call,
+                                   fenced=self.state is State.FENCED)
+        self.state = State.IN_STEP
+        return call.request
+
+    def _expect_silence(self, now: float) -> None:
+        self._send(_Kind.SILENCE, bus.SYNC_REQUEST, now)
+
+    # -- replies ------------------------------------------------------------------------
+
+    def _sync_answered(self, _exchange: _Exchange, frame: Frame, now: float) -> None:
+        reply = frame.message
         if reply.cmd1 == bus.SYNC:
             self._exchange = None
             self._unanswered_syncs = 0
-            if not self.synchronised:
-                self.synchronised = True
-            elif not self.in_step:
-                # In place of an echo: after this SYNC, a silence.
+            self.state = State.OUT_OF_STEP
+            if self._unanswered_echoes >= ECHO_TRIES:
                 self._expect_silence(now)
         elif reply.cmd1 != bus.INVALID:     # INVALID: damaged on the way; asked again in time
             self._out_of_step(f'{reply} to SYNC')
 
-    def _echo_answered(self, exchange: _Exchange, reply: bus.Reply, now: float) -> None:
+    def _echo_answered(self, exchange: _Exchange, frame: Frame, _now: float) -> None:
+        reply = frame.message
         if reply.cmd1 == bus.ECHO and reply.data == exchange.request.data:
             self._exchange = None
-            self._echoes = True
+            self._has_echoed = True
             self._unanswered_echoes = 0
-            self.in_step = True
-        elif reply.cmd1 == bus.INVALID and reply.error_code == bus.NOT_SYNCHRONISED:
+            self.state = State.FENCED
+        elif _lost_synchronism(reply):
             self._exchange = None
-            self.synchronised = False
             self._echo_unanswered()
-
-    def _expect_silence(self, now: float) -> None:
-        self._exchange = _Exchange(_SILENCE, bus.SYNC_REQUEST, now, now + self._reply_timeout)
-
-    def _timed_out(self, exchange: _Exchange, now: float) -> None:
-        self._exchange = None
-        if exchange.kind == _SILENCE:
-            self.in_step = True
-            self._unanswered_echoes = 0
-            return
-        self.timeouts += 1
-        if exchange.kind == _SYNC:
-            self.synchronised = False
-            self.in_step = False     # its reply may still come, behind that of the next
-            self._unanswered_syncs += 1
-            self._log.warn('no answer', 'the board does not answer SYNC; asking on')
-        elif exchange.kind == _ECHO:
-            self._echo_unanswered()
+            self.state = State.UNSYNCHRONISED
         else:
-            self._log.warn('timeout', f'no reply to "{exchange.request}" within '
-                           f'{exchange.call.timeout:g} s')
-            self._out_of_step('no reply')
-            outcome = Outcome(TIMEOUT, 'no reply within %g s: %s'
-                              % (exchange.call.timeout, _UNKNOWN))
-            if exchange.call.repeatable:
-                self._try_again(exchange, now, outcome)
-            else:
-                self._finish(exchange, now, outcome)
+            self._out_of_step(f'{reply} to ECHO')
+
+    def _silence_broken(self, _exchange: _Exchange, _frame: Frame, now: float) -> None:
+        self._expect_silence(now)
+
+    def _call_answered(self, exchange: _Exchange, frame: Frame, now: float) -> None:
+        reply, request, call = frame.message, exchange.request, exchange.call
+        if not self._answers(reply, request):
+            # Somebody else's, or an echo of other bytes. The right one may still come.
+            exchange.other_reply = reply
+            self._out_of_step(f'{reply} to {request}')
+            return
+        if reply.cmd1 == bus.OK and call.reply_length not in (None, len(reply.data)):
+            self._wrong_length(exchange, frame, now)
+            return
+        round_trip = now - exchange.sent
+        self.round_trips.append(round_trip)
+        outcome = _outcome_of(reply, request, round_trip, frame.stamp)
+        if reply.cmd1 == bus.ECHO:
+            self._has_echoed = True
+            self._unanswered_echoes = 0
+        if reply.cmd1 != bus.INVALID:
+            self._finish(exchange, now, outcome)
+            return
+        code = reply.error_code
+        if code not in (bus.NOT_SYNCHRONISED, bus.CHECKSUM_MISMATCH):
+            call.tries = 0
+        if code == bus.NOT_SYNCHRONISED:
+            self.state = State.UNSYNCHRONISED
+        elif not call.repeatable:
+            call.invalid_unconfirmed = True
+            self.state = State.OUT_OF_STEP
+            self._send_again(exchange, now, outcome)
+            return
+        if call.tries:
+            self._send_again(exchange, now, outcome)
+        else:
+            self._finish(exchange, now, outcome)
+
+    def _answers(self, reply: bus.Reply, request: bus.Request) -> bool:
+        """Whether this can be the reply to that."""
+        if (self._never_echoes and reply.cmd1 == bus.OK and reply.data
+                and request.cmd1 == bus.FUNCTION and request.cmd2 in (bus.LIFT, bus.GIMBAL)):
+            return False     # without a fence it may be another request's
+        return _may_answer(reply, request)
+
+    def _wrong_length(self, exchange: _Exchange, frame: Frame, now: float) -> None:
+        """An OK with another number of data bytes than the call expects."""
+        data, call = frame.message.data, exchange.call
+        text = (f'the board answered "{exchange.request}" with {len(data)} bytes of data, '
+                f'{call.reply_length} were expected; does its firmware know another form of it?')
+        self.length_errors += 1
+        self._log.warn('length', text)
+        self.state = State.OUT_OF_STEP
+        exchange.other_reply = frame.message
+        outcome = Outcome(bus.OK, text, 0, data, now - exchange.sent, False, frame.stamp)
+        if exchange.fenced:
+            self._finish(exchange, now, outcome)
+        elif call.repeatable:
+            self._repeat_or_finish(exchange, now, outcome)
+        # Otherwise the board never echoes: the right one may still come.
+
+    # -- timeouts -----------------------------------------------------------------------
+
+    def _sync_timed_out(self, _exchange: _Exchange, _now: float) -> None:
+        self.timeouts += 1
+        self.state = State.UNSYNCHRONISED
+        self._unanswered_syncs += 1
+        self._log.warn('no answer', 'the board does not answer SYNC; asking on')
+
+    def _echo_timed_out(self, _exchange: _Exchange, _now: float) -> None:
+        self.timeouts += 1
+        self.state = State.OUT_OF_STEP
+        self._echo_unanswered()
 
     def _echo_unanswered(self) -> None:
         self._unanswered_echoes += 1
         if self._unanswered_echoes == ECHO_TRIES:
-            self._log.warn('no echo', 'the board does not answer ECHO; a SYNC and %g s of '
-                           'silence take its place' % self._reply_timeout)
-            self._echoes = self._echoes or False
+            self._log.warn('no echo', 'the board does not answer ECHO; a SYNC and '
+                           f'{self._reply_timeout:g} s of silence take its place')
 
-    def _try_again(self, exchange: _Exchange, now: float, outcome: Outcome) -> None:
-        """Once more, or tell the caller that this was the last try."""
-        if exchange.call.tries:
-            self._hold(exchange, now, outcome)
+    def _silence_kept(self, _exchange: _Exchange, _now: float) -> None:
+        self.state = State.FENCED
+        if self._has_echoed:        # three lost ones were bad luck: it is asked again
+            self._unanswered_echoes = 0
+
+    def _call_timed_out(self, exchange: _Exchange, now: float) -> None:
+        self.timeouts += 1
+        within = f'within {exchange.call.timeout:g} s'
+        if exchange.other_reply is not None:
+            within += f' but {exchange.other_reply}, which may be to another request'
+        self._log.warn('timeout', f'no reply to "{exchange.request}" {within}')
+        self._out_of_step('no reply')
+        self._repeat_or_finish(exchange, now, Outcome(TIMEOUT, f'no reply {within}: {_UNKNOWN}'))
+
+    # -- the end of an exchange -----------------------------------------------------------
+
+    def _repeat_or_finish(self, exchange: _Exchange, now: float, outcome: Outcome) -> None:
+        """After a try whose outcome is unknown."""
+        if exchange.call.repeatable and exchange.call.tries:
+            self._send_again(exchange, now, outcome)
         else:
             self._finish(exchange, now, outcome)
 
-    def _hold(self, exchange: _Exchange, now: float, outcome: Outcome) -> None:
+    def _send_again(self, exchange: _Exchange, now: float, outcome: Outcome) -> None:
+        """Put the call back: first of all calls, but a poll behind every call."""
         self._exchange = None
         self._served_until = now
         call = exchange.call
-        call.setback = outcome
+        call.last_try = outcome
         if call.poll:
-            self._polls.appendleft(call)    # behind every call
+            self._polls.appendleft(call)
         else:
-            self._again = call
+            self._retry = call
 
     def _finish(self, exchange: _Exchange, now: float, outcome: Outcome) -> None:
         self._exchange = None
         self._served_until = now
-        exchange.call.finish(outcome)
+        call = exchange.call
+        call.finish(outcome)
+        if outcome.success and call.on_success:
+            call.on_success(outcome)
+
+    # -- calls that wait ------------------------------------------------------------------
+
+    def _next_call(self) -> Optional[Call]:
+        """The one that is served next."""
+        if self._retry is not None:
+            return self._retry
+        waiting = self._calls or self._polls
+        return waiting[0] if waiting else None
 
     def _waiting(self) -> List[Call]:
         waiting = list(self._calls) + list(self._polls)
-        if self._again:
-            waiting.append(self._again)
+        if self._retry is not None:
+            waiting.append(self._retry)
         return waiting
 
-    def _limit(self, call: Call) -> float:
-        """Until when a queued call waits for its turn: not long for a board that is deaf."""
-        if call.doubtful:
-            return min(self._served_until + max(call.timeout, PATIENCE),
-                       call.submitted + self._turn + call.timeout)
-        turn = max(call.submitted, self._served_until if call.setback else 0.0) + self._turn
-        serving = self._exchange is not None and self._exchange.kind == _CALL
-        if serving or (self.in_step and self.synchronised and not call.setback):
-            return turn
-        # An ECHO may be answered only after what the board is busy with: a move, say.
-        patience = max(PATIENCE, call.timeout) if self.synchronised else PATIENCE
-        return min(turn, max(call.submitted, self._served_until) + patience)
-
-    def _take_in(self) -> None:
-        while self._inbox:
-            call = self._inbox.popleft()
+    def _queue_submitted(self) -> None:
+        while self._submitted:
+            call = self._submitted.popleft()
             (self._polls if call.poll else self._calls).append(call)
-        if not self._connected:
-            self._refuse_all('the port is closed')
+        if self.state is State.CLOSED:
+            for call in self._waiting():
+                self._abandon(call, 'the port is closed')
 
-    def _expire(self, now: float) -> None:
-        for call in self._waiting():
-            if call.outcome is not None:      # its caller has gone
-                self._forget(call)
-            elif now >= self._limit(call):
-                self._drop(call, self._why_not())
-
-    def _why_not(self) -> str:
-        if not self._connected:
-            return 'the port is closed'
-        return self.condition() or 'the bus is busy with other calls'
-
-    def _forget(self, call: Call) -> None:
-        if call is self._again:
-            self._again = None
+    def _remove(self, call: Call) -> None:
+        if call is self._retry:
+            self._retry = None
             return
         for queue in (self._calls, self._polls):
             try:
@@ -450,54 +553,87 @@ class Master:
             except ValueError:
                 pass
 
-    def _refuse_all(self, why: str) -> None:
+    def _abandoned_at(self, call: Call) -> float:
+        """When a call that waits is told that it was not sent, or not sent again."""
+        if call.invalid_unconfirmed:
+            return self._confirmation_limit(call)
+        exchange = self._exchange
+        serving = exchange is not None and exchange.kind is _Kind.CALL
+        if serving or (self.in_step and not call.last_try):
+            return self._turn_limit(call)
+        return self._recovery_limit(call)
+
+    def _turn_limit(self, call: Call) -> float:
+        """Of a call that waits for others to be served."""
+        since = max(call.submitted, self._served_until) if call.last_try else call.submitted
+        return since + self._longest_turn
+
+    def _recovery_limit(self, call: Call) -> float:
+        """Of a call that waits for the board to answer SYNC or ECHO: soon, if it is deaf."""
+        # An ECHO may be answered only after what the board is busy with: a move, say.
+        patience = max(PATIENCE, call.timeout) if self.synchronised else PATIENCE
+        return min(self._turn_limit(call), max(call.submitted, self._served_until) + patience)
+
+    def _confirmation_limit(self, call: Call) -> float:
+        """Of a call that waits for the ECHO which tells what an INVALID was said of."""
+        return min(self._served_until + max(call.timeout, PATIENCE),
+                   call.submitted + self._longest_turn + call.timeout)
+
+    def _abandon_overdue(self, now: float) -> None:
         for call in self._waiting():
-            self._drop(call, why)
+            if call.outcome is not None:      # its caller has gone
+                self._remove(call)
+            elif now >= self._abandoned_at(call):
+                self._abandon(call, self.condition() or 'the bus is busy with other calls')
 
-    def _drop(self, call: Call, why: str) -> None:
-        """A queued call is not sent, or not sent again."""
-        self._forget(call)
-        if call.doubtful:
-            call.finish(_not_known(call.setback))
+    def _abandon(self, call: Call, why: str) -> None:
+        """A call that waits is not sent, or not sent again."""
+        self._remove(call)
+        if call.invalid_unconfirmed:
+            call.finish(_unknown_after_invalid(call.last_try))
+        elif call.last_try:
+            call.finish(call.last_try)
         elif call.request == bus.SYNC_REQUEST:
-            call.finish(call.setback or Outcome(NOT_SENT, why))     # the link's own may have left
+            call.finish(Outcome(NOT_SENT, why))     # a SYNC of the link's own may have left
         else:
-            call.finish(call.setback or Outcome(NOT_SENT, '%s; nothing was sent' % why))
+            call.finish(Outcome(NOT_SENT, f'{why}; nothing was sent'))
 
 
-_UNKNOWN = 'it is not known whether this was executed; look before you repeat it'
+def _lost_synchronism(reply: bus.Reply) -> bool:
+    return reply.cmd1 == bus.INVALID and reply.error_code == bus.NOT_SYNCHRONISED
 
 
-def _not_known(invalid: Outcome) -> Outcome:
-    """Of an INVALID that may have been said of noise before the request."""
-    return Outcome(TIMEOUT, 'the board said INVALID (%s), perhaps of noise on the line: %s'
-                   % (bus.describe_error(invalid.error_code), _UNKNOWN), invalid.error_code)
-
-
-def _told(reply: bus.Reply, request: bus.Request, round_trip: float) -> Outcome:
-    """The outcome that a reply means."""
-    code = reply.error_code
-    if reply.cmd1 == bus.INVALID:
-        message = 'refused, nothing was executed: %s' % bus.describe_error(code)
-    elif reply.cmd1 == bus.ERROR:
-        message = 'the board refused: %s' % bus.describe_error(code)
-    else:
-        message = f'done: {request}'
-    return Outcome(reply.cmd1, message, code, reply.data, round_trip)
-
-
-def _answers(reply: bus.Reply, request: bus.Request) -> bool:
-    """Whether this can be the reply to that."""
+def _may_answer(reply: bus.Reply, request: bus.Request) -> bool:
+    """Whether a reply of this type can be to that request."""
     if reply.cmd1 in (bus.ERROR, bus.INVALID):
         return True
     if request.cmd1 == bus.ECHO:
         return reply.cmd1 == bus.ECHO and reply.data == request.data
     if request.cmd1 == bus.SYNC:
         return reply.cmd1 == bus.SYNC
-    if reply.cmd1 != bus.OK:
-        return False
-    if request == bus.ENVIRONMENT_REQUEST:
-        return len(reply.data) == bus.Environment.LAYOUT.size
-    if request.cmd1 == bus.FUNCTION and request.cmd2 in (bus.LIFT, bus.GIMBAL):
-        return not reply.data     # an OK with data was meant for another request
-    return True
+    return reply.cmd1 == bus.OK
+
+
+def _may_be_behind_the_invalid(reply: bus.Reply, call: Call) -> bool:
+    """Whether this may tell that a request which got an INVALID was executed all the same."""
+    return (call.invalid_unconfirmed and reply.cmd1 not in (bus.ERROR, bus.INVALID)
+            and _may_answer(reply, call.request))
+
+
+def _unknown_after_invalid(invalid: Outcome) -> Outcome:
+    """Of an INVALID that may have been said of noise before the request."""
+    return Outcome(TIMEOUT, f'the board said INVALID ({bus.describe_error(invalid.error_code)}), '
+                   f'perhaps of noise on the line: {_UNKNOWN}', invalid.error_code)
+
+
+def _outcome_of(reply: bus.Reply, request: bus.Request, round_trip: float,
+                stamp: Any) -> Outcome:
+    """The outcome that a reply means."""
+    code = reply.error_code
+    if reply.cmd1 == bus.INVALID:
+        message = f'refused, nothing was executed: {bus.describe_error(code)}'
+    elif reply.cmd1 == bus.ERROR:
+        message = f'the board refused: {bus.describe_error(code)}'
+    else:
+        message = f'done: {request}'
+    return Outcome(reply.cmd1, message, code, reply.data, round_trip, True, stamp)

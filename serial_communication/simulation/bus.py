@@ -87,13 +87,15 @@ class ControlBoard(Board):
         max_length: DATE bytes; a longer request is refused with 0x20, but one that says it is
             longer than the protocol's 1024, too, is no frame.
         reply_has_cmd2: replies carry their request's CMD2.
+        echoes: whether it answers ECHO at all.
+        ok_data: DATE bytes that its OK to a move carries.
         seed: of the air's noise.
     """
 
     NAME = 'bus'
     SUMMARY = 'main control board: lift, gimbal, air'
-    FAULTS = ('drop=0.01 cut=0.01 lose=0.01 flip=0.01 insert=0.01 double=0.01 delay=0.01 '
-              'late=0.005 rx-drop=0.005 rx-lose=0.005 rx-flip=0.01 rx-insert=0.005 '
+    FAULTS = ('drop=0.01 cut=0.01 lose=0.01 flip=0.01 insert=0.01 double=0.01 repeat=0.01 '
+              'delay=0.01 late=0.005 rx-drop=0.005 rx-lose=0.005 rx-flip=0.01 rx-insert=0.005 '
               'silence=0.5/min stall=0.5/min reset=0.5/min')
     CHATTER = b'\r\nboot 1.4\r\nRAM ok\r\nlift: ok gimbal: ok\r\n'
 
@@ -107,15 +109,18 @@ class ControlBoard(Board):
                             help='longest DATE that it accepts (%(default)d)')
         parser.add_argument('--reply-has-cmd2', action='store_true',
                             help="replies carry their request's CMD2")
+        parser.add_argument('--no-echo', action='store_true', help='never answer ECHO')
+        parser.add_argument('--ok-data', type=bytes.fromhex, default=b'', metavar='HEX',
+                            help='data in the OK to a move, as 0102')
 
     @classmethod
     def from_options(cls, options: argparse.Namespace) -> 'ControlBoard':
         return cls(options.lift_speed, options.gimbal_speed, options.max_length,
-                   options.reply_has_cmd2, options.seed)
+                   options.reply_has_cmd2, options.seed, not options.no_echo, options.ok_data)
 
     def __init__(self, lift_speed: float = LIFT_SPEED, gimbal_speed: float = GIMBAL_SPEED,
                  max_length: int = bus.MAX_LENGTH, reply_has_cmd2: bool = False,
-                 seed: int = 0) -> None:
+                 seed: int = 0, echoes: bool = True, ok_data: bytes = b'') -> None:
         super().__init__(bus.RequestDecoder(max(bus.MAX_LENGTH, max_length)))
         self.lift = Axis(LIFT_START, LIFT_RANGE, lift_speed)
         self.pan = Axis(0, PAN_RANGE, gimbal_speed)
@@ -126,6 +131,8 @@ class ControlBoard(Board):
         self.executed = 0
         self._max_length = max_length
         self._reply_has_cmd2 = reply_has_cmd2
+        self._echoes = echoes
+        self._ok_data = ok_data
         self._random = Random('%d air' % seed)
         self._motion: Optional[_Motion] = None
         self._queue: Deque[Tuple[int, Frame]] = deque()
@@ -178,7 +185,7 @@ class ControlBoard(Board):
             self._motion = None
             self.note('done', k=motion.number, lift=round(self.lift.at(now), 1),
                       pan=round(self.pan.at(now), 1), tilt=round(self.tilt.at(now), 1))
-            self._reply(motion.number, bus.Reply(bus.OK), motion.request)
+            self._reply(motion.number, bus.Reply(bus.OK, self._ok_data), motion.request)
         while self._queue and self._motion is None:
             number, frame = self._queue.popleft()
             self._serve(number, frame, now)
@@ -210,7 +217,7 @@ class ControlBoard(Board):
         elif not self.synchronised:
             reply = _invalid(bus.NOT_SYNCHRONISED)
         elif request.cmd1 == bus.ECHO:
-            reply = bus.Reply(bus.ECHO, request.data)
+            reply = bus.Reply(bus.ECHO, request.data) if self._echoes else None
         elif request.cmd1 == bus.FUNCTION:
             reply = self._function(number, request, now)
         else:

@@ -30,6 +30,8 @@ KINDS: Dict[str, Kind] = {
     'flip': Kind(SENT, 'one bit of a frame is flipped'),
     'insert': Kind(SENT, 'one to three bytes get into or around a frame'),
     'double': Kind(SENT, 'a frame is sent twice, in one write'),
+    'repeat': Kind(SENT, 'a frame is sent again a little later, before all behind it',
+                   (0.002, 0.03)),
     'delay': Kind(SENT, 'a frame is held back, and all behind it', (0.02, 0.2)),
     'late': Kind(SENT, 'the same for so long that a Master has given up', (0.6, 1.0)),
     'rx-drop': Kind(RECEIVED, 'what one read gives is lost before it reaches the board'),
@@ -152,6 +154,7 @@ class Fate(NamedTuple):
     wire: bytes              # what goes out; b'' if nothing does
     faults: Tuple[str, ...]  # what struck
     delay: float             # s
+    repeat_after: float = 0.0    # s from then to a second time; 0: none
 
 
 class Faults:
@@ -178,19 +181,21 @@ class Faults:
 
     def sent(self, frame: bytes, now: float) -> Fate:
         """What becomes of a frame that the board sends."""
-        wire, faults, delay = frame, [], 0.0
+        wire, faults, delay, repeat_after = frame, [], 0.0, 0.0
         for trigger in self._sent:
             if not trigger.strikes(now):
                 continue
-            if KINDS[trigger.name].seconds:
+            if trigger.name in ('delay', 'late'):
                 delay = max(delay, trigger.seconds())
             elif wire is not frame:
                 continue     # one change is enough
+            elif trigger.name == 'repeat':
+                repeat_after = trigger.seconds()
             else:
                 wire = _change(trigger.name, frame, trigger.details)
             self._count(trigger.name)
             faults.append(trigger.name)
-        return Fate(wire, tuple(faults), delay)
+        return Fate(wire, tuple(faults), delay, repeat_after)
 
     def received(self, data: bytes, now: float) -> Tuple[bytes, List[str]]:
         """What one read gave: what the board gets of it, and what struck."""

@@ -11,10 +11,12 @@ All boards:
 ``tx``        a frame was handed to the port, or should have been: ``n`` its running number,
               ``ok`` whether the other end must find it: every byte went out, as it should, and
               nothing before it can swallow it; [``faults`` the kinds that met it], [``wire`` the
-              bytes that went out instead of the right ones], [``copies`` 2: it went out twice in
-              one write], [``sent`` false: it never left], [``why`` silence, drop, busy or closed],
+              bytes that went out instead of the right ones], [``copies`` 2: it goes out twice, in
+              one write or, of the kind repeat, once more where ``copy`` stands], [``sent``
+              false: it never left], [``why`` silence, drop, busy or closed],
               [``behind_damage`` true: its own bytes are right, but what went before it did not end
               as it should: it may be found or not]; and the board's own keys, below
+``copy``      ``n``: that frame went out for the second time; [``sent`` false, ``why``]
 ``chatter``   ``wire``: what a board babbles at a reset, or an empty packet;
               [``sent`` false, ``why``]
 ``fault``     ``kind`` silence | stall | reset, ``seconds``: it begins, and how long it lasts

@@ -138,11 +138,14 @@ class Line:
         elif self._waiting > _MOST_WAITING:
             self._lost(fields, 'busy')
         else:
-            if fate.wire == frame + frame:
+            if fate.wire == frame + frame or fate.repeat_after:
                 fields['copies'] = 2
             elif fate.wire != frame:
                 fields['wire'] = fate.wire.hex()
             self._enqueue(fate.wire, self._now + fate.delay, 'tx', fields)
+            if fate.repeat_after:
+                self._enqueue(fate.wire, self._now + fate.delay + fate.repeat_after, 'copy',
+                              {'n': self.frames})
 
     def send_raw(self, data: bytes) -> None:
         """Put bytes that are no frame on their way."""

@@ -1,9 +1,11 @@
 """A board on a robot-ctrl-bus, its line and its callers, in time that only the model knows.
 
 The board loses, delays, doubles and damages, as a list of faults says. The Master under test is
-driven as `BusLink` drives it, and a real decoder stands between. What the model leaves out on
-purpose: a doubled reply whose second half comes so late that the next request has left already.
-Without numbers in the replies no Master can tell that one from the next request's.
+driven as `BusLink` drives it, and a real decoder stands between. A line keeps its order: what
+is late, or comes twice, is there before anything that the board says afterwards.
+
+A fault is a name of `FAULTS`, or ('late', s) for a reply that comes so late, or ('double', s)
+for one that comes again so much later.
 """
 import heapq
 import itertools
@@ -17,9 +19,10 @@ from serial_communication.protocols import robot_ctrl_bus as bus
 REPLY_TIMEOUT, MOTION_TIMEOUT = 0.5, 2.0
 _FRAME_TIMEOUT = 0.05
 
-FAULTS = ('none', 'lose request', 'lose reply', 'late', 'very late', 'double', 'damage reply',
-          'damage request', 'damage request, silent', 'noise', 'noise before', 'cut', 'error',
-          'too long', 'reset', 'invalid for noise')
+FAULTS = ('none', 'lose request', 'lose reply', ('late', REPLY_TIMEOUT + 0.2),
+          ('late', MOTION_TIMEOUT + 0.9), ('double', 0.0), ('double', 0.005), ('double', 0.1),
+          ('double', MOTION_TIMEOUT), 'damage reply', 'damage request', 'damage request, silent',
+          'noise', 'noise before', 'cut', 'error', 'too long', 'reset', 'invalid for noise')
 REQUESTS = ('lift', 'gimbal', 'raw', 'air', 'echo', 'sync')
 
 
@@ -35,11 +38,14 @@ class Asked(NamedTuple):
 class Board:
     """Executes, and answers through a line that has faults."""
 
-    def __init__(self, faults, echoes: bool) -> None:
+    def __init__(self, faults, echoes: bool, ok_data: bytes) -> None:
         self.executed: List[bus.Request] = []
         self.readings = 0
+        self.echoed = 0
+        self.has_doubled = False
         self._faults = iter(faults)
         self._echoes = echoes
+        self.ok_data = ok_data
         self._synchronised = False
         self._line_free = 0.0
 
@@ -49,7 +55,9 @@ class Board:
 
     def take(self, request: bus.Request, now: float) -> List[tuple]:
         """What the request leads to: (time, bytes) for the Master's end of the line."""
-        fault = next(self._faults, 'none')
+        fault, seconds = next(self._faults, 'none'), 0.0
+        if isinstance(fault, tuple):
+            fault, seconds = fault
         if fault in ('lose request', 'damage request, silent'):
             return []
         if fault == 'reset':
@@ -66,9 +74,7 @@ class Board:
         if reply is None or fault == 'lose reply':
             return self._at(now, before) if before else []
         wire = bus.encode_reply(reply)
-        if fault == 'double' and request.cmd1 != bus.SYNC:
-            wire *= 2
-        elif fault == 'damage reply':
+        if fault == 'damage reply':
             wire = wire[:-1] + bytes((wire[-1] ^ 4,))
         elif fault == 'noise':
             wire = b'\x11\x22' + wire
@@ -76,8 +82,14 @@ class Board:
             return self._at(now, b'\xa5\x03') + self._at(now + 0.2, wire)
         elif fault == 'cut':
             wire = wire[:-1]
-        wait = {'late': REPLY_TIMEOUT + 0.2, 'very late': MOTION_TIMEOUT + 0.9}.get(fault, 0.01)
-        return (self._at(now, before) if before else []) + self._at(now + wait, wire)
+        came = self._at(now, before) if before else []
+        if fault == 'late':
+            return came + self._at(now + seconds, wire)
+        came += self._at(now + 0.01, wire)
+        if fault == 'double':
+            self.has_doubled = True
+            came += self._at(now + 0.01 + seconds, wire)
+        return came
 
     def _at(self, when: float, wire: bytes) -> List[tuple]:
         """A line keeps its order."""
@@ -91,6 +103,7 @@ class Board:
         if not self._synchronised:
             return bus.Reply(bus.INVALID, b'\x10')
         if request.cmd1 == bus.ECHO:
+            self.echoed += self._echoes
             return bus.Reply(bus.ECHO, request.data) if self._echoes else None
         if failing:
             return bus.Reply(bus.ERROR, b'\2\x80')
@@ -98,15 +111,15 @@ class Board:
         if request == bus.ENVIRONMENT_REQUEST:
             self.readings += 1
             return bus.Reply(bus.OK, bus.Environment(self.readings, 20.0, 50.0).pack())
-        return bus.Reply(bus.OK, request.data[::-1] if request.cmd2 == 0x30 else b'')
+        return bus.Reply(bus.OK, request.data[::-1] if request.cmd2 == 0x30 else self.ok_data)
 
 
 class Model:
     """Callers, Master, line and board together."""
 
-    def __init__(self, faults=(), echoes: bool = True) -> None:
+    def __init__(self, faults=(), echoes: bool = True, ok_data: bytes = b'') -> None:
         self.now = 10.0
-        self.board = Board(faults, echoes)
+        self.board = Board(faults, echoes, ok_data)
         self.asked: List[Asked] = []
         logger = logging.getLogger('bus model')
         logger.propagate = False
@@ -147,7 +160,8 @@ class Model:
             'sync': bus.SYNC_REQUEST}[kind]
         slow = kind in ('lift', 'gimbal')
         call = Call(request, MOTION_TIMEOUT if slow else REPLY_TIMEOUT,
-                    kind in ('air', 'echo', 'sync'), 3, self.now)
+                    kind in ('air', 'echo', 'sync'), 3, self.now,
+                    reply_length=bus.Environment.LAYOUT.size if kind == 'air' else None)
         self.asked.append(Asked(call, kind, self.now, self.board.readings))
         self.master.submit(call)
 
@@ -161,8 +175,9 @@ class Model:
                 due.append(self._line[0][0])
             if self._decoder.pending:
                 due.append(self._last_byte + _FRAME_TIMEOUT)
-            if self.master.deadline() is not None:
-                due.append(self.master.deadline())
+            deadline = self.master.deadline(self.now)
+            if deadline is not None:
+                due.append(deadline)
             following = min(due)
             if following >= end:
                 self.now = end
@@ -179,7 +194,7 @@ class Model:
             while self._decoder.pending and self.now >= self._last_byte + _FRAME_TIMEOUT:
                 self._deliver(self._decoder.give_up())
             self.master.tick(self.now)
-            if self._decoder.pending or not self.master.wants_to_send():
+            if self._decoder.pending or not self.master.wants_to_send(self.now):
                 return
             request = self.master.next_request(self.now)
             if request is None:
@@ -210,6 +225,7 @@ class Model:
             if asked.kind in ('lift', 'gimbal', 'raw'):
                 if outcome.success:
                     assert times == 1, said
+                    assert asked.kind == 'raw' or outcome.data == self.board.ok_data, said
                 elif outcome.status == TIMEOUT:
                     assert times <= 1, said
                 else:
@@ -221,7 +237,10 @@ class Model:
                     assert outcome.data == request.data, said
                 elif asked.kind == 'air':
                     reading = bus.Environment.unpack(outcome.data).smoke
-                    assert reading > asked.executed_before, 'a reading from before the call'
+                    # No fence stands before what may be repeated: of a reply that comes twice,
+                    # the second may be taken for the answer to the same question asked again.
+                    assert reading > asked.executed_before - self.board.has_doubled, \
+                        'a reading from before the call'
             else:
                 assert outcome.status in (NOT_SENT, TIMEOUT, bus.ERROR, bus.INVALID), said
         assert len(set(self.board.executed)) + self.board.readings >= len(self.board.executed)

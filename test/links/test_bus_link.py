@@ -5,9 +5,9 @@ import time
 import pytest
 
 from boards import PATIENCE, BusBoard, wait_for
-from serial_communication.links.bus import BusLink, BusSettings
+from serial_communication.links.bus import BusLink, BusSettings, _Poller
 from serial_communication.links.link import ERROR, OK, RX, TX
-from serial_communication.links.master import NOT_SENT, TIMEOUT
+from serial_communication.links.master import NOT_SENT, QUIET, TIMEOUT
 from serial_communication.links.port import Port, PortBusy, PortError
 from serial_communication.protocols import robot_ctrl_bus as bus
 
@@ -70,11 +70,50 @@ def test_the_environment_is_polled_and_published(board, open_link):
     assert set(board.executed) == {bus.ENVIRONMENT_REQUEST}
 
 
+def test_a_poll_comes_once_a_period(board, open_link):
+    readings = []
+    link = open_link(PATIENT._replace(environment_period=60.0),
+                     on_environment=lambda reading, stamp: readings.append(reading))
+    wait_for(lambda: readings)
+    for _ in range(5):
+        assert link.echo().success      # the link has looked five times whether a poll is due
+    assert len(readings) == board.executed.count(bus.ENVIRONMENT_REQUEST) == 1
+
+
+def test_a_poller_keeps_its_pace_and_does_not_make_up_for_what_it_missed():
+    class Asked:
+        outcome = 'answered'
+
+    asked, now = [], [0.0]
+    poller = _Poller(1.0, lambda: asked.append(now[0]) or Asked())
+    poller.start(10.0)
+    for now[0] in (10.0, 10.5, 11.25, 11.75, 12.0, 17.5, 18.0, 18.5, 19.0, 19.5):
+        poller.tick(now[0])
+    assert asked == [10.0, 11.25, 12.0, 17.5, 18.5, 19.5]
+    Asked.outcome = None        # it does not ask again before it is answered
+    for now[0] in (20.5, 21.5, 22.5):
+        poller.tick(now[0])
+    assert len(asked) == 6
+
+
+def test_several_things_are_polled_each_to_its_own(line, board, logger, running):
+    kept = {0x30: [], 0x31: []}
+    board.script = lambda request: (
+        bus.encode_reply(bus.Reply(bus.OK, bytes((request.cmd2,)))) if is_move(request) else None)
+    link = BusLink(Port(line.path), PATIENT, logger=logger)
+    for cmd2 in kept:
+        link.poll(0.01, bus.Request(bus.FUNCTION, cmd2), 1, kept[cmd2].append)
+    running(link)
+    wait_for(lambda: all(len(outcomes) >= 3 for outcomes in kept.values()))
+    for cmd2, outcomes in kept.items():
+        assert {outcome.data for outcome in outcomes} == {bytes((cmd2,))}
+
+
 def test_settings_reach_the_wire(line, running, logger):
     board = running(BusBoard(line))
     board.reply = lambda request: bus.encode_reply(
-        bus.Reply(bus.SYNC if request.cmd1 == bus.SYNC else bus.OK, bytes(6) if request.cmd2
-                  else b'', request.cmd2), has_cmd2=True)
+        bus.Reply(bus.OK if request.cmd2 else request.cmd1,
+                  bytes(6) if request.cmd2 else request.data, request.cmd2), has_cmd2=True)
     link = running(BusLink(Port(line.path), PATIENT._replace(
         reply_has_cmd2=True, environment_datelen=0), logger=logger))
     wait_for(lambda: link.master.synchronised)
@@ -148,6 +187,73 @@ def test_a_late_reply_is_not_taken_for_the_next_requests(board, open_link):
     assert outcome.status == bus.ERROR and not late
 
 
+def test_a_refused_lift_is_not_told_as_done_where_the_ok_before_it_comes_twice(board, open_link):
+    """The OK's copy is on its way for 5 ms, so the next lift is asked before it is there."""
+    refused = bus.lift(0, 200)
+
+    def script(request):
+        if request == LIFT:
+            board.line.write(OK_WIRE)
+            threading.Event().wait(0.005)
+            return OK_WIRE
+        if request == refused:
+            return bus.encode_reply(bus.Reply(bus.ERROR, b'\2\x80'))
+        return None
+
+    board.script = script
+    link = open_link()
+    for _ in range(20):
+        assert link.lift(0, 100).success
+        outcome = link.lift(0, 200)
+        assert (outcome.status, outcome.error_code) == (bus.ERROR, 0x8002)
+    assert board.moves() == [LIFT, refused] * 20
+
+
+def test_before_a_move_a_board_that_never_echoes_is_left_in_silence(board, open_link):
+    answered = []       # when the board began to answer
+
+    def script(request):
+        answered.append(time.monotonic())
+        return b'' if request.cmd1 == bus.ECHO else None
+
+    board.script = script
+    link = open_link(SHORT)
+    for _ in range(5):
+        assert link.sync().success
+        before = answered[-1]
+        assert link.lift(0, 100).success
+        assert board.seen[-1].message == LIFT
+        assert board.seen[-1].stamp - before >= QUIET
+
+
+@pytest.mark.parametrize('data', [b'\0', bytes(6)], ids=len)
+def test_a_board_may_answer_moves_with_data(board, open_link, data):
+    board.script = lambda request: (
+        bus.encode_reply(bus.Reply(bus.OK, data)) if is_move(request) else None)
+    link = open_link()
+    for _ in range(3):
+        for outcome in (link.lift(0, 100), link.gimbal(3, 45)):
+            assert outcome.success and outcome.data == data
+
+
+def test_a_reading_of_a_wrong_length_is_told_as_that_and_holds_nobody_up(board, open_link, lines):
+    """The timeouts are longer than this test may take."""
+    board.script = lambda request: (
+        bus.encode_reply(bus.Reply(bus.OK, bytes(4))) if request == bus.ENVIRONMENT_REQUEST
+        else None)
+    readings = []
+    link = open_link(PATIENT._replace(environment_period=0.01, reply_timeout=60.0),
+                     on_environment=lambda reading, stamp: readings.append(reading))
+    outcome, reading = link.environment()
+    assert (outcome.success, outcome.status, reading) == (False, bus.OK, None)
+    assert '4 bytes' in outcome.message and '6 were expected' in outcome.message
+    for _ in range(10):
+        assert link.lift(0, 100).success
+    assert not readings and len(lines('6 were expected')) == 1
+    assert not lines('no reply')
+    assert link.error_count() >= 2 and dict(link.own_values())['timeouts'] == 0
+
+
 def test_a_damaged_reply_is_a_timeout_told_at_once(board, open_link):
     board.script = lambda request: b'\xa5\0\2\0' if is_move(request) else None
     link = open_link()       # its timeouts are longer than this test may take
@@ -202,7 +308,7 @@ def test_no_request_leaves_while_a_reply_is_coming_in(board, open_link):
     wait_for(lambda: link.decoder.pending)
     known = len(board.seen)
     outcomes = in_background(link.lift, 0, 100)
-    wait_for(lambda: link.master.wants_to_send())
+    wait_for(lambda: link.master.wants_to_send(time.monotonic()))
     threading.Event().wait(0.1)
     assert len(board.seen) == known and not outcomes
     board.line.write(OK_WIRE[2:])
@@ -217,7 +323,7 @@ def test_a_reset_board_is_synchronised_and_the_move_is_executed_once(board, open
     assert link.lift(0, 100).success
     assert board.executed == [LIFT]
     assert [request.cmd1 for request in board.requests()][-3:] == [
-        bus.FUNCTION, bus.SYNC, bus.FUNCTION]
+        bus.SYNC, bus.ECHO, bus.FUNCTION]
 
 
 def test_arguments_that_cannot_be_are_refused_here(board, open_link):

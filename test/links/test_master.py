@@ -4,8 +4,8 @@ import logging
 import pytest
 
 from serial_communication.links import master as master_module
-from serial_communication.links.master import (ECHO_TRIES, NOT_SENT, PATIENCE, TIMEOUT, Call,
-                                               Master)
+from serial_communication.links.master import (ECHO_TRIES, NOT_SENT, PATIENCE, QUIET, TIMEOUT,
+                                               Call, Master, State)
 from serial_communication.links.sparing_log import SparingLog
 from serial_communication.protocols import robot_ctrl_bus as bus
 from serial_communication.protocols.framing import CHECKSUM, FRAMING, Frame, bad_frame
@@ -52,15 +52,24 @@ class Session:
         slow = request.cmd2 in (bus.LIFT, bus.GIMBAL)
         repeatable = request.cmd1 in (bus.SYNC, bus.ECHO) or request == AIR
         call = Call(request, self._motion_timeout if slow else REPLY_TIMEOUT, repeatable, tries,
-                    self.now, poll)
+                    self.now, poll, len(AIR_REPLY.data) if request == AIR else None)
         self.master.submit(call)
         return call
 
-    def ask(self):
+    def ask_next(self):
         """What goes out now; None for nothing."""
         self.master.tick(self.now)
-        assert self.master.wants_to_send() or self.master.next_request(self.now) is None
+        assert self.master.wants_to_send(self.now) or self.master.next_request(self.now) is None
         return self.master.next_request(self.now)
+
+    def ask(self):
+        """The same; where it is the fence before a request, that comes back: what is behind it."""
+        in_step = self.master.state is State.IN_STEP
+        request = self.ask_next()
+        if in_step and request is not None and request.data in self.nonces:
+            self.reply(bus.Reply(bus.ECHO, request.data))
+            request = self.ask_next()
+        return request
 
     def reply(self, *replies):
         """Replies that one read brings."""
@@ -76,17 +85,39 @@ class Session:
         self.master.tick(self.now)
 
     def connect(self):
-        """A board that answers SYNC at once."""
+        """A board that answers SYNC, and the ECHO behind it, at once."""
         self.master.connected(self.now)
         assert self.ask() == bus.SYNC_REQUEST
         self.reply(SYNC_REPLY)
+        self.find_step()
         return self
 
     def find_step(self):
         """The ECHO goes out, and comes back."""
-        request = self.ask()
+        request = self.ask_next()
         assert request == bus.echo(self.nonces[-1])
         self.reply(bus.Reply(bus.ECHO, request.data))
+        assert self.master.in_step
+
+    def connect_without_echo(self):
+        """A board that answers SYNC, and never an ECHO; found out as the link comes up."""
+        self.master.connected(self.now)
+        self.ask_next()
+        self.reply(SYNC_REPLY)
+        for _ in range(ECHO_TRIES):
+            assert self.ask_next().cmd1 == bus.ECHO
+            self.later(REPLY_TIMEOUT)
+        self.sync_and_silence()
+        return self
+
+    def sync_and_silence(self):
+        """In the place of an ECHO."""
+        assert self.ask_next() == bus.SYNC_REQUEST
+        self.reply(SYNC_REPLY)
+        assert not self.master.in_step and self.ask_next() is None
+        self.later(REPLY_TIMEOUT - 0.01)
+        assert self.ask_next() is None, 'it is to be silent so long'
+        self.later(0.02)
         assert self.master.in_step
 
     def warnings(self, containing=''):
@@ -102,8 +133,14 @@ def fresh(caplog):
 
 @pytest.fixture
 def session(fresh):
-    """Connected and synchronised."""
+    """Connected, synchronised and in step."""
     return fresh.connect()
+
+
+@pytest.fixture
+def without_echo(fresh):
+    """Connected and synchronised with a board that never echoes."""
+    return fresh.connect_without_echo()
 
 
 # -- 1. one request outstanding; calls before polls -----------------------------------------------
@@ -119,7 +156,8 @@ def test_nothing_is_sent_while_a_request_is_outstanding(session):
     assert session.ask() == GIMBAL
     session.reply(OK_REPLY)
     assert calls[1].outcome.success and session.ask() is None
-    assert not session.master.wants_to_send() and session.master.deadline() is None
+    assert not session.master.wants_to_send(session.now)
+    assert session.master.deadline(session.now) is None
 
 
 def test_calls_go_in_their_order_and_before_polls(session):
@@ -154,7 +192,7 @@ def test_an_outcome_tells_what_the_board_said(session):
 
 def test_nothing_is_sent_before_a_connection(fresh):
     call = fresh.call(LIFT)
-    assert fresh.ask() is None and not fresh.master.wants_to_send()
+    assert fresh.ask() is None and not fresh.master.wants_to_send(fresh.now)
     fresh.later(PATIENCE)
     assert call.outcome.status == NOT_SENT and 'closed' in call.outcome.message
 
@@ -202,7 +240,7 @@ def test_a_new_connection_begins_with_sync(session):
 def test_no_reply_within_its_timeout_means_unknown_and_never_again(session, request_, timeout):
     call = session.call(request_)
     assert session.ask() == request_
-    assert session.master.deadline() == pytest.approx(session.now + timeout)
+    assert session.master.deadline(session.now) == pytest.approx(session.now + timeout)
     session.later(timeout - 0.001)
     assert call.outcome is None
     session.later(0.002)
@@ -285,24 +323,13 @@ def test_an_error_to_the_echo_behind_an_invalid_is_not_the_requests(session, req
     assert call.outcome.success
 
 
-def test_a_board_known_not_to_echo_is_asked_again_after_a_sync_and_a_silence(session):
-    session.damage(FRAMING)
-    for _ in range(3):
-        assert session.ask().cmd1 == bus.ECHO
-        session.later(REPLY_TIMEOUT)
-    for _ in range(2):
-        assert session.ask() == bus.SYNC_REQUEST
-        session.reply(SYNC_REPLY)
-        session.later(REPLY_TIMEOUT)
-        if session.master.synchronised and session.master.in_step:
-            break
+def test_a_board_known_not_to_echo_is_asked_again_after_a_sync_and_a_silence(without_echo):
+    session = without_echo
     call = session.call(RAW)
-    assert session.ask() == RAW
+    assert session.ask_next() == RAW
     session.reply(invalid(0x40))
-    assert session.ask() == bus.SYNC_REQUEST
-    session.reply(SYNC_REPLY)
-    session.later(REPLY_TIMEOUT)
-    assert session.ask() == RAW
+    session.sync_and_silence()
+    assert session.ask_next() == RAW
     session.reply(OK_REPLY)
     assert call.outcome.success
 
@@ -338,20 +365,6 @@ def test_an_invalid_that_no_echo_confirms_is_not_told_as_a_refusal(session, requ
     assert call.outcome.status == TIMEOUT and 'not known' in call.outcome.message
 
 
-def test_what_goes_next_is_final_if_it_may_not_be_repeated(session):
-    assert not session.master.next_is_final()
-    for request, final in ((LIFT, True), (RAW, True), (AIR, False), (bus.SYNC_REQUEST, False)):
-        session.call(request)
-        session.master.tick(session.now)
-        assert session.master.next_is_final() == final
-        session.ask()
-        session.reply({AIR: AIR_REPLY, bus.SYNC_REQUEST: SYNC_REPLY}.get(request, OK_REPLY))
-    session.damage(FRAMING)
-    session.call(LIFT)
-    session.master.tick(session.now)
-    assert not session.master.next_is_final(), 'an ECHO goes first'
-
-
 @MOVING_OR_RAW
 def test_a_request_to_an_unsynchronised_board_goes_again_after_sync(session, request_):
     call = session.call(request_)
@@ -361,6 +374,7 @@ def test_a_request_to_an_unsynchronised_board_goes_again_after_sync(session, req
     assert session.ask() == bus.SYNC_REQUEST
     session.later(REPLY_TIMEOUT / 2)
     session.reply(SYNC_REPLY)
+    session.find_step()
     assert session.ask() == request_
     session.reply(OK_REPLY)
     assert call.outcome.success
@@ -587,9 +601,9 @@ def test_noise_while_a_request_lasts_does_not_hide_the_reply_behind_it(session, 
 
 
 @pytest.mark.parametrize('request_, foreign', [
-    (LIFT, AIR_REPLY), (LIFT, SYNC_REPLY), (LIFT, bus.Reply(bus.ECHO, b'n000')),
-    (GIMBAL, bus.Reply(bus.OK, b'\0')), (AIR, OK_REPLY), (AIR, bus.Reply(bus.OK, bytes(7))),
-    (RAW, SYNC_REPLY), (RAW, bus.Reply(bus.ECHO, b'raw')), (RAW, bus.Reply(0x77)),
+    (LIFT, SYNC_REPLY), (LIFT, bus.Reply(bus.ECHO, b'n000')), (GIMBAL, bus.Reply(bus.OK + 2)),
+    (AIR, SYNC_REPLY), (AIR, bus.Reply(bus.ECHO, AIR_REPLY.data)), (RAW, SYNC_REPLY),
+    (RAW, bus.Reply(bus.ECHO, b'raw')), (RAW, bus.Reply(0x77)),
     (bus.echo(b'mine'), bus.Reply(bus.ECHO, b'ours')), (bus.echo(b'mine'), OK_REPLY),
     (bus.SYNC_REQUEST, OK_REPLY)], ids=str)
 def test_a_reply_that_cannot_be_this_requests_is_not_given_to_its_caller(session, request_,
@@ -601,34 +615,34 @@ def test_a_reply_that_cannot_be_this_requests_is_not_given_to_its_caller(session
     assert not session.master.in_step
 
 
-def test_a_board_that_never_echoes_gets_a_sync_and_a_silence_with_one_warning(session):
-    for round_ in range(4):
+def test_a_board_that_never_echoes_gets_a_sync_and_a_silence_with_one_warning(fresh):
+    session = fresh.connect_without_echo()
+    for _ in range(4):
         session.call(RAW)
-        assert session.ask() == RAW
+        session.later(QUIET)
+        assert session.ask_next() == RAW
         session.later(REPLY_TIMEOUT)
         late = session.call(LIFT)
-        echoes = 0
-        while True:
-            asked = session.ask()
-            if asked.cmd1 != bus.ECHO:
-                break
-            echoes += 1
-            session.later(REPLY_TIMEOUT)
-        assert echoes == (ECHO_TRIES if round_ == 0 else 0)
-        assert asked == bus.SYNC_REQUEST
-        session.reply(SYNC_REPLY)
-        assert not session.master.in_step and session.ask() is None
-        session.later(REPLY_TIMEOUT - 0.01)
-        assert session.ask() is None, 'it is to be silent so long'
-        session.later(0.02)
-        assert session.master.in_step and session.ask() == LIFT
+        session.sync_and_silence()
+        assert session.ask_next() == LIFT
         session.reply(OK_REPLY)
         assert late.outcome.success
     assert len(session.warnings('does not answer ECHO')) == 1
 
 
-@pytest.mark.parametrize('sound', [OK_REPLY, None], ids=('a reply', 'noise'))
-def test_what_comes_in_the_silence_is_dropped_and_the_silence_begins_again(session, sound):
+def test_an_echo_call_that_is_answered_shows_that_the_board_echoes_after_all(without_echo):
+    session = without_echo
+    call = session.call(bus.echo(b'mine'))
+    session.ask_next()
+    session.reply(bus.Reply(bus.ECHO, b'mine'))
+    assert call.outcome.success
+    session.call(LIFT)
+    session.find_step()
+    assert session.ask_next() == LIFT
+
+
+@pytest.mark.parametrize('reply', [OK_REPLY, None], ids=('a reply', 'noise'))
+def test_what_comes_in_the_silence_is_dropped_and_the_silence_begins_again(session, reply):
     session.call(RAW)
     session.ask()
     for _ in range(1 + ECHO_TRIES):
@@ -637,8 +651,8 @@ def test_what_comes_in_the_silence_is_dropped_and_the_silence_begins_again(sessi
     session.reply(SYNC_REPLY)
     call = session.call(LIFT)
     session.later(REPLY_TIMEOUT - 0.1)
-    if sound:
-        session.reply(sound)
+    if reply:
+        session.reply(reply)
     else:
         session.damage(FRAMING)
     session.later(REPLY_TIMEOUT - 0.1)
@@ -689,6 +703,292 @@ def test_a_late_reply_to_an_earlier_sync_is_not_taken_for_a_callers(fresh):
     assert asked.cmd1 == bus.ECHO, 'after a timeout the link is out of step'
 
 
+# -- the fence ------------------------------------------------------------------------------------
+
+@MOVING_OR_RAW
+@pytest.mark.parametrize('before, answer', [
+    (LIFT, OK_REPLY), (RAW, OK_REPLY), (AIR, AIR_REPLY), (bus.SYNC_REQUEST, SYNC_REPLY),
+    (bus.echo(b'mine'), bus.Reply(bus.ECHO, b'mine')), (LIFT, error(0x8002))], ids=str)
+def test_before_a_move_or_a_raw_request_a_fresh_echo_returns(session, request_, before, answer):
+    session.call(before)
+    assert session.ask_next() == before, 'the ECHO behind the SYNC was a fence already'
+    session.reply(answer)
+    known = len(session.nonces)
+    session.call(request_)
+    echo = session.ask_next()
+    assert echo == bus.echo(session.nonces[-1]) and len(session.nonces) == known + 1
+    assert session.ask_next() is None
+    session.reply(bus.Reply(bus.ECHO, echo.data))
+    assert session.ask_next() == request_
+
+
+@REPEATABLE
+def test_what_may_be_repeated_needs_no_fence(session, request_, answer):
+    for _ in range(3):
+        session.call(request_)
+        assert session.ask_next() == request_
+        session.reply(answer)
+
+
+def test_a_fence_holds_until_something_else_is_exchanged(session):
+    session.later(3600.0)
+    session.call(LIFT)
+    assert session.ask_next() == LIFT
+
+
+def test_a_poll_that_comes_up_waits_behind_the_fence_and_its_move(session):
+    session.call(AIR)
+    session.ask_next()
+    session.reply(AIR_REPLY)
+    session.call(LIFT)
+    echo = session.ask_next()
+    session.call(AIR, poll=True)
+    session.later(0.001)
+    session.reply(bus.Reply(bus.ECHO, echo.data))
+    assert session.ask_next() == LIFT
+    session.reply(OK_REPLY)
+    assert session.ask_next() == AIR
+
+
+def test_a_call_that_comes_first_before_a_move_takes_its_fence_away(session):
+    session.call(AIR)
+    session.call(LIFT)
+    assert session.ask_next() == AIR
+    session.reply(AIR_REPLY)
+    assert session.ask_next().cmd1 == bus.ECHO
+
+
+@MOVING_OR_RAW
+def test_a_reply_that_comes_twice_before_the_fence_returns_is_dropped(session, request_):
+    session.call(LIFT)
+    session.ask_next()
+    session.reply(OK_REPLY)
+    call = session.call(request_)
+    echo = session.ask_next()
+    session.reply(OK_REPLY, bus.Reply(bus.ECHO, echo.data))
+    assert session.ask_next() == request_
+    session.reply(error(0x8002))
+    assert call.outcome.status == bus.ERROR
+    assert len(session.warnings('out of step')) == 1, 'a person is told of the doubled reply'
+
+
+@MOVING_OR_RAW
+def test_an_echo_that_comes_twice_does_not_answer_the_request_behind_it(session, request_):
+    session.call(AIR)
+    session.ask_next()
+    session.reply(AIR_REPLY)
+    call = session.call(request_)
+    echo = session.ask_next()
+    session.reply(bus.Reply(bus.ECHO, echo.data))
+    assert session.ask_next() == request_
+    session.reply(bus.Reply(bus.ECHO, echo.data))
+    assert call.outcome is None
+    session.reply(OK_REPLY)
+    assert call.outcome.success
+    session.find_step()
+
+
+def test_a_fence_whose_echo_is_damaged_or_lost_goes_again_with_a_fresh_nonce(session):
+    session.call(AIR)
+    session.ask_next()
+    session.reply(AIR_REPLY)
+    call = session.call(LIFT)
+    first = session.ask_next()
+    session.damage(CHECKSUM)
+    assert session.ask_next() is None and call.outcome is None
+    session.later(REPLY_TIMEOUT)
+    second = session.ask_next()
+    assert second.cmd1 == bus.ECHO and second != first
+    session.reply(bus.Reply(bus.ECHO, first.data))
+    assert session.ask_next() is None
+    session.reply(bus.Reply(bus.ECHO, second.data))
+    assert session.ask_next() == LIFT
+
+
+def test_a_fence_to_a_board_that_was_reset_is_followed_by_sync_and_another(session):
+    session.call(AIR)
+    session.ask_next()
+    session.reply(AIR_REPLY)
+    call = session.call(LIFT)
+    assert session.ask_next().cmd1 == bus.ECHO
+    session.reply(invalid(0x10))
+    assert session.ask_next() == bus.SYNC_REQUEST
+    session.reply(SYNC_REPLY)
+    session.find_step()
+    assert session.ask_next() == LIFT
+    session.reply(OK_REPLY)
+    assert call.outcome.success
+
+
+@MOVING_OR_RAW
+def test_a_fence_that_nobody_answers_ends_within_the_calls_timeout_and_a_second(session, request_):
+    session.call(AIR)
+    session.ask_next()
+    session.reply(AIR_REPLY)
+    call, submitted = session.call(request_), session.now
+    while call.outcome is None:
+        asked = session.ask_next()
+        assert asked is None or asked.cmd1 in (bus.ECHO, bus.SYNC)
+        session.now = session.master.deadline(session.now)
+        session.later(0.0)
+    assert call.outcome.status == NOT_SENT and 'nothing was sent' in call.outcome.message
+    assert session.now - submitted <= call.timeout + 1.0
+
+
+def test_no_fence_goes_out_for_a_caller_that_has_gone(session):
+    session.call(AIR)
+    session.ask_next()
+    call = session.call(LIFT)
+    session.reply(AIR_REPLY)
+    session.master.tick(session.now)
+    call.wait(0.0)
+    assert session.master.next_request(session.now) is None
+    assert session.ask_next() is None and call.outcome.status == NOT_SENT
+
+
+def test_a_board_that_echoed_and_stopped_is_served_after_a_sync_and_a_silence(session):
+    session.call(AIR)
+    session.ask_next()
+    session.reply(AIR_REPLY)
+    call = session.call(LIFT)
+    for _ in range(ECHO_TRIES):
+        assert session.ask_next().cmd1 == bus.ECHO
+        session.later(REPLY_TIMEOUT)
+    session.sync_and_silence()
+    assert session.ask_next() == LIFT, 'the silence took the place of the fence'
+    session.reply(OK_REPLY)
+    assert call.outcome.success
+    session.call(GIMBAL)
+    assert session.ask_next().cmd1 == bus.ECHO, 'three lost ones were bad luck'
+
+
+@MOVING_OR_RAW
+def test_a_board_that_never_echoes_gets_a_silence_before_a_move_since_its_last_byte(
+        without_echo, request_):
+    session = without_echo
+    session.call(AIR)
+    assert session.ask_next() == AIR
+    session.later(0.1)
+    session.reply(AIR_REPLY)
+    call = session.call(request_)
+    assert session.ask_next() is None and not session.master.wants_to_send(session.now)
+    assert session.master.deadline(session.now) == pytest.approx(session.now + QUIET)
+    session.later(QUIET - 0.001)
+    assert session.ask_next() is None
+    session.later(0.002)
+    assert session.ask_next() == request_
+    session.reply(OK_REPLY)
+    assert call.outcome.success
+
+
+@REPEATABLE
+def test_a_board_that_never_echoes_gets_no_silence_before_what_may_be_repeated(
+        without_echo, request_, answer):
+    for _ in range(2):
+        without_echo.call(request_)
+        assert without_echo.ask_next() == request_
+        without_echo.reply(answer)
+
+
+# -- data in an OK --------------------------------------------------------------------------------
+
+@pytest.mark.parametrize('request_', [LIFT, GIMBAL], ids=str)
+@pytest.mark.parametrize('data', [b'\0', AIR_REPLY.data], ids=('one byte', 'as an environment'))
+def test_an_ok_with_data_is_the_moves_behind_a_fence(session, request_, data):
+    for _ in range(2):
+        call = session.call(request_)
+        assert session.ask() == request_
+        session.reply(bus.Reply(bus.OK, data))
+        assert call.outcome.success and call.outcome.data == data
+    assert session.master.in_step
+
+
+@pytest.mark.parametrize('request_', [LIFT, GIMBAL], ids=str)
+def test_an_ok_with_data_from_a_board_that_never_echoes_is_no_moves(without_echo, request_):
+    session = without_echo
+    call = session.call(request_)
+    assert session.ask_next() == request_
+    session.reply(AIR_REPLY)
+    assert call.outcome is None and not session.master.in_step
+    session.later(MOTION_TIMEOUT)
+    assert call.outcome.status == TIMEOUT
+    assert f'{AIR_REPLY}' in call.outcome.message, 'it says why'
+    assert session.warnings(f'no reply to "{request_}" within 5 s but OK')
+
+
+# -- replies of a wrong length --------------------------------------------------------------------
+
+@pytest.mark.parametrize('data', [b'', bytes(4), bytes(7)], ids=len)
+def test_a_reply_of_a_wrong_length_is_told_as_that_and_at_once(session, data):
+    """Without a fence it may be another's: once more behind the ECHO, and then it is known."""
+    session.call(bus.SYNC_REQUEST)
+    session.ask_next()
+    session.reply(SYNC_REPLY)
+    call = session.call(AIR)
+    assert session.ask_next() == AIR
+    session.reply(bus.Reply(bus.OK, data))
+    assert call.outcome is None
+    session.find_step()
+    assert session.ask_next() == AIR
+    session.reply(bus.Reply(bus.OK, data))
+    outcome = call.outcome
+    assert (outcome.success, outcome.status, outcome.data) == (False, bus.OK, data)
+    assert f'{len(data)} bytes' in outcome.message and '6 were expected' in outcome.message
+    assert session.master.timeouts == 0 and session.master.length_errors == 2
+    assert len(session.warnings()) == 1
+    session.call(AIR)
+    session.find_step()
+
+
+def test_an_ok_that_came_twice_before_a_reading_costs_no_reading(session):
+    session.call(LIFT)
+    session.ask()
+    session.reply(OK_REPLY)
+    call = session.call(AIR)
+    assert session.ask_next() == AIR
+    session.reply(OK_REPLY, AIR_REPLY)
+    session.find_step()
+    assert session.ask_next() == AIR
+    session.reply(AIR_REPLY)
+    assert call.outcome.success
+
+
+def test_what_may_not_be_repeated_is_told_of_a_wrong_length_at_once_and_goes_never_again(session):
+    call = Call(RAW, REPLY_TIMEOUT, False, 3, session.now, reply_length=2)
+    session.master.submit(call)
+    assert session.ask_next() == RAW
+    session.reply(OK_REPLY)
+    assert call.outcome.status == bus.OK and not call.outcome.success
+    session.find_step()
+    assert session.ask_next() is None
+
+
+def test_without_echo_the_right_length_may_still_come_to_what_may_not_be_repeated(without_echo):
+    session = without_echo
+    session.call(AIR)
+    session.ask_next()
+    session.reply(AIR_REPLY)
+    session.later(QUIET)
+    call = Call(RAW, REPLY_TIMEOUT, False, 3, session.now, reply_length=2)
+    session.master.submit(call)
+    assert session.ask_next() == RAW
+    session.reply(OK_REPLY)
+    assert call.outcome is None
+    session.reply(bus.Reply(bus.OK, b'ab'))
+    assert call.outcome.success
+
+
+@pytest.mark.parametrize('reply, told', [(AIR_REPLY, True), (bus.Reply(bus.OK), False),
+                                         (error(0x8000), False)], ids=str)
+def test_on_success_is_called_with_a_valid_reading_only(session, reply, told):
+    readings = []
+    session.master.submit(Call(AIR, REPLY_TIMEOUT, True, 1, session.now, poll=True,
+                               reply_length=6, on_success=readings.append))
+    session.ask_next()
+    session.reply(reply)
+    assert [outcome.data for outcome in readings] == ([AIR_REPLY.data] if told else [])
+
+
 # -- INVALID in every state -----------------------------------------------------------------------
 
 @pytest.mark.parametrize('code', [0x40, 0x20])
@@ -732,6 +1032,7 @@ def test_invalid_to_what_may_be_repeated(session, request_, answer, code):
     if code == 0x10:
         assert session.ask() == bus.SYNC_REQUEST
         session.reply(SYNC_REPLY)
+        session.find_step()
     assert session.ask() == request_
     session.reply(answer)
     assert call.outcome.success
@@ -782,14 +1083,17 @@ def test_nothing_of_before_is_sent_after_a_reconnect(session, seen):
     assert session.ask() is None
 
 
-def test_a_call_that_is_cut_off_leaves_the_link_out_of_step(session):
+def test_after_a_reconnect_an_echo_goes_before_any_call(session):
+    """The reply to a call that was cut off may still come, behind that to the SYNC."""
     session.call(LIFT)
     session.ask()
     session.master.disconnected(session.now, 'unplugged')
-    session.connect()
-    call = session.call(GIMBAL)
-    session.find_step()          # its reply may still come
-    assert session.ask() == GIMBAL and call.outcome is None
+    session.master.connected(session.now)
+    assert session.ask_next() == bus.SYNC_REQUEST
+    session.reply(SYNC_REPLY)
+    call = session.call(AIR)
+    session.find_step()
+    assert session.ask_next() == AIR and call.outcome is None
 
 
 def test_a_call_submitted_in_the_instant_of_the_closing_is_refused_with_the_others(session):
@@ -870,7 +1174,7 @@ def test_a_call_to_a_board_that_never_synchronises_expires_soon(fresh):
     fresh.ask()
     call = fresh.call(LIFT)
     fresh.later(0.0)
-    assert fresh.master.deadline() <= fresh.now + PATIENCE
+    assert fresh.master.deadline(fresh.now) <= fresh.now + PATIENCE
     fresh.later(REPLY_TIMEOUT)
     fresh.ask()
     fresh.later(PATIENCE)
@@ -905,7 +1209,7 @@ def test_a_doubt_that_comes_late_ends_within_the_timeout_and_a_second(caplog):
     while call.outcome is None:
         asked = session.ask()
         assert asked is None or asked.cmd1 == bus.ECHO
-        session.now = session.master.deadline()
+        session.now = session.master.deadline(session.now)
         session.later(0.0)
     assert call.outcome.status == TIMEOUT
     assert session.now - submitted <= REPLY_TIMEOUT + 1.0
@@ -919,7 +1223,7 @@ def test_a_caller_that_has_given_up_is_never_sent(session, request_):
     outcome = call.wait(0.0)
     assert outcome.status == NOT_SENT
     session.reply(OK_REPLY)
-    assert session.ask() is None and not session.master.wants_to_send()
+    assert session.ask() is None and not session.master.wants_to_send(session.now)
     assert call.outcome is outcome
 
 
@@ -948,7 +1252,7 @@ def test_the_deadline_is_that_of_the_request_or_of_a_waiting_call(session):
     session.ask()
     session.call(LIFT)
     session.master.tick(session.now)
-    assert session.master.deadline() == pytest.approx(session.now + REPLY_TIMEOUT)
+    assert session.master.deadline(session.now) == pytest.approx(session.now + REPLY_TIMEOUT)
 
 
 # -- conditions -----------------------------------------------------------------------------------

@@ -5,10 +5,28 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from bus_model import FAULTS, MOTION_TIMEOUT, REQUESTS, Model
+from bus_model import FAULTS, MOTION_TIMEOUT, REPLY_TIMEOUT, REQUESTS, Model
 
-# Faults on every second exchange or so.
-faults = st.lists(st.one_of(st.just('none'), st.sampled_from(FAULTS)), max_size=60)
+from serial_communication.links.master import QUIET, Master, State
+from serial_communication.protocols import robot_ctrl_bus as bus
+
+# Faults on every second exchange or so. A board without ECHO has nothing but silences to tell
+# late replies from others: 20 ms before a move.
+seconds = st.floats(0.0, 3.0)
+any_fault = st.one_of(st.sampled_from(FAULTS), st.tuples(st.just('late'), seconds),
+                      st.tuples(st.just('double'), seconds))
+fault_without_echo = st.one_of(
+    st.sampled_from([fault for fault in FAULTS if not isinstance(fault, tuple)]),
+    st.tuples(st.just('late'), st.floats(0.0, REPLY_TIMEOUT - 0.1)),
+    st.tuples(st.just('double'), st.floats(0.0, QUIET - 0.001)))
+
+
+def some(fault):
+    return st.lists(st.one_of(st.just('none'), fault), max_size=60)
+
+
+boards = st.one_of(st.tuples(some(any_fault), st.just(True)),
+                   st.tuples(some(fault_without_echo), st.just(False)))
 pauses = st.sampled_from((0.0, 0.0, 0.005, 0.02, 0.3, 0.51, 1.0, 2.5))
 steps = st.lists(st.tuples(st.sampled_from(REQUESTS + ('lift', 'raw', 'replug')), pauses),
                  min_size=1, max_size=20)
@@ -29,15 +47,49 @@ def play(model, script):
     model.check_all_answered()
 
 
-@given(faults, steps, st.booleans())
+@given(boards, steps, st.sampled_from((b'', b'\0', bytes(6))))
 @settings(max_examples=max(400, settings.default.max_examples))
-def test_what_callers_are_told_is_true(board_faults, script, echoes):
-    # A board without ECHO has nothing but a silence to tell late replies from others.
-    late = () if echoes else ('very late', 'late')
-    play(Model([fault for fault in board_faults if fault not in late], echoes), script)
+def test_what_callers_are_told_is_true(board, script, ok_data):
+    faults, echoes = board
+    play(Model(faults, echoes, ok_data), script)
 
 
-@pytest.mark.parametrize('fault', FAULTS)
+# The board says OK twice, the second time just after the next request has come.
+TWICE_AND_REFUSED = [('lift', 0.012), ('lift', 3.0)]
+
+
+def test_an_ok_that_comes_twice_does_not_hide_a_refusal():
+    """SYNC and ECHO at the start; then a lift, the next fence, and a lift that is refused."""
+    model = Model(['none', 'none', ('double', 0.005), 'none', 'error'])
+    play(model, TWICE_AND_REFUSED)
+    assert [asked.call.outcome.status for asked in model.asked] == [bus.OK, bus.ERROR]
+
+
+def test_the_model_notices_a_missing_fence(monkeypatch):
+    monkeypatch.setattr(Master, '_needs_echo', lambda self, call: False)
+    with pytest.raises(AssertionError, match='executed 0 times'):
+        play(Model(['none', 'none', ('double', 0.005), 'error']), TWICE_AND_REFUSED)
+
+
+def test_the_model_notices_a_missing_silence_before_a_move(monkeypatch):
+    """Of a board without ECHO: SYNC, three ECHOs, SYNC and a silence come first."""
+    faults = ['none'] * 5 + [('double', 0.005), 'error']
+    play(Model(faults, echoes=False), [('sync', 3.0)] + TWICE_AND_REFUSED)
+    monkeypatch.setattr(Master, '_quiet_until', lambda self: 0.0)
+    with pytest.raises(AssertionError, match='executed 0 times'):
+        play(Model(faults, echoes=False), [('sync', 3.0)] + TWICE_AND_REFUSED)
+
+
+def test_moves_of_a_board_that_puts_data_into_its_ok_succeed():
+    model = Model(ok_data=b'\1\2')
+    for kind in ('lift', 'gimbal') * 10:
+        model.submit(kind)
+        model.run(0.1)
+        assert model.asked[-1].call.outcome.success
+    model.check()
+
+
+@pytest.mark.parametrize('fault', FAULTS, ids=str)
 @pytest.mark.parametrize('kind', REQUESTS)
 def test_every_fault_at_every_exchange(fault, kind):
     """One fault, or one on every second exchange, wherever it falls."""
@@ -61,6 +113,19 @@ def test_without_faults_every_call_succeeds_at_once():
         assert model.asked[-1].call.outcome.success
     model.check()
     assert len(model.board.executed) == 80 and model.master.timeouts == 0
+
+
+def test_a_fence_stands_before_moves_and_raw_requests_only():
+    model = Model()
+    model.run(0.1)
+    assert model.master.state is State.FENCED
+    for kind, fences in (('lift', 0), ('lift', 1), ('air', 0), ('air', 0), ('raw', 1),
+                         ('echo', 0), ('sync', 0), ('gimbal', 1)):
+        before = model.board.echoed
+        model.submit(kind)
+        model.run(0.1)
+        assert model.asked[-1].call.outcome.success
+        assert model.board.echoed - before - (kind == 'echo') == fences
 
 
 def test_a_dead_board_answers_nobody_and_everybody_is_told():
@@ -88,7 +153,7 @@ class Session(RuleBasedStateMachine):
     def call(self, kind):
         self.model.submit(kind)
 
-    @rule(fault=st.sampled_from(FAULTS))
+    @rule(fault=any_fault)
     def fail_next(self, fault):
         self._next_faults.append(fault)
 

@@ -1,4 +1,5 @@
 """The simulated main control board."""
+import contextlib
 import threading
 
 import pytest
@@ -286,6 +287,38 @@ def test_link_turns_the_gimbal_and_reads_the_air(master):
     outcome, air = master.environment()
     assert outcome.success and 50 < air.smoke < 250
     assert master.echo().success
+
+
+@pytest.fixture
+def odd_board(cable):
+    """A function that starts a board of these arguments and a link to it."""
+    links, boards = [], contextlib.ExitStack()
+
+    def start(**arguments):
+        boards.enter_context(running(ControlBoard(
+            lift_speed=2000, gimbal_speed=2000, **arguments), cable.b))
+        links.append(BusLink(Port(cable.a), BusSettings(reply_timeout=0.1,
+                                                        environment_period=0.0)))
+        links[0].start()
+        wait_for(lambda: links[0].master.in_step, 'the board is found')
+        return links[0]
+
+    yield start
+    links[0].stop()
+    boards.close()
+
+
+def test_link_takes_data_in_the_ok_to_a_move(odd_board):
+    link = odd_board(ok_data=b'\1\2')
+    for _ in range(3):
+        outcome = link.lift(0, 10)
+        assert outcome.success and outcome.data == b'\1\2'
+
+
+def test_link_serves_a_board_that_never_echoes(odd_board):
+    link = odd_board(echoes=False)
+    assert link.lift(0, 10).success and link.gimbal(0, 5).success
+    assert not link.echo().success
 
 
 def test_link_serves_many_callers_each_its_own_reply(master):
