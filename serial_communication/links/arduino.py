@@ -64,7 +64,8 @@ class ArduinoLink(Link):
         self._unsaid: Deque[Tuple[str, str]] = deque()
         self._open = threading.Event()
         self._heart_stopping = threading.Event()
-        self._heart = threading.Thread(target=self._beat, name='arduino heartbeat', daemon=True)
+        self._heart = threading.Thread(target=self.lasting(self._beat),
+                                       name='arduino heartbeat', daemon=True)
         self._board_lines = float(_BOARD_LINES)
         self._board_line_at = 0.0
 

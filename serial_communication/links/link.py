@@ -14,6 +14,7 @@ OK, WARN, ERROR = 0, 1, 2      # as diagnostic_msgs/DiagnosticStatus has them
 RX, TX = 0, 1                  # as SerialMsg has them
 SILENCE = 1.0                  # s without a frame after which a talking board counts as silent
 _BACK_OFF = (0.1, 1.0)         # s from one try to open to the next: first, last
+_AGAIN = 0.01                  # s after which a thread that raised goes on
 
 Tap = Callable[[str, int, Frame], None]
 
@@ -113,7 +114,9 @@ class Link:
         self.frames_sent += 1
         tap = self.tap      # another thread may take it away meanwhile
         if tap:
-            tap(self.name, TX, Frame(frame, type_, command, data, message, self._clock()))
+            # Guarded, since whoever sends must not take a sent frame for one that was not.
+            self._guarded(lambda: tap(self.name, TX, Frame(frame, type_, command, data, message,
+                                                           self._clock())))
 
     # -- diagnostics ------------------------------------------------------------------
 
@@ -163,38 +166,57 @@ class Link:
     # -- the thread -------------------------------------------------------------------
 
     def _run(self) -> None:
+        """Connection after connection; nothing that a hook or a callback raises ends this."""
         pause = _BACK_OFF[0]
         while not self._stopping.is_set():
-            trouble = self._open_port()
-            if self._stopping.is_set():
-                self.port.close()
-                break
-            if trouble:
-                self._trouble = trouble
-                self.log.warn('closed', '%s: %s' % (self.port.url, trouble))
-                self._pause(self._stopping, pause)
-                pause = min(pause * 2, _BACK_OFF[1])
-                continue
-            pause = _BACK_OFF[0]
-            self._connections += 1
-            if self._connections > 1:
-                self.reconnects += 1
-            self.log.info('opened', '%s: open' % self.port.url)
-            self.decoder.reset()
-            try:
-                self._serve()
-            except PortError as error:
-                self._trouble = str(error)
-                self.log.warn('lost', '%s: %s; opening it again when it returns'
-                              % (self.port.url, error))
-            except Exception as error:  # pylint: disable=broad-except
-                # A fault in a callback must not leave a link dead: say it, and start over.
-                self._trouble = 'fault in the bridge: %r' % error
-                if not self._stopping.is_set():
-                    self.log.error('fault', ''.join(traceback.format_exc()))
-            self.port.close()
-            self.closed(time.monotonic())
+            opened = self._guarded(self._connect)
+            if opened:
+                pause = _BACK_OFF[0]
+                self._guarded(self._serve)
+            self._guarded(self.port.close)
+            if opened:
+                self._guarded(self.closed, time.monotonic())
             self._pause(self._stopping, pause)
+            if not opened:
+                pause = min(pause * 2, _BACK_OFF[1])
+
+    def _connect(self) -> bool:
+        """Open the port; whether it is open now."""
+        trouble = self._open_port()
+        if self._stopping.is_set():
+            return False
+        if trouble:
+            self._trouble = trouble
+            self.log.warn('closed', f'{self.port.url}: {trouble}')
+            return False
+        self._connections += 1
+        if self._connections > 1:
+            self.reconnects += 1
+        self.log.info('opened', f'{self.port.url}: open')
+        self.decoder.reset()
+        return True
+
+    def _guarded(self, function: Callable, *arguments: Any) -> Any:
+        """Call it; what it raises is logged and kept as the link's trouble, and None returned."""
+        try:
+            return function(*arguments)
+        except PortError as error:
+            self._trouble = str(error)
+            self.log.warn('lost', f'{self.port.url}: {error}; opening it again when it returns')
+        except BaseException as error:  # pylint: disable=broad-except
+            # Also what would end this thread alone, as SystemExit does.
+            self._trouble = f'fault in the bridge: {error!r}'
+            if not self._stopping.is_set():
+                self.log.error('fault', traceback.format_exc())
+        return None
+
+    def lasting(self, body: Callable[[], None]) -> Callable[[], None]:
+        """For a thread of the link: `body`, begun again when it raises, until the link stops."""
+        def run() -> None:
+            ended = False
+            while not ended:
+                ended = self._guarded(lambda: body() or True) or self._stopping.wait(_AGAIN)
+        return run
 
     def _open_port(self) -> str:
         """Open the port; why it cannot be opened, or nothing.
@@ -210,8 +232,8 @@ class Link:
                 self.port.open()
             except PortError as error:
                 trouble.append(str(error))
-            except Exception as error:  # pylint: disable=broad-except
-                trouble.append('fault as it was opened: %r' % error)
+            except BaseException as error:  # pylint: disable=broad-except
+                trouble.append(f'fault as it was opened: {error!r}')
             done.set()
             if self._stopping.is_set():
                 self.port.close()       # nobody waits for it any more
@@ -226,7 +248,7 @@ class Link:
         now = time.monotonic()
         end = now + seconds
         while now < end and not until.is_set() and not self._stopping.is_set():
-            due = self.idle(now)
+            due = self._guarded(self.idle, now)
             until.wait(max((end if due is None else min(due, end)) - now, 0.0))
             now = time.monotonic()
 
@@ -271,4 +293,4 @@ class Link:
                 self.last_frame_at = now
                 self.received(frame, now)
             if tap:
-                tap(self.name, RX, frame)
+                self._guarded(tap, self.name, RX, frame)

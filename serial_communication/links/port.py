@@ -10,11 +10,13 @@ import io
 import os
 import re
 import select
+import socket
 import struct
 import termios
 import threading
 import time
 from typing import Optional
+from urllib.parse import urlsplit
 
 import serial
 
@@ -22,6 +24,7 @@ _READ_SIZE = 65536
 _READABLE = select.POLLIN | select.POLLHUP | select.POLLERR
 _SLICE = 0.05      # s
 _STALLED = 0.1     # s of wire time that wait to be sent as the port closes
+_NETWORK = ('socket', 'rfc2217')    # the kinds that name a host
 
 
 class PortError(Exception):
@@ -35,11 +38,30 @@ class PortBusy(Exception):
 def check_url(url: str) -> None:
     """Raise ValueError where pyserial cannot make sense of it. Opens nothing."""
     try:
-        serial.serial_for_url(url, do_not_open=True)
+        port = serial.serial_for_url(url, do_not_open=True)
     except serial.SerialException:
-        pass    # the kind is known, only the device is not there (hwgrep://)
+        return    # the kind is known, only the device is not there (hwgrep://)
     except re.error as error:
-        raise ValueError('hwgrep:// takes a regular expression: %s' % error) from None
+        raise ValueError(f'hwgrep:// takes a regular expression: {error}') from None
+    if urlsplit(url).scheme in _NETWORK:
+        _check_network_url(url, port)
+
+
+def _check_network_url(url: str, port: serial.SerialBase) -> None:
+    parts = urlsplit(url)
+    form = f'{parts.scheme}:// takes a host and a port, as in {parts.scheme}://192.168.1.5:4001'
+    try:
+        number = parts.port
+    except ValueError:
+        number = 0
+    if not parts.hostname or not number:
+        wrong = ('the host is missing' if not parts.hostname else
+                 'the port is missing' if number is None else 'the port is none of 1 to 65535')
+        raise ValueError(f'{form}; {wrong}')
+    try:
+        port.from_url(url)
+    except (ValueError, KeyError, OSError):    # pyserial's own texts of this are broken
+        raise ValueError(f'{form}; "?{parts.query}" is no option of it') from None
 
 
 class Port:
@@ -278,14 +300,44 @@ _HINTS = {
     errno.EAGAIN: 'another program has it open',
     errno.EISDIR: 'this is a directory, not a serial port',
     errno.ENOTTY: 'this is not a serial port',
-    errno.ECONNREFUSED: 'connection refused',
+    errno.ECONNREFUSED: 'connection refused; does the server run, and is its port right?',
+    errno.ECONNRESET: 'the other side closed the connection',
+    errno.EPIPE: 'the other side closed the connection',
+    errno.ETIMEDOUT: 'the host does not answer',
+    errno.EHOSTUNREACH: 'the host cannot be reached',
+    errno.ENETUNREACH: 'the host cannot be reached; is the network up?',
 }
+
+# Parts of pyserial's texts, and what they mean.
+_TEXTS = (
+    ('Inappropriate ioctl', _HINTS[errno.ENOTTY]),
+    ('does not seem to support RFC2217', 'the other side does not speak RFC 2217; '
+                                         'socket:// is for a plain TCP connection'),
+    ('while waiting for option', 'the other side does not speak RFC 2217; '
+                                 'socket:// is for a plain TCP connection'),
+    ('rejected value for option', 'the other side refuses the baud rate or another setting'),
+    ('socket disconnected', 'the other side closed the connection'),
+    ('connection failed', 'the other side closed the connection'),
+    ('timed out', 'the host does not answer'),
+    ('no ports found', 'no device matches; waiting for one'),
+    ('that is not open', 'the device has gone'),
+)
 
 
 def _explain(error: BaseException) -> str:
-    code = getattr(error, 'errno', None)
-    if code is None and error.args and isinstance(error.args[0], int):
-        code = error.args[0]    # termios.error
-    if code is None and 'Inappropriate ioctl' in str(error):
-        code = errno.ENOTTY     # pyserial wraps it in a text
-    return _HINTS.get(code) or str(error)
+    """What is wrong, for a person, and what to do where that is known."""
+    if isinstance(error, (AttributeError, TypeError)):
+        return 'the connection has gone'     # closed while it was read
+    cause: Optional[BaseException] = error
+    while cause is not None:      # pyserial wraps the system's error in a text of its own
+        if isinstance(cause, socket.gaierror):
+            return 'no host of that name is known'
+        if isinstance(cause, (OSError, termios.error)) and cause.args:
+            hint = _HINTS.get(cause.args[0])
+            if hint:
+                return hint
+        cause = cause.__context__
+    for part, meaning in _TEXTS:
+        if part in str(error):
+            return meaning
+    return str(error)

@@ -7,7 +7,8 @@ from typing import Callable, Dict, List
 class SparingLog:
     """Lines of one link: at most one for each cause in every `period` seconds.
 
-    A line that comes after others were held back says how many they were.
+    A line that comes after others were held back says how many they were. Nothing that the
+    logger raises reaches the caller: a link must not end of a log that cannot be written.
     """
 
     def __init__(self, link: str, logger: logging.Logger, period: float = 10.0,
@@ -37,4 +38,7 @@ class SparingLog:
         self._causes[cause] = [now, 0]
         if held_back:
             text += ' (and %d more like it)' % held_back
-        self._logger.log(level, '%s: %s', self._link, text)
+        try:
+            self._logger.log(level, '%s: %s', self._link, text)
+        except Exception:  # pylint: disable=broad-except
+            pass    # there is nowhere to say so

@@ -15,10 +15,16 @@ from serial_communication.links.mcu import McuLink
 from serial_communication.links.port import Port
 from serial_communication.links.sparing_log import SparingLog
 from serial_communication.protocols import arduino, mcu
+from serial_communication.protocols import robot_ctrl_bus as bus
 
 every_link = pytest.mark.parametrize('kind, names', [
     (BusLink, {'bus link'}), (ArduinoLink, {'arduino link', 'arduino heartbeat'}),
     (McuLink, {'mcu link'})], ids=('bus', 'arduino', 'mcu'))
+
+# A frame of each link's board that is good at any time.
+GOOD = {BusLink: bus.encode_reply(bus.Reply(bus.SYNC, b'')),
+        ArduinoLink: arduino.encode(arduino.Ticks(1)),
+        McuLink: mcu.encode(mcu.AdcStatus((1, 2, 3, 4, 5, 6)), 1)}
 
 
 # -- the log --------------------------------------------------------------------------------------
@@ -59,6 +65,19 @@ def test_levels_are_those_of_the_names(log, caplog):
                         ('error', logging.ERROR)):
         getattr(log, name)(name, 'text')
         assert caplog.records[-1].levelno == level
+
+
+class _Broken(logging.Logger):
+    """What rospy's logger is where the terminal has gone."""
+
+    def log(self, *_arguments, **_options):
+        raise OSError(5, 'Input/output error')
+
+
+def test_a_logger_that_raises_reaches_nobody():
+    log = SparingLog('bus', _Broken('broken'))
+    for say in log.info, log.warn, log.error:
+        say(say.__name__, 'text')
 
 
 # -- every link -----------------------------------------------------------------------------------
@@ -142,6 +161,88 @@ def test_whatever_an_opening_raises_is_said_and_it_is_tried_again(line, logger, 
     link = running(McuLink(_Odd(line.path, opening), logger=logger))
     wait_for(lambda: link.port.is_open)
     assert lines('odder')
+
+
+@every_link
+def test_a_log_that_raises_ends_no_link(line, running, kind, names):
+    link = running(kind(Port(line.path), logger=_Broken('broken')))
+    for count in range(2):
+        wait_for(lambda: link.port.is_open and link.reconnects == count)
+        line.write(b'\x03\x55noise\x00')
+        line.unplug()
+        wait_for(lambda: not link.port.is_open)
+        line.plug()
+    wait_for(lambda: link.port.is_open)
+    assert names <= threads()
+
+
+def raising(kind):
+    """A function that raises this once, and then does nothing."""
+    troubles = [kind]
+
+    def function(*_arguments):
+        if troubles:
+            raise troubles.pop()('of a test')
+    return function
+
+
+@every_link
+@pytest.mark.parametrize('hook', ['opened', 'closed', 'received', 'damaged', 'tick', 'idle'])
+@pytest.mark.parametrize('trouble', [RuntimeError, SystemExit])
+def test_whatever_a_hook_raises_ends_no_link(line, logger, running, monkeypatch, kind, names,
+                                             hook, trouble):
+    link = kind(Port(line.path), logger=logger)
+    trap, rest = raising(trouble), getattr(link, hook)
+    raised = threading.Event()
+
+    def trapped(*arguments):
+        try:
+            trap()
+        except BaseException:
+            raised.set()
+            raise
+        return rest(*arguments)
+
+    monkeypatch.setattr(link, hook, trapped)
+    running(link)
+    wait_for(lambda: link.port.is_open or raised.is_set())
+    until_raised = {'received': GOOD[kind], 'damaged': b'noise\0noise\0'}.get(hook)
+    if until_raised:
+        wait_for(lambda: raised.is_set() or line.write(until_raised))
+    elif hook in ('closed', 'idle'):
+        line.unplug()
+        wait_for(raised.is_set)
+        line.plug()
+    wait_for(raised.is_set)
+    wait_for(lambda: link.port.is_open)
+    received = link.frames_received
+    wait_for(lambda: link.frames_received > received or line.write(GOOD[kind]))
+    assert names <= threads()
+
+
+def test_a_heartbeat_that_raises_is_followed_by_others(line, logger, running, monkeypatch, lines):
+    link = ArduinoLink(Port(line.path), logger=logger)
+    rest, trap = link._heartbeat, raising(RuntimeError)
+    monkeypatch.setattr(link, '_heartbeat', lambda: trap() or rest())
+    running(link)
+    wait_for(lambda: link.heartbeats_sent > 20)
+    assert lines('of a test')
+
+
+@every_link
+def test_a_tap_that_raises_takes_nothing_from_the_link(line, logger, running, kind, names):
+    link = kind(Port(line.path), logger=logger)
+    told = []
+
+    def tap(*arguments):
+        told.append(arguments)
+        raise RuntimeError('of a test')
+
+    link.tap = tap
+    running(link)
+    wait_for(lambda: link.port.is_open)
+    wait_for(lambda: link.frames_received > 3 or line.write(GOOD[kind]))
+    assert len(told) > 3 and link.reconnects == 0 and link.port.is_open
 
 
 def test_a_port_that_hangs_as_it_opens_leaves_the_link_alive(line, logger, running):

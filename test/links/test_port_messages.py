@@ -1,0 +1,105 @@
+"""What a port that cannot be opened is told with: a sentence for a person, not pyserial's."""
+import errno
+import re
+import socket
+import termios
+
+import pytest
+import serial
+
+from serial_communication.links.port import Port, PortError, _explain, check_url
+
+# What tells of code instead of the matter.
+_RIDDLES = re.compile(r"instances of|NoneType|\{|Errno|expected a string|object|"
+                      r"debug\|info", re.IGNORECASE)
+
+
+@pytest.mark.parametrize('url, words', [
+    ('socket://robot', 'the port is missing'),
+    ('socket://robot:', 'the port is missing'),
+    ('socket://127.0.0.1:99999', 'the port is none of 1 to 65535'),
+    ('socket://127.0.0.1:0', 'the port is none of 1 to 65535'),
+    ('socket://127.0.0.1:-1', 'the port is none of 1 to 65535'),
+    ('socket://127.0.0.1:http', 'the port is none of 1 to 65535'),
+    ('socket://:4001', 'the host is missing'),
+    ('socket://', 'the host is missing'),
+    ('socket://robot:4001?loging=debug', '"?loging=debug" is no option'),
+    ('socket://robot:4001?logging=loud', '"?logging=loud" is no option'),
+    ('rfc2217://robot', 'the port is missing'),
+    ('rfc2217://robot:99999', 'the port is none of 1 to 65535'),
+    ('rfc2217://robot:4001?timeout=soon', '"?timeout=soon" is no option'),
+    ('hwgrep://(', 'hwgrep:// takes a regular expression'),
+    ('nosuch://robot', "protocol 'nosuch' not known"),
+])
+def test_a_url_that_cannot_be_is_refused_at_the_start(url, words):
+    with pytest.raises(ValueError) as refusal:
+        check_url(url)
+    assert words in str(refusal.value)
+    assert not _RIDDLES.search(str(refusal.value)), refusal.value
+    if url.startswith(('socket:', 'rfc2217:')):
+        assert re.search(r'\w+://192\.168\.1\.5:4001', str(refusal.value)), 'says how it is right'
+
+
+@pytest.mark.parametrize('url', ['', '/dev/ttyS0', 'socket://robot:4001', 'socket://[::1]:4001',
+                                 'rfc2217://robot:4001', 'rfc2217://robot:4001?ign_set_control',
+                                 'rfc2217://robot:4001?poll_modem&timeout=3', 'loop://',
+                                 'hwgrep://0403:6001', 'spy:///dev/ttyS0'])
+def test_a_url_that_can_be_is_taken(url):
+    check_url(url)
+
+
+def trouble(url):
+    """Why it cannot be opened."""
+    with pytest.raises(PortError) as refusal:
+        Port(url).open()
+    assert not _RIDDLES.search(str(refusal.value)), refusal.value
+    return str(refusal.value)
+
+
+def test_a_host_that_is_not_known_is_told():
+    assert trouble('socket://no-such-host.invalid:4001') == 'no host of that name is known'
+
+
+def test_a_port_that_nobody_listens_on_is_told():
+    with socket.socket() as listener:
+        listener.bind(('127.0.0.1', 0))
+        number = listener.getsockname()[1]
+    for kind in 'socket', 'rfc2217':
+        assert trouble(f'{kind}://127.0.0.1:{number}').startswith('connection refused')
+
+
+def test_a_server_that_does_not_speak_rfc2217_is_told():
+    with socket.create_server(('127.0.0.1', 0)) as listener:
+        url = f'rfc2217://127.0.0.1:{listener.getsockname()[1]}?timeout=0.1'
+        assert 'does not speak RFC 2217' in trouble(url)
+
+
+def test_no_device_that_matches_is_told():
+    assert trouble('hwgrep://nothing-of-that-name') == 'no device matches; waiting for one'
+
+
+def wrapped(inner):
+    """As pyserial wraps an error of the system in a text of its own."""
+    try:
+        try:
+            raise inner
+        except type(inner) as error:
+            raise serial.SerialException(f'Could not configure port: {error}')
+    except serial.SerialException as error:
+        return error
+
+
+@pytest.mark.parametrize('error, words', [
+    (wrapped(termios.error(errno.EIO, 'Input/output error')), 'the device has gone'),
+    (wrapped(OSError(errno.EACCES, 'Permission denied')), 'permission denied'),
+    (wrapped(socket.timeout('timed out')), 'the host does not answer'),
+    (wrapped(OSError(errno.EHOSTUNREACH, 'No route to host')), 'the host cannot be reached'),
+    (serial.SerialException('socket disconnected'), 'the other side closed the connection'),
+    (serial.SerialException('connection failed (reader thread died)'),
+     'the other side closed the connection'),
+    (TypeError("'NoneType' object cannot be interpreted as an integer"),
+     'the connection has gone'),
+    (serial.PortNotOpenError(), 'the device has gone'),
+])
+def test_an_error_of_the_system_is_told_in_words(error, words):
+    assert _explain(error).startswith(words)
