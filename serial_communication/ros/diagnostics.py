@@ -1,4 +1,5 @@
 """/diagnostics: one status a link, once a second of the monotonic clock."""
+import logging
 import threading
 import time
 from typing import Iterable
@@ -7,6 +8,7 @@ import rospy
 from diagnostic_updater import Updater
 
 from ..links.link import Link
+from ..links.sparing_log import SparingLog
 
 _PERIOD = 1.0   # s
 
@@ -14,7 +16,8 @@ _PERIOD = 1.0   # s
 class Diagnostics:
     """An updater for each link, since the hardware id, the port, is an updater's."""
 
-    def __init__(self, links: Iterable[Link]) -> None:
+    def __init__(self, links: Iterable[Link], logger: logging.Logger) -> None:
+        self._log = SparingLog('diagnostics', logger)
         self._updaters = []
         for link in links:
             updater = Updater()
@@ -40,8 +43,10 @@ class Diagnostics:
                 try:
                     # Not update(): that one counts in ROS time, which may stand still.
                     updater.force_update()
-                except rospy.ROSException:
-                    return    # shutting down
+                except Exception as error:  # pylint: disable=broad-except
+                    if rospy.is_shutdown():
+                        return
+                    self._log.error('fault', f'fault in the bridge: {error!r}')
 
 
 def _task(link: Link):

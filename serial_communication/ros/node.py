@@ -8,35 +8,51 @@ import time
 
 import rospy
 
-from . import direct, parameters
+from . import background_logging, direct, parameters
 from .arduino import ArduinoInterface
 from .bus import BusInterface
 from .diagnostics import Diagnostics
 from .geometry import publish_mounts
+from .master_watch import MasterWatch
 from .mcu import McuInterface
 from .traffic import Traffic
 
 _SWITCH_INTERVAL = 0.0005   # s that a busy thread may keep the interpreter from the heartbeat
 _SHUTDOWN = 1.0             # s for the links to end in
+_LOGGER = logging.getLogger('rosout')    # rospy's own, for terminal, file and /rosout
 
 
 def main() -> None:
-    """Run until ROS or a signal ends it."""
+    """Run until ROS or a signal ends it, and exit."""
     sys.setswitchinterval(_SWITCH_INTERVAL)
+    background_logging.install()
     direct.install()
-    rospy.init_node('serial_communication')
+    status = 1
     try:
-        values, warnings = parameters.check(rospy.get_param('~', {}), rospy.get_name())
+        status = _run()
+    finally:
+        background_logging.finish(status)
+    sys.exit(status)
+
+
+def _run() -> int:
+    rospy.init_node('serial_communication')
+    given = rospy.get_param('~', {})
+    try:
+        values, warnings = parameters.check(given, rospy.get_name())
     except parameters.ParameterError as error:
         rospy.logfatal(str(error))
-        sys.exit(1)
+        return 1
     for warning in warnings:
         rospy.logwarn(warning)
     bridge = Bridge(values)
     rospy.on_shutdown(bridge.stop)
-    signal.signal(signal.SIGHUP, lambda *_: rospy.signal_shutdown('the terminal has gone'))
+    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:    # as nohup has it
+        signal.signal(signal.SIGHUP, lambda *_: rospy.signal_shutdown('the terminal has gone'))
     bridge.start()
+    MasterWatch(given, _LOGGER).start()
     rospy.spin()
+    return 0
 
 
 def _now() -> rospy.Time:
@@ -53,7 +69,7 @@ class Bridge:
 
     def __init__(self, p: dict) -> None:
         arguments = {'frame_timeout': p['frame_timeout'], 'clock': _now,
-                     'logger': logging.getLogger('rosout')}
+                     'logger': _LOGGER}
         self._interfaces = [interface(p, **arguments) for name, interface in (
             ('bus', BusInterface), ('arduino', ArduinoInterface), ('mcu', McuInterface))
             if p[name + '/port']]
@@ -64,8 +80,8 @@ class Bridge:
             p[name + '_frame_id']: p[name + '_mount'] for name in (
                 'arduino/imu', 'mcu/imu', 'mcu/range_1', 'mcu/range_2')
             if p[name.split('/')[0] + '/port']})
-        self._traffic = Traffic(self._links)
-        self._diagnostics = Diagnostics(self._links)
+        self._traffic = Traffic(self._links, _LOGGER)
+        self._diagnostics = Diagnostics(self._links, _LOGGER)
 
     def start(self) -> None:
         """Open the ports and take calls."""

@@ -1,4 +1,5 @@
 """serial_msg: every frame of every link, while somebody looks."""
+import logging
 import queue
 import threading
 from typing import Iterable
@@ -8,6 +9,7 @@ import rospy
 from serial_communication.msg import SerialMsg
 
 from ..links.link import Link
+from ..links.sparing_log import SparingLog
 from ..protocols.framing import Frame
 from .publishing import publisher
 
@@ -20,8 +22,9 @@ class Traffic(rospy.SubscribeListener):
     While nobody subscribes, the links are not listened to at all.
     """
 
-    def __init__(self, links: Iterable[Link]) -> None:
+    def __init__(self, links: Iterable[Link], logger: logging.Logger) -> None:
         super().__init__()
+        self._log = SparingLog('serial_msg', logger)
         self._links = list(links)
         self._queue: queue.SimpleQueue = queue.SimpleQueue()   # its put never waits
         threading.Thread(target=self._run, name='serial_msg', daemon=True).start()
@@ -44,15 +47,19 @@ class Traffic(rospy.SubscribeListener):
 
     def _run(self) -> None:
         while True:
-            link, direction, frame = self._queue.get()
-            message = SerialMsg(link=link, direction=direction, type=frame.type,
-                                command=frame.command, data=frame.data, frame=frame.raw,
-                                text=_text(frame), error=_error(frame))
-            message.header.stamp = frame.stamp or rospy.Time.now()
             try:
-                self._topic.publish(message)
-            except rospy.ROSException:
-                return    # shutting down
+                self._publish(*self._queue.get())
+            except Exception as error:  # pylint: disable=broad-except
+                if rospy.is_shutdown():
+                    return
+                self._log.error('fault', f'fault in the bridge: {error!r}')
+
+    def _publish(self, link: str, direction: int, frame: Frame) -> None:
+        message = SerialMsg(link=link, direction=direction, type=frame.type,
+                            command=frame.command, data=frame.data, frame=frame.raw,
+                            text=_text(frame), error=_error(frame))
+        message.header.stamp = frame.stamp or rospy.Time.now()
+        self._topic.publish(message)
 
 
 def _text(frame: Frame) -> str:

@@ -11,9 +11,10 @@ import subprocess
 import tempfile
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from typing import Dict, NamedTuple
 
+import rosgraph
 import roslib.packages
 import rospy
 import serial
@@ -261,6 +262,16 @@ class CarBoard(Board):
         wanted = len(self.heartbeats) + number
         until(lambda: len(self.heartbeats) >= wanted, '%d heartbeats' % number)
 
+    def longest_gap(self, rate=100.0):
+        """Between two heartbeats so far, in s.
+
+        That this test was late to read is not counted: heartbeats that came meanwhile are then
+        read at once, and a bridge that was late does not make up for those that it missed.
+        """
+        reads = sorted(Counter(self.heartbeats).items())
+        return max(stamp - before - (number - 1) / rate
+                   for (before, _), (stamp, number) in zip(reads, reads[1:]))
+
     def heartbeat_rate(self, number):
         """In Hz, over `number` heartbeats from now."""
         self.forget()
@@ -337,18 +348,26 @@ class Line:
 
 
 class Bridge:
-    """A bridge that the test starts and ends, with parameters and a name of its own."""
+    """A bridge that the test starts and ends, with parameters and a name of its own.
 
-    def __init__(self, name=PACKAGE, parameters=None, arguments=()):
-        if rospy.has_param('/' + name):
-            rospy.delete_param('/' + name)
+    It prints into a file, unless `stdout` says where; `before` is what stands before the
+    program on its command line, and `master` the URI of another master than the test's.
+    """
+
+    def __init__(self, name=PACKAGE, parameters=None, arguments=(), stdout=None, before=(),
+                 master=None):
+        server = rosgraph.Master('/' + name, master)
+        if server.hasParam('/' + name):
+            server.deleteParam('/' + name)
         for key, value in (parameters or {}).items():
-            rospy.set_param('/%s/%s' % (name, key), value)
+            server.setParam('/%s/%s' % (name, key), value)
         self.name = name
         self._output = tempfile.TemporaryFile('w+')
         self.process = subprocess.Popen(
-            [program('serial_communication_node'), '__name:=' + name] + list(arguments),
-            stdout=self._output, stderr=subprocess.STDOUT)
+            list(before) + [program('serial_communication_node'), '__name:=' + name]
+            + list(arguments), stdout=self._output if stdout is None else stdout,
+            stderr=subprocess.STDOUT,
+            env=dict(os.environ, ROS_MASTER_URI=master or rosgraph.get_master_uri()))
 
     def output(self):
         """What it has printed so far, without colours."""

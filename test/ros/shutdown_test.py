@@ -37,15 +37,19 @@ class Shutdown(unittest.TestCase):
 
     def setUp(self):
         self.car.forget()
-        self.bridge = Bridge(parameters={
-            'bus/port': self.lines[0].near, 'arduino/port': self.lines[1].near,
-            'bus/motion_timeout': 60.0, 'bus/environment_period': 0.0})
-        settle(PACKAGE, self.bus)
+        self.start_bridge()
         self.speed = command_topic('/serial_communication/speed', SpeedPWMCommand)
         self._driving = threading.Event()
         self._driver = threading.Thread(target=self.drive, daemon=True)
         self._driver.start()
         until(lambda: 400 in self.car.speeds, 'the car drives')
+
+    def start_bridge(self, **arguments):
+        """It is in step with its boards when this returns."""
+        self.bridge = Bridge(parameters={
+            'bus/port': self.lines[0].near, 'arduino/port': self.lines[1].near,
+            'bus/motion_timeout': 60.0, 'bus/environment_period': 0.0}, **arguments)
+        settle(PACKAGE, self.bus)
 
     def tearDown(self):
         self.stop_driving()
@@ -81,6 +85,16 @@ class Shutdown(unittest.TestCase):
 
     def test_sighup(self):
         self.assert_ended(*self.bridge.end(signal.SIGHUP))
+
+    def test_a_hangup_that_nohup_has_ignored_ends_nothing(self):
+        self.bridge.end()
+        # As nohup does, which also looks for a terminal; ignored signals are inherited.
+        self.start_bridge(before=('sh', '-c', 'trap "" HUP; exec "$@"', 'nohup'))
+        self.bridge.process.send_signal(signal.SIGHUP)
+        self.car.forget()
+        self.car.wait_for_heartbeats(100)
+        self.assertTrue(self.bridge.alive)
+        self.assert_ended(*self.bridge.end(signal.SIGTERM))
 
     def test_rosnode_kill(self):
         ended = Waiter(self.bridge.process.wait, 15)

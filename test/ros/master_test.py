@@ -1,0 +1,200 @@
+#!/usr/bin/env python3
+"""A master that goes, is replaced by a new one, or hangs, under a bridge that runs."""
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import unittest
+
+import rosgraph
+import rostest
+
+from boards import (PACKAGE, PATIENCE, Bridge, BusBoard, CarBoard, Line, own_folder, until)
+from serial_communication.protocols import arduino
+
+NAME = '/' + PACKAGE
+WITHIN = 10.0         # s in which the bridge is to be known to a new master
+BEAT_MISSED = 0.030   # s without a heartbeat after which the board stops its motor
+MOUNT = [1.0, 2.0, 3.0, 0.0, 0.0, 0.0]
+
+
+def free_port():
+    """A port of this host that nothing listens on."""
+    with socket.socket() as listener:
+        listener.bind(('127.0.0.1', 0))
+        return listener.getsockname()[1]
+
+
+class Tool:
+    """A command line tool of ROS under that master; what it prints is in `output`."""
+
+    def __init__(self, uri, *command):
+        self._process = subprocess.Popen(command, stdout=subprocess.PIPE,
+                                         stderr=subprocess.STDOUT, text=True,
+                                         env=dict(os.environ, ROS_MASTER_URI=uri))
+
+    def output(self):
+        """All of it, when the tool has ended by itself."""
+        return self._process.communicate(timeout=2 * PATIENCE)[0]
+
+    def close(self):
+        """End it."""
+        self._process.kill()
+        self._process.communicate()
+
+
+class MasterTest(unittest.TestCase):
+    """A bridge with two boards, and a roscore that the test ends and starts."""
+
+    def setUp(self):
+        self.folder = own_folder()
+        self.lines = [Line(os.path.join(self.folder, link)).plug() for link in ('bus', 'arduino')]
+        self.bus, self.car = BusBoard(self.lines[0].far), CarBoard(self.lines[1].far)
+        self.uri = 'http://localhost:%d' % free_port()
+        self.server = rosgraph.Master('/master_test', self.uri)
+        self.core = None
+        self.start_core()
+        self.bridge = Bridge(master=self.uri, parameters={
+            'bus/port': self.lines[0].near, 'bus/environment_period': 0.2,
+            'arduino/port': self.lines[1].near, 'arduino/speed_timeout': 0.0,
+            'arduino/imu_mount': MOUNT})
+        until(lambda: self.known(), 'the bridge is up')
+        self.before = self.state()
+        self.car.wait_for_heartbeats(1)
+
+    def tearDown(self):
+        if self.bridge.alive:
+            self.bridge.process.kill()
+            self.bridge.process.wait(10)
+        self.stop_core()
+        for board in self.bus, self.car:
+            board.close()
+        for line in self.lines:
+            line.unplug()
+        shutil.rmtree(self.folder)
+
+    def start_core(self):
+        """A roscore at the port of the last one."""
+        self.core = subprocess.Popen(['roscore', '-p', self.uri.rsplit(':', 1)[1]],
+                                     stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        until(self.server.is_online, 'the master answers', every=0.1)
+        until(lambda: self.answers(self.server.getParam, '/run_id'), 'roscore is complete')
+
+    def stop_core(self):
+        """Ctrl-C; nothing listens there any more when this returns."""
+        self.core.send_signal(signal.SIGINT)
+        self.core.wait(PATIENCE)
+
+    @staticmethod
+    def answers(call, *arguments):
+        """What it answers; None for an error."""
+        try:
+            return call(*arguments)
+        except (rosgraph.MasterException, OSError):
+            return None
+
+    def state(self):
+        """What the bridge publishes, subscribes to and serves."""
+        return [{name for name, nodes in entries if NAME in nodes}
+                for entries in self.server.getSystemState()]
+
+    def known(self):
+        """Whether the last of its services is registered."""
+        state = self.answers(self.state)
+        return state and NAME + '/calibrate_imu' in state[2] and '/diagnostics' in state[0]
+
+    def call(self, name, *arguments):
+        """What `rosservice call` prints."""
+        return Tool(self.uri, 'rosservice', 'call', NAME + '/' + name, *arguments).output()
+
+    def assert_a_fresh_subscriber_gets_data(self):
+        """`rostopic echo`, which asks the master."""
+        tool = Tool(self.uri, 'rostopic', 'echo', '-n', '1', NAME + '/voltage/value')
+        try:
+            until(lambda: tool._process.poll() is not None, 'rostopic gets a message',
+                  2 * PATIENCE, doing=lambda: self.car.say(arduino.Voltage(12.0)), every=0.1)
+            self.assertIn('12.0', tool.output())
+        finally:
+            tool.close()
+
+    def assert_no_heartbeat_missed(self):
+        gap = self.car.longest_gap()
+        print('%s: longest gap between heartbeats %.1f ms, of %d' % (
+            self.id().split('.')[-1], gap * 1e3, len(self.car.heartbeats)))
+        self.assertLess(gap, BEAT_MISSED)
+
+    def test_all_is_registered_again_at_a_new_master(self):
+        for turn in range(2):
+            self.car.forget()
+            self.stop_core()
+            self.start_core()
+            until(lambda: self.state() == self.before and self.server.hasParam(NAME),
+                  'turn %d: all is there again' % turn, WITHIN)
+        self.assertEqual(self.server.getParam(NAME + '/arduino/imu_mount'), MOUNT)
+        self.assertEqual(self.server.getParam(NAME + '/bus/port'), self.lines[0].near)
+        self.assert_a_fresh_subscriber_gets_data()
+        self.assertIn('success: True', self.call('lift', '{direction: 0, distance: 100}'))
+        publisher = Tool(self.uri, 'rostopic', 'pub', '-r', '10', NAME + '/speed',
+                         PACKAGE + '/SpeedPWMCommand', '{value: 321}')
+        try:
+            until(lambda: 321 in self.car.speeds, 'a new publisher reaches the bridge')
+        finally:
+            publisher.close()
+        self.assert_no_heartbeat_missed()
+        output = self.bridge.output()
+        self.assertEqual(output.count('is a new ROS master'), 2, output)
+        self.assertEqual(output.count('lost'), 0, output)
+        self.assertEqual(self.car.bad, [])
+
+    def test_what_stands_at_the_new_master_by_then_is_kept(self):
+        self.stop_core()
+        self.start_core()
+        self.server.setParam(NAME + '/bus/retries', 7)
+        until(lambda: self.known(), 'all is there again', WITHIN)
+        self.assertEqual(self.server.getParam(NAME + '/bus/retries'), 7)
+        self.assertEqual(self.server.getParam(NAME + '/bus/port'), self.lines[0].near)
+
+    def test_who_is_connected_stays_connected_while_there_is_no_master(self):
+        echo = Tool(self.uri, 'rostopic', 'echo', '-n', '2', NAME + '/voltage/value')
+        publisher = Tool(self.uri, 'rostopic', 'pub', '-r', '10', NAME + '/speed',
+                         PACKAGE + '/SpeedPWMCommand', '{value: 321}')
+        try:
+            until(lambda: 321 in self.car.speeds, 'the car drives')
+            until(lambda: any(name == NAME + '/voltage' and nodes for name, nodes
+                              in self.server.getSystemState()[1]), 'rostopic subscribes')
+            self.stop_core()
+            self.bridge.wait_for('no answer from the ROS master')
+            self.car.forget()
+            until(lambda: len(self.car.speeds) >= 5, 'the commands go on')
+            until(lambda: echo._process.poll() is not None, 'the subscriber still gets messages',
+                  doing=lambda: self.car.say(arduino.Voltage(12.0)), every=0.1)
+            self.assert_no_heartbeat_missed()
+        finally:
+            publisher.close()
+            echo.close()
+
+    def test_a_master_that_hangs_holds_up_nothing(self):
+        self.core.send_signal(signal.SIGINT)
+        self.core.wait(PATIENCE)
+        with socket.socket() as hung:
+            hung.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            hung.bind(('', int(self.uri.rsplit(':', 1)[1])))
+            hung.listen(64)
+            self.car.forget()
+            self.bridge.wait_for('no answer from the ROS master')
+            self.lines[0].unplug()       # lines for the log, and for /rosout
+            self.lines[0].plug()
+            self.bridge.wait_for('opening it again')
+            self.bus.forget()
+            until(lambda: self.bus.others, 'the bus is polled again')
+            self.car.wait_for_heartbeats(100)
+            self.assert_no_heartbeat_missed()
+            seconds, status = self.bridge.end()
+            self.assertEqual(status, 0, self.bridge.output())
+            self.assertLess(seconds, 2.5)
+        self.start_core()
+
+
+if __name__ == '__main__':
+    rostest.rosrun(PACKAGE, 'master', '__main__')
