@@ -69,6 +69,7 @@ PARAMETERS: Dict[str, Parameter] = {
     'frame_timeout': _seconds(0.05, 0.001, 10.0),
     'publish_tf': Parameter(False),
     'base_frame_id': _FRAME('base_link'),
+    'frame_prefix': Parameter(''),
 
     'bus/port': _PORT,
     'bus/baud': _BAUD,
@@ -117,6 +118,8 @@ PARAMETERS: Dict[str, Parameter] = {
 def check(given: Dict[str, Any], namespace: str) -> Tuple[Dict[str, Any], List[str]]:
     """Every parameter's value, and a warning for each name that is none of the parameters.
 
+    Frame ids come with `frame_prefix` before them.
+
     Args:
         given: what the parameter server holds under `namespace`, nested as it holds it.
 
@@ -141,6 +144,9 @@ def check(given: Dict[str, Any], namespace: str) -> Tuple[Dict[str, Any], List[s
         raise ParameterError('parameter %s/mcu/min_range is %g, may be less than mcu/max_range, '
                              'which is %g' % (namespace, values['mcu/min_range'],
                                               values['mcu/max_range']))
+    for name in values:
+        if name.endswith('frame_id'):
+            values[name] = values['frame_prefix'] + values[name]
     return values, [_unknown(namespace, name) for name in sorted(flat)]
 
 

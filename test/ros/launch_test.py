@@ -10,6 +10,7 @@ import unittest
 import rosgraph
 import rospy
 import rostest
+import yaml
 from sensor_msgs.msg import Imu, Range, RelativeHumidity, Temperature
 from std_msgs.msg import Bool
 from std_srvs.srv import Empty, Trigger
@@ -97,6 +98,48 @@ class Launch(unittest.TestCase):
         state = rosgraph.Master('/launch_test').getSystemState()[0]
         self.assertEqual([name for name, nodes in state if name.startswith('/mcu')
                           and '/serial_communication' in nodes], [])
+
+    @staticmethod
+    def parameters(*arguments):
+        """What this launch would set, by name."""
+        return yaml.safe_load(subprocess.check_output(
+            ['roslaunch', '--dump-params', PACKAGE, 'bridge.launch', *arguments]))
+
+    def test_what_sim_may_be(self):
+        for value, simulated in (('1', True), ('YES', True), ('on', True), ('True', True),
+                                 ('avr', True), ('0', False), ('No', False), ('off', False),
+                                 ('FALSE', False)):
+            with self.subTest(sim=value):
+                port = self.parameters('sim:=' + value)['/serial_communication/bus/port']
+                self.assertEqual(port.startswith('/tmp/serial_communication-'), simulated, port)
+                self.assertEqual(port == '/dev/ttyS0', not simulated, port)
+
+    def test_another_value_of_sim_ends_the_launch_with_a_clear_word(self):
+        for value in 'maybe', '2', 'simulated':
+            with self.subTest(sim=value):
+                self.launch('sim:=' + value)
+                self.assertNotEqual(self.process.wait(PATIENCE), 0)
+                self.output.seek(0)
+                text = self.output.read()
+                self.assertIn('sim:=%s is wrong; it may be true, 1, yes, on, avr, false, 0, no '
+                              'or off' % value, text)
+                self.assertNotIn('process[', text, 'nothing was started')
+
+    def test_no_two_launches_share_the_folder_of_their_boards(self):
+        ports = [self.parameters('sim:=true')['/serial_communication/bus/port']
+                 for _ in range(2)]
+        self.assertNotEqual(*map(os.path.dirname, ports))
+        # A control socket's name, the longest of them, has to be shorter than 108 characters.
+        self.assertLess(len(os.path.dirname(ports[0])), 80)
+
+    def test_simulated_boards_in_a_folder_and_with_a_name_of_their_own(self):
+        self.launch('sim:=1', 'name:=other', 'frame_prefix:=other/')
+        imu = Topic('/other/imu', Imu).first()
+        self.assertEqual(imu.header.frame_id, 'other/imu')
+        port = rospy.get_param('/other/bus/port')
+        self.assertTrue(port.startswith('/tmp/serial_communication-'), port)
+        self.assertTrue(os.path.exists(port))
+        self.end()
 
     def test_simulated_boards_carry_data_on_every_topic_and_obey(self):
         self.launch('sim:=true', 'sim_dir:=' + self.folder, 'publish_tf:=true')

@@ -5,7 +5,7 @@ from math import sqrt
 
 import rospy
 import rostest
-from sensor_msgs.msg import Imu
+from sensor_msgs.msg import Imu, Range, Temperature
 from tf2_msgs.msg import TFMessage
 
 from boards import PACKAGE, CarBoard, SensorBoard, Topic, ranges, until, values_of
@@ -65,6 +65,27 @@ class TfTest(unittest.TestCase):
         found = self.transform(topic, '/moving', 'car_attitude', lambda: CAR.say(packet))
         self.assert_transform(found, 'car_imu', (0, 0, 0), (0, 0, 0, 1))
 
+    def test_a_prefix_stands_before_every_frame_id(self):
+        mounts, turned = Topic('/tf_static', TFMessage), Topic('/tf', TFMessage)
+        node = '/robot/prefixed'
+        for child in 'imu', 'mcu_imu', 'range_1', 'range_2':
+            found = self.transform(mounts, node, 'robot/' + child)
+            self.assertEqual(found.header.frame_id, 'robot/base_link')
+        packet = arduino.Imu(16384, 0, 0, 0, 0, 0, 0, 0, 0, 8192, 0)
+        for child, doing in (('imu', lambda: PREFIXED_CAR.say(packet)),
+                             ('mcu_imu', lambda: PREFIXED_SENSORS.say(ranges()))):
+            found = self.transform(turned, node, 'robot/%s_orientation' % child, doing)
+            self.assertEqual(found.header.frame_id, 'robot/' + child)
+        for name, message_class, frame, doing in (
+                ('prefixed/imu', Imu, 'imu', lambda: PREFIXED_CAR.say(packet)),
+                ('prefixed/imu/temperature', Temperature, 'imu',
+                 lambda: PREFIXED_CAR.say(packet)),
+                ('mcu/imu', Imu, 'mcu_imu', lambda: PREFIXED_SENSORS.say(ranges())),
+                ('mcu/range_1', Range, 'range_1', lambda: PREFIXED_SENSORS.say(ranges())),
+                ('mcu/range_2', Range, 'range_2', lambda: PREFIXED_SENSORS.say(ranges()))):
+            message = Topic('/robot/' + name, message_class).first(doing=doing)
+            self.assertEqual(message.header.frame_id, 'robot/' + frame)
+
     def test_without_publish_tf_nothing_is_said_of_orientations(self):
         topic = Topic('/tf', TFMessage)
         imu = Topic('/still/imu', Imu)
@@ -79,4 +100,6 @@ if __name__ == '__main__':
     LINE = rospy.get_param('~line')
     CAR, SENSORS = CarBoard(LINE + '_arduino_board'), SensorBoard(LINE + '_mcu_board')
     STILL = CarBoard(LINE + '_still_board')
+    PREFIXED_CAR = CarBoard(LINE + '_prefixed_arduino_board')
+    PREFIXED_SENSORS = SensorBoard(LINE + '_prefixed_mcu_board')
     rostest.rosrun(PACKAGE, 'tf', '__main__')

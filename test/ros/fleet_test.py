@@ -1,0 +1,185 @@
+#!/usr/bin/env python3
+"""Several robots under one master: no bridge sees, says or moves anything of another."""
+import os
+import shutil
+import signal
+import subprocess
+import tempfile
+import unittest
+
+import rospy
+import rostest
+from sensor_msgs.msg import Imu, Range
+from tf2_msgs.msg import TFMessage
+
+from boards import (PACKAGE, PATIENCE, BusBoard, CarBoard, Diagnostics, Line, SensorBoard, Topic,
+                    command_topic, level_imu, own_folder, ranges, service, settle, until)
+from serial_communication.msg import (Environment, McuStatus2, SerialMsg, SpeedPWMCommand, Ticks,
+                                      Voltage)
+from serial_communication.protocols import arduino
+from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.srv import GetEnvironment, Lift
+
+LINKS = 'bus', 'arduino', 'mcu'
+NUMBERS = 1, 2, 3
+
+_ROBOT = """
+  <group ns="robot_{number}">
+    <include file="$(find serial_communication)/launch/bridge.launch">
+      <arg name="name" value="{name}"/>
+      <arg name="frame_prefix" value="robot_{number}/"/>
+      <arg name="publish_tf" value="true"/>
+      {ports}
+    </include>
+  </group>"""
+
+
+def launch_file(folder, ports):
+    """One that includes bridge.launch for each robot, with the arguments that `ports` gives it."""
+    path = os.path.join(folder, 'fleet.launch')
+    with open(path, 'w', encoding='utf-8') as file:
+        file.write('<launch>%s\n</launch>\n' % ''.join(_ROBOT.format(
+            number=number, name=NAMES[number], ports='\n      '.join(
+                f'<arg name="{name}" value="{value}"/>' for name, value in ports(number)))
+            for number in NUMBERS))
+    return path
+
+
+# The first two have one name, in namespaces of their own; the third has a name of its own.
+NAMES = {1: PACKAGE, 2: PACKAGE, 3: 'bridge'}
+
+
+class Robot:
+    """One of them: three boards whose every value tells which it is."""
+
+    def __init__(self, folder, number):
+        self.number = number
+        self.node = f'robot_{number}/{NAMES[number]}'
+        self.lines = {link: Line(os.path.join(folder, f'{link}{number}')).plug()
+                      for link in LINKS}
+        self.bus = BusBoard(self.lines['bus'].far, polled=True)
+        self.bus.air = bus.Environment(100 + number, 20.0 + number, 30.0 + number)
+        self.car = CarBoard(self.lines['arduino'].far)
+        self.sensors = SensorBoard(self.lines['mcu'].far)
+
+    def say(self):
+        """What its car and its sensors measure."""
+        self.car.say(arduino.Voltage(10.0 + self.number))
+        self.car.say(arduino.Ticks(self.number))
+        self.car.say(level_imu())
+        self.sensors.say(ranges(first=100 * self.number, second=100 * self.number + 50))
+
+    def close(self):
+        """Take boards and lines away."""
+        for board in self.bus, self.car, self.sensors:
+            board.close()
+        for line in self.lines.values():
+            line.unplug()
+
+
+class Fleet(unittest.TestCase):
+    """Three bridges, nine boards."""
+
+    @classmethod
+    def setUpClass(cls):
+        cls.folder = own_folder()
+        cls.robots = [Robot(cls.folder, number) for number in NUMBERS]
+        path = launch_file(cls.folder, lambda number: [
+            (link + '_port', cls.robots[number - 1].lines[link].near) for link in LINKS])
+        cls.output = tempfile.TemporaryFile('w+')
+        cls.process = subprocess.Popen(['roslaunch', path], stdout=cls.output,
+                                       stderr=subprocess.STDOUT)
+        for robot in cls.robots:
+            settle(robot.node, robot.bus)
+            until(lambda r=robot: r.car.connected and r.sensors.connected, 'its boards are there')
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.process.send_signal(signal.SIGINT)
+        cls.process.wait(PATIENCE)
+        for robot in cls.robots:
+            robot.close()
+        shutil.rmtree(cls.folder)
+
+    def topics(self, name, message_class, private=True):
+        """That topic of each robot."""
+        return [Topic('/%s/%s' % (robot.node if private else 'robot_%d' % robot.number, name),
+                      message_class) for robot in self.robots]
+
+    def test_no_value_of_one_stands_on_a_topic_of_another(self):
+        expected = (
+            (self.topics('voltage', Voltage), lambda m, n: m.value == 10.0 + n),
+            (self.topics('ticks', Ticks), lambda m, n: m.value == n),
+            (self.topics('imu', Imu), lambda m, n: m.header.frame_id == f'robot_{n}/imu'),
+            (self.topics('environment', Environment), lambda m, n: m.smoke == 100 + n),
+            (self.topics('mcu/status', McuStatus2, private=False),
+             lambda m, n: m.vl53_1 == 100 * n or not m.connected),
+            (self.topics('mcu/range_2', Range, private=False),
+             lambda m, n: (m.header.frame_id == f'robot_{n}/range_2'
+                           and abs(m.range - (0.1 * n + 0.05)) < 1e-6)),
+        )
+        frames = self.topics('serial_msg', SerialMsg, private=False)
+        for _ in range(20):
+            for robot in self.robots:
+                robot.say()
+            until(lambda: all(topic.messages for topic in expected[0][0]), 'something comes')
+        for topics, right in expected:
+            for robot, topic in zip(self.robots, topics):
+                topic.first()
+                wrong = [m for m in topic.messages if not right(m, robot.number)]
+                self.assertEqual(wrong[:1], [], topic.name)
+        for robot, topic in zip(self.robots, frames):
+            topic.first(lambda m: m.link == 'bus' and m.direction == 0 and m.data)
+            read = {bytes(m.frame) for m in topic.messages if m.link == 'arduino'
+                    and m.type == arduino.Voltage.TYPE}
+            self.assertEqual(read, {arduino.encode(arduino.Voltage(10.0 + robot.number))})
+
+    def test_a_call_and_a_command_reach_their_own_boards_alone(self):
+        for robot in self.robots:
+            robot.bus.forget()
+            robot.car.forget()
+        for robot in self.robots:
+            self.assertTrue(service(f'/{robot.node}/lift', Lift)(0, robot.number).success)
+            answer = service(f'/{robot.node}/get_environment', GetEnvironment)()
+            self.assertEqual(answer.environment.smoke, 100 + robot.number)
+            command_topic(f'/{robot.node}/speed', SpeedPWMCommand).publish(value=robot.number)
+            until(lambda r=robot: r.number in r.car.speeds, 'the car drives')
+        for robot in self.robots:
+            moves = {frame.message.data[-1] for frame in robot.bus.frames
+                     if frame.message.cmd1 == bus.FUNCTION and frame.message.cmd2 == bus.LIFT}
+            self.assertEqual(moves, {robot.number})
+            self.assertEqual(set(robot.car.speeds) - {0}, {robot.number})
+
+    def test_diagnostics_and_frames_tell_whose_they_are(self):
+        for robot in self.robots:
+            found = Diagnostics(robot.node).wait_for_all(LINKS, lambda s, _link: True, 'any level')
+            self.assertEqual({link: status.hardware_id for link, status in found.items()},
+                             {link: line.near for link, line in robot.lines.items()})
+        topic = Topic('/tf_static', TFMessage)
+        for robot in self.robots:
+            def frames(node='/' + robot.node):
+                return {(t.header.frame_id, t.child_frame_id) for m in list(topic.messages)
+                        if m._connection_header['callerid'] == node for t in m.transforms}
+            until(frames, 'mounts of ' + robot.node)
+            prefix = f'robot_{robot.number}/'
+            self.assertEqual(frames(), {(prefix + 'base_link', prefix + child) for child in (
+                'imu', 'mcu_imu', 'range_1', 'range_2')})
+
+    def test_simulated_boards_of_one_launch_have_nothing_in_common(self):
+        folder = own_folder()
+        try:
+            path = launch_file(folder, lambda number: [('sim', 'true')])
+            done = subprocess.run(['roslaunch', '--dump-params', path], stdout=subprocess.PIPE,
+                                  text=True, check=True)
+            ports = [line.split(': ')[1] for line in done.stdout.split('\n') if '/port:' in line]
+            self.assertEqual((len(ports), len(set(ports))), (9, 9), done.stdout)
+            nodes = subprocess.run(['roslaunch', '--nodes', path], stdout=subprocess.PIPE,
+                                   text=True, check=True).stdout.split()
+            self.assertEqual((len(nodes), len(set(nodes))), (21, 21), nodes)
+        finally:
+            shutil.rmtree(folder)
+
+
+if __name__ == '__main__':
+    rospy.init_node('fleet_test')
+    rostest.rosrun(PACKAGE, 'fleet', '__main__')
