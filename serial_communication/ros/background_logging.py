@@ -101,8 +101,7 @@ def _flush() -> None:
     for stream in sys.stdout, sys.stderr:
         try:
             stream.flush()
-        except (OSError, ValueError):
-            nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, stream.fileno())
-        except AttributeError:
-            pass    # None: it was closed before the start
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        except (AttributeError, ValueError):
+            pass    # None: it was closed before the start; or closed since

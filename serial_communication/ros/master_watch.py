@@ -12,7 +12,7 @@ import rosgraph
 import rospy
 from rospy.impl import registration
 
-_PERIOD = 2.0     # s from one look at the master to the next
+_PERIOD = 3.0     # s from one look at the master to the next
 _TIMEOUT = 2.0    # s for each of its answers
 
 

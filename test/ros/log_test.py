@@ -31,6 +31,10 @@ class Unwritable:
         self.voltage = Topic('/serial_communication/voltage', Voltage)
         settle(PACKAGE, self.bus)
         self.assert_data_flows()
+        self.spoil()
+
+    def spoil(self):
+        """From now on the output cannot be written, if it could so far."""
 
     def tearDown(self):
         self.voltage.close()
@@ -44,12 +48,6 @@ class Unwritable:
         for descriptor in self.descriptors:
             os.close(descriptor)
         shutil.rmtree(self.folder)
-
-    def pipe(self):
-        """Its reading and writing ends, closed after the test unless a test does so."""
-        ends = os.pipe()
-        self.descriptors += ends
-        return ends
 
     def assert_data_flows(self):
         """A measurement comes through."""
@@ -98,24 +96,28 @@ class ClosedPipe(Unwritable, unittest.TestCase):
     """Whoever read it has gone."""
 
     def output(self):
-        reading, writing = self.pipe()
-        os.close(reading)
-        self.descriptors.remove(reading)
-        return writing
+        self.descriptors += os.pipe()
+        return self.descriptors[1]
+
+    def spoil(self):
+        os.close(self.descriptors.pop(0))
 
 
 class FullPipe(Unwritable, unittest.TestCase):
     """Whoever should read it does not, as a terminal after Ctrl-S."""
 
-    def output(self):
-        _, writing = self.pipe()
-        os.set_blocking(writing, False)
-        try:
-            while True:
-                os.write(writing, bytes(4096))
-        except BlockingIOError:
-            os.set_blocking(writing, True)
-        return writing
+    output = ClosedPipe.output
+
+    def spoil(self):
+        # Opened once more, since whether writing waits is shared with the bridge otherwise.
+        writing = os.open('/proc/self/fd/%d' % self.descriptors[1], os.O_WRONLY | os.O_NONBLOCK)
+        for size in 4096, 1:
+            try:
+                while True:
+                    os.write(writing, bytes(size))
+            except BlockingIOError:
+                pass
+        os.close(writing)
 
 
 class FullDisk(Unwritable, unittest.TestCase):
