@@ -8,14 +8,13 @@ Both sides talk at any time. There is no checksum, so values that cannot be are 
 Little-endian but for the IMU, which is big-endian. A message is one class here: its type, its
 layout, its limits. Decisions where the source is silent: see "Protocols" in README.md.
 """
-from math import isfinite, pi
-from struct import Struct
-from typing import Any, Dict, List, NamedTuple, Tuple
-from unicodedata import category
+from math import pi
+from typing import Any, Dict, Iterable, List, NamedTuple, Tuple
 
 from . import cobs
-from .framing import (FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN, Frame, bad_frame,
-                      good_frame)
+from .framing import FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN, Frame, bad_frame
+from .layout import Layout, Value, message_class, readable
+from .parts import Part, Parts
 
 MAX_PACKET = 256                        # type and data, decoded
 _MAX_ENCODED = MAX_PACKET + 2           # the same in COBS
@@ -28,35 +27,16 @@ _UNIT_SQUARED = 16384 ** 2
 _LEAST_SQUARED = 0.95 ** 2 * _UNIT_SQUARED    # of a quaternion that can be
 _MOST_SQUARED = 1.05 ** 2 * _UNIT_SQUARED
 
-_new = tuple.__new__                    # a NamedTuple without its constructor
-
 Vector = Tuple[float, float, float]
-
-
-def _layout(type_: int, layout: str):
-    """Give a message class its type and the packing of its fields as they stand."""
-    def add(cls):
-        struct = Struct(layout)
-        cls.TYPE = type_
-        cls.SIZE = struct.size
-        cls.pack = lambda self: struct.pack(*self)
-        cls.unpack = classmethod(lambda c, data: _new(c, struct.unpack(data)))
-        cls.implausible = getattr(cls, 'implausible', None)
-        return cls
-    return add
-
-
-def _readable(text: str) -> str:
-    """One line that harms no terminal."""
-    return ''.join(c if c.isprintable() or category(c) == 'Zs' else '\N{REPLACEMENT CHARACTER}'
-                   for c in text)
 
 
 class Log(NamedTuple):
     """DEBUG, INFO, WARN, ERROR (0 … 3), board -> us: a line for people."""
 
     TYPES = (0, 1, 2, 3)
-    SIZE = None
+    LABEL = 'log'
+    LABELS = ('DEBUG', 'INFO', 'WARN', 'ERROR')
+    LAYOUT = Layout('<s', [Value('text')])
 
     severity: int
     text: str      # control characters and bad UTF-8 replaced
@@ -65,7 +45,16 @@ class Log(NamedTuple):
     def unpack(cls, severity: int, data: bytes) -> 'Log':
         """From the data, usually ended by 0x00."""
         text = data.split(b'\0', 1)[0].decode('utf-8', 'replace')
-        return cls(severity, _readable(text.rstrip('\r\n')))
+        return cls(severity, readable(text.rstrip('\r\n')))
+
+    @classmethod
+    def parts(cls, data: bytes) -> List[Part]:
+        """Which bytes of the data are which value."""
+        return cls.LAYOUT.parts(data)
+
+    def implausible(self) -> str:
+        """Why it cannot be: there is no such text."""
+        return ''
 
     @property
     def TYPE(self) -> int:  # noqa: N802 - the type is the severity
@@ -75,35 +64,23 @@ class Log(NamedTuple):
         return self.text.encode() + b'\0'
 
     def __str__(self) -> str:
-        return '%s: %s' % (('DEBUG', 'INFO', 'WARN', 'ERROR')[self.severity], self.text)
+        return f'{self.LABELS[self.severity]}: {self.text}'
 
 
-@_layout(4, '<h')
-class SpeedCommand(NamedTuple):
-    """SPEED_CMD, us -> board: PWM of the drive motor, -1000 … 1000."""
-
-    value: int
-
-    def __str__(self) -> str:
-        return 'speed %d' % self.value
-
-
-@_layout(5, '<H')
-class SteeringCommand(NamedTuple):
-    """STEERING_CMD, us -> board: PWM of the steering servo, µs."""
-
-    value: int
-
-    def __str__(self) -> str:
-        return 'steering %d' % self.value
+SpeedCommand = message_class(
+    'SpeedCommand', 4, '<h', [Value('value')], 'speed',
+    'SPEED_CMD, us -> board: PWM of the drive motor, -1000 … 1000.')
+SteeringCommand = message_class(
+    'SteeringCommand', 5, '<H', [Value('value', 'µs')], 'steering',
+    'STEERING_CMD, us -> board: PWM of the steering servo, µs.')
 
 
 class LedCommand(NamedTuple):
     """LED_CMD, us -> board: left, right, brake, disable …: at most 30 characters of ASCII."""
 
     TYPE = 6
-    SIZE = None
-    implausible = None
+    LABEL = 'LED'
+    LAYOUT = Layout('<s', [Value('text')])
 
     text: str
 
@@ -119,45 +96,55 @@ class LedCommand(NamedTuple):
             ValueError: too long, not ASCII, or with the NUL that would end it early.
         """
         if len(self.text) > LED_LIMIT:
-            raise ValueError('LED text is %d characters long, may be at most %d'
-                             % (len(self.text), LED_LIMIT))
+            raise ValueError(f'LED text is {len(self.text)} characters long, may be at most '
+                             f'{LED_LIMIT}')
         if not self.text.isascii() or '\0' in self.text:
-            raise ValueError('LED text %r must be ASCII, without a NUL' % self.text)
+            raise ValueError(f'LED text {self.text!r} must be ASCII, without a NUL')
         return self.text.encode('ascii') + b'\0'
 
-    def __str__(self) -> str:
-        return 'LED %s' % _readable(self.text)
-
-
-@_layout(7, '<H')
-class SteeringAngle(NamedTuple):
-    """STEERING_ANGLE, board -> us: raw servo feedback, 0 … 1024."""
-
-    value: int
+    @classmethod
+    def parts(cls, data: bytes) -> List[Part]:
+        """Which bytes of the data are which value."""
+        return cls.LAYOUT.parts(data)
 
     def implausible(self) -> str:
-        return 'steering angle %d is over 1024' % self.value if self.value > 1024 else ''
+        """Why it cannot be: there is no such text."""
+        return ''
 
     def __str__(self) -> str:
-        return 'steering angle %d' % self.value
+        return f'LED {readable(self.text)}'
 
 
-@_layout(8, '<B')
-class Ticks(NamedTuple):
-    """TICKS, board -> us: encoder ticks in the last 0.01 s."""
+SteeringAngle = message_class(
+    'SteeringAngle', 7, '<H', [Value('value', minimum=0, maximum=1024)], 'steering angle',
+    'STEERING_ANGLE, board -> us: raw servo feedback, 0 … 1024.')
+Ticks = message_class(
+    'Ticks', 8, '<B', [Value('value')], 'ticks',
+    'TICKS, board -> us: encoder ticks in the last 0.01 s.')
+Voltage = message_class(
+    'Voltage', 10, '<f', [Value('value', 'V', minimum=0, maximum=100)], 'voltage',
+    'VOLTAGE, board -> us: battery volts, averaged over 3 s.')
+Heartbeat = message_class(
+    'Heartbeat', 11, '<', (), 'heartbeat',
+    'HEARTBEAT, us -> board. The board stops the motor when none comes for 30 ms.')
+ImuCalibration = message_class(
+    'ImuCalibration', 12, '<', (), 'calibrate the IMU',
+    'IMU_CALIBRATION, us -> board: it calibrates for over 5 minutes, deaf meanwhile.')
 
-    value: int
 
-    def __str__(self) -> str:
-        return 'ticks %d' % self.value
-
-
-@_layout(9, '>11h')
 class Imu(NamedTuple):
     """IMU, board -> us: the motion processor's numbers, in its own axes and units.
 
     The methods give SI units in ROS's axes: x = board y, y = -board x, z = board z.
     """
+
+    TYPE = 9
+    LABEL = 'IMU'
+    LAYOUT = Layout('>11h', [    # in the board's own axes, and with the default gyro_scale
+        *[Value(f'quaternion {axis}', '', _QUATERNION) for axis in 'wxyz'],
+        *[Value(f'angular rate {axis}', 'rad/s', GYRO_SCALE) for axis in 'xyz'],
+        *[Value(f'acceleration {axis}', 'm/s²', _ACCELERATION) for axis in 'xyz'],
+        Value('temperature', '°C', 1 / 340, 36.53)])
 
     qw: int
     qx: int
@@ -183,6 +170,23 @@ class Imu(NamedTuple):
             (_ACCELERATION, (-ay, ax, az)), (1 / 340, (temperature - 36.53,))) for part in parts]
         return cls(*(min(max(round(value), -0x8000), 0x7FFF) for value in scaled))
 
+    @classmethod
+    def unpack(cls, data: bytes) -> 'Imu':
+        """From 22 bytes; struct.error with any other number."""
+        return cls(*cls.LAYOUT.raw(data))
+
+    def pack(self) -> bytes:
+        """The 22 bytes; struct.error where a number is no int16."""
+        return self.LAYOUT.pack_raw(self)
+
+    @classmethod
+    def parts(cls, data: bytes) -> List[Part]:
+        """Which bytes of the data are which value."""
+        parts = cls.LAYOUT.parts(data)
+        if cls.LAYOUT.fits(len(data)):
+            parts[0] = parts[0]._replace(error=cls.unpack(data).implausible())
+        return parts
+
     def orientation(self) -> Tuple[float, float, float, float]:
         """Quaternion x, y, z, w."""
         return (self.qy * _QUATERNION, -self.qx * _QUATERNION, self.qz * _QUATERNION,
@@ -201,46 +205,16 @@ class Imu(NamedTuple):
         return self.raw_temperature / 340 + 36.53
 
     def implausible(self) -> str:
+        """Why these values cannot be, or ''."""
         qw, qx, qy, qz = self[:4]
         square = qw * qw + qx * qx + qy * qy + qz * qz
         if _LEAST_SQUARED <= square <= _MOST_SQUARED:
             return ''
-        return 'norm of the quaternion is %.3f' % (square / _UNIT_SQUARED) ** 0.5
+        return f'norm of the quaternion is {(square / _UNIT_SQUARED) ** 0.5:.3f}'
 
     def __str__(self) -> str:
-        return 'IMU q (%.3f %.3f %.3f %.3f) a (%.2f %.2f %.2f) m/s^2' % (
-            self.orientation() + self.linear_acceleration())
-
-
-@_layout(10, '<f')
-class Voltage(NamedTuple):
-    """VOLTAGE, board -> us: battery volts, averaged over 3 s."""
-
-    value: float
-
-    def implausible(self) -> str:
-        if isfinite(self.value) and 0 <= self.value <= 100:
-            return ''
-        return '%g V is not within 0 to 100' % self.value
-
-    def __str__(self) -> str:
-        return 'voltage %.2f V' % self.value
-
-
-@_layout(11, '')
-class Heartbeat(NamedTuple):
-    """HEARTBEAT, us -> board. The board stops the motor when none comes for 30 ms."""
-
-    def __str__(self) -> str:
-        return 'heartbeat'
-
-
-@_layout(12, '')
-class ImuCalibration(NamedTuple):
-    """IMU_CALIBRATION, us -> board: it calibrates for over 5 minutes, deaf meanwhile."""
-
-    def __str__(self) -> str:
-        return 'calibrate the IMU'
+        return 'IMU q ({:.3f} {:.3f} {:.3f} {:.3f}) a ({:.2f} {:.2f} {:.2f}) m/s^2'.format(
+            *self.orientation(), *self.linear_acceleration())
 
 
 _FROM_BOARD = (SteeringAngle, Ticks, Imu, Voltage)
@@ -251,8 +225,8 @@ def encode(message: Any) -> bytes:
     """The packet on the wire, its ending 0x00 included.
 
     Raises:
-        ValueError: a text that the message does not allow, or too long a packet.
-        struct.error: a number outside its type.
+        ValueError: a value that the message does not allow, or too long a packet.
+        struct.error: a raw number of the IMU outside its int16.
     """
     return encode_raw(message.TYPE, message.pack())
 
@@ -260,19 +234,26 @@ def encode(message: Any) -> bytes:
 def encode_raw(type_: int, data: bytes) -> bytes:
     """A packet of any type; ValueError where it is over `MAX_PACKET` bytes."""
     if len(data) >= MAX_PACKET:
-        raise ValueError('a packet holds at most %d bytes of data' % (MAX_PACKET - 1))
+        raise ValueError(f'a packet holds at most {MAX_PACKET - 1} bytes of data')
     return cobs.encode(bytes((type_,)) + data) + b'\0'
 
 
 class _Decoder:
-    """Packets ended by 0x00. The next packet after a bad one begins behind its 0x00."""
+    """Packets ended by 0x00. The next packet after a bad one begins behind its 0x00.
 
-    front = needed = 0    # of a pending packet nothing is known until its 0x00 …
+    Args:
+        check_plausibility: refuse packets whose values cannot be.
+        messages: classes of messages of one's own, see `message_class`.
+    """
+
+    front = needed = 0     # for `doubt`, which this framing never needs
     _messages: Dict[int, Any] = {}
 
-    def __init__(self, check_plausibility: bool = True) -> None:
+    def __init__(self, check_plausibility: bool = True, messages: Iterable[Any] = ()) -> None:
         self.errors = dict.fromkeys((FRAMING, OVERSIZE, LENGTH, UNKNOWN, IMPLAUSIBLE), 0)
         self._check = check_plausibility
+        self._messages = dict(self._messages)
+        self._messages.update((message.TYPE, message) for message in messages)
         self.reset()
 
     @property
@@ -314,13 +295,11 @@ class _Decoder:
         return frames
 
     def doubt(self) -> List[Frame]:
-        """… so no packet is held back by another one."""
+        """Never needed: a packet announces no length, so it cannot delay the next."""
         return []
 
     def _oversize(self, packet: bytes, frames: List[Frame], stamp: Any) -> None:
-        self.errors[OVERSIZE] += 1
-        frames.append(bad_frame(packet, OVERSIZE,
-                                'a packet of over %d bytes' % MAX_PACKET, stamp))
+        frames.append(self._bad(packet, OVERSIZE, f'a packet of over {MAX_PACKET} bytes', stamp))
 
     def _packet(self, encoded: bytes, stamp: Any) -> Frame:
         raw = encoded + b'\0'
@@ -330,34 +309,67 @@ class _Decoder:
         if not packet:
             return self._bad(raw, FRAMING, 'a packet without a type', stamp)
         if len(packet) > MAX_PACKET:
-            return self._bad(raw, OVERSIZE, 'a packet of %d bytes' % len(packet), stamp)
+            return self._bad(raw, OVERSIZE, f'a packet of {len(packet)} bytes', stamp)
         type_, data = packet[0], packet[1:]
-        message_class = self._messages.get(type_)
-        if message_class is None:
-            return self._bad(raw, UNKNOWN, 'message type %d is not known here' % type_,
-                             stamp, type_, data)
-        if message_class is Log:
-            return good_frame(raw, type_, 0, data, Log.unpack(type_, data), stamp)
-        if message_class.SIZE != len(data) and message_class.SIZE is not None:
-            return self._bad(raw, LENGTH, 'a %s has %d bytes of data, not %d' % (
-                message_class.__name__, message_class.SIZE, len(data)), stamp, type_, data)
-        message = message_class.unpack(data)
-        if self._check:
-            reason = message.implausible and message.implausible()
-            if reason:
-                return self._bad(raw, IMPLAUSIBLE, reason, stamp, type_, data)
-        return good_frame(raw, type_, 0, data, message, stamp)
+        kind = self._messages.get(type_)
+        if kind is None:
+            return self._bad(raw, UNKNOWN, f'message type {type_} is not known here', stamp,
+                             type_, data)
+        if not kind.LAYOUT.fits(len(data)):
+            return self._bad(raw, LENGTH, f'{kind.LABEL} has {kind.LAYOUT.sizes()} bytes of '
+                             f'data, not {len(data)}', stamp, type_, data)
+        message = kind.unpack(data) if kind is not Log else Log.unpack(type_, data)
+        reason = self._check and message.implausible()
+        if reason:
+            return self._bad(raw, IMPLAUSIBLE, f'{kind.LABEL}: {reason}', stamp, type_, data)
+        return Frame(raw, type_, 0, data, message, stamp)
 
     def _bad(self, raw, cause, error, stamp, type_=0, data=b'') -> Frame:
         self.errors[cause] += 1
         return bad_frame(raw, cause, error, stamp, type_, data)
 
+    # -- for people -------------------------------------------------------------------------
+
+    def explain(self, frame: bytes) -> List[Part]:
+        """The bytes of one packet, good, bad or incomplete, by name; an empty one before it.
+
+        A COBS code that stands for a zero belongs to the value that has the zero; any other is
+        a part of its own.
+        """
+        parts = Parts(frame)
+        begin = len(frame) - len(frame.lstrip(b'\0'))
+        if begin:
+            parts.take_bytes(begin, 'empty packet')
+        end = frame.find(b'\0', begin)
+        decoded, places, past = cobs.trace(frame[begin:] if end < 0 else frame[begin:end])
+        inner = Parts(decoded)
+        kind = self._messages.get(decoded[0]) if decoded else None
+        if decoded:
+            if kind is None:
+                inner.take(1, 'type', error='not known here')
+                inner.take_bytes(len(decoded) - 1, 'data')
+            else:
+                inner.take(1, 'type', Log.LABELS[decoded[0]] if kind is Log else kind.LABEL)
+                inner.take_data(len(decoded) - 1, kind.parts)
+        for part in inner.found:
+            place = begin + places[part.start] if part.end > part.start else parts.at
+            if place > parts.at:
+                parts.take(place - parts.at, 'COBS code', 'the packet without zeros')
+            last = begin + places[part.end - 1] + 1 if part.end > part.start else parts.at
+            parts.add(part._replace(start=parts.at, end=last))
+        rest = len(frame) if end < 0 else end
+        if rest > parts.at:
+            parts.take(rest - parts.at, 'COBS code')
+        parts.take(1, 'end', error=f'a COBS code runs {past} bytes past it' if past else ''
+                   if decoded or end < 0 else 'a packet without a type')
+        return parts.take_rest('noise', 'bytes behind the packet')
+
 
 class Decoder(_Decoder):
     """Board -> us."""
 
-    _messages = {message.TYPE: message for message in _FROM_BOARD}
-    _messages.update(dict.fromkeys(Log.TYPES, Log))
+    _messages = {**{message.TYPE: message for message in _FROM_BOARD},
+                 **dict.fromkeys(Log.TYPES, Log)}
 
 
 class BoardDecoder(_Decoder):

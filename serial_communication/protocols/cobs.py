@@ -4,7 +4,7 @@ Reference: S. Cheshire and M. Baker, "Consistent Overhead Byte Stuffing", IEEE/A
 on Networking 7(2), 1999. A block is a code byte n, then n-1 bytes that are not zero, then a
 zero that is left out; code 255 stands for 254 bytes and no zero.
 """
-from typing import Optional
+from typing import List, Optional, Tuple
 
 _BLOCK = 254  # most bytes in one block
 
@@ -71,3 +71,24 @@ def undo(encoded: bytes) -> Optional[bytes]:
             if code <= _BLOCK and at < size:
                 out.append(0)
     return bytes(out) if at == size else None
+
+
+def trace(encoded: bytes) -> Tuple[bytes, List[int], int]:
+    """What can be decoded, where each byte of it stands in `encoded`, and what is missing.
+
+    A zero stands where the code byte is that tells of it. What is missing is the number of bytes
+    by which the last code runs past the end.
+    """
+    out, places = bytearray(), []
+    at = past = 0
+    while at < len(encoded):
+        code = encoded[at]
+        run = encoded[at + 1:at + code]
+        out += run
+        places += range(at + 1, at + 1 + len(run))
+        past = max(at + code - len(encoded), 0)
+        at += max(code, 1)
+        if code <= _BLOCK and at < len(encoded):
+            out.append(0)
+            places.append(at)
+    return bytes(out), places, past

@@ -12,10 +12,11 @@ uint16, 255 or more. Datelen counts the DATE bytes. Checksum: XOR of every byte 
 Little-endian. Decisions where the source is silent: see "Protocols" in README.md.
 """
 import re
-from struct import Struct
-from typing import Any, NamedTuple
+from typing import Any, List, NamedTuple, Optional
 
 from .framing import CHECKSUM, FRAMING, StreamDecoder, running_xor
+from .layout import Layout, Value
+from .parts import Part, Parts
 
 STANDARD_FLAG = 0xA5
 LONG_FLAG = 0x5A
@@ -54,7 +55,12 @@ ERROR_TEXTS = {
 LIFT_DIRECTIONS = ('up', 'down')
 GIMBAL_DIRECTIONS = ('left', 'right', 'up', 'down')
 
-_new = tuple.__new__
+_MOVES = {
+    LIFT: ('lift', LIFT_DIRECTIONS, Value('distance', 'mm')),
+    GIMBAL: ('gimbal', GIMBAL_DIRECTIONS, Value('angle', 'degrees')),
+}
+_FUNCTION_NAMES = {LIFT: 'lift', GIMBAL: 'gimbal', ENVIRONMENT: 'environment'}
+_REQUEST_NAMES = {SYNC: 'SYNC', ECHO: 'ECHO', FUNCTION: 'function'}
 _REPLY_NAMES = {SYNC: 'SYNC', ECHO: 'ECHO', OK: 'OK', ERROR: 'ERROR', INVALID: 'INVALID'}
 
 
@@ -70,16 +76,14 @@ class Request(NamedTuple):
         if self.cmd1 == SYNC:
             return 'SYNC'
         if self.cmd1 == ECHO:
-            return 'ECHO %s' % data.hex()
+            return f'ECHO {data.hex()}'
         if self.cmd1 == FUNCTION:
             if self.cmd2 == ENVIRONMENT and not data:
                 return 'environment?'
-            for name, cmd2, directions, unit in (
-                    ('lift', LIFT, LIFT_DIRECTIONS, 'mm'),
-                    ('gimbal', GIMBAL, GIMBAL_DIRECTIONS, 'degrees')):
-                if self.cmd2 == cmd2 and len(data) == 2 and data[0] < len(directions):
-                    return '%s %s %d %s' % (name, directions[data[0]], data[1], unit)
-        return 'request 0x%02x 0x%02x %s' % (self.cmd1, self.cmd2, data.hex())
+            name, directions, amount = _MOVES.get(self.cmd2, ('', (), None))
+            if len(data) == 2 and data[0] < len(directions):
+                return f'{name} {directions[data[0]]} {data[1]} {amount.unit}'
+        return f'request 0x{self.cmd1:02x} 0x{self.cmd2:02x} {data.hex()}'
 
 
 class Reply(NamedTuple):
@@ -97,19 +101,19 @@ class Reply(NamedTuple):
         return 0
 
     def __str__(self) -> str:
-        name = _REPLY_NAMES.get(self.cmd1, 'reply 0x%02x' % self.cmd1)
+        name = _REPLY_NAMES.get(self.cmd1, f'reply 0x{self.cmd1:02x}')
         if self.cmd1 in (ERROR, INVALID):
-            return '%s %s' % (name, describe_error(self.error_code))
+            return f'{name} {describe_error(self.error_code)}'
         if self.cmd1 == OK and len(self.data) == Environment.LAYOUT.size:
-            return 'OK %s (if environment: %s)' % (self.data.hex(),
-                                                   Environment.unpack(self.data))
-        return ('%s %s' % (name, self.data.hex())).rstrip()
+            return f'OK {self.data.hex()} (if environment: {Environment.unpack(self.data)})'
+        return f'{name} {self.data.hex()}'.rstrip()
 
 
 class Environment(NamedTuple):
     """The DATE of an OK reply to the environment request."""
 
-    LAYOUT = Struct('<HhH')
+    LAYOUT = Layout('<HhH', [Value('smoke'), Value('temperature', '°C', 0.01),
+                             Value('humidity', '%', 0.01)])
 
     smoke: int          # raw, 0 … 65535
     temperature: float  # °C, in steps of 0.01
@@ -118,16 +122,24 @@ class Environment(NamedTuple):
     @classmethod
     def unpack(cls, data: bytes) -> 'Environment':
         """From six DATE bytes; struct.error with any other number."""
-        smoke, temperature, humidity = cls.LAYOUT.unpack(data)
+        smoke, temperature, humidity = cls.LAYOUT.raw(data)
         return cls(smoke, temperature / 100, humidity / 100)
 
     def pack(self) -> bytes:
         """The six DATE bytes."""
-        return self.LAYOUT.pack(self.smoke, round(self.temperature * 100),
-                                round(self.humidity * 100))
+        return self.LAYOUT.pack_raw((self.smoke, round(self.temperature * 100),
+                                     round(self.humidity * 100)))
+
+    @classmethod
+    def parts(cls, data: bytes) -> List[Part]:
+        """Which of the DATE bytes are which value."""
+        parts = cls.LAYOUT.parts(data)
+        if not cls.LAYOUT.fits(len(data)):
+            return parts
+        return [part._replace(value=value) for part, value in zip(parts, cls.unpack(data))]
 
     def __str__(self) -> str:
-        return 'smoke %d, %.2f C, %.2f %%' % self
+        return f'smoke {self.smoke}, {self.temperature:.2f} C, {self.humidity:.2f} %'
 
 
 SYNC_REQUEST = Request(SYNC)
@@ -140,7 +152,7 @@ def lift(direction: int, distance: int) -> Request:
     Raises:
         ValueError: a value out of its range; the text is for a person.
     """
-    return _move(LIFT, LIFT_DIRECTIONS, direction, distance, 'distance', 'mm')
+    return _move(LIFT, direction, distance)
 
 
 def gimbal(direction: int, angle: int) -> Request:
@@ -149,7 +161,7 @@ def gimbal(direction: int, angle: int) -> Request:
     Raises:
         ValueError: a value out of its range; the text is for a person.
     """
-    return _move(GIMBAL, GIMBAL_DIRECTIONS, direction, angle, 'angle', 'degrees')
+    return _move(GIMBAL, direction, angle)
 
 
 def echo(data: bytes) -> Request:
@@ -157,18 +169,19 @@ def echo(data: bytes) -> Request:
     return Request(ECHO, 0, data)
 
 
-def _move(cmd2, directions, direction, amount, noun, unit):
+def _move(cmd2: int, direction: int, amount: int) -> Request:
+    _, directions, limited = _MOVES[cmd2]
     if not 0 <= direction < len(directions):
-        raise ValueError('direction is %d, may be %s' % (direction, ', '.join(
-            '%d (%s)' % pair for pair in enumerate(directions))))
+        choices = ', '.join(f'{number} ({name})' for number, name in enumerate(directions))
+        raise ValueError(f'direction is {direction}, may be {choices}')
     if not 0 <= amount <= 255:
-        raise ValueError('%s is %d, may be 0 to 255 %s' % (noun, amount, unit))
+        raise ValueError(f'{limited.name} is {amount}, may be 0 to 255 {limited.unit}')
     return Request(FUNCTION, cmd2, bytes((direction, amount)))
 
 
 def describe_error(code: int) -> str:
     """An error code in words, with its number."""
-    return '0x%02x: %s' % (code, ERROR_TEXTS.get(code, 'not a code the protocol knows'))
+    return f'0x{code:02x}: {ERROR_TEXTS.get(code, "not a code the protocol knows")}'
 
 
 def encode_request(request: Request, environment_datelen: int = 2) -> bytes:
@@ -194,7 +207,7 @@ def encode_reply(reply: Reply, has_cmd2: bool = False) -> bytes:
 def _frame(commands: bytes, data: bytes) -> bytes:
     size = len(data)
     if size > MAX_LENGTH:
-        raise ValueError('data is %d bytes long, may be at most %d' % (size, MAX_LENGTH))
+        raise ValueError(f'data is {size} bytes long, may be at most {MAX_LENGTH}')
     if size < 255:
         start = bytes((STANDARD_FLAG, size))
     else:
@@ -210,6 +223,7 @@ class _Decoder(StreamDecoder):
     """Both directions: they differ in the number of CMD bytes and in the typed message."""
 
     _commands = 1  # CMD bytes
+    _NAMES = _REPLY_NAMES      # of CMD1
 
     def __init__(self, max_length: int = MAX_LENGTH) -> None:
         super().__init__()
@@ -218,13 +232,52 @@ class _Decoder(StreamDecoder):
     def _message(self, commands: bytes, data: bytes) -> Any:
         raise NotImplementedError
 
+    def _explain_data(self, cmd1: int, cmd2: int, data: bytes,
+                      request: Optional[Request]) -> List[Part]:
+        """The parts of the DATE."""
+        return [Part(0, len(data), 'DATE', data)] if data else []
+
     def _command(self, commands: bytes) -> int:
         """What `Frame.command` is to say."""
         return 0
 
-    def _short_end(self, start: int) -> int:
-        """The end of a sound frame at `start` that is shorter than its Datelen says, or 0."""
+    def _short_end(self, frame: bytes) -> int:
+        """The size of a sound frame at the start that is shorter than its Datelen says, or 0."""
         return 0
+
+    def explain(self, frame: bytes, request: Optional[Request] = None) -> List[Part]:
+        """The bytes of one frame, good, bad, incomplete or noise, by name.
+
+        Args:
+            frame: its bytes, as many as there are.
+            request: what a reply answers, where that is known: it tells what its DATE is.
+        """
+        parts = Parts(frame)
+        flag = frame[:1]
+        if flag not in (bytes((STANDARD_FLAG,)), bytes((LONG_FLAG,))):
+            return parts.take_rest('noise', 'no frame begins so')
+        is_long = flag[0] == LONG_FLAG
+        header = 3 if is_long else 2
+        parts.take(1, 'Flag', 'long frame' if is_long else 'standard frame')
+        length = int.from_bytes(frame[1:header], 'little')
+        least, most = (255, self._max_length) if is_long else (0, min(254, self._max_length))
+        is_false = parts.left >= header - 1 and not least <= length <= most
+        is_short = bool(self._short_end(frame))
+        parts.take(header - 1, 'Datelen', 'an environment request has no DATE' if is_short
+                   else 'bytes of DATE', f'may be {least} to {most}' if is_false else '')
+        if is_false:
+            return parts.take_rest('noise', 'bytes behind a false Datelen')
+        if is_short:
+            length = 0
+        cmd1 = parts.take(1, 'CMD1', self._NAMES.get(frame[header], 'not known here')
+                          if parts.left else '')
+        cmd2 = 0
+        if self._commands > 1:
+            cmd2 = parts.take(1, 'CMD2', _FUNCTION_NAMES.get(frame[header + 1], '')
+                              if parts.left and cmd1 == FUNCTION else '')
+        parts.take_data(length, lambda data: self._explain_data(cmd1, cmd2, data, request))
+        parts.take_checksum('Checksum', frame[:parts.at])
+        return parts.take_rest('noise', 'bytes behind the frame')
 
     def _search(self, at: int) -> None:
         buffer, xor = self._buffer, self._xor
@@ -254,7 +307,8 @@ class _Decoder(StreamDecoder):
                 end, error = at + header, 'Datelen'
             else:
                 payload = at + header + self._commands
-                end = self._short_end(at) or payload + length + 1
+                short = self._short_end(buffer[at:at + 5])
+                end = at + short if short else payload + length + 1
                 if end > size:
                     # One byte more may complete a frame that is shorter than it says.
                     return self._keep(at, min(end - at, self._first_look(size - at)))
@@ -288,24 +342,47 @@ class ReplyDecoder(_Decoder):
         self._commands = 2 if has_cmd2 else 1
 
     def _message(self, commands: bytes, data: bytes) -> Reply:
-        return _new(Reply, (commands[0], data, commands[1] if len(commands) > 1 else 0))
+        return Reply(commands[0], data, commands[1] if len(commands) > 1 else 0)
+
+    def _explain_data(self, cmd1: int, cmd2: int, data: bytes,
+                      request: Optional[Request]) -> List[Part]:
+        if cmd1 in (ERROR, INVALID) and len(data) in (1, 2):
+            code = int.from_bytes(data, 'little')
+            return [Part(0, len(data), 'error code', data, code, code,
+                         meaning=ERROR_TEXTS.get(code, 'not a code the protocol knows'))]
+        if cmd1 == OK and (request == ENVIRONMENT_REQUEST if request
+                           else len(data) == Environment.LAYOUT.size):
+            return [part if request else part._replace(meaning='if of an environment reply')
+                    for part in Environment.parts(data)]
+        return super()._explain_data(cmd1, cmd2, data, request)
 
 
 class RequestDecoder(_Decoder):
     """Master -> Slave, for boards: takes an environment request with Datelen 2 and with 0."""
 
     _commands = 2
+    _NAMES = _REQUEST_NAMES
     _ENVIRONMENT = encode_request(ENVIRONMENT_REQUEST)
 
     def _message(self, commands: bytes, data: bytes) -> Request:
         return Request(commands[0], commands[1], data)
 
+    def _explain_data(self, cmd1: int, cmd2: int, data: bytes,
+                      request: Optional[Request]) -> List[Part]:
+        if cmd1 != FUNCTION or cmd2 not in _MOVES:
+            return super()._explain_data(cmd1, cmd2, data, request)
+        _, directions, amount = _MOVES[cmd2]
+        parts = Layout('<BB', [Value('direction', maximum=len(directions) - 1),
+                               amount]).parts(data)
+        if parts[0].raw is not None and not parts[0].error:
+            parts[0] = parts[0]._replace(meaning=directions[parts[0].raw])
+        return parts
+
     def _command(self, commands: bytes) -> int:
         return commands[1]
 
-    def _short_end(self, start: int) -> int:
-        end = start + len(self._ENVIRONMENT)
-        return end if self._buffer[start:end] == self._ENVIRONMENT else 0
+    def _short_end(self, frame: bytes) -> int:
+        return len(self._ENVIRONMENT) if frame[:5] == self._ENVIRONMENT else 0
 
     def _first_look(self, size: int) -> int:
         return 5 if size < 5 else 1 << 16

@@ -45,7 +45,7 @@ class McuInterface:
         if type(message) is mcu.AdcStatus:
             if wanted(self._adc_status):
                 self._adc_status.publish(stamp, seq, True, True, self._crc_errors(), age,
-                                         *message.channels)
+                                         *message)
             return
         if wanted(self._status):
             self._status.publish(stamp, seq, True, message.valid, self._crc_errors(), age,

@@ -92,7 +92,7 @@ class SensorBoard(Board):
 
     def channels(self, now: float) -> mcu.AdcStatus:
         """What the ADC measures."""
-        return mcu.AdcStatus(tuple(
+        return mcu.AdcStatus(*(
             min(max(round(2048 + 1500 * math.sin(now / (1 + channel) + channel)
                           + self._random.gauss(0, 4)), 0), 4095)
             for channel in range(6)))

@@ -277,7 +277,7 @@ def test_a_port_that_hangs_as_it_opens_does_not_hold_up_the_end(line, logger):
 def test_noise_is_counted_reported_and_logged_sparingly(line, logger, running, lines):
     link = running(McuLink(Port(line.path), timeout=20.0, logger=logger))
     wait_for(lambda: link.port.is_open)
-    good = mcu.encode(mcu.AdcStatus((1, 2, 3, 4, 5, 6)), 1)
+    good = mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 1)
     bad = good[:-2] + bytes((good[-2] ^ 1, 3))
     for _ in range(50):
         line.write(bad + b'noise')

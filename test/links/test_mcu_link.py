@@ -15,7 +15,7 @@ def status(seq, range_1=100):
     return mcu.encode(mcu.SensorStatus(range_1 + seq, 200, 1.0, 2.0, 3.0), seq)
 
 
-ADC = mcu.AdcStatus((1, 2, 3, 4, 5, 6))
+ADC = mcu.AdcStatus(1, 2, 3, 4, 5, 6)
 
 
 class Watched:

@@ -269,5 +269,5 @@ def test_led_texts_beyond_the_limits_are_refused_in_words(text, said):
     arduino.SpeedCommand(32768), arduino.SteeringCommand(-1), arduino.SteeringCommand(65536),
     arduino.Ticks(256), arduino.SteeringAngle(65536)])
 def test_numbers_outside_their_type_are_not_encoded(message):
-    with pytest.raises(struct.error):
+    with pytest.raises(ValueError):
         arduino.encode(message)

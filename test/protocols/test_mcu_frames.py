@@ -34,7 +34,7 @@ def status(raw_yaw=0, raw_pitch=0, raw_roll=0, range_1=100, range_2=200, seq=0):
 def message_of(frame):
     value = frame['value']
     if frame['type'] == 0x01:
-        return mcu.AdcStatus(tuple(value['adc']))
+        return mcu.AdcStatus(*value['adc'])
     return mcu.SensorStatus(value['vl53_1'], value['vl53_2'], value['yaw'], value['pitch'],
                             value['roll'])
 
@@ -161,7 +161,7 @@ def test_sensor_status_round_trip(range_1, range_2, yaw, pitch, roll, seq):
 
 @given(st.tuples(*[uint16] * 6), seqs)
 def test_adc_status_round_trip(channels, seq):
-    message = mcu.AdcStatus(channels)
+    message = mcu.AdcStatus(*channels)
     wire = mcu.encode(message, seq)
     assert wire == sealed(0x01, seq, struct.pack('<6H', *channels))
     frames, errors = decode(MCU, wire, end=False)

@@ -156,7 +156,7 @@ def sample_wires(kind):
     """Two good frames of each kind of decoder."""
     if kind is MCU:
         return [mcu.encode(mcu.SensorStatus(47, 58, 0.0, -2.43, 2.43), 156),
-                mcu.encode(mcu.AdcStatus((0, 0, 15, 0, 543, 144)), 2)]
+                mcu.encode(mcu.AdcStatus(0, 0, 15, 0, 543, 144), 2)]
     if kind is BOARD_BUS:
         return [bus.encode_request(bus.lift(0, 100)), bus.encode_request(bus.ENVIRONMENT_REQUEST)]
     if kind in CHECKSUMMED:
@@ -177,7 +177,7 @@ def any_frame(kind):
     byte = st.integers(0, 255)
     if kind is MCU:
         return st.one_of(
-            st.builds(mcu.encode, st.builds(mcu.AdcStatus, st.tuples(*[st.integers(0, 999)] * 6)),
+            st.builds(mcu.encode, st.builds(mcu.AdcStatus, *[st.integers(0, 999)] * 6),
                       byte),
             st.builds(mcu.encode_raw, st.integers(0x20, 0x40), byte, contents))
     if kind is BOARD_BUS:

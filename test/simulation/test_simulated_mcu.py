@@ -48,7 +48,7 @@ def test_adc():
     bench.run(10)
     statuses = [frame.message for frame in frames(bench)]
     assert all(isinstance(status, mcu.AdcStatus) for status in statuses)
-    assert all(0 <= value <= 4095 for status in statuses for value in status.channels)
+    assert all(0 <= value <= 4095 for status in statuses for value in status)
     assert len(set(statuses)) > 100
 
 

@@ -11,7 +11,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Tuple
 
 from ...protocols import arduino, mcu
 from ...protocols import robot_ctrl_bus as bus
-from ...protocols.framing import good_frame
+from ...protocols.framing import Frame
 from .boards import arduino_turn, mcu_turn
 
 READ = 4096     # bytes in one large read
@@ -118,7 +118,7 @@ class ByteArduino(_ByteWise):
         message_class = _KNOWN.get(packet[0])
         if message_class is None:
             return arduino.Log.unpack(packet[0], packet[1:]) if packet[0] < 4 else None
-        if len(packet) - 1 != message_class.SIZE:
+        if len(packet) - 1 != message_class.LAYOUT.size:
             return None
         message = message_class.unpack(packet[1:])
         implausible = getattr(message, 'implausible', None)
@@ -276,7 +276,7 @@ def least(protocol: Protocol) -> float:
         found = []
         start = time.perf_counter()
         for raw, type_, command, data, build in plan:
-            found.append(good_frame(raw, type_, command, data, build(data), None))
+            found.append(Frame(raw, type_, command, data, build(data)))
         times.append(time.perf_counter() - start)
     return sorted(times)[len(times) // 2] / len(plan) * 1e6
 
