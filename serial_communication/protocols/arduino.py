@@ -71,7 +71,7 @@ SpeedCommand = message_class(
     'SpeedCommand', 4, '<h', [Value('value')], 'speed',
     'SPEED_CMD, us -> board: PWM of the drive motor, -1000 … 1000.')
 SteeringCommand = message_class(
-    'SteeringCommand', 5, '<H', [Value('value', 'µs')], 'steering',
+    'SteeringCommand', 5, '<H', [Value('value')], 'steering',
     'STEERING_CMD, us -> board: PWM of the steering servo, µs.')
 
 
