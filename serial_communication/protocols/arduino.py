@@ -241,12 +241,15 @@ def encode_raw(type_: int, data: bytes) -> bytes:
 class _Decoder:
     """Packets ended by 0x00. The next packet after a bad one begins behind its 0x00.
 
+    Where that very 0x00 is lost or changed, two packets are one bad packet: this framing cannot
+    save the second one.
+
     Args:
         check_plausibility: refuse packets whose values cannot be.
         messages: classes of messages of one's own, see `message_class`.
     """
 
-    front = needed = 0     # for `doubt`, which this framing never needs
+    front = needed = 0     # for `skip_false_start`, which this framing never needs
     _messages: Dict[int, Any] = {}
 
     def __init__(self, check_plausibility: bool = True, messages: Iterable[Any] = ()) -> None:
@@ -294,7 +297,7 @@ class _Decoder:
         self.reset()
         return frames
 
-    def doubt(self) -> List[Frame]:
+    def skip_false_start(self) -> List[Frame]:
         """Never needed: a packet announces no length, so it cannot delay the next."""
         return []
 

@@ -7,9 +7,10 @@ from .framing import Frame
 class FrameTimer:
     """Watches one decoder; serves both ends of a line.
 
-    A frame is given up when no byte has come for `timeout`. It is doubted when it has taken
-    `timeout` longer than its bytes do on the wire although bytes keep coming: a false length
-    must not hold sound frames back for as long as others follow them.
+    A frame is given up when no byte has come for `timeout`. Where bytes keep coming, but the
+    frame has taken `timeout` longer than its bytes do on the wire, it is given up if a valid one
+    waits behind its start: a false length must not delay valid frames for as long as others
+    follow them.
 
     Args:
         decoder: whose pending frame is watched.
@@ -32,7 +33,7 @@ class FrameTimer:
         """When to ask `overdue` at the latest; None while nothing is pending."""
         if not self._decoder.pending:
             return None
-        return min(last_byte + self._timeout, self._doubt_at(now))
+        return min(last_byte + self._timeout, self._overlong_at(now))
 
     def overdue(self, last_byte: float, now: float) -> List[Frame]:
         """What turns up, good and bad, when what has waited too long is given up."""
@@ -41,12 +42,12 @@ class FrameTimer:
         if now >= last_byte + self._timeout:
             while decoder.pending:
                 frames += decoder.give_up()
-        elif decoder.pending and now >= self._doubt_at(now):
+        elif decoder.pending and now >= self._overlong_at(now):
             self._front = None
-            frames = decoder.doubt()
+            frames = decoder.skip_false_start()
         return frames
 
-    def _doubt_at(self, now: float) -> float:
+    def _overlong_at(self, now: float) -> float:
         front = self._decoder.front
         if front != self._front:
             self._front, self._front_at = front, now

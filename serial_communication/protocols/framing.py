@@ -3,23 +3,22 @@
 Strategy: all bytes not yet decided stand in one buffer, and beside each of them the XOR of
 every byte received so far. The XOR of any stretch is then that of two numbers, however long
 the stretch is and however many false starts lie in it. A failed check moves the search on by
-one byte, not past the false frame, so a good frame that begins inside is found. A frame that
-had to wait behind a false start keeps the stamp of the read that brought its last byte.
+one byte, not past the false frame, so a valid frame that begins inside is found. A byte with
+which a frame could begin, but none does, is a *false start*. A frame that had to wait behind one
+keeps the stamp of the read that brought its own last byte.
 """
-import copy
+import re
 from collections import deque
-from typing import Any, Dict, List, NamedTuple
+from typing import Any, Deque, Dict, List, NamedTuple, Tuple
 
 CHECKSUM = 'checksum'        # a whole frame whose checksum does not match
 FRAMING = 'framing'          # bytes that are no frame: noise, a false length, a frame cut short
 LENGTH = 'length'            # a known type with a length that is not its own
-UNKNOWN = 'unknown type'     # a sound frame of a type nobody told us of
-IMPLAUSIBLE = 'implausible'  # a sound packet whose values cannot be
+UNKNOWN = 'unknown type'     # a valid frame of a type nobody told us of
+IMPLAUSIBLE = 'implausible'  # a valid packet whose values cannot be
 OVERSIZE = 'oversize'        # a packet longer than any packet may be
 
-_new = tuple.__new__
-
-MAX_REPORTED = 1100  # more than any frame has; bytes of noise that one bad frame quotes at most
+MAX_REPORTED = 1100  # longest `raw` of a bad frame, in bytes; longer than any valid frame
 
 
 class Frame(NamedTuple):
@@ -35,16 +34,13 @@ class Frame(NamedTuple):
     error: str = ''     # the cause in words
 
 
-def good_frame(raw: bytes, type_: int, command: int, data: bytes, message: Any,
-               stamp: Any) -> Frame:
-    """A `Frame` without a cause; in half the time of the constructor, which this often matters."""
-    return _new(Frame, (raw, type_, command, data, message, stamp, '', ''))
-
-
 def bad_frame(raw: bytes, cause: str, error: str, stamp: Any = None, type_: int = 0,
               data: bytes = b'') -> Frame:
     """A `Frame` that says what was wrong with `raw`."""
     return Frame(bytes(raw[:MAX_REPORTED]), type_, 0, data, None, stamp, cause, error)
+
+
+_PIECE = 4096        # bytes whose XORs are worked out at once
 
 
 def running_xor(data: bytes, before: int) -> bytes:
@@ -52,6 +48,12 @@ def running_xor(data: bytes, before: int) -> bytes:
 
     Doubling shifts of one long integer take log2(n) steps instead of n.
     """
+    if len(data) > _PIECE:
+        pieces = []
+        for at in range(0, len(data), _PIECE):
+            pieces.append(running_xor(data[at:at + _PIECE], before))
+            before = pieces[-1][-1]
+        return b''.join(pieces)
     size = len(data)
     value = int.from_bytes(data, 'little') ^ before
     bits, shift = size * 8, 8
@@ -61,36 +63,64 @@ def running_xor(data: bytes, before: int) -> bytes:
     return (value & ((1 << bits) - 1)).to_bytes(size, 'little')
 
 
-def _has_good(frames: List[Frame]) -> bool:
-    return any(not frame.cause for frame in frames)
+class Good(NamedTuple):
+    """A valid frame begins there: its size, and what `Frame` says of it."""
+
+    size: int
+    type: int
+    command: int
+    data: bytes
+    message: Any         # None: of a type that is not known
+    cause: str = ''      # why its message is refused all the same; '': it is not
+    error: str = ''
+
+
+class Bad(NamedTuple):
+    """No frame begins there."""
+
+    size: int            # what it would have had, as far as was looked at
+    cause: str
+    error: str
+
+
+class Need(NamedTuple):
+    """A frame may begin there."""
+
+    size: int            # how many bytes from its first one are needed to tell more
 
 
 class StreamDecoder:
     """The buffer, the counting and the resynchronising that checksummed framings share.
 
-    A subclass supplies `_search`: it looks for frames from an index on, calls `_good`,
-    `_failed` and `_noise` for what it meets, and ends with `_keep`.
+    A subclass says with which bytes a frame may begin (`STARTS`) and what begins at such a byte
+    (`frame_at`), which only looks: at `buffer`, and at checksums by `xor`.
+
+    Damage is counted once and shown once, in whatever pieces its bytes are read: one bad frame
+    for each error. A whole frame with a false checksum is one damage; a stretch of other bytes
+    between good frames, until the line is silent, is another one. Of such a stretch the bad
+    frame quotes what had been read when it was noticed.
     """
+
+    STARTS = b''
 
     def __init__(self) -> None:
         self.errors: Dict[str, int] = {CHECKSUM: 0, FRAMING: 0}
-        # Nothing pending, which is the rule: the very bytes that were read. Else a bytearray.
-        self._buffer = b''
-        self._xor = b''             # beside each byte: XOR of all bytes received up to it
-        self._before = 0            # the same for the byte before the buffer's first
-        self._need = 1              # bytes in the buffer before searching on makes sense
-        self._offset = 0            # bytes received before the buffer's first
-        self._stamp = None          # of the latest read
-        self._arrivals = deque()    # (bytes received in all, stamp) of each read still pending
-        self._blamed = 0            # up to this byte of the stream, damage is counted already
-        self._noisy = False         # the last byte looked at is noise that is counted already
+        self._any_start = re.compile(b'[' + re.escape(self.STARTS) + b']')
+        self.buffer = b''          # bytes that are not decided yet
+        self._xors = b'\0'         # XOR of all bytes ever received before each of them, and now
+        self._need = 1             # bytes in the buffer before searching on makes sense
+        self._offset = 0           # bytes received before the buffer's first
+        self._reads: Deque[Tuple[int, Any]] = deque()   # of the buffer's: (bytes received, stamp)
         self._frames: List[Frame] = []
-        self._reported = 0          # up to this index of the buffer, bytes stand in a frame
+        # Damage up to this byte of the stream is counted, and up to this one it is in a frame.
+        self._counted = self._shown = 0
+        self._is_noise = False     # the last byte looked at is of a stretch that is counted …
+        self._to_show = False      # … and that still has to be shown
 
     @property
     def pending(self) -> bool:
         """Whether a frame has begun and is not complete."""
-        return bool(self._buffer)
+        return bool(self.buffer)
 
     @property
     def front(self) -> int:
@@ -106,44 +136,36 @@ class StreamDecoder:
         """Take bytes as they were read; return the frames, good and bad, now complete."""
         if not data:
             return []
-        self._stamp = stamp
-        if not self._buffer:
-            self._buffer = data
-            self._xor = running_xor(data, self._before)
-        else:
-            self._xor += running_xor(data, self._xor[-1])
-            self._buffer += data
-            self._arrivals.append((self._offset + len(self._buffer), stamp))
-            if len(self._buffer) < self._need:
-                return []
-        return self._run(0)
+        self.buffer += data
+        self._xors += running_xor(data, self._xors[-1])
+        self._reads.append((self._offset + len(self.buffer), stamp))
+        if len(self.buffer) < self._need:
+            return []
+        return self._search(0)
 
     def give_up(self) -> List[Frame]:
         """The frame at the front stays incomplete: go on at the byte after its first."""
-        if not self._buffer:
+        if not self.buffer:
             return []
-        if self._offset >= self._blamed:
-            self._failed(0, len(self._buffer), FRAMING, 'cut short')
-        return self._run(1)
+        if self._offset >= self._counted:
+            self._count(0, Bad(len(self.buffer), FRAMING, 'cut short'))
+        return self._search(1)
 
-    def doubt(self) -> List[Frame]:
-        """The frame at the front takes long: give it up if a sound one stands behind its start.
+    def silence(self) -> None:
+        """No byte has come for long: noise that comes from now on is another damage."""
+        if not self.buffer:
+            self._is_noise = False
 
-        Else a false length would hold sound frames back for as long as others follow them.
+    def skip_false_start(self) -> List[Frame]:
+        """The frame at the front takes too long: give it up if a valid one waits behind its start.
+
+        Else a false length would delay valid frames for as long as others follow them.
         """
-        if not self._buffer:
-            return []
-        other = copy.copy(self)
-        other.errors = dict(self.errors)
-        other.reset()
-        found = other.feed(bytes(self._buffer[1:]))
-        while other.pending and not _has_good(found):
-            found = other.give_up()
-        if not _has_good(found):
-            return []
-        frames = self.give_up()
-        while not _has_good(frames):
-            frames += self.give_up()
+        frames: List[Frame] = []
+        if any(byte in self.STARTS and isinstance(self.frame_at(at), Good)
+               for at, byte in enumerate(self.buffer) if at):
+            while all(frame.cause for frame in frames):
+                frames += self.give_up()
         return frames
 
     def reset(self) -> None:
@@ -154,85 +176,104 @@ class StreamDecoder:
 
     # -- for subclasses ---------------------------------------------------------------
 
-    def _search(self, at: int) -> None:
+    def frame_at(self, at: int) -> Any:
+        """What begins at this index, where one of `STARTS` is: `Good`, `Bad` or `Need`."""
         raise NotImplementedError
 
-    def _run(self, at: int) -> List[Frame]:
+    def xor(self, start: int, end: int) -> int:
+        """The XOR of buffer[start:end]."""
+        return self._xors[start] ^ self._xors[end]
+
+    # -- the search -------------------------------------------------------------------
+
+    def _search(self, at: int) -> List[Frame]:
         self._frames = frames = []
-        self._search(at)
+        buffer, size = self.buffer, len(self.buffer)
+        need = 1
+        while at < size:
+            if buffer[at] not in self.STARTS:
+                at = self._pass_noise(at)
+                continue
+            found = self.frame_at(at)
+            if isinstance(found, Bad):
+                if self._offset + at >= self._counted:
+                    self._count(at, found)
+                at += 1
+            elif isinstance(found, Good):
+                self._add(at, found)
+                at += found.size
+            else:
+                need = found.size
+                break
+        self._show_noise(at)
+        self._keep(at, need)
         return frames
 
-    def _good(self, start: int, end: int, type_: int, command: int, data: bytes,
-              message: Any) -> None:
-        """A sound frame stands at buffer[start:end]."""
-        if start > self._reported:
-            self._report_noise(start)
-        stamp = self._stamp
-        if self._arrivals:
-            stamp = self._arrived(self._offset + end)
-        self._frames.append(good_frame(bytes(self._buffer[start:end]), type_, command, data,
-                                       message, stamp))
-        self._reported = end
-        self._blamed = self._offset + end
-        self._noisy = False
+    def _add(self, start: int, found: Good) -> None:
+        """A valid frame begins at `start`."""
+        self._show_noise(start)
+        end = start + found.size
+        if found.cause:
+            self.errors[found.cause] += 1
+        elif found.message is None:
+            self.errors[UNKNOWN] += 1
+        self._frames.append(Frame(self.buffer[start:end], found.type, found.command, found.data,
+                                  found.message, self._stamp_of(end), found.cause, found.error))
+        self._counted = self._shown = self._offset + end
+        self._is_noise = False
 
-    def _arrived(self, received: int) -> Any:
-        """The stamp of the read that brought that byte."""
-        arrivals = self._arrivals
-        while arrivals[0][0] < received:
-            arrivals.popleft()
-        return arrivals[0][1]
+    def _count(self, start: int, bad: Bad) -> None:
+        """What began at `start` is no frame; to be called once for one damage."""
+        end = start + bad.size
+        self._counted = self._offset + end
+        if bad.cause == FRAMING:
+            self._count_stretch()
+            return
+        self._show_noise(start)
+        self.errors[bad.cause] += 1
+        self._frames.append(bad_frame(self.buffer[start:end], bad.cause, bad.error,
+                                      self._stamp_of(end)))
+        self._shown = self._counted
+        self._is_noise = False
 
-    def _failed(self, start: int, end: int, cause: str, error: str) -> None:
-        """What began at `start` and would have ended at `end` is no frame.
+    def _pass_noise(self, at: int) -> int:
+        """Where the next frame may begin: up to there nothing does."""
+        start = self._any_start.search(self.buffer, at)
+        end = start.start() if start else len(self.buffer)
+        if self._offset + end > self._counted:
+            self._count_stretch()
+        return end
 
-        To be called once for one damage: not for false starts before `_blamed`.
-        """
-        self.errors[cause] += 1
-        self._blamed = self._offset + end
-        self._noisy = False
-        if cause == CHECKSUM:
-            if start > self._reported:
-                self._report_noise(start)
-            self._frames.append(bad_frame(self._buffer[start:end], cause, error, self._stamp))
-            self._reported = end
-
-    def _noise(self, start: int, end: int) -> None:
-        """buffer[start:end] holds no beginning of a frame. One stretch counts once."""
-        if self._offset + end > self._blamed and not self._noisy:
+    def _count_stretch(self) -> None:
+        if not self._is_noise:
             self.errors[FRAMING] += 1
-            self._noisy = True
+            self._is_noise = self._to_show = True
+
+    def _show_noise(self, end: int) -> None:
+        """Bytes up to `end` that stand in no frame yet are noise."""
+        first = self._shown - self._offset
+        if end <= first:
+            return
+        if self._to_show:
+            size = end - first
+            self._frames.append(bad_frame(
+                self.buffer[first:end], FRAMING,
+                f'{size} bytes that are no frame' if size > 1 else '1 byte that is no frame',
+                self._reads[-1][1]))
+            self._to_show = False
+        self._shown = self._offset + end
+
+    def _stamp_of(self, end: int) -> Any:
+        """The stamp of the read that brought the last byte before `end`."""
+        while self._reads[0][0] < self._offset + end:
+            self._reads.popleft()
+        return self._reads[0][1]
 
     def _keep(self, start: int, need: int) -> None:
-        """The search ended: all before `start` is decided; go on at `need` bytes from there."""
-        if start > self._reported:
-            self._report_noise(start)
-        if start:
-            self._before = self._xor[start - 1]
-            self._offset += start
-        size = len(self._buffer) - start
-        if not size:
-            self._buffer = self._xor = b''
-            self._reported = 0
-            self._arrivals.clear()
-            return
-        self._reported = max(self._reported - start, 0)
+        """All before `start` is decided; the search goes on at `need` bytes from there."""
+        self.buffer = self.buffer[start:]
+        self._xors = self._xors[start:]
+        self._offset += start
         self._need = need
-        if self._arrivals:
-            self._arrived(self._offset + 1)      # forgets the reads that are decided
-        else:
-            self._arrivals.append((self._offset + size, self._stamp))
-        if isinstance(self._buffer, bytearray):
-            del self._buffer[:start]
-            del self._xor[:start]
-        else:
-            self._buffer = bytearray(self._buffer[start:])
-            self._xor = bytearray(self._xor[start:])
-
-    def _report_noise(self, end: int) -> None:
-        size = end - self._reported
-        self._frames.append(bad_frame(
-            self._buffer[self._reported:end], FRAMING,
-            '%d byte%s that %s no frame' % (size, 's' if size > 1 else '',
-                                            'are' if size > 1 else 'is'), self._stamp))
-        self._reported = end
+        while self._reads and self._reads[0][0] <= self._offset:
+            self._reads.popleft()

@@ -61,6 +61,7 @@ class Layout:
         self.size = self._struct.size      # bytes of data; the least where more are allowed
         if len(self._items) != len(self.values):
             raise ValueError(f'it has {len(self._items)} values, not {len(self.values)}')
+        self._has_text = any(item.code == 's' for item in self._items)
         self._is_plain = all(value.scale == 1 and value.offset == 0 for value in values) and all(
             item.code in NUMBERS and item.end > 0 for item in self._items)
         self._checked = [index for index, value in enumerate(self.values)
@@ -96,6 +97,8 @@ class Layout:
         elif self._rest:
             count = (len(data) - self.size) // self._step
             raw += (struct.unpack_from(f'{self._order}{count}{self._rest}', data, self.size),)
+        if not self._has_text:
+            return raw
         return tuple([each.split(b'\0', 1)[0].decode('utf-8', 'replace')
                       if isinstance(each, bytes) else each for each in raw])
 

@@ -10,7 +10,8 @@ a frame, modulo 256. Little-endian. Only the board talks.
 """
 from typing import Any, Iterable, List, NamedTuple
 
-from .framing import CHECKSUM, FRAMING, UNKNOWN, StreamDecoder, running_xor
+from .framing import (CHECKSUM, FRAMING, IMPLAUSIBLE, LENGTH, UNKNOWN, Bad, Good, Need,
+                      StreamDecoder, running_xor)
 from .layout import Layout, Value, message_class
 from .parts import Part, Parts
 
@@ -64,6 +65,10 @@ class SensorStatus(NamedTuple):
                 parts[index] = part._replace(meaning='a heading that wrapped')
         return parts
 
+    def implausible(self) -> str:
+        """Why these values cannot be: there are no such."""
+        return ''
+
     @property
     def valid(self) -> bool:
         """Whether both range sensors answered."""
@@ -81,6 +86,9 @@ AdcStatus = message_class(
     'TYPE 0x01: six ADC channels, raw.')
 
 MESSAGES = {message.TYPE: message for message in (SensorStatus, AdcStatus)}
+
+_LEN_TOO_SMALL = Bad(2, FRAMING, 'LEN')
+_LEN_OF_ANOTHER = Bad(3, FRAMING, 'LEN')
 
 
 def encode(message: Any, seq: int) -> bytes:
@@ -101,13 +109,13 @@ class Decoder(StreamDecoder):
         messages: classes of messages of one's own, see `message_class`.
     """
 
+    STARTS = bytes((STX,))
+
     def __init__(self, messages: Iterable[Any] = ()) -> None:
         super().__init__()
-        self.errors[UNKNOWN] = 0
+        self.errors.update({UNKNOWN: 0, LENGTH: 0, IMPLAUSIBLE: 0})
         self._messages = dict(MESSAGES)
         self._messages.update((message.TYPE, message) for message in messages)
-        self._lengths = {type_: MIN_LEN + message.LAYOUT.size
-                         for type_, message in MESSAGES.items()}
 
     def explain(self, frame: bytes) -> List[Part]:
         """The bytes of one frame, good, bad, incomplete or noise, by name."""
@@ -116,12 +124,11 @@ class Decoder(StreamDecoder):
             return parts.take_rest('noise', 'no frame begins so')
         parts.take(1, 'STX')
         kind = self._messages.get(frame[2]) if len(frame) > 2 else None
-        own = MIN_LEN + kind.LAYOUT.size if kind else 0
-        length = frame[1] if len(frame) > 1 else own
-        should_be = '' if length >= MIN_LEN else f'should be {MIN_LEN} at least'
-        if own and length != own:
-            should_be = f'should be {own}'
-        parts.take(1, 'LEN', 'bytes of TYPE, SEQ and PAYLOAD', should_be)
+        length = frame[1] if len(frame) > 1 else MIN_LEN
+        false = '' if length >= MIN_LEN else f'should be {MIN_LEN} at least'
+        if kind and length >= MIN_LEN and not kind.LAYOUT.fits(length - MIN_LEN):
+            false = f'should be {MIN_LEN} more than {kind.LAYOUT.sizes()}'
+        parts.take(1, 'LEN', 'bytes of TYPE, SEQ and PAYLOAD', false)
         if length < MIN_LEN:
             return parts.take_rest('noise', 'bytes behind a false LEN')
         parts.take(1, 'TYPE', kind.LABEL if kind else 'not known here')
@@ -135,47 +142,36 @@ class Decoder(StreamDecoder):
                    else 'should be 0x03')
         return parts.take_rest('noise', 'bytes behind the frame')
 
-    def _search(self, at: int) -> None:
-        buffer, xor = self._buffer, self._xor
-        size = len(buffer)
-        blamed = self._blamed - self._offset
-        while True:
-            start = buffer.find(STX, at)
-            if start != at:
-                if start < 0:
-                    if at < size:
-                        self._noise(at, size)
-                    return self._keep(size, 1)
-                self._noise(at, start)
-            if start + 3 > size and not (start + 2 == size and buffer[start + 1] < MIN_LEN):
-                return self._keep(start, size - start + 1)
-            length = buffer[start + 1]
-            cause = FRAMING
-            if length < MIN_LEN:
-                end, error = start + 2, 'LEN'
-            else:
-                type_ = buffer[start + 2]
-                own = self._lengths.get(type_)
-                end = start + length + 4
-                if own and length != own:
-                    end, error = start + 3, 'LEN'
-                elif end > size:
-                    return self._keep(start, end - start)
-                elif buffer[end - 1] != ETX:
-                    error = 'ETX'
-                elif xor[end - 2] != xor[start + 1]:    # XOR of TYPE … CRC is 0 in a sound frame
-                    cause, error = CHECKSUM, 'CRC does not match'
-                else:
-                    data = bytes(buffer[start + 4:end - 2])
-                    message = None
-                    if own:
-                        message = self._messages[type_].unpack(data)
-                    else:
-                        self.errors[UNKNOWN] += 1
-                    self._good(start, end, type_, buffer[start + 3], data, message)
-                    at = blamed = end
-                    continue
-            if start >= blamed:
-                self._failed(start, end, cause, error)
-                blamed = end
-            at = start + 1
+    def frame_at(self, at: int) -> Any:
+        buffer = self.buffer
+        left = len(buffer) - at
+        if left < 2:
+            return Need(3)
+        length = buffer[at + 1]
+        if length < MIN_LEN:
+            return _LEN_TOO_SMALL
+        if left < 3:
+            return Need(3)
+        type_ = buffer[at + 2]
+        if type_ in MESSAGES and length != MIN_LEN + MESSAGES[type_].LAYOUT.size:
+            return _LEN_OF_ANOTHER
+        size = length + 4
+        if left < size:
+            return Need(size)
+        end = at + size
+        if buffer[end - 1] != ETX:
+            return Bad(size, FRAMING, 'ETX')
+        if self.xor(at + 2, end - 1):    # of TYPE … CRC: 0 in a sound frame
+            return Bad(size, CHECKSUM, 'CRC does not match')
+        data = buffer[at + 4:end - 2]
+        seq, kind = buffer[at + 3], self._messages.get(type_)
+        if kind is None:
+            return Good(size, type_, seq, data, None)
+        if not kind.LAYOUT.fits(len(data)):
+            return Good(size, type_, seq, data, None, LENGTH, f'{kind.LABEL} has '
+                        f'{kind.LAYOUT.sizes()} bytes of data, not {len(data)}')
+        message = kind.unpack(data)
+        reason = message.implausible()
+        if reason:
+            return Good(size, type_, seq, data, None, IMPLAUSIBLE, f'{kind.LABEL}: {reason}')
+        return Good(size, type_, seq, data, message)

@@ -11,16 +11,14 @@ Flag 0xA5: standard frame, Datelen is one byte, under 255. Flag 0x5A: long frame
 uint16, 255 or more. Datelen counts the DATE bytes. Checksum: XOR of every byte before it.
 Little-endian. Decisions where the source is silent: see "Protocols" in README.md.
 """
-import re
 from typing import Any, List, NamedTuple, Optional
 
-from .framing import CHECKSUM, FRAMING, StreamDecoder, running_xor
+from .framing import CHECKSUM, FRAMING, Bad, Good, Need, StreamDecoder, running_xor
 from .layout import Layout, Value
 from .parts import Part, Parts
 
 STANDARD_FLAG = 0xA5
 LONG_FLAG = 0x5A
-_FLAG = re.compile(b'[%c%c]' % (STANDARD_FLAG, LONG_FLAG))
 MAX_LENGTH = 1024      # most DATE bytes accepted
 
 # CMD1 of a request; a SYNC or ECHO reply has the same.
@@ -60,6 +58,7 @@ _MOVES = {
     GIMBAL: ('gimbal', GIMBAL_DIRECTIONS, Value('angle', 'degrees')),
 }
 _FUNCTION_NAMES = {LIFT: 'lift', GIMBAL: 'gimbal', ENVIRONMENT: 'environment'}
+_FALSE_DATELEN = {header: Bad(header, FRAMING, 'Datelen') for header in (2, 3)}
 _REQUEST_NAMES = {SYNC: 'SYNC', ECHO: 'ECHO', FUNCTION: 'function'}
 _REPLY_NAMES = {SYNC: 'SYNC', ECHO: 'ECHO', OK: 'OK', ERROR: 'ERROR', INVALID: 'INVALID'}
 
@@ -222,6 +221,7 @@ def _seal(frame: bytes) -> bytes:
 class _Decoder(StreamDecoder):
     """Both directions: they differ in the number of CMD bytes and in the typed message."""
 
+    STARTS = bytes((STANDARD_FLAG, LONG_FLAG))
     _commands = 1  # CMD bytes
     _NAMES = _REPLY_NAMES      # of CMD1
 
@@ -229,17 +229,13 @@ class _Decoder(StreamDecoder):
         super().__init__()
         self._max_length = max_length
 
-    def _message(self, commands: bytes, data: bytes) -> Any:
+    def _good(self, size: int, commands: bytes, data: bytes) -> Good:
         raise NotImplementedError
 
     def _explain_data(self, cmd1: int, cmd2: int, data: bytes,
                       request: Optional[Request]) -> List[Part]:
         """The parts of the DATE."""
         return [Part(0, len(data), 'DATE', data)] if data else []
-
-    def _command(self, commands: bytes) -> int:
-        """What `Frame.command` is to say."""
-        return 0
 
     def _short_end(self, frame: bytes) -> int:
         """The size of a sound frame at the start that is shorter than its Datelen says, or 0."""
@@ -279,59 +275,29 @@ class _Decoder(StreamDecoder):
         parts.take_checksum('Checksum', frame[:parts.at])
         return parts.take_rest('noise', 'bytes behind the frame')
 
-    def _search(self, at: int) -> None:
-        buffer, xor = self._buffer, self._xor
-        size = len(buffer)
-        blamed = self._blamed - self._offset
-        while at < size:
-            flag = buffer[at]
-            if flag == STANDARD_FLAG:
-                header = 2
-            elif flag == LONG_FLAG:
-                header = 3
-            else:
-                start = self._next_flag(at)
-                self._noise(at, start)
-                at = start
-                continue
-            if at + header > size:
-                return self._keep(at, header)
-            if header == 2:
-                length = buffer[at + 1]
-                fits = length < 255
-            else:
-                length = buffer[at + 1] | buffer[at + 2] << 8
-                fits = length >= 255
-            cause = FRAMING
-            if not fits or length > self._max_length:
-                end, error = at + header, 'Datelen'
-            else:
-                payload = at + header + self._commands
-                short = self._short_end(buffer[at:at + 5])
-                end = at + short if short else payload + length + 1
-                if end > size:
-                    # One byte more may complete a frame that is shorter than it says.
-                    return self._keep(at, min(end - at, self._first_look(size - at)))
-                if xor[end - 1] == (xor[at - 1] if at else self._before):
-                    commands = bytes(buffer[payload - self._commands:payload])
-                    data = bytes(buffer[payload:end - 1])
-                    message = self._message(commands, data)
-                    self._good(at, end, commands[0], self._command(commands), data, message)
-                    at = blamed = end
-                    continue
-                cause, error = CHECKSUM, 'the checksum does not match'
-            if at >= blamed:
-                self._failed(at, end, cause, error)
-                blamed = end
-            at += 1
-        self._keep(at, 1)
-
-    def _first_look(self, size: int) -> int:
-        return 1 << 16
-
-    def _next_flag(self, at: int) -> int:
-        found = _FLAG.search(self._buffer, at)
-        return found.start() if found else len(self._buffer)
+    def frame_at(self, at: int) -> Any:
+        buffer = self.buffer
+        left = len(buffer) - at
+        if buffer[at] == STANDARD_FLAG:
+            if left < 2:
+                return Need(2)
+            header, length = 2, buffer[at + 1]
+            is_false = length >= 255
+        else:
+            if left < 3:
+                return Need(3)
+            header, length = 3, buffer[at + 1] | buffer[at + 2] << 8
+            is_false = length < 255
+        if is_false or length > self._max_length:
+            return _FALSE_DATELEN[header]
+        size = header + self._commands + length + 1
+        if left < size:
+            return Need(size)
+        end = at + size
+        if self.xor(at, end):
+            return Bad(size, CHECKSUM, 'the checksum does not match')
+        data_at = end - 1 - length
+        return self._good(size, buffer[at + header:data_at], buffer[data_at:end - 1])
 
 
 class ReplyDecoder(_Decoder):
@@ -341,8 +307,9 @@ class ReplyDecoder(_Decoder):
         super().__init__(max_length)
         self._commands = 2 if has_cmd2 else 1
 
-    def _message(self, commands: bytes, data: bytes) -> Reply:
-        return Reply(commands[0], data, commands[1] if len(commands) > 1 else 0)
+    def _good(self, size: int, commands: bytes, data: bytes) -> Good:
+        reply = Reply(commands[0], data, commands[1] if len(commands) > 1 else 0)
+        return Good(size, reply.cmd1, 0, data, reply)
 
     def _explain_data(self, cmd1: int, cmd2: int, data: bytes,
                       request: Optional[Request]) -> List[Part]:
@@ -364,8 +331,17 @@ class RequestDecoder(_Decoder):
     _NAMES = _REQUEST_NAMES
     _ENVIRONMENT = encode_request(ENVIRONMENT_REQUEST)
 
-    def _message(self, commands: bytes, data: bytes) -> Request:
-        return Request(commands[0], commands[1], data)
+    def _good(self, size: int, commands: bytes, data: bytes) -> Good:
+        return Good(size, commands[0], commands[1], data, Request(*commands, data))
+
+    def frame_at(self, at: int) -> Any:
+        begun = self.buffer[at:at + len(self._ENVIRONMENT)]
+        if begun == self._ENVIRONMENT:
+            return self._good(len(begun), begun[2:4], b'')
+        found = super().frame_at(at)
+        if isinstance(found, Need) and self._ENVIRONMENT.startswith(begun):
+            return Need(len(begun) + 1)
+        return found
 
     def _explain_data(self, cmd1: int, cmd2: int, data: bytes,
                       request: Optional[Request]) -> List[Part]:
@@ -378,11 +354,5 @@ class RequestDecoder(_Decoder):
             parts[0] = parts[0]._replace(meaning=directions[parts[0].raw])
         return parts
 
-    def _command(self, commands: bytes) -> int:
-        return commands[1]
-
     def _short_end(self, frame: bytes) -> int:
         return len(self._ENVIRONMENT) if frame[:5] == self._ENVIRONMENT else 0
-
-    def _first_look(self, size: int) -> int:
-        return 5 if size < 5 else 1 << 16
