@@ -15,6 +15,8 @@ from .parts import Part
 
 NUMBERS = 'bBhHiIlLqQefd?'     # struct's codes that hold one number each
 _FRACTIONS = 'efd'             # of these, the ones that need not be whole
+_RANGES = {'?': (0, 1), 'e': (-65504.0, 65504.0), 'f': (-3.4028234663852886e38,
+           3.4028234663852886e38), 'd': (-inf, inf), 's': (-inf, inf)}
 
 
 class Value(NamedTuple):
@@ -52,6 +54,7 @@ class Layout:
     """
 
     def __init__(self, layout: str, values: Sequence[Value]) -> None:
+        self.layout = layout
         self.values = tuple(values)
         self._order = layout[:1]
         fixed, self._rest = _split(layout)
@@ -112,10 +115,12 @@ class Layout:
             raise ValueError(f'{len(values)} values, not {len(self.values)}')
         data = bytearray(self.size)
         for given, value, item in zip(values, self.values, self._items):
+            if not value.name:
+                continue
             try:
                 packed = self._packed(given, value, item)
             except (struct.error, OverflowError, TypeError, ValueError, AttributeError):
-                raise ValueError(f'{value.name or "a value"} is {_short(given)}, which its place '
+                raise ValueError(f'{value.name} is {_short(given)}, which its place '
                                  f'({item.code}) cannot hold') from None
             data[item.start:item.start + len(packed)] = packed
         return bytes(data)
@@ -133,6 +138,13 @@ class Layout:
         numbers = (given,) if item.end > 0 else given
         return struct.pack(f'{self._order}{len(numbers)}{item.code}',
                            *[_raw(number, value, item.code) for number in numbers])
+
+    def range(self, index: int) -> Tuple[float, float]:
+        """The least and the largest value that a place holds; without limits for a text."""
+        code, value = self._items[index].code, self.values[index]
+        low, high = _RANGES.get(code) or _whole_range(code)
+        ends = sorted((low * value.scale + value.offset, high * value.scale + value.offset))
+        return ends[0], ends[1]
 
     # -- what values say --------------------------------------------------------------------
 
@@ -217,6 +229,17 @@ def _items(fixed: str, rest: str) -> List[_Item]:
             raise ValueError(f'{code} holds no number and no text')
         at += count * each
     return items + [_Item(rest, size, -1)] * bool(rest)
+
+
+def count_values(layout: str) -> int:
+    """How many values a format has; ValueError for one that cannot be."""
+    return len(_items(*_split(layout)))
+
+
+def _whole_range(code: str) -> Tuple[int, int]:
+    """The least and the largest number of a code for whole ones."""
+    bits = 8 * struct.calcsize('<' + code)
+    return (0, 2 ** bits - 1) if code.isupper() else (-2 ** (bits - 1), 2 ** (bits - 1) - 1)
 
 
 def _value(raw: Any, value: Value) -> Any:

@@ -18,6 +18,7 @@ from .parts import Part, Parts
 STX = 0x02
 ETX = 0x03
 MIN_LEN = 2            # TYPE and SEQ
+MAX_PAYLOAD = 253      # bytes
 RANGE_TIMED_OUT = 0xFFFF  # what a range sensor that did not answer reads
 
 _WRAP = 655.36         # degrees by which a heading over 327.67 wraps in the int16

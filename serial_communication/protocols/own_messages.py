@@ -1,0 +1,263 @@
+"""Rows of parameters -> messages and functions of one's own.
+
+``arduino/messages``, ``mcu/messages`` and ``bus/functions`` hold one entry each by name, with the
+keys that config/own_messages.yaml shows. Here they become message classes and layouts; whatever
+they have of ROS (types, services, topics) is text here, for others to resolve.
+"""
+import difflib
+import re
+from math import isnan
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
+
+from . import arduino, mcu
+from . import robot_ctrl_bus as bus
+from .layout import Layout, Value, count_values, message_class
+
+FROM_BOARD, TO_BOARD = 'from_board', 'to_board'
+_NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
+_STEP = r'[A-Za-z][A-Za-z0-9_]*(\[\d+\])?'
+_PATH = re.compile(rf'({_STEP}(\.{_STEP})*)?')
+_ROS_TYPE = re.compile(r'[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*')
+_ARDUINO_TYPES = range(13, 256)
+_BUILT_IN_FUNCTIONS = (bus.LIFT, bus.GIMBAL, bus.ENVIRONMENT)
+_LAYOUT_KEYS = ('layout', 'fields', 'scale', 'offset', 'minimum', 'maximum')
+_MESSAGE_KEYS = ('type', 'direction', 'ros_type', 'frame_id') + _LAYOUT_KEYS
+_FUNCTION_KEYS = ('cmd2', 'srv_type', 'ros_type', 'period', 'frame_id', 'request', 'reply',
+                  'timeout', 'repeatable')
+_NO_DATA = Layout('<', ())
+
+
+class RowError(ValueError):
+    """An entry that cannot be used.
+
+    Args:
+        key: the parameter, as ``arduino/messages/force/layout``.
+        value: what it is; None: it is missing.
+        allowed: what it may be, in words.
+    """
+
+    def __init__(self, key: str, value: Any, allowed: str) -> None:
+        is_what = 'is missing' if value is None else f'is {value!r} ({type(value).__name__})'
+        super().__init__(f'{key} {is_what}, {allowed}')
+        self.key = key
+
+
+class OwnMessage(NamedTuple):
+    """An entry of ``arduino/messages`` or ``mcu/messages``."""
+
+    name: str
+    key: str               # of the entry, as arduino/messages/force
+    kind: Any              # the class of the message; its values are named by their fields
+    is_command: bool       # to the board
+    ros_type: str
+    frame_id: str
+
+
+class OwnFunction(NamedTuple):
+    """An entry of ``bus/functions``."""
+
+    name: str
+    key: str
+    cmd2: int
+    request: Layout        # of the DATE
+    reply: Layout
+    srv_type: str          # called; or else:
+    ros_type: str          # asked every `period` s
+    period: float
+    frame_id: str
+    timeout: Optional[float]
+    repeatable: bool
+
+    def ask(self, values: Tuple) -> bus.Request:
+        """The request; ValueError for a value that its place cannot hold, or is to have."""
+        reason = self.request.implausible(values)
+        if reason:
+            raise ValueError(reason)
+        return bus.Request(bus.FUNCTION, self.cmd2, self.request.pack(values))
+
+    def __str__(self) -> str:
+        return self.name
+
+
+def arduino_messages(entries: Any, key: str = 'arduino/messages') -> List[OwnMessage]:
+    """The messages of ``arduino/messages``; RowError for the first mistake in them."""
+    return _messages(entries, key, _ARDUINO_TYPES, arduino.MAX_PACKET - 1,
+                     (FROM_BOARD, TO_BOARD))
+
+
+def mcu_messages(entries: Any, key: str = 'mcu/messages') -> List[OwnMessage]:
+    """The messages of ``mcu/messages``; RowError for the first mistake in them."""
+    types = [type_ for type_ in range(256) if type_ not in mcu.MESSAGES]
+    return _messages(entries, key, types, mcu.MAX_PAYLOAD, (FROM_BOARD,))
+
+
+def bus_functions(entries: Any, key: str = 'bus/functions') -> List[OwnFunction]:
+    """The functions of ``bus/functions``; RowError for the first mistake in them."""
+    functions: List[OwnFunction] = []
+    for name, row in _rows(entries, key, _FUNCTION_KEYS):
+        if ('srv_type' in row.given) == ('ros_type' in row.given):
+            raise RowError(row.key, None if row.given else {}, 'has either srv_type or ros_type')
+        cmd2 = row.number('cmd2', lambda n: n not in _BUILT_IN_FUNCTIONS and 0 <= n <= 255,
+                          'a whole number from 0 to 255 but 32, 33 and 34', whole=True)
+        row.refuse_second('cmd2', cmd2, {other.cmd2: other.name for other in functions})
+        polled = 'ros_type' in row.given
+        for unfit in ('srv_type', 'repeatable') if polled else ('period', 'frame_id'):
+            if unfit in row.given:
+                raise RowError(row.name(unfit), row.given[unfit],
+                               f'has no meaning beside {"ros_type" if polled else "srv_type"}')
+        functions.append(OwnFunction(
+            name, row.key, cmd2, row.part('request', only_zeros=polled), row.part('reply'),
+            row.text('srv_type', _ROS_TYPE, 'a service type, as std_srvs/Trigger', ''),
+            row.text('ros_type', _ROS_TYPE, 'a message type, as std_msgs/Float32', ''),
+            row.number('period', lambda n: 0.001 <= n <= 86400, 'a number from 0.001 to 86400 (s)')
+            if polled else 0.0,
+            row.text('frame_id', None, 'text', ''),
+            row.number('timeout', lambda n: 0.01 <= n <= 600, 'a number from 0.01 to 600 (s)',
+                       default=0.0) or None,
+            polled or row.flag('repeatable')))
+    return functions
+
+
+def _messages(entries: Any, key: str, types: Any, longest: int,
+              directions: Tuple[str, ...]) -> List[OwnMessage]:
+    messages: List[OwnMessage] = []
+    for name, row in _rows(entries, key, _MESSAGE_KEYS):
+        type_ = row.number('type', lambda n: n in types, f'a whole number from {types[0]} to '
+                           f'{types[-1]} that no message of the board has', whole=True)
+        row.refuse_second('type', type_, {other.kind.TYPE: other.name for other in messages})
+        direction = row.given.get('direction', FROM_BOARD)
+        if direction not in directions:
+            raise RowError(row.name('direction'), direction, f'may be {" or ".join(directions)}')
+        ros_type = row.text('ros_type', _ROS_TYPE, 'a message type, as std_msgs/Float32')
+        layout, values = row.layout()
+        kind = message_class(name, type_, layout, values)
+        if kind.LAYOUT.size > longest:
+            raise RowError(row.name('layout'), layout, f'may have at most {longest} bytes')
+        messages.append(OwnMessage(name, row.key, kind, direction == TO_BOARD, ros_type,
+                                   row.text('frame_id', None, 'text', '')))
+    return messages
+
+
+class _Row:
+    """One entry's keys and what they may be."""
+
+    def __init__(self, key: str, given: Any, keys: Tuple[str, ...]) -> None:
+        self.key = key
+        self.given: Dict[str, Any] = given
+        if not isinstance(given, dict):
+            raise RowError(key, given, f'may be a group with the keys {", ".join(keys)}')
+        for unknown in given:
+            if unknown not in keys:
+                near = difflib.get_close_matches(str(unknown), keys, 1)
+                raise RowError(self.name(unknown), given[unknown], 'is no key of an entry; '
+                               + (f'did you mean {near[0]}?' if near else ', '.join(keys)))
+
+    def name(self, key: str) -> str:
+        """The whole name of a key."""
+        return f'{self.key}/{key}'
+
+    def number(self, key: str, may_be: Callable[[float], bool], allowed: str,
+               default: Optional[float] = None, whole: bool = False) -> Any:
+        """A number that `may_be`."""
+        value = self.given.get(key, default)
+        is_number = type(value) in ((int,) if whole else (int, float))
+        if not is_number or (key in self.given and not may_be(value)):
+            raise RowError(self.name(key), value, f'may be {allowed}')
+        return value
+
+    def text(self, key: str, pattern: Any, allowed: str, default: Optional[str] = None) -> str:
+        """A text that matches the pattern."""
+        value = self.given.get(key, default)
+        if type(value) is not str or (pattern and value != default
+                                      and not pattern.fullmatch(value)):
+            raise RowError(self.name(key), value, f'may be {allowed}')
+        return value
+
+    def flag(self, key: str) -> bool:
+        """True or false, false by default."""
+        value = self.given.get(key, False)
+        if type(value) is not bool:
+            raise RowError(self.name(key), value, 'may be true or false')
+        return value
+
+    def refuse_second(self, key: str, value: int, names: Dict[int, str]) -> None:
+        """A number that another entry has already."""
+        if value in names:
+            raise RowError(self.name(key), value, f'is that of {names[value]}, too')
+
+    def part(self, key: str, only_zeros: bool = False) -> Layout:
+        """The layout of a request's or a reply's DATE."""
+        if key not in self.given:
+            return _NO_DATA
+        inner = _Row(self.name(key), self.given[key], _LAYOUT_KEYS)
+        layout, values = inner.layout()
+        if only_zeros and any(value.name for value in values):
+            raise RowError(inner.name('fields'), inner.given['fields'], 'may be empty texts only: '
+                           'there is no message to take the values of a polled request from')
+        made = Layout(layout, values)
+        if made.size > bus.MAX_LENGTH:
+            raise RowError(inner.name('layout'), layout,
+                           f'may have at most {bus.MAX_LENGTH} bytes')
+        return made
+
+    def layout(self) -> Tuple[str, List[Value]]:
+        """The keys that say what the bytes are."""
+        layout = self.text('layout', None, 'a format of Python\'s struct, as <hB')
+        paths = self.given.get('fields')
+        if type(paths) is not list or not all(
+                type(path) is str and _PATH.fullmatch(path) for path in paths):
+            raise RowError(self.name('fields'), paths, 'may be a list with the path of a field '
+                           'for each value, as [vector.x, "", position[2]]')
+        for path in paths:
+            if path and paths.count(path) > 1:
+                raise RowError(self.name('fields'), paths, f'may have {path} once')
+        try:
+            count = count_values(layout)
+        except ValueError as error:
+            raise RowError(self.name('layout'), layout,
+                           f'may be a format of Python\'s struct, as <hB: {error}') from None
+        if len(paths) != count:
+            raise RowError(self.name('fields'), paths, f'may be a list of {count}, one for each '
+                           f'value of the layout {layout}')
+        scales = self._each('scale', len(paths), 1, lambda n: abs(n) < float('inf') and n != 0,
+                            'a number but 0')
+        offsets = self._each('offset', len(paths), 0, lambda n: abs(n) < float('inf'), 'a number')
+        minima = self._each('minimum', len(paths), -float('inf'), lambda n: True, 'a number')
+        maxima = self._each('maximum', len(paths), float('inf'), lambda n: True, 'a number')
+        values = [Value(path, '', *numbers) for path, *numbers in zip(
+            paths, scales, offsets, minima, maxima)]
+        self._check_limits(Layout(layout, values))
+        return layout, values
+
+    def _each(self, key: str, count: int, default: float, may_be: Callable[[float], bool],
+              allowed: str) -> List[float]:
+        """A number for each value: one for all, or a list."""
+        given = self.given.get(key, default)
+        numbers = given if type(given) is list else [given] * count
+        if len(numbers) != count or not all(
+                type(number) in (int, float) and not isnan(number) and may_be(number)
+                for number in numbers):
+            raise RowError(self.name(key), given, f'may be {allowed}, or a list of {count}')
+        return numbers
+
+    def _check_limits(self, layout: Layout) -> None:
+        """A limit that no value can reach is a mistake, and so is one beyond the other."""
+        for index, value in enumerate(layout.values):
+            low, high = layout.range(index)
+            for key, limit in (('minimum', value.minimum), ('maximum', value.maximum)):
+                if abs(limit) < float('inf') and not low <= limit <= high:
+                    raise RowError(self.name(key), self.given[key], f'may be from {low:.10g} to '
+                                   f'{high:.10g}, which is what its place holds')
+            if value.minimum > value.maximum:
+                raise RowError(self.name('minimum'), self.given['minimum'],
+                               f'may be at most the maximum, {value.maximum:g}')
+
+
+def _rows(entries: Any, key: str, keys: Tuple[str, ...]) -> List[Tuple[str, _Row]]:
+    if not isinstance(entries, dict):
+        raise RowError(key, entries, 'may be a group of entries, one a name')
+    for name in entries:
+        if type(name) is not str or not _NAME.fullmatch(name):
+            raise RowError(f'{key}/{name}', name, 'may have a name of letters, digits and _ that '
+                           'begins with a letter')
+    return [(name, _Row(f'{key}/{name}', entries[name], keys)) for name in sorted(entries)]
