@@ -24,7 +24,7 @@ every_link = pytest.mark.parametrize('kind, names', [
 # A frame of each link's board that is good at any time.
 GOOD = {BusLink: bus.encode_reply(bus.Reply(bus.SYNC, b'')),
         ArduinoLink: arduino.encode(arduino.Ticks(1)),
-        McuLink: mcu.encode(mcu.AdcStatus((1, 2, 3, 4, 5, 6)), 1)}
+        McuLink: mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 1)}
 
 
 # -- the log --------------------------------------------------------------------------------------
