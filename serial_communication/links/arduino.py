@@ -1,26 +1,27 @@
 """The link to the model car: commands down, measurements up, and the heartbeat that keeps the
 motor alive. What may reach the motor, and when, is decided here and nowhere else."""
-import os
 import struct
 import threading
 import time
+import traceback
 from collections import deque
 from typing import Any, Callable, Deque, List, NamedTuple, Optional, Tuple
 
 from ..protocols import arduino
 from ..protocols.framing import Frame
+from .heart import Heart, clock
 from .link import OK, WARN, Link, Refused
+from .motor import TIMED_OUT, Motor
 from .port import Port, PortBusy, PortError
+from .sparing_log import Allowance
 
-_LONGEST_NAP = 0.02      # s; so that a slow heartbeat does not make SPEED 0 late
 _STALLED = 0.05          # s of wire time that wait in the kernel: the port does not flow
+_LOOK_PERIOD = 0.1       # s from one look at what waits there to the next
 _CALIBRATION_ECHO = 1.0  # s after IMU_CALIBRATION in which IMU packets may still be old ones
 _LAST_WORD = 0.1         # s that SPEED 0 has to leave the port at the end
+_SPEED_0 = arduino.SpeedCommand(0)
 _HEARTBEAT = arduino.encode(arduino.Heartbeat())
-_BEATS_A_LOOK = 10       # heartbeats from one look at what waits in the kernel to the next
-_REALTIME_PRIORITY = 20
-_BOARD_LINES = 100       # log lines of the board's in a burst …
-_BOARD_LINE_RATE = 10.0  # … and a second after that
+_BOARD_LINES = 100, 10.0     # log lines of the board's in a burst, and a second after that
 
 
 class ArduinoSettings(NamedTuple):
@@ -30,6 +31,7 @@ class ArduinoSettings(NamedTuple):
     speed_timeout: float = 0.5           # 0: never
     calibration_timeout: float = 900.0   # a calibration without an end is over after this
     check_plausibility: bool = True
+    network_silence: float = 1.0         # a network port is opened anew after this; 0: never
 
 
 class ArduinoLink(Link):
@@ -50,24 +52,24 @@ class ArduinoLink(Link):
                          **link_arguments)
         self.settings = settings
         self.calibrating = False
-        self.heartbeats_sent = 0
-        self.heartbeat_max_gap = 0.0     # s, since the port opened
         self._on_message = on_message
         self._on_log = on_log
         self._on_calibrating = on_calibrating
-        self._commands = threading.Lock()    # one command at a time, and the state below
-        self._moving = False                 # the last speed that left was not 0
-        self._speed_due = 0.0                # when SPEED 0 follows by itself, if moving
-        self._calibrating_since = 0.0
-        self._finished = False               # SPEED 0 was the last word
+        self._sending = threading.Lock()     # all that is sent, and the state of it:
+        self._motor = Motor(settings.speed_timeout, clock())
         self._cut_off = False                # the latest packet may have left in part
+        self._finished = False               # SPEED 0 was the last word
+        self._calibrating_since = 0.0
+        self._look_at = 0.0                  # when to look again at what waits in the kernel
+        self._heart = Heart('arduino heartbeat', settings.heartbeat_rate, self._tend,
+                            lambda text: self._say_later('fault', text))
         self._unsaid: Deque[Tuple[str, str]] = deque()
-        self._open = threading.Event()
-        self._heart_stopping = threading.Event()
-        self._heart = threading.Thread(target=self.lasting(self._beat),
-                                       name='arduino heartbeat', daemon=True)
-        self._board_lines = float(_BOARD_LINES)
-        self._board_line_at = 0.0
+        self._board_lines = Allowance(*_BOARD_LINES)
+
+    @property
+    def heartbeats_sent(self) -> int:
+        """Since the start."""
+        return self._heart.beats
 
     # -- commands -----------------------------------------------------------------------
 
@@ -78,20 +80,15 @@ class ArduinoLink(Link):
             self.log.warn('saturated', 'speed %d is beyond %d either way; sent as that'
                           % (value, limit))
             value = limit if value > 0 else -limit
-        with self._commands:
-            self._command(arduino.SpeedCommand(value))
-            self._moving = value != 0
-            self._speed_due = time.monotonic() + self.settings.speed_timeout
+        self._command(arduino.SpeedCommand(value))
 
     def set_steering(self, value: int) -> None:
         """PWM of the steering servo in µs, 0 … 65535; Refused where it cannot be sent now."""
-        with self._commands:
-            self._command(arduino.SteeringCommand(value))
+        self._command(arduino.SteeringCommand(value))
 
     def set_led(self, text: str) -> None:
         """left, right, brake, disable …; Refused also if it is too long or not ASCII."""
-        with self._commands:
-            self._command(arduino.LedCommand(text))
+        self._command(arduino.LedCommand(text))
 
     def calibrate_imu(self) -> None:
         """Send IMU_CALIBRATION, after SPEED 0 if the car moves; Refused if it cannot be sent.
@@ -99,132 +96,142 @@ class ArduinoLink(Link):
         From then on commands are refused until IMU data returns: the board would read them
         minutes later, all at once.
         """
-        with self._commands:
-            if self._moving:
-                self._command(arduino.SpeedCommand(0))
-                self._moving = False
-            self._command(arduino.ImuCalibration())
-            self._calibrating_since = time.monotonic()
-            self.calibrating = True
+        self._command(arduino.ImuCalibration())
         self.wake()
         if self._on_calibrating:
             self._on_calibrating(True)
 
     def _command(self, message: Any) -> None:
-        if self._finished:
-            raise Refused(f'{message} refused: the bridge is stopping', 'stopping')
-        if self.calibrating:
-            raise Refused(f'{message} refused: the IMU is being calibrated, '
-                          'which takes minutes', 'calibrating')
         try:
             message.pack()
         except (ValueError, struct.error) as error:
             too_long = len(getattr(message, 'text', '')) > arduino.LED_LIMIT
             raise Refused('refused: %s' % error, 'too long' if too_long else 'value') from None
+        with self._sending:
+            now = clock()
+            self._look_for_standstill(now)
+            self._refuse_if_unfit(message, now)
+            calibration = isinstance(message, arduino.ImuCalibration)
+            try:
+                if calibration and self._motor.moving:
+                    self._send_packet(_SPEED_0, now)
+                self._send_packet(message, now)
+            except (PortBusy, PortError) as error:
+                # Output that is stuck is dropped by the heart, before anything else is sent.
+                busy = isinstance(error, PortBusy)
+                raise Refused(f'{message} refused: {error}', 'busy' if busy else 'port') from None
+            if calibration:
+                self._motor.repeat_no_more()
+                self._calibrating_since = time.monotonic()
+                self.calibrating = True
+
+    def _refuse_if_unfit(self, message: Any, now: float) -> None:
+        if self._finished:
+            raise Refused(f'{message} refused: the bridge is stopping', 'stopping')
+        if self.calibrating:
+            raise Refused(f'{message} refused: the IMU is being calibrated, '
+                          'which takes minutes', 'calibrating')
+        if self._motor.deaf(now):
+            raise Refused(f'{message} refused: it may have waited while the bridge stood still; '
+                          'send it again', 'standstill')
         if self.port.backlog() > _STALLED:
             raise Refused(f'{message} refused: the port takes no data', 'busy')
-        try:
-            self._send(message)
-        except (PortBusy, PortError) as error:
-            busy = isinstance(error, PortBusy)
-            if busy:
-                self._unblock()
-            raise Refused(f'{message} refused: {error}', 'busy' if busy else 'port') from None
 
-    def _send(self, message: Any) -> None:
+    # -- sending; everything below holds the lock -----------------------------------------
+
+    def _send_packet(self, message: Any, now: float) -> None:
+        """Write one packet, and SPEED 0 before it where that has to be the first to leave.
+
+        Raises:
+            PortBusy, PortError: it has not been sent; SPEED 0 may have been.
+        """
+        if self._motor.in_doubt and message != _SPEED_0:
+            self._send_packet(_SPEED_0, now)
+        if isinstance(message, arduino.Heartbeat) and not (self.tap or self._cut_off):
+            # The same three bytes a hundred times a second, which nobody looks at.
+            self.port.write(_HEARTBEAT)
+            self.frames_sent += 1
+            return
         data = message.pack()
         packet = arduino.encode_raw(message.TYPE, data)
         # After a packet that was cut off, a 0x00 first: it ends what the board has of it.
-        self.send(b'\0' + packet if self._cut_off else packet, message.TYPE, 0, data, message)
+        packet = b'\0' + packet if self._cut_off else packet
+        self.port.write(packet)
         self._cut_off = False
+        if isinstance(message, arduino.SpeedCommand):
+            self._motor.sent(message.value, now)    # before anything that may fail
+        self.written(packet, message.TYPE, 0, data, message)
+
+    def _look_for_standstill(self, now: float) -> None:
+        stood = self._motor.stood_still(now)
+        if stood is not None:
+            self._say_later('standstill', 'the bridge stood still for %.3g s: SPEED 0 goes first, '
+                            'what was commanded meanwhile is dropped' % stood)
 
     def _unblock(self) -> None:
         """The port does not flow: drop what waits, or it reaches the board late, commands too."""
-        self.port.discard_output()
+        self._motor.doubt()
         self._cut_off = True
-        self._say_later('stalled', 'the port takes no data; what waited was dropped, '
-                                   'the board stops its motor')
+        dropped = self.port.discard_output()
+        self._say_later('stalled', 'the port takes no data; %s, the board stops its motor' % (
+            'what waited was dropped' if dropped else 'the connection is broken off'))
 
-    # -- the heartbeat ------------------------------------------------------------------
+    # -- the heart ------------------------------------------------------------------------
 
     def start(self) -> None:
+        self._motor.awake(clock())
         super().start()
         self._heart.start()
 
     def stop(self) -> None:
         """SPEED 0, then silence."""
-        self._heart_stopping.set()
-        self._open.set()
-        if self._heart.is_alive():
-            self._heart.join(_LAST_WORD)     # so that no heartbeat follows the last word
-        with self._commands:
-            self._finished = True
+        self._heart.stop(_LAST_WORD)
+        with self._sending:
+            self._finished = True       # no heartbeat follows the last word
             try:
                 if self.port.backlog() > _STALLED:
                     self._unblock()
-                self._send(arduino.SpeedCommand(0))
+                self._send_packet(_SPEED_0, clock())
             except (PortBusy, PortError):
                 pass     # closed, or stuck: without heartbeats the board stops by itself
+            except Exception:  # pylint: disable=broad-except
+                self._say_later('fault', traceback.format_exc())
         self._let_out()
         super().stop()
 
     def _let_out(self) -> None:
         """Closing a port may drop what it has not sent yet: give the last word its time."""
         deadline = time.monotonic() + _LAST_WORD
-        while self.port.backlog() > 0 and time.monotonic() < deadline:
+        while self.port.on_its_way() and time.monotonic() < deadline:
             time.sleep(0.002)
 
-    def _beat(self) -> None:
-        """Absolute deadlines of the monotonic clock; after a stall no burst."""
-        _be_quick()
-        period = 1.0 / self.settings.heartbeat_rate
-        while not self._heart_stopping.is_set():
-            self._open.wait()
-            last = None
-            due = time.monotonic()
-            while self._open.is_set() and not self._heart_stopping.is_set():
-                now = time.monotonic()
-                if now >= due:
-                    if self._heartbeat():
-                        if last is not None:
-                            self.heartbeat_max_gap = max(self.heartbeat_max_gap, now - last)
-                        last = now
-                    due += period
-                    if due < now:
-                        due = now + period
-                if self._moving and self.settings.speed_timeout and now >= self._speed_due:
-                    self._stop_motor(now)
-                time.sleep(max(0.0, min(due - time.monotonic(), _LONGEST_NAP)))
-
-    def _heartbeat(self) -> bool:
-        # The same three bytes every time, and few lines: this runs a hundred times a second.
-        try:
-            if self.heartbeats_sent % _BEATS_A_LOOK == 0 and self.port.backlog() > _STALLED:
-                self._unblock()
-            if self.tap or self._cut_off:
-                self._send(arduino.Heartbeat())
-            else:
-                self.port.write(_HEARTBEAT)
-                self.frames_sent += 1
-        except PortBusy:
-            self._unblock()
-            return False
-        except PortError:
-            return False
-        self.heartbeats_sent += 1
-        return True
-
-    def _stop_motor(self, now: float) -> None:
-        with self._commands:
-            if not self._moving or now < self._speed_due or self._finished:
-                return      # a command came meanwhile
+    def _tend(self, beat: bool) -> bool:
+        """In the heart's thread: SPEED 0 if it is due, then a heartbeat if that is."""
+        with self._sending:
+            now = clock()       # not sooner: a standstill may have come between
+            self._look_for_standstill(now)
+            self._motor.awake(now)
+            if self._finished or not self.port.is_open:
+                return False
             try:
-                self._send(arduino.SpeedCommand(0))
-            except (PortBusy, PortError):
-                return      # tried again in a moment
-            self._moving = False
-        self._say_later('speed timeout', 'no speed command for %g s: SPEED 0 sent'
-                        % self.settings.speed_timeout)
+                if now >= self._look_at:
+                    self._look_at = now + _LOOK_PERIOD
+                    if self.port.backlog() > _STALLED:
+                        self._unblock()
+                why = self._motor.due(now)
+                if why:
+                    self._send_packet(_SPEED_0, now)
+                if why == TIMED_OUT:
+                    self._say_later('speed timeout', 'no speed command for %g s: SPEED 0 sent'
+                                    % self.settings.speed_timeout)
+                if beat:
+                    self._send_packet(arduino.Heartbeat(), now)
+                return beat
+            except PortBusy:
+                self._unblock()     # and no heartbeat leaves before SPEED 0 does
+            except PortError:
+                pass                # the link's thread sees it as well
+            return False
 
     def _say_later(self, cause: str, text: str) -> None:
         """Have the link's thread log it: a log may block, a heartbeat and a command may not."""
@@ -233,24 +240,15 @@ class ArduinoLink(Link):
 
     # -- hooks --------------------------------------------------------------------------
 
-    def opened(self, now: float) -> None:
-        self.heartbeat_max_gap = 0.0
-        self._cut_off = False
-        with self._commands:
-            # The board may still hold the speed it had before: not to be woken by a heartbeat.
-            self._speed_due = now
-            if self._moving and not self._finished:
-                try:
-                    self._send(arduino.SpeedCommand(0))
-                    self._moving = False
-                    self._say_later('moved', 'the car was moving when the port went: SPEED 0 sent')
-                except PortBusy:
-                    pass    # the heartbeat's thread tries again
-        self._open.set()
-
     def closed(self, now: float) -> None:
-        if not self._heart_stopping.is_set():
-            self._open.clear()
+        # At once, not as it opens again: from then on anybody may be the first to write.
+        with self._sending:
+            if self._motor.moving and not self._finished:
+                self._say_later('moved', 'the car may have been moving when the port went: '
+                                         'SPEED 0 is sent first when it returns')
+            self._motor.doubt()
+            self._cut_off = False
+            self._heart.restart()
 
     def received(self, frame: Frame, now: float) -> None:
         message = frame.message
@@ -264,6 +262,16 @@ class ArduinoLink(Link):
             self._on_message(message, frame.stamp)
 
     def tick(self, now: float) -> Optional[float]:
+        calibrated_at = self.idle(now)
+        if calibrated_at is not None:
+            return calibrated_at
+        try:
+            return self.check_silence(now, self.settings.network_silence)
+        except PortError:
+            self._end_with_speed_0()
+            raise
+
+    def idle(self, now: float) -> Optional[float]:
         while self._unsaid:
             self.log.warn(*self._unsaid.popleft())
         if not self.calibrating:
@@ -275,8 +283,13 @@ class ArduinoLink(Link):
                          % self.settings.calibration_timeout)
         return None
 
-    def idle(self, now: float) -> Optional[float]:
-        return self.tick(now)
+    def _end_with_speed_0(self) -> None:
+        """What waits for the board behind a network, out of reach, ends with SPEED 0."""
+        with self._sending:
+            try:
+                self._send_packet(_SPEED_0, clock())
+            except (PortBusy, PortError):
+                pass
 
     def _calibrated(self, why: str) -> None:
         self.calibrating = False
@@ -285,13 +298,9 @@ class ArduinoLink(Link):
             self._on_calibrating(False)
 
     def _board_says(self, message: arduino.Log, now: float) -> None:
-        self._board_lines = min(_BOARD_LINES, self._board_lines
-                                + (now - self._board_line_at) * _BOARD_LINE_RATE)
-        self._board_line_at = now
-        if self._board_lines < 1:
+        if not self._board_lines.take(now):
             self.log.warn('chatter', 'the board logs too much; lines of it are left out')
             return
-        self._board_lines -= 1
         if self._on_log:
             self._on_log(message.severity, message.text)
 
@@ -303,13 +312,4 @@ class ArduinoLink(Link):
 
     def own_values(self) -> List[Tuple[str, Any]]:
         return [('heartbeats sent', self.heartbeats_sent),
-                ('heartbeat max gap [ms]', '%.2f' % (self.heartbeat_max_gap * 1e3))]
-
-
-def _be_quick() -> None:
-    """Real-time priority for this thread where the system allows it."""
-    try:
-        os.sched_setscheduler(threading.get_native_id(), os.SCHED_FIFO,
-                              os.sched_param(_REALTIME_PRIORITY))
-    except (OSError, AttributeError):
-        pass
+                ('heartbeat max gap [ms]', '%.2f' % (self._heart.max_gap * 1e3))]

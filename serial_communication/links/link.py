@@ -111,12 +111,32 @@ class Link:
     def send(self, frame: bytes, type_: int, command: int, data: bytes, message: Any) -> None:
         """Write one frame; PortError or PortBusy where it cannot be."""
         self.port.write(frame)
+        self.written(frame, type_, command, data, message)
+
+    def written(self, frame: bytes, type_: int, command: int, data: bytes, message: Any) -> None:
+        """Count a frame that the port has taken, and show it to who listens."""
         self.frames_sent += 1
         tap = self.tap      # another thread may take it away meanwhile
         if tap:
             # Guarded, since whoever sends must not take a sent frame for one that was not.
             self._guarded(lambda: tap(self.name, TX, Frame(frame, type_, command, data, message,
                                                            self._clock())))
+
+    def check_silence(self, now: float, limit: float) -> Optional[float]:
+        """For `tick`: when to look again whether a network port has been silent for `limit` s.
+
+        The network and the peer's kernel hide what has not arrived, so a connection on which
+        nothing comes is given up. None: it may be silent (another kind of port, or a limit of 0).
+
+        Raises:
+            PortError: nothing has come for so long.
+        """
+        if not limit or not self.port.is_network:
+            return None
+        due = self.last_byte_at + limit
+        if now >= due:
+            raise PortError('the board has not been heard for %g s' % limit)
+        return due
 
     # -- diagnostics ------------------------------------------------------------------
 

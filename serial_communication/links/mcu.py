@@ -24,6 +24,8 @@ class McuLink(Link):
 
     Args:
         timeout: seconds without a valid frame after which the board counts as silent.
+        network_silence: seconds without a byte after which a network port is opened anew;
+            0: never.
         on_status: is called with each (message, seq, stamp).
         on_silence: is called once a second for each class of message that the board has sent
             and sends no more, or with None while it has never spoken; with its last seq and the
@@ -33,12 +35,13 @@ class McuLink(Link):
     def __init__(self, port: Port, timeout: float = 1.0,
                  on_status: Optional[Callable[[Any, int, Any], None]] = None,
                  on_silence: Optional[Callable[[Optional[type], int, float], None]] = None,
-                 **link_arguments) -> None:
+                 network_silence: float = 5.0, **link_arguments) -> None:
         super().__init__('mcu', port, mcu.Decoder(), **link_arguments)
         self.frames_lost = 0
         self.duplicates = 0
         self.silent = True                      # no message of any class
         self._timeout = timeout
+        self._network_silence = network_silence
         self._on_status = on_status
         self._on_silence = on_silence
         self._last: Optional[Frame] = None      # since the port opened …
@@ -70,6 +73,11 @@ class McuLink(Link):
             self._on_status(frame.message, frame.command, frame.stamp)
 
     def tick(self, now: float) -> float:
+        due = self.idle(now)
+        look = self.check_silence(now, self._network_silence)
+        return due if look is None else min(due, look)
+
+    def idle(self, now: float) -> float:
         for kind, (seq, at, due) in self._heard.items():
             if now >= due:
                 self._heard[kind] = _Heard(seq, at, max(due + _STATUS_PERIOD, now))
@@ -84,9 +92,6 @@ class McuLink(Link):
             self.silent = True
             self.log.warn('silent', 'no valid frame for %g s; the status says so until '
                           'the board talks again' % self._timeout)
-
-    def idle(self, now: float) -> float:
-        return self.tick(now)
 
     def condition(self, now: float) -> Tuple[int, str]:
         if not self.port.is_open:

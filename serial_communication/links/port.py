@@ -1,8 +1,11 @@
 """A serial port that can be waited on and never makes a writer wait.
 
 A port is anything pyserial opens. Where it is a file descriptor (every device, and socket://),
-reading sleeps in poll() until a byte comes, and writing hands over what the kernel takes at
-once. Other kinds (rfc2217://, loop://) are read in slices of 50 ms.
+reading sleeps in poll() until a byte comes; other kinds (rfc2217://, loop://) are read in slices
+of 50 ms. Writing hands over what the kernel takes at once, of a device or of a connection.
+
+A connection (socket://, rfc2217://) notices a peer that vanished, and what it has not sent as it
+closes is dropped, not delivered later.
 """
 import errno
 import fcntl
@@ -24,7 +27,10 @@ _READ_SIZE = 65536
 _READABLE = select.POLLIN | select.POLLHUP | select.POLLERR
 _SLICE = 0.05      # s
 _STALLED = 0.1     # s of wire time that wait to be sent as the port closes
-_NETWORK = ('socket', 'rfc2217')    # the kinds that name a host
+_NOT_SENT = 0x894B     # SIOCOUTQNSD, which no module of Python names
+_NETWORK = 'socket:', 'rfc2217:'     # the kinds that name a host
+_VANISHED = 4      # s without a sign of life after which a connection's peer has vanished
+_IAC = b'\xff'     # of telnet, which rfc2217 is: doubled where it is data
 
 
 class PortError(Exception):
@@ -43,7 +49,7 @@ def check_url(url: str) -> None:
         return    # the kind is known, only the device is not there (hwgrep://)
     except re.error as error:
         raise ValueError(f'hwgrep:// takes a regular expression: {error}') from None
-    if urlsplit(url).scheme in _NETWORK:
+    if url.startswith(_NETWORK):
         _check_network_url(url, port)
 
 
@@ -77,7 +83,9 @@ class Port:
         self.bytes_sent = 0
         self._reset_on_open = reset_on_open
         self._serial: Optional[serial.SerialBase] = None
-        self._fd = -1                    # -1: closed, or no descriptor to poll
+        self._fd = -1                    # to poll and read; -1: closed, or there is none
+        self._out = -1                   # to write to; -1: closed, or there is none
+        self._doomed = ''                # why this connection must be given up
         self._lock = threading.Lock()    # writing, and the port's coming and going
         self._rest = b''                 # of a frame that the kernel took in part
         self._wake_read, self._wake_write = os.pipe()
@@ -89,6 +97,11 @@ class Port:
     @property
     def is_open(self) -> bool:
         return self._serial is not None
+
+    @property
+    def is_network(self) -> bool:
+        """Whether it leads to another computer's port, which hides what has not left it."""
+        return self.url.startswith(_NETWORK)
 
     def open(self) -> None:
         """Open it.
@@ -102,7 +115,7 @@ class Port:
             opened.timeout = _SLICE
             if not self.url.startswith('rfc2217:'):     # which has none
                 opened.write_timeout = _SLICE
-            if not self.url.startswith(('socket:', 'rfc2217:', 'loop:')):
+            if not self.url.startswith(_NETWORK + ('loop:',)):
                 opened.exclusive = True
             opened.open()
         except (OSError, ValueError, termios.error) as error:
@@ -111,7 +124,14 @@ class Port:
             fd = opened.fileno()
         except (io.UnsupportedOperation, AttributeError):
             fd = -1
-        if fd >= 0 and os.isatty(fd):
+        out = fd
+        if self.is_network:
+            try:
+                out = self._set_up_connection(opened)
+            except OSError as error:
+                opened.close()
+                raise PortError(_explain(error)) from None
+        elif fd >= 0 and os.isatty(fd):
             self._set_up_tty(opened, fd)
         self._poll = select.poll()
         self._polls_output = False
@@ -120,24 +140,31 @@ class Port:
             self._poll.register(fd, select.POLLIN)
         with self._lock:
             self._rest = b''
+            self._doomed = ''
             self._fd = fd
+            self._out = out
             self._serial = opened
 
     def close(self) -> None:
         """Close it; nothing that was written and not yet sent is kept."""
-        stalled = self.backlog() > _STALLED or self._rest
         with self._lock:
+            stalled = self.backlog() > _STALLED or self._rest
+            unsent = self.on_its_way()
             closing, self._serial = self._serial, None
-            fd, self._fd = self._fd, -1
+            out, self._out = self._out, -1
+            self._fd = -1
             self._rest = b''
         if closing is None:
             return
         try:
-            if fd >= 0:
+            if self.is_network:
+                # Else the kernel goes on sending it for minutes, and the board gets it then.
+                if unsent:
+                    _drop_as_it_closes(closing)
+            elif out >= 0 and stalled:
                 # A tty's close waits for its output to drain, up to half a minute where the
                 # line is held: drop what does not flow.
-                if stalled:
-                    _flush_output(fd)
+                _flush_output(out)
             closing.close()
         except (OSError, termios.error):
             pass
@@ -153,6 +180,8 @@ class Port:
         if self._fd < 0:
             return self._read_sliced(timeout)
         fd = self._fd
+        if self._doomed:
+            raise PortError(self._doomed)
         milliseconds = None if timeout is None else max(timeout, 0) * 1000
         try:
             if bool(self._rest) != self._polls_output:
@@ -174,6 +203,8 @@ class Port:
                 if event & select.POLLOUT:
                     with self._lock:
                         self._send_rest()
+            if self._doomed:
+                raise PortError(self._doomed)
         except BlockingIOError:
             return b''
         except OSError as error:
@@ -186,6 +217,11 @@ class Port:
         port = self._serial
         try:
             while True:
+                if self._doomed:
+                    raise PortError(self._doomed)
+                if self._rest:
+                    with self._lock:
+                        self._send_rest()
                 data = port.read(max(port.in_waiting, 1) if port.in_waiting or deadline is None
                                  or deadline > time.monotonic() else 0)
                 woken = bool(self._poll.poll(0))
@@ -210,16 +246,20 @@ class Port:
         with self._lock:
             if self._serial is None:
                 raise PortError('the port is closed')
+            if self._doomed:
+                raise PortError(self._doomed)
             try:
-                if self._fd < 0:
+                if self._out < 0:       # loop://
                     self._serial.write(frame)
                     self.bytes_sent += len(frame)
                     return
+                if self._fd < 0:        # rfc2217:// by its own socket: pyserial would wait
+                    frame = frame.replace(_IAC, _IAC * 2)
                 if self._rest:
                     self._send_rest()
                     if self._rest:
                         raise PortBusy('the port takes no data')
-                sent = os.write(self._fd, frame)
+                sent = os.write(self._out, frame)
             except BlockingIOError:
                 raise PortBusy('the port takes no data') from None
             except OSError as error:
@@ -231,7 +271,7 @@ class Port:
 
     def _send_rest(self) -> None:
         try:
-            sent = os.write(self._fd, self._rest)
+            sent = os.write(self._out, self._rest)
         except BlockingIOError:
             return
         self.bytes_sent += sent
@@ -239,21 +279,38 @@ class Port:
 
     def backlog(self) -> float:
         """Seconds of wire time that wait in the kernel to be sent; 0.0 where it cannot tell."""
-        fd = self._fd
-        if fd < 0:
+        return self._waiting(_NOT_SENT if self.is_network else termios.TIOCOUTQ)
+
+    def on_its_way(self) -> bool:
+        """Whether anything written has not left yet, or by a connection has not arrived."""
+        return self._waiting(termios.TIOCOUTQ) > 0     # of a connection: not acknowledged
+
+    def _waiting(self, queue: int) -> float:
+        out = self._out
+        if out < 0:
             return 0.0
         try:
-            waiting = struct.unpack('i', fcntl.ioctl(fd, termios.TIOCOUTQ, b'\0\0\0\0'))[0]
+            waiting = struct.unpack('i', fcntl.ioctl(out, queue, b'\0\0\0\0'))[0]
         except OSError:
-            return 0.0
+            waiting = 0
         return (waiting + len(self._rest)) * 10.0 / self.baud
 
-    def discard_output(self) -> None:
-        """Drop what was written and has not been sent."""
+    def discard_output(self) -> bool:
+        """Drop what was written and has not been sent. Of a connection that cannot be done: it
+        is given up, with all that waits in it, and the next `read` says so.
+
+        Returns:
+            whether it has been dropped, and the port goes on.
+        """
         with self._lock:
             self._rest = b''
-            if self._fd >= 0:
-                _flush_output(self._fd)
+            if not self.is_network:
+                if self._out >= 0:
+                    _flush_output(self._out)
+                return True
+            self._doomed = 'the peer takes no data'
+        self.wake()
+        return False
 
     def wake(self) -> None:
         """Make a `read` that sleeps return."""
@@ -261,6 +318,19 @@ class Port:
             os.write(self._wake_write, b'.')
         except BlockingIOError:
             pass    # the pipe is full of wake-ups already
+
+    @staticmethod
+    def _set_up_connection(opened: serial.SerialBase) -> int:
+        """Small packets leave at once, a peer that vanished is noticed; its descriptor."""
+        connection = _socket_of(opened)
+        tcp = socket.IPPROTO_TCP
+        for level, option, value in (
+                (tcp, socket.TCP_NODELAY, 1), (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1),
+                (tcp, socket.TCP_KEEPIDLE, 1), (tcp, socket.TCP_KEEPINTVL, 1),
+                (tcp, socket.TCP_KEEPCNT, _VANISHED - 1),
+                (tcp, socket.TCP_USER_TIMEOUT, _VANISHED * 1000)):
+            connection.setsockopt(level, option, value)
+        return connection.fileno()
 
     def _set_up_tty(self, opened: serial.SerialBase, fd: int) -> None:
         try:
@@ -279,6 +349,19 @@ class Port:
                 opened.dtr = True
         except (OSError, termios.error):
             pass
+
+
+def _socket_of(connection: serial.SerialBase) -> socket.socket:
+    return connection._socket       # pyserial has no other name for it
+
+
+def _drop_as_it_closes(connection: serial.SerialBase) -> None:
+    """Have the kernel reset the connection, rather than deliver what waits and then end it."""
+    try:
+        _socket_of(connection).setsockopt(socket.SOL_SOCKET, socket.SO_LINGER,
+                                          struct.pack('ii', 1, 0))
+    except (OSError, AttributeError):
+        pass    # gone already
 
 
 def _flush_output(fd: int) -> None:

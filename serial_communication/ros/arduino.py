@@ -10,6 +10,8 @@ from serial_communication.msg import (SpeedPWMCommand, SteeringFeedback, Steerin
                                       Ticks, Voltage)
 
 from ..links.arduino import ArduinoLink, ArduinoSettings
+from ..links.heart import clock
+from ..links.lateness import Lateness
 from ..links.link import Refused
 from ..links.port import Port
 from ..protocols import arduino
@@ -25,6 +27,7 @@ class ArduinoInterface:
     def __init__(self, parameters: Dict[str, Any], **link_arguments) -> None:
         p = parameters
         self._gyro_scale = p['arduino/gyro_scale']
+        self._speed_timeout = p['arduino/speed_timeout']
         self._imu_message = _imu(p)
         self._temperature_message = Temperature()
         self._temperature_message.header.frame_id = p['arduino/imu_frame_id']
@@ -46,7 +49,8 @@ class ArduinoInterface:
         self.link = ArduinoLink(
             Port(p['arduino/port'], p['arduino/baud'], p['arduino/reset_on_open']),
             ArduinoSettings(p['arduino/heartbeat_rate'], p['arduino/speed_timeout'],
-                            p['arduino/calibration_timeout'], p['arduino/check_plausibility']),
+                            p['arduino/calibration_timeout'], p['arduino/check_plausibility'],
+                            p['arduino/network_silence']),
             on_message=self._received, on_log=self._log,
             on_calibrating=lambda on: self._calibrating.publish(on), **link_arguments)
 
@@ -56,11 +60,28 @@ class ArduinoInterface:
         for name, message_class, command in (
                 ('speed', SpeedPWMCommand, lambda message: link.set_speed(message.value)),
                 ('steering', SteeringPWMCommand,
-                 lambda message: link.set_steering(message.value)),
-                ('led', String, lambda message: link.set_led(message.data))):
-            rospy.Subscriber('~' + name, message_class, self._take, (name, command),
-                             queue_size=10, tcp_nodelay=True)
+                 lambda message: link.set_steering(message.value))):
+            # Of those that wait only the newest counts: rospy reads all that its socket has, and
+            # keeps as many as the queue holds.
+            rospy.Subscriber('~' + name, message_class, self._take_newest,
+                             (name, command, Lateness(self._speed_timeout)),
+                             queue_size=1, tcp_nodelay=True)
+        rospy.Subscriber('~led', String, self._take,
+                         ('led', lambda message: link.set_led(message.data)),
+                         queue_size=10, tcp_nodelay=True)
         rospy.Service('~calibrate_imu', Empty, self._calibrate)
+
+    def _take_newest(self, message, name_command_and_lateness) -> None:
+        name, command, lateness = name_command_and_lateness
+        connection = message._connection_header     # one object for each
+        sender = connection['callerid']
+        late = lateness.of(sender, connection, message.header.stamp.to_sec(), _now())
+        if late:
+            self.link.log.warn(
+                name + ' late', f'{name} {message.value} refused: it is {late:.3g} s late by its '
+                f'stamp, from {sender}; is its network slow, or was its clock set?')
+            return
+        self._take(message, (name, command))
 
     def _take(self, message, name_and_command) -> None:
         name, command = name_and_command
@@ -107,6 +128,11 @@ class ArduinoInterface:
     @staticmethod
     def _log(severity: int, text: str) -> None:
         _SAY[severity]('arduino says: %s', text)
+
+
+def _now() -> float:
+    """Seconds to compare stamps with: simulated where stamps are, else of no clock that is set."""
+    return clock() if rospy.rostime.is_wallclock() else rospy.get_time()
 
 
 def _imu(p: Dict[str, Any]) -> Imu:

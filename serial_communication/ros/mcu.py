@@ -35,7 +35,8 @@ class McuInterface:
             self._orientation = OrientationBroadcaster(p['mcu/imu_frame_id'],
                                                        p['mcu/imu_orientation_frame_id'])
         self.link = McuLink(Port(p['mcu/port'], p['mcu/baud']), p['mcu/timeout'],
-                            on_status=self._received, on_silence=self._silent, **link_arguments)
+                            on_status=self._received, on_silence=self._silent,
+                            network_silence=p['mcu/network_silence'], **link_arguments)
 
     def advertise(self) -> None:
         """Nothing is taken or offered: the board only talks."""

@@ -6,10 +6,14 @@ all that they do.
 import os
 import pty
 import select
+import socket
 import threading
 import time
 import tty
 from contextlib import contextmanager
+
+import serial
+import serial.rfc2217
 
 from serial_communication.protocols import arduino
 from serial_communication.protocols import robot_ctrl_bus as bus
@@ -170,13 +174,28 @@ class BusBoard(Board):
 
 
 class CarBoard(Board):
-    """Keeps what it is sent; with `streaming` it sends an IMU packet as often as it can."""
+    """Keeps what it is sent; with `streaming` it sends an IMU packet as often as it can.
+
+    It stands as the test begins, so a SPEED 0 before any other speed, and one after another, are
+    repetitions: `seen` has them, `commands` leaves them out.
+    """
 
     IMU = arduino.encode(arduino.Imu(16384, *[0] * 10))
 
     def __init__(self, line):
         super().__init__(line, arduino.BoardDecoder(), 'car board')
         self.streaming = False
+        self._commands = []
+        self._speed = 0
+
+    def take(self, frame):
+        message = frame.message
+        if isinstance(message, arduino.SpeedCommand):
+            before, self._speed = self._speed, message.value
+            if before == message.value == 0:
+                return
+        if not isinstance(message, arduino.Heartbeat):
+            self._commands.append(message)
 
     def idle(self):
         if self.streaming:
@@ -186,6 +205,64 @@ class CarBoard(Board):
         return len(self.messages(arduino.Heartbeat))
 
     def commands(self):
-        """All but the heartbeats."""
-        return [message for message in self.messages()
-                if not isinstance(message, arduino.Heartbeat)]
+        """All but the heartbeats and SPEED 0 that is repeated."""
+        return list(self._commands)
+
+    def forget(self):
+        """Begin the records anew."""
+        del self.seen[:], self._commands[:]
+
+
+class Rfc2217Server:
+    """A server with one connection, which stands still while `running` is not set."""
+
+    def __init__(self, listening, path):
+        self.url = 'rfc2217://127.0.0.1:%d' % listening.getsockname()[1]
+        self.peer = None
+        self.running = threading.Event()
+        self.running.set()
+        self._ended = threading.Event()
+        self._server, self._path = listening, path
+        self._thread = threading.Thread(target=self._serve, name='rfc2217 server', daemon=True)
+        self._thread.start()
+
+    @property
+    def alive(self):
+        return self._thread.is_alive()
+
+    def end(self):
+        self._ended.set()
+        self.running.set()
+        self._thread.join()
+
+    def _serve(self):
+        self.peer, _ = self._server.accept()
+        peer = self.peer
+        with _Device(self._path, timeout=0.05) as device:
+            manager = serial.rfc2217.PortManager(device, _Connection(peer))
+            peer.settimeout(0.05)
+            while not self._ended.is_set():
+                if not self.running.wait(0.05):
+                    continue
+                try:
+                    peer.sendall(b''.join(manager.escape(device.read(device.in_waiting))))
+                    device.write(b''.join(manager.filter(peer.recv(65536))))
+                except socket.timeout:
+                    pass
+                except OSError:
+                    break
+        peer.close()
+
+
+class _Device(serial.Serial):
+    """A pty has no modem lines."""
+
+    cts = dsr = ri = cd = False
+    rts = dtr = True
+
+
+class _Connection:
+    """What a PortManager writes its own words to."""
+
+    def __init__(self, peer):
+        self.write = peer.sendall

@@ -1,14 +1,20 @@
 """The link to the model car, over a real tty: what reaches the motor, and when."""
+import os
+import signal
+import socket
+import subprocess
+import sys
 import threading
 import time
 
 import pytest
 
-from boards import PATIENCE, CarBoard, wait_for
+from boards import PATIENCE, CarBoard, Rfc2217Server, wait_for
 from serial_communication.links import arduino as link_module
+from serial_communication.links import heart as heart_module
 from serial_communication.links.arduino import ArduinoLink, ArduinoSettings
 from serial_communication.links.link import Refused
-from serial_communication.links.port import Port
+from serial_communication.links.port import Port, PortBusy
 from serial_communication.protocols import arduino
 from serial_communication.protocols.arduino import (Heartbeat, ImuCalibration, LedCommand,
                                                     SpeedCommand, SteeringCommand)
@@ -106,13 +112,13 @@ def test_heartbeats_arrive_at_about_their_rate(board, open_link):
     times = [frame.stamp for frame in board.seen if isinstance(frame.message, Heartbeat)]
     rate = (len(times) - 1) / (times[-1] - times[0])
     assert 30 < rate < 115
-    assert link.heartbeats_sent >= len(times) and link.heartbeat_max_gap > 0.005
+    assert link.heartbeats_sent >= len(times) and link._heart.max_gap > 0.005
 
 
 def test_the_heartbeat_rate_is_a_parameter(board, open_link):
     open_link(STEADY._replace(heartbeat_rate=20.0))
     wait_for(lambda: board.heartbeats() >= 8)
-    times = [frame.stamp for frame in board.seen]
+    times = [frame.stamp for frame in board.seen if isinstance(frame.message, Heartbeat)]
     assert 5 < (len(times) - 1) / (times[-1] - times[0]) < 25
 
 
@@ -134,11 +140,17 @@ def test_heartbeats_need_nobody_and_nothing_but_the_port(line, board, open_link)
     hang.set()
 
 
-def test_a_command_under_way_holds_no_heartbeat_up(open_link):
+def test_a_command_whose_warning_hangs_holds_no_heartbeat_up(open_link, monkeypatch):
     link = open_link()
-    with link._commands:
-        sent = link.heartbeats_sent
-        wait_for(lambda: link.heartbeats_sent > sent + 10)
+    hang = threading.Event()
+    monkeypatch.setattr(link.log, 'warn', lambda *_: hang.wait(PATIENCE))
+    command = threading.Thread(target=link.set_speed, args=(2000,), name='commands')
+    command.start()
+    sent = link.heartbeats_sent
+    wait_for(lambda: link.heartbeats_sent > sent + 10)
+    assert command.is_alive()
+    hang.set()
+    command.join()
 
 
 def test_after_a_stall_the_heartbeats_missed_do_not_follow_all_at_once(board, open_link):
@@ -170,9 +182,9 @@ def test_speed_0_follows_once_if_no_speed_command_comes(board, open_link, lines)
     link = open_link(ArduinoSettings(speed_timeout=0.1))
     link.set_speed(300)
     wait_for(lambda: SpeedCommand(0) in board.commands())
-    first = [frame.stamp for frame in board.seen if frame.message == SpeedCommand(300)][0]
-    second = [frame.stamp for frame in board.seen if frame.message == SpeedCommand(0)][0]
-    assert second - first >= 0.08
+    speeds = [frame for frame in board.seen if isinstance(frame.message, SpeedCommand)]
+    first = [frame.message for frame in speeds].index(SpeedCommand(300))
+    assert speeds[first + 1].stamp - speeds[first].stamp >= 0.08
     before = board.heartbeats()
     wait_for(lambda: board.heartbeats() >= before + 30)
     assert board.commands() == [SpeedCommand(300), SpeedCommand(0)]
@@ -190,13 +202,13 @@ def test_speed_commands_that_go_on_hold_the_timeout_off(board, open_link):
     link.set_speed(0)
 
 
-def test_without_a_timeout_or_a_speed_nothing_follows(board, open_link):
+def test_without_a_speed_nothing_times_out(board, open_link, lines):
     link = open_link(ArduinoSettings(speed_timeout=0.05))
     link.set_speed(0)
     link.set_steering(1500)
     before = board.heartbeats()
     wait_for(lambda: board.heartbeats() >= before + 25)
-    assert board.commands() == [SpeedCommand(0), SteeringCommand(1500)]
+    assert board.commands() == [SteeringCommand(1500)] and not lines('no speed command')
 
 
 def test_a_timeout_of_0_is_never(board, open_link):
@@ -204,6 +216,256 @@ def test_a_timeout_of_0_is_never(board, open_link):
     before = board.heartbeats()
     wait_for(lambda: board.heartbeats() >= before + 80)
     assert board.commands() == [SpeedCommand(77)]
+
+
+# -- a stop that cannot be lost -------------------------------------------------------------------
+
+def test_a_stop_is_repeated_every_50_ms_for_a_second(board, open_link):
+    link = open_link()
+    link.set_speed(300)
+    link.set_speed(0)
+    wait_for(lambda: len(board.commands()) == 2)
+    board.forget()
+    before = link.heartbeats_sent
+    wait_for(lambda: link.heartbeats_sent > before + 130)
+    repeated = board.messages(SpeedCommand)
+    assert set(repeated) == {SpeedCommand(0)} and 10 <= len(repeated) <= 21
+    board.forget()
+    before = board.heartbeats()
+    wait_for(lambda: board.heartbeats() >= before + 20)
+    assert board.messages(SpeedCommand) == [], 'after that no more'
+
+
+@pytest.mark.parametrize('way', ['commanded', 'timed out'])
+def test_a_stop_whose_first_packets_the_line_loses_stops_the_motor(line, open_link, running, way):
+    """The board loses the first three SPEED 0 that it is sent after the motion."""
+    class Lossy(CarBoard):
+        motor = 0
+        lost = 0
+
+        def take(self, frame):
+            if frame.message == SpeedCommand(0) and self.motor and self.lost < 3:
+                self.lost += 1
+            elif isinstance(frame.message, SpeedCommand):
+                self.motor = frame.message.value
+
+    board = running(Lossy(line))
+    link = open_link(ArduinoSettings(speed_timeout=0.2 if way == 'timed out' else 0.0))
+    link.set_speed(500)
+    wait_for(lambda: board.motor == 500)
+    if way == 'commanded':
+        link.set_speed(0)
+    wait_for(lambda: board.motor == 0)
+    assert board.lost == 3
+
+
+def test_another_speed_ends_the_repetitions(board, open_link):
+    link = open_link()
+    link.set_speed(300)
+    link.set_speed(0)
+    link.set_speed(200)
+    before = board.heartbeats()
+    wait_for(lambda: board.heartbeats() >= before + 30)
+    assert board.messages(SpeedCommand)[-1] == SpeedCommand(200)
+
+
+def test_a_calibration_ends_the_repetitions(board, open_link):
+    link = open_link()
+    link.set_speed(300)
+    link.calibrate_imu()
+    before = board.heartbeats()
+    wait_for(lambda: board.heartbeats() >= before + 30)
+    commands = [message for message in board.messages() if not isinstance(message, Heartbeat)]
+    assert commands[-1] == ImuCalibration()
+
+
+@pytest.mark.parametrize('way', ['commanded', 'timed out'])
+def test_a_speed_0_that_the_bridge_itself_drops_is_followed_by_another(line, open_link, lines, way):
+    """The board stops reading; SPEED 0 lies in the kernel, more follows, and all is dropped."""
+    decoder = arduino.BoardDecoder()
+
+    def heard():
+        return [frame.message for frame in decoder.feed(line.read(0.1), 0.0) if not frame.cause]
+
+    def more(number):
+        for _ in range(number):
+            try:
+                link.set_led('x' * 30)
+            except Refused:
+                return
+
+    link = open_link(ArduinoSettings(speed_timeout=0.2 if way == 'timed out' else 0.0))
+    link.set_speed(500)
+    wait_for(lambda: SpeedCommand(500) in heard())
+    more(300)         # so that SPEED 0 is not the first in the kernel, which a flush may leave
+    if way == 'commanded':
+        link.set_speed(0)
+    else:
+        wait_for(lambda: lines('SPEED 0 sent'))
+    sent = link.heartbeats_sent
+    wait_for(lambda: link.heartbeats_sent > sent + 130, what='the end of its repetitions')
+    wait_for(lambda: more(100) or lines('what waited was dropped'))
+    wait_for(lambda: SpeedCommand(0) in heard())
+
+
+def test_a_speed_that_cannot_be_shown_to_a_listener_times_out_all_the_same(board, open_link):
+    def fail(*_):
+        raise OSError('no room')
+
+    link = open_link(ArduinoSettings(speed_timeout=0.2))
+    link.tap = fail
+    with pytest.raises(OSError):
+        link.set_speed(500)
+    wait_for(lambda: board.commands() == [SpeedCommand(500), SpeedCommand(0)])
+    before = board.heartbeats()
+    wait_for(lambda: board.heartbeats() > before + 20)
+
+
+def test_no_heartbeat_leaves_while_speed_0_cannot(line, open_link):
+    """After output was dropped, and the kernel takes nothing: what leaves first is SPEED 0."""
+    class Choosy(Port):
+        refuses = b''
+        written = []
+
+        def write(self, frame):
+            if self.refuses and self.refuses in frame:
+                raise PortBusy('the port takes no data')
+            super().write(frame)
+            self.written.append(frame)
+
+    link = open_link(port=Choosy)
+    link.set_speed(500)
+    link.port.refuses = arduino.encode(SpeedCommand(0))
+    with link._sending:
+        link._unblock()
+        link.port.written = []
+    with pytest.raises(Refused):
+        link.set_speed(400)
+    threading.Event().wait(0.2)
+    assert link.port.written == []
+    link.port.refuses = b''
+    wait_for(lambda: len(link.port.written) > 3)
+    assert link.port.written[0].endswith(arduino.encode(SpeedCommand(0)))
+
+
+# -- a standstill ---------------------------------------------------------------------------------
+
+@pytest.fixture
+def standstill(monkeypatch):
+    """All the link's threads wake from one, as far as its clock can tell."""
+    def stand_still(link, seconds):
+        with link._sending:
+            skipped[0] += seconds
+            del link.port.written[:]
+
+    skipped = [0.0]
+    real = heart_module.clock
+    for module in (heart_module, link_module):
+        monkeypatch.setattr(module, 'clock', lambda: real() + skipped[0])
+    return stand_still
+
+
+class Noted(Port):
+    """Keeps what it was given to write."""
+
+    def __init__(self, path):
+        super().__init__(path)
+        self.written = []
+
+    def write(self, frame):
+        super().write(frame)
+        self.written.append(frame)
+
+
+def test_after_a_standstill_speed_0_is_first_whoever_wakes_first(board, open_link, standstill,
+                                                                 lines):
+    link = open_link(ArduinoSettings(speed_timeout=0.5), port=Noted)
+    link.set_speed(500)
+    for _ in range(10):       # sometimes the heart wakes first, sometimes a command
+        standstill(link, 5.0)
+        with pytest.raises(Refused) as refused:
+            link.set_speed(300)
+        assert 'stood still' in str(refused.value)
+        wait_for(lambda: len(link.port.written) > 3)
+        assert link.port.written[0] == arduino.encode(SpeedCommand(0))
+    assert SpeedCommand(300) not in board.messages()
+    wait_for(lambda: lines('the bridge stood still for'))
+
+
+def test_nothing_commanded_during_a_standstill_is_sent_and_what_comes_later_is(
+        board, open_link, standstill):
+    link = open_link(ArduinoSettings(speed_timeout=0.5), port=Noted)
+    standstill(link, 5.0)
+    for command in (lambda: link.set_speed(1), lambda: link.set_steering(1),
+                    lambda: link.set_led('left'), link.calibrate_imu):
+        with pytest.raises(Refused):
+            command()
+    assert not link.calibrating
+
+    def accepted():
+        try:
+            link.set_speed(2)
+            return True
+        except Refused:
+            return False
+
+    wait_for(accepted)
+    wait_for(board.commands)
+    assert board.commands()[0] == SpeedCommand(2)
+
+
+def test_a_standstill_while_the_port_is_closed_counts(board, open_link, standstill):
+    link = open_link(ArduinoSettings(speed_timeout=0.5), port=Noted)
+    with board.unplugged():
+        wait_for(lambda: not link.port.is_open)
+        standstill(link, 5.0)
+        with pytest.raises(Refused) as refused:
+            link.set_speed(1)
+        assert refused.value.cause == 'standstill'
+
+
+def test_a_process_that_was_stopped_says_speed_0_first_and_none_of_what_waited(board, line):
+    """SIGSTOP and SIGCONT; ten commands wait in a pipe for a thread of that process."""
+    program = ("import logging, sys\n"
+               "from serial_communication.links.arduino import ArduinoLink\n"
+               "from serial_communication.links.link import Refused\n"
+               "from serial_communication.links.port import Port\n"
+               "link = ArduinoLink(Port(sys.argv[1]))\n"
+               "link.start()\n"
+               "for command in sys.stdin:\n"
+               "    try:\n"
+               "        link.set_speed(int(command))\n"
+               "    except Refused as refused:\n"
+               "        print(refused, flush=True)\n"
+               "link.stop()\n"
+               "link.join()\n")
+    bridge = subprocess.Popen([sys.executable, '-c', program, line.path], stdin=subprocess.PIPE,
+                              stdout=subprocess.PIPE, universal_newlines=True)
+    try:
+        def drive():
+            bridge.stdin.write('500\n')
+            bridge.stdin.flush()
+            return SpeedCommand(500) in board.messages()
+
+        wait_for(lambda: board.heartbeats() > 3)
+        wait_for(drive)
+        wait_for(lambda: board.commands()[-1] == SpeedCommand(0), what='the speed timeout')
+        drive()
+        wait_for(lambda: board.commands()[-1] == SpeedCommand(500))
+        bridge.send_signal(signal.SIGSTOP)
+        os.waitpid(bridge.pid, os.WUNTRACED)
+        threading.Event().wait(1.0)
+        board.forget()
+        bridge.stdin.write('321\n' * 10)
+        bridge.stdin.flush()
+        bridge.send_signal(signal.SIGCONT)
+        assert '321' in bridge.stdout.readline()
+        wait_for(lambda: board.heartbeats() > 20)
+        assert board.messages()[0] == SpeedCommand(0)
+        assert SpeedCommand(321) not in board.messages()
+    finally:
+        bridge.kill()
+        bridge.communicate()
 
 
 # -- the port goes and comes ----------------------------------------------------------------------
@@ -223,29 +485,166 @@ def test_commands_to_a_closed_port_are_refused_and_not_kept(board, open_link):
     assert board.commands() == [] and link.reconnects == 1
 
 
-@pytest.mark.parametrize('speed, after', [(500, [SpeedCommand(0)]), (0, [])])
-def test_after_a_reconnect_only_a_moving_car_is_stopped(board, open_link, speed, after):
+@pytest.mark.parametrize('speed', [500, 0])
+def test_after_a_reconnect_speed_0_is_first_and_repeated(board, open_link, speed):
     link = open_link()
     link.set_speed(speed)
     link.set_steering(1234)
-    wait_for(lambda: len(board.commands()) == 2)
+    wait_for(lambda: SteeringCommand(1234) in board.commands())
     with board.unplugged():
         wait_for(lambda: not link.port.is_open)
-        del board.seen[:]
-    wait_for(lambda: board.heartbeats() >= 30)
-    assert board.commands() == after
-    if after:
-        assert board.messages()[0] == SpeedCommand(0), 'before any heartbeat'
+        board.forget()
+    wait_for(lambda: len(board.messages(SpeedCommand)) >= 10)
+    assert board.messages()[0] == SpeedCommand(0), 'before any heartbeat'
+    assert set(board.messages(SpeedCommand)) == {SpeedCommand(0)}
+
+
+def test_a_command_between_the_opening_and_the_first_heartbeat_comes_after_speed_0(line, logger):
+    """As the port has opened, and before the link's threads have done anything with it."""
+    link = ArduinoLink(Port(line.path), STEADY, logger=logger)
+    link.port.open()
+    link.set_speed(500)
+    assert line.read_all() == arduino.encode(SpeedCommand(0)) + arduino.encode(SpeedCommand(500))
+    link.port.close()
+
+
+def test_the_first_opening_begins_with_speed_0(board, open_link):
+    """The board may hold the speed of a bridge that crashed."""
+    open_link()
+    wait_for(lambda: board.heartbeats() >= 3)
+    assert board.messages()[0] == SpeedCommand(0)
 
 
 def test_no_heartbeat_is_counted_while_the_port_is_closed(board, open_link):
     link = open_link()
     with board.unplugged():
         wait_for(lambda: not link.port.is_open)
-        wait_for(lambda: not link._open.is_set())
         sent = link.heartbeats_sent
         assert not threading.Event().wait(0.1)
         assert link.heartbeats_sent == sent
+
+
+# -- over a network -------------------------------------------------------------------------------
+
+@pytest.fixture
+def network(logger, running):
+    """A link over a connection, and the server's end of it."""
+    with socket.create_server(('127.0.0.1', 0)) as server:
+        server.settimeout(PATIENCE)
+
+        def connect(network_silence):
+            link = running(ArduinoLink(
+                Port('socket://127.0.0.1:%d' % server.getsockname()[1]),
+                STEADY._replace(network_silence=network_silence), logger=logger))
+            link.peer, _ = server.accept()
+            wait_for(lambda: link.heartbeats_sent)
+            link.accept = lambda: server.accept()[0]
+            return link
+
+        yield connect
+
+
+def messages(data):
+    return [frame.message for frame in arduino.BoardDecoder().feed(data, 0.0) if not frame.cause]
+
+
+def read_to_the_end(peer):
+    """All that comes until the connection has been ended or reset."""
+    data = b''
+    peer.settimeout(PATIENCE)
+    try:
+        part = b'x'
+        while part:
+            part = peer.recv(1 << 20)
+            data += part
+    except ConnectionResetError:
+        pass
+    return data
+
+
+def test_a_board_not_heard_over_a_network_gets_a_new_connection_and_no_old_speed(network, lines):
+    """The peer stands still: it neither speaks nor reads, and commands go on."""
+    link = network(0.4)
+    begun = time.monotonic()
+    while link.reconnects == 0:
+        assert time.monotonic() < begun + PATIENCE
+        try:
+            link.set_speed(500)
+        except Refused:
+            pass
+        time.sleep(0.02)
+    assert lines('the board has not been heard for 0.4 s')
+    with link.accept() as peer:
+        peer.settimeout(PATIENCE)
+        assert messages(peer.recv(1 << 16))[0] == SpeedCommand(0)
+    # What the peer's kernel has is out of reach; it ends with a stop.
+    with link.peer as old:
+        speeds = [message for message in messages(read_to_the_end(old))
+                  if isinstance(message, SpeedCommand)]
+    assert len(speeds) > 1 and speeds[-1] == SpeedCommand(0)
+
+
+def test_a_board_that_calibrates_may_be_silent_over_a_network(network):
+    link = network(0.3)
+    link.peer.sendall(arduino.encode(arduino.Ticks(1)))
+    link.calibrate_imu()
+    sent = link.heartbeats_sent
+    wait_for(lambda: link.heartbeats_sent > sent + 80)
+    assert link.calibrating and link.reconnects == 0
+    link.peer.close()
+
+
+def test_a_connection_that_takes_no_data_is_broken_off_and_its_data_not_sent_later(network, lines):
+    link = network(0.0)         # so that nothing but the stall ends it
+    peer = link.peer
+    begun = time.monotonic()
+    while link.reconnects == 0:
+        assert time.monotonic() < begun + PATIENCE
+        try:
+            link.set_led('x' * 30)
+        except Refused:
+            time.sleep(0.005)
+    assert lines('the connection is broken off') and not lines('was dropped')
+    sent = link.port.bytes_sent
+    with link.accept() as new:
+        new.settimeout(PATIENCE)
+        assert messages(new.recv(1 << 16))[0] == SpeedCommand(0)
+    with peer:
+        assert len(read_to_the_end(peer)) < sent
+
+
+def test_an_rfc2217_server_that_stands_still_delivers_no_drive_afterwards(line, logger, running):
+    """It takes commands until the link gives it up; they end with a stop, and the next
+    connection begins with one."""
+    with socket.create_server(('127.0.0.1', 0)) as listening:
+        listening.settimeout(PATIENCE)
+        server = Rfc2217Server(listening, line.path)
+        board = running(CarBoard(line))
+        link = running(ArduinoLink(Port(server.url), STEADY._replace(network_silence=0.4),
+                                   logger=logger))
+        board.streaming = True
+        wait_for(lambda: link.heartbeats_sent and link.last_frame_at)
+        link.set_speed(500)
+        wait_for(board.commands)
+        board.streaming = False
+        server.running.clear()
+        begun = time.monotonic()
+        slowest = 0.0
+        while link.port.is_open:
+            assert time.monotonic() < begun + PATIENCE
+            before = time.monotonic()
+            try:
+                link.set_speed(400)
+            except Refused:
+                pass
+            slowest = max(slowest, time.monotonic() - before)
+            time.sleep(0.02)
+        assert slowest < 1.0, 'a command waited for the network'
+        server.running.set()
+        wait_for(lambda: board.commands()[-1] == SpeedCommand(0))
+        wait_for(lambda: not server.alive)
+        assert board.messages(SpeedCommand)[-1] == SpeedCommand(0)
+        server.end()
 
 
 # -- calibration ----------------------------------------------------------------------------------
@@ -335,7 +734,7 @@ def test_stopping_sends_speed_0_also_while_the_board_talks(board, open_link):
     wait_for(board.commands)
     wait_for(lambda: link.frames_received > 3)
     stopping = threading.Thread(target=link.stop, name='stopping', daemon=True)
-    with link._commands:              # as if a command were just on its way
+    with link._sending:               # as if a command were just on its way
         stopping.start()
         threading.Event().wait(0.15)  # some thirty packets
     stopping.join(PATIENCE)
@@ -355,18 +754,18 @@ def test_stopping_lets_speed_0_leave_before_the_port_closes(line, board, open_li
             if arduino.encode(SpeedCommand(0)) in frame:
                 self.empty_at = time.monotonic() + 0.03
 
-        def backlog(self):
-            return max(0.0, self.empty_at - time.monotonic())
+        def on_its_way(self):
+            return time.monotonic() < self.empty_at
 
         def close(self):
             if self.is_open and self.left_at_close is None:
-                self.left_at_close = self.backlog()
+                self.left_at_close = self.on_its_way()
             super().close()
 
     link = open_link(port=SlowPort)
     link.set_speed(300)
     stop_and_listen(link, board)
-    assert link.port.left_at_close == 0.0
+    assert link.port.left_at_close is False
 
 
 def test_stopping_ends_soon_while_the_board_does_not_read(line, open_link):

@@ -1,10 +1,11 @@
 """The link to the sensor board, over a real tty: what was lost, and when it fell silent."""
+import socket
 import threading
 import time
 
 import pytest
 
-from boards import wait_for
+from boards import PATIENCE, wait_for
 from serial_communication.links.link import ERROR, OK, WARN
 from serial_communication.links.mcu import McuLink
 from serial_communication.links.port import Port
@@ -217,3 +218,31 @@ def test_a_link_that_is_stopped_tells_nothing_more(line, watch):
     told = len(watched.silences)
     threading.Event().wait(0.3)
     assert len(watched.silences) == told and not watched.link.port.is_open
+
+
+# -- over a network -------------------------------------------------------------------------------
+
+def test_a_network_port_that_falls_silent_is_opened_anew(logger, running, lines):
+    """A peer that vanished says nothing; another connection reaches the board again."""
+    with socket.create_server(('127.0.0.1', 0)) as server:
+        server.settimeout(PATIENCE)
+        watched = Watched(dict(port=Port('socket://127.0.0.1:%d' % server.getsockname()[1]),
+                               timeout=20.0, logger=logger, network_silence=0.4))
+        running(watched.link)
+        first, _ = server.accept()
+        with first:
+            wait_for(lambda: watched.link.port.is_open)
+            first.sendall(status(1))
+            second, _ = server.accept()
+            with second:
+                wait_for(lambda: watched.link.port.is_open)
+                second.sendall(status(9))
+                wait_for(lambda: watched.seqs() == [1, 9])
+    assert lines('the board has not been heard for 0.4 s')
+
+
+def test_a_network_silence_of_0_is_never_and_another_port_may_be_silent(line, logger, watch):
+    watched = watch(network_silence=0.05)
+    assert watched.link.check_silence(time.monotonic() + 100, 0.05) is None
+    link = McuLink(Port('socket://localhost:1'), logger=logger, network_silence=0.0)
+    assert link.check_silence(time.monotonic() + 100, 0.0) is None

@@ -1,15 +1,14 @@
 """The port, over real ttys, sockets and the kinds that have no descriptor."""
+import ctypes
 import os
 import socket
+import struct
 import subprocess
 import threading
 import time
 
 import pytest
-import serial
-import serial.rfc2217
-
-from boards import PATIENCE, Line, wait_for
+from boards import PATIENCE, Line, Rfc2217Server, wait_for
 from serial_communication.links.port import Port, PortBusy, PortError, check_url
 
 
@@ -384,53 +383,119 @@ def test_a_socket_that_nobody_serves_says_so(free_server):
     assert 'refused' in refusal('socket://127.0.0.1:%d' % number).lower()
 
 
-def test_a_port_by_rfc2217(free_server, line):
-    """Telnet with serial options, as ser2net speaks it."""
-    port = Port('rfc2217://127.0.0.1:%d' % free_server.getsockname()[1], 57600)
-    ended = threading.Event()
+@pytest.fixture
+def rfc2217(free_server, line):
+    """Telnet with serial options, as ser2net speaks it; `stalled` while its event is set."""
+    server = Rfc2217Server(free_server, line.path)
+    yield server
+    server.end()
 
-    def serve():
-        peer, _ = free_server.accept()
-        with _Device(line.path, timeout=0.05) as device:
-            manager = serial.rfc2217.PortManager(device, _Connection(peer))
-            peer.settimeout(0.05)
-            while not ended.is_set():
-                peer.sendall(b''.join(manager.escape(device.read(device.in_waiting))))
-                try:
-                    device.write(b''.join(manager.filter(peer.recv(1024))))
-                except socket.timeout:
-                    pass
-        peer.close()
 
-    server = threading.Thread(target=serve, name='rfc2217 server', daemon=True)
-    server.start()
-    try:
+def test_a_port_by_rfc2217(rfc2217, line):
+    port = Port(rfc2217.url, 57600)
+    port.open()
+    port.write(b'\xff\x00down')
+    assert line.read_all() == b'\xff\x00down'
+    line.write(b'\xff\x00up')
+    got = b''
+    while len(got) < 4:
+        got += port.read(PATIENCE)
+    assert got == b'\xff\x00up'
+    port.close()
+
+
+def test_an_rfc2217_server_that_stands_still_makes_no_writer_wait(rfc2217, line):
+    port = Port(rfc2217.url)
+    port.open()
+    rfc2217.running.clear()
+    taken = fill(port)
+    begun = time.monotonic()
+    for _ in range(100):
+        with pytest.raises(PortBusy):
+            port.write(b'x' * 70000)
+    assert time.monotonic() - begun < 2.0
+    assert port.backlog() > 1.0
+    rfc2217.running.set()
+    reader = Reader(port, 1.0)
+    expected, received = b''.join(map(frame, taken)), b''
+    deadline = time.monotonic() + PATIENCE
+    while len(received) < len(expected) and time.monotonic() < deadline:
+        received += line.read(0.1)
+    assert received == expected, 'what was taken arrives, once, in order'
+    reader.stop()
+    port.close()
+
+
+@pytest.mark.parametrize('kind', ['socket', 'rfc2217'])
+def test_what_a_connection_has_not_sent_is_never_sent_once_it_is_given_up(
+        free_server, line, kind):
+    if kind == 'rfc2217':
+        server = Rfc2217Server(free_server, line.path)
+        port = Port(server.url)
         port.open()
-        port.write(b'\xff\x00down')
-        assert line.read_all() == b'\xff\x00down'
-        line.write(b'\xff\x00up')
-        got = b''
-        while len(got) < 4:
-            got += port.read(PATIENCE)
-        assert got == b'\xff\x00up'
-    finally:
-        ended.set()
-        server.join()
-        port.close()
+        server.running.clear()
+        peer = wait_for(lambda: server.peer)
+    else:
+        port = Port('socket://127.0.0.1:%d' % free_server.getsockname()[1])
+        port.open()
+        peer, _ = free_server.accept()
+    fill(port)
+    assert port.discard_output() is False, 'what waits cannot be dropped'
+    with pytest.raises(PortError):
+        port.write(b'more')
+    with pytest.raises(PortError) as error:
+        port.read(PATIENCE)
+    assert str(error.value) == 'the peer takes no data'
+    written = port.bytes_sent
+    port.close()
+    received = 0
+    peer.settimeout(PATIENCE)
+    with pytest.raises(ConnectionResetError):
+        while True:
+            part = peer.recv(1 << 20)
+            assert part, 'it was ended, not reset'
+            received += len(part)
+    assert received < written, 'the kernel went on sending it'
+    if kind == 'rfc2217':
+        server.end()
+    peer.close()
 
 
-class _Device(serial.Serial):
-    """A pty has no modem lines."""
+def test_what_a_connection_has_sent_arrives_though_it_closes(free_server):
+    port = Port('socket://127.0.0.1:%d' % free_server.getsockname()[1])
+    port.open()
+    peer, _ = free_server.accept()
+    port.write(b'last word')
+    wait_for(lambda: not port.on_its_way())
+    port.close()
+    peer.settimeout(PATIENCE)
+    assert peer.recv(100) == b'last word' and peer.recv(100) == b''
+    peer.close()
 
-    cts = dsr = ri = cd = False
-    rts = dtr = True
+
+@pytest.mark.parametrize('writes', [False, True])
+def test_a_peer_that_vanishes_without_a_word_is_noticed_within_5_s(free_server, writes):
+    port = Port('socket://127.0.0.1:%d' % free_server.getsockname()[1])
+    port.open()
+    peer, _ = free_server.accept()
+    vanish(peer)
+    begun = time.monotonic()
+    if writes:
+        port.write(b'anybody?')
+    with pytest.raises(PortError) as error:
+        while True:
+            port.read(PATIENCE)
+    assert str(error.value) == 'the peer does not answer'
+    assert 1.0 < time.monotonic() - begun < 6.0
+    port.close()
+    peer.close()
 
 
-class _Connection:
-    """What a PortManager writes its own words to."""
-
-    def __init__(self, peer):
-        self.write = peer.sendall
+def vanish(peer):
+    """The peer's kernel drops all that comes, without an answer: a filter that accepts nothing."""
+    nothing = ctypes.create_string_buffer(struct.pack('HBBI', 0x06, 0, 0, 0))     # BPF_RET 0
+    program = struct.pack('HL', 1, ctypes.addressof(nothing))
+    peer.setsockopt(socket.SOL_SOCKET, 26, program)                               # SO_ATTACH_FILTER
 
 
 @pytest.fixture

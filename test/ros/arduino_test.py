@@ -47,6 +47,12 @@ class ArduinoTest(unittest.TestCase):
         until(lambda: len(self.board.commands) >= number, '%d commands on the wire' % number)
         return self.board.commands[:number]
 
+    def drive(self, *speeds):
+        """Each when the one before is on the wire: of those that wait only the newest counts."""
+        for number, value in enumerate(speeds, 1):
+            self.speed.publish(value=value)
+            self.sent(number)
+
     def assert_vector(self, vector, expected, places=6):
         for value, wanted in zip(values_of(vector, *XYZ), expected):
             self.assertAlmostEqual(value, wanted, places)
@@ -131,8 +137,7 @@ class Commands(ArduinoTest):
     """Speed, steering, LED and the heartbeat."""
 
     def test_commands_have_their_exact_bytes(self):
-        for value in (400, -1000, 0):
-            self.speed.publish(value=value)
+        self.drive(400, -1000, 0)
         self.assertEqual(self.sent(3), [bytes.fromhex('0404900100'), bytes.fromhex('040418fc00'),
                                         SPEED_0_PACKET])
         self.board.forget()
@@ -143,8 +148,7 @@ class Commands(ArduinoTest):
         self.assertEqual(self.sent(1), [bytes.fromhex('06066c6566740100')])
 
     def test_speed_is_saturated_with_one_warning(self):
-        for value in (1001, 32767, -1001, -32768, 0):
-            self.speed.publish(value=value)
+        self.drive(1001, 32767, -1001, -32768, 0)
         self.assertEqual(self.sent(5), [bytes.fromhex('0404e80300')] * 2
                          + [bytes.fromhex('040418fc00')] * 2 + [SPEED_0_PACKET])
         ROSOUT.wait_for(self.node, 'speed 1001 is beyond', Log.WARN)
@@ -157,7 +161,7 @@ class Commands(ArduinoTest):
     def test_a_speed_that_is_not_renewed_ends_in_one_speed_0(self):
         self.speed.publish(value=300)
         self.sent(2)
-        command, end = [frame for frame in self.board.frames if frame.raw in self.board.commands]
+        command, end = self.board.told
         self.assertEqual(end.raw, SPEED_0_PACKET)
         self.assertGreater(end.stamp - command.stamp, 0.45)
         self.assertLess(end.stamp - command.stamp, 2.0)
@@ -165,17 +169,39 @@ class Commands(ArduinoTest):
         self.board.wait_for_heartbeats(80)
         self.assertEqual(self.board.speeds, [300, 0])
 
-    def test_speed_0_needs_no_second_one(self):
-        self.speed.publish(value=300)
-        self.speed.publish(value=0)
-        self.sent(2)
-        self.board.wait_for_heartbeats(80)
+    def test_a_commanded_speed_0_is_repeated_for_a_second(self):
+        self.drive(300, 0)
+        self.board.wait_for_heartbeats(130)
         self.assertEqual(self.board.speeds, [300, 0])
+        stops = self.speed_0_frames()
+        self.assertTrue(10 <= len(stops) <= 21, len(stops))
+        self.board.forget()
+        self.board.wait_for_heartbeats(30)
+        self.assertEqual(self.speed_0_frames(), [])
+
+    def speed_0_frames(self):
+        return [frame for frame in self.board.frames if frame.raw == SPEED_0_PACKET]
+
+    def test_a_command_that_is_late_by_its_stamp_is_refused(self):
+        """Late against the same sender's others: its clock is an hour ahead."""
+        def publish(value, ago):
+            message = SpeedPWMCommand(value=value)
+            message.header.stamp = rospy.Time.now() + rospy.Duration(3600 - ago)
+            self.speed.publish(message)
+        publish(100, 0.0)
+        self.sent(1)
+        publish(700, 5.0)
+        ROSOUT.wait_for(self.node, 'speed 700 refused: it is 5 s late by its stamp', Log.WARN)
+        publish(200, 0.0)
+        until(lambda: 200 in self.board.speeds, 'one in time')
+        self.assertNotIn(700, self.board.speeds)
+        self.speed.publish(value=0)
+        until(lambda: self.board.speeds[-1] == 0, 'the end')
 
     def test_a_speed_that_is_renewed_goes_on(self):
         until(lambda: len(self.board.commands) > 12, 'a dozen commands', every=0.1,
               doing=lambda: self.speed.publish(value=100))
-        commands = [frame for frame in self.board.frames if frame.raw in self.board.commands]
+        commands = self.board.told
         for before, after in zip(commands, commands[1:]):
             self.assertTrue(after.message.value == 100 or after.stamp - before.stamp > 0.45)
         self.speed.publish(value=0)
@@ -279,6 +305,7 @@ class Tuned(ArduinoTest):
         self.board.wait_for_heartbeats(25)      # a second
         self.assertEqual(self.board.speeds, [300])
         self.speed.publish(value=0)
+        self.sent(2)
 
     def test_led_texts_that_the_board_cannot_take_are_refused_with_a_warning(self):
         self.led.publish('x' * 31)

@@ -2,13 +2,19 @@
 and one bridge on it; and rotations, put together here from the turns that they are made of.
 """
 import os
+import pty
+import select
 import subprocess
 import sys
+import threading
+import tty
 import unittest
 from contextlib import contextmanager
 from math import acos, cos, degrees, radians, sin, sqrt
 
-from boards import PACKAGE, Bridge, program, until
+import serial
+
+from boards import PACKAGE, SPEED_0_PACKET, Bridge, program, until
 
 _TEST = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 sys.path.insert(0, os.path.join(_TEST, 'firmware'))
@@ -97,6 +103,50 @@ class OnBoard(unittest.TestCase):
             yield
         except AssertionError as error:
             raise AssertionError('%s: %s' % (case, error)) from error
+
+
+class LossyLine(threading.Thread):
+    """A line to a board's port that loses the first SPEED 0 after each other speed."""
+
+    def __init__(self, port):
+        super().__init__(name='lossy line', daemon=True)
+        self._board = serial.Serial(port, 115200, timeout=0, exclusive=True)
+        self._line, slave = pty.openpty()
+        tty.setraw(slave)
+        self.near = os.ttyname(slave)
+        self.lost = 0
+        self._slave = slave      # held, so that a bridge that ends is no hang-up here
+        self._moving = False
+        self._packet = b''
+        self._ending = threading.Event()
+        self.start()
+
+    def close(self):
+        self._ending.set()
+        self.join(5)
+        self._board.close()
+        os.close(self._line)
+        os.close(self._slave)
+
+    def run(self):
+        while not self._ending.is_set():
+            ready, _, _ = select.select([self._line, self._board], [], [], 0.05)
+            if self._board in ready:
+                os.write(self._line, self._board.read(4096))
+            if self._line in ready:
+                self._pass_on(os.read(self._line, 4096))
+
+    def _pass_on(self, data):
+        *packets, self._packet = (self._packet + data).split(b'\0')
+        for packet in packets:
+            packet += b'\0'
+            if packet == SPEED_0_PACKET and self._moving:
+                self._moving = False
+                self.lost += 1
+                continue
+            if packet[1:2] == b'\x04':
+                self._moving = packet != SPEED_0_PACKET
+            self._board.write(packet)
 
 
 # -- rotations ----------------------------------------------------------------------------

@@ -22,7 +22,7 @@ from sensor_msgs.msg import Imu, Range, RelativeHumidity, Temperature
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Empty, Trigger
 
-from avr_boards import OnBoard, apart, turn, upward
+from avr_boards import LossyLine, OnBoard, apart, turn, upward
 from boards import (NOT_SENT, OK, PACKAGE, PATIENCE, RX, TIMEOUT, TX, Diagnostics, Rosout, Topic,
                     Waiter, command_topic, own_folder, service, until)
 from launch_test import SIMULATED_TOPICS
@@ -120,8 +120,10 @@ class Car(CarBench):
             if any(b'heartbeat lost' in m.data for m in list(traffic.messages)):
                 continue     # the bridge was kept from running: the board itself stopped it
             self.assertEqual(pwm, 102)
-            speeds = [m for m in traffic.messages if m.direction == TX and m.type == 4]
-            self.assertEqual([m.data for m in speeds], [b'\x90\x01', b'\x00\x00'])
+            speeds = [m.data for m in traffic.messages if m.direction == TX and m.type == 4]
+            driven = speeds.index(b'\x90\x01')
+            self.assertEqual(speeds.count(b'\x90\x01'), 1)
+            self.assertEqual(set(speeds[driven + 1:]), {b'\x00\x00'})
             # Emulated time may be shorter than the bridge's, by what was left out.
             self.assertGreater(off - on + self.left_out() - left_out, 0.48)
             self.assertLess(off - on, 0.7)
@@ -329,6 +331,33 @@ class Car(CarBench):
             first, s.keys) == len(cut()), '%d errors' % len(cut())).keys
         self.assertEqual(last['reconnects'], '0')
         self.assertGreater(int(last['frames received']), int(first['frames received']))
+
+
+class LostStop(CarBench):
+    """A car behind a line that loses the packet that should stop it."""
+
+    @classmethod
+    def start_bridge(cls):
+        if cls.bridge is None:
+            cls.line = LossyLine(cls.board.port)
+            cls.addClassCleanup(cls.line.close)
+            cls.board.port = cls.line.near
+        super().start_bridge()
+
+    def test_the_motor_stops_though_the_line_loses_the_first_speed_0(self):
+        speed, rosout = self.speed(), self.collect(Rosout())
+        for _ in range(TRIES):
+            rosout.forget()
+            self.drive_until_pwm(speed, 500, 128)
+            lost, begun = self.line.lost, self.board.time
+            speed.publish(value=0)
+            self.until_is('motor_pwm', 0)
+            self.wait_for_heartbeats(20)
+            off, pwm = self.pwm()[-1]
+            self.assertEqual((pwm, self.line.lost), (0, lost + 1))
+            if not rosout.lines(PACKAGE, 'heartbeat lost') and off - begun < 0.15:
+                return      # else a computer that stalls, or the board itself, was in the way
+        self.fail('the motor ran on for 0.15 s, or heartbeats come too late, every time')
 
 
 class Calibration(CarBench):

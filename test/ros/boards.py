@@ -232,9 +232,11 @@ class BusBoard(Board):
 
 
 class CarBoard(Board):
-    """The model car."""
+    """The model car. It stands at first."""
 
     def __init__(self, path):
+        self.told = []       # the frames that are neither heartbeats nor a SPEED 0 repeated
+        self._speed = 0
         super().__init__(path, arduino.BoardDecoder())
 
     @property
@@ -244,14 +246,26 @@ class CarBoard(Board):
 
     @property
     def commands(self):
-        """The packets that are no heartbeats."""
-        return [frame.raw for frame in self.frames if frame.raw != HEARTBEAT_PACKET]
+        """The packets that are neither heartbeats nor a SPEED 0 repeated."""
+        return [frame.raw for frame in self.told]
 
     @property
     def speeds(self):
         """The speed commands among them, as numbers."""
-        return [frame.message.value for frame in self.frames
+        return [frame.message.value for frame in self.told
                 if isinstance(frame.message, arduino.SpeedCommand)]
+
+    def forget(self):
+        super().forget()
+        self.told = []
+
+    def take(self, frame):
+        if isinstance(frame.message, arduino.SpeedCommand):
+            before, self._speed = self._speed, frame.message.value
+            if before == self._speed == 0:
+                return
+        if frame.raw != HEARTBEAT_PACKET:
+            self.told.append(frame)
 
     def say(self, message):
         """Send a typed message."""

@@ -4,6 +4,7 @@ lives, data flows again, and nothing old is sent."""
 import os
 import random
 import shutil
+import signal
 import time
 import unittest
 
@@ -203,6 +204,31 @@ class Cut(PortsTest):
         self.assertTrue(set(board.commands) <= {SPEED_0_PACKET}, board.commands)
         steering.publish(value=1500)
         until(lambda: board.commands[-1:] == [bytes.fromhex('0405dc0500')], 'new commands')
+
+    def test_after_a_standstill_speed_0_is_first_and_nothing_old_is_sent(self):
+        """SIGSTOP for 5 s while the car drives and ten commands without a stamp are sent."""
+        board = self.boards['arduino']
+        speed = command_topic('/cut/speed', SpeedPWMCommand)
+        steering = command_topic('/cut/steering', SteeringPWMCommand)
+        until(lambda: 700 in board.speeds, 'the car drives',
+              doing=lambda: speed.publish(value=700))
+        process = self.bridge.process
+        process.send_signal(signal.SIGSTOP)
+        os.waitpid(process.pid, os.WUNTRACED)
+        time.sleep(0.2)         # what had left before is with the board
+        board.forget()
+        for number in range(10):
+            time.sleep(0.5)
+            speed.publish(value=300 + number)
+            steering.publish(value=1000 + number)
+        self.assertEqual(board.frames, [])
+        process.send_signal(signal.SIGCONT)
+        board.wait_for_heartbeats(60)
+        self.assertEqual(board.raws[0], SPEED_0_PACKET)
+        self.assertTrue(set(board.commands) <= {SPEED_0_PACKET}, board.commands)
+        ROSOUT.wait_for('cut', 'the bridge stood still for', Log.WARN)
+        until(lambda: 250 in board.speeds, 'new commands', doing=lambda: speed.publish(value=250),
+              every=0.05)
 
     def test_noise_on_every_line_is_counted_and_good_frames_still_come(self):
         before = self.diagnostics.fresh_of_all(LINKS, lambda s, _link: True, 'any level')

@@ -1,0 +1,83 @@
+"""The thread that keeps a board's motor alive, or its car standing: absolute deadlines, no burst
+after a stall, and nothing that another thread does can end it."""
+import os
+import threading
+import time
+import traceback
+from typing import Callable, Optional
+
+_LONGEST_NAP = 0.02      # s; so that a slow heartbeat does not make SPEED 0 late
+_REALTIME_PRIORITY = 20
+
+
+def clock() -> float:
+    """Seconds of a monotonic clock that also runs while the computer is suspended."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+class Heart:
+    """Calls `work(beat)` at every deadline of `rate` and every 20 ms at the latest.
+
+    Args:
+        rate: heartbeats a second.
+        work: what is to be done; `beat` says that a heartbeat is due. Returns whether one left.
+        on_fault: is told the traceback of what `work` raised; the heart goes on.
+    """
+
+    def __init__(self, name: str, rate: float, work: Callable[[bool], bool],
+                 on_fault: Callable[[str], None]) -> None:
+        self.beats = 0
+        self.max_gap = 0.0       # s, since `restart`
+        self._period = 1.0 / rate
+        self._work = work
+        self._on_fault = on_fault
+        self._last: Optional[float] = None
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    def start(self) -> None:
+        """Begin to beat."""
+        self._thread.start()
+
+    def stop(self, patience: float) -> None:
+        """End; wait for the thread so many seconds at most."""
+        self._stopping.set()
+        if self._thread.is_alive():
+            self._thread.join(patience)
+
+    def restart(self) -> None:
+        """Measure gaps anew: the port has closed."""
+        self._last = None
+        self.max_gap = 0.0
+
+    def _run(self) -> None:
+        _be_quick()
+        due = clock()
+        while not self._stopping.is_set():
+            now = clock()
+            beat = now >= due
+            if beat:
+                due += self._period
+                if due < now:       # after a stall no burst
+                    due = now + self._period
+            try:
+                if self._work(beat):
+                    self._count(now)
+            except BaseException:  # pylint: disable=broad-except
+                self._on_fault(traceback.format_exc())
+            time.sleep(min(max(due - clock(), 0.0), _LONGEST_NAP))
+
+    def _count(self, now: float) -> None:
+        last, self._last = self._last, now
+        if last is not None:
+            self.max_gap = max(self.max_gap, now - last)
+        self.beats += 1
+
+
+def _be_quick() -> None:
+    """Real-time priority for this thread where the system allows it."""
+    try:
+        os.sched_setscheduler(threading.get_native_id(), os.SCHED_FIFO,
+                              os.sched_param(_REALTIME_PRIORITY))
+    except (OSError, AttributeError):
+        pass

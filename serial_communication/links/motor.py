@@ -1,0 +1,87 @@
+"""What the drive motor was told, and when it must be told SPEED 0.
+
+Pure rules: no port, no thread, no clock. `now` is in seconds of a clock that also runs while the
+computer is suspended. Whoever owns the port asks what is due, and says what has been sent.
+"""
+from typing import Optional
+
+_REPEAT_PERIOD = 0.05    # s from one SPEED 0 of a stop to the next …
+_REPEAT_FOR = 1.0        # … until so long after the first: the line may lose any of them
+_EARLY = 0.005           # s by which the next one may be early, lest it waits for another heartbeat
+_SHORTEST = 0.1          # s that a standstill takes at least; any computer is late by less
+_DEAF = 0.5              # s after a standstill in which what was commanded meanwhile still comes
+
+IN_DOUBT = 'in doubt'
+TIMED_OUT = 'timed out'
+REPEATED = 'repeated'
+
+
+class Motor:
+    """The motor of one car, as far as its board can have been told.
+
+    A new one is in doubt: the board may hold the speed of a bridge that crashed.
+
+    Args:
+        speed_timeout: seconds after the last speed until SPEED 0 is due; 0: never. A bridge that
+            did nothing for longer has stood still.
+    """
+
+    def __init__(self, speed_timeout: float, now: float) -> None:
+        self.moving = True           # the last speed that the board has may be another than 0
+        self.in_doubt = True         # SPEED 0 has to leave before anything else does
+        self._speed_timeout = speed_timeout
+        self._speed_due = now        # when SPEED 0 follows by itself, if moving
+        self._repeat_at = 0.0
+        self._repeat_until = float('-inf')
+        self._awake_at = now
+        self._deaf_until = now
+
+    def sent(self, speed: int, now: float) -> None:
+        """This speed has been handed to an open port."""
+        if speed:
+            self.moving = True
+            self._speed_due = now + self._speed_timeout
+            return
+        if self.moving:
+            self._repeat_until = now + _REPEAT_FOR
+        self.moving = self.in_doubt = False
+        self._repeat_at = now + _REPEAT_PERIOD
+
+    def doubt(self) -> None:
+        """What was sent may not have left (dropped output, a closed port): expect any speed."""
+        self.moving = self.in_doubt = True
+
+    def repeat_no_more(self) -> None:
+        """A calibration begins, whose board reads everything minutes later."""
+        self._repeat_until = float('-inf')
+
+    def due(self, now: float) -> str:
+        """Why SPEED 0 has to be sent now: one of the words above, or nothing."""
+        if self.in_doubt:
+            return IN_DOUBT
+        if self.moving:
+            return TIMED_OUT if self._speed_timeout and now >= self._speed_due else ''
+        repeat_at = self._repeat_at - _EARLY
+        return REPEATED if repeat_at <= now and repeat_at <= self._repeat_until else ''
+
+    def stood_still(self, now: float) -> Optional[float]:
+        """The seconds of a standstill that has just ended, or None.
+
+        To be asked before anything is sent: the board may hold an old speed, and what was
+        commanded during the standstill comes now, all at once.
+        """
+        stood = now - self._awake_at
+        if not self._speed_timeout or stood <= max(self._speed_timeout, _SHORTEST):
+            return None
+        self._awake_at = now
+        self._deaf_until = now + _DEAF
+        self.doubt()
+        return stood
+
+    def awake(self, now: float) -> None:
+        """The heart's thread, which nothing but a standstill keeps from it, is at work."""
+        self._awake_at = now
+
+    def deaf(self, now: float) -> bool:
+        """Whether a command that comes now may be of the time of a standstill."""
+        return now < self._deaf_until
