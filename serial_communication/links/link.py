@@ -14,7 +14,6 @@ OK, WARN, ERROR = 0, 1, 2      # as diagnostic_msgs/DiagnosticStatus has them
 RX, TX = 0, 1                  # as SerialMsg has them
 SILENCE = 1.0                  # s without a frame after which a talking board counts as silent
 _BACK_OFF = (0.1, 1.0)         # s from one try to open to the next: first, last
-_AGAIN = 0.01                  # s after which a thread that raised goes on
 
 Tap = Callable[[str, int, Frame], None]
 
@@ -229,14 +228,6 @@ class Link:
             if not self._stopping.is_set():
                 self.log.error('fault', traceback.format_exc())
         return None
-
-    def lasting(self, body: Callable[[], None]) -> Callable[[], None]:
-        """For a thread of the link: `body`, begun again when it raises, until the link stops."""
-        def run() -> None:
-            ended = False
-            while not ended:
-                ended = self._guarded(lambda: body() or True) or self._stopping.wait(_AGAIN)
-        return run
 
     def _open_port(self) -> str:
         """Open the port; why it cannot be opened, or nothing.

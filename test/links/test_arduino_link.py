@@ -314,8 +314,7 @@ def test_a_speed_that_cannot_be_shown_to_a_listener_times_out_all_the_same(board
 
     link = open_link(ArduinoSettings(speed_timeout=0.2))
     link.tap = fail
-    with pytest.raises(OSError):
-        link.set_speed(500)
+    link.set_speed(500)
     wait_for(lambda: board.commands() == [SpeedCommand(500), SpeedCommand(0)])
     before = board.heartbeats()
     wait_for(lambda: board.heartbeats() > before + 20)

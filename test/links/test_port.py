@@ -485,7 +485,7 @@ def test_a_peer_that_vanishes_without_a_word_is_noticed_within_5_s(free_server, 
     with pytest.raises(PortError) as error:
         while True:
             port.read(PATIENCE)
-    assert str(error.value) == 'the peer does not answer'
+    assert str(error.value) == 'the host does not answer'
     assert 1.0 < time.monotonic() - begun < 6.0
     port.close()
     peer.close()
