@@ -283,13 +283,14 @@ class Link:
             stamp = self._clock()
             now = time.monotonic()
             if data:
-                self.last_byte_at = now
                 self.take(data, stamp, now)
             if self.decoder.pending:
                 self._deliver(timer.overdue(self.last_byte_at, now), now)
 
     def take(self, data: bytes, stamp: Any, now: float) -> None:
         """Decode what was read and pass it on."""
+        self._timer.bytes_came(self.last_byte_at, now)
+        self.last_byte_at = now
         self._deliver(self.decoder.feed(data, stamp), now)
 
     def _deliver(self, frames: List[Frame], now: float) -> None:

@@ -297,6 +297,9 @@ class _Decoder:
         self.reset()
         return frames
 
+    def silence(self) -> None:
+        """Nothing to do: each packet, valid or not, ends with its own 0x00."""
+
     def skip_false_start(self) -> List[Frame]:
         """Never needed: a packet announces no length, so it cannot delay the next."""
         return []

@@ -29,6 +29,11 @@ class FrameTimer:
         """The line is another one."""
         self._front = None
 
+    def bytes_came(self, last_byte: float, now: float) -> None:
+        """To be told before they are fed: noise behind a silence is a damage of its own."""
+        if now >= last_byte + self._timeout:
+            self._decoder.silence()
+
     def due(self, last_byte: float, now: float) -> Optional[float]:
         """When to ask `overdue` at the latest; None while nothing is pending."""
         if not self._decoder.pending:

@@ -74,6 +74,32 @@ def test_a_doubled_frame_is_passed_on_once(line, watch):
     assert (watched.link.duplicates, watched.link.frames_lost) == (2, 0)
 
 
+def test_noise_is_shown_as_often_as_it_is_counted_however_it_is_read(line, watch):
+    watched = watch(frame_timeout=0.05)
+    link, shown = watched.link, []
+    link.tap = lambda _link, _direction, frame: shown.append(frame.cause)
+
+    def read(data):
+        received = link.port.bytes_received + len(data)
+        line.write(data)
+        wait_for(lambda: link.port.bytes_received == received)
+
+    # Whether these two are one stretch or a silence lies between them is up to the machine.
+    read(b'\x11' * 5)
+    read(b'\x12' * 5)
+    line.write(status(1))
+    wait_for(lambda: watched.got)
+    assert shown == ['framing'] * link.decoder.errors['framing'] + ['']
+    read(b'\x11')
+    quiet = time.monotonic() + 0.06
+    wait_for(lambda: time.monotonic() > quiet)
+    read(b'\x12')
+    line.write(status(2))
+    wait_for(lambda: len(watched.got) == 2)
+    assert shown[-3:] == ['framing', 'framing', '']
+    assert shown.count('framing') == link.error_count()
+
+
 def test_a_board_that_repeats_itself_is_alive(line, watch):
     """The same bytes again, not at once behind the first: its own frame, and no loss."""
     watched = watch(timeout=1.0)

@@ -2,11 +2,12 @@
 import json
 import os
 import random
+from collections import Counter
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Sequence, Tuple
 
 from serial_communication.protocols import arduino, mcu
 from serial_communication.protocols import robot_ctrl_bus as bus
-from serial_communication.protocols.framing import Frame
+from serial_communication.protocols.framing import UNKNOWN, Frame
 
 _SEEDS = (1, 2, 3)      # of the random chunks
 
@@ -97,6 +98,7 @@ def good(frames: Iterable[Frame]) -> List[Frame]:
 def decode(kind: DecoderKind, stream: bytes, end: bool = True) -> Tuple[List[Frame], dict]:
     """Good frames and error counts of a stream, which do not depend on its chunking.
 
+    Neither does where among the good frames the bad ones stand, or of which cause they are.
     With `end`, what is still pending behind the last byte is given up.
     """
     outcomes = []
@@ -106,7 +108,9 @@ def decode(kind: DecoderKind, stream: bytes, end: bool = True) -> Tuple[List[Fra
         if end:
             frames += give_up(decoder)
         check_reported(stream, frames)
-        outcomes.append((good(frames), dict(decoder.errors), decoder.pending))
+        check_counted(kind, frames, decoder.errors)
+        outcomes.append((good(frames), dict(decoder.errors), decoder.pending,
+                         [frame.cause for frame in frames]))
     for other in outcomes[1:]:
         assert other == outcomes[0]
     return outcomes[0][:2]
@@ -122,6 +126,13 @@ def check_reported(stream: bytes, frames: Sequence[Frame]) -> None:
         assert bool(frame.cause) == bool(frame.error)
         if frame.cause:
             assert frame.message is None
+
+
+def check_counted(kind: DecoderKind, frames: Iterable[Frame], errors: Dict[str, int]) -> None:
+    """One bad frame for each error. (An mcu frame of an unknown type is a good one.)"""
+    shown = Counter(frame.cause for frame in frames if frame.cause)
+    assert shown == Counter({cause: count for cause, count in errors.items()
+                             if count and not (kind is MCU and cause == UNKNOWN)})
 
 
 def total(errors: Dict[str, int]) -> int:

@@ -13,6 +13,7 @@ from serial_communication.tools.soak.worst_streams import worst_streams
 _CALL = 10          # lines
 _SIZE = 8000
 _LIMIT = 5          # times the cost of clean traffic
+_TURNS = 15         # of what is timed
 
 _STREAMS = worst_streams(_SIZE)
 
@@ -74,8 +75,16 @@ def seconds(make, chunks):
         'STX and ETX in turn', 'no end', 'log texts of control characters')],
     ids=lambda case: '%s: %s' % (case.link, case.name))
 def test_a_byte_costs_the_same_in_one_read_of_a_megabyte(case):
-    """As in reads of four kilobytes, within a factor of three."""
+    """As in reads of four kilobytes, within a factor of three.
+
+    What else a machine does only ever adds to a time, so the least of several counts. A cost
+    that grows with the read would be 256 times as much every time.
+    """
     part = case.worst[:1 << 17]
-    small = seconds(case.decoder, pieces(part, 4096)) / len(part)
-    large = seconds(case.decoder, [case.worst]) / len(case.worst)
+    small = large = float('inf')
+    for _ in range(_TURNS):
+        small = min(small, seconds(case.decoder, pieces(part, 4096)) / len(part))
+        large = min(large, seconds(case.decoder, [case.worst]) / len(case.worst))
+        if large <= 3 * max(small, 2e-9):
+            return
     assert large <= 3 * max(small, 2e-9)

@@ -1,10 +1,13 @@
 """What holds for every decoder, whatever the line carries."""
+import random
+
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from protocol_cases import (ALL, ARDUINO, BOARD_BUS, BUS, CHECKSUMMED, MCU, chunkings, decode,
-                            feed, give_up, good, held, name_of, random_chunks, total)
+from protocol_cases import (ALL, ARDUINO, BOARD_BUS, BUS, CHECKSUMMED, MCU, check_counted,
+                            chunkings, decode, feed, give_up, good, held, name_of, random_chunks,
+                            total)
 from serial_communication.protocols import arduino, mcu
 from serial_communication.protocols import robot_ctrl_bus as bus
 from serial_communication.protocols.framing import FRAMING, running_xor
@@ -89,6 +92,42 @@ def test_any_bytes_give_the_same_in_any_chunks(kind, stream):
     """No exception, and frames and counts that do not depend on the chunks; see `decode`."""
     decode(kind, stream)
     decode(kind, stream, end=False)
+
+
+@every_decoder
+@given(stream=spiteful, seed=seeds)
+def test_one_bad_frame_is_shown_for_each_error_that_is_counted(kind, stream, seed):
+    """At all times, whatever happens between two reads."""
+    decoder, chance, frames = kind.make(), random.Random(seed), []
+    for chunk in random_chunks(stream, seed):
+        frames += decoder.feed(chunk)
+        frames += chance.choice((list, list, decoder.give_up,
+                                 decoder.skip_false_start))()
+        chance.choice((list, decoder.silence))()
+        check_counted(kind, frames, decoder.errors)
+
+
+@every_checksummed
+def test_noise_is_one_damage_until_a_good_frame_or_a_silence_ends_it(kind):
+    wire = sample_wires(kind)[0]
+    for chunks in chunkings(kind.quiet * 9):
+        decoder = kind.make()
+        assert [frame.cause for frame in feed(decoder, chunks)] == [FRAMING]
+        # Its next bytes belong to it, those behind a good frame and behind a silence do not.
+        assert feed(decoder, chunks) == []
+        assert [frame.cause for frame in feed(decoder, [wire] + chunks)] == ['', FRAMING]
+        decoder.silence()
+        assert [frame.raw for frame in decoder.feed(kind.quiet)] == [kind.quiet]
+        assert decoder.errors[FRAMING] == 3
+
+
+@every_checksummed
+def test_a_silence_in_a_frame_that_came_slowly_ends_nothing(kind):
+    wire = sample_wires(kind)[0]
+    decoder = kind.make()
+    decoder.feed(wire[:3])
+    decoder.silence()
+    assert [frame.raw for frame in decoder.feed(wire[3:])] == [wire]
 
 
 @every_checksummed
