@@ -61,7 +61,7 @@ class Link:
         self.last_byte_at = 0.0                      # monotonic
         self._clock = clock
         self._timer = FrameTimer(decoder, frame_timeout, port.baud)
-        self._connections = 0
+        self.connections = 0               # how often the port has been opened
         self._trouble = ''                 # why the port is closed
         self._stopping = threading.Event()
         self._opening_done = threading.Event()
@@ -208,8 +208,8 @@ class Link:
             self._trouble = trouble
             self.log.warn('closed', f'{self.port.url}: {trouble}')
             return False
-        self._connections += 1
-        if self._connections > 1:
+        self.connections += 1
+        if self.connections > 1:
             self.reconnects += 1
         self.log.info('opened', f'{self.port.url}: open')
         self.decoder.reset()

@@ -25,25 +25,25 @@ class Traffic(rospy.SubscribeListener):
     def __init__(self, links: Iterable[Link], logger: logging.Logger) -> None:
         super().__init__()
         self._log = SparingLog('serial_msg', logger)
-        self._links = list(links)
+        self._links = {link.name: link for link in links}
         self._queue: queue.SimpleQueue = queue.SimpleQueue()   # its put never waits
         threading.Thread(target=self._run, name='serial_msg', daemon=True).start()
         self._topic = publisher('serial_msg', SerialMsg, subscriber_listener=self)
 
     def peer_subscribe(self, topic_name, topic_publish, peer_publish) -> None:
         """Somebody looks."""
-        for link in self._links:
+        for link in self._links.values():
             link.tap = self._take
 
     def peer_unsubscribe(self, topic_name, num_peers) -> None:
         """Somebody looks no more."""
         if not num_peers:
-            for link in self._links:
+            for link in self._links.values():
                 link.tap = None
 
     def _take(self, link: str, direction: int, frame: Frame) -> None:
         if self._queue.qsize() < _QUEUED:
-            self._queue.put((link, direction, frame))
+            self._queue.put((link, direction, frame, self._links[link].connections))
 
     def _run(self) -> None:
         while True:
@@ -54,11 +54,13 @@ class Traffic(rospy.SubscribeListener):
                     return
                 self._log.error('fault', f'fault in the bridge: {error!r}')
 
-    def _publish(self, link: str, direction: int, frame: Frame) -> None:
+    def _publish(self, link: str, direction: int, frame: Frame, connection: int) -> None:
         message = SerialMsg(link=link, direction=direction, type=frame.type,
                             command=frame.command, data=frame.data, frame=frame.raw,
                             text=_text(frame), error=_error(frame))
         message.header.stamp = frame.stamp or rospy.Time.now()
+        # What is lost while a port is away is no loss on the line: who counts SEQ has to know.
+        message.header.frame_id = f'connection {connection}'
         self._topic.publish(message)
 
 

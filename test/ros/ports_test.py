@@ -16,7 +16,8 @@ from std_srvs.srv import Trigger
 from boards import (ERROR, NOT_SENT, PACKAGE, SPEED_0_PACKET, SYNC_FRAME, TIMEOUT, Bridge,
                     BusBoard, CarBoard, Diagnostics, Line, Rosout, SensorBoard, Topic, Waiter,
                     command_topic, own_folder, ranges, service, until)
-from serial_communication.msg import (McuStatus2, SpeedPWMCommand, SteeringPWMCommand, Voltage)
+from serial_communication.msg import (McuStatus2, SerialMsg, SpeedPWMCommand, SteeringPWMCommand,
+                                      Voltage)
 from serial_communication.protocols import arduino
 from serial_communication.protocols import robot_ctrl_bus as bus
 from serial_communication.srv import Lift
@@ -151,6 +152,20 @@ class Cut(PortsTest):
         self.diagnostics.fresh_of_all(LINKS, lambda s, link: int(s.keys['reconnects'])
                                       == int(before[link].keys['reconnects']) + 1,
                                       'one reconnect')
+
+    def test_serial_msg_tells_which_connection_a_frame_belongs_to(self):
+        traffic = Topic('/serial_msg', SerialMsg)
+        self.addCleanup(traffic.close)
+
+        def connection(link):
+            return traffic.next(lambda m: m.link == link, doing=lambda: self.assert_flows(link)
+                                ).header.frame_id
+        before = {link: connection(link) for link in LINKS}
+        self.assertEqual(before, {link: connection(link) for link in LINKS})
+        self.unplug('mcu')
+        self.plug('mcu')
+        self.assertEqual(dict(before, mcu='connection %d' % (int(before['mcu'].split()[1]) + 1)),
+                         {link: connection(link) for link in LINKS})
 
     def test_a_name_that_comes_back_as_another_device_is_found(self):
         spares = {}

@@ -1,7 +1,6 @@
 """Each check passes sound records and finds what is wrong with doctored ones."""
 from serial_communication.tools.soak.align import Sent
-from serial_communication.tools.soak.check_frames import check_lost_frames, check_published
-from serial_communication.tools.soak.records import Intervals
+from serial_communication.tools.soak.check_frames import check_published
 
 
 def published(values, sent=None):
@@ -27,27 +26,3 @@ class TestPublished:
         sent = [Sent(0.0, 1, True, 'ok'), Sent(0.1, 2, False, 'blind'), Sent(0.2, 3, True, 'ok')]
         row, blind = published([(0.0, 1), (0.1, 2), (0.2, 3)], sent)
         assert row.violations == [] and blind == 1
-
-
-def lost(received, counted, resets=()):
-    return check_lost_frames(received, Intervals(resets), counted).violations
-
-
-class TestLostFrames:
-    def test_counted(self):
-        assert lost([(1, 0, 1, 0), (2, 0, 2, 1), (3, 0, 5, 4)], 2) == []
-
-    def test_not_counted(self):
-        assert len(lost([(1, 0, 1, 0), (2, 0, 2, 1), (3, 0, 5, 4)], 0)) == 1
-
-    def test_the_board_sent_more(self):
-        assert len(lost([(1, 0, 1, 0), (2, 0, 7, 1)], 0)) == 1
-
-    def test_a_restart_is_a_gap(self):
-        assert lost([(1, 0, 10, 9), (2, 0, 11, 0)], 246, resets=[(1.2, 1.5)]) == []
-
-    def test_a_port_that_went(self):
-        assert lost([(1, 0, 10, 9), (2, 1, 17, 16)], 0) == []
-
-    def test_a_frame_of_noise(self):
-        assert lost([(1, 0, 10, 9), (2, 0, -1, 12), (3, 0, 11, 10)], 2 + 253) == []

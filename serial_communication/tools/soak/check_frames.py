@@ -2,7 +2,6 @@
 from typing import Dict, List, Tuple
 
 from .align import Sent, align
-from .records import Intervals
 from .table import Row
 
 
@@ -42,32 +41,3 @@ def _lonely(sent: List[Sent], i: int) -> bool:
     """Whether no neighbour has the same value: only then is it sure which one was published."""
     key = sent[i].key
     return all(one.key != key for one in sent[max(i - 3, 0):i] + sent[i + 1:i + 4])
-
-
-def check_lost_frames(received: List[Tuple[float, int, int, int]], resets: Intervals,
-                      counted: int) -> Row:
-    """The bridge counts the frames that it lost as the board counts those it sent.
-
-    Args:
-        received: (time, how often the port had gone before, n, seq) of each frame taken in.
-        counted: by the bridge in this time.
-    """
-    tries = expected = 0
-    violations = []
-    for (t0, cuts0, n0, seq0), (t1, cuts1, n1, seq1) in zip(received, received[1:]):
-        if cuts0 != cuts1:
-            continue
-        tries += 1
-        gap = (seq1 - seq0 - 1) % 256
-        expected += gap
-        if n0 < 0 or n1 < 0:
-            continue        # a frame of noise alone, which has the right checksum
-        if not resets.touches(t0, t1) and gap != n1 - n0 - 1:
-            violations.append((t1, 'SEQ says %d lost, the board sent %d in between'
-                               % (gap, n1 - n0 - 1)))
-    if counted != expected:
-        violations.append((received[-1][0] if received else 0.0,
-                           'the bridge counted %d lost frames, the board %d'
-                           % (counted, expected)))
-    return Row('mcu', 'lost frames are counted as the board counted them', tries, violations,
-               '%d lost' % expected)

@@ -18,7 +18,8 @@ from .align import Sent
 from .check_arduino import (check_heartbeat, check_motor, closed_times, fault_times,
                             packets_of)
 from .check_bus import check_bus, outcomes
-from .check_frames import check_lost_frames, check_published
+from .check_frames import check_published
+from .check_lost import Told, check_lost_frames, frame_of, heard_of
 from .check_node import check_level, check_log, check_returns, log_lines
 from .expected import NODE, TOPICS, Arrival, arrivals, expected
 from .records import Intervals, read_lines, read_messages
@@ -47,9 +48,9 @@ class _Published(NamedTuple):
 
     values: Dict[str, List[Tuple[float, Any, float]]]     # stamp, key, arrival
     calibrating: List[Tuple[float, bool]]
-    lost: List[Tuple[float, int]]                 # the mcu link's count in the diagnostics
+    lost: List[Told]                              # the mcu link's counts in the diagnostics
     traffic: Dict[str, List[Tuple[float, Tuple]]]  # by link: good frames in, of serial_msg
-    taken: List[Tuple[float, float, Tuple]]       # of the mcu: arrival, stamp, frame
+    taken: List[Tuple[float, str, Tuple]]         # of the mcu: arrival, connection, frame
     beats: List[float]                            # when the bridge had written a heartbeat
     offset: float
 
@@ -87,7 +88,7 @@ def judge(folder: str) -> List[Row]:
     rows += check_heartbeat(journals['arduino'], metronome, published.beats, end)
     rows += _of_link('mcu', 'every undamaged frame published once, in order', frames, published,
                      exempt)
-    rows += _lost_frames(frames['mcu'], journals['mcu'], published, events)
+    rows += check_lost_frames(heard_of(journals['mcu'], published.taken), published.lost)
     rows += _traffic(frames, published, exempt)
     rows += [_returns(link, events, journals[link], published, end) for link in LINKS]
     settled = start + min(_SETTLING, (end - start) / 3)
@@ -114,8 +115,11 @@ def _read(folder: str) -> _Published:
         if name == NODE + '/imu/calibrating':
             out.calibrating.append((t, message.data))
         elif name == '/diagnostics':
-            out.lost.extend((t, int(value.value)) for status in message.status
-                            for value in status.values if value.key == 'frames lost')
+            for status in message.status:
+                values = {value.key: value.value for value in status.values}
+                if 'frames lost' in values:
+                    out.lost.append(Told(t, int(values['frames received']),
+                                         int(values['frames lost'])))
         else:
             stamp = _stamp(message) - offset
             for topic in by_topic[name]:
@@ -140,11 +144,11 @@ def _read_traffic(folder: str, out: _Published) -> None:
             if message.type == 11 and message.link == 'arduino':
                 out.beats.append(message.header.stamp.to_sec() - out.offset)
         elif not message.error:
-            frame = message.type, message.command, bytes(message.data)
+            frame = frame_of(message)
             out.traffic.setdefault(message.link, []).append((
                 message.header.stamp.to_sec() - out.offset, frame))
             if message.link == 'mcu':
-                out.taken.append((t, message.header.stamp.to_sec() - out.offset, frame))
+                out.taken.append((t, message.header.frame_id, frame))
 
 
 def _stamp(message: genpy.Message) -> float:
@@ -264,38 +268,6 @@ def _of_link(link: str, says: str, frames: Dict[str, List[Arrival]], published: 
         rows.append(Row(link, 'values published of frames found behind or among damage', maybe, [],
                         '', False, 'their own bytes were right; a decoder may find them or not'))
     return rows
-
-
-def _lost_frames(frames: List[Arrival], journal: List[Dict], published: _Published,
-                 events: List[Dict]) -> List[Row]:
-    """From what serial_msg says was taken in, which has unknown types and doubles, too."""
-    cuts = _cuts(events, 'mcu')
-    taken: List[Tuple[float, int, Tuple]] = []
-    for t, stamp, frame in published.taken:
-        connection = bisect_right(cuts, stamp)
-        if not taken or (connection, frame) != taken[-1][1:]:      # else it is doubled
-            taken.append((t, connection, frame))
-    # Between two of the bridge's own counts around which nothing was lost.
-    gaps = [after[0] for before, after in zip(taken, taken[1:])
-            if (after[2][1] - before[2][1]) % 256 != 1]
-    calm = [(t, count) for t, count in published.lost
-            if bisect_left(gaps, t - 0.3) == bisect_left(gaps, t + 0.3)]
-    if not taken or len(calm) < 2:
-        return []
-    first, last = calm[0], calm[-1]
-    numbers: Dict[Tuple, List[Tuple[float, int]]] = {}
-    for one in frames:
-        numbers.setdefault(one.own, []).append((one.t, one.n))
-    received: List[Tuple[float, int, int, int]] = []
-    for t, connection, frame in taken:
-        if t > last[0]:
-            break
-        if t < first[0]:
-            received.clear()       # but for the last one before
-        sent = [n for at, n in numbers.get(frame, []) if at <= t + 0.01]
-        received.append((t, connection, sent[-1] if sent else -1, frame[1]))
-    return [check_lost_frames(received, fault_times(journal, ('reset',), 1.0),
-                              last[1] - first[1])]
 
 
 def _traffic(frames: Dict[str, List[Arrival]], published: _Published,
