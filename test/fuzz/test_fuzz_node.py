@@ -16,7 +16,7 @@ from serial_communication.protocols import arduino, mcu  # noqa: E402
 from serial_communication.protocols import robot_ctrl_bus as bus  # noqa: E402
 from serial_communication.srv import BusRequest  # noqa: E402
 from serial_communication.tools.soak.run import usage_of  # noqa: E402
-from serial_communication.tools.soak.stage import Stage  # noqa: E402
+from serial_communication.tools.soak.stage import CampaignStage  # noqa: E402
 
 NODE = '/serial_communication'
 PATIENCE = 10.0          # s; only a test that fails waits as long
@@ -72,7 +72,7 @@ class Scene:
     """The node, its three ports, and what it publishes."""
 
     def __init__(self, folder):
-        self.stage = Stage(folder).__enter__()
+        self.stage = CampaignStage(folder).__enter__()
         self.ports = {'bus': Far(bus.RequestDecoder()), 'arduino': Far(), 'mcu': Far()}
         self.bridge = self.stage.bridge({name: port.name for name, port in self.ports.items()},
                                         {'bus/reply_timeout': 0.2, 'bus/environment_period': 0.0})

@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 
 from serial_communication.protocols import robot_ctrl_bus as bus
 from serial_communication.tools.bench import decoders, report
+from serial_communication.tools.bench.figures import (Bridges, Cpu, Heartbeat, Latency, Load,
+                                                      Spread)
 from serial_communication.tools.bench.boards import COUNTED, arduino_turn, mcu_turn
 
 PROTOCOLS = decoders.protocols()
@@ -30,9 +32,9 @@ def test_percentile_is_exceeded_by_no_more_than_the_rest(values, percent):
 
 def test_over_turns():
     figures = report.over_turns([[1, 2, 3], [2, 3, 4], [], [3, 4, 50]], scale=1)
-    assert (figures['p50'], figures['p99'], figures['max'], figures['count']) == (3, 4, 50, 9)
-    assert figures['p99.9'] == 50
-    assert math.isnan(report.over_turns([])['p50'])
+    assert (figures.p50, figures.p99, figures.max, figures.count) == (3, 4, 50, 9)
+    assert figures.p999 == 50
+    assert math.isnan(report.over_turns([]).p50)
 
 
 def test_match_finds_the_latest_that_fits():
@@ -87,13 +89,15 @@ def test_long_replies_are_the_same():
 
 
 def test_every_decoder_is_timed():
-    rows = decoders.run(0.0)['rows']
-    assert {row['link'] for row in rows} == set(PROTOCOLS)
+    rows = decoders.run(0.0)
+    assert {row.link for row in rows} == set(PROTOCOLS)
     for row in rows:
-        assert row['package']['MB/s'] > 0 and row['bytewise']['MB/s'] > 0
-        if row['stream'] == 'clean':
-            assert row['same messages']
-            assert row['at best'] > 0
+        assert row.package.mb_per_s > 0 and row.bytewise.mb_per_s > 0
+        if row.stream == 'clean':
+            assert row.same_messages
+            assert row.at_best > 0
+    hostile = [row for row in rows if row.stream not in ('clean', 'noise')]
+    assert len(hostile) == 3 * len(PROTOCOLS)
 
 
 # -- what the boards send ---------------------------------------------------------------------
@@ -113,30 +117,51 @@ def test_a_running_number_comes_back(n):
 
 # -- goals and tables -------------------------------------------------------------------------
 
-def sides(bridge, reference, **others):
-    return {name: dict.fromkeys(('p50', 'p99', 'p99.9', 'deviation'), value)
-            for name, value in dict(others, bridge=bridge, reference=reference).items()}
+def spread(value):
+    return Spread(value, value, value, value, value, 1)
+
+
+def cpu(node, percent):
+    return Cpu(node, percent, 100.0, [percent])
 
 
 RESULTS = {
-    'latency': {'links': {'arduino': sides(1.0, 10.0), 'mcu': sides(3.0, 10.0)}},
-    'heartbeat': {'idle': sides(1.0, 4.0), 'busy': sides(20.0, 80.0, **{'bare timer': 10.0})},
-    'cpu': {'bridge': {'CPU %': 4.0}, 'no subscriber': {'CPU %': 1.0}, 'floor': {'CPU %': 4.0}},
-    'scale': {'rows': [{'link': 'arduino', 'baud': 1000000, 'messages': 10, 'messages due': 10,
-                        'bytes lost': 0, 'first lost': ''}]},
+    'latency': [Latency('arduino', 'bridge', spread(1.0), 0),
+                Latency('arduino', 'reference', spread(10.0), 0),
+                Latency('mcu', 'bridge', spread(3.0), 0),
+                Latency('mcu', 'reference', spread(10.0), 0)],
+    'heartbeat': [Heartbeat('idle', 'bridge', spread(1.0)),
+                  Heartbeat('idle', 'reference', spread(4.0)),
+                  Heartbeat('busy', 'bridge', spread(20.0)),
+                  Heartbeat('busy', 'reference', spread(80.0)),
+                  Heartbeat('busy', 'bare timer', spread(10.0))],
+    'cpu': [cpu('bridge', 4.0), cpu('no subscriber', 1.0), cpu('floor', 4.0)],
+    'bridges': [Bridges(1, 2.0, 2.0, 500.0, [2.0]), Bridges(4, 9.6, 2.4, 2000.0, [9.6]),
+                Bridges(10, 20.0, 2.0, 5000.0, [20.0])],
+    'scale': [Load('arduino', 1000000, 100.0, 10, 10, 10.0, 100, 0, 10, 10, 10.0, 5.0, 1.0, 40.0,
+                   '', {})],
 }
+FACTS = {'cores': 2, 'processor': 'any', 'kernel': '6', 'python': '3', 'rospy': '1',
+         'load before': 0.1, 'real-time priority': True}
 
 
 def test_the_worst_figure_decides():
-    judged = {row['what']: row for row in report.judge(RESULTS)}
+    judged = {row.what: row for row in report.judge(RESULTS)}
     p50 = judged['latency p50, against the polling reference']
-    assert (p50['measured'], p50['met']) == (pytest.approx(0.3), False)
-    assert p50['details'] == 'arduino 0.10, mcu 0.30'
-    assert judged['latency p99, likewise']['met']
-    assert judged['CPU with subscribers, against the rospy floor']['met']
-    assert judged["heartbeat standard deviation, against the reference's"]['met']
-    assert not judged['heartbeat gap, two busy processes, p99.9']['met']
-    assert judged['1 Mbaud back to back: lost']['met']
+    assert (p50.measured, p50.met) == (pytest.approx(0.3), False)
+    assert p50.details == 'arduino 0.10, mcu 0.30'
+    assert judged['latency p99, likewise'].met
+    assert judged['CPU with subscribers, against the rospy floor'].met
+    assert judged["heartbeat standard deviation, against the reference's"].met
+    assert not judged['heartbeat gap, two busy processes, p99.9'].met
+    assert judged['1 Mbaud back to back: lost'].met
+    assert judged['CPU of each of ten bridges, against one alone'].measured == pytest.approx(1.2)
+
+
+def test_every_table_is_written():
+    text = report.render(FACTS, report.judge(RESULTS), RESULTS)
+    assert text.count('\n\n') == 1 + len(RESULTS)
+    assert ['4', '9.60', '2.40', '2000', '9.60'] in [line.split() for line in text.split('\n')]
 
 
 def test_only_the_sections_that_were_run_are_judged():
@@ -145,8 +170,10 @@ def test_only_the_sections_that_were_run_are_judged():
 
 
 def test_plain_is_json():
-    assert report.plain({'a': [float('nan'), 1.0], 'b': {'c': (float('nan'),)}}) == {
-        'a': [None, 1.0], 'b': {'c': [None]}}
+    assert report.plain({'a': [float('nan'), 1.0], 'b': {'c': (float('nan'),)},
+                         'd': [cpu('floor', float('nan'))]}) == {
+        'a': [None, 1.0], 'b': {'c': [None]},
+        'd': [{'node': 'floor', 'percent': None, 'messages_per_s': 100.0, 'turns': [None]}]}
 
 
 def test_table():

@@ -8,12 +8,13 @@ import argparse
 import json
 import signal
 import sys
-import time
-from typing import Any, Dict, List, Optional
+from typing import Any, Dict, List, Optional, Tuple
 
+from ..progress import Progress
+from ..stage import StageError
 from .report import judge, plain, plot, render
 from .sections import SECTIONS, Plan
-from .stage import BenchError, Stage, machine, stolen
+from .stage import BenchStage, machine, stolen
 
 
 def main(arguments: Optional[List[str]] = None) -> int:
@@ -23,40 +24,42 @@ def main(arguments: Optional[List[str]] = None) -> int:
                 options.short)
     signal.signal(signal.SIGTERM, signal.default_int_handler)    # as Ctrl-C: end the children
     try:
-        results = measure(options.only, plan)
+        facts, results = measure(options.only, plan)
     except KeyboardInterrupt:
         print('stopped', file=sys.stderr)
         return 130
-    except BenchError as error:
+    except StageError as error:
         print('the bench does not work: %s' % error, file=sys.stderr)
         return 1
-    print(render(results), file=sys.stderr if options.json == '-' else sys.stdout)
-    if options.json == '-':
-        print(json.dumps(results, indent=1))
-    elif options.json:
-        with open(options.json, 'w') as file:
-            json.dump(results, file, indent=1)
+    goals = judge(results)
+    print(render(facts, goals, results), file=sys.stderr if options.json == '-' else sys.stdout)
+    if options.json:
+        everything = json.dumps(plain(dict(results, machine=facts, plan=plan, goals=goals)),
+                                indent=1)
+        if options.json == '-':
+            print(everything)
+        else:
+            with open(options.json, 'w') as file:
+                file.write(everything + '\n')
     if options.plot:
         _plot(results, options.plot)
     return 0
 
 
-def measure(names: List[str], plan: Plan) -> Dict[str, Any]:
-    """The sections of these names."""
-    results: Dict[str, Any] = {'machine': machine(), 'plan': plan._asdict()}
-    began, before = time.monotonic(), stolen()
-    with Stage() as stage:
-        for name, section in SECTIONS.items():
-            if name in names:
-                print('%4.0f s  %s: %s' % (time.monotonic() - began, name,
-                                           section.__doc__.splitlines()[0]), file=sys.stderr)
-                results[name] = section(stage, plan)
+def measure(names: List[str], plan: Plan) -> Tuple[Dict[str, Any], Dict[str, list]]:
+    """Facts about the machine, and the rows of the sections of these names."""
+    chosen = {name: section for name, section in SECTIONS.items() if name in names}
+    progress = Progress(total=sum(section.seconds(plan) for section in chosen.values()))
+    facts, results, before = machine(), {}, stolen()
+    with BenchStage() as stage:
+        for name, section in chosen.items():
+            with progress.phase(f'{name}: {section.run.__doc__.splitlines()[0]}'):
+                results[name] = section.run(stage, plan)
                 stage.clear()
-    results['goals'] = judge(results)
     lost, spent = (after - then for after, then in zip(stolen(), before))
-    results['machine']['stolen %'] = round(100 * lost / spent, 2)
-    results['machine']['seconds'] = round(time.monotonic() - began, 1)
-    return plain(results)
+    facts['stolen %'] = round(100 * lost / spent, 2)
+    facts['seconds'] = round(progress.seconds, 1)
+    return facts, results
 
 
 def _plot(results: Dict[str, Any], path: str) -> None:

@@ -12,9 +12,13 @@ from typing import Any, Callable, Dict, List, NamedTuple, Tuple
 from ...protocols import arduino, mcu
 from ...protocols import robot_ctrl_bus as bus
 from ...protocols.framing import Frame
+from ..soak.hostile import decoder_costs
+from ..soak.worst_streams import worst_streams
 from .boards import arduino_turn, mcu_turn
+from .figures import Decoding, Speed
 
 READ = 4096     # bytes in one large read
+_WORST = 3      # hostile streams of each link: those that cost the package's decoder most
 _KNOWN = {message.TYPE: message for message in (
     arduino.SteeringAngle, arduino.Ticks, arduino.Imu, arduino.Voltage)}
 
@@ -174,7 +178,6 @@ class Protocol(NamedTuple):
     package: Callable[[], Any]
     bytewise: Callable[[], Any]
     clean: List[bytes]
-    worst: Dict[str, bytes]      # units of streams that are false starts everywhere
 
 
 def protocols() -> Dict[str, Protocol]:
@@ -186,17 +189,10 @@ def protocols() -> Dict[str, Protocol]:
     return {
         'arduino': Protocol(
             arduino.Decoder, ByteArduino,
-            [packet for n in range(256) for _, packet in arduino_turn(n)],
-            {'nothing but ends': b'\0', 'codes past the end': b'\2\0',
-             'packets of an unknown type': b'\2\x63\0', 'no end': b'\1'}),
+            [packet for n in range(256) for _, packet in arduino_turn(n)]),
         'mcu': Protocol(
-            mcu.Decoder, ByteMcu, [frame for n in range(256) for _, frame in mcu_turn(n)],
-            {'STX everywhere': b'\2', 'STX and the longest LEN': b'\2\xff',
-             'frames with a false CRC': b'\2\2\x09\x09\1\3'}),
-        'bus': Protocol(
-            bus.ReplyDecoder, ByteBus, replies,
-            {'Flag everywhere': b'\xa5', 'both Flags in turn': b'\xa5\x5a' * 32,
-             'Flags with the longest length': b'\x5a\x00\x04'}),
+            mcu.Decoder, ByteMcu, [frame for n in range(256) for _, frame in mcu_turn(n)]),
+        'bus': Protocol(bus.ReplyDecoder, ByteBus, replies),
     }
 
 
@@ -235,30 +231,28 @@ def noise(frames: List[bytes], seed: int = 7) -> List[bytes]:
     return noisy
 
 
-def compare(protocol: Protocol, reads: List[bytes], seconds: float) -> Tuple[Dict, Dict]:
+def compare(protocol: Protocol, reads: List[bytes], seconds: float) -> Tuple[Speed, Speed]:
     """Both decoders in turns on the same reads for `seconds` in all: package, bytewise."""
     size = sum(map(len, reads))
-    sides = []
-    for make in (protocol.package, protocol.bytewise):
-        decoder = make()
-        feed = decoder.feed
-        sides.append({'feed': feed, 'times': [], 'frames': len(messages(make(), reads))})
+    decoders = protocol.package(), protocol.bytewise()
+    times: Tuple[List[float], List[float]] = ([], [])
     until = time.monotonic() + seconds
-    while time.monotonic() < until or len(sides[0]['times']) < 3:
-        for side in sides:
-            feed = side['feed']
+    while time.monotonic() < until or len(times[0]) < 3:
+        for decoder, taken in zip(decoders, times):
+            feed = decoder.feed
             start = time.perf_counter()
             for data in reads:
                 feed(data)
-            side['times'].append(time.perf_counter() - start)
-    result = []
-    for side in sides:
-        times = sorted(side['times'])
-        median = times[len(times) // 2]
-        result.append({'MB/s': size / median / 1e6, 'frames/s': side['frames'] / median,
-                       'us/frame': median / side['frames'] * 1e6 if side['frames'] else None,
-                       'frames': side['frames']})
-    return result[0], result[1]
+            taken.append(time.perf_counter() - start)
+    package, bytewise = (
+        _speed(size, len(messages(make(), reads)), sorted(taken)[len(taken) // 2])
+        for make, taken in zip((protocol.package, protocol.bytewise), times))
+    return package, bytewise
+
+
+def _speed(size: int, frames: int, seconds: float) -> Speed:
+    return Speed(size / seconds / 1e6, frames / seconds,
+                 seconds / frames * 1e6 if frames else None, frames)
 
 
 def least(protocol: Protocol) -> float:
@@ -281,27 +275,34 @@ def least(protocol: Protocol) -> float:
     return sorted(times)[len(times) // 2] / len(plan) * 1e6
 
 
-def run(seconds: float) -> Dict[str, Any]:
+def run(seconds: float) -> List[Decoding]:
     """Every protocol and every kind of stream; `seconds` for all of them."""
-    rows = []
-    todo = []
+    costs = sorted(decoder_costs(1 << 16), key=lambda cost: -cost.worst)
+    cases = [(link, protocol) + stream for link, protocol in protocols().items()
+             for stream in _streams(protocol, [cost.name for cost in costs
+                                               if cost.link == link][:_WORST])]
     floors = {link: least(protocol) for link, protocol in protocols().items()}
-    for link, protocol in protocols().items():
-        frames = protocol.clean
-        size = sum(map(len, frames))
-        noisy = noise(frames)
-        streams = [('clean', READ, frames), ('clean', 0, frames), ('noise', READ, noisy),
-                   ('noise', 0, noisy)]
-        streams += [(name, READ, [(unit * (size // len(unit) + 1))[:size]])
-                    for name, unit in protocol.worst.items()]
-        todo += [(link, protocol) + stream for stream in streams]
-    for link, protocol, name, size, frames in todo:
+    rows = []
+    for link, protocol, name, size, frames in cases:
         reads = read_in(frames, size)
-        ours, theirs = compare(protocol, reads, seconds / len(todo))
-        rows.append({'link': link, 'stream': name, 'reads': size or 'a frame',
-                     'package': ours, 'bytewise': theirs,
-                     'times as fast': ours['MB/s'] / theirs['MB/s'],
-                     'at best': theirs['us/frame'] / floors[link] if name == 'clean' else None,
-                     'same messages': messages(protocol.package(), reads)
-                     == messages(protocol.bytewise(), reads)})
-    return {'rows': rows}
+        ours, theirs = compare(protocol, reads, seconds / len(cases))
+        rows.append(Decoding(
+            link, name, str(size or 'a frame'), ours, theirs, ours.mb_per_s / theirs.mb_per_s,
+            theirs.us_per_frame / floors[link] if name == 'clean' else None,
+            messages(protocol.package(), reads) == messages(protocol.bytewise(), reads)))
+    return rows
+
+
+def _streams(protocol: Protocol, worst: List[str]) -> List[Tuple[str, int, List[bytes]]]:
+    """Each with its name and the size of its reads; all equally long.
+
+    Args:
+        worst: names of hostile streams.
+    """
+    frames = protocol.clean
+    size = sum(map(len, frames))
+    noisy = noise(frames)
+    return [('clean', READ, frames), ('clean', 0, frames), ('noise', READ, noisy),
+            ('noise', 0, noisy)] + [
+                (stream.name, READ, [stream.worst]) for stream in worst_streams(size)
+                if stream.decoder is protocol.package and stream.name in worst]

@@ -3,6 +3,11 @@ from bisect import bisect_right
 from statistics import median, pstdev
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
+from .figures import (BusCalls, Bridges, Cpu, Decoding, GoalRow, Heartbeat, Latency, Load, Spread)
+
+_NAN = float('nan')
+_RESTED = ('raw', 'mixed')      # before which the node waits, so that no stray reply answers them
+
 
 def percentile(values: Sequence[float], percent: float) -> float:
     """The smallest of the values that `percent` % of them do not exceed; nan without any."""
@@ -32,18 +37,16 @@ def match(sent: Sequence[Tuple[int, float]], received: Sequence[Tuple[int, float
     return latencies, sum(map(len, by_number.values()))
 
 
-def over_turns(turns: Sequence[Sequence[float]], scale: float = 1e3) -> Dict[str, float]:
+def over_turns(turns: Sequence[Sequence[float]], scale: float = 1e3) -> Spread:
     """p50 and p99: medians over the turns; p99.9 and max: of all turns together."""
     full = [turn for turn in turns if turn]
-    every = [value for turn in full for value in turn]
-    return {
-        'p50': median([percentile(turn, 50) for turn in full]) * scale if full else float('nan'),
-        'p99': median([percentile(turn, 99) for turn in full]) * scale if full else float('nan'),
-        'p99.9': percentile(every, 99.9) * scale,
-        'max': max(every) * scale if every else float('nan'),
-        'deviation': median([pstdev(turn) for turn in full]) * scale if full else float('nan'),
-        'count': len(every),
-    }
+    every = [value * scale for turn in full for value in turn]
+    if not every:
+        return Spread(_NAN, _NAN, _NAN, _NAN, _NAN, 0)
+    return Spread(median(percentile(turn, 50) for turn in full) * scale,
+                  median(percentile(turn, 99) for turn in full) * scale,
+                  percentile(every, 99.9), max(every),
+                  median(pstdev(turn) for turn in full) * scale, len(every))
 
 
 def queue_gaps(exchanges: Sequence[Tuple[int, float, float, int]],
@@ -64,81 +67,88 @@ def queue_gaps(exchanges: Sequence[Tuple[int, float, float, int]],
 
 # -- goals ------------------------------------------------------------------------------------
 
+Rows = Sequence[Any]      # of one section, see figures.py
+
+
 class Goal(NamedTuple):
     """One row of the table of goals."""
 
     what: str
     goal: str
     section: str
-    measure: Callable[[Dict[str, Any]], Tuple[float, str]]    # the figure, and how it came about
+    measure: Callable[[Rows], Tuple[float, str]]    # the figure, and how it came about
     met: Callable[[float], bool]
 
 
-def _ratios(section: Dict[str, Any], key: str) -> Tuple[float, str]:
-    ratios = {link: row['bridge'][key] / row['reference'][key]
-              for link, row in section['links'].items()}
-    return max(ratios.values()), ', '.join('%s %.2f' % item for item in ratios.items())
+def _worst_ratio(figures: Dict[Tuple[str, str], float]) -> Tuple[float, str]:
+    """Of the bridge's to the reference's; `figures` by (link or load, node)."""
+    ratios = {key: value / figures[key, 'reference']
+              for (key, node), value in figures.items() if node == 'bridge'}
+    return max(ratios.values()), ', '.join(f'{key} {value:.2f}' for key, value in ratios.items())
 
 
-def _heartbeat_ratio(section: Dict[str, Any]) -> Tuple[float, str]:
-    ratios = {name: section[name]['bridge']['deviation'] / section[name]['reference']['deviation']
-              for name in ('idle', 'busy')}
-    return max(ratios.values()), 'idle %.2f, busy %.2f' % (ratios['idle'], ratios['busy'])
+def _latency_ratio(rows: Sequence[Latency], which: str) -> Tuple[float, str]:
+    return _worst_ratio({(row.link, row.node): getattr(row.spread, which) for row in rows})
 
 
-def _heartbeat_gap(section: Dict[str, Any]) -> Tuple[float, str]:
-    busy = section['busy']
-    return busy['bridge']['p99.9'], 'ms; the reference %.1f, a bare timer %.1f' % (
-        busy['reference']['p99.9'], busy['bare timer']['p99.9'])
+def _heartbeat_ratio(rows: Sequence[Heartbeat]) -> Tuple[float, str]:
+    return _worst_ratio({(row.load, row.node): row.spread.deviation for row in rows})
 
 
-def _cpu(name: str) -> Callable[[Dict[str, Any]], Tuple[float, str]]:
-    def measure(section):
-        one, floor = section[name]['CPU %'], section['floor']['CPU %']
-        return one / floor, '%.2f %% of a core, the floor %.2f %%' % (one, floor)
-    return measure
+def _heartbeat_gap(rows: Sequence[Heartbeat]) -> Tuple[float, str]:
+    busy = {row.node: row.spread.p999 for row in rows if row.load == 'busy'}
+    return busy['bridge'], (f"ms; the reference {busy['reference']:.1f}, a bare timer "
+                            f"{busy['bare timer']:.1f}")
 
 
-def _bus_gap(section: Dict[str, Any]) -> Tuple[float, str]:
-    gaps = {row['callers']: row['gap, queue not empty']['p50'] for row in section['rows']
-            if row['wire'] == 115200}
-    # Before what must not be sent twice the node lets the line rest a while, on purpose.
-    rested = ('raw', 'mixed')
-    return max(gap for name, gap in gaps.items() if name not in rested), 'ms; ' + ', '.join(
-        '%s %.3f' % item for item in gaps.items()) + ' (raw requests wait for a silent line first)'
+def _cpu_ratio(rows: Sequence[Cpu], name: str) -> Tuple[float, str]:
+    percent = {row.node: row.percent for row in rows}
+    return percent[name] / percent['floor'], (f"{percent[name]:.2f} % of a core, the floor "
+                                              f"{percent['floor']:.2f} %")
 
 
-def _decoders(section: Dict[str, Any]) -> Tuple[float, str]:
-    def times(reads):
-        return {row['link']: row['times as fast'] for row in section['rows']
-                if row['stream'] == 'clean' and row['reads'] == reads}
-
-    large, single = times(4096), times('a frame')
-    best = {row['link']: row['at best'] for row in section['rows']
-            if row['stream'] == 'clean' and row['reads'] == 4096}
-    return min(large.values()), '; '.join(
-        '%s %s' % (name, ', '.join('%s %.1f' % item for item in values.items()))
-        for name, values in (('large reads:', large), ('a frame a read:', single), (
-            'if nothing but the messages and records were built:', best)))
+def _bus_gap(rows: Sequence[BusCalls]) -> Tuple[float, str]:
+    gaps = {row.request: row.gap.p50 for row in rows if row.wire == 115200}
+    shown = ', '.join(f'{name} {gap:.3f}' for name, gap in gaps.items())
+    return (max(gap for name, gap in gaps.items() if name not in _RESTED),
+            f'ms; {shown} (raw requests wait for a silent line first)')
 
 
-def _lost(section: Dict[str, Any]) -> Tuple[float, str]:
-    row = next(row for row in section['rows']
-               if row['link'] == 'arduino' and row['baud'] == 1000000)
-    text = '%d of %d messages arrived' % (row['messages'], row['messages due'])
-    return row['messages due'] - row['messages'] + row['bytes lost'], text + (
-        '; first lost: %s' % row['first lost'] if row['first lost'] else '')
+def _decoder_speed(rows: Sequence[Decoding]) -> Tuple[float, str]:
+    clean = [row for row in rows if row.stream == 'clean']
+
+    def shown(title: str, values: Dict[str, float]) -> str:
+        return f'{title}: ' + ', '.join(f'{link} {value:.1f}' for link, value in values.items())
+    large = {row.link: row.times_as_fast for row in clean if row.reads != 'a frame'}
+    single = {row.link: row.times_as_fast for row in clean if row.reads == 'a frame'}
+    best = {row.link: row.at_best for row in clean if row.reads != 'a frame'}
+    return min(large.values()), '; '.join((
+        shown('large reads', large), shown('a frame a read', single),
+        shown('if nothing but the messages and records were built', best)))
+
+
+def _lost(rows: Sequence[Load]) -> Tuple[float, str]:
+    row = next(row for row in rows if row.link == 'arduino' and row.baud == 1000000)
+    return (row.messages_due - row.messages + row.bytes_lost,
+            f'{row.messages} of {row.messages_due} messages arrived'
+            + (f'; first lost: {row.first_lost}' if row.first_lost else ''))
+
+
+def _growth(rows: Sequence[Bridges]) -> Tuple[float, str]:
+    alone = rows[0].percent_each
+    return (max(row.percent_each for row in rows) / alone,
+            ', '.join(f'{row.bridges}: {row.percent_each:.2f} % of a core each' for row in rows))
 
 
 GOALS = (
     Goal('latency p50, against the polling reference', '<= 0.20', 'latency',
-         lambda s: _ratios(s, 'p50'), lambda x: x <= 0.20),
+         lambda rows: _latency_ratio(rows, 'p50'), lambda x: x <= 0.20),
     Goal('latency p99, likewise', '<= 0.60', 'latency',
-         lambda s: _ratios(s, 'p99'), lambda x: x <= 0.60),
+         lambda rows: _latency_ratio(rows, 'p99'), lambda x: x <= 0.60),
     Goal('CPU with subscribers, against the rospy floor', '<= 1.25', 'cpu',
-         _cpu('bridge'), lambda x: x <= 1.25),
+         lambda rows: _cpu_ratio(rows, 'bridge'), lambda x: x <= 1.25),
     Goal('CPU with no subscriber at all, against the floor', '<= 0.35', 'cpu',
-         _cpu('no subscriber'), lambda x: x <= 0.35),
+         lambda rows: _cpu_ratio(rows, 'no subscriber'), lambda x: x <= 0.35),
     Goal("heartbeat standard deviation, against the reference's", '<= 0.5', 'heartbeat',
          _heartbeat_ratio, lambda x: x <= 0.5),
     Goal('heartbeat gap, two busy processes, p99.9', '< 15 ms', 'heartbeat',
@@ -146,24 +156,27 @@ GOALS = (
     Goal("bus: a reply's last byte to the next request's first, queue not empty, median",
          '< 0.3 ms', 'bus', _bus_gap, lambda x: x < 0.3),
     Goal('decoders against byte-at-a-time, clean', '>= 5', 'decoders',
-         _decoders, lambda x: x >= 5),
+         _decoder_speed, lambda x: x >= 5),
     Goal('1 Mbaud back to back: lost', 'nothing', 'scale', _lost, lambda x: x == 0),
+    Goal('CPU of each of ten bridges, against one alone', '<= 1.10', 'bridges',
+         _growth, lambda x: x <= 1.10),
 )
 
 
-def judge(results: Dict[str, Any]) -> List[Dict[str, Any]]:
+def judge(results: Dict[str, Rows]) -> List[GoalRow]:
     """The goals whose section was run; for more than one figure, the worst counts."""
     rows = []
     for goal in GOALS:
         if goal.section in results:
             value, details = goal.measure(results[goal.section])
-            rows.append({'what': goal.what, 'goal': goal.goal, 'measured': value,
-                         'details': details, 'met': bool(goal.met(value))})
+            rows.append(GoalRow(goal.what, goal.goal, value, bool(goal.met(value)), details))
     return rows
 
 
 def plain(value: Any) -> Any:
-    """The same with None in place of nan, which JSON does not have."""
+    """The same for JSON: a record as an object, None in place of nan."""
+    if hasattr(value, '_asdict'):
+        value = value._asdict()
     if isinstance(value, dict):
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -192,90 +205,72 @@ def _cell(value: Any) -> str:
     if value is None:
         return '-'
     if isinstance(value, float):
-        return '%.0f' % value if abs(value) >= 1000 else '%.2f' % value if abs(
-            value) >= 1 else '%.3f' % value
+        size = abs(value)
+        return f'{value:.{0 if size >= 1000 else 2 if size >= 1 else 3}f}'
     return str(value)
 
 
-def render(results: Dict[str, Any]) -> str:
-    """The whole report."""
-    facts = results['machine']
-    parts = ['%d cores of %s, Linux %s, Python %s, rospy %s; load before: %s; %s %% of the CPU '
-             'taken by the host; real-time priority %sallowed' % (
-                 facts['cores'], facts['processor'], facts['kernel'], facts['python'],
-                 facts['rospy'], facts['load before'], facts.get('stolen %', '?'),
-                 '' if facts['real-time priority'] else 'not ')]
-    goals = results['goals']
+def render(facts: Dict[str, Any], goals: Sequence[GoalRow], results: Dict[str, Rows]) -> str:
+    """The whole report; `facts` about the machine."""
+    parts = [f"{facts['cores']} cores of {facts['processor']}, Linux {facts['kernel']}, Python "
+             f"{facts['python']}, rospy {facts['rospy']}; load before: {facts['load before']}; "
+             f"{facts.get('stolen %', '?')} % of the CPU taken by the host; real-time priority "
+             f"{'' if facts['real-time priority'] else 'not '}allowed"]
     if goals:
         parts.append(table(('', 'goal', 'measured', '', ''), [
-            (row['what'], row['goal'], row['measured'], 'met' if row['met'] else 'NOT MET',
-             row['details']) for row in goals]))
-    for name, write in (('latency', _latency), ('heartbeat', _heartbeats), ('cpu', _cpus),
-                        ('bus', _bus), ('decoders', _decoder_rows), ('scale', _scale)):
-        if name in results:
-            parts.append(write(results[name]))
+            (row.what, row.goal, row.measured, 'met' if row.met else 'NOT MET', row.details)
+            for row in goals]))
+    parts += [f'{title}\n{table(header, list(map(cells, results[name])))}'
+              for name, title, header, cells in _TABLES if name in results]
     return '\n\n'.join(parts)
 
 
-def _latency(section: Dict[str, Any]) -> str:
-    rows = [(link, side, values['p50'], values['p99'], values['max'], values['count'],
-             values['unmatched'])
-            for link, sides in section['links'].items() for side, values in sides.items()]
-    return "Latency from the board's write to the subscriber's callback, ms\n" + table(
-        ('link', 'node', 'p50', 'p99', 'max', 'messages', 'missing'), rows)
+def _turns(values: Sequence[float]) -> str:
+    return ' '.join(f'{value:.2f}' for value in values)
 
 
-def _heartbeats(section: Dict[str, Any]) -> str:
-    rows = [(name, side, values['p50'], values['p99'], values['p99.9'], values['max'],
-             values['deviation'], values['count'])
-            for name, sides in section.items() for side, values in sides.items()]
-    return 'Interval between heartbeats as the board sees it, ms; busy: two busy processes\n' \
-        + table(('', 'node', 'p50', 'p99', 'p99.9', 'max', 'deviation', 'intervals'), rows)
+def _decoding_cells(row: Decoding) -> Sequence[Any]:
+    return (row.link, row.stream, row.reads, row.package.mb_per_s, row.package.frames_per_s,
+            row.package.us_per_frame, row.bytewise.mb_per_s, row.times_as_fast, row.at_best,
+            'yes' if row.same_messages
+            else f'{row.package.frames}, byte-wise {row.bytewise.frames}')
 
 
-def _cpus(section: Dict[str, Any]) -> str:
-    rows = [(name, values['CPU %'], values['messages/s'], values['CPU % of each turn'])
-            for name, values in section.items()]
-    return 'CPU at arduino 100 Hz x 4 packets, mcu 20 Hz, bus 1 Hz, % of a core\n' + table(
-        ('', 'CPU %', 'messages/s', 'each turn'), rows)
+# Of each section: its name, the table's title and header, and a row's cells.
+_TABLES: Sequence[Tuple[str, str, Sequence[str], Callable[[Any], Sequence[Any]]]] = (
+    ('latency', "Latency from the board's write to the subscriber's callback, ms",
+     ('link', 'node', 'p50', 'p99', 'max', 'messages', 'missing'),
+     lambda r: (r.link, r.node, r.spread.p50, r.spread.p99, r.spread.max, r.spread.count,
+                r.missing)),
+    ('heartbeat', 'Interval between heartbeats as the board sees it, ms; busy: two busy processes',
+     ('', 'node', 'p50', 'p99', 'p99.9', 'max', 'deviation', 'intervals'),
+     lambda r: (r.load, r.node) + r.spread),
+    ('cpu', 'CPU at arduino 100 Hz x 4 packets, mcu 20 Hz, bus 1 Hz, % of a core',
+     ('', 'CPU %', 'messages/s', 'each turn'),
+     lambda r: (r.node, r.percent, r.messages_per_s, _turns(r.turns))),
+    ('bridges', 'CPU of several bridges under one master, each with that traffic, % of a core',
+     ('bridges', 'CPU %', 'each', 'messages/s', 'each turn'),
+     lambda r: (r.bridges, r.percent, r.percent_each, r.messages_per_s, _turns(r.turns))),
+    ('bus', 'Bus, 8 callers at once; gap: from a reply\'s last byte to the next request\'s first; '
+     'ms',
+     ('wire', 'request', 'requests/s', 'of wire', 'wire %', 'gap p50', 'gap p99', 'gaps',
+      'call p50', 'call p99', 'reply to answer', 'failed'),
+     lambda r: (r.wire or 'unpaced', r.request, r.requests_per_s, r.wire_requests_per_s,
+                r.wire_percent, r.gap.p50, r.gap.p99, r.gap.count, r.call.p50, r.call.p99,
+                r.to_answer.p50, r.failed)),
+    ('decoders', 'Decoders alone; the last columns: against a byte at a time. At best: if nothing '
+     "but the typed messages and the frames' records were built",
+     ('link', 'stream', 'reads', 'MB/s', 'frames/s', 'us/frame', 'byte-wise MB/s',
+      'times as fast', 'at best', 'same frames'), _decoding_cells),
+    ('scale', 'Back to back; every topic has one subscriber',
+     ('link', 'baud', 'load %', 'frames/s', 'messages/s', 'CPU %', 'us/message', 'MB',
+      'first lost'),
+     lambda r: (r.link, r.baud, r.load_percent, r.frames_per_s, r.messages_per_s, r.cpu_percent,
+                r.us_per_message, r.memory_mb, r.first_lost or 'nothing')),
+)
 
 
-def _bus(section: Dict[str, Any]) -> str:
-    rows = []
-    for row in section['rows']:
-        gap, trip = row['gap, queue not empty'], row['round trip']
-        rows.append((row['wire'] or 'unpaced', row['callers'], row['requests/s'],
-                     row['requests/s of the wire'], row['share of the wire %'], gap['p50'],
-                     gap['p99'], gap['count'], trip['p50'], trip['p99'],
-                     row['to the answer']['p50'], row['failed']))
-    return ('Bus, %d callers at once; gap: from a reply\'s last byte to the next request\'s first; '
-            'ms\n' % section['callers']) + table(
-        ('wire', 'request', 'requests/s', 'of wire', 'wire %', 'gap p50', 'gap p99', 'gaps',
-         'call p50', 'call p99', 'reply to answer', 'failed'), rows)
-
-
-def _decoder_rows(section: Dict[str, Any]) -> str:
-    rows = [(row['link'], row['stream'], str(row['reads']), row['package']['MB/s'],
-             row['package']['frames/s'], row['package']['us/frame'], row['bytewise']['MB/s'],
-             row['times as fast'], row['at best'], 'yes' if row['same messages'] else
-             '%d, byte-wise %d' % (row['package']['frames'], row['bytewise']['frames']))
-            for row in section['rows']]
-    return ('Decoders alone; the last columns: against a byte at a time. At best: if nothing but '
-            "the typed messages and the frames' records were built\n") + table(
-        ('link', 'stream', 'reads', 'MB/s', 'frames/s', 'us/frame', 'byte-wise MB/s',
-         'times as fast', 'at best', 'same frames'), rows)
-
-
-def _scale(section: Dict[str, Any]) -> str:
-    rows = [(row['link'], row['baud'], row['load %'], row['frames/s'], row['messages/s'],
-             row['CPU %'], row['us/message'], row['memory']['MB'],
-             row['first lost'] or 'nothing') for row in section['rows']]
-    return 'Back to back; every topic has one subscriber\n' + table(
-        ('link', 'baud', 'load %', 'frames/s', 'messages/s', 'CPU %', 'us/message', 'MB',
-         'first lost'), rows)
-
-
-def plot(section: Dict[str, Any], path: str) -> None:
+def plot(loads: Sequence[Load], path: str) -> None:
     """Cost against load, a small PNG; ImportError without matplotlib."""
     import matplotlib
     matplotlib.use('Agg')
@@ -283,8 +278,8 @@ def plot(section: Dict[str, Any], path: str) -> None:
 
     figure, axes = pyplot.subplots(figsize=(5, 3.2), dpi=100)
     for link in ('arduino', 'mcu'):
-        rows = sorted((row['messages/s'], row['CPU %'], bool(row['first lost']))
-                      for row in section['rows'] if row['link'] == link)
+        rows = sorted((row.messages_per_s, row.cpu_percent, bool(row.first_lost))
+                      for row in loads if row.link == link)
         if rows:
             axes.plot([row[0] for row in rows], [row[1] for row in rows], marker='o',
                       markersize=4, label=link)

@@ -1,225 +1,76 @@
-"""What the bench stands on: a roscore of its own, ptys, child processes, their CPU time.
-
-Everything ends with the `with` block, whatever happened inside, or with the bench's process.
-"""
-import ctypes
+"""What the bench has beside the roscore and nodes: ptys, children that take orders, the machine."""
 import json
 import os
 import platform
 import pty
 import select
-import shutil
 import signal
-import socket
 import subprocess
 import sys
-import tempfile
-import time
 import tty
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Any, Dict, List, Tuple
 
-import rosgraph
+from ..stage import LINKS, Child, Stage
 
-LINKS = ('arduino', 'mcu', 'bus')
-_PR_SET_PDEATHSIG = 1
-_START = 30.0     # s that anything may take to start
 _ANSWER = 300.0   # s that an order may take
 
 
-class BenchError(RuntimeError):
-    """The bench itself did not work; the text is for a person."""
+class Servant(Child):
+    """A process that takes orders and answers them; see child.py."""
 
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, orders=True, stdout=subprocess.PIPE, **options)
+        self._introduced = False
 
-class Child:
-    """One process; if it takes orders, see child.py."""
-
-    def __init__(self, stage: 'Stage', name: str, command: List[str], fds=(), env=None,
-                 orders: bool = True) -> None:
-        self.name = name
-        self._log = os.path.join(stage.directory, '%s.log' % name.replace('/', '_'))
-        with open(self._log, 'ab') as log:
-            pipe = subprocess.PIPE if orders else None
-            self.process = subprocess.Popen(
-                command, stdin=pipe if orders else subprocess.DEVNULL, stdout=pipe or log,
-                stderr=log, pass_fds=fds, env=dict(stage.env, **(env or {})),
-                start_new_session=True, preexec_fn=_end_with_parent, universal_newlines=True,
-                bufsize=1)
-        self._orders = orders
-        self._introduced = not orders
-
-    @property
-    def pid(self) -> int:
-        return self.process.pid
-
-    def tell(self, do: str, **arguments) -> None:
+    def tell(self, do: str, **arguments: Any) -> None:
         """Give an order."""
-        self._introduce()
-        try:
-            self.process.stdin.write(json.dumps(dict(arguments, do=do)) + '\n')
-            self.process.stdin.flush()
-        except OSError:
-            raise self._fault() from None
+        if not self._introduced:
+            self._introduced = True
+            self.answer()
+        self.order(json.dumps(dict(arguments, do=do)))
 
     def answer(self) -> Any:
         """Of the order before."""
         if not select.select([self.process.stdout], [], [], _ANSWER)[0]:
-            raise BenchError('%s does not answer: %s' % (self.name, self.log_tail()))
+            raise self.fault()
         line = self.process.stdout.readline()
         if not line:
-            raise self._fault()
+            raise self.fault()
         return json.loads(line)
 
-    def ask(self, do: str, **arguments) -> Any:
+    def ask(self, do: str, **arguments: Any) -> Any:
         """`tell` and `answer`."""
         self.tell(do, **arguments)
         return self.answer()
 
-    def _introduce(self) -> None:
-        if not self._introduced:
-            self._introduced = True
-            self.answer()
-
-    def _fault(self) -> BenchError:
-        return BenchError('%s has ended: %s' % (self.name, self.log_tail() or 'without a word'))
-
-    def log_tail(self) -> str:
-        """What it said last."""
-        with open(self._log, errors='replace') as log:
-            return log.read()[-1500:].strip()
-
-    def stop(self) -> None:
-        """Begin to end it."""
-        if self.process.poll() is None:
-            if self._orders:
-                self.process.stdin.close()
-            else:
-                self.process.send_signal(signal.SIGINT)
-
-    def join(self, seconds: float) -> None:
-        """Wait for its end; force it after `seconds`."""
+    def ask_to_end(self, number: int = signal.SIGTERM) -> None:
+        """By the end of its orders."""
         try:
-            self.process.wait(seconds)
-        except subprocess.TimeoutExpired:
-            os.killpg(self.process.pid, signal.SIGKILL)
-            self.process.wait()
-        for stream in (self.process.stdin, self.process.stdout):
-            if stream and not stream.closed:
-                stream.close()
-
-    # -- what it costs --------------------------------------------------------------------
-
-    def cpu_seconds(self) -> float:
-        """User and system time of all its threads so far."""
-        try:
-            # The process's CPU clock: /proc/PID/stat's sum, in ns instead of ticks of 10 ms.
-            return time.clock_gettime((~self.pid << 3) | 2)
+            self.process.stdin.close()
         except OSError:
-            with open('/proc/%d/stat' % self.pid) as stat:
-                fields = stat.read().rpartition(')')[2].split()
-            return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
-
-    def memory(self) -> Dict[str, float]:
-        """Resident now and at most, MB."""
-        with open('/proc/%d/status' % self.pid) as status:
-            values = dict(line.split(':', 1) for line in status)
-        return {'MB': int(values['VmRSS'].split()[0]) / 1024,
-                'most MB': int(values['VmHWM'].split()[0]) / 1024}
+            pass
 
 
-class Stage:
-    """A roscore and a folder for logs."""
+class BenchStage(Stage):
+    """One scene after the other; what a scene has ends with `clear`."""
 
     def __init__(self) -> None:
-        self.directory = tempfile.mkdtemp(prefix='serial_communication_bench_')
-        with socket.socket() as free:
-            free.bind(('127.0.0.1', 0))
-            port = free.getsockname()[1]
-        self.env = {key: value for key, value in os.environ.items()
-                    if key not in ('ROS_IP', 'ROS_NAMESPACE')}
-        self.env.update(ROS_MASTER_URI='http://127.0.0.1:%d' % port, ROS_HOSTNAME='127.0.0.1',
-                        ROS_LOG_DIR=self.directory, ROS_HOME=self.directory,
-                        PYTHONUNBUFFERED='1')
-        os.environ.update(self.env)      # for the master's and the nodes' APIs
-        self._children: List[Child] = []
+        super().__init__('serial_communication_bench_')
         self._fds: List[int] = []
-        self._core: Optional[Child] = None
-        self._port = port
 
-    def __enter__(self) -> 'Stage':
-        self._core = Child(self, 'roscore', ['roscore', '-p', str(self._port)], orders=False)
-        master = rosgraph.Master('/bench')
-        deadline = time.monotonic() + _START
-        while True:
-            try:
-                master.getPid()
-                return self
-            except (OSError, rosgraph.MasterException):
-                if self._core.process.poll() is not None or time.monotonic() > deadline:
-                    text = self._core.log_tail()
-                    self.__exit__()
-                    raise BenchError('roscore does not start: %s' % text) from None
-                time.sleep(0.05)
-
-    def __exit__(self, *_) -> None:
-        self.clear()
-        if self._core:
-            self._core.stop()
-            self._core.join(10.0)
-        shutil.rmtree(self.directory, ignore_errors=True)
+    def __exit__(self, *_: Any) -> None:
+        super().__exit__()
+        self.discard()
 
     def clear(self) -> None:
-        """End every child but the roscore."""
-        # Callers and subscribers first: a node that goes before them makes them complain.
-        for child in reversed(self._children):
-            child.stop()
-        for child in self._children:
-            child.join(4.0)
-        self._children.clear()
+        super().clear()
         while self._fds:
             os.close(self._fds.pop())
 
-    # -- children -------------------------------------------------------------------------
-
-    def child(self, name: str, module: str, *arguments, fds=(), namespace: str = '') -> Child:
+    def servant(self, name: str, module: str, *arguments: Any, **options: Any) -> Servant:
         """A module of the bench that takes orders."""
-        command = [sys.executable, '-m', '%s.%s' % (__package__, module)]
-        return self._add(Child(self, name, command + list(map(str, arguments)), fds,
-                               {'ROS_NAMESPACE': namespace} if namespace else None))
-
-    def bridge(self, namespace: str, ports: Dict[str, str], **parameters) -> Child:
-        """The node with these ports; parameters with two underscores for a slash.
-
-        Its /diagnostics stand in its namespace, so that they have subscribers of their own.
-        """
-        try:
-            # Of a bridge that was here before: the parameter server forgets nothing.
-            rosgraph.Master('/bench').deleteParam(namespace + '/serial_communication')
-        except rosgraph.MasterException:
-            pass
-        command = [sys.executable, '-c', 'from serial_communication.ros.node import main; main()',
-                   '__name:=serial_communication', '/diagnostics:=%s/diagnostics' % namespace]
-        command += ['_%s/port:=%s' % port for port in ports.items()]
-        command += ['_%s:=%s' % (name.replace('__', '/'), value)
-                    for name, value in parameters.items()]
-        return self._add(Child(self, 'bridge ' + namespace, command,
-                               env={'ROS_NAMESPACE': namespace}, orders=False))
-
-    def busy(self) -> Child:
-        """A process that takes all the CPU it gets."""
-        return self._add(Child(self, 'busy', [sys.executable, '-c', 'while True: pass'],
-                               orders=False))
-
-    def end(self, *children: Child) -> None:
-        """End some of them early."""
-        for child in children:
-            child.stop()
-        for child in children:
-            child.join(4.0)
-            self._children.remove(child)
-
-    def _add(self, child: Child) -> Child:
-        self._children.append(child)
-        return child
+        command = [sys.executable, '-m', f'{__package__}.{module}', *map(str, arguments)]
+        return self.add(Servant(name, command, self.folder, self._env(options), **options))
 
     def pty(self) -> Tuple[int, str]:
         """A raw pty: (master's descriptor, slave's name). Both live as long as the scene."""
@@ -232,50 +83,47 @@ class Stage:
         """Ptys and the boards behind them."""
         return Boards(self, links)
 
-    def check(self, *children: Child) -> None:
-        """BenchError if one of them has ended."""
-        for child in children:
-            if child.process.poll() is not None:
-                raise BenchError('%s has ended: %s' % (child.name, child.log_tail()))
-
 
 class Boards:
     """The boards of one node: `ports` for it, `talkers`, `listener` and `bus` to order about."""
 
-    def __init__(self, stage: Stage, links) -> None:
+    def __init__(self, stage: BenchStage, links) -> None:
         self.ports: Dict[str, str] = {}
-        self.talkers: Dict[str, Child] = {}
+        self.talkers: Dict[str, Servant] = {}
         for link in links:
             master, self.ports[link] = stage.pty()
             if link == 'bus':
-                self.bus = stage.child('bus board', 'boards', 'bus', master, fds=(master,))
+                self.bus = stage.servant('bus board', 'boards', 'bus', master, fds=(master,))
                 continue
-            self.talkers[link] = stage.child(link + ' board', 'boards', 'talker', master,
-                                             link, fds=(master,))
+            self.talkers[link] = stage.servant(link + ' board', 'boards', 'talker', master,
+                                               link, fds=(master,))
             if link == 'arduino':
-                self.listener = stage.child('listener', 'boards', 'listener', master,
-                                            fds=(master,))
+                self.listener = stage.servant('listener', 'boards', 'listener', master,
+                                              fds=(master,))
 
     def talk(self, rates: Dict[str, float], seconds: float) -> Dict[str, list]:
         """All at once, for so long; what they sent, by name."""
+        self.start_talking(rates, seconds)
+        return self.end_talking(rates)
+
+    def start_talking(self, rates: Dict[str, float], seconds: float) -> None:
+        """The first half of `talk`, so that other boards can talk at the same time."""
         for link, rate in rates.items():
             self.talkers[link].tell('talk', rate=rate, seconds=seconds)
+
+    def end_talking(self, rates: Dict[str, float]) -> Dict[str, list]:
+        """The second half; what they sent, by name."""
         sent: Dict[str, list] = {}
         for link in rates:
             sent.update(self.talkers[link].answer())
         return sent
 
 
-def wait_for(condition, what: str, seconds: float = _START) -> None:
-    """Until condition() is empty; BenchError with what it is last."""
-    deadline = time.monotonic() + seconds
-    while True:
-        missing = condition()
-        if not missing:
-            return
-        if time.monotonic() > deadline:
-            raise BenchError('%s: still waiting for %s' % (what, missing))
-        time.sleep(0.1)
+def memory(child: Child) -> float:
+    """Resident, MB."""
+    with open(f'/proc/{child.pid}/status') as status:
+        values = dict(line.split(':', 1) for line in status)
+    return int(values['VmRSS'].split()[0]) / 1024
 
 
 def machine() -> Dict[str, Any]:
@@ -314,10 +162,3 @@ def _realtime() -> bool:
         return True
     except OSError:
         return False
-
-
-def _end_with_parent() -> None:
-    try:
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
-    except (OSError, AttributeError):
-        pass

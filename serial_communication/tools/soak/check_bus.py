@@ -65,7 +65,7 @@ def check_bus(calls: List[Dict], journal: List[Dict], blind_replies: List[float]
         Row('bus', 'nothing executed that nobody asked for', len(executed),
             [(event['t'], event['text'][:80]) for event in orphans]),
         _wrong_replies(groups['success'], violations_of),
-        _answered(calls, timeouts)]
+        answered(calls, timeouts)]
     count = len(blind) + len(blind_replies)
     rows.append(Row(
         'bus', 'damage that an XOR cannot see', count, [], '%d calls told wrong by it' % len(
@@ -122,7 +122,8 @@ def _wrong_replies(succeeded: List[_Fate], violations_of) -> Row:
                               if call['reply'] != call['data']]))
 
 
-def _answered(calls: List[Dict], timeouts: Dict[str, float]) -> Row:
+def answered(calls: List[Dict], timeouts: Dict[str, float]) -> Row:
+    """Every caller was answered, whatever happened."""
     violations, worst, tries = [], 0.0, 0
     for call in calls:
         if call['kind'] not in timeouts:

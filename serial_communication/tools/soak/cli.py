@@ -10,15 +10,16 @@ import json
 import os
 import signal
 import sys
-import time
 from random import SystemRandom
 from typing import List, Optional
 
+from ..progress import Progress
+from ..stage import StageError
 from .hostile import decoder_costs, node_costs, render_costs, rows_of
 from .judge import judge
-from .run import Campaign
+from .run import Campaign, seconds_of
 from .shutdown import Shutdown
-from .stage import SoakError, Stage
+from .stage import CampaignStage
 from .table import as_dict, render
 
 
@@ -29,28 +30,24 @@ def main(arguments: Optional[List[str]] = None) -> int:
     signal.signal(signal.SIGHUP, signal.default_int_handler)
     if options.judge:
         return _report(judge(options.judge), options, options.judge)
-    began = time.monotonic()
-
-    def say(text: str) -> None:
-        print('%5.0f s  %s' % (time.monotonic() - began, text), file=sys.stderr, flush=True)
-
     if options.hostile:
-        return _hostile(options, say)
+        return _hostile(options)
     stage = None
+    progress = Progress(total=seconds_of(options.duration))
     try:
-        say('seed %d' % options.seed)
-        stage = Stage(options.keep, options.bridge)
+        progress.say(f'seed {options.seed}')
+        stage = CampaignStage(options.keep, options.bridge)
         with stage:
-            Campaign(stage, options.duration, options.seed, options.busy, say).run()
-            ends = Shutdown(stage, options.seed, say).run(not options.bridge)
-        say('judging')
-        rows = judge(stage.folder) + ends
+            Campaign(stage, options.duration, options.seed, options.busy, progress).run()
+            ends = Shutdown(stage, options.seed, progress).run(not options.bridge)
+        with progress.phase('judging'):
+            rows = judge(stage.folder) + ends
     except KeyboardInterrupt:
         print('stopped', file=sys.stderr)
         if stage:
             stage.discard()
         return 130
-    except SoakError as error:
+    except StageError as error:
         print('the campaign does not work: %s' % error, file=sys.stderr)
         return 2
     status = _report(rows, options, stage.folder)
@@ -59,16 +56,17 @@ def main(arguments: Optional[List[str]] = None) -> int:
     return status
 
 
-def _hostile(options, say) -> int:
+def _hostile(options) -> int:
+    progress = Progress()
     try:
-        say('decoders')
-        decoders = decoder_costs()
-        with Stage(options.keep, options.bridge) as stage:
-            nodes = node_costs(stage, decoders, say)
+        with progress.phase('decoders'):
+            decoders = decoder_costs()
+        with CampaignStage(options.keep, options.bridge) as stage:
+            nodes = node_costs(stage, decoders, progress.say)
     except KeyboardInterrupt:
         print('stopped', file=sys.stderr)
         return 130
-    except SoakError as error:
+    except StageError as error:
         print('soak --hostile does not work: %s' % error, file=sys.stderr)
         return 2
     print(render_costs('decoder', decoders))

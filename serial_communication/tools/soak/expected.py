@@ -6,15 +6,18 @@ float is turned back into what the board must have sent, and refused if it is no
 """
 import struct
 from collections import deque
+from dataclasses import dataclass, field
 from math import cos, inf, isinf, isnan, pi, radians, sin, sqrt
-from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Deque, Dict, Iterable, List, NamedTuple, Optional, Tuple
 
 from ...protocols import arduino, mcu
 from ...protocols import robot_ctrl_bus as bus
 from .align import Sent
+from .packets import IMU, STEERING_ANGLE, TICKS, VOLTAGE
 from .records import Intervals
 
 NODE = '/serial_communication'
+SENSOR_STATUS = 0x10     # TYPE of an mcu frame
 _GYRO = 4000 / 65536 * pi / 180 * 25
 _ACCELERATION = 8 / 65536 * 9.81
 _GIVEN_UP = 0.05         # s after which a decoder drops what has begun
@@ -23,105 +26,130 @@ _BESIDE = 0.02           # s that noise may have come before or after its note s
 _DECODERS = {'arduino': arduino.Decoder, 'mcu': mcu.Decoder, 'bus': bus.ReplyDecoder}
 
 
-class Arrival(NamedTuple):
-    """One frame of the journal, and what its bytes on the wire are to any decoder."""
+@dataclass
+class Arrival:
+    """One frame of the journal, or noise, and what its bytes on the wire are to any decoder."""
 
     t: float
-    n: int
-    own: Any             # (type, command, data) that the board sent
-    ok: bool
+    n: int                    # its running number; 0: none
+    own: Any                  # (type, command, data) that the board sent; None: noise
+    ok: bool                  # the other end must find it
     copies: int
-    made: Tuple          # of a frame that is not ok: each (type, command, data) found in it
+    wire: bytes               # as it went out
+    end: int                  # bytes of the line up to its last one
+    reopened: bool = False    # the board's port was closed or opened before it
+    made: List[Any] = field(default_factory=list)   # (type, command, data) that damage made
+    swallowed_from: Optional[int] = None   # where a made frame begins that has the right checksum
 
 
 def arrivals(journal: List[Dict], kind: str) -> List[Arrival]:
     """Each `tx` that left, with what a decoder finds in its bytes where they were damaged.
 
-    When a decoder gives up what is incomplete is a matter of milliseconds, so two are asked: one
-    that is hasty and one that is patient. What any of them makes of damage may be published; and
-    a good frame of which another with the right checksum was made may be missing.
+    What any decoder makes of damage may be published; and a good frame of which another with the
+    right checksum was made may be missing.
     """
-    decoders = [(_DECODERS[kind](), _GIVEN_UP / 2), (_DECODERS[kind](), _GIVEN_UP * 4)]
-    recent: Deque[Any] = deque(maxlen=50)     # what boards sent: finding that is no surprise
-    out: List[Arrival] = []
-    wires: List[bytes] = []                   # of each in `out`
-    ends: List[int] = []                      # of each in `out`: bytes of the line up to it
-    last, total = 0.0, 0
+    frames = _decode(_place(journal, kind), kind)
+    _excuse(frames, kind)
+    _shift_noise(frames, kind)
+    return frames
+
+
+def _place(journal: List[Dict], kind: str) -> List[Arrival]:
+    """What was on the line, in its order."""
+    frames: List[Arrival] = []
+    total, reopened = 0, False
     for event in journal:
         if event['ev'] == 'port':
-            for decoder, _patience in decoders:
-                decoder.reset()
+            reopened = True
         if event['ev'] not in ('tx', 'chatter') or event.get('sent') is False:
             continue
         own, raw = _own(event, kind) if event['ev'] == 'tx' else (None, b'')
         wire = bytes.fromhex(event['wire']) if 'wire' in event else raw * event.get('copies', 1)
-        if kind != 'arduino':       # whose values repeat, and whose frames never wait for others
-            recent.append(own)
-        damaged = not event.get('ok') or any(decoder.pending for decoder, _ in decoders)
-        before: List[Any] = []
-        made: List[Any] = []
+        total += len(wire)
+        frames.append(Arrival(event['t'], event.get('n', 0), own, event.get('ok', False),
+                              event.get('copies', 1), wire, total, reopened))
+        reopened = False
+    return frames
+
+
+def _decode(frames: List[Arrival], kind: str) -> List[Arrival]:
+    """What decoders find that was not sent so; what comes of giving up has a place of its own.
+
+    When a decoder gives up what is incomplete is a matter of milliseconds, so two are asked: one
+    that is hasty and one that is patient.
+    """
+    decoders = [(_DECODERS[kind](), _GIVEN_UP / 2), (_DECODERS[kind](), _GIVEN_UP * 4)]
+    # What boards sent lately: finding that is no surprise. Not so where values repeat, and where
+    # frames never wait for others.
+    recent: Deque[Any] = deque(maxlen=0 if kind == 'arduino' else 50)
+    found: List[Arrival] = []
+    last, before = 0.0, 0      # when and where the frame before this one ended
+    for one in frames:
+        recent.append(one.own)
+        damaged = not one.ok or any(decoder.pending for decoder, _patience in decoders)
+        rest = Arrival(last, 0, None, False, 1, b'', before)
         longest = 0
         for decoder, patience in decoders:
+            if one.reopened:
+                decoder.reset()
             given_up: List[Any] = []
-            while decoder.pending and event['t'] - last > patience:
+            while decoder.pending and one.t - last > patience:
                 given_up += decoder.give_up()
-            for frames, where in ((given_up, before), (decoder.feed(wire), made)):
-                for frame in frames:
-                    found = _of(frame)
-                    if damaged and not frame.cause and (
-                            found not in recent if recent else found != own):
-                        longest = max(longest, len(frame.raw))
-                        if found not in where:
-                            where.append(found)
-        if own is None:
-            # Noise: a decoder may begin to look anywhere in it. Random bytes can be a frame.
-            for start in range(len(wire)):
-                made += [_of(frame) for frame in _DECODERS[kind]().feed(wire[start:])
-                         if not frame.cause and _of(frame) not in made]
-        total += len(wire)
-        if before:
-            out.append(Arrival(last, 0, None, False, 1, tuple(before)))
-            wires.append(b'')
-            ends.append(total - len(wire))
-        out.append(Arrival(event['t'], event.get('n', 0), own, event.get('ok', False),
-                           event.get('copies', 1), tuple(made)))
-        wires.append(wire)
-        ends.append(total)
-        last = event['t']
-        if longest and kind != 'arduino':
-            _swallow(out, ends, total - longest - len(wire))
-    _shift_noise(out, wires, _DECODERS[kind])
-    return out
+            for place, got in ((rest, given_up), (one, decoder.feed(one.wire))):
+                surprises = [frame for frame in got if damaged and not frame.cause
+                             and _of(frame) not in (recent or (one.own,))]
+                place.made += [_of(frame) for frame in surprises if _of(frame) not in place.made]
+                longest = max([longest] + [len(frame.raw) for frame in surprises])
+        if one.own is None:
+            # A decoder may begin to look anywhere in noise. Random bytes can be a frame.
+            _add(one, (frame for start in range(len(one.wire))
+                       for frame in _DECODERS[kind]().feed(one.wire[start:])))
+        if longest:
+            one.swallowed_from = one.end - longest - len(one.wire)
+        found += [rest, one] if rest.made else [one]
+        last, before = one.t, one.end
+    return found
 
 
-def _shift_noise(out: List[Arrival], wires: List[bytes], decoder: Callable[[], Any]) -> None:
+def _add(one: Arrival, frames: Iterable[Any]) -> None:
+    """The good ones of these may come of it, too."""
+    for frame in frames:
+        if not frame.cause and _of(frame) not in one.made:
+            one.made.append(_of(frame))
+
+
+def _excuse(frames: List[Arrival], kind: str) -> None:
+    """Frames that lie in one which damage made and whose checksum is right may be missing."""
+    if kind == 'arduino':       # whose packets never lie in another one
+        return
+    for index, one in enumerate(frames):
+        if one.swallowed_from is not None:
+            for near in reversed(frames[:index + 1]):
+                if near.end <= one.swallowed_from:
+                    break
+                near.ok = False
+
+
+def _shift_noise(frames: List[Arrival], kind: str) -> None:
     """Noise is written beside the board: it may have come before any frame of about its time."""
-    for index, noise in enumerate(out):
-        if noise.own is not None or not wires[index]:
+    for index, noise in enumerate(frames):
+        if noise.own is not None or not noise.wire:
             continue
         first = last = index
-        while first > 0 and noise.t - out[first - 1].t <= _BESIDE:
+        while first > 0 and noise.t - frames[first - 1].t <= _BESIDE:
             first -= 1
-        while last + 1 < len(out) and out[last + 1].t - noise.t <= _BESIDE:
+        while last + 1 < len(frames) and frames[last + 1].t - noise.t <= _BESIDE:
             last += 1
         for near in range(first, last + 1):
-            if out[near].own is None:
+            one, before = frames[near], frames[near - 1] if near else None
+            if one.own is None:
                 continue
-            before = b'' if near == 0 or out[near - 1].ok else wires[near - 1]
-            stream = before + wires[index] + wires[near]
-            found = {_of(frame) for start in range(len(stream) - len(wires[near]))
-                     for frame in decoder().feed(stream[start:]) if not frame.cause}
-            made = out[near].made + tuple(
-                found - {out[near].own, out[near - 1].own} - set(out[near].made))
-            out[near] = out[near]._replace(made=made)
-
-
-def _swallow(out: List[Arrival], ends: List[int], start: int) -> None:
-    """From that byte on, a frame that damage made has the right checksum: others are in it."""
-    for index in range(len(out) - 1, -1, -1):
-        if ends[index] <= start:
-            return
-        out[index] = out[index]._replace(ok=False)
+            damage = before.wire if before and not before.ok else b''
+            stream = damage + noise.wire + one.wire
+            known = one.own, before.own if before else None
+            _add(one, (frame for start in range(len(stream) - len(one.wire))
+                       for frame in _DECODERS[kind]().feed(stream[start:])
+                       if _of(frame) not in known))
 
 
 def _own(event: Dict, kind: str) -> Tuple[Any, bytes]:
@@ -172,13 +200,13 @@ def _unpack(frame: Tuple[int, int, bytes], type_: int, layout: str) -> Optional[
 
 
 def _imu_sent(frame) -> Any:
-    values = _unpack(frame, 9, '>11h')
+    values = _unpack(frame, IMU, '>11h')
     return values[:10] if values else None
 
 
 def _attitude_sent(frame) -> Any:
     """In ROS's axes, of norm 1 as tf2 wants it."""
-    values = _unpack(frame, 9, '>11h')
+    values = _unpack(frame, IMU, '>11h')
     if not values or not any(values[:4]):
         return None
     w, x, y, z = values[:4]
@@ -187,7 +215,7 @@ def _attitude_sent(frame) -> Any:
 
 
 def _temperature_sent(frame) -> Any:
-    values = _unpack(frame, 9, '>11h')
+    values = _unpack(frame, IMU, '>11h')
     return values[10] if values else None
 
 
@@ -200,7 +228,7 @@ def _one(type_: int, layout: str) -> Callable[[Any], Any]:
 
 def _status(frame) -> Optional[Tuple]:
     """range 1, range 2, yaw, pitch, roll; angles in 0.01 degrees, the yaw restored."""
-    values = _unpack(frame, 0x10, '<HHhhh')
+    values = _unpack(frame, SENSOR_STATUS, '<HHhhh')
     if not values:
         return None
     yaw = values[2] if values[2] >= -18000 else values[2] + 65536
@@ -303,9 +331,9 @@ TOPICS = (
     Topic('arduino', NODE + '/imu', _imu_sent, _imu_published),
     Topic('arduino', NODE + '/imu/temperature', _temperature_sent,
           lambda m: _steps(m.temperature, 1 / 340, 36.53)),
-    Topic('arduino', NODE + '/voltage', _one(10, '<f'), lambda m: m.value),
-    Topic('arduino', NODE + '/ticks', _one(8, '<B'), lambda m: m.value),
-    Topic('arduino', NODE + '/steering_angle', _one(7, '<H'), lambda m: m.value),
+    Topic('arduino', NODE + '/voltage', _one(VOLTAGE, '<f'), lambda m: m.value),
+    Topic('arduino', NODE + '/ticks', _one(TICKS, '<B'), lambda m: m.value),
+    Topic('arduino', NODE + '/steering_angle', _one(STEERING_ANGLE, '<H'), lambda m: m.value),
     Topic('arduino', '/tf imu_orientation', _attitude_sent,
           lambda m: _turn_published(m.transforms[0].transform.rotation)),
     Topic('mcu', '/mcu/status', _status_sent, _status_published),

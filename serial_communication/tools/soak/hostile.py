@@ -13,7 +13,8 @@ import time
 import tty
 from typing import Any, Callable, Dict, List, NamedTuple
 
-from .stage import Child, SoakError, Stage
+from ..stage import Child, StageError
+from .stage import CampaignStage
 from .table import Row
 from .worst_streams import worst_streams
 
@@ -51,7 +52,7 @@ def decoder_costs(size: int = _SIZE) -> List[Cost]:
     return costs
 
 
-def node_costs(stage: Stage, costs: List[Cost], say: Callable[[str], None]) -> List[Cost]:
+def node_costs(stage: CampaignStage, costs: List[Cost], say: Callable[[str], None]) -> List[Cost]:
     """Of the streams that cost a decoder most, for a node with a subscriber of everything."""
     found = []
     streams = {(stream.link, stream.name): stream for stream in worst_streams(_NODE_SIZE)}
@@ -81,7 +82,7 @@ def _wait_for_subscriber(feeder: '_Feeder', stream: bytes, records: str) -> None
         time.sleep(0.6)
         if os.path.exists(records) and os.path.getsize(records) > 20 * READ:
             return
-    raise SoakError('nothing is published')
+    raise StageError('nothing is published')
 
 
 def rows_of(decoders: List[Cost], nodes: List[Cost]) -> List[Row]:
@@ -119,7 +120,7 @@ def _nanoseconds(make: Callable[[], Any], stream: bytes) -> float:
 class _Feeder:
     """A node whose port is the end of a pty that we hold."""
 
-    def __init__(self, stage: Stage, link: str) -> None:
+    def __init__(self, stage: CampaignStage, link: str) -> None:
         self._stage = stage
         self._master, slave = pty.openpty()
         tty.setraw(slave)
@@ -133,11 +134,11 @@ class _Feeder:
         """CPU ns of the node for each byte."""
         self._wait_until_taken()
         idle = self._idle()
-        began, before = time.monotonic(), self._cpu()
+        began, before = time.monotonic(), self._node.cpu_seconds()
         at = 0
         while at < len(stream):
             if not select.select([], [self._master], [], 20.0)[1]:
-                raise SoakError('the node takes no bytes: %s' % self._node.tail())
+                raise StageError('the node takes no bytes: %s' % self._node.tail())
             try:
                 at += os.write(self._master, stream[at:at + READ])
             except BlockingIOError:
@@ -145,36 +146,31 @@ class _Feeder:
             self._drain()
         self._wait_until_taken()
         took = time.monotonic() - began
-        return max(self._cpu() - before - idle * took, 0.0) / len(stream) * 1e9
+        return max(self._node.cpu_seconds() - before - idle * took, 0.0) / len(stream) * 1e9
 
     def _idle(self) -> float:
         """CPU s a second without any bytes."""
-        before, began = self._cpu(), time.monotonic()
+        before, began = self._node.cpu_seconds(), time.monotonic()
         while time.monotonic() < began + 1.0:
             time.sleep(0.05)
             self._drain()
-        return (self._cpu() - before) / (time.monotonic() - began)
+        return (self._node.cpu_seconds() - before) / (time.monotonic() - began)
 
     def _wait_until_taken(self) -> None:
         """Until nothing waits in the port and the node has nothing to do for a while."""
         calm = 0
         while calm < _CALM:
-            before = self._cpu()
+            before = self._node.cpu_seconds()
             time.sleep(0.1)
             self._drain()
             waiting = struct.unpack('i', fcntl.ioctl(self._slave, termios.FIONREAD, bytes(4)))[0]
-            calm = 0 if waiting or self._cpu() - before > _SETTLED * 0.1 else calm + 1
+            calm = 0 if waiting or self._node.cpu_seconds() - before > _SETTLED * 0.1 else calm + 1
 
     def _drain(self) -> None:
         try:
             os.read(self._master, 1 << 16)
         except BlockingIOError:
             pass
-
-    def _cpu(self) -> float:
-        if not self._node.alive:
-            raise SoakError('the node has ended: %s' % self._node.tail())
-        return time.clock_gettime((~self._node.pid << 3) | 2)
 
     def close(self) -> None:
         self._stage.end(self._node)

@@ -14,19 +14,20 @@ from tf2_msgs.msg import TFMessage
 from serial_communication.msg import (Environment, McuStatus2, SerialMsg, SteeringFeedback, Ticks,
                                       Voltage)
 
+from ..stage import LINKS
 from .align import Sent
-from .check_arduino import (check_heartbeat, check_motor, closed_times, fault_times,
-                            packets_of)
 from .check_bus import check_bus, outcomes
 from .check_frames import check_published
+from .check_heartbeat import check_heartbeat
 from .check_lost import Told, check_lost_frames, frame_of, heard_of
+from .check_motor import check_motor, prepare
 from .check_node import check_level, check_log, check_returns, log_lines
 from .expected import NODE, TOPICS, Arrival, arrivals, expected
+from .packets import HEARTBEAT, SPEED, closed_times, fault_times, packets_of
 from .records import Intervals, read_lines, read_messages
-from .run import PARAMETERS, SPEED_TIMEOUT
+from .run import SPEED_TIMEOUT, TIMEOUTS
 from .table import Row
 
-LINKS = ('bus', 'arduino', 'mcu')
 ENDING = 2.0             # s that the node may take to end
 _SETTLING = 60.0         # s after which memory is level; a third of a shorter campaign
 _BEFORE_A_CUT = 0.15     # s of data that may be lost with a port
@@ -39,8 +40,6 @@ _CLASSES = {
     NODE + '/environment/temperature': Temperature, NODE + '/environment/humidity':
     RelativeHumidity, '/mcu/status': McuStatus2, '/mcu/imu': Imu, '/mcu/range_1': Range,
     '/mcu/range_2': Range, '/tf': TFMessage, '/diagnostics': DiagnosticArray}
-_TIMEOUTS = {'lift': PARAMETERS['bus/motion_timeout'], 'gimbal': PARAMETERS['bus/motion_timeout'],
-             'raw': PARAMETERS['bus/reply_timeout']}
 
 
 class _Published(NamedTuple):
@@ -74,17 +73,17 @@ def judge(folder: str) -> List[Row]:
               for link in LINKS}
     blind_replies = [frame.t for frame in frames['bus'] for made in frame.made
                      if made != frame.own]
-    rows = check_bus(calls, journals['bus'], blind_replies, _TIMEOUTS)
+    rows = check_bus(calls, journals['bus'], blind_replies, TIMEOUTS)
     rows[0] = rows[0]._replace(note='of %d lift, gimbal and raw calls: %s' % (
-        sum(1 for call in calls if call['kind'] in _TIMEOUTS), outcomes(calls)))
+        sum(1 for call in calls if call['kind'] in TIMEOUTS), outcomes(calls)))
     rows += _of_link('bus', 'every reading of the air is one that the board measured', frames,
                      published, exempt)
     rows += _of_link('arduino', 'every undamaged packet published once, in order', frames,
                      published, exempt)
-    rows += check_motor(journals['arduino'], commands, _cuts(events, 'arduino'),
-                        _bridge_calibrates(commands, published), published.beats,
-                        Intervals([(one['t'], one['t'] + one['late']) for one in metronome]),
-                        SPEED_TIMEOUT, end)
+    rows += check_motor(prepare(
+        journals['arduino'], commands, _cuts(events, 'arduino'),
+        _bridge_calibrates(commands, published), published.beats,
+        Intervals([(one['t'], one['t'] + one['late']) for one in metronome]), SPEED_TIMEOUT, end))
     rows += check_heartbeat(journals['arduino'], metronome, published.beats, end)
     rows += _of_link('mcu', 'every undamaged frame published once, in order', frames, published,
                      exempt)
@@ -141,7 +140,7 @@ def _read_traffic(folder: str, out: _Published) -> None:
     for t, _name, data in read_messages(path)[1]:
         message.deserialize(data)
         if message.direction == SerialMsg.TX:
-            if message.type == 11 and message.link == 'arduino':
+            if message.type == HEARTBEAT and message.link == 'arduino':
                 out.beats.append(message.header.stamp.to_sec() - out.offset)
         elif not message.error:
             frame = frame_of(message)
@@ -203,7 +202,8 @@ def _exempt(link: str, events: List[Dict], journal: List[Dict], published: _Publ
     data = _data_of(link, published)
     first = [t for topic in TOPICS if topic.link == link
              for t, _key, _at in published.values[topic.name][:1]]
-    pairs = [(0.0, max([start] + first)), (end, float('inf'))]
+    # The node's end is like a port's absence: what is on its way then is lost.
+    pairs = [(0.0, max([start] + first)), (end - _BEFORE_A_CUT, float('inf'))]
     down = None
     for event in events:
         if event.get('link') != link:
@@ -322,7 +322,7 @@ def _ending(events: List[Dict], journal: List[Dict], end: float) -> Row:
     if ended.get('seconds', 1e9) > ENDING:
         violations.append((end, 'it took %.2f s to end' % ended.get('seconds', 1e9)))
     last = [packet for packet in packets_of(journal)[0] if packet.t >= end - 5]
-    if not last or (last[-1].type, last[-1].data) != (4, b'\0\0'):
+    if not last or (last[-1].type, last[-1].data) != (SPEED, b'\0\0'):
         violations.append((end, 'the last packet that the board saw is %s'
                            % (last[-1:] or 'none')))
     return Row('node', 'lives to the end; SIGINT: SPEED 0 last, ends within 2 s', 1, violations,

@@ -11,15 +11,18 @@ boards have every fault they know, and noise comes on the lines.
 """
 import heapq
 import itertools
+import json
 import os
 import random
 import signal
-import sys
 import time
 from typing import Any, Callable, Dict, List, Tuple
 
+from ..progress import Progress
+from ..stage import LINKS, Child
+from .check_bus import answered
 from .records import Lines
-from .stage import Child, Stage
+from .stage import CampaignStage
 
 CYCLE = 60.0
 FLAP = 0.25              # s down, and as long up: twice a second
@@ -27,6 +30,8 @@ CALIBRATION = 3.0        # s that the board takes for one
 PARAMETERS: Dict[str, Any] = {
     'bus/motion_timeout': 0.5, 'bus/reply_timeout': 0.3, 'publish_tf': True}
 SPEED_TIMEOUT = 0.5      # the node's default
+TIMEOUTS = {'lift': PARAMETERS['bus/motion_timeout'], 'gimbal': PARAMETERS['bus/motion_timeout'],
+            'raw': PARAMETERS['bus/reply_timeout']}      # of each kind of call
 BOARD_OPTIONS = {'bus': ('--lift-speed', '100000', '--gimbal-speed', '100000'),
                  'arduino': ('--calibration-time', '%g' % CALIBRATION), 'mcu': ()}
 _QUIET = 2.5             # s at the end of a cycle, and of all, in which every port stays
@@ -38,16 +43,17 @@ class Campaign:
 
     Args:
         busy: processes that take what CPU they get.
-        say: is called with lines for a person.
+        progress: is told what is done.
     """
 
-    def __init__(self, stage: Stage, duration: float, seed: int, busy: int,
-                 say: Callable[[str], None]) -> None:
+    def __init__(self, stage: CampaignStage, duration: float, seed: int, busy: int,
+                 progress: Progress) -> None:
         self._stage = stage
         self._duration = duration
         self._seed = seed
-        self._busy = ['busy%d' % index for index in range(busy)]
-        self._say = say
+        self._number_busy = busy
+        self._busy: List[Child] = []
+        self._progress = progress
         self._random = random.Random('campaign %d' % seed)
         self._due: List[Tuple[float, int, Callable[[float], None]]] = []
         self._count = itertools.count()
@@ -58,12 +64,20 @@ class Campaign:
     def run(self) -> None:
         """All of it; returns with every child but the roscore ended."""
         stage = self._stage
-        self._set_up()
+        with self._progress.phase('starting'):
+            self._set_up()
         start = time.monotonic()
         self._end = start + self._duration
         stage.events.write(t=start, ev='begin', seed=self._seed, duration=self._duration)
-        self._say('%.0f s of faults' % self._duration)
         self._plan(start)
+        watch = Watch(stage.path('calls.jsonl'), self._children['bridge'])
+        with self._progress.phase(f'{self._duration:.0f} s of faults', watch.note):
+            self._carry_out()
+        with self._progress.phase('ending'):
+            self._finish()
+
+    def _carry_out(self) -> None:
+        """The plan."""
         while True:
             now = time.monotonic()
             if now >= self._end:
@@ -73,13 +87,12 @@ class Campaign:
                 action(due)
                 continue
             time.sleep(min(self._end, self._due[0][0] if self._due else self._end) - now)
-        self._finish()
 
     # -- beginning and end ------------------------------------------------------------------
 
     def _set_up(self) -> None:
         stage, seed = self._stage, self._seed
-        for link in ('bus', 'arduino', 'mcu'):
+        for link in LINKS:
             cable = stage.cable(link)
             self._children[link] = stage.board(link, cable.far, seed, '--fault', 'all',
                                                *BOARD_OPTIONS[link])
@@ -91,8 +104,7 @@ class Campaign:
                                    ('callers', 'calls.jsonl', False),
                                    ('commander', 'commands.jsonl', True)):
             children[role] = stage.user(role, file, seed, orders=orders)
-        for name in self._busy:
-            children[name] = stage.child(name, [sys.executable, '-c', 'while True: pass'])
+        self._busy = stage.busy(self._number_busy)
         children['metronome'] = stage.user('metronome', 'metronome.jsonl', seed)
         stage.wait(self._flows, 'data from the bridge: %s' % children['bridge'].log)
 
@@ -107,8 +119,8 @@ class Campaign:
 
     def _finish(self) -> None:
         stage, children = self._stage, self._children
-        for name in self._busy:
-            stage.end(children[name])
+        for child in self._busy:
+            stage.end(child)
         children['sleeper'].send(signal.SIGCONT)
         for name in 'callers', 'commander':
             stage.end(children[name])
@@ -192,6 +204,35 @@ class Campaign:
         if usage:
             self._usage.write(t=time.monotonic(), **usage)
         self._at(due + 1.0, self._sample)
+
+
+class Watch:
+    """What shows while a campaign runs: the rest is judged when all records are there.
+
+    Args:
+        calls: the file of the callers.
+    """
+
+    def __init__(self, calls: str, bridge: Child) -> None:
+        self._file = open(calls)
+        self._bridge = bridge
+        self._calls = self._violations = 0
+        self._rest = ''
+
+    def note(self) -> str:
+        """In a few words."""
+        lines = (self._rest + self._file.read()).split('\n')
+        self._rest = lines.pop()
+        calls = [json.loads(line) for line in lines]
+        self._calls += len(calls)
+        self._violations += len(answered(calls, TIMEOUTS).violations)
+        dead = '' if self._bridge.alive else ', the node has ended'
+        return f'{self._calls} calls, violations so far: {self._violations}{dead}'
+
+
+def seconds_of(duration: float) -> float:
+    """About how long a campaign takes with all that comes before and after its faults."""
+    return 45.0 + 1.2 * duration
 
 
 def usage_of(pid: int) -> Dict[str, float]:

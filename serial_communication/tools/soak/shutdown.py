@@ -10,20 +10,22 @@ import termios
 import time
 import tty
 import xmlrpc.client
-from typing import Any, Callable, Dict, List, Optional, Tuple
+from typing import Any, Dict, List, Optional, Tuple
 
 import rosgraph
 
-from .check_arduino import packets_of
+from .packets import SPEED, packets_of
 from .records import read_lines, read_messages
-from .stage import LINKS, Stage
+from ..progress import Progress
+from ..stage import LINKS, NODE as NAME
+from .stage import CampaignStage
 from .table import Row
 
-NODE = '/serial_communication'
+NODE = '/' + NAME
 ENDING = 2.0             # s that the node may take to end
 RETURN = 5.0             # s from SIGKILL to data
 _FLUSH = 0.7             # s until a journal holds what happened
-_SPEED_0 = (4, b'\0\0')
+_SPEED_0 = (SPEED, b'\0\0')
 
 
 class HungPort:
@@ -54,9 +56,9 @@ class HungPort:
 class Shutdown:
     """Runs the cases one after the other; `rows` is what came out."""
 
-    def __init__(self, stage: Stage, seed: int, say: Callable[[str], None]) -> None:
+    def __init__(self, stage: CampaignStage, seed: int, progress: Progress) -> None:
         self._stage = stage
-        self._say = say
+        self._progress = progress
         self._results: Dict[str, List[Tuple[str, float, List[str]]]] = {}
         self._ports: Dict[str, str] = {}
         for link, options in (('bus', ('--lift-speed', '20')), ('arduino', ()), ('mcu', ())):
@@ -85,7 +87,7 @@ class Shutdown:
 
     def _case(self, name: str, number: int, waiting: bool = False, hang: Tuple[str, ...] = (),
               held: bool = True) -> None:
-        self._say('shutdown: ' + name)
+        self._progress.say('shutdown: ' + name)
         hung = {link: HungPort(held) for link in hang}
         ports = dict(self._ports, **{link: port.name for link, port in hung.items()})
         bridge = self._stage.bridge(ports, {'bus/motion_timeout': 60.0})
@@ -108,7 +110,7 @@ class Shutdown:
 
     def _under_roslaunch(self) -> float:
         """Returns the seconds from SIGKILL to data."""
-        self._say('shutdown: SIGKILL under roslaunch, then its stop')
+        self._progress.say('shutdown: SIGKILL under roslaunch, then its stop')
         launch = self._stage.child('roslaunch', [
             'roslaunch', '--wait', 'serial_communication', 'bridge.launch'] + [
                 '%s_port:=%s' % port for port in self._ports.items()])
@@ -154,7 +156,7 @@ class Shutdown:
         """Until the car drives by what came after now."""
         began = time.monotonic()
         self._stage.wait(lambda: any(
-            packet.type == 4 and packet.t > began and packet.data != b'\0\0'
+            packet.type == SPEED and packet.t > began and packet.data != b'\0\0'
             for packet in self._packets()), 'the car drives')
 
     def _data_after(self, t: float) -> Optional[float]:

@@ -1,0 +1,207 @@
+"""The motor, as the model car saw it: what came for it was commanded, just now, and it stops.
+
+Pure functions over records (see records.py): one list is prepared, and each row is one function
+over it.
+"""
+from bisect import bisect_left, bisect_right
+from typing import Dict, List, NamedTuple, Optional, Tuple
+
+from .packets import (HEARTBEAT, SPEED, Packet, calibrations, closed_times,
+                      fault_times, late_times, line_times, packets_of)
+from .records import Intervals
+from .table import Row
+
+LATE_ZERO = 0.050        # s that SPEED 0 may come later than speed_timeout
+_LIMIT = 1000            # of SPEED, either way
+_KEPT = 1.0              # s; a command that reaches the board later than this was kept
+_ORDER = 0.1             # s by which a command and a packet may be seen in another order
+_CALIBRATION_CALL = 5.0  # s after a call in which the board's calibration is that call's
+
+
+class Speed(NamedTuple):
+    """A SPEED that reached the board's end of the line."""
+
+    t: float
+    value: int
+    commanded: Optional[float]      # when somebody published it last before; None: nobody did
+    taken: bool                     # the board has read it, at that time
+    until: float                    # when the next one came, or the end
+    next_value: Optional[int]       # of that one; None: there is none
+
+
+class Drive(NamedTuple):
+    """All that the rows are about."""
+
+    speeds: List[Speed]
+    made: List[Packet]              # by damage on the way to the board
+    zeros: List[float]              # when SPEED 0 was published
+    calls: List[float]              # for a calibration
+    unplugged: List[float]          # when the port went
+    deaf: Intervals                 # while the board calibrates for one of these calls
+    bridge_calibrates: Intervals    # while the bridge says that it takes no commands
+    stalled: Intervals              # while the board reads nothing
+    blind: Intervals                # while nobody can tell when a packet came
+    motor: List[Tuple[float, bool]]  # when it went on and off
+    speed_timeout: float
+
+
+def prepare(journal: List[Dict], commands: List[Dict], unplugged: List[float],
+            bridge_calibrates: Intervals, written: List[float], stood_still: Intervals,
+            speed_timeout: float, end: float) -> Drive:
+    """From the records.
+
+    Args:
+        written: when the bridge had handed heartbeats to its port.
+        stood_still: when the whole machine did, or the campaign had stopped the bridge.
+    """
+    came, made = packets_of(journal)
+    calls = [entry['t0'] for entry in commands if entry['topic'] == 'calibrate'
+             and not entry['error']]
+    stalled = fault_times(journal, ('stall', 'reset'), 0.2)
+    beats = sorted({packet.t for packet in came if packet.type == HEARTBEAT})
+    return Drive(
+        _speeds(came, commands, end), made,
+        [entry['t'] for entry in commands if entry['topic'] == 'speed' and not entry['value']],
+        calls, unplugged,
+        Intervals([pair for pair in calibrations(journal, end)
+                   if any(pair[0] - _CALIBRATION_CALL <= call <= pair[0] for call in calls)]),
+        bridge_calibrates, stalled,
+        closed_times(journal, end) + stalled + stood_still + Intervals(calibrations(journal, end))
+        + late_times(journal) + line_times(beats, written),
+        [(event['t'], event['on']) for event in journal if event['ev'] == 'motor'], speed_timeout)
+
+
+def _speeds(came: List[Packet], commands: List[Dict], end: float) -> List[Speed]:
+    published: Dict[int, List[float]] = {}
+    for entry in commands:
+        if entry['topic'] == 'speed':
+            value = min(max(entry['value'], -_LIMIT), _LIMIT)
+            published.setdefault(value, []).append(entry['t'])
+    packets = sorted((packet for packet in came if packet.type == SPEED and packet.t <= end),
+                     key=lambda packet: packet.t)
+    values = [int.from_bytes(packet.data, 'little', signed=True) for packet in packets]
+    found = []
+    for index, (packet, value) in enumerate(zip(packets, values)):
+        times = published.get(value, [])
+        at = bisect_right(times, packet.t) - 1
+        last = index + 1 == len(packets)
+        found.append(Speed(packet.t, value, times[at] if at >= 0 else None, packet.taken,
+                           end if last else packets[index + 1].t,
+                           None if last else values[index + 1]))
+    return found
+
+
+def check_motor(drive: Drive) -> List[Row]:
+    """All rows."""
+    return [_nothing_old(drive), _nothing_while_calibrating(drive), _zero_in_time(drive),
+            _all_commanded(drive), _ran_on(drive), _made(drive)]
+
+
+def _nothing_old(drive: Drive) -> Row:
+    violations, oldest, tries = [], 0.0, 0
+    for speed in drive.speeds:
+        if not speed.value or speed.commanded is None:
+            continue
+        tries += 1
+        age = speed.t - speed.commanded
+        if not drive.stalled.holds(speed.t):
+            oldest = max(oldest, age)
+            if age > _KEPT:
+                violations.append((speed.t, f'SPEED {speed.value}, commanded {age:.2f} s before'))
+        cut = bisect_left(drive.unplugged, speed.commanded)
+        if cut < len(drive.unplugged) and drive.unplugged[cut] < speed.t:
+            violations.append((speed.t, f'SPEED {speed.value}, commanded at {speed.commanded:.3f}'
+                                        f'; the port went at {drive.unplugged[cut]:.3f}'))
+    return Row('arduino', 'nothing for the motor that was commanded before a reconnect', tries,
+               violations, f'oldest command {oldest * 1e3:.0f} ms')
+
+
+def _nothing_while_calibrating(drive: Drive) -> Row:
+    began = {start for start, _end in drive.deaf.pairs}
+    violations = []
+    for speed in drive.speeds:
+        if not speed.value or speed.commanded is None:
+            continue
+        # What the board took in the same read as the call came before it.
+        if drive.deaf.holds(speed.t) and not (speed.taken and speed.t in began):
+            violations.append((speed.t, f'SPEED {speed.value} reached the board while it '
+                                        'calibrated'))
+        elif drive.bridge_calibrates.holds(speed.commanded):
+            violations.append((speed.t, f'SPEED {speed.value}, commanded at '
+                                        f'{speed.commanded:.3f}, during a calibration'))
+    return Row('arduino', 'nothing for the motor that was commanded during a calibration',
+               len(drive.deaf.pairs), violations, f'{drive.deaf.seconds():.1f} s of calibration')
+
+
+def _judged(drive: Drive) -> List[Speed]:
+    """Those of which it is known when the next one came."""
+    patience = drive.speed_timeout + LATE_ZERO
+    return [speed for speed in drive.speeds if speed.value and speed.commanded is not None
+            and not drive.blind.touches(speed.t, min(speed.until, speed.t + patience))]
+
+
+def _commanded_zero(drive: Drive, speed: Speed) -> bool:
+    """Whether the SPEED 0 that follows was commanded."""
+    at = bisect_right(drive.zeros, speed.until) - 1
+    return at >= 0 and drive.zeros[at] >= speed.t - _ORDER
+
+
+def _zero_in_time(drive: Drive) -> Row:
+    violations, worst = [], 0.0
+    judged = _judged(drive)
+    for speed in judged:
+        gap = speed.until - speed.t
+        if gap > drive.speed_timeout + LATE_ZERO:
+            violations.append((speed.t, f'SPEED {speed.value}, then nothing for '
+                                        f'{gap * 1e3:.0f} ms'))
+        if speed.next_value == 0 and not _commanded_zero(drive, speed):
+            worst = max(worst, gap)
+    return Row('arduino', 'SPEED 0 within speed_timeout + 50 ms of the last command', len(judged),
+               violations, f'{worst * 1e3:.0f} ms')
+
+
+def _all_commanded(drive: Drive) -> Row:
+    violations: List[Tuple[float, str]] = []
+    used = set()
+    for speed in drive.speeds:
+        if not speed.value:
+            continue
+        if speed.commanded is None:
+            violations.append((speed.t, f'SPEED {speed.value}, which nobody commanded'))
+        elif abs(speed.value) < _LIMIT:     # what was saturated occurs twice
+            if (speed.value, speed.commanded) in used:
+                violations.append((speed.t, f'SPEED {speed.value} twice, commanded once'))
+            used.add((speed.value, speed.commanded))
+    for speed in _judged(drive):
+        gap = speed.until - speed.t
+        called = bisect_right(drive.calls, speed.until) > bisect_right(drive.calls,
+                                                                       speed.t - _ORDER)
+        if speed.next_value == 0 and gap < drive.speed_timeout - LATE_ZERO and not called \
+                and not _commanded_zero(drive, speed):
+            violations.append((speed.until, f'SPEED 0 after {gap * 1e3:.0f} ms, which nobody '
+                                            'commanded'))
+    return Row('arduino', 'no speed that was not commanded, none twice', len(drive.speeds),
+               sorted(violations))
+
+
+def _ran_on(drive: Drive) -> Row:
+    """How long the motor ran on after each SPEED 0 that reached the port and not the board."""
+    times = [t for t, _on in drive.motor]
+    excused = drive.deaf + drive.stalled
+    found = []
+    for speed in drive.speeds:
+        at = bisect_right(times, speed.t + 0.05) - 1
+        if not speed.value and at >= 0 and drive.motor[at][1] and times[at] < speed.t \
+                and not excused.holds(speed.t):
+            found.append((times[at + 1] if at + 1 < len(times) else speed.t) - speed.t)
+    return Row('arduino', 'SPEED 0 that damage on the way took: the motor ran on', len(found), [],
+               f'for {max(found):.1f} s' if found else '', False,
+               'the bridge sent it in time, the line lost it; the heartbeat keeps the motor '
+               'running until something else stops it' if found else '')
+
+
+def _made(drive: Drive) -> Row:
+    return Row('arduino', 'packets that damage on the way to the board made', len(drive.made), [],
+               '', False,
+               'the link has no checksum: the board takes damaged bytes for a command if they '
+               'decode' if drive.made else '')

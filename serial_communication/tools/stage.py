@@ -1,0 +1,282 @@
+"""What soak and bench stand on: a roscore of their own, the node, and other child processes.
+
+Everything ends with the `with` block, or with the process that has it, whatever happened.
+"""
+import ctypes
+import os
+import shlex
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from typing import Any, Callable, Dict, List, Optional, Sequence
+
+import rosgraph
+
+LINKS = ('bus', 'arduino', 'mcu')
+NODE = 'serial_communication'
+_PR_SET_PDEATHSIG = 1
+_START = 30.0            # s that anything may take to start
+_GRACE = 6.0             # s that a child has to end in
+
+
+class StageError(RuntimeError):
+    """The campaign or the bench itself did not work; the text is for a person."""
+
+
+class Child:
+    """One process.
+
+    Args:
+        folder: where it runs, and where its log is.
+        priority: real-time, if asked for and allowed; 0: none.
+        orders: whether it reads its stdin.
+        stdout: a descriptor or subprocess.PIPE; None: its log, where stderr always goes.
+        fds: descriptors that it shares.
+    """
+
+    def __init__(self, name: str, command: Sequence[str], folder: str, env: Dict[str, str],
+                 priority: int = 0, orders: bool = False, stdout: Optional[int] = None,
+                 fds: Sequence[int] = ()) -> None:
+        self.name = name
+        self.log = os.path.join(folder, name.replace('/', '_').replace(' ', '_') + '.out')
+        with open(self.log, 'ab') as log:
+            self.process = subprocess.Popen(
+                command, stdin=subprocess.PIPE if orders else subprocess.DEVNULL,
+                stdout=log if stdout is None else stdout, stderr=log, pass_fds=fds, env=env,
+                cwd=folder, start_new_session=True, preexec_fn=lambda: _before_exec(priority))
+
+    @property
+    def pid(self) -> int:
+        return self.process.pid
+
+    @property
+    def alive(self) -> bool:
+        return self.process.poll() is None
+
+    def order(self, text: str) -> None:
+        """A line for its stdin; StageError where it has ended."""
+        try:
+            self.process.stdin.write(text.encode() + b'\n')
+            self.process.stdin.flush()
+        except OSError:
+            raise self.fault() from None
+
+    def fault(self) -> StageError:
+        """What to raise where it does not do as it should."""
+        return StageError(f"{self.name} {'hangs' if self.alive else 'has ended'}: "
+                          f"{self.tail() or 'without a word'}")
+
+    def send(self, number: int) -> None:
+        """A signal, if it still lives."""
+        if self.alive:
+            self.process.send_signal(number)
+
+    def ask_to_end(self, number: int = signal.SIGTERM) -> None:
+        """Begin to end it, also where it is stopped."""
+        self.send(signal.SIGCONT)
+        self.send(number)
+
+    def end(self, number: int = signal.SIGTERM, grace: float = _GRACE) -> float:
+        """Signal it, wait, force it in the end; the seconds that it took."""
+        began = time.monotonic()
+        self.ask_to_end(number)
+        self.join(grace)
+        return time.monotonic() - began
+
+    def join(self, grace: float) -> None:
+        """Wait for its end; force it after `grace` seconds."""
+        try:
+            self.process.wait(max(0.0, grace))
+        except subprocess.TimeoutExpired:
+            try:
+                os.killpg(self.process.pid, signal.SIGKILL)
+            except OSError:
+                pass
+            self.process.wait()
+        for stream in (self.process.stdin, self.process.stdout):
+            try:
+                if stream:
+                    stream.close()
+            except OSError:
+                pass        # it ended without having read all
+
+    def tail(self) -> str:
+        """What it said last."""
+        with open(self.log, errors='replace') as log:
+            return log.read()[-1500:].strip()
+
+    def cpu_seconds(self) -> float:
+        """User and system time of all its threads so far; StageError if it has ended."""
+        if not self.alive:
+            raise self.fault()
+        # The process's CPU clock: the sum in /proc/PID/stat, in ns instead of ticks of 10 ms.
+        return time.clock_gettime((~self.pid << 3) | 2)
+
+
+class Stage:
+    """A folder, a roscore, and children.
+
+    Args:
+        prefix: of the folder's name; `folder`: an own one, which is kept.
+        bridge: the command that is run in place of the node.
+    """
+
+    def __init__(self, prefix: str, folder: str = '', bridge: str = '') -> None:
+        self.folder = os.path.abspath(folder) if folder else tempfile.mkdtemp(prefix=prefix)
+        os.makedirs(self.folder, exist_ok=True)
+        self.kept = bool(folder)
+        self.children: List[Child] = []
+        self._bridge = shlex.split(bridge) or [
+            sys.executable, '-c', 'from serial_communication.ros.node import main; main()']
+        self._core: Optional[Child] = None
+        self._port = _free_port()
+        self.env = {key: value for key, value in os.environ.items()
+                    if key not in ('ROS_IP', 'ROS_NAMESPACE')}
+        self.env.update(ROS_MASTER_URI=f'http://127.0.0.1:{self._port}',
+                        ROS_HOSTNAME='127.0.0.1', ROS_LOG_DIR=self.path('log'),
+                        ROS_HOME=self.folder, PYTHONUNBUFFERED='1')
+        os.environ.update(self.env)      # for the master's and the nodes' APIs in this process
+
+    def __enter__(self) -> 'Stage':
+        try:
+            self.start_master()
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self.clear()
+        self.end_master()
+
+    def start_master(self) -> None:
+        """A roscore, at the same address each time."""
+        self._core = core = Child('roscore', ['roscore', '-p', str(self._port)], self.folder,
+                                  self.env)
+        master = rosgraph.Master('/stage')
+        self.wait(lambda: _answers(master) or not core.alive, 'roscore')
+        if not core.alive:
+            raise StageError(f'roscore does not start: {core.tail()}')
+
+    def end_master(self) -> None:
+        """Nobody answers at its address any more."""
+        if self._core:
+            self._core.end()
+            self._core = None
+
+    def discard(self) -> None:
+        """Delete the folder, unless it is to be kept."""
+        if not self.kept:
+            shutil.rmtree(self.folder, ignore_errors=True)
+
+    def path(self, name: str) -> str:
+        return os.path.join(self.folder, name)
+
+    # -- children -------------------------------------------------------------------------
+
+    def child(self, name: str, command: Sequence[str], **options: Any) -> Child:
+        """Start one; `options` as Child has them, `namespace` for a node."""
+        return self.add(Child(name, command, self.folder, self._env(options), **options))
+
+    def _env(self, options: Dict[str, Any]) -> Dict[str, str]:
+        namespace = options.pop('namespace', '')
+        return dict(self.env, ROS_NAMESPACE=namespace) if namespace else self.env
+
+    def add(self, child: Child) -> Any:
+        """One that ends with the stage; returns it."""
+        self.children.append(child)
+        return child
+
+    def end(self, child: Child, number: int = signal.SIGTERM, grace: float = _GRACE) -> float:
+        """End one; the seconds that it took."""
+        took = child.end(number, grace)
+        if child in self.children:
+            self.children.remove(child)
+        return took
+
+    def clear(self) -> None:
+        """End every child."""
+        # Users of a node first: one that goes before them makes them complain.
+        for child in reversed(self.children):
+            child.ask_to_end()
+        deadline = time.monotonic() + _GRACE
+        for child in reversed(self.children):
+            child.join(max(0.5, deadline - time.monotonic()))
+        self.children.clear()
+
+    def check(self, *children: Child) -> None:
+        """StageError if one of them has ended."""
+        for child in children:
+            if not child.alive:
+                raise child.fault()
+
+    def bridge(self, ports: Dict[str, str], parameters: Dict[str, Any], name: str = 'bridge',
+               **options: Any) -> Child:
+        """The node; `parameters` by their names, with the slash. Those of one before it go.
+
+        In a namespace its /diagnostics stand there too, so that they have readers of their own.
+        """
+        namespace = options.get('namespace', '')
+        _forget_parameters(f'{namespace}/{NODE}')
+        given = dict({f'{link}/port': port for link, port in ports.items()}, **parameters)
+        arguments = [f'_{key}:={str(value).lower() if isinstance(value, bool) else value}'
+                     for key, value in given.items()]
+        if namespace:
+            arguments.append(f'/diagnostics:={namespace}/diagnostics')
+        return self.child(name, self._bridge + [f'__name:={NODE}'] + arguments, **options)
+
+    def busy(self, number: int) -> List[Child]:
+        """Processes that take all the CPU they get."""
+        return [self.child(f'busy{index}', [sys.executable, '-c', 'while True: pass'])
+                for index in range(number)]
+
+    # -- waiting --------------------------------------------------------------------------
+
+    @staticmethod
+    def wait(condition: Callable[[], Any], what: str, seconds: float = _START) -> Any:
+        """Until `condition()`, which is returned; StageError after `seconds`."""
+        deadline = time.monotonic() + seconds
+        while True:
+            value = condition()
+            if value:
+                return value
+            if time.monotonic() > deadline:
+                raise StageError(f'not within {seconds:g} s: {what}')
+            time.sleep(0.02)
+
+
+def _answers(master: rosgraph.Master) -> bool:
+    try:
+        return bool(master.getPid())
+    except (OSError, rosgraph.MasterException):
+        return False
+
+
+def _forget_parameters(name: str) -> None:
+    try:
+        rosgraph.Master('/stage').deleteParam(name)
+    except rosgraph.MasterException:
+        pass        # there are none
+
+
+def _free_port() -> int:
+    with socket.socket() as free:
+        free.bind(('127.0.0.1', 0))
+        return free.getsockname()[1]
+
+
+def _before_exec(priority: int) -> None:
+    """In the child: end with the parent; real-time priority if asked for and allowed."""
+    try:
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+    except (OSError, AttributeError):
+        pass
+    if priority:
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        except OSError:
+            pass
