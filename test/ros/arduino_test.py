@@ -13,7 +13,7 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import Empty
 
 from boards import (CALIBRATION_PACKET, PACKAGE, SPEED_0_PACKET, CarBoard, Rosout, Topic,
-                    command_topic, level_imu, service, until, values_of)
+                    command_topic, level_imu, service, stamped, until, values_of)
 from serial_communication.msg import (SpeedPWMCommand, SteeringFeedback, SteeringPWMCommand,
                                       Ticks, Voltage)
 from serial_communication.protocols import arduino
@@ -66,22 +66,24 @@ class Measurements(ArduinoTest):
                 ('voltage', Voltage, '060acdcc6c4100', 14.8),
                 ('ticks', Ticks, '03080700', 7),
                 ('steering_angle', SteeringFeedback, '0207020200', 512)):
+            since = rospy.Time.now()
             message = self.topic(name, message_class).first(
                 doing=lambda p=packet: self.board.write(bytes.fromhex(p)))
             self.assertAlmostEqual(message.value, value, 5, name)
-            self.assertLess(abs((rospy.Time.now() - message.header.stamp).to_sec()), 5.0, name)
+            self.assertTrue(stamped(message.header.stamp, since), name)
 
     def test_an_imu_packet_arrives_in_the_axes_and_units_of_ros(self):
         topic, temperature = self.topic('imu', Imu), self.topic('imu/temperature', Temperature)
         # Quaternion w x y z = 1/2 each but for signs; rates 100 200 300; 1 g along board x.
         packet = arduino.Imu(8192, 8192, -8192, 8192, 100, 200, 300, 8192, 4096, -8192, 3400)
+        since = rospy.Time.now()
         message = topic.first(doing=lambda: self.board.say(packet))
         self.assertEqual(values_of(message.orientation, 'x', 'y', 'z', 'w'),
                          (-0.5, -0.5, 0.5, 0.5))
         self.assert_vector(message.angular_velocity, (5.326322, -2.663161, 7.989483))
         self.assert_vector(message.linear_acceleration, (4.905, -9.81, -9.81))
         self.assertEqual(message.header.frame_id, 'imu')
-        self.assertLess(abs((rospy.Time.now() - message.header.stamp).to_sec()), 5.0)
+        self.assertTrue(stamped(message.header.stamp, since))
         warm = temperature.first(doing=lambda: self.board.say(packet))
         self.assertAlmostEqual(warm.temperature, 46.53)
         self.assertEqual(warm.header.frame_id, 'imu')
@@ -155,8 +157,7 @@ class Commands(ArduinoTest):
         self.assertEqual(len(ROSOUT.lines(self.node, 'is beyond')), 1)
 
     def test_heartbeats_come_a_hundred_a_second(self):
-        rate = self.board.heartbeat_rate(200)
-        self.assertTrue(40 < rate < 130, rate)
+        self.board.wait_for_heartbeat_rate(40, 130)
 
     def test_a_speed_that_is_not_renewed_ends_in_one_speed_0(self):
         self.speed.publish(value=300)
@@ -296,8 +297,7 @@ class Tuned(ArduinoTest):
             doing=lambda: self.board.say(arduino.Voltage(250.0))).value, 250.0)
 
     def test_the_heartbeat_has_the_rate_given(self):
-        rate = self.board.heartbeat_rate(40)
-        self.assertTrue(10 < rate < 35, rate)
+        self.board.wait_for_heartbeat_rate(10, 35, number=40)
 
     def test_a_speed_timeout_of_0_never_stops_the_motor(self):
         self.speed.publish(value=300)

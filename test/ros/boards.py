@@ -286,12 +286,17 @@ class CarBoard(Board):
         return max(stamp - before - (number - 1) / rate
                    for (before, _), (stamp, number) in zip(reads, reads[1:]))
 
-    def heartbeat_rate(self, number):
-        """In Hz, over `number` heartbeats from now."""
-        self.forget()
-        self.wait_for_heartbeats(number)
-        stamps = self.heartbeats
-        return (len(stamps) - 1) / (stamps[-1] - stamps[0])
+    def wait_for_heartbeat_rate(self, least, most, number=100):
+        """Until it is within that, in Hz, over `number` heartbeats.
+
+        A machine that stands still makes one such stretch look slower, and no other one.
+        """
+        def measured():
+            self.forget()
+            self.wait_for_heartbeats(number)
+            stamps = self.heartbeats
+            return least < (len(stamps) - 1) / (stamps[-1] - stamps[0]) < most
+        until(measured, 'heartbeats at %g to %g Hz' % (least, most))
 
 
 class SensorBoard(Board):
@@ -473,6 +478,11 @@ class Rosout(Topic):
                      doing=doing, every=0.05)[0]
 
 
+def stamped(stamp, since):
+    """Whether that time lies between `since` and now, in rospy's time."""
+    return since <= stamp <= rospy.Time.now()
+
+
 class Status(NamedTuple):
     """A status of one link, as it came on /diagnostics."""
 
@@ -480,7 +490,7 @@ class Status(NamedTuple):
     message: str
     hardware_id: str
     keys: Dict[str, str]
-    arrived: float
+    stamp: float     # seconds, by the bridge
 
 
 class Diagnostics(Topic):
@@ -493,9 +503,9 @@ class Diagnostics(Topic):
     def statuses(self, link):
         """Those of one link that came so far; the word that the node starts is left out."""
         return [Status(ord(s.level) if isinstance(s.level, bytes) else s.level, s.message,
-                       s.hardware_id, {value.key: value.value for value in s.values}, arrived)
-                for message, arrived in zip(list(self.messages), list(self.arrivals))
-                for s in message.status
+                       s.hardware_id, {value.key: value.value for value in s.values},
+                       message.header.stamp.to_sec())
+                for message in list(self.messages) for s in message.status
                 if s.name == '%s: %s link' % (self._node, link) and s.values]
 
     def wait_for(self, link, condition, what, doing=None):

@@ -6,7 +6,8 @@ import rospy
 import rostest
 
 from boards import (HEARTBEAT_PACKET, PACKAGE, RX, TX, BusBoard, CarBoard, SensorBoard, Topic,
-                    command_topic, ranges, service, settle, until, values_of)
+                    command_topic, ranges, service, settle, stamped, until,
+                    values_of)
 from serial_communication.msg import SerialMsg, SpeedPWMCommand
 from serial_communication.protocols import mcu
 from serial_communication.srv import BusRequest, Lift
@@ -20,6 +21,7 @@ class SerialMsgTest(unittest.TestCase):
     def setUp(self):
         settle(PACKAGE, BUS)
         until(lambda: CAR.heartbeats and SENSORS.connected, 'the other boards are there')
+        self.since = rospy.Time.now()
         self.topic = Topic('/serial_msg', SerialMsg)
         self.topic.first(lambda m: m.link == 'arduino')    # the tap is open
 
@@ -45,7 +47,7 @@ class SerialMsgTest(unittest.TestCase):
         self.assertIn(words, message.text)
         self.assertTrue(message.text.strip())
         self.assertNotIn('\n', message.text + message.error)
-        self.assertLess(abs((rospy.Time.now() - message.header.stamp).to_sec()), 5.0)
+        self.assertTrue(stamped(message.header.stamp, self.since))
 
     def test_the_frames_of_the_bus(self):
         """An ECHO may go and come before them."""

@@ -25,8 +25,7 @@ class SimulatedTime(unittest.TestCase):
         until(lambda: CAR.heartbeats and SENSORS.connected, 'the other boards are there')
 
     def test_heartbeats_are_sent(self):
-        rate = CAR.heartbeat_rate(200)
-        self.assertTrue(40 < rate < 130, rate)
+        CAR.wait_for_heartbeat_rate(40, 130)
 
     def test_a_speed_that_is_not_renewed_ends(self):
         CAR.forget()
@@ -59,9 +58,10 @@ class SimulatedTime(unittest.TestCase):
 
     def test_diagnostics_come_once_a_second(self):
         topic = Topic('/diagnostics', DiagnosticArray)
-        until(lambda: len(topic.messages) >= 3 * 3, 'three rounds of three links')
-        spent = topic.arrivals[-1] - topic.arrivals[0]
-        self.assertTrue(1.5 < spent < 6.0, spent)
+        # Not less often than every two seconds, and not more often than every second, but that
+        # the first ones may have come late.
+        until(lambda: len(topic.messages) >= 8 * 3, 'eight rounds of three links')
+        self.assertGreater(topic.arrivals[23] - topic.arrivals[0], 3.5)
 
 
 if __name__ == '__main__':
