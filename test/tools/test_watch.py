@@ -1,0 +1,266 @@
+"""What is known of a bridge from outside: its topics, words, links and ages; without ROS."""
+from types import SimpleNamespace as Message
+
+import pytest
+from serial_communication.tools.watch import state as watch
+from serial_communication.tools.watch import topics
+from serial_communication.tools.watch.state import BridgeState, LinkState, TopicState
+from serial_communication.tools.watch.topics import Field, Topic
+
+NODE = '/serial_communication'
+
+
+class Slots:
+    """A message as genpy makes it: its fields are its slots."""
+
+    def __init__(self, **fields):
+        self.__slots__ = list(fields)
+        self.__dict__.update(fields)
+
+
+def words(type_, message):
+    return Topic('any', type_).words(message)
+
+
+# -- names and what a bridge publishes ---------------------------------------------------------
+
+
+@pytest.mark.parametrize('name, node, full', [
+    ('~imu', NODE, '/serial_communication/imu'), ('mcu/status', NODE, '/mcu/status'),
+    ('/tf', NODE, '/tf'), ('~imu', '/car/bridge', '/car/bridge/imu'),
+    ('mcu/status', '/car/bridge', '/car/mcu/status'), ('/tf', '/car/bridge', '/tf'),
+    ('/mcu/status', '/car/bridge', '/mcu/status'), ('serial_msg', '/a/b/c', '/a/b/serial_msg')])
+def test_names(name, node, full):
+    assert topics.resolve(name, node) == full
+    assert topics.relative(full, node) == name
+
+
+def test_known_topics_come_in_the_tables_order_and_others_behind_them():
+    found = topics.known('/car/bridge', {
+        '/car/zebra': 'nmea_msgs/Gpgga', '/tf': 'tf2_msgs/TFMessage',
+        '/car/bridge/voltage': 'serial_communication/Voltage', '/rosout': 'rosgraph_msgs/Log',
+        '/car/bridge/imu': 'sensor_msgs/Imu', '/car/air': 'sensor_msgs/Temperature'}, {})
+    assert [each.name for each in found] == ['~imu', '~voltage', '/tf', 'air', 'zebra']
+    assert found[0].links == ('arduino',) and found[3].links == ()
+
+
+def test_own_messages_by_the_bridges_parameters():
+    parameters = {
+        'arduino': {'port': '/dev/a', 'messages': {
+            'force': {'type': 20, 'ros_type': 'std_msgs/Float32', 'layout': '<h',
+                      'fields': 'data', 'minimum': -5, 'maximum': 5.5},
+            'pump': {'type': 21, 'ros_type': 'std_msgs/Float32', 'direction': 'to_board'}}},
+        'mcu': {'port': '', 'messages': {'wind': {
+            'type': 3, 'ros_type': 'geometry_msgs/Vector3Stamped', 'layout': '<hhh',
+            'fields': ['vector.x', '', 'vector.y'], 'maximum': [1, 2, 3]}}},
+        'bus': {'port': '/dev/b', 'environment_period': 60.0, 'functions': {
+            'grip': {'cmd2': 7, 'srv_type': 'std_srvs/Trigger'},
+            'level': {'cmd2': 8, 'ros_type': 'std_msgs/UInt8', 'period': 5,
+                      'reply': {'layout': '<B', 'fields': ['data']}}}}}
+    own = {each.name: each for each in topics.own_topics(parameters)}
+    assert set(own) == {'~force', 'mcu/wind', '~level'}
+    assert own['~force'].fields == (Field('data', -5.0, 5.5),)
+    assert own['mcu/wind'].fields == (Field('vector.x', None, 1.0), Field('vector.y', None, 3.0))
+    assert own['~level'].period == 5.0 and own['~level'].links == ('bus',)
+    assert topics.expected_links(parameters) == ['bus', 'arduino']
+
+    found = topics.known(NODE, {NODE + '/force': 'std_msgs/Float32',
+                                NODE + '/environment': 'serial_communication/Environment'},
+                         parameters)
+    assert found[0].period == 60.0
+    value, = found[1].values(Message(data=1.5))
+    assert (value.value, value.low, value.high) == (1.5, -5.0, 5.5)
+    wind = own['mcu/wind']
+    assert wind.words(Message(vector=Message(x=0.5, y=-1.25))) == 'vector.x 0.5, vector.y -1.25'
+
+
+@pytest.mark.parametrize('parameters', [
+    {}, {'arduino': 3}, {'arduino': {'messages': 'x'}}, {'arduino': {'messages': {'x': 1}}},
+    {'mcu': {'messages': {'x': {'ros_type': 'std_msgs/Bool', 'fields': [], 'minimum': [1]}}}},
+    {'bus': {'functions': {'x': {'ros_type': 'std_msgs/Bool', 'reply': 3, 'period': 'y'}}}}])
+def test_parameters_of_any_shape_do_no_harm(parameters):
+    topics.own_topics(parameters)
+    assert topics.known(NODE, {NODE + '/imu': 'sensor_msgs/Imu'}, parameters)[0].name == '~imu'
+    assert topics.expected_links(parameters) == []
+
+
+def test_links_of_other_packages_come_behind_ours():
+    assert topics.in_order(['gps', 'mcu', 'bus', 'air']) == ['bus', 'mcu', 'air', 'gps']
+
+
+# -- words ---------------------------------------------------------------------------------------
+
+
+def imu(covariance):
+    zero = Message(x=0.0, y=0.0, z=0.0)
+    return Message(orientation=Message(x=0.0, y=0.0, z=0.7071068, w=0.7071068),
+                   angular_velocity=zero, angular_velocity_covariance=[covariance],
+                   linear_acceleration=Message(x=0.1, y=0.0, z=9.81),
+                   linear_acceleration_covariance=[covariance])
+
+
+def test_words_of_the_bridges_own_types():
+    assert words('sensor_msgs/Imu', imu(-1)) == 'rpy 0.0 0.0 90.0 deg'
+    assert words('sensor_msgs/Imu', imu(0)) == 'rpy 0.0 0.0 90.0 deg, 0.10 0.00 9.81 m/s^2'
+    for metres, said in ((float('nan'), 'no reading'), (float('inf'), 'farther than 2.00 m'),
+                         (float('-inf'), 'nearer than 0.03 m'), (1.2345, '1.234 m')):
+        assert words('sensor_msgs/Range',
+                     Message(range=metres, min_range=0.03, max_range=2.0)) == said
+    assert words('serial_communication/SerialMsg', Message(
+        link='bus', direction=1, text='lift up 20 mm', error='')) == 'bus sent lift up 20 mm'
+    assert words('serial_communication/McuStatus2',
+                 Message(connected=False, last_frame_age_sec=3.0)) == 'silent for 3.0 s'
+    assert words('serial_communication/Voltage', Message(value=8.071)) == '8.07 V'
+    assert words('serial_communication/Ticks', Message(value=2)) == '2 in 10 ms'
+    assert words('serial_communication/Environment', Message(
+        smoke=124, temperature=23.144, humidity=43.4)) \
+        == 'smoke 124, temperature 23.14 degrees C, humidity 43.40 %'
+    assert words('sensor_msgs/RelativeHumidity', Message(relative_humidity=0.434)) == '43.40 %'
+    assert words('std_msgs/Bool', Slots(data=True)) == 'yes'
+
+
+def test_words_of_any_type():
+    message = Slots(header=Slots(seq=1), name='left\nwheel', speed=Slots(x=1.0, y=2.0),
+                    raw=b'\1\2', count=12345678, since=Message(to_sec=lambda: 1.5))
+    assert words('some_msgs/Wheel', message) == (
+        'name left wheel, speed.x 1, speed.y 2, raw[0] 1, raw[1] 2, count 12345678, '
+        'since 1.500 s')
+    assert len(Topic('any', 'x/Y').values(Slots(ranges=[1.0] * 1000))) == 16
+
+
+def test_paths_that_lead_nowhere_are_left_out():
+    topic = Topic('any', 'x/Y', fields=(Field('position[2]'), Field('speed.z'), Field('name')))
+    assert [value.text() for value in topic.values(Slots(position=[1, 2], name='n'))] == ['n']
+
+
+# -- ages ----------------------------------------------------------------------------------------
+
+
+def fed(topic, times):
+    each = TopicState(topic)
+    for time in times:
+        each.take(time)
+    return each
+
+
+def test_three_periods_without_a_new_value_are_too_long():
+    voltage = fed(Topic('~voltage', 'x/Y', period=1.0), [10.0])
+    assert voltage.age(10.5) == 0.5 and not voltage.stale(12.9) and voltage.stale(13.1)
+    assert TopicState(voltage.topic).age(10.0) is None
+    assert not TopicState(voltage.topic).stale(10.0)
+
+
+def test_a_period_that_nobody_has_said_is_found_by_looking():
+    slow = fed(Topic('any', 'x/Y'), range(0, 100, 10))
+    assert slow.period() == pytest.approx(10.0)
+    assert not slow.stale(119.0) and slow.stale(121.0)
+    assert not fed(Topic('any', 'x/Y'), [0.0]).stale(1000.0)      # only one: nobody knows
+
+
+def test_a_board_that_has_become_slower_is_learned_and_an_outage_is_not():
+    each = fed(Topic('any', 'x/Y'), [tick / 10 for tick in range(100)])
+    each.take(110.0)
+    assert each.stale(110.5)
+    now = 110.0
+    for _ in range(40):
+        now += 1.0
+        each.take(now)
+    assert not each.stale(now + 2.0)
+
+
+def test_what_nobody_could_see_is_not_called_stale():
+    fast = fed(Topic('~imu', 'x/Y', period=0.01), [tick / 100 for tick in range(100)])
+    assert not fast.stale(1.2) and fast.stale(1.4)
+
+
+def test_what_comes_on_change_alone_never_ages():
+    assert not fed(Topic('any', 'x/Y', period=1.0, ages=False), [0.0]).stale(1000.0)
+
+
+def test_rates():
+    each = TopicState(Topic('any', 'x/Y'))
+    for second in range(10):
+        each.measure(float(second))
+        each.count += 100
+    assert each.rate == pytest.approx(100.0)
+    for second in range(10, 20):
+        each.measure(float(second))
+    assert each.rate == 0.0
+
+
+@pytest.mark.parametrize('seconds, text', [(0.34, '0.3 s'), (12.0, '12 s'), (119, '119 s'),
+                                           (300, '5 min'), (10800, '3 h')])
+def test_ages_in_words(seconds, text):
+    assert watch.ago(seconds) == text
+
+
+# -- the bridge ----------------------------------------------------------------------------------
+
+
+def said(level, at, **values):
+    return LinkState(level, 'open', values, at)
+
+
+def test_links_are_those_of_diagnostics_and_those_expected():
+    bridge = BridgeState(links=['mcu'])
+    bridge.take_link('gps', said(0, 1.0))
+    bridge.expect_links(['bus', 'mcu'])
+    assert list(bridge.links) == ['bus', 'mcu', 'gps'] and bridge.links['bus'] is None
+    assert bridge.links['gps'] is not None
+
+
+def test_errors_by_cause():
+    link = LinkState(0, 'open', {'checksum errors': '3', 'framing errors': '4', 'port': 'x',
+                                 'odd errors': 'many'})
+    assert link.errors == {'checksum': 3, 'framing': 4}
+
+
+def test_what_has_come_stays_with_its_topic():
+    bridge = BridgeState(topics=[Topic('~imu', 'sensor_msgs/Imu'), Topic('~old', 'x/Y')])
+    bridge.topic('~imu').take(1.0)
+    bridge.set_topics([Topic('~new', 'x/Y'), Topic('~imu', 'sensor_msgs/Imu')])
+    assert [each.topic.name for each in bridge.topics] == ['~new', '~imu']
+    assert bridge.topic('~imu').count == 1 and bridge.topic('~old') is None
+    bridge.set_topics([Topic('~imu', 'std_msgs/Bool')])
+    assert bridge.topic('~imu').count == 0
+
+
+def test_trouble_in_words():
+    bridge = BridgeState('/car/bridge', master='http://robot:11311')
+    assert bridge.trouble(5.0) == 'no answer from the ROS master at http://robot:11311'
+    bridge.master_says(False, 5.0)
+    assert bridge.trouble(5.0) == 'no bridge /car/bridge at http://robot:11311'
+    bridge.master_says(True, 5.0)
+    assert bridge.trouble(5.0) == 'the bridge /car/bridge has said nothing yet'
+    bridge.take_link('bus', said(0, 5.0))
+    assert bridge.trouble(5.0) == '' and bridge.all_ok(5.0)
+    bridge.master_says(True, 10.0)
+    assert bridge.trouble(10.0) == 'the bridge /car/bridge has said nothing for 5.0 s'
+    assert bridge.trouble(17.0).endswith('http://robot:11311 for 7.0 s')
+    bridge.master_says(False, 20.0)      # as after a restart of the master
+    bridge.take_link('bus', said(0, 21.0))
+    assert bridge.trouble(21.0) == ''
+    bridge.take_link('bus', said(0, 24.0))
+    bridge.master_says(False, 24.0)
+    assert 'restart the bridge' in bridge.trouble(24.0)
+
+
+def test_ok_means_every_link_and_no_trouble():
+    bridge = BridgeState()
+    bridge.master_says(True, 5.0)
+    assert not bridge.all_ok(5.0)
+    bridge.take_link('bus', said(0, 5.0))
+    assert bridge.all_ok(5.0)
+    bridge.take_link('mcu', said(1, 5.0))
+    assert not bridge.all_ok(5.0)
+    bridge.take_link('mcu', said(0, 5.0))
+    bridge.expect_links(['gps'])
+    assert not bridge.all_ok(5.0)     # nothing has been said of it
+    bridge.take_link('gps', said(0, 1.0))
+    assert not bridge.all_ok(5.0)     # said too long ago
+
+
+@pytest.mark.parametrize('module', [topics, watch], ids=lambda each: each.__name__)
+def test_this_part_knows_no_ros(module):
+    assert not [name for name in vars(module)
+                if name in ('rospy', 'rosgraph', 'roslib', 'genpy', 'time')]
