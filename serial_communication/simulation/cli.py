@@ -145,7 +145,9 @@ def _parse(arguments: List[str]) -> argparse.Namespace:
         _add(boards, name, module.BOARD, module.__doc__)
     options = parser.parse_args(arguments)
     try:
-        options.rates = faults.parse(options.fault, options.board_class)
+        options.rates = faults.parse(
+            faults.for_every_board(options.faults, options.board_class) + options.fault,
+            options.board_class)
     except ValueError as error:
         parser.error(str(error))
     if options.seed is None:
@@ -171,6 +173,9 @@ def _add(boards: Any, name: str, board: Type[Board], page: str) -> None:
                         help='send no faster than that; a pseudo terminal has no speed of its own')
     parser.add_argument('--fault', action='append', default=[], metavar='KIND=RATE[:S]',
                         help='see below; may be given more than once')
+    parser.add_argument('--faults', default='', metavar="'KIND=RATE …'",
+                        help='several at once, of which those that do not fit this board are left '
+                             'out: what a launch file gives to all of them')
     parser.add_argument('--seed', type=int, metavar='N',
                         help='of faults and noise, so that a run can be repeated')
     parser.add_argument('--journal', metavar='FILE',

@@ -85,6 +85,25 @@ def parse(texts: Iterable[str], board: Target) -> Dict[str, Rate]:
     return rates
 
 
+class EveryBoard:
+    """The target of faults that are meant for every board."""
+
+    NAME = 'every'
+    FAULTS = ''
+    READS = True
+
+
+def for_every_board(text: str, board: Target) -> List[str]:
+    """Of faults that are meant for every board, as 'flip=0.02 cut=0.01', those that fit this one.
+
+    Raises:
+        ValueError: as `parse`.
+    """
+    parse(text.split(), EveryBoard)
+    return [part for part in text.split()
+            if part.split('=')[0] not in KINDS or fits(part.split('=')[0], board)]
+
+
 def fits(name: str, board: Target) -> bool:
     """Whether that kind makes sense for this board: one that reads nothing cannot misread."""
     return board.READS or not (KINDS[name].where == RECEIVED or name == 'stall')

@@ -11,7 +11,7 @@ from serial_communication.protocols import robot_ctrl_bus as bus
 from serial_communication.simulation.arduino import ModelCar
 from serial_communication.simulation.board import FRAME_TIMEOUT
 from serial_communication.simulation.bus import ControlBoard
-from serial_communication.simulation.faults import KINDS, Faults, parse
+from serial_communication.simulation.faults import KINDS, EveryBoard, Faults, for_every_board, parse
 from serial_communication.simulation.mcu import SensorBoard
 
 SYNC = bus.encode_request(bus.SYNC_REQUEST)
@@ -382,6 +382,20 @@ def test_bad_texts(text, says):
 def test_a_board_that_reads_nothing_cannot_misread(text):
     with pytest.raises(ValueError):
         parse([text], SensorBoard)
+
+
+def test_of_faults_for_every_board_those_that_do_not_fit_one_are_left_out():
+    text = 'flip=0.02 rx-flip=0.1 stall=1/min all'
+    assert for_every_board(text, ControlBoard) == text.split()
+    assert for_every_board(text, SensorBoard) == ['flip=0.02', 'all']
+    assert for_every_board('', SensorBoard) == []
+
+
+@pytest.mark.parametrize('text', ['flap=1', 'flip=2', 'rx-flip=2', 'silence=1', 'flip 0.1'])
+def test_of_faults_for_every_board_a_wrong_one_is_wrong_on_each(text):
+    for board in (EveryBoard, ControlBoard, SensorBoard):
+        with pytest.raises(ValueError):
+            for_every_board(text, board)
 
 
 def test_journal_fields_are_json():

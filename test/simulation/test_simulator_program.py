@@ -76,6 +76,7 @@ def test_help(arguments, says):
     ([], 'BOARD'), (['toaster'], 'no board toaster'), (['json'], 'has no BOARD'),
     (['bus'], '--port'),
     (['bus', '--port', 'x', '--fault', 'flap=1'], 'flap'),
+    (['mcu', '--port', 'x', '--faults', 'flip=0.1 flap=1'], 'flap'),
     (['bus', '--port', 'x', '--lift-speed', '0'], 'lift-speed'),
     (['mcu', '--port', 'x', '--rate', 'fast'], 'rate'),
     (['mcu', '--port', 'x', '--stall', '1'], 'stall'),
