@@ -1,0 +1,88 @@
+"""socat_pair: two linked ports, and nobody else's are taken away."""
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+SOCAT_PAIR = Path(__file__).resolve().parents[2] / 'scripts' / 'socat_pair'
+PATIENCE = 15.0
+
+
+@pytest.fixture(name='pair')
+def fixture_pair(tmp_path):
+    """Starts a pair of these two names; what it has started is ended."""
+    started = []
+
+    def start(*names):
+        started.append(subprocess.Popen([str(SOCAT_PAIR), *[str(tmp_path / name)
+                                                            for name in names]],
+                                        stderr=subprocess.PIPE, text=True))
+        return started[-1]
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate(timeout=10)
+
+
+def until_linked(folder, *names):
+    deadline = time.monotonic() + PATIENCE
+    while not all((folder / name).exists() for name in names):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    return [os.readlink(str(folder / name)) for name in names]
+
+
+def carries(folder, near, far):
+    """Whether a byte that goes in here comes out there."""
+    ends = [os.open(str(folder / name), os.O_RDWR | os.O_NOCTTY) for name in (near, far)]
+    try:
+        os.write(ends[0], b'x')
+        return os.read(ends[1], 1) == b'x'
+    finally:
+        for end in ends:
+            os.close(end)
+
+
+@pytest.mark.parametrize('second', [('a', 'b'), ('b', 'a'), ('a', 'c'), ('c', 'b')])
+def test_a_second_one_on_the_same_names_is_refused(pair, tmp_path, second):
+    first = pair('a', 'b')
+    linked = until_linked(tmp_path, 'a', 'b')
+    other = pair(*second)
+    _, said = other.communicate(timeout=PATIENCE)
+    assert other.returncode == 1
+    taken = next(name for name in second if name != 'c')
+    assert said == f'socat_pair: {tmp_path / taken} is served already, by process {first.pid}; ' \
+        'end that one, or choose another path\n'
+    assert until_linked(tmp_path, 'a', 'b') == linked and first.poll() is None
+    assert carries(tmp_path, 'a', 'b')
+
+
+@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGKILL])
+def test_the_names_are_free_when_it_has_ended(pair, tmp_path, number):
+    first = pair('a', 'b')
+    until_linked(tmp_path, 'a', 'b')
+    first.send_signal(number)
+    first.wait(PATIENCE)
+    pair('a', 'b')
+    deadline = time.monotonic() + PATIENCE
+    while not carries_if_there(tmp_path):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def carries_if_there(folder):
+    try:
+        return carries(folder, 'a', 'b')
+    except OSError:
+        return False      # not linked yet, or what is left of the first
+
+
+def test_what_is_no_link_is_not_touched(pair, tmp_path):
+    (tmp_path / 'a').write_text('mine')
+    process = pair('a', 'b')
+    _, said = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 1 and 'is not a link' in said
+    assert (tmp_path / 'a').read_text() == 'mine'
