@@ -29,6 +29,11 @@ def run(program, *arguments):
     (['--ports', 'bus=/dev/a', 'bus=/dev/b'], 'the port of bus is given twice'),
     (['--ports', 'bus=/dev/ttyS0', '--avr'], '--avr and --ports exclude each other'),
     (['--move'], '--move goes with --ports'),
+    (['--faults'], '--faults needs what is to go wrong'),
+    (['--faults', 'flap=1'], "there is no fault 'flap'"),
+    (['--faults=flip=0.1 cut=2'], "fault 'cut': a probability is 0 to 1"),
+    (['--faults', 'all', '--avr'], '--faults goes with the simulated boards'),
+    (['--faults', 'all', '--ports', 'bus=/dev/ttyS0'], '--faults goes with the simulated boards'),
 ])
 def test_wrong_arguments_of_demo(arguments, words):
     done = run('demo', *arguments, *([] if words else ['--wrong']))

@@ -1,129 +1,229 @@
-"""What the live table shows of a state, and what it finds missing; without ROS."""
+"""What the table shows of a bridge and of the demo, at every size; without ROS."""
 import io
-from types import SimpleNamespace as Message
+import re
 
 import pytest
-from serial_communication.tools.demo import table, topics
-from serial_communication.tools.demo.table import LinkState, Screen, State
+from serial_communication.tools.demo.state import Commands, State
+from serial_communication.tools.watch import table
+from serial_communication.tools.watch.state import LinkState
+from serial_communication.tools.watch.table import Line, Screen
+from serial_communication.tools.watch.topics import Value
 
+NOW = 4000.0
+SETUP = '. /home/somebody/serial_communication/build/devel/setup.bash'
 COUNTERS = {'port': '/dev/ttyS0', 'state': 'open', 'frames received': '1234567',
             'frames sent': '7654321', 'bytes received': '1', 'bytes sent': '2',
             'checksum errors': '3', 'framing errors': '4', 'reconnects': '5',
             'last frame age [s]': '0.004'}
+SIZES = [(200, 60), (132, 50), (80, 30), (80, 24), (60, 15), (40, 10), (20, 3), (1, 1)]
+
+
+def running(state: State) -> State:
+    """The bridge talks."""
+    state.bridge.master_says(True, NOW)
+    state.elapsed = NOW
+    return state
+
+
+def idle(**options) -> State:
+    return running(State(**options))
 
 
 def busy(**options) -> State:
     """A state in which everything works and all counters are long."""
-    state = State(setup='. /home/somebody/serial_communication/build/devel/setup.bash', **options)
-    state.elapsed = 4000.0
-    for each in state.topics:
+    state = running(State(**{'setup': SETUP, **options}))
+    for each in state.bridge.topics:
         if not each.topic.optional:
-            each.count, each.rate, each.words = 100000, 99.97, 'some value ' * 10
-    state.links = {
-        'bus': LinkState(0, 'ready', dict(COUNTERS, **{
-            'timeouts': '2', 'round trip p50 [ms]': '1.25', 'round trip max [ms]': '9.00'})),
-        'arduino': LinkState(1, 'open, the board is silent', dict(COUNTERS, **{
-            'heartbeats sent': '99999', 'heartbeat max gap [ms]': '10.40'})),
-        'mcu': LinkState(2, 'closed: no such file', dict(COUNTERS, **{'frames lost': '6'}))}
+            each.count, each.rate, each.words, each.last_at = 100000, 99.97, 'value ' * 10, NOW
+    for name, link in {
+            'bus': LinkState(0, 'ready', dict(COUNTERS, **{
+                'timeouts': '2', 'round trip p50 [ms]': '1.25', 'round trip max [ms]': '9.00'})),
+            'arduino': LinkState(1, 'open, the board is silent', dict(COUNTERS, **{
+                'heartbeats sent': '99999', 'heartbeat max gap [ms]': '10.40'})),
+            'mcu': LinkState(2, 'closed: no such file', dict(COUNTERS, **{
+                'frames lost': '6'}))}.items():
+        state.bridge.take_link(name, link._replace(at=NOW))
     for call in state.calls.values():
-        call.words, call.succeeded = 'up 20 mm: done', 1
-    state.commands = '~speed 300, ~steering 1500, ~led left'
+        call.words, call.succeeded = 'up 20 mm: done, after 0.40 s (1 done, 0 not)', 1
+    state.commands = Commands(300, 1500, 'left')
     return state
 
 
-def text(state, *size):
-    return '\n'.join(line.text for line in table.layout(state, *size))
+def lines(state, width=80, height=24, now=NOW):
+    return table.layout(state.bridge, state.frame(), now, width, height)
 
 
-@pytest.mark.parametrize('size', [(80, 24), (80, 30), (132, 50), (40, 10), (20, 3), (1, 1)])
-@pytest.mark.parametrize('state', [State(), busy()], ids=['nothing yet', 'busy'])
+def text(state, *size, **more):
+    return '\n'.join(line.text for line in lines(state, *size, **more))
+
+
+@pytest.mark.parametrize('size', SIZES)
+@pytest.mark.parametrize('state', [idle(), busy(), busy(setup='. ' + 'x' * 250)],
+                         ids=['nothing yet', 'busy', 'long path'])
 def test_it_fits(state, size):
-    lines = table.layout(state, *size)
-    assert len(lines) <= size[1]
-    assert max(len(line.text) for line in lines) <= size[0]
-    assert all('\n' not in line.text for line in lines)
+    width, height = size
+    shown = lines(state, *size)
+    assert sum(line.rows(width) for line in shown) <= height
+    assert max(len(line.text) for line in shown if not line.whole) <= width
+    assert all('\n' not in line.text for line in shown)
 
 
-@pytest.mark.parametrize('state', [State(), busy()], ids=['nothing yet', 'busy'])
+@pytest.mark.parametrize('size', SIZES[:5])
+def test_links_and_calls_come_first_and_never_fall_off(size):
+    shown = text(busy(), *size).splitlines()
+    names = ['bus', 'arduino', 'mcu', 'lift', 'gimbal', 'car']
+    places = [next(at for at, line in enumerate(shown) if line.startswith(name + ' '))
+              for name in names]
+    assert places == sorted(places)
+    assert places[-1] < next(at for at, line in enumerate(shown) if line.startswith('serial_msg'))
+
+
+def test_even_on_three_rows_the_links_are_what_is_left():
+    assert [line.text[:3] for line in lines(busy(), 20, 3)] == ['bus', 'ard', 'mcu']
+
+
+@pytest.mark.parametrize('size', SIZES[:5])
+def test_the_line_for_the_second_terminal_is_never_cut(size):
+    for setup in (SETUP, SETUP + '; export ROS_MASTER_URI=http://a-robot-of-ours.local:11312'):
+        whole, = [line for line in lines(busy(setup=setup), *size) if line.whole]
+        assert whole.text == 'In another terminal:  ' + setup
+
+
+def test_what_falls_off_is_counted():
+    state = busy()
+    shown = text(state, 60, 15).splitlines()
+    # Three pairs of topics share a line each before any is left out.
+    topics = len(state.bridge.topics) - 1 - 3
+    listed = sum(line.startswith(('~', 'serial_msg')) for line in shown)
+    assert shown[-1] == f'… {topics - listed} more lines' and listed > 2
+    assert 'more lines' not in text(state, 80, 24)
+
+
+@pytest.mark.parametrize('state', [idle(), busy()], ids=['nothing yet', 'busy'])
 def test_on_80_by_24_nothing_is_left_out(state):
     shown = text(state, 80, 24)
-    for each in state.topics:
+    for each in state.bridge.topics:
         if not each.topic.optional:
             assert each.topic.name.split('/')[-1] in shown
-    for name in ('bus', 'arduino', 'mcu', 'lift', 'gimbal'):
-        assert any(line.startswith(name + ' ') for line in shown.splitlines())
+
+
+def test_a_large_terminal_has_room_for_headings_and_gaps():
+    shown = text(busy(), 200, 60)
+    assert len(re.findall('^$', shown, re.M)) == 3
+    assert re.findall('^(link|commands|topic)', shown, re.M) == ['link', 'commands', 'topic']
 
 
 def test_states_of_the_links_and_their_counters():
-    lines = table.layout(busy(), 200, 50)
-    by_link = {line.text.split()[0]: line for line in lines if line.text}
+    by_link = {line.text.split()[0]: line for line in lines(busy(), 200, 60) if line.text}
     assert by_link['bus'].style == 'good'
     assert by_link['bus'].text == (
-        'bus     OK    ready, in 1234567, out 7654321, bad 7, timeouts 2, round trip 1.25 ms, '
-        'reconnects 5')
+        'bus     OK    ready, bad 7 (3 checksum, 4 framing), in 1234567, out 7654321, timeouts 2, '
+        'round trip 1.25 ms, reconnects 5')
     assert by_link['arduino'].style == 'warn'
-    assert 'heartbeats 99999, max gap 10.40 ms' in by_link['arduino'].text
+    assert 'heartbeat gap 10.40 ms' in by_link['arduino'].text
     assert by_link['mcu'].style == 'bad'
     assert 'ERROR closed: no such file' in by_link['mcu'].text and 'lost 6' in by_link['mcu'].text
 
 
-def test_rates():
-    state = State()
-    imu = state.topics[1]
-    for second in range(10):
-        imu.measure(float(second))
-        imu.count += 100
-    assert imu.rate == pytest.approx(100.0)
-    for second in range(10, 20):
-        imu.measure(float(second))
-    assert imu.rate == 0.0
-    assert 'paused' in text(state, 80, 50)
-    latched = state.topics[3]
-    latched.count = 1
-    latched.measure(0.0)
-    assert '~imu/calibrating              once' in text(state, 80, 50)
+def test_on_a_narrow_terminal_a_link_keeps_whole_words():
+    shown = [line.text for line in lines(busy(), 60, 15) if line.text.startswith('bus')]
+    assert shown == ['bus     OK    ready, bad 7 (3 checksum, 4 framing)']
+
+
+def test_the_number_of_bad_frames_never_falls_off():
+    state = busy()
+    causes = ('checksum', 'framing', 'length', 'oversize')
+    state.bridge.take_link('bus', LinkState(1, '80 errors in the last second', {
+        **COUNTERS, **{cause + ' errors': '1234' for cause in causes}}, NOW))
+    assert text(state, 60, 15).split('\n')[2].endswith('80 errors in the last second, bad 4936')
+
+
+def test_a_link_of_which_nothing_is_said_any_more():
+    line = next(line for line in lines(busy(), 200, 60, now=NOW + 5) if 'ready' in line.text)
+    assert line.text.startswith('bus     STALE said 5.0 s ago: ready') and line.style == 'bad'
+
+
+def test_rates_and_ages():
+    state = busy()
+    voltage = state.bridge.topic('~voltage')
+    voltage.last_at = NOW - 2.0
+    assert re.search('^~voltage +100.0 Hz  value', text(state, 80, 50), re.M)
+    voltage.last_at = NOW - 3.5
+    line = next(line for line in lines(state, 80, 50) if line.text.startswith('~voltage'))
+    assert re.match('~voltage +3.5 s old  value', line.text)
+    assert line.style == 'warn'
+    latched = state.bridge.topic('~imu/calibrating')
+    latched.count, latched.rate, latched.last_at = 1, 0.0, 0.0
+    assert re.search('^~imu/calibrating +once  value', text(state, 80, 50), re.M)
 
 
 def test_adc_boards_are_shown_where_there_is_one():
     state = busy()
     assert 'adc_status' not in text(state, 80, 50)
-    adc = next(each for each in state.topics if each.topic.optional)
-    adc.count = 1
+    state.bridge.topic('mcu/adc_status').count = 1
     assert 'mcu/adc_status' in text(state, 80, 50)
 
 
 def test_links_that_are_off_are_left_out():
-    state = State(boards='real', links=('bus',), moves=False)
+    state = idle(boards='real', links=('bus',), moves=False)
     shown = text(state, 80, 50)
     assert '~environment' in shown and '~imu' not in shown and 'mcu' not in shown
     assert 'none: real boards are only looked at' in shown
     assert not state.calls
 
 
+def test_trouble_is_said_below_the_title():
+    state = busy()
+    assert lines(state, 80, 24, now=NOW + 10)[1] == Line(
+        'no answer from the ROS master at  for 10 s', 'bad')
+    state.bridge.master = 'http://robot:11311'
+    state.bridge.master_says(True, NOW + 10)
+    assert 'has said nothing for 10 s' in lines(state, 80, 24, now=NOW + 10)[1].text
+
+
+def test_a_speed_that_is_not_sent_is_not_shown():
+    state = busy()
+    assert 'car     ~speed 300, ~steering 1500, ~led left' in text(state, 80, 24)
+    state.bridge.topic('~imu/calibrating').values = [Value('data', True)]
+    shown = text(state, 80, 24)
+    assert 'car     speed refused: calibrating' in shown and '~speed' not in shown
+    state.bridge.topic('~imu/calibrating').values = [Value('data', False)]
+    assert '~speed 300' in text(state, 80, 24)
+    state.bridge.take_link('arduino', LinkState(2, 'closed: gone', {}, NOW))
+    assert 'car     speed refused: port closed' in text(state, 80, 24)
+
+
 def test_what_is_missing():
     assert busy().missing() == []
     state = busy()
-    state.topics[1].count = 0
+    state.bridge.topic('~imu').count = 0
     state.calls['lift'].succeeded = 0
     state.calls['lift'].words = 'up 20 mm: no answer'
     assert state.missing() == ['no data on ~imu',
                                'no successful answer from lift: up 20 mm: no answer']
-    assert len(State().missing()) == len(State().topics) - 1 + 2
+    assert len(State().missing()) == len(State().bridge.topics) - 1 + 2
     # Real boards that are only looked at need not move.
     assert not any('answer' in each for each in State(moves=False).missing())
 
 
-def test_values_in_words():
-    words = {each.name: each.words for each in topics.TOPICS}
-    level = Message(x=0.0, y=0.0, z=0.7071068, w=0.7071068)
-    assert words['mcu/imu'](Message(orientation=level)) == 'rpy 0.0 0.0 90.0 deg'
-    for metres, said in ((float('nan'), 'no reading'), (float('inf'), 'farther than 2.00 m'),
-                         (float('-inf'), 'nearer than 0.03 m'), (1.2345, '1.234 m')):
-        assert words['mcu/range_1'](Message(range=metres, min_range=0.03, max_range=2.0)) == said
-    assert words['serial_msg'](Message(link='bus', direction=1, text='lift up 20 mm', error='')) \
-        == 'bus sent lift up 20 mm'
-    assert words['mcu/status'](Message(connected=False, last_frame_age_sec=3.0)) \
-        == 'silent for 3.0 s'
+def test_a_topic_that_the_bridge_does_not_publish_is_missing():
+    state = busy()
+    state.bridge.set_topics([each.topic for each in state.bridge.topics
+                             if each.topic.name != '~voltage'])
+    assert state.missing() == []     # it was there, and its count stays
+    state = State()
+    state.bridge.set_topics([])
+    assert 'no data on ~imu' in state.missing()
+
+
+def test_every_link_has_to_be_open():
+    state = idle()
+    assert not state.links_open()
+    for name in ('bus', 'arduino', 'mcu'):
+        state.bridge.take_link(name, LinkState(1, 'open, the board is silent', {}, NOW))
+    assert state.links_open()
+    state.bridge.take_link('mcu', LinkState(2, 'closed', {}, NOW))
+    assert not state.links_open()
 
 
 class Terminal(io.StringIO):
@@ -133,28 +233,43 @@ class Terminal(io.StringIO):
         return True
 
 
+def draw(screen, state):
+    screen.draw(state.bridge, state.frame(), NOW)
+
+
 def test_a_terminal_is_redrawn_in_place_and_given_back(monkeypatch):
     monkeypatch.setenv('COLUMNS', '80')
     monkeypatch.setenv('LINES', '24')
     out = Terminal()
     screen = Screen(out)
-    screen.draw(busy())
+    draw(screen, busy())
     assert out.getvalue().count('\033[2J') == 1
     before = len(out.getvalue())
-    screen.draw(busy())
+    draw(screen, busy())
     redraw = out.getvalue()[before:]
     assert redraw.startswith('\033[H') and '\033[2J' not in redraw
     assert redraw.count('\n') <= 23     # or it would scroll
-    screen.close(busy())
+    screen.close(busy().bridge, busy().frame(), NOW)
     assert out.getvalue().endswith('\033[?25h\r\n')
+
+
+@pytest.mark.parametrize('extra', [0, 1, 39])
+def test_a_row_that_is_full_to_the_edge_keeps_its_last_character(monkeypatch, extra):
+    monkeypatch.setenv('COLUMNS', '40')
+    monkeypatch.setenv('LINES', '60')
+    out = Terminal()
+    setup = 'x' * (80 - len('In another terminal:  ') + extra)
+    draw(Screen(out), busy(setup=setup))
+    row = next(row for row in out.getvalue().split('\r\n') if 'In another' in row)
+    assert row.endswith('\033[K') == bool(extra)
 
 
 def test_elsewhere_there_are_plain_lines_now_and_then():
     out = io.StringIO()
     screen = Screen(out)
     for _ in range(10):
-        screen.draw(busy())
-    screen.close(busy())
+        draw(screen, busy())
+    screen.close(busy().bridge, busy().frame(), NOW)
     assert '\033' not in out.getvalue()
     assert out.getvalue().count('17 of 17 topics carry data') == 2
     assert 'topic ' in out.getvalue()

@@ -5,7 +5,7 @@ Times are seconds of any monotonic clock, the same one in every call.
 from collections import deque
 from typing import Any, Deque, Dict, Iterable, List, NamedTuple, Optional, Tuple
 
-from .topics import NODE, Topic, Value, in_order
+from .topics import NODE, Topic, Value, in_order, in_table_order
 
 OK, WARN, ERROR, STALE = 0, 1, 2, 3      # as diagnostic_msgs/DiagnosticStatus has them
 
@@ -110,7 +110,8 @@ class BridgeState:
         self.master_at: Optional[float] = None     # when the master answered last
         self.registered: Optional[bool] = None     # whether the master knows the node
         self._registered_since: float = 0.0        # when that last changed
-        self.topics: List[TopicState] = [TopicState(topic) for topic in topics]
+        self._expected = list(topics)
+        self.topics: List[TopicState] = [TopicState(topic) for topic in self._expected]
         self.links: Dict[str, Optional[LinkState]] = dict.fromkeys(in_order(links))
 
     def topic(self, name: str) -> Optional[TopicState]:
@@ -118,10 +119,12 @@ class BridgeState:
         return next((each for each in self.topics if each.topic.name == name), None)
 
     def set_topics(self, topics: Iterable[Topic]) -> None:
-        """These are its topics; what has come on one that stays is kept."""
+        """These are its topics, with those expected; what has come on one that stays is kept."""
         old = {each.topic.name: each for each in self.topics}
+        all_topics = {topic.name: topic for topic in self._expected}
+        all_topics.update((topic.name, topic) for topic in topics)
         new = []
-        for topic in topics:
+        for topic in in_table_order(all_topics.values()):
             each = old.get(topic.name)
             if each is None or each.topic.type != topic.type:
                 each = TopicState(topic)

@@ -8,9 +8,10 @@ import math
 import re
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tuple, Union
 
-PACKAGE = 'serial_communication'
+from ...boards import BOARDS
+
 NODE = '/serial_communication'           # the bridge's name where nothing else is said
-LINKS = ('bus', 'arduino', 'mcu')        # in this order, before those of other packages
+LINKS = BOARDS                           # in this order, before those of other packages
 DIAGNOSTICS = '/diagnostics'
 SERIAL_MSG = 'serial_msg'
 
@@ -74,8 +75,8 @@ class Topic(NamedTuple):
             return kind.words(message)
         values = self.values(message)
         if len(values) == 1:
-            return _one_line(values[0].text())
-        return _one_line(', '.join(f'{value.name} {value.text()}' for value in values))
+            return one_line(values[0].text())
+        return one_line(', '.join(f'{value.name} {value.text()}' for value in values))
 
 
 _IMU, _STATUS = 0.01, 1.0     # s; a status comes once a second while the board is silent
@@ -100,6 +101,8 @@ TOPICS = (
     Topic('/tf_static', 'tf2_msgs/TFMessage', ('arduino', 'mcu'), ages=False),
     Topic(DIAGNOSTICS, 'diagnostic_msgs/DiagnosticArray', LINKS, 1.0),
 )
+
+_TABLE = {topic.name: topic for topic in TOPICS}
 
 # Where a period is a parameter of the node's.
 _PERIODS = {name: 'bus/environment_period' for name in (
@@ -146,19 +149,24 @@ def known(node: str, published: Dict[str, str], parameters: Dict[str, Any]) -> L
         parameters: its private parameters, nested as the parameter server holds them.
     """
     own = {topic.name: topic for topic in own_topics(parameters)}
-    table = {topic.name: topic for topic in TOPICS}
-    types = {relative(name, node): type_ for name, type_ in published.items()
-             if name not in ('/rosout', '/clock')}
-    names = [topic.name for topic in TOPICS if topic.name in types]
-    names += sorted(name for name in types if name not in table)
     found = []
-    for name in names:
-        topic = own.get(name) or table.get(name) or Topic(name, types[name])
+    for full_name, type_ in published.items():
+        if full_name in ('/rosout', '/clock'):
+            continue
+        name = relative(full_name, node)
+        topic = own.get(name) or _TABLE.get(name) or Topic(name, type_)
         period = _parameter(parameters, _PERIODS.get(name, ''))
         if isinstance(period, (int, float)) and period > 0:
             topic = topic._replace(period=float(period))
-        found.append(topic._replace(type=types[name]))
-    return found
+        found.append(topic._replace(type=type_))
+    return in_table_order(found)
+
+
+def in_table_order(topics: Iterable[Topic]) -> List[Topic]:
+    """As they are always listed: those of the table in its order, then the others by name."""
+    given = {topic.name: topic for topic in topics}
+    return [given[name] for name in _TABLE if name in given] \
+        + [given[name] for name in sorted(set(given) - set(_TABLE))]
 
 
 def expected_links(parameters: Dict[str, Any]) -> List[str]:
@@ -240,8 +248,8 @@ def _leaves(name: str, part: Any) -> Iterable[Value]:
                 yield from _leaves(f'{name}.{slot}' if name else slot, getattr(part, slot))
 
 
-def _one_line(text: str) -> str:
-    """A board's text must not break the table."""
+def one_line(text: str) -> str:
+    """A board's text as one line that a terminal takes as text."""
     return ''.join(each if each.isprintable() else ' ' for each in text)
 
 
@@ -320,7 +328,7 @@ def _channel_words(message: Any) -> str:
 
 def _traffic_words(message: Any) -> str:
     direction = 'sent' if message.direction else 'received'
-    return _one_line(f'{message.link} {direction} {message.error or message.text}')
+    return one_line(f'{message.link} {direction} {message.error or message.text}')
 
 
 def _frame_words(message: Any) -> str:
@@ -329,7 +337,7 @@ def _frame_words(message: Any) -> str:
 
 
 def _diagnostic_words(message: Any) -> str:
-    return _one_line('; '.join(f'{each.name}: {each.message}' for each in message.status))
+    return one_line('; '.join(f'{each.name}: {each.message}' for each in message.status))
 
 
 def _nothing(_message: Any) -> List[Value]:

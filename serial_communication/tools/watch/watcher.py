@@ -4,6 +4,7 @@ Topics are counted as they come, but only the latest message of each is unpacked
 looks (`update`). Which topics a bridge has is asked of the master, so that own messages and
 boards of other packages appear by themselves.
 """
+import atexit
 import threading
 import time
 from typing import Any, Callable, Dict, Optional
@@ -16,7 +17,50 @@ from .state import BridgeState, LinkState
 from .topics import DIAGNOSTICS, Topic, expected_links, known, resolve
 
 _ASK_EVERY = 1.0      # s from one question to the master to the next
+_ASK_FOR_MASTER = 0.1                  # s, likewise while there is none
+_FIRST_WORD, _NEXT_WORD = 1.0, 10.0    # s until a person is told that one is waited for
+_FAREWELL = 2.0       # s
 _BUFFER = 1 << 18     # bytes; rospy's 64 KiB would delay the latest message behind older ones
+
+
+def wait_for_master(stopping: threading.Event, say: Callable[[str], None] = lambda _text: None,
+                    patience: Optional[float] = None) -> bool:
+    """Wait for a ROS master; False if `stopping` was set, or `patience` (s) ended, before.
+
+    Args:
+        say: is told every 10 s that a master is waited for.
+    """
+    found = threading.Event()
+    ended = threading.Event()
+
+    def ask() -> None:      # in a thread, since a host that does not answer may take minutes
+        while not ended.is_set():
+            if rosgraph.is_master_online():
+                found.set()
+                return
+            ended.wait(_ASK_FOR_MASTER)
+
+    threading.Thread(target=ask, name='waiting for a master', daemon=True).start()
+    began = now = time.monotonic()
+    due = began + _FIRST_WORD
+    while not found.wait(_ASK_FOR_MASTER) and not stopping.is_set() \
+            and (patience is None or now < began + patience):
+        now = time.monotonic()
+        if now >= due:
+            say(f'waiting for the ROS master at {rosgraph.get_master_uri()}; '
+                'start one with roscore, or set ROS_MASTER_URI')
+            due = now + _NEXT_WORD
+    ended.set()
+    return found.is_set() and not stopping.is_set()
+
+
+def leave() -> None:
+    """End this process's part in ROS; in 2 s even where the master's host does not answer."""
+    ending = threading.Thread(target=rospy.signal_shutdown, args=('it ends',), daemon=True)
+    ending.start()
+    ending.join(_FAREWELL)
+    if ending.is_alive():
+        atexit.unregister(rospy.core._ros_atexit)    # which would wait for it
 
 
 def everything(_topic: Topic) -> bool:
@@ -94,9 +138,11 @@ class Watcher:
         now = time.monotonic()
         for status in message.status:
             name = status.name.partition(': ')[2]
-            if name.endswith(' link'):
+            # One without values is the updater's own word, that the node starts.
+            if name.endswith(' link') and status.values:
+                level = status.level       # some versions of genpy have bytes here
                 self._state.take_link(name[:-len(' link')], LinkState(
-                    status.level, status.message,
+                    ord(level) if isinstance(level, bytes) else level, status.message,
                     {pair.key: pair.value for pair in status.values}, now))
 
     def _class(self, type_: str) -> Any:

@@ -1,0 +1,73 @@
+"""What the demo shows beyond the bridge itself: its boards, its calls and what it sends."""
+from typing import List, NamedTuple, Optional, Sequence
+
+from ..watch.state import ERROR, BridgeState
+from ..watch.table import Frame, Line
+from ..watch.topics import LINKS, NODE, TOPICS
+
+
+class Call:
+    """The latest call of one service."""
+
+    def __init__(self) -> None:
+        self.words = 'not called yet'
+        self.succeeded = 0
+        self.failed = 0
+
+
+class Commands(NamedTuple):
+    """The latest that was published for the car."""
+
+    speed: int
+    steering: int
+    led: str
+
+
+class State:
+    """All that the demo's table shows."""
+
+    def __init__(self, boards: str = 'simulated', links: Sequence[str] = LINKS,
+                 moves: bool = True, setup: str = '', master: str = '') -> None:
+        self.boards = boards
+        self.setup = setup           # the line that a second terminal needs
+        self.elapsed = 0.0           # s
+        self.bridge = BridgeState(NODE, [topic for topic in TOPICS
+                                         if set(topic.links) & set(links)], links, master)
+        self.calls = {'lift': Call(), 'gimbal': Call()} if moves and 'bus' in links else {}
+        self.commands: Optional[Commands] = None
+
+    def links_open(self) -> bool:
+        """Whether every link has said that its port is open and its board answers."""
+        return all(link is not None and link.level < ERROR
+                   for link in self.bridge.links.values())
+
+    def refusal(self) -> str:
+        """Why the bridge refuses commands for the car now, in a word or two; else empty."""
+        calibrating = self.bridge.topic('~imu/calibrating')
+        if calibrating and any(value.value is True for value in calibrating.values):
+            return 'calibrating'
+        link = self.bridge.links.get('arduino')
+        return 'port closed' if link and link.level == ERROR else ''
+
+    def missing(self) -> List[str]:
+        """What has not been shown to work, in words; empty if everything has."""
+        out = [f'no data on {each.topic.name}' for each in self.bridge.topics
+               if not each.count and not each.topic.optional]
+        return out + [f'no successful answer from {name}: {call.words}'
+                      for name, call in self.calls.items() if not call.succeeded]
+
+    def frame(self) -> Frame:
+        """What stands around the links and topics."""
+        commands = [Line(f'{name:<7} {call.words}', 'plain' if call.succeeded or not call.failed
+                         else 'bad') for name, call in self.calls.items()]
+        refusal = self.refusal()
+        if self.commands and refusal:
+            commands.append(Line(f'car     speed refused: {refusal}', 'warn'))
+        elif self.commands:
+            speed, steering, led = self.commands
+            commands.append(Line(
+                f"car     ~speed {speed}, ~steering {steering}, ~led {led or '-'}"))
+        notes = [Line('In another terminal:  ' + self.setup, whole=True)] if self.setup else []
+        return Frame((f'{self.boards.capitalize()} boards, {self.elapsed:.0f} s.',
+                      'Ctrl-C ends it.', f'~ is {NODE}/'), tuple(notes),
+                     tuple(commands) or (Line('none: real boards are only looked at'),))

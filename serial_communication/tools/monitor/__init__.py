@@ -1,0 +1,1 @@
+"""The live table of any bridge that runs: see cli.py."""

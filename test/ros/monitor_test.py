@@ -1,0 +1,190 @@
+#!/usr/bin/env python3
+"""monitor: what it says of a bridge that works, that does not, that goes and comes back."""
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import tempfile
+import threading
+import unittest
+
+import rosgraph
+import rospy
+import rostest
+
+from boards import (PATIENCE, Bridge, BusBoard, CarBoard, Line, level_imu, own_folder, program,
+                    settle, until)
+from serial_communication.protocols import arduino
+
+NAME = 'watched'
+
+
+class Monitor:
+    """A monitor that the test starts and ends."""
+
+    def __init__(self, *arguments, **environment):
+        self._output = tempfile.TemporaryFile('w+')
+        self.process = subprocess.Popen(
+            [program('monitor'), *arguments], env={**os.environ, **environment},
+            stdout=self._output, stderr=subprocess.STDOUT)
+
+    def output(self):
+        """What it has printed so far."""
+        self._output.seek(0)
+        return self._output.read()
+
+    def wait_for(self, words, times=1):
+        """Until it has printed these words so often."""
+        until(lambda: self.output().count(words) >= times, f'the monitor says "{words}"',
+              seconds=3 * PATIENCE, every=0.05)
+
+    def status(self):
+        """Its exit status, when it ends by itself."""
+        return self.process.wait(PATIENCE)
+
+    def end(self):
+        """Ctrl-C; its exit status."""
+        self.process.send_signal(signal.SIGINT)
+        return self.status()
+
+    def close(self):
+        """Whatever a test that failed has left."""
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait(10)
+
+
+class MonitorTest(unittest.TestCase):
+    """A bridge with a bus board and a car that talks all the time."""
+
+    def setUp(self):
+        self.folder = own_folder()
+        self.lines = [Line(os.path.join(self.folder, name)).plug() for name in ('bus', 'car')]
+        self.board = BusBoard(self.lines[0].far, polled=True)
+        self.car = CarBoard(self.lines[1].far)
+        self.bridges, self.monitors, self.processes = [], [], []
+        self.quiet = threading.Event()
+        self.talking = threading.Thread(target=self.talk, daemon=True)
+        self.talking.start()
+
+    def tearDown(self):
+        self.quiet.set()
+        self.talking.join(10)
+        for monitor in self.monitors:
+            monitor.close()
+        for process in [bridge.process for bridge in self.bridges] + self.processes:
+            if process.poll() is None:
+                process.kill()
+                process.wait(10)
+        for board in self.board, self.car:
+            board.close()
+        for line in self.lines:
+            line.unplug()
+        shutil.rmtree(self.folder)
+
+    def talk(self):
+        """As the car does, but slower."""
+        while not self.quiet.wait(0.05):
+            self.car.say(level_imu())
+            self.car.say(arduino.Voltage(11.5))
+
+    def bridge(self):
+        """A bridge that works."""
+        self.bridges.append(Bridge(NAME, {
+            'bus/port': self.lines[0].near, 'arduino/port': self.lines[1].near,
+            'bus/environment_period': 0.2}))
+        settle(NAME, self.board)
+        return self.bridges[-1]
+
+    def monitor(self, *arguments, **environment):
+        """A monitor of it."""
+        self.monitors.append(Monitor('--node', NAME, *arguments, **environment))
+        return self.monitors[-1]
+
+    def once(self, *arguments):
+        """Status and output of one look."""
+        monitor = self.monitor('--once', *arguments)
+        return monitor.status(), monitor.output()
+
+    def test_once_is_0_if_every_link_is_ok_and_1_if_one_is_not(self):
+        self.bridge()
+        status, said = self.once()
+        self.assertEqual(status, 0, said)
+        self.assertRegex(said, r'(?m)^bus +OK +ready, bad 0')
+        self.assertRegex(said, r'(?m)^arduino +OK +')
+        self.assertNotRegex(said, r'(?m)^mcu')       # it has no port
+        self.assertRegex(said, r'(?m)^~voltage +[\d.]+ Hz  11\.50 V$')
+        self.assertRegex(said, r'(?m)^~imu +[\d.]+ Hz  rpy 0\.0 0\.0 0\.0 deg')
+        self.lines[0].unplug()
+        status, said = self.once()
+        self.assertEqual(status, 1, said)
+        self.assertRegex(said, r'(?m)^bus +ERROR ')
+        self.assertRegex(said, r'(?m)^arduino +OK +')
+
+    def test_once_without_a_bridge(self):
+        status, said = self.once('--node', '/robot/absent')
+        self.assertEqual(status, 1)
+        self.assertEqual(said, f'monitor: no bridge /robot/absent at {rosgraph.get_master_uri()}\n')
+
+    def test_a_bridge_that_goes_and_comes_back(self):
+        monitor = self.monitor()
+        monitor.wait_for(f'/{NAME}')
+        self.bridge()
+        monitor.wait_for('the bridge is there')
+        monitor.wait_for(' OK ')
+        self.bridges[-1].end(signal.SIGKILL)
+        monitor.wait_for(f'the bridge /{NAME} has said nothing for')
+        monitor.wait_for('STALE said')
+        self.bridge()
+        monitor.wait_for('the bridge is back, after')
+        gone = monitor.output().count('has said nothing for')
+        self.bridges[-1].end(signal.SIGKILL)
+        monitor.wait_for('has said nothing for', times=gone + 1)
+        # The table that it leaves says how old each value is.
+        self.assertEqual(monitor.end(), 0)
+        said = monitor.output()
+        table = said[said.rindex('topic '):]
+        for topic in 'serial_msg', '~imu', '~environment', '/diagnostics':
+            self.assertRegex(table, rf'(?m)^{topic} +\d[\d.]* s old  ')
+        self.assertNotIn('Traceback', said)
+
+    def test_a_master_that_goes_and_comes_back(self):
+        with socket.socket() as free:
+            free.bind(('localhost', 0))
+            port = free.getsockname()[1]
+        uri = f'http://localhost:{port}'
+        environment = {'ROS_MASTER_URI': uri}
+
+        def start(*command):
+            self.processes.append(subprocess.Popen(
+                command, env={**os.environ, **environment}, stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL))
+            return self.processes[-1]
+
+        def master_and_bridge():
+            master = start('rosmaster', '--core', '-p', str(port))
+            until(rosgraph.Master('/test', uri).is_online, 'the master is there')
+            return master, start(program('serial_communication_node'), '__name:=' + NAME,
+                                 '_arduino/port:=' + self.lines[1].near)
+        monitor = self.monitor(**environment)
+        monitor.wait_for(f'waiting for the ROS master at {uri}')
+        master, bridge = master_and_bridge()
+        monitor.wait_for('the bridge is there')
+        bridge.terminate()
+        bridge.wait(PATIENCE)
+        master.terminate()
+        master.wait(PATIENCE)
+        monitor.wait_for(f'no answer from the ROS master at {uri} for')
+        master_and_bridge()
+        monitor.wait_for('the bridge is back, after')
+        monitor.wait_for('topics carry data, ~imu', times=len(re.findall(
+            'topics carry data, ~imu', monitor.output())) + 1)
+        self.assertEqual(monitor.end(), 0)
+        self.assertNotIn('Traceback', monitor.output())
+
+
+if __name__ == '__main__':
+    rospy.init_node('monitor_test')
+    rostest.rosrun('serial_communication', 'monitor', MonitorTest)

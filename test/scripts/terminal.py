@@ -1,0 +1,98 @@
+"""A program in a terminal of any size, as a person at a keyboard has it."""
+import fcntl
+import os
+import pty
+import re
+import signal
+import struct
+import termios
+import threading
+import time
+
+PATIENCE = 60.0      # s; only a test that fails waits as long
+
+
+class Terminal:
+    """Runs a command in a pseudo terminal, the leader of a session of its own.
+
+    Args:
+        command: the program and its arguments.
+        columns, rows: the size at first.
+        environment: what to change in it.
+    """
+
+    def __init__(self, command, columns=80, rows=24, **environment):
+        self._output = bytearray()
+        self._ended = threading.Event()
+        self.status = None
+        self.pid, self._far = pty.fork()
+        if self.pid == 0:
+            try:
+                os.environ.update(environment)
+                self._set_size(1, columns, rows)
+                os.execv(str(command[0]), [str(each) for each in command])
+            finally:
+                os._exit(127)
+        threading.Thread(target=self._read, daemon=True).start()
+
+    @staticmethod
+    def _set_size(terminal, columns, rows):
+        fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack('HHHH', rows, columns, 0, 0))
+
+    def _read(self):
+        while True:
+            try:
+                data = os.read(self._far, 65536)
+            except OSError:
+                data = b''
+            if not data:
+                break
+            self._output += data
+        self.status = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1]) \
+            if hasattr(os, 'waitstatus_to_exitcode') else os.waitpid(self.pid, 0)[1] >> 8
+        self._ended.set()
+
+    def resize(self, columns, rows):
+        """As if somebody drags the window's edge."""
+        self._set_size(self._far, columns, rows)
+
+    def press(self, key):
+        """Press a key: b'\\3' is Ctrl-C."""
+        os.write(self._far, key)
+
+    def text(self):
+        """All that it has written, without colours."""
+        return re.sub('\033\\[[0-9;?]*[A-Za-z]', '', self._output.decode(errors='replace'))
+
+    def screens(self):
+        """The screens that were drawn completely, each as its rows."""
+        drawn = self._output.decode(errors='replace').split('\033[H')[1:]
+        return [re.sub('\033\\[[0-9;?]*[A-Za-z]', '', each.split('\033[J')[0])
+                .replace('\r', '').split('\n')
+                for each in drawn if '\033[J' in each.replace('\033[2J', '')]
+
+    def until(self, condition, what):
+        """Wait for `condition()`, and return it."""
+        deadline = time.monotonic() + PATIENCE
+        while True:
+            value = condition()
+            if value:
+                return value
+            assert time.monotonic() < deadline, f'not within {PATIENCE:g} s: {what}\n{self.text()}'
+            assert not self._ended.is_set(), f'it has ended before: {what}\n{self.text()}'
+            time.sleep(0.01)
+
+    def wait(self):
+        """Seconds until it has ended."""
+        began = time.monotonic()
+        assert self._ended.wait(PATIENCE), f'it runs on after {PATIENCE:g} s\n{self.text()}'
+        return time.monotonic() - began
+
+    def close(self):
+        """Whatever a test that failed has left."""
+        if not self._ended.is_set():
+            os.kill(self.pid, signal.SIGTERM)
+            if not self._ended.wait(10):
+                os.kill(self.pid, signal.SIGKILL)
+                self._ended.wait(10)
+        os.close(self._far)

@@ -1,0 +1,123 @@
+"""scripts/demo in a real terminal: what it shows at each size, and how it ends."""
+import os
+import socket
+import subprocess
+from pathlib import Path
+
+import pytest
+from terminal import Terminal
+
+ROOT = Path(__file__).resolve().parents[2]
+CTRL_C = b'\3'
+LINKS = ('bus', 'arduino', 'mcu')
+MOST = 3.0      # s that an end may take
+
+
+@pytest.fixture(name='demo')
+def fixture_demo():
+    """Starts a demo with a master of its own."""
+    started = []
+    with socket.socket() as free:
+        free.bind(('localhost', 0))
+        uri = f'http://localhost:{free.getsockname()[1]}'
+
+    def start(*arguments, columns=80, rows=24):
+        started.append(Terminal([ROOT / 'scripts' / 'demo', *arguments], columns, rows,
+                                ROS_MASTER_URI=uri))
+        started[-1].uri = uri
+        return started[-1]
+    yield start
+    for terminal in started:
+        terminal.close()
+        assert descendants(terminal) == []
+
+
+def descendants(terminal):
+    """What a demo has started and not ended, by the mark in the environment."""
+    found = []
+    for entry in Path('/proc').glob('[0-9]*'):
+        try:
+            if f'SERIAL_COMMUNICATION_DEMO={terminal.pid}\0' in (entry / 'environ').read_text():
+                found.append(int(entry.name))
+        except (OSError, ValueError):
+            pass     # it has ended meanwhile, or is another user's
+    return found
+
+
+def is_table(rows):
+    """Whether links and car are shown."""
+    return all(any(row.startswith(name + ' ') for row in rows) for name in (*LINKS, 'car'))
+
+
+def test_at_every_size_links_and_calls_are_shown_and_the_rest_is_counted(demo):
+    terminal = demo(columns=60, rows=15)
+    for columns, rows in (60, 15), (80, 24), (200, 60):
+        terminal.resize(columns, rows)
+        seen = len(terminal.screens())
+        screen = terminal.until(
+            lambda: next((each for each in terminal.screens()[seen + 1:] if is_table(each)), None),
+            f'a table at {columns} by {rows}')
+        assert sum(max(1, -(-len(row) // columns)) for row in screen) <= rows, screen
+        names = [row.split(' ')[0] for row in screen]
+        order = [names.index(name) for name in (*LINKS, 'lift', 'gimbal', 'car', 'serial_msg')]
+        assert order == sorted(order)
+        setup, = [row for row in screen if row.startswith('In another terminal:')]
+        assert setup.split('  ', 1)[1].startswith(f'. {ROOT}/build/devel/setup.bash')
+        assert f'ROS_MASTER_URI={terminal.uri}' in setup
+        assert screen[-1].endswith('more lines') == (rows == 15), screen
+    # While the IMU is calibrated the bridge sends no speed, and none is shown.
+    command = f'. {ROOT}/build/devel/setup.bash; rosservice call ' \
+        '/serial_communication/calibrate_imu'
+    subprocess.run(['bash', '-c', command], check=True, timeout=60, stdout=subprocess.DEVNULL,
+                   env={**os.environ, 'ROS_MASTER_URI': terminal.uri})
+    terminal.until(lambda: 'car     speed refused: calibrating' in terminal.text(),
+                   'the refused speed')
+    screen = terminal.until(lambda: next((each for each in reversed(terminal.screens())
+                                          if is_table(each)), None), 'a table')
+    assert not any('~speed' in row for row in screen)
+    terminal.press(CTRL_C)
+    assert terminal.wait() < MOST and terminal.status == 0
+
+
+def test_faults_are_seen_at_the_links(demo):
+    terminal = demo('--faults', 'flip=0.3 cut=0.2')
+    for name in LINKS:
+        terminal.until(lambda name=name: any(
+            row.startswith(name + ' ') and 'bad ' in row and 'bad 0' not in row
+            for screen in terminal.screens() for row in screen), f'a bad frame on {name}')
+    terminal.press(CTRL_C)
+    assert terminal.wait() < MOST and terminal.status == 0
+
+
+# What has just been said when Ctrl-C is pressed: moments in which roslaunch or the nodes have
+# signal handlers of their own, or none yet, or wait for a master that will not come.
+@pytest.mark.parametrize('moment', [
+    'Launching', 'SUMMARY', 'auto-starting new master', 'process[master]', 'setting /run_id',
+    'process[rosout', 'process[serial_communication', 'process[sim/mcu_board'])
+def test_ctrl_c_while_it_starts(demo, moment):
+    log = ROOT / 'build' / 'ros' / 'log' / 'demo.log'
+    before = log.stat().st_mtime_ns if log.exists() else 0
+    terminal = demo()
+    terminal.until(lambda: 'Launching' in terminal.text(), 'it launches')
+    if moment != 'Launching':
+        terminal.until(lambda: log.exists() and log.stat().st_mtime_ns != before
+                       and moment in log.read_text(errors='replace'), moment)
+    terminal.press(CTRL_C)
+    assert terminal.wait() < MOST
+    assert terminal.status == 0
+    assert descendants(terminal) == []
+    assert 'Traceback' not in terminal.text()
+
+
+def test_the_launched_processes_do_not_ignore_ctrl_c(demo):
+    terminal = demo()
+    terminal.until(lambda: any(is_table(each) for each in terminal.screens()), 'the table')
+    ignoring = []
+    for pid in descendants(terminal):
+        status = dict(line.split(':\t') for line in Path(f'/proc/{pid}/status').read_text()
+                      .splitlines() if line.startswith(('SigIgn', 'Name')))
+        if int(status['SigIgn'], 16) & 1 << 1:      # SIGINT is 2
+            ignoring.append(status['Name'])
+    assert ignoring == []
+    terminal.press(CTRL_C)
+    assert terminal.wait() < MOST
