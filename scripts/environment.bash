@@ -21,6 +21,8 @@ test   | catkin-lint python3-flake8                  | catkin-lint python3-flake
 test   | shellcheck libxml2-utils                    | shellcheck libxml2-utils
 avr    | gcc-avr avr-libc arduino-core-avr           | gcc-avr avr-libc arduino-core-avr
 avr    | simavr libsimavr-dev libelf-dev pkg-config  | simavr libsimavr-dev libelf-dev pkg-config
+view   | rviz python3-rviz ros-robot-state-publisher | ros-noetic-rviz ros-noetic-robot-state-publisher
+view   | xvfb                                        | xvfb
 END
 }
 

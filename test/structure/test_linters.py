@@ -1,4 +1,5 @@
 """Linters for what is Python, shell, XML and catkin."""
+import os
 import shutil
 import subprocess
 import sys
@@ -12,14 +13,16 @@ IGNORED = (
     'literal_project_name',   # the node's file has the same name as the package
     'uninstalled_script',     # demo and test belong to a checkout; the rest: see below
 )
-LAUNCH_ARGUMENTS = ([], ['sim:=true'], ['publish_tf:=true', 'mcu_port:=', 'bus_port:=/dev/ttyS7'])
+LAUNCH_ARGUMENTS = ([], ['sim:=true'], ['publish_tf:=true', 'mcu_port:=', 'bus_port:=/dev/ttyS7'],
+                    ['sim:=true', 'faults:=flip=0.02 cut=0.01'])
 
 
-def run(*command) -> str:
+def run(*command, **environment) -> str:
     """What a linter that passes says; the test fails with its words otherwise."""
     if not shutil.which(str(command[0])):
         pytest.fail('%s is missing; scripts/test installs it' % command[0])
     done = subprocess.run([str(each) for each in command], cwd=str(ROOT), text=True, timeout=120,
+                          env={**os.environ, **environment},
                           stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
     if done.returncode:
         pytest.fail(done.stdout, pytrace=False)
@@ -39,19 +42,37 @@ def test_shellcheck(path):
 
 
 @pytest.mark.parametrize('path', [ROOT / 'package.xml', *sorted(ROOT.glob('launch/*.launch')),
+                                  *sorted(ROOT.glob('config/*.urdf')),
                                   *sorted(ROOT.glob('test/ros/*.test'))], ids=name)
 def test_xml(path):
     run('xmllint', '--noout', path)
 
 
 def test_catkin_lint():
-    run('catkin_lint', '-W2', '--strict', *['--ignore=' + rule for rule in IGNORED], ROOT)
+    run('catkin_lint', '-W2', '--strict', *['--ignore=' + rule for rule in IGNORED], ROOT,
+        SERIAL_COMMUNICATION_VIEW='yes')     # the dependencies of view.launch count
 
 
 @pytest.mark.parametrize('arguments', LAUNCH_ARGUMENTS, ids=lambda given: ' '.join(given) or '-')
 def test_launch_file(arguments):
     nodes = run('roslaunch', '--nodes', 'serial_communication', 'bridge.launch', *arguments)
     assert '/serial_communication' in nodes.split()
+
+
+@pytest.mark.parametrize('arguments, bridge', [([], False), (['sim:=off'], False),
+                                               (['sim:=true'], True), (['sim:=avr'], True)])
+def test_view_starts_a_bridge_only_with_simulated_boards(arguments, bridge):
+    nodes = run('roslaunch', '--nodes', 'serial_communication', 'view.launch', *arguments).split()
+    assert {'/rviz', '/car_model'} <= set(nodes)
+    assert ('/serial_communication' in nodes) == bridge
+
+
+@pytest.mark.parametrize('arguments', [['faults:=all'], ['sim:=avr', 'faults:=all'],
+                                       ['sim:=maybe']])
+def test_launch_arguments_that_make_no_sense_end_it(arguments):
+    with pytest.raises(pytest.fail.Exception) as failure:
+        run('roslaunch', '--nodes', 'serial_communication', 'bridge.launch', *arguments)
+    assert arguments[-1] in str(failure.value) and 'Traceback' not in str(failure.value)
 
 
 def test_every_message_and_program_is_in_cmake():
