@@ -2,6 +2,7 @@
 import os
 import socket
 import subprocess
+import time
 from pathlib import Path
 
 import pytest
@@ -107,6 +108,15 @@ def test_ctrl_c_while_it_starts(demo, moment):
     assert terminal.status == 0
     assert descendants(terminal) == []
     assert 'Traceback' not in terminal.text()
+
+
+@pytest.mark.parametrize('delay', [0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4])
+def test_ctrl_c_while_it_sets_up(demo, delay):
+    terminal = demo()
+    time.sleep(delay)       # there is nothing to wait for: any moment will do
+    terminal.press(CTRL_C)
+    assert terminal.wait() < MOST
+    assert terminal.status == 0
 
 
 def test_the_launched_processes_do_not_ignore_ctrl_c(demo):
