@@ -2,7 +2,7 @@
 from catkin_pkg.python_setup import generate_distutils_setup
 from setuptools import setup
 
-FOLDERS = ('protocols', 'links', 'ros', 'simulation',
+FOLDERS = ('protocols', 'transport', 'links', 'ros', 'simulation',
            'tools', 'tools.bench', 'tools.demo', 'tools.monitor', 'tools.soak', 'tools.watch')
 
 setup(**generate_distutils_setup(

@@ -1,6 +1,6 @@
 """The bridge between a ROS 1 robot and its boards on serial lines.
 
-Imports run one way: ``ros`` -> ``links`` -> ``protocols`` <- ``simulation``.
+Imports run one way: ``ros`` -> ``links`` -> ``protocols`` and ``transport`` <- ``simulation``.
 Only ``ros`` and ``tools`` know rospy.
 """
 from pkgutil import extend_path

@@ -12,7 +12,7 @@ from ..protocols.framing import Frame
 from .heart import Heart, clock
 from .link import OK, WARN, Link, Refused
 from .motor import TIMED_OUT, Motor
-from .port import Port, PortBusy, PortError
+from ..transport.port import Port, PortBusy, PortError
 from .sparing_log import Allowance
 
 _STALLED = 0.05          # s of wire time that wait in the kernel: the port does not flow

@@ -7,7 +7,7 @@ from ..protocols import robot_ctrl_bus as bus
 from ..protocols.framing import Frame
 from .link import ERROR, OK, WARN, Link
 from .master import NOT_SENT, PATIENCE, Call, Master, Outcome
-from .port import Port, PortBusy, PortError
+from ..transport.port import Port, PortBusy, PortError
 
 _BLOCKED = 0.05     # s until a port that took no data is tried again
 _SLOW = (bus.LIFT, bus.GIMBAL)    # functions that move something

@@ -7,7 +7,7 @@ from typing import Any, Callable, List, NamedTuple, Optional, Tuple
 
 from ..protocols.frame_timer import FrameTimer
 from ..protocols.framing import CHECKSUM, Frame
-from .port import Port, PortError
+from ..transport.port import Port, PortError
 from .sparing_log import SparingLog
 
 OK, WARN, ERROR = 0, 1, 2      # as diagnostic_msgs/DiagnosticStatus has them

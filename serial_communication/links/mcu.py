@@ -5,7 +5,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 from ..protocols import mcu
 from ..protocols.framing import Frame
 from .link import OK, WARN, Link
-from .port import Port
+from ..transport.port import Port
 
 _STATUS_PERIOD = 1.0   # s from one report of silence to the next
 _DOUBLED = 0.01        # s in which the same bytes again are one frame that the line has doubled

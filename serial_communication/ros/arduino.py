@@ -13,7 +13,7 @@ from ..links.arduino import ArduinoLink, ArduinoSettings
 from ..links.heart import clock
 from ..links.lateness import Lateness
 from ..links.link import Refused
-from ..links.port import Port
+from ..transport.port import Port
 from ..protocols import arduino
 from .geometry import OrientationBroadcaster
 from .publishing import diagonal, publisher, wanted

@@ -12,7 +12,7 @@ from serial_communication.srv import (BusRequest, BusRequestResponse, GetEnviron
 
 from ..links.bus import BusLink, BusSettings
 from ..links.master import Outcome
-from ..links.port import Port
+from ..transport.port import Port
 from ..protocols import robot_ctrl_bus as bus
 from .publishing import publisher, wanted
 

@@ -9,7 +9,7 @@ from sensor_msgs.msg import Imu, Range
 from serial_communication.msg import McuStatus, McuStatus2
 
 from ..links.mcu import McuLink
-from ..links.port import Port
+from ..transport.port import Port
 from ..protocols import mcu
 from ..protocols.framing import CHECKSUM
 from .geometry import OrientationBroadcaster, quaternion

@@ -6,7 +6,7 @@ import difflib
 from math import isfinite, pi, radians
 from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
-from ..links.port import check_url
+from ..transport.port import check_url
 from ..protocols.arduino import GYRO_SCALE
 
 

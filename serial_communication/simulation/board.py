@@ -6,7 +6,7 @@ import threading
 import time
 from typing import Any, Callable, Optional
 
-from ..links.port import Port, PortError
+from ..transport.port import Port, PortError
 from ..protocols.frame_timer import FrameTimer
 from ..protocols.framing import Frame
 from .line import Line

@@ -10,7 +10,7 @@ from random import SystemRandom
 from typing import Any, List, Optional, Type
 
 from ..boards import BOARDS, board_module
-from ..links.port import Port, check_url
+from ..transport.port import Port, check_url
 from . import faults
 from .board import Board, Runner, positive
 from .journal import Journal

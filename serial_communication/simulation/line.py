@@ -6,7 +6,7 @@ holds back all behind it.
 from collections import deque
 from typing import Any, Callable, Deque, NamedTuple, Optional
 
-from ..links.port import PortBusy, PortError
+from ..transport.port import PortBusy, PortError
 from .faults import Faults
 from .journal import Journal
 

@@ -14,7 +14,7 @@ from serial_communication.links import arduino as link_module
 from serial_communication.links import heart as heart_module
 from serial_communication.links.arduino import ArduinoLink, ArduinoSettings
 from serial_communication.links.link import Refused
-from serial_communication.links.port import Port, PortBusy
+from serial_communication.transport.port import Port, PortBusy
 from serial_communication.protocols import arduino
 from serial_communication.protocols.arduino import (Heartbeat, ImuCalibration, LedCommand,
                                                     SpeedCommand, SteeringCommand)
@@ -428,7 +428,7 @@ def test_a_process_that_was_stopped_says_speed_0_first_and_none_of_what_waited(b
     program = ("import logging, sys\n"
                "from serial_communication.links.arduino import ArduinoLink\n"
                "from serial_communication.links.link import Refused\n"
-               "from serial_communication.links.port import Port\n"
+               "from serial_communication.transport.port import Port\n"
                "link = ArduinoLink(Port(sys.argv[1]))\n"
                "link.start()\n"
                "for command in sys.stdin:\n"

@@ -8,7 +8,7 @@ from boards import PATIENCE, BusBoard, wait_for
 from serial_communication.links.bus import BusLink, BusSettings, _Poller
 from serial_communication.links.link import ERROR, OK, RX, TX
 from serial_communication.links.master import NOT_SENT, QUIET, TIMEOUT
-from serial_communication.links.port import Port, PortBusy, PortError
+from serial_communication.transport.port import Port, PortBusy, PortError
 from serial_communication.protocols import robot_ctrl_bus as bus
 
 SHORT = BusSettings(reply_timeout=0.15, motion_timeout=0.3, environment_period=0.0)

@@ -12,7 +12,7 @@ from boards import wait_for
 from serial_communication.links.arduino import ArduinoLink
 from serial_communication.links.bus import BusLink
 from serial_communication.links.mcu import McuLink
-from serial_communication.links.port import Port
+from serial_communication.transport.port import Port
 from serial_communication.links.sparing_log import SparingLog
 from serial_communication.protocols import arduino, mcu
 from serial_communication.protocols import robot_ctrl_bus as bus

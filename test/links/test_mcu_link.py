@@ -8,7 +8,7 @@ import pytest
 from boards import PATIENCE, wait_for
 from serial_communication.links.link import ERROR, OK, WARN
 from serial_communication.links.mcu import McuLink
-from serial_communication.links.port import Port
+from serial_communication.transport.port import Port
 from serial_communication.protocols import mcu
 
 

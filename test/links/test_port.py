@@ -9,7 +9,7 @@ import time
 
 import pytest
 from boards import PATIENCE, Line, Rfc2217Server, wait_for
-from serial_communication.links.port import Port, PortBusy, PortError, check_url
+from serial_communication.transport.port import Port, PortBusy, PortError, check_url
 
 
 @pytest.fixture

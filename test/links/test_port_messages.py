@@ -7,7 +7,7 @@ import termios
 import pytest
 import serial
 
-from serial_communication.links.port import Port, PortError, _explain, check_url
+from serial_communication.transport.port import Port, PortError, _explain, check_url
 
 # What tells of code instead of the matter.
 _RIDDLES = re.compile(r"instances of|NoneType|\{|Errno|expected a string|object|"

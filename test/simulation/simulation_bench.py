@@ -5,7 +5,7 @@ import subprocess
 import threading
 import time
 
-from serial_communication.links.port import Port, PortBusy, PortError
+from serial_communication.transport.port import Port, PortBusy, PortError
 from serial_communication.simulation.board import Runner
 from serial_communication.simulation.line import Line
 

@@ -5,7 +5,7 @@ import pytest
 from simulation_bench import Bench, running, wait_for
 
 from serial_communication.links.mcu import McuLink
-from serial_communication.links.port import Port, PortBusy
+from serial_communication.transport.port import Port, PortBusy
 from serial_communication.protocols import arduino, mcu
 from serial_communication.protocols import robot_ctrl_bus as bus
 from serial_communication.simulation.arduino import ModelCar

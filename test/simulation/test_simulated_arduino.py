@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from simulation_bench import Bench, running, wait_for
 
 from serial_communication.links.arduino import ArduinoLink
-from serial_communication.links.port import Port
+from serial_communication.transport.port import Port
 from serial_communication.protocols import arduino
 from serial_communication.simulation.arduino import TICKS_PER_METRE, ModelCar
 

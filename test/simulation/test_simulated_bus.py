@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from simulation_bench import Bench, running, wait_for
 
 from serial_communication.links.bus import BusLink, BusSettings
-from serial_communication.links.port import Port
+from serial_communication.transport.port import Port
 from serial_communication.protocols import robot_ctrl_bus as bus
 from serial_communication.simulation.bus import MEMORY, ControlBoard
 from serial_communication.simulation.faults import Faults, parse

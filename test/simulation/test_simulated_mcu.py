@@ -2,7 +2,7 @@
 from simulation_bench import Bench, running, wait_for
 
 from serial_communication.links.mcu import McuLink
-from serial_communication.links.port import Port
+from serial_communication.transport.port import Port
 from serial_communication.protocols import mcu
 from serial_communication.simulation.mcu import OUT_OF_RANGE, SensorBoard
 

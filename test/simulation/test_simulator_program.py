@@ -9,7 +9,7 @@ import sys
 import pytest
 from simulation_bench import PATIENCE, ROOT, wait_for
 
-from serial_communication.links.port import Port
+from serial_communication.transport.port import Port
 from serial_communication.protocols import robot_ctrl_bus as bus
 from serial_communication.simulation.journal import Journal
 

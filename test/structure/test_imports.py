@@ -1,5 +1,8 @@
-"""Imports run one way: ros and tools -> links -> protocols <- simulation; and only ros and tools
-know ROS. The list of boards stands above all of them, and imports them by name."""
+"""Imports run one way, and only ros and tools know ROS:
+
+    tools -> ros -> links -> transport, protocols <- simulation
+
+The list of boards (boards.py) imports nothing: it finds modules by name when it is asked."""
 import ast
 from pathlib import Path
 from typing import Iterator
@@ -7,13 +10,14 @@ from typing import Iterator
 import pytest
 from sources import PACKAGE, name
 
-# What each folder may import of this package, itself aside. simulation needs a port to open.
+# What each folder may import of this package, itself aside.
 ALLOWED = {
     'protocols': (),
-    'links': ('protocols',),
-    'simulation': ('boards', 'protocols', 'links.port'),
-    'ros': ('boards', 'links', 'protocols', 'msg', 'srv'),
-    'tools': ('boards', 'ros', 'links', 'protocols', 'simulation', 'msg', 'srv'),
+    'transport': (),
+    'links': ('protocols', 'transport'),
+    'simulation': ('boards', 'protocols', 'transport'),
+    'ros': ('boards', 'links', 'protocols', 'transport', 'msg', 'srv'),
+    'tools': ('boards', 'ros', 'links', 'protocols', 'simulation', 'transport', 'msg', 'srv'),
 }
 KNOWS_ROS = ('ros', 'tools')
 
