@@ -14,7 +14,7 @@ from unicodedata import category
 from .parts import Part
 
 NUMBERS = 'bBhHiIlLqQefd?'     # struct's codes that hold one number each
-_FRACTIONS = 'efd'             # of these, the ones that need not be whole
+FRACTIONS = 'efd'             # of these, the ones that need not be whole
 _RANGES = {'?': (0, 1), 'e': (-65504.0, 65504.0), 'f': (-3.4028234663852886e38,
            3.4028234663852886e38), 'd': (-inf, inf), 's': (-inf, inf)}
 
@@ -146,6 +146,22 @@ class Layout:
         ends = sorted((low * value.scale + value.offset, high * value.scale + value.offset))
         return ends[0], ends[1]
 
+    def kind(self, index: int) -> str:
+        """What a value is: 'number', 'array' (of numbers) or 'text'."""
+        item = self._items[index]
+        return 'text' if item.code == 's' else 'number' if item.end >= 0 else 'array'
+
+    def is_whole(self, index: int) -> bool:
+        """Whether a value is a whole number, or several, whatever is sent."""
+        value = self.values[index]
+        return self._items[index].code not in FRACTIONS + 's' and (
+            (value.scale, value.offset) == (1, 0)
+            or isinstance(value.scale, int) and isinstance(value.offset, int))
+
+    def may_be_nan(self, index: int) -> bool:
+        """Whether a value may be no number, or infinite."""
+        return self._items[index].code in FRACTIONS
+
     # -- what values say --------------------------------------------------------------------
 
     def implausible(self, values: Sequence) -> str:
@@ -259,7 +275,7 @@ def _raw(number: Any, value: Value, code: str) -> Any:
         number = (number - value.offset) / value.scale
     if code == '?':
         return number != 0
-    return number if code in _FRACTIONS else round(number)
+    return number if code in FRACTIONS else round(number)
 
 
 def _objection(given: Any, value: Value) -> str:
@@ -286,7 +302,7 @@ def _limits(value: Value) -> str:
 def holds(code: str, number: float) -> bool:
     """Whether a place of struct's `code` can hold a number, rounded where it holds integers."""
     try:
-        struct.pack('<' + code, number if code in _FRACTIONS else round(number))
+        struct.pack('<' + code, number if code in FRACTIONS else round(number))
     except (struct.error, OverflowError, ValueError):
         return False
     return True

@@ -1,0 +1,187 @@
+"""Values <-> the fields of any ROS message, by paths such as ``data`` and ``position[2]``.
+
+Everything that a path can have wrong is found when a `RosFields` is made.
+"""
+import difflib
+import importlib
+import os
+import pkgutil
+import re
+import sys
+from math import isfinite
+from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple, Union
+
+import roslib.message
+
+from ..protocols.layout import Layout, Value, holds
+from ..protocols.own_messages import RowError
+
+_CODES = {'bool': '?', 'int8': 'b', 'byte': 'b', 'uint8': 'B', 'char': 'B', 'int16': 'h',
+          'uint16': 'H', 'int32': 'i', 'uint32': 'I', 'int64': 'q', 'uint64': 'Q',
+          'float32': 'f', 'float64': 'd'}      # struct's, of ROS's numbers
+_MOST_ELEMENTS = 1000     # of an array whose elements are named one by one
+_STEP = re.compile(r'([A-Za-z]\w*)(?:\[(\d+)\])?')
+_TYPE = re.compile(r'([\w/]+)(\[(\d*)\])?')
+
+
+def find_type(key: str, name: str, kind: str = 'msg') -> Any:
+    """The class of an installed message (``kind`` 'msg') or service ('srv') type.
+
+    Raises:
+        RowError: there is none; the text has the nearest name.
+    """
+    find = roslib.message.get_message_class if kind == 'msg' else roslib.message.get_service_class
+    found = find(name)
+    if found is not None:
+        return found
+    package, _, short = name.partition('/')
+    try:
+        names = [f'{package}/{each}' for each in
+                 dir(importlib.import_module(f'{package}.{kind}')) if each[0].isupper()]
+    except ImportError:
+        names = [f'{each.name}/{short}' for each in pkgutil.iter_modules(sys.path)
+                 if os.path.isdir(os.path.join(each.module_finder.path, each.name, kind))]
+    raise RowError(key, name, 'is no installed type' + _nearest(name, names))
+
+
+class _Place(NamedTuple):
+    """Where one value goes."""
+
+    steps: Tuple[Union[str, int], ...]     # names of fields and indexes of elements
+    to_ros: Optional[Callable[[Any], Any]]
+    code: str                              # struct's code of its number; '' for a text
+
+
+class RosFields:
+    """Where the values of a layout stand in messages of one type.
+
+    Args:
+        message_class: of ROS.
+        layout: its values are named by their paths; one without a name is left out.
+        key: the parameter that named them.
+
+    Raises:
+        RowError: a path that leads nowhere, or to what cannot hold such a value.
+    """
+
+    def __init__(self, message_class: Any, layout: Layout, key: str) -> None:
+        self._class = message_class
+        self._arrays: List[Tuple[Tuple, int, Any]] = []    # to be lengthened in a new message
+        self._places = [self._resolve(key, layout, index) if value.name else None
+                        for index, value in enumerate(layout.values)]
+
+    def narrowed(self, layout: Layout) -> Layout:
+        """The same layout, which takes what a field cannot hold for implausible."""
+        values: List[Value] = []
+        for index, (value, place) in enumerate(zip(layout.values, self._places)):
+            fits = not place or place.code in ('', '?', 'd')
+            if not fits and (place.code == 'f' or not layout.may_be_nan(index)):
+                fits = all(isfinite(end) and holds(place.code, end) for end in layout.range(index))
+            values.append(value if fits else value._replace(place=place.code))
+        return Layout(layout.layout, values)
+
+    def new(self) -> Any:
+        """A message with room for every value."""
+        message = self._class()
+        for steps, size, element in self._arrays:
+            owner = _walk(message, steps[:-1])
+            items = list(getattr(owner, steps[-1]))
+            items += [element() for _ in range(size - len(items))]
+            setattr(owner, steps[-1], items)
+        return message
+
+    def fill(self, message: Any, values: Sequence) -> Any:
+        """Put the values into a message that `new` made; return it."""
+        for place, value in zip(self._places, values):
+            if place:
+                owner, last = _walk(message, place.steps[:-1]), place.steps[-1]
+                if place.to_ros:
+                    value = place.to_ros(value)
+                if isinstance(last, int):
+                    owner[last] = value
+                else:
+                    setattr(owner, last, value)
+        return message
+
+    def read(self, message: Any) -> Tuple:
+        """The values in a message; ValueError where it has not as many elements as are named."""
+        values = []
+        for place in self._places:
+            try:
+                value = _walk(message, place.steps) if place else 0
+            except IndexError:
+                raise ValueError(f'{place.steps[-2]} has no element {place.steps[-1]}') from None
+            values.append(tuple(value) if isinstance(value, (list, bytes)) else value)
+        return tuple(values)
+
+    def _resolve(self, key: str, layout: Layout, index: int) -> _Place:
+        path = layout.values[index].name
+        message_class, steps, type_, size = self._class, (), '', None
+        for name, element in _STEP.findall(path):
+            if message_class is None:
+                raise RowError(key, path, f'may not go on behind {steps[-1]}, which is {type_}')
+            fields = dict(zip(message_class.__slots__, message_class._slot_types))
+            if name not in fields:
+                raise RowError(key, path, f'{message_class._type} has no field {name}'
+                               + _nearest(name, list(fields)))
+            type_, array, size = _TYPE.fullmatch(fields[name]).groups()
+            message_class = None if type_ in _CODES or type_ in ('string', 'time', 'duration') \
+                else roslib.message.get_message_class(
+                    'std_msgs/Header' if type_ == 'Header' else type_)
+            steps += (name,)
+            if element:
+                self._lengthen(key, path, steps, int(element), array, size,
+                               message_class or _default_of(type_))
+                steps += (int(element),)
+                array = None
+        return self._checked(key, layout, index, steps, type_, array, size)
+
+    def _lengthen(self, key: str, path: str, steps: Tuple, element: int, array: Optional[str],
+                  size: Optional[str], default: Any) -> None:
+        most = int(size) if size else _MOST_ELEMENTS
+        if array is None:
+            raise RowError(key, path, f'{steps[-1]} is no array')
+        if element >= most:
+            raise RowError(key, path, f'{steps[-1]} has elements 0 to {most - 1}')
+        self._arrays.append((steps, element + 1, default))
+
+    @staticmethod
+    def _checked(key: str, layout: Layout, index: int, steps: Tuple, type_: str,
+                 array: Optional[str], size: Optional[str]) -> _Place:
+        """The place, if what the layout has fits what stands there."""
+        path, has = layout.values[index].name, layout.kind(index)
+        is_array, is_fixed = array is not None, bool(size)
+        there = type_ + (array or '')
+        if has == 'text' and (type_ != 'string' or is_array):
+            raise RowError(key, path, f'is {there}; a text needs a string')
+        if has != 'text' and type_ not in _CODES:
+            raise RowError(key, path, f'is {there}, which holds no number')
+        if has == 'array' and (not is_array or is_fixed):
+            raise RowError(key, path, f'is {there}; a * needs an array of any length')
+        if has == 'number' and is_array:
+            raise RowError(key, path, f'is {there}; one number needs one element, as {path}[0]')
+        convert = None
+        if type_ == 'bool':
+            convert = bool
+        elif has != 'text' and type_ not in ('float32', 'float64') and not layout.is_whole(index):
+            convert = round
+        if convert and has == 'array':
+            one, convert = convert, lambda numbers: [one(number) for number in numbers]
+        return _Place(steps, convert, _CODES.get(type_, ''))
+
+
+def _walk(message: Any, steps: Sequence) -> Any:
+    for step in steps:
+        message = message[step] if isinstance(step, int) else getattr(message, step)
+    return message
+
+
+def _default_of(type_: str) -> Callable[[], Any]:
+    return str if type_ == 'string' else bool if type_ == 'bool' else int
+
+
+def _nearest(name: str, names: List[str]) -> str:
+    near = difflib.get_close_matches(name, names, 1)
+    if near:
+        return f'; did you mean {near[0]}?'
+    return f'; it has {", ".join(names)}' if 0 < len(names) <= 10 else ''
