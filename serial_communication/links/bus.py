@@ -5,6 +5,7 @@ from typing import Any, Callable, List, NamedTuple, Optional, Tuple
 
 from ..protocols import robot_ctrl_bus as bus
 from ..protocols.framing import Frame
+from ..protocols.layout import Layout
 from .link import ERROR, OK, WARN, Link
 from .master import NOT_SENT, PATIENCE, Call, Master, Outcome
 from ..transport.port import Port, PortBusy, PortError
@@ -73,7 +74,7 @@ class BusLink(Link):
         self._all_read = False      # the port has been looked at since the latest frame
         if settings.environment_period:
             self.poll(settings.environment_period, bus.ENVIRONMENT_REQUEST,
-                      bus.Environment.LAYOUT.size, self._environment_came)
+                      bus.Environment.LAYOUT, self._environment_came)
 
     # -- for callers --------------------------------------------------------------------
 
@@ -88,7 +89,7 @@ class BusLink(Link):
     def environment(self) -> Tuple[Outcome, Optional[bus.Environment]]:
         """A fresh reading; None where there is none."""
         outcome = self.request(bus.ENVIRONMENT_REQUEST, repeatable=True,
-                               reply_length=bus.Environment.LAYOUT.size,
+                               reply_layout=bus.Environment.LAYOUT,
                                on_success=self._environment_came)
         return outcome, bus.Environment.unpack(outcome.data) if outcome.success else None
 
@@ -101,7 +102,7 @@ class BusLink(Link):
         return self.request(bus.SYNC_REQUEST, repeatable=True)
 
     def request(self, request: bus.Request, repeatable: bool = False,
-                timeout: Optional[float] = None, reply_length: Optional[int] = None,
+                timeout: Optional[float] = None, reply_layout: Optional[Layout] = None,
                 on_success: Optional[Callable[[Outcome], None]] = None) -> Outcome:
         """Send any request and wait for its outcome.
 
@@ -111,7 +112,7 @@ class BusLink(Link):
         Args:
             repeatable: it may be sent again after a timeout: it merely reads.
             timeout: s from sending to the reply; None: as the settings have it for its kind.
-            reply_length: data bytes that its OK must have; None: any number.
+            reply_layout: what data its OK must have; None: any.
             on_success: is called in the link's thread with a successful outcome, before or
                 after this returns.
         """
@@ -121,20 +122,20 @@ class BusLink(Link):
         if not self.port.is_open:
             return Outcome(NOT_SENT, f'the port {self.port.url} is closed '
                            f'({self._trouble or "not opened yet"}); nothing was sent')
-        call = self._call(request, repeatable, timeout, reply_length, on_success)
+        call = self._call(request, repeatable, timeout, reply_layout, on_success)
         self.master.submit(call)
         self.wake()
         return call.wait(max(self.settings.motion_timeout, PATIENCE)
                          + call.tries * (call.timeout + PATIENCE))
 
-    def poll(self, period: float, request: bus.Request, reply_length: Optional[int],
+    def poll(self, period: float, request: bus.Request, reply_layout: Optional[Layout],
              on_success: Callable[[Outcome], None], timeout: Optional[float] = None) -> None:
         """From the start on, send this repeatable request every `period` seconds.
 
         To be called before `start`. The arguments are those of `request`.
         """
         def ask() -> Call:
-            call = self._call(request, True, timeout, reply_length, on_success, poll=True)
+            call = self._call(request, True, timeout, reply_layout, on_success, poll=True)
             self.master.submit(call)
             return call
 
@@ -149,14 +150,14 @@ class BusLink(Link):
         return self.request(request)
 
     def _call(self, request: bus.Request, repeatable: bool, timeout: Optional[float],
-              reply_length: Optional[int], on_success: Optional[Callable[[Outcome], None]],
+              reply_layout: Optional[Layout], on_success: Optional[Callable[[Outcome], None]],
               poll: bool = False) -> Call:
         settings = self.settings
         if timeout is None:
             slow = request.cmd1 == bus.FUNCTION and request.cmd2 in _SLOW
             timeout = settings.motion_timeout if slow else settings.reply_timeout
         return Call(request, timeout, repeatable, 1 + settings.retries, time.monotonic(), poll,
-                    reply_length, on_success)
+                    reply_layout, on_success)
 
     def _environment_came(self, outcome: Outcome) -> None:
         if self._on_environment:
@@ -235,10 +236,14 @@ class BusLink(Link):
         return (ERROR if 'does not answer' in amiss else WARN), amiss
 
     def error_count(self) -> int:
-        return super().error_count() + self.master.timeouts + self.master.length_errors
+        master = self.master
+        return (super().error_count() + master.timeouts + master.length_errors
+                + master.implausible)
 
     def own_values(self) -> List[Tuple[str, Any]]:
         times = sorted(self.master.round_trips)
         return [('timeouts', self.master.timeouts),
+                ('length errors', self.master.length_errors),
+                ('implausible errors', self.master.implausible),
                 ('round trip p50 [ms]', f'{times[len(times) // 2] * 1e3:.2f}' if times else '-'),
                 ('round trip max [ms]', f'{times[-1] * 1e3:.2f}' if times else '-')]

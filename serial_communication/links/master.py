@@ -22,8 +22,9 @@ time it is, asks `next_request` what to send, and sleeps until `deadline`. The r
    before it returns is dropped.
    Where `ECHO_TRIES` ECHOs in a row are not answered, a SYNC and a silence of the reply timeout
    take the place of one. A board that has never echoed gets a silence of `QUIET` as its fence.
-7. A reply with another number of data bytes than its request's is told as that, at once behind
-   a fence. Without one, what may be repeated is asked once more behind the ECHO.
+7. An OK with another number of data bytes than its request's, or with values that cannot be, is
+   told as that, at once behind a fence. Without one, what may be repeated is asked once more
+   behind the ECHO.
 """
 import enum
 import os
@@ -34,6 +35,7 @@ from typing import Any, Callable, Deque, List, NamedTuple, Optional
 
 from ..protocols import robot_ctrl_bus as bus
 from ..protocols.framing import CHECKSUM, Frame
+from ..protocols.layout import Layout
 from .sparing_log import SparingLog
 
 NOT_SENT = 253     # refused here: nothing left the port
@@ -53,13 +55,13 @@ class Outcome(NamedTuple):
     error_code: int = 0
     data: bytes = b''
     round_trip: float = 0.0  # s
-    length_fits: bool = True   # whether `data` is as long as the call expected
+    as_expected: bool = True   # whether `data` has the length and the values that it may have
     stamp: Any = None        # of the read that brought the reply
 
     @property
     def success(self) -> bool:
         """Executed, exactly once, and answered as expected."""
-        return self.status in (bus.SYNC, bus.ECHO, bus.OK) and self.length_fits
+        return self.status in (bus.SYNC, bus.ECHO, bus.OK) and self.as_expected
 
 
 class Call:
@@ -72,12 +74,12 @@ class Call:
         tries: how often it may be sent in all.
         now: the time of the call.
         poll: nobody waits for it: every other call goes first.
-        reply_length: data bytes that its OK must have; None: any number.
+        reply_layout: what data its OK must have; None: any.
         on_success: is called in the link's thread with a successful outcome.
     """
 
     def __init__(self, request: bus.Request, timeout: float, repeatable: bool, tries: int,
-                 now: float, poll: bool = False, reply_length: Optional[int] = None,
+                 now: float, poll: bool = False, reply_layout: Optional[Layout] = None,
                  on_success: Optional[Callable[[Outcome], None]] = None) -> None:
         self.request = request
         self.timeout = timeout
@@ -85,7 +87,7 @@ class Call:
         self.tries = tries
         self.submitted = now
         self.poll = poll
-        self.reply_length = reply_length
+        self.reply_layout = reply_layout
         self.on_success = on_success
         self.last_try: Optional[Outcome] = None   # how the try before this one ended
         # Whether the INVALID that ended that try may have been said of noise. An ECHO that
@@ -167,6 +169,7 @@ class Master:
         self.state = State.CLOSED
         self.timeouts = 0
         self.length_errors = 0
+        self.implausible = 0
         self.round_trips: Deque[float] = deque(maxlen=200)
         self._reply_timeout = reply_timeout
         self._longest_turn = max(motion_timeout, PATIENCE)
@@ -409,8 +412,9 @@ class Master:
             exchange.other_reply = reply
             self._out_of_step(f'{reply} to {request}')
             return
-        if reply.cmd1 == bus.OK and call.reply_length not in (None, len(reply.data)):
-            self._wrong_length(exchange, frame, now)
+        objection = self._objection(reply, call) if reply.cmd1 == bus.OK else ''
+        if objection:
+            self._unexpected(exchange, frame, objection, now)
             return
         round_trip = now - exchange.sent
         self.round_trips.append(round_trip)
@@ -443,13 +447,25 @@ class Master:
             return False     # without a fence it may be another request's
         return _may_answer(reply, request)
 
-    def _wrong_length(self, exchange: _Exchange, frame: Frame, now: float) -> None:
-        """An OK with another number of data bytes than the call expects."""
+    def _objection(self, reply: bus.Reply, call: Call) -> str:
+        """What is wrong with the data of an OK, or ''. It is counted."""
+        layout, size = call.reply_layout, len(reply.data)
+        if layout is None:
+            return ''
+        if not layout.fits(size):
+            self.length_errors += 1
+            return f'{size} bytes of data, {layout.sizes()} were expected'
+        reason = layout.implausible(layout.unpack(reply.data))
+        if reason:
+            self.implausible += 1
+        return reason
+
+    def _unexpected(self, exchange: _Exchange, frame: Frame, objection: str, now: float) -> None:
+        """An OK with data that the call does not expect."""
         data, call = frame.message.data, exchange.call
-        text = (f'the board answered "{exchange.request}" with {len(data)} bytes of data, '
-                f'{call.reply_length} were expected; does its firmware know another form of it?')
-        self.length_errors += 1
-        self._log.warn('length', text)
+        text = (f'the board answered "{exchange.request}" with {objection}; does its firmware '
+                'know another form of it?')
+        self._log.warn('unexpected', text)
         self.state = State.OUT_OF_STEP
         exchange.other_reply = frame.message
         outcome = Outcome(bus.OK, text, 0, data, now - exchange.sent, False, frame.stamp)

@@ -69,14 +69,21 @@ class OwnFunction(NamedTuple):
     repeatable: bool
 
     def ask(self, values: Tuple) -> bus.Request:
-        """The request; ValueError for a value that its place cannot hold, or is to have."""
+        """The request; ValueError for a value that its place cannot hold, or beyond a limit."""
         reason = self.request.implausible(values)
         if reason:
             raise ValueError(reason)
-        return bus.Request(bus.FUNCTION, self.cmd2, self.request.pack(values))
+        request = bus.NamedRequest(bus.FUNCTION, self.cmd2, self.request.pack(values))
+        request.text = f'{self.name} {self.request.text(values)}'.rstrip()
+        return request
 
-    def __str__(self) -> str:
-        return self.name
+    def answer(self, reply: bus.Reply) -> bus.Reply:
+        """A reply to it, which says so if it is an OK with the right data."""
+        if reply.cmd1 != bus.OK or not self.reply.fits(len(reply.data)):
+            return reply
+        named = bus.NamedReply(*reply)
+        named.text = f'OK {self.name} {self.reply.text(self.reply.unpack(reply.data))}'.rstrip()
+        return named
 
 
 def arduino_messages(entries: Any, key: str = 'arduino/messages') -> List[OwnMessage]:

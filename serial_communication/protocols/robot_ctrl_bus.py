@@ -11,7 +11,7 @@ Flag 0xA5: standard frame, Datelen is one byte, under 255. Flag 0x5A: long frame
 uint16, 255 or more. Datelen counts the DATE bytes. Checksum: XOR of every byte before it.
 Little-endian. Decisions where the source is silent: see "Protocols" in README.md.
 """
-from typing import Any, List, NamedTuple, Optional
+from typing import Any, Iterable, List, NamedTuple, Optional
 
 from .framing import CHECKSUM, FRAMING, Bad, Good, Need, StreamDecoder, running_xor
 from .layout import Layout, Value
@@ -106,6 +106,24 @@ class Reply(NamedTuple):
         if self.cmd1 == OK and len(self.data) == Environment.LAYOUT.size:
             return f'OK {self.data.hex()} (if environment: {Environment.unpack(self.data)})'
         return f'{name} {self.data.hex()}'.rstrip()
+
+
+class NamedRequest(Request):
+    """A request of a function that has a name here; it says so."""
+
+    text = ''
+
+    def __str__(self) -> str:
+        return self.text
+
+
+class NamedReply(Reply):
+    """The OK to a function that has a name here; it says so."""
+
+    text = ''
+
+    def __str__(self) -> str:
+        return self.text
 
 
 class Environment(NamedTuple):
@@ -225,9 +243,10 @@ class _Decoder(StreamDecoder):
     _commands = 1  # CMD bytes
     _NAMES = _REPLY_NAMES      # of CMD1
 
-    def __init__(self, max_length: int = MAX_LENGTH) -> None:
+    def __init__(self, max_length: int = MAX_LENGTH, functions: Iterable[Any] = ()) -> None:
         super().__init__()
         self._max_length = max_length
+        self._functions = {function.cmd2: function for function in functions}
 
     def _good(self, size: int, commands: bytes, data: bytes) -> Good:
         raise NotImplementedError
@@ -269,7 +288,8 @@ class _Decoder(StreamDecoder):
                           if parts.left else '')
         cmd2 = 0
         if self._commands > 1:
-            cmd2 = parts.take(1, 'CMD2', _FUNCTION_NAMES.get(frame[header + 1], '')
+            names = {**_FUNCTION_NAMES, **{n: f.name for n, f in self._functions.items()}}
+            cmd2 = parts.take(1, 'CMD2', names.get(frame[header + 1], '')
                               if parts.left and cmd1 == FUNCTION else '')
         parts.take_data(length, lambda data: self._explain_data(cmd1, cmd2, data, request))
         parts.take_checksum('Checksum', frame[:parts.at])
@@ -301,10 +321,17 @@ class _Decoder(StreamDecoder):
 
 
 class ReplyDecoder(_Decoder):
-    """Slave -> Master. `has_cmd2`: for a board whose replies carry a CMD2."""
+    """Slave -> Master.
 
-    def __init__(self, has_cmd2: bool = False, max_length: int = MAX_LENGTH) -> None:
-        super().__init__(max_length)
+    Args:
+        has_cmd2: for a board whose replies carry a CMD2.
+        max_length: most DATE bytes accepted.
+        functions: of one's own, to be explained by name.
+    """
+
+    def __init__(self, has_cmd2: bool = False, max_length: int = MAX_LENGTH,
+                 functions: Iterable[Any] = ()) -> None:
+        super().__init__(max_length, functions)
         self._commands = 2 if has_cmd2 else 1
 
     def _good(self, size: int, commands: bytes, data: bytes) -> Good:
@@ -317,6 +344,8 @@ class ReplyDecoder(_Decoder):
             code = int.from_bytes(data, 'little')
             return [Part(0, len(data), 'error code', data, code, code,
                          meaning=ERROR_TEXTS.get(code, 'not a code the protocol knows'))]
+        if cmd1 == OK and request and request.cmd2 in self._functions:
+            return self._functions[request.cmd2].reply.parts(data)
         if cmd1 == OK and (request == ENVIRONMENT_REQUEST if request
                            else len(data) == Environment.LAYOUT.size):
             return [part if request else part._replace(meaning='if of an environment reply')
@@ -345,6 +374,8 @@ class RequestDecoder(_Decoder):
 
     def _explain_data(self, cmd1: int, cmd2: int, data: bytes,
                       request: Optional[Request]) -> List[Part]:
+        if cmd1 == FUNCTION and cmd2 in self._functions:
+            return self._functions[cmd2].request.parts(data)
         if cmd1 != FUNCTION or cmd2 not in _MOVES:
             return super()._explain_data(cmd1, cmd2, data, request)
         _, directions, amount = _MOVES[cmd2]

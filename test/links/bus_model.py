@@ -161,7 +161,7 @@ class Model:
         slow = kind in ('lift', 'gimbal')
         call = Call(request, MOTION_TIMEOUT if slow else REPLY_TIMEOUT,
                     kind in ('air', 'echo', 'sync'), 3, self.now,
-                    reply_length=bus.Environment.LAYOUT.size if kind == 'air' else None)
+                    reply_layout=bus.Environment.LAYOUT if kind == 'air' else None)
         self.asked.append(Asked(call, kind, self.now, self.board.readings))
         self.master.submit(call)
 

@@ -10,6 +10,7 @@ from serial_communication.links.link import ERROR, OK, RX, TX
 from serial_communication.links.master import NOT_SENT, QUIET, TIMEOUT
 from serial_communication.transport.port import Port, PortBusy, PortError
 from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.protocols.layout import Layout
 
 SHORT = BusSettings(reply_timeout=0.15, motion_timeout=0.3, environment_period=0.0)
 PATIENT = BusSettings(reply_timeout=PATIENCE, motion_timeout=PATIENCE, environment_period=0.0)
@@ -102,7 +103,7 @@ def test_several_things_are_polled_each_to_its_own(line, board, logger, running)
         bus.encode_reply(bus.Reply(bus.OK, bytes((request.cmd2,)))) if is_move(request) else None)
     link = BusLink(Port(line.path), PATIENT, logger=logger)
     for cmd2 in kept:
-        link.poll(0.01, bus.Request(bus.FUNCTION, cmd2), 1, kept[cmd2].append)
+        link.poll(0.01, bus.Request(bus.FUNCTION, cmd2), Layout('<x', ()), kept[cmd2].append)
     running(link)
     wait_for(lambda: all(len(outcomes) >= 3 for outcomes in kept.values()))
     for cmd2, outcomes in kept.items():

@@ -9,6 +9,7 @@ from serial_communication.links.master import (ECHO_TRIES, NOT_SENT, PATIENCE, Q
 from serial_communication.links.sparing_log import SparingLog
 from serial_communication.protocols import robot_ctrl_bus as bus
 from serial_communication.protocols.framing import CHECKSUM, FRAMING, Frame, bad_frame
+from serial_communication.protocols.layout import Layout, Value
 
 REPLY_TIMEOUT, MOTION_TIMEOUT = 0.5, 5.0
 SYNC_REPLY = bus.Reply(bus.SYNC)
@@ -52,7 +53,7 @@ class Session:
         slow = request.cmd2 in (bus.LIFT, bus.GIMBAL)
         repeatable = request.cmd1 in (bus.SYNC, bus.ECHO) or request == AIR
         call = Call(request, self._motion_timeout if slow else REPLY_TIMEOUT, repeatable, tries,
-                    self.now, poll, len(AIR_REPLY.data) if request == AIR else None)
+                    self.now, poll, bus.Environment.LAYOUT if request == AIR else None)
         self.master.submit(call)
         return call
 
@@ -954,7 +955,7 @@ def test_an_ok_that_came_twice_before_a_reading_costs_no_reading(session):
 
 
 def test_what_may_not_be_repeated_is_told_of_a_wrong_length_at_once_and_goes_never_again(session):
-    call = Call(RAW, REPLY_TIMEOUT, False, 3, session.now, reply_length=2)
+    call = Call(RAW, REPLY_TIMEOUT, False, 3, session.now, reply_layout=Layout('<2x', ()))
     session.master.submit(call)
     assert session.ask_next() == RAW
     session.reply(OK_REPLY)
@@ -969,7 +970,7 @@ def test_without_echo_the_right_length_may_still_come_to_what_may_not_be_repeate
     session.ask_next()
     session.reply(AIR_REPLY)
     session.later(QUIET)
-    call = Call(RAW, REPLY_TIMEOUT, False, 3, session.now, reply_length=2)
+    call = Call(RAW, REPLY_TIMEOUT, False, 3, session.now, reply_layout=Layout('<2x', ()))
     session.master.submit(call)
     assert session.ask_next() == RAW
     session.reply(OK_REPLY)
@@ -978,12 +979,25 @@ def test_without_echo_the_right_length_may_still_come_to_what_may_not_be_repeate
     assert call.outcome.success
 
 
+def test_a_reply_with_values_that_cannot_be_is_told_as_that_and_counted(session):
+    layout = Layout('<B', [Value('level', maximum=100)])
+    for data, success in ((b'\x64', True), (b'\x65', False)):
+        call = Call(RAW, REPLY_TIMEOUT, False, 3, session.now, reply_layout=layout)
+        session.master.submit(call)
+        assert session.ask_next() == RAW
+        session.reply(bus.Reply(bus.OK, data))
+        assert call.outcome.status == bus.OK and call.outcome.success == success
+        session.find_step()
+    assert 'level is 101, over 100' in call.outcome.message
+    assert session.master.implausible == 1 and session.master.length_errors == 0
+
+
 @pytest.mark.parametrize('reply, told', [(AIR_REPLY, True), (bus.Reply(bus.OK), False),
                                          (error(0x8000), False)], ids=str)
 def test_on_success_is_called_with_a_valid_reading_only(session, reply, told):
     readings = []
     session.master.submit(Call(AIR, REPLY_TIMEOUT, True, 1, session.now, poll=True,
-                               reply_length=6, on_success=readings.append))
+                               reply_layout=bus.Environment.LAYOUT, on_success=readings.append))
     session.ask_next()
     session.reply(reply)
     assert [outcome.data for outcome in readings] == ([AIR_REPLY.data] if told else [])

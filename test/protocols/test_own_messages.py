@@ -166,6 +166,7 @@ def test_mcu_frames_of_ones_own():
 def test_a_function_of_ones_own():
     pump = one(PUMP)
     assert pump.ask((True,)) == bus.Request(bus.FUNCTION, 48, b'\1')
+    assert str(pump.ask((True,))) == 'name data=true'
     assert (pump.timeout, pump.repeatable, pump.reply.size) == (None, False, 0)
     polled, = bus_functions({'level': {
         'cmd2': 49, 'ros_type': 'std_msgs/Float32', 'period': 2, 'timeout': 0.2,
@@ -173,6 +174,20 @@ def test_a_function_of_ones_own():
     assert (polled.repeatable, polled.period, polled.timeout) == (True, 2, 0.2)
     assert polled.reply.unpack(b'\x0a\0') == (1.0,)
     assert polled.ask(()) == bus.Request(bus.FUNCTION, 49)
+    assert str(polled.answer(bus.Reply(bus.OK, b'\x0a\0'))) == 'OK level data=1'
+    for other in bus.Reply(bus.OK, b'\x0a'), bus.Reply(bus.ERROR, b'\2\x80'):
+        assert str(polled.answer(other)) == str(other)
+
+
+def test_functions_of_ones_own_are_explained_by_name():
+    pump = one(PUMP, reply={'layout': '<H', 'fields': ['message'], 'scale': 0.1})
+    request = pump.ask((True,))
+    told = bus.RequestDecoder(functions=[pump]).explain(bus.encode_request(request))
+    assert [(part.name, part.value, part.meaning) for part in told[3:5]] == [
+        ('CMD2', 48, 'name'), ('data', True, '')]
+    told = bus.ReplyDecoder(functions=[pump]).explain(
+        bus.encode_reply(bus.Reply(bus.OK, b'\x0a\0')), request)
+    assert [(part.name, part.value) for part in told[3:4]] == [('message', 1.0)]
 
 
 # -- mistakes -------------------------------------------------------------------------------------
