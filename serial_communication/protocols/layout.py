@@ -8,7 +8,7 @@ import re
 import struct
 from collections import namedtuple
 from math import inf
-from typing import Any, List, NamedTuple, Sequence, Tuple
+from typing import Any, List, NamedTuple, Optional, Sequence, Tuple
 from unicodedata import category
 
 from .parts import Part
@@ -150,6 +150,11 @@ class Layout:
         """What a value is: 'number', 'array' (of numbers) or 'text'."""
         item = self._items[index]
         return 'text' if item.code == 's' else 'number' if item.end >= 0 else 'array'
+
+    def room(self, index: int) -> Optional[int]:
+        """Bytes of a value; None: as many as there are."""
+        item = self._items[index]
+        return item.end - item.start if item.end >= 0 else None
 
     def is_whole(self, index: int) -> bool:
         """Whether a value is a whole number, or several, whatever is sent."""

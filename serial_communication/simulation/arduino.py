@@ -19,11 +19,14 @@ import argparse
 import math
 from collections import deque
 from random import Random
-from typing import Any, Deque, Optional
+from typing import Any, Deque, Optional, Sequence
 
 from ..protocols import arduino
 from ..protocols.framing import Frame
+from ..protocols.layout import Row
+from ..protocols.own_messages import OwnMessage, arduino_messages
 from .board import Board, Every, positive
+from .own_messages import Player, add_option
 
 HEARTBEAT_TIMEOUT = 0.03   # s
 BEAT = 0.01                # s
@@ -50,6 +53,7 @@ class ModelCar(Board):
     Args:
         calibration_time: s.
         seed: of the sensors' noise.
+        own: messages of one's own: sent beside these, and told as they come.
     """
 
     NAME = 'arduino'
@@ -67,13 +71,17 @@ class ModelCar(Board):
         parser.add_argument('--calibration-time', type=positive, default=10.0, metavar='S',
                             help='how long an IMU calibration takes (%(default)g; the real one: '
                                  'over 300)')
+        add_option(parser, 'arduino', 'messages', arduino_messages)
 
     @classmethod
     def from_options(cls, options: argparse.Namespace) -> 'ModelCar':
-        return cls(options.calibration_time, options.seed)
+        return cls(options.calibration_time, options.seed, options.config)
 
-    def __init__(self, calibration_time: float = 10.0, seed: int = 0) -> None:
-        super().__init__(arduino.BoardDecoder())
+    def __init__(self, calibration_time: float = 10.0, seed: int = 0,
+                 own: Sequence[OwnMessage] = ()) -> None:
+        super().__init__(arduino.BoardDecoder(
+            messages=[message.kind for message in own if message.is_command]))
+        self._own = Player(own)
         self.motor_on = False
         self.command = 0           # the SPEED that the motor runs with, 0 if it is off
         self.velocity = 0.0        # m/s
@@ -110,6 +118,7 @@ class ModelCar(Board):
         self._volts.clear()
         self._beat = Every(BEAT, now)
         self._second = Every(1.0, now)
+        self._own.power_on(now)
         # An empty packet ends what the boot loader babbled.
         self.line.send_raw(b'\0')
         self._log(_INFO, 'IMU ready')
@@ -144,6 +153,8 @@ class ModelCar(Board):
             self._set_led(message.text)
         elif isinstance(message, arduino.ImuCalibration):
             self._calibrate(now)
+        elif isinstance(message, Row):      # of one's own
+            self.say(str(message))
 
     def advance(self, now: float) -> Optional[float]:
         self._move(now)
@@ -153,7 +164,9 @@ class ModelCar(Board):
             self._measure(now)
         if self._second.passed(now):
             self._send(arduino.Voltage(sum(self._volts) / len(self._volts)))
-        due = self._beat.due
+        for message in self._own.messages(now):
+            self._send(message)
+        due = min(self._beat.due, self._own.due() or math.inf)
         if self.motor_on:
             due = min(due, self._heartbeat + HEARTBEAT_TIMEOUT)
         if self.calibrating:

@@ -22,11 +22,13 @@ import argparse
 import math
 from collections import deque
 from random import Random
-from typing import Any, Deque, NamedTuple, Optional, Tuple
+from typing import Any, Deque, Iterable, NamedTuple, Optional, Tuple
 
 from ..protocols import robot_ctrl_bus as bus
 from ..protocols.framing import CHECKSUM, Frame
+from ..protocols.own_messages import OwnFunction, bus_functions
 from .board import FRAME_TIMEOUT, Board, positive
+from .own_messages import add_option, wandering
 
 MEMORY = 0xF0            # CMD2 of the function that a bridge does not know
 LIFT_RANGE = (0, 1000)   # mm
@@ -90,6 +92,7 @@ class ControlBoard(Board):
         echoes: whether it answers ECHO at all.
         ok_data: DATE bytes that its OK to a move carries.
         seed: of the air's noise.
+        own: functions of one's own: it answers with values that wander.
     """
 
     NAME = 'bus'
@@ -112,16 +115,20 @@ class ControlBoard(Board):
         parser.add_argument('--no-echo', action='store_true', help='never answer ECHO')
         parser.add_argument('--ok-data', type=bytes.fromhex, default=b'', metavar='HEX',
                             help='data in the OK to a move, as 0102')
+        add_option(parser, 'bus', 'functions', bus_functions)
 
     @classmethod
     def from_options(cls, options: argparse.Namespace) -> 'ControlBoard':
         return cls(options.lift_speed, options.gimbal_speed, options.max_length,
-                   options.reply_has_cmd2, options.seed, not options.no_echo, options.ok_data)
+                   options.reply_has_cmd2, options.seed, not options.no_echo, options.ok_data,
+                   options.config)
 
     def __init__(self, lift_speed: float = LIFT_SPEED, gimbal_speed: float = GIMBAL_SPEED,
                  max_length: int = bus.MAX_LENGTH, reply_has_cmd2: bool = False,
-                 seed: int = 0, echoes: bool = True, ok_data: bytes = b'') -> None:
+                 seed: int = 0, echoes: bool = True, ok_data: bytes = b'',
+                 own: Iterable[OwnFunction] = ()) -> None:
         super().__init__(bus.RequestDecoder(max(bus.MAX_LENGTH, max_length)))
+        self._own = {function.cmd2: function for function in own}
         self.lift = Axis(LIFT_START, LIFT_RANGE, lift_speed)
         self.pan = Axis(0, PAN_RANGE, gimbal_speed)
         self.tilt = Axis(0, TILT_RANGE, gimbal_speed)
@@ -238,6 +245,8 @@ class ControlBoard(Board):
             if request.data:
                 return _error(bus.MALFORMED)
             return bus.Reply(bus.OK, self.air(now).pack())
+        if request.cmd2 in self._own:
+            return self._own_function(self._own[request.cmd2], request, now)
         if request.cmd2 == MEMORY:
             self.memory = request.data
             return bus.Reply(bus.OK, request.data)
@@ -260,6 +269,15 @@ class ControlBoard(Board):
         self.say('%s: %s %d%s: %g -> %g%s' % (name, directions[direction], amount, unit,
                                               round(start, 1), round(start + way, 1), unit))
         return None
+
+    def _own_function(self, own: OwnFunction, request: bus.Request, now: float) -> bus.Reply:
+        if not own.request.fits(len(request.data)):
+            return _error(bus.MALFORMED)
+        values = own.request.unpack(request.data)
+        if own.request.implausible(values):
+            return _error(bus.OPERATION_FAILED)
+        self.say(f'{own.name} {own.request.text(values)}'.rstrip())
+        return bus.Reply(bus.OK, own.reply.pack(wandering(own.reply, now)))
 
     def air(self, now: float) -> bus.Environment:
         """What the sensors measure."""

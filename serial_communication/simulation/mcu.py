@@ -11,10 +11,12 @@ The source's board sends every 50 ms (20 Hz); SEQ counts every frame and starts 
 import argparse
 import math
 from random import Random
-from typing import Any, Optional
+from typing import Any, Iterable, Optional
 
 from ..protocols import mcu
+from ..protocols.own_messages import OwnMessage, mcu_messages
 from .board import Board, Every, positive
+from .own_messages import Player, add_option
 
 RATE = 20.0              # Hz
 OUT_OF_RANGE = 8190      # mm, what the sensor says where nothing is near enough
@@ -30,6 +32,7 @@ class SensorBoard(Board):
         rate: frames a second.
         adc: send the six ADC channels, and nothing else.
         seed: of the noise and the timeouts.
+        own: messages of one's own, sent beside these.
     """
 
     NAME = 'mcu'
@@ -47,12 +50,14 @@ class SensorBoard(Board):
                             help='frames a second (%(default)g)')
         parser.add_argument('--adc', action='store_true',
                             help='be the board with six ADC channels')
+        add_option(parser, 'mcu', 'messages', mcu_messages)
 
     @classmethod
     def from_options(cls, options: argparse.Namespace) -> 'SensorBoard':
-        return cls(options.rate, options.adc, options.seed)
+        return cls(options.rate, options.adc, options.seed, options.config)
 
-    def __init__(self, rate: float = RATE, adc: bool = False, seed: int = 0) -> None:
+    def __init__(self, rate: float = RATE, adc: bool = False, seed: int = 0,
+                 own: Iterable[OwnMessage] = ()) -> None:
         super().__init__()
         self.seq = 0        # of the next frame
         self._adc = adc
@@ -60,6 +65,7 @@ class SensorBoard(Board):
         self._random = Random('%d sensors' % seed)
         self._beat = Every(self._period, 0.0)
         self._on_since = 0.0
+        self._own = Player(own)
 
     # -- hooks ----------------------------------------------------------------------------
 
@@ -67,13 +73,18 @@ class SensorBoard(Board):
         self.seq = 0
         self._on_since = now
         self._beat = Every(self._period, now)
+        self._own.power_on(now)
 
     def advance(self, now: float) -> Optional[float]:
         if self._beat.passed(now):
-            message = self.channels(now) if self._adc else self.status(now)
-            self.send(mcu.encode(message, self.seq), message)
-            self.seq = (self.seq + 1) % 256
-        return self._beat.due
+            self._send(self.channels(now) if self._adc else self.status(now))
+        for message in self._own.messages(now):
+            self._send(message)
+        return min(self._beat.due, self._own.due() or math.inf)
+
+    def _send(self, message: Any) -> None:
+        self.send(mcu.encode(message, self.seq), message)
+        self.seq = (self.seq + 1) % 256
 
     def fields(self, frame: bytes, message: Any) -> dict:
         return {'type': message.TYPE, 'seq': self.seq, 'raw': frame.hex()}
