@@ -21,6 +21,31 @@ static const StepperAxis kTilt = {kTiltStepPin, kTiltDirectionPin, kGimbalStepsP
 
 static Sht3x sht3x;
 
+#ifdef OWN_MESSAGES
+// An example of functions of one's own, the rows `pump` and `tank` of config/own_messages.yaml.
+const uint8_t kFunctionPump = 0x30;
+const uint8_t kFunctionTank = 0x32;
+
+struct PACKED Pump {
+  uint8_t on;
+};
+struct PACKED Tank {
+  uint16_t decapascals;
+};
+
+static BusResult pump(const uint8_t* data, uint16_t size) {
+  Pump pump;
+  if (!from_bytes(data, size, &pump)) return BusResult::failed(kErrorMalformed);
+  digitalWrite(kPumpPin, pump.on != 0);
+  return BusResult::ok();
+}
+
+static BusResult tank() {
+  const Tank tank = {static_cast<uint16_t>(analogRead(kTankPin) * 10)};
+  return BusResult::ok(tank);
+}
+#endif
+
 class ControlBoard : public BusHandler {
  public:
   BusResult request(uint8_t cmd2, const uint8_t* data, uint16_t size) override {
@@ -31,6 +56,12 @@ class ControlBoard : public BusHandler {
         return size == 2 && data[0] <= 3 ? gimbal(data[0], data[1]) : BusResult::failed(kErrorMalformed);
       case kFunctionEnvironment:
         return environment();
+#ifdef OWN_MESSAGES
+      case kFunctionPump:
+        return pump(data, size);
+      case kFunctionTank:
+        return tank();
+#endif
       default:
         return BusResult::failed(kErrorUnsupported);
     }
@@ -101,6 +132,9 @@ void setup() {
     pinMode(axis.step_pin, OUTPUT);
     pinMode(axis.direction_pin, OUTPUT);
   }
+#ifdef OWN_MESSAGES
+  pinMode(kPumpPin, OUTPUT);
+#endif
   pinMode(kLiftTopPin, INPUT_PULLUP);
   pinMode(kLiftBottomPin, INPUT_PULLUP);
   stepper_begin();

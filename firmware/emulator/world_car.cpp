@@ -12,7 +12,7 @@ const double kDegree = M_PI / 180;
 
 // Data addresses of the ATmega328P's registers.
 const uint16_t kOcr1al = 0x88, kOcr1ah = 0x89, kIcr1l = 0x86, kIcr1h = 0x87, kTccr1b = 0x81;
-const uint16_t kOcr2b = 0xB4, kTccr2a = 0xB0;
+const uint16_t kOcr2a = 0xB3, kOcr2b = 0xB4, kTccr2a = 0xB0;
 
 // An angle that goes to where it is set with no jerk: gently off, gently to rest.
 class SmoothAngle {
@@ -109,9 +109,9 @@ class CarWorld : public World {
     mcu.drive_pin('D', 2, encoder_level_);
 
     const auto changed = [this] { record_outputs(); };
-    for (uint16_t address : {kOcr2b, kTccr2a, kOcr1al, kTccr1b}) mcu.on_write(address, changed);
+    for (uint16_t address : {kOcr2a, kOcr2b, kTccr2a, kOcr1al, kTccr1b}) mcu.on_write(address, changed);
     for (int bit : {5, 6, 7}) mcu.on_output_pin('D', bit, [this](bool) { record_outputs(); });
-    for (int bit : {0, 4}) mcu.on_output_pin('B', bit, [this](bool) { record_outputs(); });
+    for (int bit : {0, 3, 4}) mcu.on_output_pin('B', bit, [this](bool) { record_outputs(); });
     record_outputs();
 
     add_angle("yaw", attitude_.yaw);
@@ -128,6 +128,7 @@ class CarWorld : public World {
     values.variable("imu_temperature", &attitude_.temperature);
     values.variable("imu_present", &mpu_.present);
     values.variable("battery", &battery_);
+    values.variable("force", &force_);
     values.variable("steering_feedback", [this] { return steering_feedback(); },
                     [this](double raw) { forced_feedback_ = raw; });
     values.reading("wheel_turns", [this] { return wheel_turns_; });
@@ -157,6 +158,8 @@ class CarWorld : public World {
     // Fast PWM with the clock divided by eight: half microseconds, and one more than the match.
     const bool servo_on = top > 0 && (mcu_.data(kTccr1b) & 7) == 2;
     servo_us_ = servo_on ? (match + 1) / 2.0 : 0;
+    // The core's analogWrite() switches the pin itself for 0 and 255.
+    values.record("gripper_pwm", mcu_.data(kTccr2a) & 0x80 ? mcu_.data(kOcr2a) : 255 * mcu_.output_pin('B', 3));
     values.record("motor_pwm", motor_pwm_);
     values.record("motor_direction", motor_direction_);
     values.record("servo_us", servo_us_);
@@ -172,6 +175,7 @@ class CarWorld : public World {
   double volts(int channel) const {
     if (channel == 0) return (steering_feedback() + 0.5) * 5 / 1024;
     if (channel == 1) return battery_ / kDivider;
+    if (channel == 6) return (force_ + 0.5) * 5 / 1024;
     return 0;
   }
 
@@ -205,6 +209,7 @@ class CarWorld : public World {
   Attitude attitude_;
   Mpu6050 mpu_;
   double battery_ = 14.8;
+  double force_ = 100;           // raw ADC, of the example of messages of one's own
   double forced_feedback_ = -1;  // below 0: the servo's own position
   double servo_position_ = 1500;
   double servo_us_ = 0;

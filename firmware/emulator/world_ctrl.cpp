@@ -105,10 +105,14 @@ class CtrlWorld : public World {
         sht3x_(mcu) {
     values.clock = [this] { return mcu_.seconds(); };
     mcu.attach_i2c(0x44, &sht3x_);
-    mcu.adc_volts = [this](int channel) { return channel == 0 ? (smoke_ + 0.5) * 5 / 1024 : 0; };
+    mcu.adc_volts = [this](int channel) {
+      return channel > 1 ? 0 : ((channel == 0 ? smoke_ : tank_) + 0.5) * 5 / 1024;
+    };
+    mcu.on_output_pin('B', 3, [this](bool level) { values.record("pump", level); });
     mcu.every(uint64_t(kStep * mcu.frequency()), [this, still] { step(still); });
     drive_switches();
     values.variable("smoke", &smoke_);
+    values.variable("tank", &tank_);
     values.variable("temperature", &sht3x_.temperature);
     values.variable("humidity", &sht3x_.humidity);
     values.variable("sht3x_present", &sht3x_.present);
@@ -140,6 +144,7 @@ class CtrlWorld : public World {
   Axis lift_, pan_, tilt_;
   Sht3x sht3x_;
   double smoke_ = 120;       // raw ADC
+  double tank_ = 300;        // likewise, of the example of functions of one's own
   double lift_bottom_ = 0;   // mm
   double lift_top_ = 600;    // mm
   bool at_top_ = false;

@@ -20,6 +20,9 @@ const uint8_t kLedBrakePin = 12;
 const uint8_t kSteeringFeedbackPin = A0;
 const uint8_t kBatteryPin = A1;
 // A4 and A5 are the I2C bus of the MPU6050.
+// Of the example of messages of one's own; the gripper needs Timer2's other output, OC2A.
+const uint8_t kForcePin = A6;
+const uint8_t kGripperPin = 11;
 
 // 30 kOhm from the battery to the pin, 10 kOhm from the pin to ground: 20 V at full scale.
 const float kBatteryDivider = 4.0f;

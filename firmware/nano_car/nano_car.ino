@@ -65,7 +65,32 @@ static void handle_led(const Packet& packet) {
   }
 }
 
+#ifdef OWN_MESSAGES
+// An example of messages of one's own, the rows `force` and `gripper` of config/own_messages.yaml.
+struct PACKED Force {
+  int16_t centinewtons;
+};
+struct PACKED Gripper {
+  int16_t position;  // 0.1 mm, -1000 … 1000
+  uint8_t force;     // 1/255
+};
+
+static void send_force() {
+  const Force force = {static_cast<int16_t>(analogRead(kForcePin) * 29L)};  // 0 … 297 N
+  sender.send(32, force);
+}
+
+static void handle_gripper(const Gripper& gripper) {
+  const int16_t position = constrain(gripper.position, -1000, 1000);
+  analogWrite(kGripperPin, gripper.force > 0 ? (position + 1000L) * 255 / 2000 : 0);
+}
+#endif
+
 static void handle(const Packet& packet) {
+#ifdef OWN_MESSAGES
+  Gripper gripper;
+  if (packet.is(48, &gripper)) handle_gripper(gripper);
+#endif
   switch (packet.type) {
     case MessageType::Heartbeat:
       drive_heartbeat();
@@ -168,6 +193,9 @@ static void sleep_until_interrupt() {
 }
 
 void setup() {
+#ifdef OWN_MESSAGES
+  decoder.accept<Gripper>(48);
+#endif
   pinMode(kLedLeftPin, OUTPUT);
   pinMode(kLedRightPin, OUTPUT);
   pinMode(kLedBrakePin, OUTPUT);
@@ -196,6 +224,9 @@ void loop() {
     update_imu(beats);
     update_battery();
     update_lamps();
+#ifdef OWN_MESSAGES
+    send_force();
+#endif
   }
   sleep_until_interrupt();
 }

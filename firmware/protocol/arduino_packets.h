@@ -11,6 +11,7 @@
 #include <string.h>
 
 #include "cobs.h"
+#include "packed.h"
 
 namespace serial_communication {
 
@@ -30,7 +31,7 @@ enum class MessageType : uint8_t {
   ImuCalibration = 12,  // to the board: no data
 };
 
-const uint8_t kMessageTypes = 13;
+const uint8_t kMessageTypes = 13;  // from here on types are one's own
 const uint8_t kImuDataSize = 22;
 const uint8_t kLedTextMax = 30;
 const int16_t kSpeedMax = 1000;
@@ -83,6 +84,13 @@ class PacketSender {
     sink_(static_cast<const uint8_t*>(wire), length);
   }
 
+  // A message of one's own: any packed struct.
+  template <class T>
+  void send(uint8_t type, const T& value) {
+    static_assert(sizeof(T) <= MaxData, "a packet of this sender holds no more");
+    send(static_cast<MessageType>(type), &value, sizeof value);
+  }
+
   // Text of a log message (Debug … Error) or an LED command; its 0x00 is sent too.
   void send_text(MessageType type, const char* text) { send(type, text, strlen(text) + 1); }
 
@@ -117,7 +125,7 @@ class PacketSender {
   Sink sink_;
 };
 
-// One valid packet: a known type with the length that belongs to it.
+// One valid packet: a known type with the length that belongs to it, or one of one's own.
 struct Packet {
   MessageType type;
   const uint8_t* data;  // valid until the decoder's next feed()
@@ -139,6 +147,12 @@ struct Packet {
     return volts;
   }
 
+  // A packet of one's own type; false where it is another one or has another size.
+  template <class T>
+  bool is(uint8_t own_type, T* value) const {
+    return static_cast<uint8_t>(type) == own_type && from_bytes(data, size, value);
+  }
+
   ImuData imu() const {
     ImuData imu;
     imu_from_bytes(data, &imu);
@@ -153,8 +167,8 @@ struct Packet {
 };
 
 // Takes bytes one by one and yields valid packets. `MaxPacket` bounds the decoded packet,
-// type byte included; a longer one is dropped whole.
-template <size_t MaxPacket = 256>
+// type byte included; a longer one is dropped whole. `MaxOwn` bounds the types of one's own.
+template <size_t MaxPacket = 256, uint8_t MaxOwn = 4>
 class PacketDecoder {
  public:
   // Why packets were dropped.
@@ -167,6 +181,12 @@ class PacketDecoder {
   };
 
   explicit PacketDecoder(uint32_t frame_timeout_ms = 50) : counters(), frame_timeout_ms_(frame_timeout_ms) {}
+
+  // Takes a type of one's own (13 … 255), whose data is a T.
+  template <class T>
+  void accept(uint8_t type) {
+    if (own_count_ < MaxOwn) own_[own_count_++] = {type, sizeof(T)};
+  }
 
   // Returns true when this byte completed a valid packet, which packet() then holds.
   bool feed(uint8_t byte, uint32_t now_ms) {
@@ -215,14 +235,15 @@ class PacketDecoder {
       return false;
     }
     if (length == 0) return false;
-    if (buffer_[0] >= kMessageTypes) {
-      ++counters.unknown_type;
-      return false;
-    }
     packet_.type = static_cast<MessageType>(buffer_[0]);
     packet_.data = buffer_ + 1;
     packet_.size = length - 1;
-    if (!length_fits(packet_.type, packet_.size)) {
+    const Own* own = find_own(buffer_[0]);
+    if (buffer_[0] >= kMessageTypes && !own) {
+      ++counters.unknown_type;
+      return false;
+    }
+    if (own ? packet_.size != own->size : !length_fits(packet_.type, packet_.size)) {
       ++counters.wrong_length;
       return false;
     }
@@ -251,6 +272,20 @@ class PacketDecoder {
     }
   }
 
+  struct Own {
+    uint8_t type;
+    uint8_t size;
+  };
+
+  const Own* find_own(uint8_t type) const {
+    for (uint8_t i = 0; i < own_count_; ++i) {
+      if (own_[i].type == type) return own_ + i;
+    }
+    return 0;
+  }
+
+  Own own_[MaxOwn];
+  uint8_t own_count_ = 0;
   uint8_t buffer_[cobs_encoded_max(MaxPacket)];
   size_t size_ = 0;
   bool overflow_ = false;

@@ -23,6 +23,8 @@
 #include <stdint.h>
 #include <string.h>
 
+#include "packed.h"
+
 namespace serial_communication {
 
 const uint8_t kFlagStandard = 0xA5;
@@ -62,6 +64,16 @@ struct BusResult {
   uint8_t size;
 
   static BusResult ok() { return BusResult{Ok, 0, {0}, 0}; }
+  // OK with a packed struct, for a function of one's own.
+  template <class T>
+  static BusResult ok(const T& value) {
+    BusResult result = ok();
+    static_assert(sizeof(T) <= sizeof result.data, "a reply holds no more");
+    memcpy(result.data, &value, sizeof value);
+    result.size = sizeof value;
+    return result;
+  }
+
   static BusResult failed(uint16_t error) { return BusResult{Error, error, {0}, 0}; }
   static BusResult pending() { return BusResult{Pending, 0, {0}, 0}; }
 
@@ -74,7 +86,8 @@ struct BusResult {
 // What the board does with requests of CMD1 0x55. Neither call may wait.
 class BusHandler {
  public:
-  // Starts function `cmd2`. Pending: it takes time, and poll() tells when it has ended.
+  // Starts function `cmd2`. Pending: it takes time, and poll() tells when it has ended. The data of a
+  // function of one's own is a packed struct: from_bytes(data, size, &value), else kErrorMalformed.
   virtual BusResult request(uint8_t cmd2, const uint8_t* data, uint16_t size) = 0;
   // Called by the Slave's poll() while a function is pending.
   virtual BusResult poll() = 0;

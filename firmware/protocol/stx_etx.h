@@ -13,6 +13,8 @@
 #include <stdint.h>
 #include <string.h>
 
+#include "packed.h"
+
 namespace serial_communication {
 
 const uint8_t kStx = 0x02;
@@ -52,6 +54,13 @@ class StxEtxSender {
     frame[4 + size] = stx_etx_crc(frame + 2, 2 + size);
     frame[5 + size] = kEtx;
     sink_(static_cast<const uint8_t*>(frame), size + 6);
+  }
+
+  // A frame of one's own type: any packed struct.
+  template <class T>
+  void send(uint8_t type, const T& value) {
+    static_assert(sizeof(T) <= kMaxPayload, "a frame of this sender holds no more");
+    send(type, reinterpret_cast<const uint8_t*>(&value), sizeof value);
   }
 
   void send_sensor_status(const SensorStatus& status) {

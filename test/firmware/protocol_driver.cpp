@@ -7,6 +7,7 @@
 //   parse TOKEN…                                  packets out of a stream, then the counters
 //   bus TOKEN…                                    the Slave's replies after each token, then what was executed
 //   skip N | sensor N*5 | adc N*6                 the STX/ETX sender; skip sends N frames to nowhere
+//   own packet|frame N N F                        a packed struct of one's own: int16, uint8, float
 //
 // A token is HEX (bytes arriving now), +N (N ms pass, polled each ms) or, for the bus, ! (the motion ends).
 
@@ -23,6 +24,13 @@
 using namespace serial_communication;
 
 typedef std::vector<uint8_t> Bytes;
+
+// A message of one's own: type 48 of a packet, 0x30 of a function and of a frame.
+struct PACKED Own {
+  int16_t position;
+  uint8_t force;
+  float speed;
+};
 
 static Bytes from_hex(const std::string& text) {
   Bytes bytes;
@@ -62,6 +70,8 @@ class TestBoard : public BusHandler {
       result.append_uint16(4812);
       return result;
     }
+    Own own;
+    if (cmd2 == 0x30) return from_bytes(data, size, &own) ? BusResult::ok(own) : BusResult::failed(kErrorMalformed);
     if (cmd2 == kFunctionGimbal) return size == 2 && data[0] <= 3 ? BusResult::ok() : BusResult::failed(kErrorMalformed);
     if (cmd2 != kFunctionLift) return BusResult::failed(kErrorUnsupported);
     moving = true;
@@ -105,6 +115,7 @@ static std::string run_bus(std::istringstream& tokens) {
 
 static std::string run_parse(std::istringstream& tokens) {
   PacketDecoder<256> decoder;
+  decoder.accept<Own>(48);
   std::string line, token;
   uint32_t now = 1000;
   while (tokens >> token) {
@@ -125,6 +136,8 @@ static std::string run_parse(std::istringstream& tokens) {
         imu_to_bytes(packet.imu(), again);
         line += "=" + to_hex(again, sizeof again);
       }
+      Own own;
+      if (packet.is(48, &own)) line += "=" + std::to_string(own.position) + "/" + std::to_string(own.force);
       line += " ";
     }
   }
@@ -201,6 +214,17 @@ int main() {
       SensorStatus status;
       words >> status.range_mm[0] >> status.range_mm[1] >> status.yaw >> status.pitch >> status.roll;
       frames.send_sensor_status(status);
+    } else if (command == "own") {
+      std::string kind;
+      int force;
+      float speed;
+      words >> kind >> number >> force >> speed;
+      const Own own = {int16_t(number), uint8_t(force), speed};
+      if (kind == "packet") {
+        packets.send(48, own);
+      } else {
+        frames.send(0x30, own);
+      }
     } else if (command == "adc") {
       uint16_t channels[6];
       for (uint16_t& channel : channels) words >> channel;

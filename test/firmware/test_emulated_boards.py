@@ -28,6 +28,8 @@ from emulated_board import EmulatedBoard, IMAGES
     HEARTBEAT,
     CALIBRATION,
 ) = range(13)
+FORCE, GRIPPER = 32, 48    # of one's own
+PUMP, TANK = 0x30, 0x32    # likewise, functions of the bus
 RATE_SCALE = 4000.0 / 65536 * math.pi / 180 * 25  # rad/s
 ACCELERATION_SCALE = 8.0 / 65536 * 9.81  # m/s^2
 
@@ -721,6 +723,58 @@ def test_ctrl_reset_in_mid_motion_recovers(bus):
     bus.sync()
     assert bus.function(LIFT, bytes([UP, 10])) == OK
     assert board.get('lift_steps') == stopped + 250
+
+
+# Messages of one's own: the example behind -DOWN_MESSAGES
+
+
+@pytest.fixture
+def own_car(firmware_build):
+    with EmulatedBoard(firmware_build, 'car', image='nano_car_own.elf') as board:
+        car = Car(board)
+        car.wait_for_text('IMU ready')
+        yield car
+        assert board.get('rx_overruns') == 0
+        car.port.close()
+
+
+def test_a_measurement_of_ones_own(own_car):
+    for raw in (0, 500, 1023):
+        own_car.board.set('force', raw)
+        own_car.next(FORCE)     # may be of before
+        assert own_car.next(FORCE) == [struct.pack('<h', raw * 29)]
+
+
+def test_a_command_of_ones_own(own_car):
+    board = own_car.board
+    for position, force, pwm in ((1000, 1, 255), (0, 255, 127), (-900, 9, 12), (500, 0, 0)):
+        own_car.send(GRIPPER, struct.pack('<hB', position, force))
+        board.wait_until(lambda: board.get('gripper_pwm') == pwm, 1)
+    own_car.send(GRIPPER, b'\x01')    # too short: dropped
+    own_car.send(STEERING, struct.pack('<H', 1200))
+    board.wait_until(lambda: board.get('servo_us') == 1200, 1)
+    assert board.get('gripper_pwm') == 0
+
+
+def test_functions_of_ones_own(firmware_build):
+    with EmulatedBoard(firmware_build, 'ctrl', image='ctrl_board_own.elf') as board:
+        board.wait_until(lambda: board.time > 0.05, 1)
+        master = Master(board)
+        master.sync()
+        for on in (1, 0):
+            assert master.function(PUMP, bytes([on])) == OK
+            assert board.get('pump') == on
+        assert master.function(PUMP) == error(0x8001)
+        for raw in (0, 300, 1023):
+            board.set('tank', raw)
+            assert master.function(TANK) == OK + struct.pack('<H', raw * 10)
+        master.port.close()
+
+
+def test_without_the_flag_they_are_unknown(bus, car):
+    assert bus.function(PUMP, b'\x01') == error(0x8000)
+    car.next(TICKS, 20)
+    assert car.read(FORCE) == []
 
 
 # The sensor board

@@ -1,0 +1,31 @@
+// Packed structs as they cross the wire: messages of one's own need no code of theirs.
+//
+//   struct PACKED Force { int16_t centinewtons; };
+//
+// The fields stand in the struct in the order of the configuration's `layout`, which begins with '<':
+// every board this runs on is little-endian.
+
+#ifndef SERIAL_COMMUNICATION_PACKED_H
+#define SERIAL_COMMUNICATION_PACKED_H
+
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#define PACKED __attribute__((packed))
+
+namespace serial_communication {
+
+static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "packed structs are sent as they stand");
+
+// False, and `*value` untouched, where the data has another size.
+template <class T>
+inline bool from_bytes(const uint8_t* data, size_t size, T* value) {
+  if (size != sizeof *value) return false;
+  memcpy(value, data, sizeof *value);
+  return true;
+}
+
+}  // namespace serial_communication
+
+#endif
