@@ -1,11 +1,10 @@
 """The link to the model car: commands down, measurements up, and the heartbeat that keeps the
 motor alive. What may reach the motor, and when, is decided here and nowhere else."""
-import struct
 import threading
 import time
 import traceback
 from collections import deque
-from typing import Any, Callable, Deque, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Deque, Iterable, List, NamedTuple, Optional, Tuple
 
 from ..protocols import arduino
 from ..protocols.framing import Frame
@@ -41,14 +40,15 @@ class ArduinoLink(Link):
         on_message: is called in the link's thread with each (message, stamp) but the logs.
         on_log: likewise with each (severity 0 … 3, text), sparingly if they are many.
         on_calibrating: is called with True and False as a calibration begins and ends.
+        messages: classes of messages of one's own that the board sends.
     """
 
     def __init__(self, port: Port, settings: ArduinoSettings = ArduinoSettings(),
                  on_message: Optional[Callable[[Any, Any], None]] = None,
                  on_log: Optional[Callable[[int, str], None]] = None,
                  on_calibrating: Optional[Callable[[bool], None]] = None,
-                 **link_arguments) -> None:
-        super().__init__('arduino', port, arduino.Decoder(settings.check_plausibility),
+                 messages: Iterable[Any] = (), **link_arguments) -> None:
+        super().__init__('arduino', port, arduino.Decoder(settings.check_plausibility, messages),
                          **link_arguments)
         self.settings = settings
         self.calibrating = False
@@ -80,15 +80,15 @@ class ArduinoLink(Link):
             self.log.warn('saturated', 'speed %d is beyond %d either way; sent as that'
                           % (value, limit))
             value = limit if value > 0 else -limit
-        self._command(arduino.SpeedCommand(value))
+        self.command(arduino.SpeedCommand(value))
 
     def set_steering(self, value: int) -> None:
         """PWM of the steering servo in µs, 0 … 65535; Refused where it cannot be sent now."""
-        self._command(arduino.SteeringCommand(value))
+        self.command(arduino.SteeringCommand(value))
 
     def set_led(self, text: str) -> None:
         """left, right, brake, disable …; Refused also if it is too long or not ASCII."""
-        self._command(arduino.LedCommand(text))
+        self.command(arduino.LedCommand(text))
 
     def calibrate_imu(self) -> None:
         """Send IMU_CALIBRATION, after SPEED 0 if the car moves; Refused if it cannot be sent.
@@ -96,17 +96,22 @@ class ArduinoLink(Link):
         From then on commands are refused until IMU data returns: the board would read them
         minutes later, all at once.
         """
-        self._command(arduino.ImuCalibration())
+        self.command(arduino.ImuCalibration())
         self.wake()
         if self._on_calibrating:
             self._on_calibrating(True)
 
-    def _command(self, message: Any) -> None:
+    def command(self, message: Any) -> None:
+        """Send any message to the board at once; Refused where it cannot be sent now."""
         try:
+            reason = message.implausible()
+            if reason:
+                raise ValueError(reason)
             message.pack()
-        except (ValueError, struct.error) as error:
+        except ValueError as error:
             too_long = len(getattr(message, 'text', '')) > arduino.LED_LIMIT
-            raise Refused('refused: %s' % error, 'too long' if too_long else 'value') from None
+            raise Refused(f'{message.LABEL} refused: {error}',
+                          'too long' if too_long else 'value') from None
         with self._sending:
             now = clock()
             self._look_for_standstill(now)

@@ -1,6 +1,6 @@
 """The link to the sensor board: counts what was lost, and notices when the board falls silent."""
 import time
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tuple
 
 from ..protocols import mcu
 from ..protocols.framing import Frame
@@ -26,6 +26,7 @@ class McuLink(Link):
         timeout: seconds without a valid frame after which the board counts as silent.
         network_silence: seconds without a byte after which a network port is opened anew;
             0: never.
+        messages: classes of messages of one's own.
         on_status: is called with each (message, seq, stamp).
         on_silence: is called once a second for each class of message that the board has sent
             and sends no more, or with None while it has never spoken; with its last seq and the
@@ -35,8 +36,9 @@ class McuLink(Link):
     def __init__(self, port: Port, timeout: float = 1.0,
                  on_status: Optional[Callable[[Any, int, Any], None]] = None,
                  on_silence: Optional[Callable[[Optional[type], int, float], None]] = None,
-                 network_silence: float = 5.0, **link_arguments) -> None:
-        super().__init__('mcu', port, mcu.Decoder(), **link_arguments)
+                 network_silence: float = 5.0, messages: Iterable[Any] = (),
+                 **link_arguments) -> None:
+        super().__init__('mcu', port, mcu.Decoder(messages), **link_arguments)
         self.frames_lost = 0
         self.duplicates = 0
         self.silent = True                      # no message of any class

@@ -217,8 +217,8 @@ class Imu(NamedTuple):
             *self.orientation(), *self.linear_acceleration())
 
 
-_FROM_BOARD = (SteeringAngle, Ticks, Imu, Voltage)
-_TO_BOARD = (SpeedCommand, SteeringCommand, LedCommand, Heartbeat, ImuCalibration)
+FROM_BOARD = (SteeringAngle, Ticks, Imu, Voltage)
+TO_BOARD = (SpeedCommand, SteeringCommand, LedCommand, Heartbeat, ImuCalibration)
 
 
 def encode(message: Any) -> bytes:
@@ -374,11 +374,11 @@ class _Decoder:
 class Decoder(_Decoder):
     """Board -> us."""
 
-    _messages = {**{message.TYPE: message for message in _FROM_BOARD},
+    _messages = {**{message.TYPE: message for message in FROM_BOARD},
                  **dict.fromkeys(Log.TYPES, Log)}
 
 
 class BoardDecoder(_Decoder):
     """Us -> board, for simulated boards."""
 
-    _messages = {message.TYPE: message for message in _TO_BOARD}
+    _messages = {message.TYPE: message for message in TO_BOARD}

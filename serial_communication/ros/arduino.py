@@ -17,6 +17,7 @@ from ..transport.port import Port
 from ..protocols import arduino
 from .geometry import OrientationBroadcaster
 from .publishing import diagonal, publisher, wanted
+from .rows import built_in_topic, own_topics, take_commands
 
 _SAY = (rospy.logdebug, rospy.loginfo, rospy.logwarn, rospy.logerr)
 
@@ -39,18 +40,21 @@ class ArduinoInterface:
         self._temperature = publisher('~imu/temperature', Temperature)
         self._calibrating = publisher('~imu/calibrating', Bool, latch=True)
         self._calibrating.publish(False)
-        # Each message that becomes one value on one topic: a line here is all it takes.
-        self._values = {
-            arduino.Voltage: (publisher('~voltage', Voltage), Voltage()),
-            arduino.Ticks: (publisher('~ticks', Ticks), Ticks()),
-            arduino.SteeringAngle: (publisher('~steering_angle', SteeringFeedback),
-                                    SteeringFeedback()),
-        }
+        # Each message that is a row on one topic: a line here is all it takes.
+        self._rows = {kind: built_in_topic(name, ros_class, kind) for kind, name, ros_class in (
+            (arduino.Voltage, '~voltage', Voltage), (arduino.Ticks, '~ticks', Ticks),
+            (arduino.SteeringAngle, '~steering_angle', SteeringFeedback))}
+        without = set(arduino.FROM_BOARD) - set(self._rows) - {arduino.Imu}
+        if without:
+            raise TypeError(f'messages without a topic: {without}')
+        self._own = p['arduino/messages']
+        self._rows.update(own_topics(self._own, '~', p['frame_prefix']))
         self.link = ArduinoLink(
             Port(p['arduino/port'], p['arduino/baud'], p['arduino/reset_on_open']),
             ArduinoSettings(p['arduino/heartbeat_rate'], p['arduino/speed_timeout'],
                             p['arduino/calibration_timeout'], p['arduino/check_plausibility'],
                             p['arduino/network_silence']),
+            messages=[kind for kind in self._rows if kind not in arduino.FROM_BOARD],
             on_message=self._received, on_log=self._log,
             on_calibrating=lambda on: self._calibrating.publish(on), **link_arguments)
 
@@ -69,6 +73,7 @@ class ArduinoInterface:
         rospy.Subscriber('~led', String, self._take,
                          ('led', lambda message: link.set_led(message.data)),
                          queue_size=10, tcp_nodelay=True)
+        take_commands(self._own, '~', link)
         rospy.Service('~calibrate_imu', Empty, self._calibrate)
 
     def _take_newest(self, message, name_command_and_lateness) -> None:
@@ -101,11 +106,7 @@ class ArduinoInterface:
         if type(message) is arduino.Imu:
             self._publish_imu(message, stamp)
             return
-        topic, out = self._values[type(message)]
-        if wanted(topic):
-            out.header.stamp = stamp
-            out.value = message.value
-            topic.publish(out)
+        self._rows[type(message)].publish(message, stamp)
 
     def _publish_imu(self, message: arduino.Imu, stamp: rospy.Time) -> None:
         if wanted(self._imu):

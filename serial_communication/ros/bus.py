@@ -15,6 +15,7 @@ from ..links.master import Outcome
 from ..transport.port import Port
 from ..protocols import robot_ctrl_bus as bus
 from .publishing import publisher, wanted
+from .rows import offer_functions, poll_functions
 
 
 class BusInterface:
@@ -28,6 +29,8 @@ class BusInterface:
                         p['bus/environment_period'], p['bus/environment_datelen'],
                         p['bus/reply_has_cmd2']),
             on_environment=self._publish_environment, **link_arguments)
+        self._own = p['bus/functions']
+        poll_functions(self._own, self.link, p['frame_prefix'])
         self._environment = publisher('~environment', Environment)
         self._temperature = publisher('~environment/temperature', Temperature)
         self._humidity = publisher('~environment/humidity', RelativeHumidity)
@@ -41,6 +44,7 @@ class BusInterface:
                 ('~bus/request', BusRequest, self._request),
                 ('~bus/echo', Trigger, self._echo), ('~bus/sync', Trigger, self._sync)):
             rospy.Service(name, service, handler)
+        offer_functions(self._own, self.link)
 
     def _lift(self, request) -> LiftResponse:
         return _answer(LiftResponse, self.link.lift(request.direction, request.distance))

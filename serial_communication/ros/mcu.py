@@ -14,6 +14,7 @@ from ..protocols import mcu
 from ..protocols.framing import CHECKSUM
 from .geometry import OrientationBroadcaster, quaternion
 from .publishing import diagonal, publisher, wanted
+from .rows import own_topics
 
 _NOT_CONNECTED = 0xFFFF   # what no sensor reads
 
@@ -34,14 +35,20 @@ class McuInterface:
         if p['publish_tf']:
             self._orientation = OrientationBroadcaster(p['mcu/imu_frame_id'],
                                                        p['mcu/imu_orientation_frame_id'])
+        self._rows = own_topics(p['mcu/messages'], 'mcu/', p['frame_prefix'])
         self.link = McuLink(Port(p['mcu/port'], p['mcu/baud']), p['mcu/timeout'],
                             on_status=self._received, on_silence=self._silent,
-                            network_silence=p['mcu/network_silence'], **link_arguments)
+                            network_silence=p['mcu/network_silence'], messages=list(self._rows),
+                            **link_arguments)
 
     def advertise(self) -> None:
         """Nothing is taken or offered: the board only talks."""
 
     def _received(self, message: Any, seq: int, stamp: rospy.Time) -> None:
+        own = self._rows.get(type(message))
+        if own:
+            own.publish(message, stamp)
+            return
         age = time.monotonic() - self.link.last_frame_at
         if type(message) is mcu.AdcStatus:
             if wanted(self._adc_status):
@@ -67,6 +74,8 @@ class McuInterface:
                 self._orientation.send(turned, stamp)
 
     def _silent(self, kind: Optional[type], seq: int, age: float) -> None:
+        if kind in self._rows:
+            return      # such a topic falls silent with its board
         head = (rospy.Time.now(), seq, False, False, self._crc_errors(), age)
         if kind is mcu.AdcStatus:
             self._adc_status.publish(*head, *[_NOT_CONNECTED] * 6)

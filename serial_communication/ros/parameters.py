@@ -4,10 +4,12 @@ config/bridge.yaml documents them for users; a test holds the two together.
 """
 import difflib
 from math import isfinite, pi, radians
-from typing import Any, Dict, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 
 from ..transport.port import check_url
 from ..protocols.arduino import GYRO_SCALE
+from ..protocols.own_messages import RowError
+from .rows import arduino_rows, bus_rows, mcu_rows, refuse_equal_names
 
 
 class ParameterError(ValueError):
@@ -22,6 +24,7 @@ class Parameter(NamedTuple):
     high: float = float('inf')
     choices: Tuple = ()
     unit: str = ''
+    parse: Optional[Callable[[Any], Any]] = None    # what makes the value of a group of entries
 
     def allowed(self) -> str:
         """What it may be, in words."""
@@ -39,6 +42,8 @@ class Parameter(NamedTuple):
 
     def check(self, value: Any) -> Any:
         """The value in its own type; ValueError if it may not be."""
+        if self.parse:
+            return self.parse(value)
         wanted = type(self.default)
         if wanted is float and type(value) is int:
             value = float(value)
@@ -79,6 +84,7 @@ PARAMETERS: Dict[str, Parameter] = {
     'bus/environment_period': _seconds(1.0, 0.0, 86400.0),
     'bus/environment_datelen': Parameter(2, choices=(0, 2)),
     'bus/reply_has_cmd2': Parameter(False),
+    'bus/functions': Parameter({}, parse=bus_rows),
 
     'arduino/port': _PORT,
     'arduino/baud': _BAUD,
@@ -88,6 +94,7 @@ PARAMETERS: Dict[str, Parameter] = {
     'arduino/network_silence': _seconds(1.0, 0.0, 3600.0),
     'arduino/calibration_timeout': _seconds(900.0, 1.0, 86400.0),
     'arduino/check_plausibility': Parameter(True),
+    'arduino/messages': Parameter({}, parse=arduino_rows),
     'arduino/gyro_scale': Parameter(GYRO_SCALE, -1.0, 1.0, unit='rad/s per LSB'),
     'arduino/linear_acceleration_stdev': Parameter(400e-6 * 9.807, 0.0, 1e3, unit='m/s^2'),
     'arduino/angular_velocity_stdev': Parameter(radians(0.05), 0.0, 1e3, unit='rad/s'),
@@ -102,6 +109,7 @@ PARAMETERS: Dict[str, Parameter] = {
     'mcu/timeout': _seconds(1.0, 0.01, 3600.0),
     'mcu/network_silence': _seconds(5.0, 0.0, 3600.0),
     'mcu/yaw_clockwise': Parameter(True),
+    'mcu/messages': Parameter({}, parse=mcu_rows),
     'mcu/roll_pitch_stdev': Parameter(radians(1.0), 0.0, pi, unit='rad'),
     'mcu/yaw_stdev': Parameter(radians(5.0), 0.0, pi, unit='rad'),
     'mcu/min_range': Parameter(0.03, 0.0, 65.0, unit='m'),
@@ -138,6 +146,8 @@ def check(given: Dict[str, Any], namespace: str) -> Tuple[Dict[str, Any], List[s
                 check_url(values[name])
             if name.endswith('frame_id') and not value:
                 raise ValueError
+        except RowError as error:
+            raise ParameterError(f'parameter {namespace}/{error}') from None
         except ValueError as error:
             raise ParameterError('parameter %s/%s is %r (%s), %s%s' % (
                 namespace, name, value, type(value).__name__, parameter.allowed(),
@@ -146,6 +156,10 @@ def check(given: Dict[str, Any], namespace: str) -> Tuple[Dict[str, Any], List[s
         raise ParameterError('parameter %s/mcu/min_range is %g, may be less than mcu/max_range, '
                              'which is %g' % (namespace, values['mcu/min_range'],
                                               values['mcu/max_range']))
+    try:
+        refuse_equal_names(values['arduino/messages'], values['bus/functions'])
+    except RowError as error:
+        raise ParameterError(f'parameter {namespace}/{error}') from None
     for name in values:
         if name.endswith('frame_id'):
             values[name] = values['frame_prefix'] + values[name]

@@ -17,7 +17,7 @@ def flatten(tree, prefix=''):
     """Nested groups as names with slashes."""
     flat = {}
     for name, value in tree.items():
-        if isinstance(value, dict):
+        if isinstance(value, dict) and value:
             flat.update(flatten(value, prefix + name + '/'))
         else:
             flat[prefix + name] = value
