@@ -181,6 +181,12 @@ class BusLink(Link):
         self._all_read = False
         self.master.received(frame, now)
 
+    def shown(self, frame: Frame) -> Frame:
+        request = self.master.asked
+        if frame.cause or not isinstance(request, bus.NamedRequest):
+            return frame
+        return frame._replace(message=request.function.answer(frame.message))
+
     def damaged(self, frame: Frame, now: float) -> None:
         self._all_read = False
         self.master.damaged(frame, now)

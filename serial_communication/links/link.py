@@ -86,6 +86,10 @@ class Link:
         """Do what is due by time; return when to be called next at the latest, or None."""
         return None
 
+    def shown(self, frame: Frame) -> Frame:
+        """A frame that has come, as listeners see it, before it is `received`."""
+        return frame
+
     # -- for users --------------------------------------------------------------------
 
     def start(self) -> None:
@@ -296,6 +300,7 @@ class Link:
     def _deliver(self, frames: List[Frame], now: float) -> None:
         tap = self.tap
         for frame in frames:
+            shown = self.shown(frame) if tap else frame
             if frame.cause:
                 self.log.warn(frame.cause, '%s: %s: %s' % (
                     frame.cause, frame.error, frame.raw[:24].hex()))
@@ -305,4 +310,4 @@ class Link:
                 self.last_frame_at = now
                 self.received(frame, now)
             if tap:
-                self._guarded(tap, self.name, RX, frame)
+                self._guarded(tap, self.name, RX, shown)

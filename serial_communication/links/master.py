@@ -269,6 +269,11 @@ class Master:
         return self.state in (State.IN_STEP, State.FENCED)
 
     @property
+    def asked(self) -> Optional[bus.Request]:
+        """What is outstanding."""
+        return self._exchange.request if self._exchange else None
+
+    @property
     def outstanding(self) -> bool:
         """Whether a request waits for its reply."""
         return self._exchange is not None

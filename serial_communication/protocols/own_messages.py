@@ -74,6 +74,7 @@ class OwnFunction(NamedTuple):
         if reason:
             raise ValueError(reason)
         request = bus.NamedRequest(bus.FUNCTION, self.cmd2, self.request.pack(values))
+        request.function = self
         request.text = f'{self.name} {self.request.text(values)}'.rstrip()
         return request
 
@@ -82,7 +83,7 @@ class OwnFunction(NamedTuple):
         if reply.cmd1 != bus.OK or not self.reply.fits(len(reply.data)):
             return reply
         named = bus.NamedReply(*reply)
-        named.text = f'OK {self.name} {self.reply.text(self.reply.unpack(reply.data))}'.rstrip()
+        named.text = f'{self.name} OK {self.reply.text(self.reply.unpack(reply.data))}'.rstrip()
         return named
 
 

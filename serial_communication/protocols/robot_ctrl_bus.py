@@ -109,16 +109,17 @@ class Reply(NamedTuple):
 
 
 class NamedRequest(Request):
-    """A request of a function that has a name here; it says so."""
+    """A request of a function of one's own, which has a name; it says so."""
 
     text = ''
+    function: Any = None     # what it asks for
 
     def __str__(self) -> str:
         return self.text
 
 
 class NamedReply(Reply):
-    """The OK to a function that has a name here; it says so."""
+    """The OK to a function of one's own, which has a name; it says so."""
 
     text = ''
 

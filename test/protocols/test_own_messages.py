@@ -174,7 +174,7 @@ def test_a_function_of_ones_own():
     assert (polled.repeatable, polled.period, polled.timeout) == (True, 2, 0.2)
     assert polled.reply.unpack(b'\x0a\0') == (1.0,)
     assert polled.ask(()) == bus.Request(bus.FUNCTION, 49)
-    assert str(polled.answer(bus.Reply(bus.OK, b'\x0a\0'))) == 'OK level data=1'
+    assert str(polled.answer(bus.Reply(bus.OK, b'\x0a\0'))) == 'level OK data=1'
     for other in bus.Reply(bus.OK, b'\x0a'), bus.Reply(bus.ERROR, b'\2\x80'):
         assert str(polled.answer(other)) == str(other)
 

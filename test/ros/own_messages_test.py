@@ -1,0 +1,434 @@
+#!/usr/bin/env python3
+"""Messages and functions of one's own: every example of config/own_messages.yaml and odd ones
+more, values on both sides of real ttys; and every mistake that needs ROS to be found."""
+import struct
+import unittest
+
+import rosgraph
+import rospy
+import rostest
+import yaml
+from geometry_msgs.msg import Vector3
+from roscpp.srv import GetLoggers
+from sensor_msgs.msg import CameraInfo, FluidPressure, JointState, MagneticField, Range
+from std_msgs.msg import Bool, Float32, Int16MultiArray, String, UInt8MultiArray, UInt16MultiArray
+from std_srvs.srv import SetBool, Trigger
+
+from boards import (NOT_SENT, PACKAGE, TIMEOUT, BusBoard, CarBoard, Diagnostics, Rosout,
+                    SensorBoard, Topic, Waiter, level_imu, until)
+from serial_communication.msg import SerialMsg
+from serial_communication.protocols import cobs, mcu
+from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.ros.parameters import PARAMETERS, ParameterError, check
+from serial_communication.ros.rows import MCU_NAMES, PRIVATE_NAMES
+from serial_communication.srv import GetEnvironment, Lift
+
+OWN = '/' + PACKAGE + '/'
+
+
+def packet(type_, data=b''):
+    """A packet on the wire, by COBS's definition."""
+    return cobs.encode(bytes((type_,)) + data) + b'\0'
+
+
+class FromTheCar(unittest.TestCase):
+    """Topics of the arduino link."""
+
+    def first(self, name, message_class, type_, data, condition=lambda message: True):
+        """The message that a packet, sent until it is there, makes of itself."""
+        topic = Topic(OWN + name, message_class)
+        self.addCleanup(topic.close)
+        return topic.first(condition, doing=lambda: CAR.write(packet(type_, data)),
+                           what=f'has what {data.hex()} means')
+
+    def test_one_number(self):
+        for raw, value in ((12345, 123.45), (0, 0.0), (30000, 300.0)):
+            self.first('force', Float32, 32, struct.pack('<h', raw),
+                       lambda message, value=value: abs(message.data - value) < 1e-4)
+
+    def test_nested_fields_a_header_big_endian_and_a_value_left_out(self):
+        began = rospy.Time.now()
+        message = self.first('magnetic_field', MagneticField, 33, b'\xff' + struct.pack(
+            '>3h', 1000, -32768, 32767))
+        field = message.magnetic_field
+        for value, raw in zip((field.x, field.y, field.z), (1000, -32768, 32767)):
+            self.assertAlmostEqual(value, raw * 1.5e-7, 15)
+        self.assertEqual(message.header.frame_id, 'robot/magnetometer')
+        self.assertGreaterEqual(message.header.stamp, began)
+
+    def test_arrays_of_any_length(self):
+        for values in (), (1,), (1, 2, 1023) * 20:
+            self.first('line_sensors', UInt16MultiArray, 34,
+                       struct.pack(f'<{len(values)}H', *values),
+                       lambda message, values=values: message.data == values)
+        for values in b'\1\0\xff', b'':
+            self.first('bits', UInt8MultiArray, 201, values,
+                       lambda message, values=values: message.data == values)
+
+    def test_elements_of_arrays_and_an_offset(self):
+        message = self.first('joints', JointState, 35, struct.pack('<2H', 0, 4096))
+        for value, angle in zip(message.position, (-3.141592653589793, 3.141592653589793)):
+            self.assertAlmostEqual(value, angle, 12)
+        self.assertEqual((len(message.position), message.velocity), (2, ()))
+
+    def test_texts(self):
+        for data, text in ((b'1.2', '1.2'), (b'1.2\0', '1.2'), (b'a\0b', 'a'), (b'', ''),
+                           ('°'.encode(), '°'), (b'\xff', '\ufffd')):
+            self.first('firmware_version', String, 36, data,
+                       lambda message, text=text: message.data == text)
+
+    def test_true_and_false(self):
+        for data, value in ((b'\0', False), (b'\1', True), (b'\x80', True)):
+            self.first('bumper', Bool, 37, data,
+                       lambda message, value=value: message.data is value)
+
+    def test_an_odd_row(self):
+        data = struct.pack('>hxQ2sdH', -7, 2**40, b'ab', 5.5, 9)
+        message = self.first('odd', CameraInfo, 200, data)
+        self.assertEqual((message.height, message.P[3], message.distortion_model,
+                          message.roi.x_offset, message.roi.do_rectify),
+                         (114, 2.0**40, 'ab', 6, True))
+        self.assertEqual(set(message.P[:3] + message.P[4:]), {0.0})
+
+    def test_errors_are_counted_and_shown_and_nothing_is_published(self):
+        topics = [Topic(OWN + 'force', Float32), Topic(OWN + 'odd', CameraInfo),
+                  Topic(OWN + 'line_sensors', UInt16MultiArray)]
+        frames = Topic('/serial_msg', SerialMsg)
+        for topic in topics + [frames]:
+            self.addCleanup(topic.close)
+        odd = '>hxQ2sdH'
+        wrong = (
+            (32, b'\1\2\3', 'length: force has 2 bytes of data, not 3'),
+            (32, struct.pack('<h', -1), 'implausible: force: data is -0.01, not within 0 to 300'),
+            (34, b'\1', 'length: line_sensors has 0 or 2 more, 4 more … bytes of data, not 1'),
+            (34, struct.pack('<2H', 3, 1024), 'implausible: line_sensors: data is 1024, over 1023'),
+            (200, struct.pack(odd, 51, 0, b'', 0.0, 0), 'implausible: odd: height is -2, which'),
+            (200, struct.pack(odd, 0, 0, b'', -1.0, 0), 'implausible: odd: roi.x_offset is -1'),
+            (200, struct.pack(odd, 0, 0, b'', float('nan'), 0), 'implausible: odd: roi.x_off'))
+        for type_, data, said in wrong:
+            frames.first(lambda m, said=said: m.error.startswith(said), what=said,
+                         doing=lambda t=type_, d=data: CAR.write(packet(t, d)), seconds=5)
+        # What comes on a topic behind them is the first that comes on it.
+        for topic, type_, data in ((topics[0], 32, struct.pack('<h', 7)),
+                                   (topics[1], 200, struct.pack(odd, 0, 0, b'', 0.0, 0)),
+                                   (topics[2], 34, b'\5\0')):
+            topic.first(doing=lambda t=type_, d=data: CAR.write(packet(t, d)))
+        self.assertAlmostEqual(topics[0].messages[0].data, 0.07, 5)
+        self.assertEqual(topics[1].messages[0].height, 100)
+        self.assertEqual(topics[2].messages[0].data, (5,))
+        keys = DIAGNOSTICS.wait_for(
+            'arduino', lambda s: int(s.keys['implausible errors']) >= 5
+            and int(s.keys['length errors']) >= 2, 'they are counted').keys
+        self.assertEqual(keys['unknown type errors'], '0')
+
+    def test_texts_of_serial_msg_have_name_and_values(self):
+        frames = Topic('/serial_msg', SerialMsg)
+        self.addCleanup(frames.close)
+        for type_, data, text in (
+                (32, struct.pack('<h', 250), 'force data=2.5'),
+                (34, b'\5\0\6\0', 'line_sensors data=[5 6]'),
+                (36, b'v\x1b', "firmware_version data='v\ufffd'"), (37, b'\1', 'bumper data=true')):
+            message = frames.first(lambda m, t=type_: m.type == t and not m.error,
+                                   doing=lambda t=type_, d=data: CAR.write(packet(t, d)))
+            self.assertEqual((message.text, message.link, bytes(message.data)),
+                             (text, 'arduino', data))
+            frames.forget()
+
+
+class ToTheCar(unittest.TestCase):
+    """Commands of one's own."""
+
+    def command(self, name, message_class):
+        topic = rospy.Publisher(OWN + name, message_class, queue_size=10)
+        self.addCleanup(topic.unregister)
+        until(topic.get_num_connections, f'{name} is subscribed')
+        return topic
+
+    def sends(self, topic, message, expected):
+        topic.publish(message)
+        until(lambda: expected in CAR.unknown, f'{expected} on the wire')
+
+    def test_their_exact_bytes(self):
+        gripper = self.command('gripper', Vector3)
+        for x, z, raw in ((12.5, 0.5, (125, 128)), (-100, 0, (-1000, 0)), (100, 1, (1000, 255))):
+            self.sends(gripper, Vector3(x, 7.0, z), packet(48, struct.pack('<hB', *raw)))
+        self.sends(self.command('say', String), String('hé'), packet(202, 'hé'.encode()))
+        message = Int16MultiArray(data=[1, -2, 3])
+        message.layout.data_offset = 9
+        self.sends(self.command('several', Int16MultiArray), message,
+                   packet(203, struct.pack('>B3h', 9, 1, -2, 3)))
+        self.sends(self.command('third', JointState), JointState(position=[7, 8, 9]),
+                   packet(204, struct.pack('<h', 9)))
+
+    def test_what_cannot_be_sent_is_refused_with_a_warning(self):
+        say = self.command('say', String)
+        several = self.command('several', Int16MultiArray)
+        offset = Int16MultiArray()
+        offset.layout.data_offset = 256
+        for topic, message, said in (
+                (self.command('gripper', Vector3), Vector3(100.1, 0, 0),
+                 'gripper refused: x is 100.1, not within -100 to 100'),
+                (self.command('gripper', Vector3), Vector3(float('nan'), 0, 0),
+                 'gripper refused: x is nan'),
+                (several, offset, 'several refused: layout.data_offset is 256, which its place'),
+                (several, Int16MultiArray(data=[0] * 200), 'at most 255 bytes'),
+                (say, String('a\0b'), "say refused: data is 'a\\x00b', which its place"),
+                (self.command('third', JointState), JointState(position=[1, 2]),
+                 'third refused: position has no element 2')):
+            with self.subTest(said):
+                ROSOUT.wait_for(PACKAGE, said, doing=lambda t=topic, m=message: t.publish(m))
+        # None of it reached the line: what comes next is the first of its type.
+        self.sends(say, String('after'), packet(202, b'after'))
+        sent = [frame for frame in CAR.unknown if frame[1:2] == b'\xca']
+        self.assertNotIn(packet(202, b'a\0b'), sent)
+
+    def test_the_rules_of_commands_hold(self):
+        topic = rospy.Publisher('/closed/gripper', Vector3, queue_size=10)
+        self.addCleanup(topic.unregister)
+        ROSOUT.wait_for('closed', 'gripper x=1 z=0.2 refused: ',
+                        doing=lambda: topic.publish(Vector3(1, 0, 0.2)))
+        self.assertIn('closed', ROSOUT.lines('closed', 'gripper x=1 z=0.2 refused: ')[0])
+
+
+class FromTheSensors(unittest.TestCase):
+    """Topics of the mcu link."""
+
+    def test_a_frame_of_ones_own(self):
+        topic = Topic('/mcu/cliff', Range)
+        self.addCleanup(topic.close)
+        seqs = iter(range(1 << 30))
+        message = topic.first(doing=lambda: SENSORS.write(mcu.encode_raw(
+            0x20, next(seqs) % 256, struct.pack('<H', 1500))))
+        self.assertAlmostEqual(message.range, 1.5, 6)
+        self.assertEqual(message.header.frame_id, 'robot/cliff')
+        frames = Topic('/serial_msg', SerialMsg)
+        self.addCleanup(frames.close)
+        for data, error in ((b'\1\0\0', 'length: cliff has 2 bytes of data, not 3'),
+                            (struct.pack('<H', 2001), 'implausible: cliff: range is 2.001, over'),
+                            (struct.pack('<H', 2000), '')):
+            frames.first(lambda m, e=error: m.type == 0x20 and m.error.startswith(e),
+                         doing=lambda d=data: SENSORS.write(mcu.encode_raw(
+                             0x20, next(seqs) % 256, d)))
+
+
+class Functions(unittest.TestCase):
+    """Functions of the bus: services and what is polled."""
+
+    def setUp(self):
+        until(lambda: BOARD.connected and bus.SYNC_REQUEST in [f.message for f in BOARD.all],
+              'the bus is synchronised')
+        BOARD.answers.clear()
+
+    def call(self, name, service_class, *arguments):
+        rospy.wait_for_service(OWN + name, 10)
+        return Waiter(rospy.ServiceProxy(OWN + name, service_class), *arguments)
+
+    def asked(self, cmd2):
+        return [frame.raw for frame in BOARD.all
+                if frame.type == bus.FUNCTION and frame.command == cmd2]
+
+    def test_a_request_and_its_answer(self):
+        BOARD.answers[0x30] = bus.Reply(bus.OK)
+        answer = self.call('pump', SetBool, True).result()
+        self.assertEqual((answer.success, answer.message), (True, 'done: pump data=true'))
+        self.assertEqual(self.asked(0x30)[-1], bytes.fromhex('a501553001c0'))
+        BOARD.answers[0x30] = bus.Reply(bus.ERROR, b'\2\x80')
+        answer = self.call('pump', SetBool, False).result()
+        self.assertFalse(answer.success)
+        self.assertIn('the operation failed', answer.message)
+        BOARD.answers[0x30] = bus.Reply(bus.OK, b'\1')
+        answer = self.call('pump', SetBool, False).result()
+        self.assertFalse(answer.success)
+        self.assertIn('1 bytes of data, 0 were expected', answer.message)
+
+    def test_outcome_and_values_in_one_response(self):
+        BOARD.answers[0x35] = bus.Reply(bus.OK, b'\0')
+        answer = self.call('gentle', Lift, 1, 9).result()
+        self.assertEqual((answer.success, answer.status, answer.error_code), (True, bus.OK, 0))
+        self.assertEqual(self.asked(0x35)[-1][4:6], b'\x09\1')
+        before = len(self.asked(0x35))
+        answer = self.call('gentle', Lift, 1, 10).result()
+        self.assertEqual((answer.success, answer.status), (False, NOT_SENT))
+        self.assertIn('distance is 10, over 9', answer.message)
+        self.assertEqual(len(self.asked(0x35)), before)
+
+    def test_it_is_never_sent_twice_unless_it_may_be(self):
+        BOARD.answers[0x35] = None
+        before = len(self.asked(0x35))
+        answer = self.call('gentle', Lift, 0, 1).result()
+        self.assertEqual((answer.success, answer.status), (False, TIMEOUT))
+        self.assertEqual(len(self.asked(0x35)), before + 1)
+        BOARD.answers[0x36] = None
+        before = len(self.asked(0x36))
+        self.assertFalse(self.call('reading', Trigger).result().success)
+        self.assertEqual(len(self.asked(0x36)), before + 3)
+
+    def test_values_beyond_their_limits_in_a_reply(self):
+        BOARD.answers[0x36] = bus.Reply(bus.OK, b'ok\5')
+        answer = self.call('reading', Trigger).result()
+        self.assertEqual((answer.success, answer.message), (True, 'ok'))
+        BOARD.answers[0x36] = bus.Reply(bus.OK, b'ok\6')
+        answer = self.call('reading', Trigger).result()
+        self.assertFalse(answer.success)
+        self.assertIn('6, over 5', answer.message)
+        DIAGNOSTICS.wait_for('bus', lambda s: int(s.keys['implausible errors']) >= 1,
+                             'it is counted')
+
+    def test_nested_fields_of_a_response(self):
+        BOARD.answers[0x33] = bus.Reply(bus.OK, struct.pack('<HhH', 7, -1250, 5000))
+        answer = self.call('raw_environment', GetEnvironment).result()
+        self.assertTrue(answer.success)
+        self.assertEqual(answer.environment.smoke, 7)
+        self.assertAlmostEqual(answer.environment.temperature, -12.5)
+        self.assertAlmostEqual(answer.environment.humidity, 50.0)
+
+    def test_without_success_a_failure_is_a_service_error(self):
+        BOARD.answers[0x34] = bus.Reply(bus.OK, b'full')
+        answer = self.call('level', GetLoggers).result()
+        self.assertEqual([logger.name for logger in answer.loggers], ['full'])
+        BOARD.answers[0x34] = bus.Reply(bus.ERROR, b'\0\x80')
+        with self.assertRaisesRegex(rospy.ServiceException, 'does not support this command'):
+            self.call('level', GetLoggers).result()
+        BOARD.answers[0x34] = None
+        with self.assertRaisesRegex(rospy.ServiceException, 'no reply within 0.3 s'):
+            self.call('level', GetLoggers).result()
+
+    def test_a_function_of_a_closed_port_is_not_sent(self):
+        rospy.wait_for_service('/closed/pump', 10)
+        answer = rospy.ServiceProxy('/closed/pump', SetBool)(True)
+        self.assertFalse(answer.success)
+        self.assertIn('nothing was sent', answer.message)
+
+    def test_what_is_polled_is_published(self):
+        BOARD.answers[0x32] = bus.Reply(bus.OK, struct.pack('<H', 10132))
+        topic = Topic(OWN + 'tank', FluidPressure)
+        frames = Topic('/serial_msg', SerialMsg)
+        self.addCleanup(topic.close)
+        self.addCleanup(frames.close)
+        message = topic.next(lambda m: m.fluid_pressure == 101320)
+        self.assertEqual(message.header.frame_id, 'robot/tank')
+        frames.first(lambda m: m.text == 'tank' and m.direction == SerialMsg.TX)
+        frames.first(lambda m: m.text == 'tank OK fluid_pressure=101320')
+        self.assertGreater(len(self.asked(0x32)), 0)
+
+
+class Names(unittest.TestCase):
+    """What is registered, and what may not be."""
+
+    def test_every_name_of_the_bridge_is_taken(self):
+        published, subscribed, services = rosgraph.Master('/test').getSystemState()
+        with open(EXAMPLES) as file:
+            rows = yaml.safe_load(file)
+        own = set(rows['arduino']['messages']) | set(rows['bus']['functions'])
+        # `closed` has the examples and no others.
+        names = {name.split('/')[2] for kind in (published, subscribed, services)
+                 for name, nodes in kind if '/closed' in nodes and name.startswith('/closed/')}
+        self.assertTrue(own <= names)
+        self.assertTrue(names - own <= set(PRIVATE_NAMES), names - own - set(PRIVATE_NAMES))
+        names = {name.split('/')[2] for name, nodes in published if name.startswith('/mcu/')}
+        self.assertEqual(names - set(rows['mcu']['messages']), set(MCU_NAMES))
+
+
+FORCE = {'type': 32, 'ros_type': 'std_msgs/Float32', 'layout': '<h', 'fields': ['data']}
+PUMP = {'cmd2': 0x30, 'srv_type': 'std_srvs/SetBool'}
+
+
+class Mistakes(unittest.TestCase):
+    """What only ROS can tell of a row."""
+
+    def assert_mistake(self, group, name, row, key, said):
+        section, rows = group.split('/')
+        with self.assertRaises(ParameterError) as mistake:
+            check({section: {rows: {name: row}}}, '/node')
+        text = str(mistake.exception)
+        self.assertTrue(text.startswith(f'parameter /node/{group}/{name}{key} is '), text)
+        self.assertIn(said, text)
+        self.assertNotIn('\n', text)
+
+    def test_types_fields_and_names(self):
+        for changes, key, said in (
+                ({'ros_type': 'std_msgs/Flot32'}, '/ros_type', 'did you mean std_msgs/Float32?'),
+                ({'ros_type': 'std_msg/Float32'}, '/ros_type', 'did you mean std_msgs/Float32?'),
+                ({'fields': ['dta']}, '/fields', 'has no field dta; did you mean data?'),
+                ({'fields': ['data.x']}, '/fields', 'may not go on behind data, which is float32'),
+                ({'fields': ['data[0]']}, '/fields', 'data is no array'),
+                ({'layout': '<s'}, '/fields', 'is float32; a text needs a string'),
+                ({'layout': '<h*'}, '/fields', 'a * needs an array of any length'),
+                ({'frame_id': 'x'}, '/frame_id', 'needs a type with a header'),
+                ({'ros_type': 'std_msgs/String'}, '/fields', 'is string, which holds no number'),
+                ({'ros_type': 'std_msgs/Header', 'fields': ['stamp']}, '/fields', 'is time'),
+                ({'ros_type': 'sensor_msgs/Imu', 'fields': ['orientation_covariance']}, '/fields',
+                 'one number needs one element, as orientation_covariance[0]'),
+                ({'ros_type': 'sensor_msgs/Imu', 'fields': ['orientation_covariance[9]']},
+                 '/fields', 'orientation_covariance has elements 0 to 8'),
+                ({'ros_type': 'sensor_msgs/Imu', 'fields': ['orientation.q']}, '/fields',
+                 'geometry_msgs/Quaternion has no field q; it has x, y, z, w'),
+                ({'layout': '<h*', 'ros_type': 'sensor_msgs/Imu',
+                  'fields': ['orientation_covariance']}, '/fields', 'a * needs an array of any'),
+                ({'scale': 0}, '/scale', 'may be a number but 0')):
+            with self.subTest(said):
+                self.assert_mistake('arduino/messages', 'force', dict(FORCE, **changes), key, said)
+        for changes, key, said in (
+                ({'srv_type': 'std_srvs/SetBol'}, '/srv_type', 'did you mean std_srvs/SetBool?'),
+                ({'request': {'layout': '<?', 'fields': ['dat']}}, '/request/fields',
+                 'std_srvs/SetBoolRequest has no field dat; did you mean data?'),
+                ({'reply': {'layout': '<?', 'fields': ['data']}}, '/reply/fields',
+                 'std_srvs/SetBoolResponse has no field data')):
+            with self.subTest(said):
+                self.assert_mistake('bus/functions', 'pump', dict(PUMP, **changes), key, said)
+
+    def test_names_that_are_taken(self):
+        for group, name, row in (
+                ('arduino/messages', 'voltage', FORCE), ('arduino/messages', 'lift', FORCE),
+                ('mcu/messages', 'range_1', FORCE), ('bus/functions', 'gimbal', PUMP)):
+            self.assert_mistake(group, name, row, '', 'may have a name that the bridge has not')
+        with self.assertRaisesRegex(ParameterError, 'bus/functions/both is .* arduino/messages/bo'):
+            check({'arduino': {'messages': {'both': FORCE}},
+                   'bus': {'functions': {'both': PUMP}}}, '/node')
+        # These are other names: mcu/imu is not ~force, and a topic may be called as a parameter.
+        check({'arduino': {'messages': {'status': FORCE, 'port': dict(FORCE, type=33)}},
+               'mcu': {'messages': {'voltage': FORCE}}}, '/node')
+
+    def test_no_rows_by_default(self):
+        values, _ = check({}, '/node')
+        for name in 'arduino/messages', 'mcu/messages', 'bus/functions':
+            self.assertEqual((PARAMETERS[name].default, values[name]), ({}, []))
+
+
+class OwnCar(CarBoard):
+    """The model car, which also keeps the packets whose types it does not know."""
+
+    @property
+    def unknown(self):
+        """Packets of types that no built-in has, as they were on the wire."""
+        return [frame.raw for frame in self.bad]
+
+
+class OwnBoard(BusBoard):
+    """Answers functions of one's own as `answers` has it; others as always. None: no answer."""
+
+    def __init__(self, path):
+        self.answers = {}
+        self.all = []
+        super().__init__(path)
+
+    def take(self, frame):
+        self.all.append(frame)
+        if frame.type == bus.FUNCTION and frame.command >= 0x30:
+            self.say(self.answers.get(frame.command, bus.Reply(bus.ERROR, b'\0\x80')))
+        else:
+            super().take(frame)
+
+
+if __name__ == '__main__':
+    rospy.init_node('own_messages_test')
+    LINE = rospy.get_param('~line')
+    EXAMPLES = __file__.rsplit('/', 3)[0] + '/config/own_messages.yaml'
+    CAR = OwnCar(LINE + '_arduino_board')
+    SENSORS = SensorBoard(LINE + '_mcu_board')
+    BOARD = OwnBoard(LINE + '_bus_board')
+    ROSOUT = Rosout()
+    DIAGNOSTICS = Diagnostics()
+    until(lambda: CAR.connected and SENSORS.connected, 'the boards have their ports')
+    CAR.say(level_imu())
+    rostest.rosrun(PACKAGE, 'own_messages', '__main__')
