@@ -29,7 +29,7 @@ def encoded(layout: str, raws: List[Any]) -> bytes:
     return data
 
 
-def _raw(code: str) -> Any:
+def numbers(code: str) -> Any:
     """Numbers of one code."""
     if code == '?':
         return st.booleans()
@@ -49,12 +49,12 @@ _TEXTS = st.text(st.characters(blacklist_characters='\0', blacklist_categories=(
 def row_and_raws(draw, codes='bBhHiIlLqQefd?', fields=None, scaled=True):
     """A valid entry of arduino/messages, and raw numbers for it."""
     chosen = draw(st.lists(st.sampled_from(codes), max_size=6))
-    layout, raws = draw(st.sampled_from('<>')) + ''.join(chosen), [draw(_raw(c)) for c in chosen]
+    layout, raws = draw(st.sampled_from('<>')) + ''.join(chosen), [draw(numbers(c)) for c in chosen]
     ending = draw(st.sampled_from(('', '*', 's')))
     if ending == '*':
         code = draw(st.sampled_from(codes))
         layout += code + '*'
-        raws.append(draw(st.lists(_raw(code), max_size=5)))
+        raws.append(draw(st.lists(numbers(code), max_size=5)))
     elif ending == 's':
         layout += 's'
         raws.append(draw(_TEXTS))

@@ -1,0 +1,195 @@
+"""Any valid rows, any values: from the board over a real tty to the fields of a ROS message as a
+subscriber gets it, and from a message as a publisher makes it back to the board's bytes."""
+import logging
+import math
+import os
+import pty
+import threading
+import time
+import tty
+from collections import deque
+from io import BytesIO
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from own_rows import encoded, numbers
+
+pytest.importorskip('rospy')
+from sensor_msgs.msg import CameraInfo  # noqa: E402
+
+from serial_communication.links.arduino import ArduinoLink  # noqa: E402
+from serial_communication.links.link import Refused  # noqa: E402
+from serial_communication.links.port import Port  # noqa: E402
+from serial_communication.protocols import cobs  # noqa: E402
+from serial_communication.ros.parameters import check  # noqa: E402
+
+PATIENCE = 10.0     # s; only a test that fails waits as long
+
+# A type that has everything: whole numbers, fractions, a bool, a text, arrays of both kinds.
+WHOLE = ('height', 'width', 'binning_x', 'binning_y', 'roi.x_offset', 'roi.height')   # uint32
+FRACTIONS = tuple(f'{name}[{index}]' for name in 'KP' for index in range(4))          # float64
+TRUTHS = ('roi.do_rectify',)
+
+
+@st.composite
+def row_and_raws(draw):
+    """A valid entry for a CameraInfo, and raw numbers for it."""
+    codes = draw(st.lists(st.sampled_from('bBhHiIqQefd?'), max_size=7))
+    paths = draw(st.permutations(WHOLE + FRACTIONS + TRUTHS))[:len(codes)]
+    layout = draw(st.sampled_from('<>')) + ''.join(codes)
+    raws = [draw(numbers(code)) for code in codes]
+    ending = draw(st.sampled_from(('', '*', 's')))
+    if ending == '*':
+        code = draw(st.sampled_from('bHiqfd?'))
+        layout, paths = layout + code + '*', paths + ['D']
+        raws.append(draw(st.lists(numbers(code), max_size=5)))
+    elif ending == 's':
+        layout, paths = layout + 's', paths + ['distortion_model']
+        raws.append(draw(st.text(st.characters(blacklist_characters='\0', blacklist_categories=(
+            'Cs',)), max_size=12)))
+    scale = draw(st.sampled_from((1, 1, 1, 0.5, -2, 0.01)))
+    offset = draw(st.sampled_from((0, 0, 7, -0.25)))
+    return dict(ros_type='sensor_msgs/CameraInfo', layout=layout, fields=paths, scale=scale,
+                offset=offset), raws
+
+
+def expected_of(row, raws):
+    """What each field is to be, by the contract; None where a value cannot be."""
+    wanted = []
+    for path, raw in zip(row['fields'], raws):
+        if isinstance(raw, str):
+            wanted.append(raw)
+            continue
+        values = [each * row['scale'] + row['offset'] for each in
+                  (raw if isinstance(raw, list) else [raw])]
+        if path in TRUTHS:
+            values = [value != 0 for value in values]
+        elif path in WHOLE:
+            if not all(math.isfinite(value) and 0 <= round(value) < 2 ** 32 for value in values):
+                return None
+            values = [round(value) for value in values]
+        else:
+            values = [float(value) for value in values]
+        wanted.append(values if isinstance(raw, list) else values[0])
+    return wanted
+
+
+def field(message, path):
+    """The value at a path, by Python's own means."""
+    value = eval('message.' + path, {'message': message})   # a path of this file
+    return list(value) if isinstance(value, tuple) else value
+
+
+def delivered(message):
+    """The message as the other side of a topic has it."""
+    buffer = BytesIO()
+    message.serialize(buffer)
+    return CameraInfo().deserialize(buffer.getvalue())
+
+
+class Stage:
+    """A link on a real tty, whose other end is here."""
+
+    def __init__(self, rows):
+        self.near, slave = pty.openpty()
+        tty.setraw(slave)
+        self.got = deque()
+        self.link = ArduinoLink(
+            Port(os.ttyname(slave), 115200), messages=[
+                row.kind for row in rows if not row.own.is_command],
+            on_message=lambda message, stamp: self.got.append(message),
+            logger=logging.getLogger('fuzz'))
+        self._slave = slave
+        self._packets = b''
+        self._reader = threading.Thread(target=self._read, name='far end', daemon=True)
+        self._ended = False
+        self._reader.start()
+        self.link.start()
+        self.wait(lambda: b'\x02\x0b' in self._packets, 'a heartbeat')
+
+    def _read(self):
+        while not self._ended:
+            try:
+                self._packets += os.read(self.near, 4096)
+            except OSError:
+                return
+
+    def wait(self, condition, what):
+        deadline = time.monotonic() + PATIENCE
+        while not condition():
+            assert time.monotonic() < deadline, what
+            time.sleep(0.001)
+
+    def sent(self, type_):
+        """The data of the first packet of a type that has come."""
+        decoded = [cobs.decode(each) for each in self._packets.split(b'\0')[:-1] if each]
+        return [each[1:] for each in decoded if each[0] == type_]
+
+    def close(self):
+        self.link.stop()
+        self.link.join()
+        self._ended = True
+        os.close(self._slave)
+        self._reader.join(PATIENCE)
+        os.close(self.near)
+
+
+@settings(max_examples=max(20, settings().max_examples // 2))
+@given(st.lists(row_and_raws(), min_size=1, max_size=6))
+def test_any_rows_and_values_from_the_board_to_the_topic_and_back(cases):
+    entries = {}
+    for index, (row, _) in enumerate(cases):
+        entries[f'from{index}'] = dict(row, type=20 + index)
+        entries[f'to{index}'] = dict(row, type=120 + index, direction='to_board')
+    checked, _ = check({'arduino': {'messages': entries}}, '/node')
+    rows = {row.own.name: row for row in checked['arduino/messages']}
+    stage = Stage(rows.values())
+    try:
+        for index, (row, raws) in enumerate(cases):
+            data = encoded(row['layout'], raws)
+            there = rows[f'from{index}']
+            counted = dict(stage.link.decoder.errors)
+            os.write(stage.near, b'\0' + cobs.encode(bytes((20 + index,)) + data) + b'\0')
+            stage.wait(lambda counted=counted: stage.got or stage.link.decoder.errors != counted,
+                       'the packet is taken in')
+            wanted = expected_of(row, raws)
+            if wanted is None:
+                counted['implausible'] += 1
+                assert stage.link.decoder.errors == counted and not stage.got
+                continue
+            values = stage.got.popleft()
+            assert stage.link.decoder.errors == counted and type(values) is there.kind
+            message = delivered(there.fields.fill(there.fields.new(), values))
+            assert [field(message, path) for path in row['fields']] == wanted
+            check_way_back(stage, rows[f'to{index}'], row, raws, message, data)
+    finally:
+        stage.close()
+
+
+def check_way_back(stage, back, row, raws, message, data):
+    """What was received, published to the board: the same bytes, where nothing was lost."""
+    try:
+        stage.link.command(back.kind(*back.fields.read(message)))
+    except Refused:
+        # Rounding and scaling lead out of the raw number's range by a step, no more.
+        assert (row['scale'], row['offset']) != (1, 0) or not lossless(row, raws)
+        return
+    stage.wait(lambda: stage.sent(back.kind.TYPE), 'the command')
+    if (row['scale'], row['offset']) == (1, 0) and lossless(row, raws):
+        assert stage.sent(back.kind.TYPE) == [data]
+
+
+def lossless(row, raws):
+    """Whether each value is itself again behind its field."""
+    for path, raw in zip(row['fields'], raws):
+        for each in raw if isinstance(raw, list) else [raw]:
+            if isinstance(each, str):
+                continue
+            if path in TRUTHS and each not in (0, 1):
+                return False
+            if path in WHOLE and each != round(each):
+                return False
+            if each == 0 and math.copysign(1, each) < 0 or float(each) != each:
+                return False
+    return True
