@@ -182,8 +182,8 @@ class CarBoard(Board):
 
     IMU = arduino.encode(arduino.Imu(16384, *[0] * 10))
 
-    def __init__(self, line):
-        super().__init__(line, arduino.BoardDecoder(), 'car board')
+    def __init__(self, line, messages=()):
+        super().__init__(line, arduino.BoardDecoder(messages=messages), 'car board')
         self.streaming = False
         self._commands = []
         self._speed = 0

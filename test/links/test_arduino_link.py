@@ -18,6 +18,7 @@ from serial_communication.transport.port import Port, PortBusy
 from serial_communication.protocols import arduino
 from serial_communication.protocols.arduino import (Heartbeat, ImuCalibration, LedCommand,
                                                     SpeedCommand, SteeringCommand)
+from serial_communication.protocols.layout import Value, message_class
 
 STEADY = ArduinoSettings(speed_timeout=0.0)       # a speed holds
 
@@ -66,6 +67,40 @@ def test_a_led_text_that_cannot_be_is_refused(board, open_link, text):
     link.set_led('x' * 30)
     wait_for(board.commands)
     assert board.commands() == [LedCommand('x' * 30)]
+
+
+GRIPPER = message_class('gripper', 48, '<hB', [Value('x', scale=0.1, maximum=100), Value('z')])
+
+
+@pytest.fixture
+def own_board(line, running):
+    return running(CarBoard(line, [GRIPPER]))
+
+
+def test_a_command_of_ones_own_keeps_the_rules_of_commands(own_board, open_link):
+    link = open_link()
+    link.command(GRIPPER(12.5, 9))
+    wait_for(own_board.commands)
+    assert own_board.commands() == [GRIPPER(12.5, 9)]
+    for message, said in ((GRIPPER(100.1, 9), 'gripper refused: x is 100.1, over 100'),
+                          (GRIPPER(1.0, 256), 'gripper refused: z is 256, which its place')):
+        with pytest.raises(Refused, match=said):
+            link.command(message)
+    link.calibrate_imu()
+    with pytest.raises(Refused, match='gripper x=1 z=2 refused: the IMU is being calibrated'):
+        link.command(GRIPPER(1.0, 2))
+
+
+def test_a_command_of_ones_own_is_never_kept(own_board, open_link):
+    link = open_link()
+    with own_board.unplugged():
+        wait_for(lambda: not link.port.is_open)
+        with pytest.raises(Refused, match='gripper x=1 z=2 refused'):
+            link.command(GRIPPER(1.0, 2))
+    wait_for(lambda: link.port.is_open)
+    link.set_led('left')
+    wait_for(own_board.commands)
+    assert own_board.commands() == [LedCommand('left')]
 
 
 def test_measurements_are_passed_on_with_their_stamps(board, line, open_link):

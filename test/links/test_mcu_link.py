@@ -10,6 +10,7 @@ from serial_communication.links.link import ERROR, OK, WARN
 from serial_communication.links.mcu import McuLink
 from serial_communication.transport.port import Port
 from serial_communication.protocols import mcu
+from serial_communication.protocols.layout import Value, message_class
 
 
 def status(seq, range_1=100):
@@ -142,6 +143,19 @@ def test_a_frame_of_an_unknown_type_keeps_the_count_and_is_not_passed_on(line, w
     wait_for(lambda: len(watched.got) == 2)
     assert watched.seqs() == [1, 3] and watched.link.frames_lost == 0
     assert watched.link.decoder.errors['unknown type'] == 1
+
+
+def test_a_message_of_ones_own_is_passed_on_and_says_that_the_board_talks(line, watch):
+    cliff = message_class('cliff', 0x20, '<H', [Value('range', maximum=2000)])
+    watched = watch(messages=[cliff])
+    line.write(mcu.encode(cliff(1500), 1))
+    wait_for(lambda: watched.got)
+    assert [message for message, _, _ in watched.got] == [cliff(1500)] and not watched.link.silent
+    line.write(mcu.encode_raw(0x20, 2, b'\1') + mcu.encode_raw(0x20, 3, b'\xff\xff') + status(4))
+    wait_for(lambda: len(watched.got) == 2)
+    keys = dict(watched.link.report(time.monotonic()).values)
+    assert (keys['length errors'], keys['implausible errors'], keys['unknown type errors']) == (
+        1, 1, 0)
 
 
 def test_a_frame_behind_a_false_start_comes_after_frame_timeout(line, watch):
