@@ -43,6 +43,8 @@ class ArduinoLink(Link):
         messages: classes of messages of one's own that the board sends.
     """
 
+    STOPS_FIRST = True
+
     def __init__(self, port: Port, settings: ArduinoSettings = ArduinoSettings(),
                  on_message: Optional[Callable[[Any, Any], None]] = None,
                  on_log: Optional[Callable[[int, str], None]] = None,

@@ -6,7 +6,7 @@ import traceback
 from typing import Any, Callable, List, NamedTuple, Optional, Tuple
 
 from ..protocols.frame_timer import FrameTimer
-from ..protocols.framing import CHECKSUM, Frame
+from ..protocols.framing import CHECKSUM, Decoder, Frame
 from ..transport.port import Port, PortError
 from .sparing_log import SparingLog
 
@@ -46,7 +46,9 @@ class Link:
         logger: where lines for people go.
     """
 
-    def __init__(self, name: str, port: Port, decoder: Any, frame_timeout: float = 0.05,
+    STOPS_FIRST = False     # True: what it says last must not wait for other links
+
+    def __init__(self, name: str, port: Port, decoder: Decoder, frame_timeout: float = 0.05,
                  clock: Callable[[], Any] = time.time,
                  logger: Optional[logging.Logger] = None) -> None:
         self.name = name

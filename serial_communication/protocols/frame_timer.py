@@ -1,7 +1,7 @@
 """When a frame that stays incomplete is given up. Times come from the caller's one clock."""
-from typing import Any, List, Optional
+from typing import List, Optional
 
-from .framing import Frame
+from .framing import Decoder, Frame
 
 
 class FrameTimer:
@@ -18,7 +18,7 @@ class FrameTimer:
         baud: of the line.
     """
 
-    def __init__(self, decoder: Any, timeout: float, baud: int = 115200) -> None:
+    def __init__(self, decoder: Decoder, timeout: float, baud: int = 115200) -> None:
         self._decoder = decoder
         self._timeout = timeout
         self._seconds_a_byte = 10.0 / baud

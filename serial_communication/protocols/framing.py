@@ -9,7 +9,7 @@ keeps the stamp of the read that brought its own last byte.
 """
 import re
 from collections import deque
-from typing import Any, Deque, Dict, List, NamedTuple, Tuple
+from typing import Any, Deque, Dict, List, NamedTuple, Protocol, Tuple
 
 CHECKSUM = 'checksum'        # a whole frame whose checksum does not match
 FRAMING = 'framing'          # bytes that are no frame: noise, a false length, a frame cut short
@@ -38,6 +38,34 @@ def bad_frame(raw: bytes, cause: str, error: str, stamp: Any = None, type_: int 
               data: bytes = b'') -> Frame:
     """A `Frame` that says what was wrong with `raw`."""
     return Frame(bytes(raw[:MAX_REPORTED]), type_, 0, data, None, stamp, cause, error)
+
+
+class Decoder(Protocol):
+    """What a decoder must be: bytes in, frames out, whatever comes, and without a clock.
+
+    The frames do not depend on how the bytes are cut into reads. Nothing raises, nothing grows
+    without bound, and every error is counted once and shown as one frame with a cause.
+    """
+
+    errors: Dict[str, int]     # by cause; `FRAMING` is one of them
+    pending: bool              # whether a frame has begun and is not complete
+    front: int                 # where in the stream it begins, in bytes received before it
+    needed: int                # how many bytes it has, as far as is known
+
+    def feed(self, data: bytes, stamp: Any = None) -> List[Frame]:
+        """Take bytes as they were read; return the frames, good and bad, now complete."""
+
+    def give_up(self) -> List[Frame]:
+        """No byte has come for too long: what is pending stays incomplete."""
+
+    def skip_false_start(self) -> List[Frame]:
+        """Bytes keep coming, but what is pending takes too long."""
+
+    def silence(self) -> None:
+        """No byte has come for long, and nothing is pending."""
+
+    def reset(self) -> None:
+        """Forget what is pending, as after a reconnect; the counts stay."""
 
 
 _PIECE = 4096        # bytes whose XORs are worked out at once

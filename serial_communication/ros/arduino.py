@@ -1,5 +1,6 @@
-"""Topics and the service of the arduino link."""
-from typing import Any, Dict, Optional
+"""The arduino link in ROS: its parameters, its topics and its service."""
+from math import pi, radians
+from typing import Any, Dict, List, Optional, Tuple
 
 import rospy
 from sensor_msgs.msg import Imu, Temperature
@@ -13,29 +14,53 @@ from ..links.arduino import ArduinoLink, ArduinoSettings
 from ..links.heart import clock
 from ..links.lateness import Lateness
 from ..links.link import Refused
-from ..transport.port import Port
 from ..protocols import arduino
+from ..transport.port import Port
 from .geometry import OrientationBroadcaster
+from .interface import Common, Interface
+from .parameter import BAUD, MOUNT, PORT, Parameter, frame_id, seconds
 from .publishing import diagonal, publisher, wanted
-from .rows import built_in_topic, own_topics, take_commands
+from .rows import arduino_rows, built_in_topic, names_of, own_topics, take_commands
 
 _SAY = (rospy.logdebug, rospy.loginfo, rospy.logwarn, rospy.logerr)
 
 
-class ArduinoInterface:
+class ArduinoInterface(Interface):
     """Commands in, measurements out."""
 
-    def __init__(self, parameters: Dict[str, Any], **link_arguments) -> None:
+    NAME = 'arduino'
+    PARAMETERS = {
+        'port': PORT,
+        'baud': BAUD,
+        'reset_on_open': Parameter(False),
+        'heartbeat_rate': Parameter(100.0, 1.0, 1000.0, unit='Hz'),
+        'speed_timeout': seconds(0.5, 0.0, 3600.0),
+        'network_silence': seconds(1.0, 0.0, 3600.0),
+        'calibration_timeout': seconds(900.0, 1.0, 86400.0),
+        'check_plausibility': Parameter(True),
+        'messages': Parameter({}, parse=arduino_rows),
+        'gyro_scale': Parameter(arduino.GYRO_SCALE, -1.0, 1.0, unit='rad/s per LSB'),
+        'linear_acceleration_stdev': Parameter(400e-6 * 9.807, 0.0, 1e3, unit='m/s^2'),
+        'angular_velocity_stdev': Parameter(radians(0.05), 0.0, 1e3, unit='rad/s'),
+        'roll_pitch_stdev': Parameter(radians(1.0), 0.0, pi, unit='rad'),
+        'yaw_stdev': Parameter(radians(5.0), 0.0, pi, unit='rad'),
+        'imu_frame_id': frame_id('imu'),
+        'imu_orientation_frame_id': frame_id('imu_orientation'),
+        'imu_mount': MOUNT,
+    }
+    MOUNTS = ('imu',)
+
+    def __init__(self, parameters: Dict[str, Any], common: Common) -> None:
         p = parameters
-        self._gyro_scale = p['arduino/gyro_scale']
-        self._speed_timeout = p['arduino/speed_timeout']
+        self._gyro_scale = p['gyro_scale']
+        self._speed_timeout = p['speed_timeout']
         self._imu_message = _imu(p)
         self._temperature_message = Temperature()
-        self._temperature_message.header.frame_id = p['arduino/imu_frame_id']
+        self._temperature_message.header.frame_id = p['imu_frame_id']
         self._orientation: Optional[OrientationBroadcaster] = None
         if p['publish_tf']:
-            self._orientation = OrientationBroadcaster(p['arduino/imu_frame_id'],
-                                                       p['arduino/imu_orientation_frame_id'])
+            self._orientation = OrientationBroadcaster(p['imu_frame_id'],
+                                                       p['imu_orientation_frame_id'])
         self._imu = publisher('~imu', Imu)
         self._temperature = publisher('~imu/temperature', Temperature)
         self._calibrating = publisher('~imu/calibrating', Bool, latch=True)
@@ -47,16 +72,20 @@ class ArduinoInterface:
         without = set(arduino.FROM_BOARD) - set(self._rows) - {arduino.Imu}
         if without:
             raise TypeError(f'messages without a topic: {without}')
-        self._own = p['arduino/messages']
+        self._own = p['messages']
         self._rows.update(own_topics(self._own, '~', p['frame_prefix']))
         self.link = ArduinoLink(
-            Port(p['arduino/port'], p['arduino/baud'], p['arduino/reset_on_open']),
-            ArduinoSettings(p['arduino/heartbeat_rate'], p['arduino/speed_timeout'],
-                            p['arduino/calibration_timeout'], p['arduino/check_plausibility'],
-                            p['arduino/network_silence']),
+            Port(p['port'], p['baud'], p['reset_on_open']),
+            ArduinoSettings(p['heartbeat_rate'], p['speed_timeout'],
+                            p['calibration_timeout'], p['check_plausibility'],
+                            p['network_silence']),
             messages=[kind for kind in self._rows if kind not in arduino.FROM_BOARD],
             on_message=self._received, on_log=self._log,
-            on_calibrating=lambda on: self._calibrating.publish(on), **link_arguments)
+            on_calibrating=lambda on: self._calibrating.publish(on), **common._asdict())
+
+    @staticmethod
+    def own_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
+        return names_of(parameters['messages'], '~')
 
     def advertise(self) -> None:
         """Take commands and offer the service."""
@@ -138,11 +167,14 @@ def _now() -> float:
 
 def _imu(p: Dict[str, Any]) -> Imu:
     message = Imu()
-    message.header.frame_id = p['arduino/imu_frame_id']
-    level, yaw = p['arduino/roll_pitch_stdev'] ** 2, p['arduino/yaw_stdev'] ** 2
-    rate = p['arduino/angular_velocity_stdev'] ** 2
-    acceleration = p['arduino/linear_acceleration_stdev'] ** 2
+    message.header.frame_id = p['imu_frame_id']
+    level, yaw = p['roll_pitch_stdev'] ** 2, p['yaw_stdev'] ** 2
+    rate = p['angular_velocity_stdev'] ** 2
+    acceleration = p['linear_acceleration_stdev'] ** 2
     message.orientation_covariance = diagonal(level, level, yaw)
     message.angular_velocity_covariance = diagonal(rate, rate, rate)
     message.linear_acceleration_covariance = diagonal(acceleration, acceleration, acceleration)
     return message
+
+
+INTERFACE = ArduinoInterface

@@ -1,5 +1,5 @@
-"""Topics and services of the bus link."""
-from typing import Any, Dict
+"""The bus link in ROS: its parameters, its topics and its services."""
+from typing import Any, Dict, List, Tuple
 
 import rospy
 from sensor_msgs.msg import RelativeHumidity, Temperature
@@ -12,29 +12,48 @@ from serial_communication.srv import (BusRequest, BusRequestResponse, GetEnviron
 
 from ..links.bus import BusLink, BusSettings
 from ..links.master import Outcome
-from ..transport.port import Port
 from ..protocols import robot_ctrl_bus as bus
+from ..transport.port import Port
+from .interface import Common, Interface
+from .parameter import BAUD, PORT, Parameter, seconds
 from .publishing import publisher, wanted
-from .rows import offer_functions, poll_functions
+from .rows import bus_rows, names_of, offer_functions, poll_functions
 
 
-class BusInterface:
+class BusInterface(Interface):
     """Services in, readings out."""
 
-    def __init__(self, parameters: Dict[str, Any], **link_arguments) -> None:
+    NAME = 'bus'
+    PARAMETERS = {
+        'port': PORT,
+        'baud': BAUD,
+        'reply_timeout': seconds(0.5, 0.01, 60.0),
+        'motion_timeout': seconds(5.0, 0.01, 600.0),
+        'retries': Parameter(2, 0, 100),
+        'environment_period': seconds(1.0, 0.0, 86400.0),
+        'environment_datelen': Parameter(2, choices=(0, 2)),
+        'reply_has_cmd2': Parameter(False),
+        'functions': Parameter({}, parse=bus_rows),
+    }
+
+    def __init__(self, parameters: Dict[str, Any], common: Common) -> None:
         p = parameters
         self.link = BusLink(
-            Port(p['bus/port'], p['bus/baud']),
-            BusSettings(p['bus/reply_timeout'], p['bus/motion_timeout'], p['bus/retries'],
-                        p['bus/environment_period'], p['bus/environment_datelen'],
-                        p['bus/reply_has_cmd2']),
-            on_environment=self._publish_environment, **link_arguments)
-        self._own = p['bus/functions']
+            Port(p['port'], p['baud']),
+            BusSettings(p['reply_timeout'], p['motion_timeout'], p['retries'],
+                        p['environment_period'], p['environment_datelen'],
+                        p['reply_has_cmd2']),
+            on_environment=self._publish_environment, **common._asdict())
+        self._own = p['functions']
         poll_functions(self._own, self.link, p['frame_prefix'])
         self._environment = publisher('~environment', Environment)
         self._temperature = publisher('~environment/temperature', Temperature)
         self._humidity = publisher('~environment/humidity', RelativeHumidity)
         self._frame_id = p['base_frame_id']
+
+    @staticmethod
+    def own_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
+        return names_of(parameters['functions'], '~')
 
     def advertise(self) -> None:
         """Offer the services."""
@@ -95,3 +114,6 @@ class BusInterface:
 def _answer(response_class, outcome: Outcome):
     return response_class(success=outcome.success, status=outcome.status,
                           error_code=outcome.error_code, message=outcome.message)
+
+
+INTERFACE = BusInterface

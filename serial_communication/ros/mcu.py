@@ -1,7 +1,7 @@
-"""Topics of the mcu link."""
+"""The mcu link in ROS: its parameters and its topics."""
 import time
-from math import inf, nan, radians
-from typing import Any, Dict, Optional
+from math import inf, nan, pi, radians
+from typing import Any, Dict, List, Optional, Tuple
 
 import rospy
 from sensor_msgs.msg import Imu, Range
@@ -9,22 +9,47 @@ from sensor_msgs.msg import Imu, Range
 from serial_communication.msg import McuStatus, McuStatus2
 
 from ..links.mcu import McuLink
-from ..transport.port import Port
 from ..protocols import mcu
 from ..protocols.framing import CHECKSUM
+from ..transport.port import Port
 from .geometry import OrientationBroadcaster, quaternion
+from .interface import Common, Interface
+from .parameter import BAUD, MOUNT, PORT, Parameter, frame_id, seconds
 from .publishing import diagonal, publisher, wanted
-from .rows import own_topics
+from .rows import mcu_rows, names_of, own_topics
 
 _NOT_CONNECTED = 0xFFFF   # what no sensor reads
 
 
-class McuInterface:
+class McuInterface(Interface):
     """Measurements out, and word of the board's silence."""
 
-    def __init__(self, parameters: Dict[str, Any], **link_arguments) -> None:
+    NAME = 'mcu'
+    PARAMETERS = {
+        'port': PORT,
+        'baud': BAUD,
+        'timeout': seconds(1.0, 0.01, 3600.0),
+        'network_silence': seconds(5.0, 0.0, 3600.0),
+        'yaw_clockwise': Parameter(True),
+        'messages': Parameter({}, parse=mcu_rows),
+        'roll_pitch_stdev': Parameter(radians(1.0), 0.0, pi, unit='rad'),
+        'yaw_stdev': Parameter(radians(5.0), 0.0, pi, unit='rad'),
+        'min_range': Parameter(0.03, 0.0, 65.0, unit='m'),
+        'max_range': Parameter(2.0, 0.0, 65.0, unit='m'),
+        'field_of_view': Parameter(radians(25.0), 0.0, pi, unit='rad'),
+        'imu_frame_id': frame_id('mcu_imu'),
+        'imu_orientation_frame_id': frame_id('mcu_imu_orientation'),
+        'range_1_frame_id': frame_id('range_1'),
+        'range_2_frame_id': frame_id('range_2'),
+        'imu_mount': MOUNT,
+        'range_1_mount': MOUNT,
+        'range_2_mount': MOUNT,
+    }
+    MOUNTS = ('imu', 'range_1', 'range_2')
+
+    def __init__(self, parameters: Dict[str, Any], common: Common) -> None:
         p = parameters
-        self._turn = -1.0 if p['mcu/yaw_clockwise'] else 1.0
+        self._turn = -1.0 if p['yaw_clockwise'] else 1.0
         self._imu_message = _imu(p)
         self._ranges = [(publisher('mcu/range_%d' % number, Range), _range(p, number))
                         for number in (1, 2)]
@@ -33,16 +58,23 @@ class McuInterface:
         self._imu = publisher('mcu/imu', Imu)
         self._orientation: Optional[OrientationBroadcaster] = None
         if p['publish_tf']:
-            self._orientation = OrientationBroadcaster(p['mcu/imu_frame_id'],
-                                                       p['mcu/imu_orientation_frame_id'])
-        self._rows = own_topics(p['mcu/messages'], 'mcu/', p['frame_prefix'])
-        self.link = McuLink(Port(p['mcu/port'], p['mcu/baud']), p['mcu/timeout'],
+            self._orientation = OrientationBroadcaster(p['imu_frame_id'],
+                                                       p['imu_orientation_frame_id'])
+        self._rows = own_topics(p['messages'], 'mcu/', p['frame_prefix'])
+        self.link = McuLink(Port(p['port'], p['baud']), p['timeout'],
                             on_status=self._received, on_silence=self._silent,
-                            network_silence=p['mcu/network_silence'], messages=list(self._rows),
-                            **link_arguments)
+                            network_silence=p['network_silence'], messages=list(self._rows),
+                            **common._asdict())
 
-    def advertise(self) -> None:
-        """Nothing is taken or offered: the board only talks."""
+    @staticmethod
+    def problem(parameters: Dict[str, Any]) -> str:
+        low, high = parameters['min_range'], parameters['max_range']
+        return '' if low < high else \
+            f'min_range is {low:g}, may be less than mcu/max_range, which is {high:g}'
+
+    @staticmethod
+    def own_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
+        return names_of(parameters['messages'], 'mcu/')
 
     def _received(self, message: Any, seq: int, stamp: rospy.Time) -> None:
         own = self._rows.get(type(message))
@@ -95,17 +127,20 @@ def _metres(millimetres: int, low: float, high: float) -> float:
 
 
 def _range(p: Dict[str, Any], number: int) -> Range:
-    message = Range(radiation_type=Range.INFRARED, field_of_view=p['mcu/field_of_view'],
-                    min_range=p['mcu/min_range'], max_range=p['mcu/max_range'])
-    message.header.frame_id = p['mcu/range_%d_frame_id' % number]
+    message = Range(radiation_type=Range.INFRARED, field_of_view=p['field_of_view'],
+                    min_range=p['min_range'], max_range=p['max_range'])
+    message.header.frame_id = p['range_%d_frame_id' % number]
     return message
 
 
 def _imu(p: Dict[str, Any]) -> Imu:
     message = Imu()
-    message.header.frame_id = p['mcu/imu_frame_id']
-    level, yaw = p['mcu/roll_pitch_stdev'] ** 2, p['mcu/yaw_stdev'] ** 2
+    message.header.frame_id = p['imu_frame_id']
+    level, yaw = p['roll_pitch_stdev'] ** 2, p['yaw_stdev'] ** 2
     message.orientation_covariance = diagonal(level, level, yaw)
     message.angular_velocity_covariance = diagonal(-1.0, 0.0, 0.0)    # -1: not measured
     message.linear_acceleration_covariance = diagonal(-1.0, 0.0, 0.0)
     return message
+
+
+INTERFACE = McuInterface

@@ -9,12 +9,10 @@ import time
 import rospy
 
 from . import background_logging, direct, parameters
-from .arduino import ArduinoInterface
-from .bus import BusInterface
 from .diagnostics import Diagnostics
 from .geometry import publish_mounts
+from .interface import Common
 from .master_watch import MasterWatch
-from .mcu import McuInterface
 from .traffic import Traffic
 
 _SWITCH_INTERVAL = 0.0005   # s that a busy thread may keep the interpreter from the heartbeat
@@ -68,18 +66,17 @@ class Bridge:
     """The links that have a port, and what belongs to all of them."""
 
     def __init__(self, p: dict) -> None:
-        arguments = {'frame_timeout': p['frame_timeout'], 'clock': _now,
-                     'logger': _LOGGER}
-        self._interfaces = [interface(p, **arguments) for name, interface in (
-            ('bus', BusInterface), ('arduino', ArduinoInterface), ('mcu', McuInterface))
-            if p[name + '/port']]
+        common = Common(p['frame_timeout'], _now, _LOGGER)
+        boards = [(board, own) for board, own in (
+            (board, parameters.of_board(board, p)) for board in p['boards']) if own['port']]
+        self._interfaces = [board(own, common) for board, own in boards]
         self._links = [interface.link for interface in self._interfaces]
         if not self._links:
-            rospy.logwarn('no port is set (bus/port, arduino/port, mcu/port): nothing to do')
+            ports = ', '.join(f'{board.NAME}/port' for board in p['boards'])
+            rospy.logwarn(f'no port is set ({ports}): nothing to do')
         self._mounts = publish_mounts(p['base_frame_id'], {
-            p[name + '_frame_id']: p[name + '_mount'] for name in (
-                'arduino/imu', 'mcu/imu', 'mcu/range_1', 'mcu/range_2')
-            if p[name.split('/')[0] + '/port']})
+            own[f'{name}_frame_id']: own[f'{name}_mount']
+            for board, own in boards for name in board.MOUNTS})
         self._traffic = Traffic(self._links, _LOGGER)
         self._diagnostics = Diagnostics(self._links, _LOGGER)
 
@@ -97,7 +94,7 @@ class Bridge:
         last_resort = threading.Timer(1.5, os._exit, (0,))
         last_resort.daemon = True
         last_resort.start()
-        for link in sorted(self._links, key=lambda link: link.name != 'arduino'):
+        for link in sorted(self._links, key=lambda link: not link.STOPS_FIRST):
             link.stop()
         deadline = time.monotonic() + _SHUTDOWN
         for link in self._links:

@@ -58,13 +58,9 @@ def bus_rows(given: Any) -> List[RowFunction]:
     return [_row_function(own) for own in bus_functions(given)]
 
 
-def refuse_equal_names(messages: List[RowMessage], functions: List[RowFunction]) -> None:
-    """Topics of the car and services of the bus are private names of one node."""
-    names = {row.own.name: row.own.key for row in messages}
-    for row in functions:
-        if row.own.name in names:
-            raise RowError(row.own.key, row.own.name,
-                           f'may have a name that {names[row.own.name]} has not')
+def names_of(rows: List[Any], prefix: str) -> List[Tuple[str, str]]:
+    """The topics and services that rows make: (name, the parameter that makes it)."""
+    return [(prefix + row.own.name, row.own.key) for row in rows]
 
 
 def _row_message(own: OwnMessage, taken: Container[str]) -> RowMessage:

@@ -382,7 +382,8 @@ class Mistakes(unittest.TestCase):
                 ('arduino/messages', 'voltage', FORCE), ('arduino/messages', 'lift', FORCE),
                 ('mcu/messages', 'range_1', FORCE), ('bus/functions', 'gimbal', PUMP)):
             self.assert_mistake(group, name, row, '', 'may have a name that the bridge has not')
-        with self.assertRaisesRegex(ParameterError, 'bus/functions/both is .* arduino/messages/bo'):
+        with self.assertRaisesRegex(ParameterError,
+                                    'arduino/messages/both is .* bus/functions/both'):
             check({'arduino': {'messages': {'both': FORCE}},
                    'bus': {'functions': {'both': PUMP}}}, '/node')
         # These are other names: mcu/imu is not ~force, and a topic may be called as a parameter.

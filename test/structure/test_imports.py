@@ -69,4 +69,4 @@ def test_the_rule_can_fail():
     assert is_ros('rospy') and is_ros('sensor_msgs.msg.Imu') and not is_ros('serial.tools')
     found = set(imports(PACKAGE / 'ros' / 'node.py'))
     assert 'rospy' in found
-    assert 'serial_communication.ros.arduino.ArduinoInterface' in found
+    assert 'serial_communication.ros.interface.Common' in found

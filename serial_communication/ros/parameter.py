@@ -1,0 +1,92 @@
+"""What one parameter is and what it may be, and the kinds that every board has."""
+from math import inf, isfinite
+from typing import Any, Callable, Dict, NamedTuple, Optional, Tuple
+
+from ..transport.port import check_url
+
+
+class ParameterError(ValueError):
+    """A parameter that cannot be used; the text is one line for a person."""
+
+
+class Parameter(NamedTuple):
+    """One parameter: its type is that of its default.
+
+    A list is one of as many numbers as its default has; of an empty one, and of a group (a dict),
+    `parse` alone says what it may be.
+    """
+
+    default: Any
+    low: float = -inf
+    high: float = inf
+    choices: Tuple = ()
+    unit: str = ''
+    parse: Optional[Callable[[Any], Any]] = None    # makes the value; ValueError if it may not be
+
+    def allowed(self) -> str:
+        """What it may be, in words."""
+        if self.choices:
+            return 'may be ' + ' or '.join(repr(choice) for choice in self.choices)
+        if isinstance(self.default, list):
+            kind = f'a list of {len(self.default)} numbers' if self.default else 'a list'
+        else:
+            kind = {bool: 'true or false', str: 'text', int: 'a whole number',
+                    float: 'a number', dict: 'a group'}[type(self.default)]
+        bounds = ''
+        if isfinite(self.low) and isfinite(self.high):
+            bounds = f' from {self.low:g} to {self.high:.10g}'
+        elif isfinite(self.low):
+            bounds = f' of at least {self.low:g}'
+        unit = f' ({self.unit})' if self.unit else ''
+        return f'may be {kind}{bounds}{unit}'
+
+    def check(self, value: Any) -> Any:
+        """The value in its own type; ValueError if it may not be."""
+        if self.default in ({}, []):
+            return self.parse(value)
+        wanted = type(self.default)
+        if wanted is float and type(value) is int:
+            value = float(value)
+        if type(value) is not wanted:
+            raise ValueError
+        if self.choices and value not in self.choices:
+            raise ValueError
+        if wanted in (int, float) and not self.low <= value <= self.high:
+            raise ValueError    # NaN fails this as well
+        if wanted is list:
+            if len(value) != len(self.default) or not all(
+                    type(item) in (int, float) and isfinite(item) for item in value):
+                raise ValueError
+            value = [float(item) for item in value]
+        return self.parse(value) if self.parse else value
+
+
+Parameters = Dict[str, Parameter]     # by name; a board's without its group
+
+
+def seconds(default: float, low: float, high: float) -> Parameter:
+    """A time."""
+    return Parameter(default, low, high, unit='s')
+
+
+def frame_id(default: str) -> Parameter:
+    """The name of a frame; `frame_prefix` comes before it."""
+    return Parameter(default, parse=not_empty)
+
+
+def not_empty(text: str) -> str:
+    """The text; ValueError if there is none."""
+    if not text:
+        raise ValueError
+    return text
+
+
+def _port(url: str) -> str:
+    if url:
+        check_url(url)
+    return url
+
+
+PORT = Parameter('', parse=_port)     # empty: the link is off
+BAUD = Parameter(115200, 50, 4000000, unit='baud')
+MOUNT = Parameter([0.0] * 6, unit='x y z in m, roll pitch yaw in rad, in base_frame_id')
