@@ -4,21 +4,33 @@ rospy hands every message for every subscriber to a thread of that connection, s
 subscriber holds up nobody. Waking those threads costs more than sending. Here a message goes
 into the subscriber's socket at once, without waiting; rospy's own queue and thread take over
 for good on the connection whose socket is full, and only there.
+
+This is written against private parts of rospy, as they are in 1.15.15 (Debian 12) and 1.16.0
+(Noetic). `install` looks whether they are the same, and leaves a rospy that differs as it is.
 """
+import inspect
+import logging
 import socket
 import threading
+from typing import Any, Iterable, Set
 
 import rospy.topics
-from rospy.impl.tcpros_pubsub import QueuedConnection
-from rospy.impl.transport import Transport
 from rospy.exceptions import TransportTerminated
+from rospy.impl.tcpros_base import TCPROSTransport
+from rospy.impl.transport import Transport
+
+_PRIVATE = {'_closed_connection_callback', '_cond_data_available', '_connection', '_error',
+            '_lock', '_queue', '_queue_size', '_run', '_thread'}    # all of QueuedConnection
+_OF_A_TRANSPORT = {'socket', 'stat_bytes', 'stat_num_msg'}
 
 
-class DirectConnection(QueuedConnection):
+class DirectConnection(rospy.topics.QueuedConnection):
     """A connection to one subscriber; `write_data` never waits."""
 
     def __init__(self, connection: Transport, queue_size: int) -> None:
-        # Not QueuedConnection's own: that one starts the thread.
+        # Without super().__init__(), since that starts the thread. Once the socket is full it
+        # would be of no use either: the rest of a message that has left in part would have to
+        # wait in its queue, where a newer message may drop it.
         self._connection = connection
         self._queue_size = queue_size
         self._lock = threading.Lock()
@@ -56,6 +68,19 @@ class DirectConnection(QueuedConnection):
         self._run()
 
 
-def install() -> None:
-    """Use it for every publisher of this process from now on."""
-    rospy.topics.QueuedConnection = DirectConnection
+def install(logger: logging.Logger) -> None:
+    """Use it for every subscriber that comes from now on, if rospy is one that it fits."""
+    private = {name for name in _names(vars(rospy.topics.QueuedConnection).values())
+               if name.startswith('_') and not name.startswith('__')}
+    if private == _PRIVATE \
+            and _OF_A_TRANSPORT <= _names([Transport.__init__, TCPROSTransport.__init__]):
+        rospy.topics.QueuedConnection = DirectConnection
+    else:
+        logger.warning('this rospy sends messages in another way than 1.15.15 and 1.16.0: '
+                       "they go through rospy's own threads, which takes more CPU")
+
+
+def _names(members: Iterable[Any]) -> Set[str]:
+    """What the functions among these use."""
+    return {name for member in members if inspect.isfunction(member)
+            for name in member.__code__.co_names}

@@ -24,7 +24,6 @@ def main() -> None:
     """Run until ROS or a signal ends it, and exit."""
     sys.setswitchinterval(_SWITCH_INTERVAL)
     background_logging.install()
-    direct.install()
     status = 1
     try:
         status = _run()
@@ -35,6 +34,7 @@ def main() -> None:
 
 def _run() -> int:
     rospy.init_node('serial_communication')
+    direct.install(_LOGGER)
     given = rospy.get_param('~', {})
     try:
         values, warnings = parameters.check(given, rospy.get_name())
