@@ -11,8 +11,8 @@ from ..protocols.framing import Frame
 from .heart import Heart, clock
 from .link import OK, WARN, Link, Refused
 from .motor import TIMED_OUT, Motor
+from ..transport.pace import Allowance
 from ..transport.port import Port, PortBusy, PortError
-from .sparing_log import Allowance
 
 _STALLED = 0.05          # s of wire time that wait in the kernel: the port does not flow
 _LOOK_PERIOD = 0.1       # s from one look at what waits there to the next

@@ -8,6 +8,7 @@ from ..protocols.framing import Frame
 from ..protocols.layout import Layout
 from .link import ERROR, OK, WARN, Link
 from .master import NOT_SENT, PATIENCE, Call, Master, Outcome
+from ..transport.pace import Every
 from ..transport.port import Port, PortBusy, PortError
 
 _BLOCKED = 0.05     # s until a port that took no data is tried again
@@ -34,22 +35,19 @@ class _Poller:
     """
 
     def __init__(self, period: float, ask: Callable[[], Call]) -> None:
-        self.due = 0.0
+        self.pace = Every(period, 0.0)
         self._period = period
         self._ask = ask
         self._latest: Optional[Call] = None
 
     def start(self, now: float) -> None:
         """The periods count from here."""
-        self.due = now
+        self.pace = Every(self._period, now - self._period)     # the first one at once
 
     def tick(self, now: float) -> None:
         """Ask if it is time; what was missed meanwhile is not made up for."""
-        if now < self.due:
+        if not self.pace.passed(now):
             return
-        self.due += self._period
-        if self.due <= now:
-            self.due = now + self._period
         if self._latest is None or self._latest.outcome is not None:
             self._latest = self._ask()
 
@@ -208,7 +206,7 @@ class BusLink(Link):
             self._send_next(now)
             if master.wants_to_send(now):
                 return max(now, self._blocked_until)
-        times = [poller.due for poller in self._pollers] if master.synchronised else []
+        times = [poller.pace.due for poller in self._pollers] if master.synchronised else []
         deadline = master.deadline(now)
         if deadline is not None:
             times.append(deadline)

@@ -1,10 +1,11 @@
 """The thread that keeps a board's motor alive, or its car standing: absolute deadlines, no burst
 after a stall, and nothing that another thread does can end it."""
-import os
 import threading
 import time
 import traceback
 from typing import Callable, Optional
+
+from ..transport.pace import Every, be_quick
 
 _LONGEST_NAP = 0.02      # s; so that a slow heartbeat does not make SPEED 0 late
 _REALTIME_PRIORITY = 20
@@ -51,33 +52,20 @@ class Heart:
         self.max_gap = 0.0
 
     def _run(self) -> None:
-        _be_quick()
-        due = clock()
+        be_quick(_REALTIME_PRIORITY)
+        pace = Every(self._period, clock() - self._period)      # the first one at once
         while not self._stopping.is_set():
             now = clock()
-            beat = now >= due
-            if beat:
-                due += self._period
-                if due < now:       # after a stall no burst
-                    due = now + self._period
+            beat = pace.passed(now)
             try:
                 if self._work(beat):
                     self._count(now)
             except BaseException:  # pylint: disable=broad-except
                 self._on_fault(traceback.format_exc())
-            time.sleep(min(max(due - clock(), 0.0), _LONGEST_NAP))
+            time.sleep(min(max(pace.due - clock(), 0.0), _LONGEST_NAP))
 
     def _count(self, now: float) -> None:
         last, self._last = self._last, now
         if last is not None:
             self.max_gap = max(self.max_gap, now - last)
         self.beats += 1
-
-
-def _be_quick() -> None:
-    """Real-time priority for this thread where the system allows it."""
-    try:
-        os.sched_setscheduler(threading.get_native_id(), os.SCHED_FIFO,
-                              os.sched_param(_REALTIME_PRIORITY))
-    except (OSError, AttributeError):
-        pass

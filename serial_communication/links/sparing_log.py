@@ -42,22 +42,3 @@ class SparingLog:
             self._logger.log(level, '%s: %s', self._link, text)
         except Exception:  # pylint: disable=broad-except
             pass    # there is nowhere to say so
-
-
-class Allowance:
-    """So many of something in a burst, and so many a second after that."""
-
-    def __init__(self, burst: int, rate: float) -> None:
-        self._burst = burst
-        self._rate = rate
-        self._left = float(burst)
-        self._asked_at = 0.0
-
-    def take(self, now: float) -> bool:
-        """Whether there may be one more at `now`, in seconds."""
-        self._left = min(self._burst, self._left + (now - self._asked_at) * self._rate)
-        self._asked_at = now
-        if self._left < 1:
-            return False
-        self._left -= 1
-        return True

@@ -1,19 +1,12 @@
-"""Angles into quaternions, and the frames that the sensors stand in."""
-from math import cos, sin, sqrt
-from typing import Dict, List, Sequence, Tuple
+"""The frames that the sensors stand in, and those that they measure."""
+from math import sqrt
+from typing import Dict, List, Sequence
 
 import rospy
 import tf2_ros
 from geometry_msgs.msg import TransformStamped
 
-
-def quaternion(roll: float, pitch: float, yaw: float) -> Tuple[float, float, float, float]:
-    """x, y, z, w of a turn by roll, pitch, yaw about the fixed axes x, y, z; radians."""
-    cr, sr = cos(roll / 2), sin(roll / 2)
-    cp, sp = cos(pitch / 2), sin(pitch / 2)
-    cy, sy = cos(yaw / 2), sin(yaw / 2)
-    return (sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy)
+from ..protocols.rotation import quaternion
 
 
 def transform(parent: str, child: str, translation: Sequence[float],

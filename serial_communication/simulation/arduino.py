@@ -25,7 +25,9 @@ from ..protocols import arduino
 from ..protocols.framing import Frame
 from ..protocols.layout import Row
 from ..protocols.own_messages import OwnMessage, arduino_messages
-from .board import Board, Every, positive
+from ..protocols.rotation import quaternion
+from ..transport.pace import Every
+from .board import Board, positive
 from .own_messages import Player, add_option
 
 HEARTBEAT_TIMEOUT = 0.03   # s
@@ -283,7 +285,7 @@ class ModelCar(Board):
         pitch = -0.008 * self._acceleration + gauss(0, 0.0005)
         yaw = self.yaw + gauss(0, 0.0005)
         return arduino.Imu.from_si(
-            _quaternion(roll, pitch, yaw),
+            quaternion(roll, pitch, yaw),
             (gauss(0, 0.02), gauss(0, 0.02), yaw_rate + gauss(0, 0.02)),
             (self._acceleration - G * math.sin(pitch) + gauss(0, 0.04),
              sideways + G * math.sin(roll) + gauss(0, 0.04),
@@ -295,15 +297,6 @@ class ModelCar(Board):
 
     def _send(self, message: Any) -> None:
         self.send(arduino.encode(message), message)
-
-
-def _quaternion(roll: float, pitch: float, yaw: float):
-    """x, y, z, w of a turn about z, then y, then x."""
-    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
-    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
-    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
-    return (sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy)
 
 
 BOARD = ModelCar

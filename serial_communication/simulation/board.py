@@ -1,11 +1,10 @@
 """What every simulated board has, and the runner that drives one on a port."""
 import argparse
-import math
-import os
 import threading
 import time
 from typing import Any, Callable, Optional
 
+from ..transport.pace import be_quick
 from ..transport.port import Port, PortError
 from ..protocols.frame_timer import FrameTimer
 from ..protocols.framing import Frame
@@ -27,24 +26,6 @@ def positive(text: str) -> float:
     if not 0 < value < float('inf'):
         raise argparse.ArgumentTypeError(f'{text} is not above 0')
     return value
-
-
-class Every:
-    """Deadlines a period apart from a start: no drift, and after a stall no burst."""
-
-    def __init__(self, period: float, now: float) -> None:
-        self.due = now + period
-        self._period = period
-        self._start = now
-        self._count = 1     # of periods from the start to `due`
-
-    def passed(self, now: float) -> bool:
-        """Whether the deadline has come; if so it moves on, past `now`."""
-        if now < self.due:
-            return False
-        self._count = max(self._count, math.floor((now - self._start) / self._period)) + 1
-        self.due = self._start + self._count * self._period
-        return True
 
 
 class Board:
@@ -163,7 +144,7 @@ class Runner:
     def run(self) -> None:
         """Run the board in this thread."""
         if self._realtime:
-            _be_quick()
+            be_quick(_REALTIME_PRIORITY)
         pause, trouble, powered = _BACK_OFF[0], '', False
         while not self._stopping.is_set():
             try:
@@ -216,12 +197,3 @@ class Runner:
             due = self.line.tick(now)
             self._stopping.wait(max(min(until, until if due is None else due) - now, 0.0))
             now = time.monotonic()
-
-
-def _be_quick() -> None:
-    """Real-time priority for this thread where the system allows it."""
-    try:
-        os.sched_setscheduler(threading.get_native_id(), os.SCHED_FIFO,
-                              os.sched_param(_REALTIME_PRIORITY))
-    except (OSError, AttributeError):
-        pass

@@ -10,6 +10,7 @@ from random import SystemRandom
 from typing import Any, List, Optional, Type
 
 from ..boards import BOARDS, board_module
+from ..transport.pace import Allowance
 from ..transport.port import Port, check_url
 from . import faults
 from .board import Board, Runner, positive
@@ -93,18 +94,13 @@ class _Voice:
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._credit = float(_BURST)
-        self._at = time.monotonic()
+        self._allowance = Allowance(_BURST, _RATE)
         self._left_out = 0
 
     def __call__(self, text: str) -> None:
-        now = time.monotonic()
-        self._credit = min(_BURST, self._credit + (now - self._at) * _RATE)
-        self._at = now
-        if self._credit < 1:
+        if not self._allowance.take(time.monotonic()):
             self._left_out += 1
             return
-        self._credit -= 1
         if len(text) > _LONGEST:
             text = text[:_LONGEST] + ' …'
         if self._left_out:

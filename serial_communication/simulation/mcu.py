@@ -15,7 +15,8 @@ from typing import Any, Iterable, Optional
 
 from ..protocols import mcu
 from ..protocols.own_messages import OwnMessage, mcu_messages
-from .board import Board, Every, positive
+from ..transport.pace import Every
+from .board import Board, positive
 from .own_messages import Player, add_option
 
 RATE = 20.0              # Hz

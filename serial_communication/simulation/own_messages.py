@@ -8,7 +8,7 @@ from typing import Any, Callable, Iterable, List, Optional, Tuple
 
 from ..protocols.layout import Layout
 from ..protocols.own_messages import OwnMessage, RowError
-from .board import Every
+from ..transport.pace import Every
 
 PERIOD = 0.1      # s from one message of a kind to the next
 _UNLIMITED = 100.0

@@ -1,1 +1,1 @@
-"""Bytes in and out of a port, for both ends of a line: links and simulated boards."""
+"""A port and its pace, for both ends of a line: links and simulated boards."""

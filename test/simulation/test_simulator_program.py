@@ -88,7 +88,8 @@ def test_bad_arguments(arguments, says):
 
 
 _BEACON = '''"""A board of another package: it says hello ten times a second."""
-from serial_communication.simulation.board import Board, Every, positive
+from serial_communication.simulation.board import Board, positive
+from serial_communication.transport.pace import Every
 
 
 class Beacon(Board):

@@ -1,0 +1,54 @@
+"""How often, and how promptly: what a link and a simulated board need alike of a clock.
+
+Times are the caller's, in seconds of one monotonic clock.
+"""
+import os
+import threading
+
+
+class Every:
+    """Deadlines a period apart from a start: no drift; after a stall the next one is a whole
+    period later, so that nothing comes in a burst."""
+
+    def __init__(self, period: float, now: float) -> None:
+        self.due = now + period
+        self._period = period
+        self._start = now
+        self._count = 1     # of periods from the start to `due`
+
+    def passed(self, now: float) -> bool:
+        """Whether the deadline has come; if so it moves on, past `now`."""
+        if now < self.due:
+            return False
+        self._count += 1
+        self.due = self._start + self._count * self._period
+        if self.due <= now:
+            self._start, self._count, self.due = now, 1, now + self._period
+        return True
+
+
+class Allowance:
+    """So many of something in a burst, and so many a second after that."""
+
+    def __init__(self, burst: int, rate: float) -> None:
+        self._burst = burst
+        self._rate = rate
+        self._left = float(burst)
+        self._asked_at = 0.0
+
+    def take(self, now: float) -> bool:
+        """Whether there may be one more."""
+        self._left = min(self._burst, self._left + (now - self._asked_at) * self._rate)
+        self._asked_at = now
+        if self._left < 1:
+            return False
+        self._left -= 1
+        return True
+
+
+def be_quick(priority: int) -> None:
+    """Real-time priority for this thread where the system allows it."""
+    try:
+        os.sched_setscheduler(threading.get_native_id(), os.SCHED_FIFO, os.sched_param(priority))
+    except (OSError, AttributeError):
+        pass
