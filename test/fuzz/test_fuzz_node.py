@@ -5,8 +5,10 @@ import threading
 import time
 import tty
 from collections import deque
+from functools import partial
 
 import pytest
+import waiting
 from fuzz_streams import garbage
 from hypothesis import given
 
@@ -24,15 +26,7 @@ _GIVEN_UP = 0.08         # s after which the node has given up what was incomple
 _GROWTH = 8.0            # MB that a node may grow by under fire
 
 _number = [0]            # of the example
-
-
-def until(condition, what, doing=lambda: None, every=0.02):
-    """Wait for `condition()`; meanwhile `doing()` again and again."""
-    deadline = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < deadline, what
-        doing()
-        time.sleep(every)
+until = partial(waiting.until, seconds=PATIENCE, every=0.02)
 
 
 class Far:
@@ -104,7 +98,7 @@ class Scene:
                 self.ports['mcu'].write(mcu.encode(status, self.seq))
 
         until(lambda: ticks in self.seen['ticks'] and status.range_1 in self.seen['ranges'],
-              'data of both boards', talk, 0.05)
+              'data of both boards', doing=talk, every=0.05)
         data = number.to_bytes(8, 'little')
         until(lambda: bytes(self.request(bus.FUNCTION, 0xF0, data).data) == data,
               'a request is answered')

@@ -5,12 +5,13 @@ import math
 import os
 import pty
 import threading
-import time
 import tty
 from collections import deque
+from functools import partial
 from io import BytesIO
 
 import pytest
+import waiting
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from own_rows import encoded, numbers
@@ -20,11 +21,12 @@ from sensor_msgs.msg import CameraInfo  # noqa: E402
 
 from serial_communication.links.arduino import ArduinoLink  # noqa: E402
 from serial_communication.links.link import Refused  # noqa: E402
-from serial_communication.links.port import Port  # noqa: E402
 from serial_communication.protocols import cobs  # noqa: E402
 from serial_communication.ros.parameters import check  # noqa: E402
+from serial_communication.transport.port import Port  # noqa: E402
 
 PATIENCE = 10.0     # s; only a test that fails waits as long
+until = partial(waiting.until, seconds=PATIENCE, every=0.001)
 
 # A type that has everything: whole numbers, fractions, a bool, a text, arrays of both kinds.
 WHOLE = ('height', 'width', 'binning_x', 'binning_y', 'roi.x_offset', 'roi.height')   # uint32
@@ -106,7 +108,7 @@ class Stage:
         self._ended = False
         self._reader.start()
         self.link.start()
-        self.wait(lambda: b'\x02\x0b' in self._packets, 'a heartbeat')
+        until(lambda: b'\x02\x0b' in self._packets, 'a heartbeat')
 
     def _read(self):
         while not self._ended:
@@ -114,12 +116,6 @@ class Stage:
                 self._packets += os.read(self.near, 4096)
             except OSError:
                 return
-
-    def wait(self, condition, what):
-        deadline = time.monotonic() + PATIENCE
-        while not condition():
-            assert time.monotonic() < deadline, what
-            time.sleep(0.001)
 
     def sent(self, type_):
         """The data of the first packet of a type that has come."""
@@ -151,8 +147,8 @@ def test_any_rows_and_values_from_the_board_to_the_topic_and_back(cases):
             there = rows[f'from{index}']
             counted = dict(stage.link.decoder.errors)
             os.write(stage.near, b'\0' + cobs.encode(bytes((20 + index,)) + data) + b'\0')
-            stage.wait(lambda counted=counted: stage.got or stage.link.decoder.errors != counted,
-                       'the packet is taken in')
+            until(lambda counted=counted: stage.got or stage.link.decoder.errors != counted,
+                  'the packet is taken in')
             wanted = expected_of(row, raws)
             if wanted is None:
                 counted['implausible'] += 1
@@ -175,7 +171,7 @@ def check_way_back(stage, back, row, raws, message, data):
         # Rounding and scaling lead out of the raw number's range by a step, no more.
         assert (row['scale'], row['offset']) != (1, 0) or not lossless(row, raws)
         return
-    stage.wait(lambda: stage.sent(back.kind.TYPE), 'the command')
+    until(lambda: stage.sent(back.kind.TYPE), 'the command')
     if (row['scale'], row['offset']) == (1, 0) and lossless(row, raws):
         assert stage.sent(back.kind.TYPE) == [data]
 

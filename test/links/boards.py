@@ -11,25 +11,17 @@ import threading
 import time
 import tty
 from contextlib import contextmanager
+from functools import partial
 
 import serial
 import serial.rfc2217
+import waiting
 
 from serial_communication.protocols import arduino
 from serial_communication.protocols import robot_ctrl_bus as bus
 
 PATIENCE = 8.0      # s that a condition may take on the slowest machine
-
-
-def wait_for(condition, seconds=PATIENCE, what='the condition'):
-    """Until it is true; returns its value."""
-    deadline = time.monotonic() + seconds
-    while True:
-        value = condition()
-        if value:
-            return value
-        assert time.monotonic() < deadline, '%s did not come true in %g s' % (what, seconds)
-        time.sleep(0.002)
+until = partial(waiting.until, seconds=PATIENCE, every=0.002)
 
 
 class Line:

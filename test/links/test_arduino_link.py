@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from boards import PATIENCE, CarBoard, Rfc2217Server, wait_for
+from boards import PATIENCE, CarBoard, Rfc2217Server, until
 from serial_communication.links import arduino as link_module
 from serial_communication.links import heart as heart_module
 from serial_communication.links.arduino import ArduinoLink, ArduinoSettings
@@ -33,7 +33,7 @@ def open_link(line, logger, running):
     def start(settings=STEADY, ready=True, port=Port, **arguments):
         link = running(ArduinoLink(port(line.path), settings, logger=logger, **arguments))
         if ready:
-            wait_for(lambda: link.heartbeats_sent)
+            until(lambda: link.heartbeats_sent)
         return link
     return start
 
@@ -45,7 +45,7 @@ def test_commands_reach_the_board_in_order(board, open_link):
     link.set_led('left')
     link.set_speed(0)
     expected = [SpeedCommand(400), SteeringCommand(1500), LedCommand('left'), SpeedCommand(0)]
-    wait_for(lambda: len(board.commands()) >= 4)
+    until(lambda: len(board.commands()) >= 4)
     assert board.commands() == expected
 
 
@@ -53,7 +53,7 @@ def test_commands_reach_the_board_in_order(board, open_link):
                                          (-1001, -1000), (32767, 1000), (10 ** 9, 1000)])
 def test_a_speed_is_saturated_with_a_warning(board, open_link, lines, asked, sent):
     open_link().set_speed(asked)
-    wait_for(board.commands)
+    until(board.commands)
     assert board.commands() == [SpeedCommand(sent)]
     assert bool(lines(str(asked))) == (asked != sent)
 
@@ -65,7 +65,7 @@ def test_a_led_text_that_cannot_be_is_refused(board, open_link, text):
         link.set_led(text)
     assert 'refused' in str(refused.value)
     link.set_led('x' * 30)
-    wait_for(board.commands)
+    until(board.commands)
     assert board.commands() == [LedCommand('x' * 30)]
 
 
@@ -80,7 +80,7 @@ def own_board(line, running):
 def test_a_command_of_ones_own_keeps_the_rules_of_commands(own_board, open_link):
     link = open_link()
     link.command(GRIPPER(12.5, 9))
-    wait_for(own_board.commands)
+    until(own_board.commands)
     assert own_board.commands() == [GRIPPER(12.5, 9)]
     for message, said in ((GRIPPER(100.1, 9), 'gripper refused: x is 100.1, over 100'),
                           (GRIPPER(1.0, 256), 'gripper refused: z is 256, which its place')):
@@ -94,12 +94,12 @@ def test_a_command_of_ones_own_keeps_the_rules_of_commands(own_board, open_link)
 def test_a_command_of_ones_own_is_never_kept(own_board, open_link):
     link = open_link()
     with own_board.unplugged():
-        wait_for(lambda: not link.port.is_open)
+        until(lambda: not link.port.is_open)
         with pytest.raises(Refused, match='gripper x=1 z=2 refused'):
             link.command(GRIPPER(1.0, 2))
-    wait_for(lambda: link.port.is_open)
+    until(lambda: link.port.is_open)
     link.set_led('left')
-    wait_for(own_board.commands)
+    until(own_board.commands)
     assert own_board.commands() == [LedCommand('left')]
 
 
@@ -110,7 +110,7 @@ def test_measurements_are_passed_on_with_their_stamps(board, line, open_link):
     sent = [arduino.Ticks(7), arduino.SteeringAngle(512), arduino.Voltage(14.5),
             arduino.Imu(16384, *[0] * 10)]
     line.write(b''.join(map(arduino.encode, sent)))
-    wait_for(lambda: len(got) >= 4)
+    until(lambda: len(got) >= 4)
     assert got == [(message, 'stamp') for message in sent]
 
 
@@ -120,7 +120,7 @@ def test_implausible_values_are_dropped_if_it_is_set_so(line, board, open_link, 
     link = open_link(STEADY._replace(check_plausibility=check),
                      on_message=lambda message, stamp: got.append(message))
     line.write(arduino.encode(arduino.SteeringAngle(2000)) + arduino.encode(arduino.Ticks(1)))
-    wait_for(lambda: arduino.Ticks(1) in got)
+    until(lambda: arduino.Ticks(1) in got)
     assert (arduino.SteeringAngle(2000) in got) != check
     assert link.decoder.errors['implausible'] == check
 
@@ -129,10 +129,10 @@ def test_the_boards_log_is_passed_on_sparingly(line, board, open_link, lines):
     said = []
     link = open_link(on_log=lambda severity, text: said.append((severity, text)))
     line.write(arduino.encode(arduino.Log(2, 'hot')))
-    wait_for(lambda: said)
+    until(lambda: said)
     assert said == [(2, 'hot')]
     line.write(arduino.encode(arduino.Log(0, 'again')) * 500)
-    wait_for(lambda: link.frames_received >= 501)
+    until(lambda: link.frames_received >= 501)
     assert 50 <= len(said) <= 200
     assert len(lines('logs too much')) == 1
 
@@ -143,7 +143,7 @@ def test_heartbeats_arrive_at_about_their_rate(board, open_link):
     """Over half a second of the board's own clock: never more, and not half as many."""
     link = open_link()
     first = board.heartbeats()
-    wait_for(lambda: board.heartbeats() >= first + 60)
+    until(lambda: board.heartbeats() >= first + 60)
     times = [frame.stamp for frame in board.seen if isinstance(frame.message, Heartbeat)]
     rate = (len(times) - 1) / (times[-1] - times[0])
     assert 30 < rate < 115
@@ -152,7 +152,7 @@ def test_heartbeats_arrive_at_about_their_rate(board, open_link):
 
 def test_the_heartbeat_rate_is_a_parameter(board, open_link):
     open_link(STEADY._replace(heartbeat_rate=20.0))
-    wait_for(lambda: board.heartbeats() >= 8)
+    until(lambda: board.heartbeats() >= 8)
     times = [frame.stamp for frame in board.seen if isinstance(frame.message, Heartbeat)]
     assert 5 < (len(times) - 1) / (times[-1] - times[0]) < 25
 
@@ -170,7 +170,7 @@ def test_heartbeats_need_nobody_and_nothing_but_the_port(line, board, open_link)
     line.write(arduino.encode(arduino.Ticks(1)))
     assert entered.wait(PATIENCE)
     before = board.heartbeats()
-    wait_for(lambda: board.heartbeats() >= before + 30)
+    until(lambda: board.heartbeats() >= before + 30)
     assert not hang.is_set()
     hang.set()
 
@@ -182,7 +182,7 @@ def test_a_command_whose_warning_hangs_holds_no_heartbeat_up(open_link, monkeypa
     command = threading.Thread(target=link.set_speed, args=(2000,), name='commands')
     command.start()
     sent = link.heartbeats_sent
-    wait_for(lambda: link.heartbeats_sent > sent + 10)
+    until(lambda: link.heartbeats_sent > sent + 10)
     assert command.is_alive()
     hang.set()
     command.join()
@@ -203,9 +203,9 @@ def test_after_a_stall_the_heartbeats_missed_do_not_follow_all_at_once(board, op
 
     link = open_link(port=Stalling)
     link.port.stalls = True
-    wait_for(lambda: not link.port.stalls)
+    until(lambda: not link.port.stalls)
     before = link.heartbeats_sent
-    wait_for(lambda: link.heartbeats_sent > before + 20)
+    until(lambda: link.heartbeats_sent > before + 20)
     times = link.port.written
     within = [moment for moment in times if moment < times[0] + 0.05]
     assert len(within) <= 9, 'five periods, and a few for the stall'
@@ -216,14 +216,14 @@ def test_after_a_stall_the_heartbeats_missed_do_not_follow_all_at_once(board, op
 def test_speed_0_follows_once_if_no_speed_command_comes(board, open_link, lines):
     link = open_link(ArduinoSettings(speed_timeout=0.1))
     link.set_speed(300)
-    wait_for(lambda: SpeedCommand(0) in board.commands())
+    until(lambda: SpeedCommand(0) in board.commands())
     speeds = [frame for frame in board.seen if isinstance(frame.message, SpeedCommand)]
     first = [frame.message for frame in speeds].index(SpeedCommand(300))
     assert speeds[first + 1].stamp - speeds[first].stamp >= 0.08
     before = board.heartbeats()
-    wait_for(lambda: board.heartbeats() >= before + 30)
+    until(lambda: board.heartbeats() >= before + 30)
     assert board.commands() == [SpeedCommand(300), SpeedCommand(0)]
-    wait_for(lambda: lines('SPEED 0 sent'))
+    until(lambda: lines('SPEED 0 sent'))
     assert len(lines('SPEED 0 sent')) == 1
 
 
@@ -242,14 +242,14 @@ def test_without_a_speed_nothing_times_out(board, open_link, lines):
     link.set_speed(0)
     link.set_steering(1500)
     before = board.heartbeats()
-    wait_for(lambda: board.heartbeats() >= before + 25)
+    until(lambda: board.heartbeats() >= before + 25)
     assert board.commands() == [SteeringCommand(1500)] and not lines('no speed command')
 
 
 def test_a_timeout_of_0_is_never(board, open_link):
     open_link(ArduinoSettings(speed_timeout=0.0)).set_speed(77)
     before = board.heartbeats()
-    wait_for(lambda: board.heartbeats() >= before + 80)
+    until(lambda: board.heartbeats() >= before + 80)
     assert board.commands() == [SpeedCommand(77)]
 
 
@@ -259,15 +259,15 @@ def test_a_stop_is_repeated_every_50_ms_for_a_second(board, open_link):
     link = open_link()
     link.set_speed(300)
     link.set_speed(0)
-    wait_for(lambda: len(board.commands()) == 2)
+    until(lambda: len(board.commands()) == 2)
     board.forget()
     before = link.heartbeats_sent
-    wait_for(lambda: link.heartbeats_sent > before + 130)
+    until(lambda: link.heartbeats_sent > before + 130)
     repeated = board.messages(SpeedCommand)
     assert set(repeated) == {SpeedCommand(0)} and 10 <= len(repeated) <= 21
     board.forget()
     before = board.heartbeats()
-    wait_for(lambda: board.heartbeats() >= before + 20)
+    until(lambda: board.heartbeats() >= before + 20)
     assert board.messages(SpeedCommand) == [], 'after that no more'
 
 
@@ -287,10 +287,10 @@ def test_a_stop_whose_first_packets_the_line_loses_stops_the_motor(line, open_li
     board = running(Lossy(line))
     link = open_link(ArduinoSettings(speed_timeout=0.2 if way == 'timed out' else 0.0))
     link.set_speed(500)
-    wait_for(lambda: board.motor == 500)
+    until(lambda: board.motor == 500)
     if way == 'commanded':
         link.set_speed(0)
-    wait_for(lambda: board.motor == 0)
+    until(lambda: board.motor == 0)
     assert board.lost == 3
 
 
@@ -300,7 +300,7 @@ def test_another_speed_ends_the_repetitions(board, open_link):
     link.set_speed(0)
     link.set_speed(200)
     before = board.heartbeats()
-    wait_for(lambda: board.heartbeats() >= before + 30)
+    until(lambda: board.heartbeats() >= before + 30)
     assert board.messages(SpeedCommand)[-1] == SpeedCommand(200)
 
 
@@ -309,7 +309,7 @@ def test_a_calibration_ends_the_repetitions(board, open_link):
     link.set_speed(300)
     link.calibrate_imu()
     before = board.heartbeats()
-    wait_for(lambda: board.heartbeats() >= before + 30)
+    until(lambda: board.heartbeats() >= before + 30)
     commands = [message for message in board.messages() if not isinstance(message, Heartbeat)]
     assert commands[-1] == ImuCalibration()
 
@@ -331,16 +331,16 @@ def test_a_speed_0_that_the_bridge_itself_drops_is_followed_by_another(line, ope
 
     link = open_link(ArduinoSettings(speed_timeout=0.2 if way == 'timed out' else 0.0))
     link.set_speed(500)
-    wait_for(lambda: SpeedCommand(500) in heard())
+    until(lambda: SpeedCommand(500) in heard())
     more(300)         # so that SPEED 0 is not the first in the kernel, which a flush may leave
     if way == 'commanded':
         link.set_speed(0)
     else:
-        wait_for(lambda: lines('SPEED 0 sent'))
+        until(lambda: lines('SPEED 0 sent'))
     sent = link.heartbeats_sent
-    wait_for(lambda: link.heartbeats_sent > sent + 130, what='the end of its repetitions')
-    wait_for(lambda: more(100) or lines('what waited was dropped'))
-    wait_for(lambda: SpeedCommand(0) in heard())
+    until(lambda: link.heartbeats_sent > sent + 130, what='the end of its repetitions')
+    until(lambda: more(100) or lines('what waited was dropped'))
+    until(lambda: SpeedCommand(0) in heard())
 
 
 def test_a_speed_that_cannot_be_shown_to_a_listener_times_out_all_the_same(board, open_link):
@@ -350,9 +350,9 @@ def test_a_speed_that_cannot_be_shown_to_a_listener_times_out_all_the_same(board
     link = open_link(ArduinoSettings(speed_timeout=0.2))
     link.tap = fail
     link.set_speed(500)
-    wait_for(lambda: board.commands() == [SpeedCommand(500), SpeedCommand(0)])
+    until(lambda: board.commands() == [SpeedCommand(500), SpeedCommand(0)])
     before = board.heartbeats()
-    wait_for(lambda: board.heartbeats() > before + 20)
+    until(lambda: board.heartbeats() > before + 20)
 
 
 def test_no_heartbeat_leaves_while_speed_0_cannot(line, open_link):
@@ -378,7 +378,7 @@ def test_no_heartbeat_leaves_while_speed_0_cannot(line, open_link):
     threading.Event().wait(0.2)
     assert link.port.written == []
     link.port.refuses = b''
-    wait_for(lambda: len(link.port.written) > 3)
+    until(lambda: len(link.port.written) > 3)
     assert link.port.written[0].endswith(arduino.encode(SpeedCommand(0)))
 
 
@@ -420,10 +420,10 @@ def test_after_a_standstill_speed_0_is_first_whoever_wakes_first(board, open_lin
         with pytest.raises(Refused) as refused:
             link.set_speed(300)
         assert 'stood still' in str(refused.value)
-        wait_for(lambda: len(link.port.written) > 3)
+        until(lambda: len(link.port.written) > 3)
         assert link.port.written[0] == arduino.encode(SpeedCommand(0))
     assert SpeedCommand(300) not in board.messages()
-    wait_for(lambda: lines('the bridge stood still for'))
+    until(lambda: lines('the bridge stood still for'))
 
 
 def test_nothing_commanded_during_a_standstill_is_sent_and_what_comes_later_is(
@@ -443,15 +443,15 @@ def test_nothing_commanded_during_a_standstill_is_sent_and_what_comes_later_is(
         except Refused:
             return False
 
-    wait_for(accepted)
-    wait_for(board.commands)
+    until(accepted)
+    until(board.commands)
     assert board.commands()[0] == SpeedCommand(2)
 
 
 def test_a_standstill_while_the_port_is_closed_counts(board, open_link, standstill):
     link = open_link(ArduinoSettings(speed_timeout=0.5), port=Noted)
     with board.unplugged():
-        wait_for(lambda: not link.port.is_open)
+        until(lambda: not link.port.is_open)
         standstill(link, 5.0)
         with pytest.raises(Refused) as refused:
             link.set_speed(1)
@@ -481,11 +481,11 @@ def test_a_process_that_was_stopped_says_speed_0_first_and_none_of_what_waited(b
             bridge.stdin.flush()
             return SpeedCommand(500) in board.messages()
 
-        wait_for(lambda: board.heartbeats() > 3)
-        wait_for(drive)
-        wait_for(lambda: board.commands()[-1] == SpeedCommand(0), what='the speed timeout')
+        until(lambda: board.heartbeats() > 3)
+        until(drive)
+        until(lambda: board.commands()[-1] == SpeedCommand(0), what='the speed timeout')
         drive()
-        wait_for(lambda: board.commands()[-1] == SpeedCommand(500))
+        until(lambda: board.commands()[-1] == SpeedCommand(500))
         bridge.send_signal(signal.SIGSTOP)
         os.waitpid(bridge.pid, os.WUNTRACED)
         threading.Event().wait(1.0)
@@ -494,7 +494,7 @@ def test_a_process_that_was_stopped_says_speed_0_first_and_none_of_what_waited(b
         bridge.stdin.flush()
         bridge.send_signal(signal.SIGCONT)
         assert '321' in bridge.stdout.readline()
-        wait_for(lambda: board.heartbeats() > 20)
+        until(lambda: board.heartbeats() > 20)
         assert board.messages()[0] == SpeedCommand(0)
         assert SpeedCommand(321) not in board.messages()
     finally:
@@ -507,7 +507,7 @@ def test_a_process_that_was_stopped_says_speed_0_first_and_none_of_what_waited(b
 def test_commands_to_a_closed_port_are_refused_and_not_kept(board, open_link):
     link = open_link()
     with board.unplugged():
-        wait_for(lambda: not link.port.is_open)
+        until(lambda: not link.port.is_open)
         for command in (lambda: link.set_speed(500), lambda: link.set_steering(1),
                         lambda: link.set_led('left'), link.calibrate_imu):
             with pytest.raises(Refused) as refused:
@@ -515,7 +515,7 @@ def test_commands_to_a_closed_port_are_refused_and_not_kept(board, open_link):
             assert 'closed' in str(refused.value)
         assert not link.calibrating
     before = board.heartbeats()
-    wait_for(lambda: board.heartbeats() >= before + 20)
+    until(lambda: board.heartbeats() >= before + 20)
     assert board.commands() == [] and link.reconnects == 1
 
 
@@ -524,11 +524,11 @@ def test_after_a_reconnect_speed_0_is_first_and_repeated(board, open_link, speed
     link = open_link()
     link.set_speed(speed)
     link.set_steering(1234)
-    wait_for(lambda: SteeringCommand(1234) in board.commands())
+    until(lambda: SteeringCommand(1234) in board.commands())
     with board.unplugged():
-        wait_for(lambda: not link.port.is_open)
+        until(lambda: not link.port.is_open)
         board.forget()
-    wait_for(lambda: len(board.messages(SpeedCommand)) >= 10)
+    until(lambda: len(board.messages(SpeedCommand)) >= 10)
     assert board.messages()[0] == SpeedCommand(0), 'before any heartbeat'
     assert set(board.messages(SpeedCommand)) == {SpeedCommand(0)}
 
@@ -545,14 +545,14 @@ def test_a_command_between_the_opening_and_the_first_heartbeat_comes_after_speed
 def test_the_first_opening_begins_with_speed_0(board, open_link):
     """The board may hold the speed of a bridge that crashed."""
     open_link()
-    wait_for(lambda: board.heartbeats() >= 3)
+    until(lambda: board.heartbeats() >= 3)
     assert board.messages()[0] == SpeedCommand(0)
 
 
 def test_no_heartbeat_is_counted_while_the_port_is_closed(board, open_link):
     link = open_link()
     with board.unplugged():
-        wait_for(lambda: not link.port.is_open)
+        until(lambda: not link.port.is_open)
         sent = link.heartbeats_sent
         assert not threading.Event().wait(0.1)
         assert link.heartbeats_sent == sent
@@ -571,7 +571,7 @@ def network(logger, running):
                 Port('socket://127.0.0.1:%d' % server.getsockname()[1]),
                 STEADY._replace(network_silence=network_silence), logger=logger))
             link.peer, _ = server.accept()
-            wait_for(lambda: link.heartbeats_sent)
+            until(lambda: link.heartbeats_sent)
             link.accept = lambda: server.accept()[0]
             return link
 
@@ -623,7 +623,7 @@ def test_a_board_that_calibrates_may_be_silent_over_a_network(network):
     link.peer.sendall(arduino.encode(arduino.Ticks(1)))
     link.calibrate_imu()
     sent = link.heartbeats_sent
-    wait_for(lambda: link.heartbeats_sent > sent + 80)
+    until(lambda: link.heartbeats_sent > sent + 80)
     assert link.calibrating and link.reconnects == 0
     link.peer.close()
 
@@ -657,9 +657,9 @@ def test_an_rfc2217_server_that_stands_still_delivers_no_drive_afterwards(line, 
         link = running(ArduinoLink(Port(server.url), STEADY._replace(network_silence=0.4),
                                    logger=logger))
         board.streaming = True
-        wait_for(lambda: link.heartbeats_sent and link.last_frame_at)
+        until(lambda: link.heartbeats_sent and link.last_frame_at)
         link.set_speed(500)
-        wait_for(board.commands)
+        until(board.commands)
         board.streaming = False
         server.running.clear()
         begun = time.monotonic()
@@ -675,8 +675,8 @@ def test_an_rfc2217_server_that_stands_still_delivers_no_drive_afterwards(line, 
             time.sleep(0.02)
         assert slowest < 1.0, 'a command waited for the network'
         server.running.set()
-        wait_for(lambda: board.commands()[-1] == SpeedCommand(0))
-        wait_for(lambda: not server.alive)
+        until(lambda: board.commands()[-1] == SpeedCommand(0))
+        until(lambda: not server.alive)
         assert board.messages(SpeedCommand)[-1] == SpeedCommand(0)
         server.end()
 
@@ -692,7 +692,7 @@ def test_a_calibration_stops_the_car_and_refuses_commands_until_imu_data_returns
     link.set_speed(300)
     begun = time.monotonic()
     link.calibrate_imu()
-    wait_for(lambda: len(board.commands()) >= 3)
+    until(lambda: len(board.commands()) >= 3)
     assert board.commands() == [SpeedCommand(300), SpeedCommand(0), ImuCalibration()]
     assert link.calibrating and changes == [True]
     for command in (lambda: link.set_speed(500), lambda: link.set_speed(0),
@@ -702,14 +702,14 @@ def test_a_calibration_stops_the_car_and_refuses_commands_until_imu_data_returns
             command()
         assert 'calibrat' in str(refused.value)
     line.write(arduino.encode(arduino.Ticks(1)) + arduino.encode(arduino.Voltage(12.0)))
-    wait_for(lambda: len(got) >= 2)
+    until(lambda: len(got) >= 2)
     assert link.calibrating, 'only IMU data ends it'
     board.streaming = True
-    wait_for(lambda: not link.calibrating)
+    until(lambda: not link.calibrating)
     assert time.monotonic() - begun >= 0.3, 'packets that were under way do not end it'
-    wait_for(lambda: changes == [True, False])
+    until(lambda: changes == [True, False])
     link.set_speed(5)
-    wait_for(lambda: board.commands()[-1] == SpeedCommand(5))
+    until(lambda: board.commands()[-1] == SpeedCommand(5))
     assert len(board.commands()) == 4
     board.streaming = False
 
@@ -718,7 +718,7 @@ def test_heartbeats_go_on_during_a_calibration(board, open_link):
     link = open_link()
     link.calibrate_imu()
     before = board.heartbeats()
-    wait_for(lambda: board.heartbeats() >= before + 20)
+    until(lambda: board.heartbeats() >= before + 20)
     assert link.calibrating
 
 
@@ -726,7 +726,7 @@ def test_a_calibration_without_an_end_is_over_after_its_timeout(board, open_link
     changes = []
     link = open_link(STEADY._replace(calibration_timeout=0.1), on_calibrating=changes.append)
     link.calibrate_imu()
-    wait_for(lambda: changes == [True, False], 4.0, 'the end of the calibration')
+    until(lambda: changes == [True, False], 'the end of the calibration', seconds=4.0)
     link.set_speed(1)
 
 
@@ -734,8 +734,8 @@ def test_a_calibration_lasts_through_a_reconnect(board, open_link):
     link = open_link()
     link.calibrate_imu()
     with board.unplugged():
-        wait_for(lambda: not link.port.is_open)
-    wait_for(lambda: link.port.is_open and link.reconnects)
+        until(lambda: not link.port.is_open)
+    until(lambda: link.port.is_open and link.reconnects)
     with pytest.raises(Refused):
         link.set_speed(100)
 
@@ -753,7 +753,7 @@ def stop_and_listen(link, board):
 def test_stopping_sends_speed_0_last_and_then_nothing(board, open_link):
     link = open_link()
     link.set_speed(300)
-    wait_for(board.commands)
+    until(board.commands)
     stop_and_listen(link, board)
     assert board.messages()[-1] == SpeedCommand(0)
     with pytest.raises(Refused):
@@ -765,8 +765,8 @@ def test_stopping_sends_speed_0_also_while_the_board_talks(board, open_link):
     link = open_link()
     board.streaming = True
     link.set_speed(300)
-    wait_for(board.commands)
-    wait_for(lambda: link.frames_received > 3)
+    until(board.commands)
+    until(lambda: link.frames_received > 3)
     stopping = threading.Thread(target=link.stop, name='stopping', daemon=True)
     with link._sending:               # as if a command were just on its way
         stopping.start()

@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from boards import PATIENCE, BusBoard, wait_for
+from boards import PATIENCE, BusBoard, until
 from serial_communication.links.bus import BusLink, BusSettings, _Poller
 from serial_communication.links.link import ERROR, OK, RX, TX
 from serial_communication.links.master import NOT_SENT, QUIET, TIMEOUT
@@ -33,7 +33,7 @@ def open_link(line, logger, running):
     def start(settings=PATIENT, ready=True, **arguments):
         link = running(BusLink(Port(line.path), settings, logger=logger, **arguments))
         if ready:
-            wait_for(lambda: link.master.synchronised and link.master.in_step)
+            until(lambda: link.master.synchronised and link.master.in_step)
         return link
     return start
 
@@ -66,7 +66,7 @@ def test_the_environment_is_polled_and_published(board, open_link):
     readings = []
     open_link(PATIENT._replace(environment_period=0.01), clock=lambda: 'stamp',
               on_environment=lambda reading, stamp: readings.append((reading, stamp)))
-    wait_for(lambda: len(readings) >= 5)
+    until(lambda: len(readings) >= 5)
     assert set(readings) == {((350, 25.63, 48.12), 'stamp')}
     assert set(board.executed) == {bus.ENVIRONMENT_REQUEST}
 
@@ -75,7 +75,7 @@ def test_a_poll_comes_once_a_period(board, open_link):
     readings = []
     link = open_link(PATIENT._replace(environment_period=60.0),
                      on_environment=lambda reading, stamp: readings.append(reading))
-    wait_for(lambda: readings)
+    until(lambda: readings)
     for _ in range(5):
         assert link.echo().success      # the link has looked five times whether a poll is due
     assert len(readings) == board.executed.count(bus.ENVIRONMENT_REQUEST) == 1
@@ -105,7 +105,7 @@ def test_several_things_are_polled_each_to_its_own(line, board, logger, running)
     for cmd2 in kept:
         link.poll(0.01, bus.Request(bus.FUNCTION, cmd2), Layout('<x', ()), kept[cmd2].append)
     running(link)
-    wait_for(lambda: all(len(outcomes) >= 3 for outcomes in kept.values()))
+    until(lambda: all(len(outcomes) >= 3 for outcomes in kept.values()))
     for cmd2, outcomes in kept.items():
         assert {outcome.data for outcome in outcomes} == {bytes((cmd2,))}
 
@@ -117,7 +117,7 @@ def test_settings_reach_the_wire(line, running, logger):
                   bytes(6) if request.cmd2 else request.data, request.cmd2), has_cmd2=True)
     link = running(BusLink(Port(line.path), PATIENT._replace(
         reply_has_cmd2=True, environment_datelen=0), logger=logger))
-    wait_for(lambda: link.master.synchronised)
+    until(lambda: link.master.synchronised)
     assert link.environment()[0].success
     assert bus.encode_request(bus.ENVIRONMENT_REQUEST, 0) in [frame.raw for frame in board.seen]
 
@@ -160,7 +160,7 @@ def test_no_reply_is_a_timeout_and_the_move_is_not_sent_again(board, open_link):
     link = open_link(SHORT)
     outcome = link.lift(0, 100)
     assert outcome.status == TIMEOUT and 'not known' in outcome.message
-    wait_for(lambda: link.master.in_step)
+    until(lambda: link.master.in_step)
     board.script = lambda request: None
     assert link.gimbal(0, 1).success
     assert board.moves() == [LIFT, bus.gimbal(0, 1)]
@@ -261,7 +261,7 @@ def test_a_damaged_reply_is_a_timeout_told_at_once(board, open_link):
     outcome = link.lift(0, 100)
     assert outcome.status == TIMEOUT and 'damaged' in outcome.message
     assert board.moves() == [LIFT]
-    wait_for(lambda: link.master.in_step)
+    until(lambda: link.master.in_step)
     assert dict(link.report(0).values)['checksum errors'] == 1
 
 
@@ -295,10 +295,10 @@ def test_frame_timeout_is_as_long_as_it_says(board, open_link):
     board.script = lambda request: OK_WIRE[:2] if is_move(request) else None
     link = open_link(frame_timeout=PATIENCE * 2)
     outcomes = in_background(link.lift, 0, 100)
-    wait_for(board.moves)
-    wait_for(lambda: link.decoder.pending)
+    until(board.moves)
+    until(lambda: link.decoder.pending)
     board.line.write(OK_WIRE[2:])
-    assert wait_for(lambda: outcomes)[0].success
+    assert until(lambda: outcomes)[0].success
     assert not any(link.decoder.errors.values())
 
 
@@ -306,14 +306,14 @@ def test_no_request_leaves_while_a_reply_is_coming_in(board, open_link):
     """It would be taken for the request's. It is nobody's, so an ECHO goes before the request."""
     link = open_link(frame_timeout=PATIENCE * 2)
     board.line.write(OK_WIRE[:2])
-    wait_for(lambda: link.decoder.pending)
+    until(lambda: link.decoder.pending)
     known = len(board.seen)
     outcomes = in_background(link.lift, 0, 100)
-    wait_for(lambda: link.master.wants_to_send(time.monotonic()))
+    until(lambda: link.master.wants_to_send(time.monotonic()))
     threading.Event().wait(0.1)
     assert len(board.seen) == known and not outcomes
     board.line.write(OK_WIRE[2:])
-    assert wait_for(lambda: outcomes)[0].success
+    assert until(lambda: outcomes)[0].success
     assert [request.cmd1 for request in board.requests()][known:] == [bus.ECHO, bus.FUNCTION]
 
 
@@ -350,15 +350,15 @@ def test_a_port_that_closes_during_a_motion_leaves_its_outcome_unknown(board, op
     board.script = lambda request: b'' if is_move(request) else None
     link = open_link()
     moving = in_background(link.lift, 0, 100)
-    wait_for(board.moves)
+    until(board.moves)
     waiting = in_background(link.gimbal, 0, 1)
-    wait_for(lambda: link.master._waiting())
+    until(lambda: link.master._waiting())
     with board.unplugged():
-        assert wait_for(lambda: moving)[0].status == TIMEOUT
-        assert wait_for(lambda: waiting)[0].status == NOT_SENT
+        assert until(lambda: moving)[0].status == TIMEOUT
+        assert until(lambda: waiting)[0].status == NOT_SENT
         assert link.lift(0, 100).status == NOT_SENT
     board.script = lambda request: None
-    wait_for(lambda: link.master.synchronised and link.master.in_step)
+    until(lambda: link.master.synchronised and link.master.in_step)
     assert link.reconnects == 1
     assert link.echo().success
     assert board.moves() == [LIFT], 'something of before went out after the reconnect'
@@ -368,10 +368,10 @@ def test_a_port_that_closes_during_a_motion_leaves_its_outcome_unknown(board, op
 def test_a_port_that_is_absent_at_start_is_waited_for(line, logger, running, lines):
     line.unplug()
     link = running(BusLink(Port(line.path), PATIENT, logger=logger))
-    wait_for(lambda: lines('there is no such device'))
+    until(lambda: lines('there is no such device'))
     line.plug()
     running(BusBoard(line))
-    wait_for(lambda: link.master.synchronised)
+    until(lambda: link.master.synchronised)
     assert link.lift(0, 100).success and link.reconnects == 0
 
 
@@ -379,18 +379,18 @@ def test_stopping_answers_those_who_wait(board, open_link):
     board.script = lambda request: b'' if is_move(request) else None
     link = open_link()
     moving = in_background(link.lift, 0, 100)
-    wait_for(board.moves)
+    until(board.moves)
     link.stop()
     link.join()
-    assert wait_for(lambda: moving)[0].status == TIMEOUT
+    assert until(lambda: moving)[0].status == TIMEOUT
     assert not link.port.is_open
     assert link.lift(0, 1).status == NOT_SENT
 
 
 def test_a_board_that_is_silent_is_reported(line, logger, running, lines):
     link = running(BusLink(Port(line.path), SHORT, logger=logger))
-    wait_for(lambda: link.report(time.monotonic()).level == ERROR
-             and link.report(time.monotonic()).summary == 'the board does not answer SYNC')
+    until(lambda: link.report(time.monotonic()).level == ERROR
+          and link.report(time.monotonic()).summary == 'the board does not answer SYNC')
     begun = time.monotonic()
     assert link.lift(0, 1).status == NOT_SENT
     assert time.monotonic() - begun < SHORT.motion_timeout + PATIENCE / 2
@@ -410,7 +410,7 @@ def test_a_port_that_takes_no_data_is_not_asked_all_the_time(line, logger, runni
 
     port = Stuck(line.path)
     link = running(BusLink(port, SHORT, logger=logger))
-    wait_for(lambda: port.tries)
+    until(lambda: port.tries)
     before = port.tries
     ended = threading.Event()
     ended.wait(0.3)
@@ -429,8 +429,8 @@ def test_the_tap_sees_every_frame_both_ways(board, open_link):
     link.tap = lambda name, direction, frame: tapped.append((name, direction, frame))
     board.script = lambda request: b'\x11\x22' + OK_WIRE if is_move(request) else None
     link.lift(0, 100)
-    wait_for(lambda: link.master.in_step)
-    wait_for(lambda: len(tapped) >= 5)
+    until(lambda: link.master.in_step)
+    until(lambda: len(tapped) >= 5)
     assert [(name, direction, str(frame.message or frame.cause))
             for name, direction, frame in tapped[:3]] == [
                 ('bus', TX, 'lift up 100 mm'), ('bus', RX, 'framing'), ('bus', RX, 'OK')]
@@ -446,7 +446,7 @@ def test_a_fault_in_a_callback_does_not_leave_the_link_dead(board, open_link, li
             raise RuntimeError('a fault of the callback')
 
     link = open_link(PATIENT._replace(environment_period=0.02), on_environment=on_environment)
-    wait_for(lambda: not broken and link.reconnects)
-    wait_for(lambda: link.master.synchronised and link.master.in_step)
+    until(lambda: not broken and link.reconnects)
+    until(lambda: link.master.synchronised and link.master.in_step)
     assert link.lift(0, 100).success
     assert lines('a fault of the callback')

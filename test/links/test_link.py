@@ -8,7 +8,7 @@ import time
 import pytest
 
 import serial_communication.links
-from boards import wait_for
+from boards import until
 from serial_communication.links.arduino import ArduinoLink
 from serial_communication.links.bus import BusLink
 from serial_communication.links.mcu import McuLink
@@ -92,11 +92,11 @@ def test_threads_have_names_and_end_within_a_second_of_stop(line, logger, kind, 
     link = kind(Port(line.path if present else line.path + '.absent'), logger=logger)
     assert not names & threads()
     link.start()
-    wait_for(lambda: link.port.is_open == present and names <= threads())
+    until(lambda: link.port.is_open == present and names <= threads())
     begun = time.monotonic()
     link.stop()
     link.join()
-    wait_for(lambda: not names & threads(), 1.0)
+    until(lambda: not names & threads(), seconds=1.0)
     assert time.monotonic() - begun < 1.5
     assert not link.port.is_open
 
@@ -105,7 +105,7 @@ def test_threads_have_names_and_end_within_a_second_of_stop(line, logger, kind, 
 def test_an_absent_port_is_warned_of_once(line, logger, running, lines, kind, names):
     link = running(kind(Port(line.path + '.absent'), logger=logger))
     assert link.report(time.monotonic()).summary.startswith('closed: ')
-    wait_for(lambda: lines())
+    until(lambda: lines())
     threading.Event().wait(0.5)
     assert len(lines('no such device')) == 1
     report = link.report(time.monotonic())
@@ -117,11 +117,11 @@ def test_a_port_that_flaps_is_opened_each_time_and_logged_sparingly(line, logger
                                                                     kind, names):
     link = running(kind(Port(line.path), logger=logger))
     for count in range(3):
-        wait_for(lambda: link.port.is_open and link.reconnects == count)
+        until(lambda: link.port.is_open and link.reconnects == count)
         line.unplug()
-        wait_for(lambda: not link.port.is_open)
+        until(lambda: not link.port.is_open)
         line.plug()
-    wait_for(lambda: link.port.is_open and link.reconnects == 3)
+    until(lambda: link.port.is_open and link.reconnects == 3)
     assert len(lines('the device has gone')) <= 1
     assert len(lines('permission')) == 0
 
@@ -129,13 +129,13 @@ def test_a_port_that_flaps_is_opened_each_time_and_logged_sparingly(line, logger
 def test_a_port_is_found_within_a_second_and_a_half_of_its_return(line, logger, running):
     """However long it was away: the pauses between tries do not grow without end."""
     link = running(McuLink(Port(line.path), logger=logger))
-    wait_for(lambda: link.port.is_open)
+    until(lambda: link.port.is_open)
     line.unplug()
-    wait_for(lambda: not link.port.is_open)
+    until(lambda: not link.port.is_open)
     threading.Event().wait(2.3)
     line.plug()
     back = time.monotonic()
-    wait_for(lambda: link.port.is_open)
+    until(lambda: link.port.is_open)
     assert time.monotonic() - back < 1.5
 
 
@@ -159,7 +159,7 @@ def test_whatever_an_opening_raises_is_said_and_it_is_tried_again(line, logger, 
             raise troubles.pop()
 
     link = running(McuLink(_Odd(line.path, opening), logger=logger))
-    wait_for(lambda: link.port.is_open)
+    until(lambda: link.port.is_open)
     assert lines('odder')
 
 
@@ -167,12 +167,12 @@ def test_whatever_an_opening_raises_is_said_and_it_is_tried_again(line, logger, 
 def test_a_log_that_raises_ends_no_link(line, running, kind, names):
     link = running(kind(Port(line.path), logger=_Broken('broken')))
     for count in range(2):
-        wait_for(lambda: link.port.is_open and link.reconnects == count)
+        until(lambda: link.port.is_open and link.reconnects == count)
         line.write(b'\x03\x55noise\x00')
         line.unplug()
-        wait_for(lambda: not link.port.is_open)
+        until(lambda: not link.port.is_open)
         line.plug()
-    wait_for(lambda: link.port.is_open)
+    until(lambda: link.port.is_open)
     assert names <= threads()
 
 
@@ -205,18 +205,18 @@ def test_whatever_a_hook_raises_ends_no_link(line, logger, running, monkeypatch,
 
     monkeypatch.setattr(link, hook, trapped)
     running(link)
-    wait_for(lambda: link.port.is_open or raised.is_set())
+    until(lambda: link.port.is_open or raised.is_set())
     until_raised = {'received': GOOD[kind], 'damaged': b'noise\0noise\0'}.get(hook)
     if until_raised:
-        wait_for(lambda: raised.is_set() or line.write(until_raised))
+        until(lambda: raised.is_set() or line.write(until_raised))
     elif hook in ('closed', 'idle'):
         line.unplug()
-        wait_for(raised.is_set)
+        until(raised.is_set)
         line.plug()
-    wait_for(raised.is_set)
-    wait_for(lambda: link.port.is_open)
+    until(raised.is_set)
+    until(lambda: link.port.is_open)
     received = link.frames_received
-    wait_for(lambda: link.frames_received > received or line.write(GOOD[kind]))
+    until(lambda: link.frames_received > received or line.write(GOOD[kind]))
     assert names <= threads()
 
 
@@ -225,7 +225,7 @@ def test_a_heartbeat_that_raises_is_followed_by_others(line, logger, running, mo
     rest, trap = link._heart._work, raising(RuntimeError)
     monkeypatch.setattr(link._heart, '_work', lambda beat: trap() or rest(beat))
     running(link)
-    wait_for(lambda: link.heartbeats_sent > 20)
+    until(lambda: link.heartbeats_sent > 20)
     assert lines('of a test')
 
 
@@ -240,8 +240,8 @@ def test_a_tap_that_raises_takes_nothing_from_the_link(line, logger, running, ki
 
     link.tap = tap
     running(link)
-    wait_for(lambda: link.port.is_open)
-    wait_for(lambda: link.frames_received > 3 or line.write(GOOD[kind]))
+    until(lambda: link.port.is_open)
+    until(lambda: link.frames_received > 3 or line.write(GOOD[kind]))
     assert len(told) > 3 and link.reconnects == 0 and link.port.is_open
 
 
@@ -250,9 +250,9 @@ def test_a_port_that_hangs_as_it_opens_leaves_the_link_alive(line, logger, runni
     silences = []
     link = running(McuLink(_Odd(line.path, free.wait), timeout=0.1, logger=logger,
                            on_silence=lambda *told: silences.append(told)))
-    wait_for(lambda: len(silences) >= 2)
+    until(lambda: len(silences) >= 2)
     free.set()
-    wait_for(lambda: link.port.is_open)
+    until(lambda: link.port.is_open)
 
 
 def test_a_port_that_hangs_as_it_opens_does_not_hold_up_the_end(line, logger):
@@ -264,25 +264,25 @@ def test_a_port_that_hangs_as_it_opens_does_not_hold_up_the_end(line, logger):
 
     link = McuLink(_Odd(line.path, opening), logger=logger)
     link.start()
-    wait_for(entered.is_set)
+    until(entered.is_set)
     begun = time.monotonic()
     link.stop()
     link.join()
     assert time.monotonic() - begun < 1.0 and 'mcu link' not in threads()
     free.set()
-    wait_for(lambda: 'mcu opening' not in threads())
+    until(lambda: 'mcu opening' not in threads())
     assert not link.port.is_open, 'it opened for nobody, and stays closed'
 
 
 def test_noise_is_counted_reported_and_logged_sparingly(line, logger, running, lines):
     link = running(McuLink(Port(line.path), timeout=20.0, logger=logger))
-    wait_for(lambda: link.port.is_open)
+    until(lambda: link.port.is_open)
     good = mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 1)
     bad = good[:-2] + bytes((good[-2] ^ 1, 3))
     for _ in range(50):
         line.write(bad + b'noise')
     line.write(good)
-    wait_for(lambda: link.frames_received)
+    until(lambda: link.frames_received)
     report = link.report(time.monotonic())
     values = dict(report.values)
     assert (values['checksum errors'], values['framing errors']) == (50, 50)
@@ -295,10 +295,10 @@ def test_noise_is_counted_reported_and_logged_sparingly(line, logger, running, l
 
 def test_a_silent_board_is_reported(line, logger, running):
     link = running(ArduinoLink(Port(line.path), logger=logger))
-    wait_for(lambda: link.port.is_open)
+    until(lambda: link.port.is_open)
     assert link.condition(time.monotonic()) == (1, 'open, the board is silent')
     line.write(arduino.encode(arduino.Ticks(1)))
-    wait_for(lambda: link.frames_received)
+    until(lambda: link.frames_received)
     assert link.condition(time.monotonic()) == (0, 'open')
     assert link.condition(time.monotonic() + 1.1)[0] == 1
 
@@ -312,10 +312,10 @@ def test_a_link_leaves_no_file_open(line, logger):
         link = McuLink(Port(line.path), logger=logger)
         own = descriptors()          # the port's pipe, for waking, is as old as the port
         link.start()
-        wait_for(lambda: link.port.is_open)
+        until(lambda: link.port.is_open)
         link.stop()
         link.join()
-        wait_for(lambda: descriptors() <= own)
+        until(lambda: descriptors() <= own)
         before = before or own
     assert descriptors() <= before + 4
 
@@ -336,14 +336,14 @@ def test_a_false_start_holds_nothing_back_though_frames_keep_coming(line, logger
     taken = []
     link = running(McuLink(Port(line.path), timeout=20.0, logger=logger,
                            on_status=lambda message, seq, stamp: taken.append(seq)))
-    wait_for(lambda: link.port.is_open)
+    until(lambda: link.port.is_open)
     line.write(bytes((mcu.STX, 255)))
     for seq in range(10):
         if taken:
             break
         threading.Event().wait(0.04)     # under frame_timeout
         line.write(mcu.encode(mcu.SensorStatus(400, 500, 1.0, 2.0, 3.0), seq))
-    wait_for(lambda: taken)
+    until(lambda: taken)
     assert taken[0] == 0 and len(taken) < 10
 
 
@@ -352,10 +352,10 @@ def test_a_frame_that_is_only_slow_is_waited_for(line, logger, running):
     taken = []
     link = running(McuLink(Port(line.path), timeout=20.0, logger=logger, frame_timeout=1.0,
                            on_status=lambda message, seq, stamp: taken.append(seq)))
-    wait_for(lambda: link.port.is_open)
+    until(lambda: link.port.is_open)
     wire = mcu.encode(mcu.SensorStatus(400, 500, 1.0, 2.0, 3.0), 7)
     for start in range(0, len(wire), 2):
         threading.Event().wait(0.2)
         line.write(wire[start:start + 2])
-    wait_for(lambda: taken)
+    until(lambda: taken)
     assert taken == [7] and link.error_count() == 0

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from boards import PATIENCE, wait_for
+from boards import PATIENCE, until
 from serial_communication.links.link import ERROR, OK, WARN
 from serial_communication.links.mcu import McuLink
 from serial_communication.transport.port import Port
@@ -41,7 +41,7 @@ def watch(line, logger, running):
     def start(timeout=20.0, **arguments):
         watched = Watched(dict(port=Port(line.path), timeout=timeout, logger=logger, **arguments))
         running(watched.link)
-        wait_for(lambda: watched.link.port.is_open)
+        until(lambda: watched.link.port.is_open)
         return watched
     return start
 
@@ -49,7 +49,7 @@ def watch(line, logger, running):
 def test_frames_are_passed_on_with_seq_and_stamp(line, watch):
     watched = watch(clock=lambda: 'stamp')
     line.write(status(7) + mcu.encode(ADC, 8))
-    wait_for(lambda: len(watched.got) == 2)
+    until(lambda: len(watched.got) == 2)
     assert watched.got == [(mcu.SensorStatus(107, 200, 1.0, 2.0, 3.0), 7, 'stamp'),
                            (ADC, 8, 'stamp')]
     assert watched.link.frames_lost == 0 and not watched.link.silent
@@ -62,7 +62,7 @@ def test_frames_are_passed_on_with_seq_and_stamp(line, watch):
 def test_lost_frames_are_counted_over_the_modulo(line, watch, seqs, lost):
     watched = watch()
     line.write(b''.join(map(status, seqs)))
-    wait_for(lambda: len(watched.got) == len(seqs))
+    until(lambda: len(watched.got) == len(seqs))
     assert watched.seqs() == list(seqs) and watched.link.frames_lost == lost
     assert dict(watched.link.own_values())['frames lost'] == lost
 
@@ -70,7 +70,7 @@ def test_lost_frames_are_counted_over_the_modulo(line, watch, seqs, lost):
 def test_a_doubled_frame_is_passed_on_once(line, watch):
     watched = watch()
     line.write(status(1) + status(2) * 3 + status(3))
-    wait_for(lambda: 3 in watched.seqs())
+    until(lambda: 3 in watched.seqs())
     assert watched.seqs() == [1, 2, 3]
     assert (watched.link.duplicates, watched.link.frames_lost) == (2, 0)
 
@@ -83,20 +83,20 @@ def test_noise_is_shown_as_often_as_it_is_counted_however_it_is_read(line, watch
     def read(data):
         received = link.port.bytes_received + len(data)
         line.write(data)
-        wait_for(lambda: link.port.bytes_received == received)
+        until(lambda: link.port.bytes_received == received)
 
     # Whether these two are one stretch or a silence lies between them is up to the machine.
     read(b'\x11' * 5)
     read(b'\x12' * 5)
     line.write(status(1))
-    wait_for(lambda: watched.got)
+    until(lambda: watched.got)
     assert shown == ['framing'] * link.decoder.errors['framing'] + ['']
     read(b'\x11')
     quiet = time.monotonic() + 0.06
-    wait_for(lambda: time.monotonic() > quiet)
+    until(lambda: time.monotonic() > quiet)
     read(b'\x12')
     line.write(status(2))
-    wait_for(lambda: len(watched.got) == 2)
+    until(lambda: len(watched.got) == 2)
     assert shown[-3:] == ['framing', 'framing', '']
     assert shown.count('framing') == link.error_count()
 
@@ -108,7 +108,7 @@ def test_a_board_that_repeats_itself_is_alive(line, watch):
     while time.monotonic() < begun + 1.3:
         line.write(status(1))
         time.sleep(0.05)
-    wait_for(lambda: len(watched.got) >= 10)
+    until(lambda: len(watched.got) >= 10)
     assert set(watched.seqs()) == {1} and watched.silences == []
     assert watched.link.frames_lost == 0
 
@@ -132,7 +132,7 @@ def test_a_damaged_frame_is_a_lost_one_and_is_not_passed_on(line, watch):
     damaged[6] ^= 1
     watched = watch()
     line.write(status(1) + bytes(damaged) + status(3))
-    wait_for(lambda: len(watched.got) == 2)
+    until(lambda: len(watched.got) == 2)
     assert watched.seqs() == [1, 3] and watched.link.frames_lost == 1
     assert watched.link.decoder.errors['checksum'] == 1
 
@@ -140,7 +140,7 @@ def test_a_damaged_frame_is_a_lost_one_and_is_not_passed_on(line, watch):
 def test_a_frame_of_an_unknown_type_keeps_the_count_and_is_not_passed_on(line, watch):
     watched = watch()
     line.write(status(1) + mcu.encode_raw(0x77, 2, b'?') + status(3))
-    wait_for(lambda: len(watched.got) == 2)
+    until(lambda: len(watched.got) == 2)
     assert watched.seqs() == [1, 3] and watched.link.frames_lost == 0
     assert watched.link.decoder.errors['unknown type'] == 1
 
@@ -149,10 +149,10 @@ def test_a_message_of_ones_own_is_passed_on_and_says_that_the_board_talks(line, 
     cliff = message_class('cliff', 0x20, '<H', [Value('range', maximum=2000)])
     watched = watch(messages=[cliff])
     line.write(mcu.encode(cliff(1500), 1))
-    wait_for(lambda: watched.got)
+    until(lambda: watched.got)
     assert [message for message, _, _ in watched.got] == [cliff(1500)] and not watched.link.silent
     line.write(mcu.encode_raw(0x20, 2, b'\1') + mcu.encode_raw(0x20, 3, b'\xff\xff') + status(4))
-    wait_for(lambda: len(watched.got) == 2)
+    until(lambda: len(watched.got) == 2)
     keys = dict(watched.link.report(time.monotonic()).values)
     assert (keys['length errors'], keys['implausible errors'], keys['unknown type errors']) == (
         1, 1, 0)
@@ -161,7 +161,7 @@ def test_a_message_of_ones_own_is_passed_on_and_says_that_the_board_talks(line, 
 def test_a_frame_behind_a_false_start_comes_after_frame_timeout(line, watch):
     watched = watch(frame_timeout=0.1)
     line.write(b'\x02\xc8\x63' + status(5))
-    wait_for(lambda: watched.got)
+    until(lambda: watched.got)
     assert watched.seqs() == [5] and watched.link.decoder.errors['framing'] == 1
 
 
@@ -169,8 +169,8 @@ def test_silence_is_told_once_a_second_with_a_growing_age(line, watch, lines):
     watched = watch(timeout=0.2)
     last = time.monotonic()
     line.write(status(9) + mcu.encode(ADC, 10))
-    wait_for(lambda: len(watched.got) == 2)
-    wait_for(lambda: len(watched.silences) >= 6)
+    until(lambda: len(watched.got) == 2)
+    until(lambda: len(watched.silences) >= 6)
     took = time.monotonic() - last
     assert {(kind, seq) for kind, seq, _ in watched.silences} == {
         (mcu.SensorStatus, 9), (mcu.AdcStatus, 10)}
@@ -184,12 +184,12 @@ def test_silence_is_told_once_a_second_with_a_growing_age(line, watch, lines):
 def test_frames_that_return_end_the_silence(line, watch):
     watched = watch(timeout=0.15)
     line.write(status(1))
-    wait_for(lambda: watched.silences)
+    until(lambda: watched.silences)
     line.write(status(2))
-    wait_for(lambda: len(watched.got) == 2)
+    until(lambda: len(watched.got) == 2)
     assert not watched.link.silent
     count = len(watched.silences)
-    wait_for(lambda: len(watched.silences) > count)
+    until(lambda: len(watched.silences) > count)
     assert watched.silences[-1][1] == 2 and watched.silences[-1][2] < watched.silences[0][2] + 5
 
 
@@ -200,7 +200,7 @@ def test_no_silence_is_told_while_frames_come(line, watch):
         line.write(status(seq % 256))
         seq += 1
         time.sleep(0.02)
-    wait_for(lambda: len(watched.got) == seq)
+    until(lambda: len(watched.got) == seq)
     assert watched.silences == [] and watched.link.frames_lost == 0
 
 
@@ -215,7 +215,7 @@ def test_noise_does_not_count_as_life(line, watch):
 
 def test_a_board_that_never_spoke_is_silent_from_the_start(line, watch):
     watched = watch(timeout=0.1)
-    wait_for(lambda: watched.silences)
+    until(lambda: watched.silences)
     assert watched.silences[0][0] is None
     assert watched.link.condition(time.monotonic()) == (WARN, 'open, the board is silent')
 
@@ -223,17 +223,17 @@ def test_a_board_that_never_spoke_is_silent_from_the_start(line, watch):
 def test_silence_is_told_while_the_port_is_away_and_ends_with_its_return(line, watch):
     watched = watch(timeout=0.1)
     line.write(status(200))
-    wait_for(lambda: watched.got)
+    until(lambda: watched.got)
     line.unplug()
     gone = time.monotonic()
-    wait_for(lambda: len(watched.silences) >= 4)
+    until(lambda: len(watched.silences) >= 4)
     assert time.monotonic() - gone < 4.5, 'once a second, however long the tries are apart'
     assert watched.silences[-1][1] == 200
     assert watched.link.report(time.monotonic()).level == ERROR
     line.plug()
-    wait_for(lambda: watched.link.port.is_open)
+    until(lambda: watched.link.port.is_open)
     line.write(status(3))
-    wait_for(lambda: len(watched.got) == 2)
+    until(lambda: len(watched.got) == 2)
     assert watched.link.frames_lost == 0, 'what a port away lost is not counted'
     assert watched.link.reconnects == 1
 
@@ -241,13 +241,13 @@ def test_silence_is_told_while_the_port_is_away_and_ends_with_its_return(line, w
 def test_a_half_frame_of_before_is_forgotten_at_the_reconnect(line, watch):
     watched = watch(frame_timeout=20.0)
     line.write(status(1)[:9])
-    wait_for(lambda: watched.link.decoder.pending)
+    until(lambda: watched.link.decoder.pending)
     line.unplug()
-    wait_for(lambda: not watched.link.port.is_open)
+    until(lambda: not watched.link.port.is_open)
     line.plug()
-    wait_for(lambda: watched.link.port.is_open)
+    until(lambda: watched.link.port.is_open)
     line.write(status(2))
-    wait_for(lambda: watched.got)
+    until(lambda: watched.got)
     assert watched.seqs() == [2] and not any(watched.link.decoder.errors.values())
 
 
@@ -271,13 +271,13 @@ def test_a_network_port_that_falls_silent_is_opened_anew(logger, running, lines)
         running(watched.link)
         first, _ = server.accept()
         with first:
-            wait_for(lambda: watched.link.port.is_open)
+            until(lambda: watched.link.port.is_open)
             first.sendall(status(1))
             second, _ = server.accept()
             with second:
-                wait_for(lambda: watched.link.port.is_open)
+                until(lambda: watched.link.port.is_open)
                 second.sendall(status(9))
-                wait_for(lambda: watched.seqs() == [1, 9])
+                until(lambda: watched.seqs() == [1, 9])
     assert lines('the board has not been heard for 0.4 s')
 
 

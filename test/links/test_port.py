@@ -8,7 +8,7 @@ import threading
 import time
 
 import pytest
-from boards import PATIENCE, Line, Rfc2217Server, wait_for
+from boards import PATIENCE, Line, Rfc2217Server, until
 from serial_communication.transport.port import Port, PortBusy, PortError, check_url
 
 
@@ -55,7 +55,7 @@ def test_a_read_returns_all_that_came(port, line):
     assert port.read(PATIENCE) == b'one'
     line.write(b'two')
     line.write(b'three')
-    wait_for(lambda: port._serial.in_waiting == 8)
+    until(lambda: port._serial.in_waiting == 8)
     assert port.read(0) == b'twothree'
     assert port.read(0) == b''
     assert port.bytes_received == 11
@@ -84,7 +84,7 @@ def test_wake_ends_a_read_that_sleeps_and_one_that_comes_later(port):
     reader = Reader(port)
     for count in range(1, 4):
         port.wake()
-        wait_for(lambda: reader.returned >= count)
+        until(lambda: reader.returned >= count)
     reader.stop()
     for _ in range(100000):      # more than the pipe holds: never an error, never a wait
         port.wake()
@@ -106,7 +106,7 @@ def test_all_bytes_pass_unchanged(port, line):
 def test_a_device_that_vanishes_is_an_error_in_words(port, line):
     reader = Reader(port)
     line.unplug()
-    wait_for(lambda: reader.error)
+    until(lambda: reader.error)
     assert str(reader.error) == 'the device has gone'
     with pytest.raises(PortError):
         port.write(b'x')
@@ -120,7 +120,7 @@ def test_a_socat_port_that_vanishes_and_returns(tmp_path):
     for _ in range(2):
         socat = subprocess.Popen(command)
         try:
-            wait_for(lambda: os.path.exists(path) and os.path.exists(other))
+            until(lambda: os.path.exists(path) and os.path.exists(other))
             port.open()
             far = Port(other)
             far.open()
@@ -354,9 +354,9 @@ def test_a_socket_is_a_port(free_server):
     assert peer.recv(100) == b'world'
     reader = Reader(port)
     port.wake()
-    wait_for(lambda: reader.returned)
+    until(lambda: reader.returned)
     peer.close()
-    wait_for(lambda: reader.error)
+    until(lambda: reader.error)
     assert str(reader.error) == 'the device has gone'
     port.close()
 
@@ -434,7 +434,7 @@ def test_what_a_connection_has_not_sent_is_never_sent_once_it_is_given_up(
         port = Port(server.url)
         port.open()
         server.running.clear()
-        peer = wait_for(lambda: server.peer)
+        peer = until(lambda: server.peer)
     else:
         port = Port('socket://127.0.0.1:%d' % free_server.getsockname()[1])
         port.open()
@@ -466,7 +466,7 @@ def test_what_a_connection_has_sent_arrives_though_it_closes(free_server):
     port.open()
     peer, _ = free_server.accept()
     port.write(b'last word')
-    wait_for(lambda: not port.on_its_way())
+    until(lambda: not port.on_its_way())
     port.close()
     peer.settimeout(PATIENCE)
     assert peer.recv(100) == b'last word' and peer.recv(100) == b''
@@ -521,7 +521,7 @@ def test_a_port_without_a_descriptor_is_read_in_slices():
     assert port.read(0) == b''
     reader = Reader(port)
     port.wake()
-    wait_for(lambda: reader.returned)
+    until(lambda: reader.returned)
     reader.stop()
     assert port.backlog() == 0.0
     port.close()

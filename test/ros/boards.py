@@ -8,6 +8,7 @@ import os
 import re
 import signal
 import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -25,12 +26,15 @@ from std_srvs.srv import Trigger
 from serial_communication.protocols import arduino, mcu
 from serial_communication.protocols import robot_ctrl_bus as bus
 
+sys.path.insert(0, os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(__file__))),
+                                'helpers'))
+from waiting import PATIENCE, Waiter, until  # noqa: E402,F401
+
 PACKAGE = 'serial_communication'
 OK, WARN, ERROR = 0, 1, 2        # levels of diagnostics
 RX, TX = 0, 1                    # directions of SerialMsg
 NOT_SENT, TIMEOUT = 253, 254     # statuses of a bus service beside a reply's CMD1
 GIVE_UP = 0.3                    # s after which a board drops a frame cut short
-PATIENCE = 15.0                  # s; only a test that fails waits as long
 
 SYNC_FRAME = bytes.fromhex('a5000000a5')
 HEARTBEAT_PACKET = bytes.fromhex('020b00')
@@ -38,54 +42,6 @@ SPEED_0_PACKET = bytes.fromhex('0204010100')
 CALIBRATION_PACKET = bytes.fromhex('020c00')
 AIR = bus.Environment(350, 25.63, 48.12)
 AIR_DATA = bytes.fromhex('5e01030acc12')
-
-
-# -- waiting ----------------------------------------------------------------------------
-
-
-def until(condition, what, seconds=PATIENCE, doing=None, every=0.01):
-    """Wait for `condition()`, which is returned; AssertionError after `seconds`.
-
-    `doing` is called meanwhile, every `every` seconds, the first time at once.
-    """
-    deadline = time.monotonic() + seconds
-    while True:
-        if doing:
-            doing()
-        value = condition()
-        if value:
-            return value
-        if time.monotonic() > deadline:
-            raise AssertionError('not within %g s: %s' % (seconds, what))
-        time.sleep(every)
-
-
-class Waiter(threading.Thread):
-    """A blocking call made elsewhere, so that the test can act while it waits."""
-
-    def __init__(self, function, *arguments):
-        super().__init__(daemon=True)
-        self.answer = None
-        self.error = None
-        self.took = 0.0
-        self._call = lambda: function(*arguments)
-        self.start()
-
-    def run(self):
-        began = time.monotonic()
-        try:
-            self.answer = self._call()
-        except Exception as error:  # pylint: disable=broad-except
-            self.error = error
-        self.took = time.monotonic() - began
-
-    def result(self, seconds=PATIENCE):
-        """What the call returned."""
-        self.join(seconds)
-        assert not self.is_alive(), 'the call has not returned within %g s' % seconds
-        if self.error:
-            raise self.error
-        return self.answer
 
 
 # -- boards -----------------------------------------------------------------------------

@@ -2,13 +2,12 @@
 import os
 import signal
 import subprocess
-import time
 from pathlib import Path
 
 import pytest
+from waiting import PATIENCE, until
 
 SOCAT_PAIR = Path(__file__).resolve().parents[2] / 'scripts' / 'socat_pair'
-PATIENCE = 15.0
 
 
 @pytest.fixture(name='pair')
@@ -28,10 +27,7 @@ def fixture_pair(tmp_path):
 
 
 def until_linked(folder, *names):
-    deadline = time.monotonic() + PATIENCE
-    while not all((folder / name).exists() for name in names):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    until(lambda: all((folder / name).exists() for name in names), 'the links')
     return [os.readlink(str(folder / name)) for name in names]
 
 
@@ -67,10 +63,7 @@ def test_the_names_are_free_when_it_has_ended(pair, tmp_path, number):
     first.send_signal(number)
     first.wait(PATIENCE)
     pair('a', 'b')
-    deadline = time.monotonic() + PATIENCE
-    while not carries_if_there(tmp_path):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    until(lambda: carries_if_there(tmp_path), 'a byte comes through')
 
 
 def carries_if_there(folder):

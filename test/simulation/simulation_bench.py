@@ -3,7 +3,9 @@ import contextlib
 import os
 import subprocess
 import threading
-import time
+from functools import partial
+
+import waiting
 
 from serial_communication.transport.port import Port, PortBusy, PortError
 from serial_communication.simulation.board import Runner
@@ -11,6 +13,7 @@ from serial_communication.simulation.line import Line
 
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 PATIENCE = 10.0   # s; far beyond what anything here takes
+until = partial(waiting.until, seconds=PATIENCE, every=0.002)
 
 
 class Notes(list):
@@ -80,14 +83,6 @@ class Bench:
                 and (kind is None or isinstance(frame.message, kind))]
 
 
-def wait_for(condition, what=''):
-    """Sleep until it holds."""
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end, 'waited in vain for %s' % (what or condition)
-        time.sleep(0.002)
-
-
 class Cable:
     """A socat pair, which can be pulled out and put back."""
 
@@ -99,7 +94,7 @@ class Cable:
     def plug(self):
         self._process = subprocess.Popen(
             [os.path.join(ROOT, 'scripts', 'socat_pair'), self.a, self.b, '__name:=cable'])
-        wait_for(lambda: os.path.exists(self.a) and os.path.exists(self.b), 'the ports')
+        until(lambda: os.path.exists(self.a) and os.path.exists(self.b), 'the ports')
 
     def unplug(self):
         self._process.kill()

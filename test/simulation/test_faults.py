@@ -2,7 +2,7 @@
 import json
 
 import pytest
-from simulation_bench import Bench, running, wait_for
+from simulation_bench import Bench, running, until
 
 from serial_communication.links.mcu import McuLink
 from serial_communication.transport.port import Port, PortBusy
@@ -231,16 +231,16 @@ def test_a_stalled_board_still_sends_and_reads_on(cable):
         link = McuLink(Port(cable.a), on_status=lambda message, seq, stamp: seqs.append(seq))
         link.start()
         try:
-            wait_for(lambda: len(seqs) > 50, 'frames')
+            until(lambda: len(seqs) > 50, 'frames')
         finally:
             link.stop()
     with running(ControlBoard(), cable.b,
                  faults=Faults(parse(['stall=200/min:0.2'], ControlBoard), 1)) as notes:
         port = Port(cable.a)
         port.open()
-        wait_for(lambda: notes.of('fault'), 'the stall')
+        until(lambda: notes.of('fault'), 'the stall')
         port.write(SYNC)
-        wait_for(lambda: notes.of('request'), 'the reading')
+        until(lambda: notes.of('request'), 'the reading')
         port.close()
 
 

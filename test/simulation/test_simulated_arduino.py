@@ -4,7 +4,7 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from simulation_bench import Bench, running, wait_for
+from simulation_bench import Bench, running, until
 
 from serial_communication.links.arduino import ArduinoLink
 from serial_communication.transport.port import Port
@@ -225,7 +225,7 @@ def car(cable):
         link.board, link.notes, link.messages = board, notes, messages
         link.calibrations = calibrating
         link.start()
-        wait_for(lambda: link.heartbeats_sent > 3 and messages, 'the car')
+        until(lambda: link.heartbeats_sent > 3 and messages, 'the car')
         yield link
         link.stop()
 
@@ -236,18 +236,18 @@ def test_link_drives_the_car(car):
         return sum(message.value for message in list(car.messages)
                    if isinstance(message, arduino.Ticks)) > 20
 
-    wait_for(driven, 'ticks')
+    until(driven, 'ticks')
     car.set_steering(1200)
-    wait_for(lambda: car.board.steering == 1200, 'the servo')
+    until(lambda: car.board.steering == 1200, 'the servo')
     car.set_led('brake')
-    wait_for(lambda: car.board.led == 'brake', 'the LED')
+    until(lambda: car.board.led == 'brake', 'the LED')
     car.set_speed(0)
-    wait_for(lambda: not car.board.motor_on, 'the stop')
+    until(lambda: not car.board.motor_on, 'the stop')
 
 
 def test_link_calibrates(car):
     car.calibrate_imu()
-    wait_for(lambda: car.calibrations == [True, False], 'the end of the calibration')
+    until(lambda: car.calibrations == [True, False], 'the end of the calibration')
     assert [fields['on'] for fields in car.notes.of('calibrate')] == [True, False]
 
 
@@ -256,11 +256,11 @@ def test_motor_stops_when_the_cable_is_pulled_and_heartbeats_alone_do_not_wake_i
         car.set_speed(500)
         return car.board.motor_on
 
-    wait_for(moves, 'the motor')
+    until(moves, 'the motor')
     cable.unplug()
-    wait_for(lambda: not car.board.motor_on, 'the stop')
+    until(lambda: not car.board.motor_on, 'the stop')
     cable.plug()
-    wait_for(lambda: car.port.is_open, 'the link')
+    until(lambda: car.port.is_open, 'the link')
     seen = len(car.messages)
-    wait_for(lambda: len(car.messages) > seen + 30, 'data')
+    until(lambda: len(car.messages) > seen + 30, 'data')
     assert not car.board.motor_on

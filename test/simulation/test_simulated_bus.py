@@ -5,7 +5,7 @@ import threading
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from simulation_bench import Bench, running, wait_for
+from simulation_bench import Bench, running, until
 
 from serial_communication.links.bus import BusLink, BusSettings
 from serial_communication.transport.port import Port
@@ -258,7 +258,7 @@ def master(cable):
         link = BusLink(Port(cable.a), BusSettings(environment_period=0.05))
         link.board, link.notes = board, notes
         link.start()
-        wait_for(lambda: link.master.synchronised, 'SYNC')
+        until(lambda: link.master.synchronised, 'SYNC')
         yield link
         link.stop()
 
@@ -300,7 +300,7 @@ def odd_board(cable):
         links.append(BusLink(Port(cable.a), BusSettings(reply_timeout=0.1,
                                                         environment_period=0.0)))
         links[0].start()
-        wait_for(lambda: links[0].master.in_step, 'the board is found')
+        until(lambda: links[0].master.in_step, 'the board is found')
         return links[0]
 
     yield start
@@ -339,10 +339,10 @@ def test_link_serves_many_callers_each_its_own_reply(master):
 
 def test_recovers_from_a_pulled_cable(master, cable):
     cable.unplug()
-    wait_for(lambda: not master.port.is_open, 'the loss')
+    until(lambda: not master.port.is_open, 'the loss')
     assert not master.lift(0, 10).success
     cable.plug()
-    wait_for(lambda: master.port.is_open and master.master.synchronised, 'the return')
+    until(lambda: master.port.is_open and master.master.synchronised, 'the return')
     before = master.board.lift.at(1e9)
     assert master.lift(0, 10).success
     assert master.board.lift.at(1e9) == before + 10

@@ -1,5 +1,5 @@
 """The simulated sensor board."""
-from simulation_bench import Bench, running, wait_for
+from simulation_bench import Bench, running, until
 
 from serial_communication.links.mcu import McuLink
 from serial_communication.transport.port import Port
@@ -85,14 +85,14 @@ def test_link_receives_it_and_finds_it_again(cable):
         link = McuLink(Port(cable.a), on_status=lambda message, seq, stamp: seqs.append(seq))
         link.start()
         try:
-            wait_for(lambda: len(seqs) > 20, 'frames')
+            until(lambda: len(seqs) > 20, 'frames')
             assert link.frames_lost == 0 and sum(link.decoder.errors.values()) <= 1  # a first, cut
             cable.unplug()
-            wait_for(lambda: not link.port.is_open, 'the loss')
-            wait_for(lambda: [note['open'] for note in notes.of('port')] == [True, False],
-                     "the board's loss")
+            until(lambda: not link.port.is_open, 'the loss')
+            until(lambda: [note['open'] for note in notes.of('port')] == [True, False],
+                  "the board's loss")
             seen = len(seqs)
             cable.plug()
-            wait_for(lambda: len(seqs) > seen + 20, 'frames again')
+            until(lambda: len(seqs) > seen + 20, 'frames again')
         finally:
             link.stop()

@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 import pytest
-from simulation_bench import PATIENCE, ROOT, wait_for
+from simulation_bench import PATIENCE, ROOT, until
 
 from serial_communication.transport.port import Port
 from serial_communication.protocols import robot_ctrl_bus as bus
@@ -152,7 +152,7 @@ def test_a_journal_that_cannot_be():
 def test_ends_cleanly_while_it_works(start, tty, tmp_path, number):
     simulator = start('arduino', '--port', tty[0], '--journal', 'journal', '--fault', 'all',
                       '--seed', '3', '__name:=car', '__log:=/tmp/x.log', 'a:=b')
-    wait_for(lambda: 'open' in simulator.text(), 'the port')
+    until(lambda: 'open' in simulator.text(), 'the port')
     assert os.read(tty[1], 1000)
     assert simulator.end(number) == 0
     assert 'seed 3' in simulator.text() and 'Traceback' not in simulator.text()
@@ -167,7 +167,7 @@ def test_ends_cleanly_while_it_works(start, tty, tmp_path, number):
 
 def test_ends_cleanly_while_it_waits(start):
     simulator = start('bus', '--port', '/nowhere/ttyV1')
-    wait_for(simulator.text, 'a line')
+    until(simulator.text, 'a line')
     assert simulator.end() == 0
     assert simulator.text() == 'bus: /nowhere/ttyV1: there is no such device; waiting for it\n'
 
@@ -175,9 +175,9 @@ def test_ends_cleanly_while_it_waits(start):
 def test_waits_for_its_port(start, tty, tmp_path):
     name = tmp_path / 'port'
     simulator = start('bus', '--port', str(name))
-    wait_for(lambda: 'waiting' in simulator.text(), 'the waiting')
+    until(lambda: 'waiting' in simulator.text(), 'the waiting')
     name.symlink_to(tty[0])
-    wait_for(lambda: 'open' in simulator.text(), 'the port')
+    until(lambda: 'open' in simulator.text(), 'the port')
     port_answers(tty[1])
     assert simulator.end() == 0
     assert len(simulator.text().splitlines()) == 3      # waiting, open, synchronised
@@ -258,7 +258,7 @@ def test_pair_is_linked_and_comes_back_over_stale_links(cable):
 def test_pair_ends_with_sigterm(tmp_path):
     a, b = tmp_path / 'a', tmp_path / 'b'
     pair = subprocess.Popen([SOCAT_PAIR, str(a), str(b)], stderr=subprocess.DEVNULL)
-    wait_for(lambda: a.exists() and b.exists(), 'the ports')
+    until(lambda: a.exists() and b.exists(), 'the ports')
     pair.terminate()
     pair.wait(PATIENCE)
     assert not os.path.lexists(str(a)) and not os.path.lexists(str(b))

@@ -1,0 +1,50 @@
+"""To wait for a condition, with a deadline, instead of for a time."""
+import threading
+import time
+
+PATIENCE = 15.0     # s; only a test that fails waits as long
+
+
+def until(condition, what='the condition', seconds=PATIENCE, doing=None, every=0.01):
+    """Wait for `condition()`, which is returned; AssertionError after `seconds`.
+
+    `doing` is called meanwhile, every `every` seconds, the first time at once.
+    """
+    deadline = time.monotonic() + seconds
+    while True:
+        if doing:
+            doing()
+        value = condition()
+        if value:
+            return value
+        if time.monotonic() > deadline:
+            raise AssertionError(f'not within {seconds:g} s: {what}')
+        time.sleep(every)
+
+
+class Waiter(threading.Thread):
+    """A blocking call made elsewhere, so that the test can act while it waits."""
+
+    def __init__(self, function, *arguments):
+        super().__init__(daemon=True)
+        self.answer = None
+        self.error = None
+        self.took = 0.0
+        self._call = lambda: function(*arguments)
+        self.start()
+
+    def run(self):
+        began = time.monotonic()
+        try:
+            self.answer = self._call()
+        except Exception as error:  # pylint: disable=broad-except
+            self.error = error
+        self.took = time.monotonic() - began
+
+    def result(self, seconds=PATIENCE):
+        """What the call returned."""
+        self.join(seconds)
+        assert not self.is_alive(), f'the call has not returned within {seconds:g} s'
+        if self.error:
+            raise self.error
+        return self.answer
