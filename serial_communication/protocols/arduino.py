@@ -268,6 +268,7 @@ class _Decoder:
         """Forget what is pending, as after a reconnect; the counts stay."""
         self._begun = b''
         self._dropping = False     # the rest of a packet that is too long already
+        self._stamp: Any = None    # of the read that brought the latest byte of it
 
     def feed(self, data: bytes, stamp: Any = None) -> List[Frame]:
         """Take bytes as they were read; return the packets, good and bad, now complete."""
@@ -281,6 +282,7 @@ class _Decoder:
                 self._oversize(packet, frames, stamp)
             elif packet:
                 frames.append(self._packet(packet, stamp))
+        self._stamp = stamp
         if len(self._begun) > _MAX_ENCODED or self._dropping:
             if not self._dropping:
                 self._oversize(self._begun, frames, stamp)
@@ -293,7 +295,7 @@ class _Decoder:
         frames: List[Frame] = []
         if self._begun:
             self.errors[FRAMING] += 1
-            frames.append(bad_frame(self._begun, FRAMING, 'a packet cut short'))
+            frames.append(bad_frame(self._begun, FRAMING, 'a packet cut short', self._stamp))
         self.reset()
         return frames
 

@@ -33,6 +33,20 @@ class Frame(NamedTuple):
     cause: str = ''     # empty for a good frame, else one of the causes above
     error: str = ''     # the cause in words
 
+    @property
+    def text(self) -> str:
+        """What it says, in one line for a person."""
+        if self.message is not None:
+            return str(self.message)
+        if self.cause:
+            return f'{len(self.raw)} bytes refused'
+        return f'a frame of type 0x{self.type:02x}, which is not known here'
+
+    @property
+    def trouble(self) -> str:
+        """The cause and its words; empty for a good frame."""
+        return f'{self.cause}: {self.error}' if self.cause else ''
+
 
 def bad_frame(raw: bytes, cause: str, error: str, stamp: Any = None, type_: int = 0,
               data: bytes = b'') -> Frame:

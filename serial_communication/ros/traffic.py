@@ -57,20 +57,8 @@ class Traffic(rospy.SubscribeListener):
     def _publish(self, link: str, direction: int, frame: Frame, connection: int) -> None:
         message = SerialMsg(link=link, direction=direction, type=frame.type,
                             command=frame.command, data=frame.data, frame=frame.raw,
-                            text=_text(frame), error=_error(frame))
+                            text=frame.text, error=frame.trouble)
         message.header.stamp = frame.stamp or rospy.Time.now()
         # What is lost while a port is away is no loss on the line: who counts SEQ has to know.
         message.header.frame_id = f'connection {connection}'
         self._topic.publish(message)
-
-
-def _text(frame: Frame) -> str:
-    if frame.message is not None:
-        return str(frame.message)
-    if frame.cause:
-        return '%d bytes refused' % len(frame.raw)
-    return 'a frame of type 0x%02x, which is not known here' % frame.type
-
-
-def _error(frame: Frame) -> str:
-    return '%s: %s' % (frame.cause, frame.error) if frame.cause else ''

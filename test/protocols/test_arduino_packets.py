@@ -271,3 +271,10 @@ def test_led_texts_beyond_the_limits_are_refused_in_words(text, said):
 def test_numbers_outside_their_type_are_not_encoded(message):
     with pytest.raises(ValueError):
         arduino.encode(message)
+
+
+def test_a_packet_cut_short_has_the_stamp_of_the_read_that_brought_its_last_byte():
+    decoder = arduino.Decoder()
+    decoder.feed(b'\x03', 'first')
+    decoder.feed(b'\x08', 'second')
+    assert [frame.stamp for frame in decoder.give_up()] == ['second']

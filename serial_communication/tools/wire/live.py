@@ -1,0 +1,263 @@
+"""Ports that are read as bytes come, and those who look on, who can never hold that up.
+
+A thread a port does nothing but read, pass on, and put what it read into queues that have an end
+and never make it wait. Whoever decodes, prints or keeps it does so in a thread of its own.
+"""
+import os
+import queue
+import sys
+import threading
+import time
+from typing import Callable, List, NamedTuple, Optional, Sequence, Union
+
+from ...transport.port import Port, PortBusy, PortError
+from ...transport.pace import be_quick
+from ...protocols.framing import Frame
+from .lines import Direction, Settings
+from .recording import Read, Writer
+
+_MOST_WAITING = 10000    # reads that wait for one who looks on; what comes then is left out
+_BACK_OFF = (0.1, 1.0)   # s from one try to open to the next: first, last
+_FLUSH = 0.5             # s that a read waits at most to reach a file
+_REALTIME_PRIORITY = 15
+
+
+class Event(NamedTuple):
+    """Something about a port that people are to know."""
+
+    at: float
+    sent: bool     # of the computer's end; False: of the board's
+    text: str
+    lost: bool     # what began before it does not go on behind it
+
+
+Item = Union[Read, Event]
+
+
+class Backlog:
+    """What waits for one who looks on. To put never waits, and it never grows beyond its end."""
+
+    def __init__(self) -> None:
+        self._queue: 'queue.SimpleQueue[Item]' = queue.SimpleQueue()
+        self._left_out = 0
+
+    def put(self, item: Item) -> None:
+        """Have it seen, unless too much waits."""
+        if self._queue.qsize() >= _MOST_WAITING:
+            self._left_out += 1
+            return
+        if self._left_out:
+            left_out, self._left_out = self._left_out, 0
+            self._queue.put(Event(item.at, item.sent,
+                                  f'{left_out} reads are left out here: this was too slow', True))
+        self._queue.put(item)
+
+    def get(self, timeout: Optional[float]) -> Optional[Item]:
+        """The next, or None after `timeout` s."""
+        try:
+            return self._queue.get(timeout=None if timeout is None else max(timeout, 0.0))
+        except queue.Empty:
+            return None
+
+
+class Reach:
+    """Reads one port until `stop`, opening it again whenever it vanishes.
+
+    Args:
+        port: opened, read and closed here, nowhere else.
+        sent: what comes is sent to the board; False: by the board.
+        backlogs: of those who look on.
+        other: what comes is passed on to this port. It is never kept: what that port does not
+            take at once is lost, as on a cable that is pulled out, and told.
+    """
+
+    def __init__(self, port: Port, sent: bool, backlogs: Sequence[Backlog],
+                 other: Optional[Port] = None) -> None:
+        self.lost = 0            # bytes that could not be passed on
+        self._port = port
+        self._sent = sent
+        self._backlogs = backlogs
+        self._other = other
+        self._stopping = threading.Event()
+        self._told_lost = 0
+        self._thread = threading.Thread(
+            target=self._run, name=f'{"computer" if sent else "board"} port', daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Begin to end; returns at once."""
+        self._stopping.set()
+        self._port.wake()
+
+    def join(self) -> None:
+        """After `stop`: the port is closed when this returns."""
+        self._thread.join(1.0)
+
+    def _run(self) -> None:
+        be_quick(_REALTIME_PRIORITY)
+        pause, trouble = _BACK_OFF[0], ''
+        while not self._stopping.is_set():
+            try:
+                if not self._port.is_open:
+                    self._port.open()
+            except PortError as error:
+                if str(error) != trouble:
+                    trouble = str(error)
+                    self._tell(f'{self._port.url}: {trouble}')
+                self._stopping.wait(pause)
+                pause = min(pause * 2, _BACK_OFF[1])
+                continue
+            pause, trouble = _BACK_OFF[0], ''
+            self._tell(f'{self._port.url}: open')
+            try:
+                self._serve()
+            except PortError as error:
+                trouble = str(error)
+                self._tell(f'{self._port.url}: {trouble}; opening it again when it returns',
+                           lost=True)
+            self._port.close()
+
+    def _serve(self) -> None:
+        while not self._stopping.is_set():
+            data = self._port.read(None)
+            if not data:
+                continue
+            at = time.monotonic()
+            if self._other is not None:
+                self._pass_on(self._other, data)
+            read = Read(at, self._sent, data)
+            for backlog in self._backlogs:
+                backlog.put(read)
+
+    def _pass_on(self, other: Port, data: bytes) -> None:
+        try:
+            other.write(data)
+        except (PortBusy, PortError) as error:
+            if self.lost == self._told_lost:     # once, until it goes on
+                self._tell(f'not passed on to {other.url}: {error}')
+            self.lost += len(data)
+            return
+        if self.lost > self._told_lost:
+            self._tell(f'{other.url} takes bytes again; {self.lost - self._told_lost} were lost')
+            self._told_lost = self.lost
+
+    def _tell(self, text: str, lost: bool = False) -> None:
+        event = Event(time.monotonic(), self._sent, text, lost)
+        for backlog in self._backlogs:
+            backlog.put(event)
+
+
+class Keeper:
+    """Writes what a backlog gets to a file, in a thread of its own.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+
+    def __init__(self, path: str, line: Settings, began: float, start: float) -> None:
+        self.backlog = Backlog()
+        self.trouble = ''       # why nothing more is written
+        self._path = path
+        self._writer = Writer(path, line, began, start)
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name='keeper', daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Write what waits, and close the file."""
+        self._stopping.set()
+        self._thread.join(5.0)
+
+    def _run(self) -> None:
+        try:
+            while True:
+                item = self.backlog.get(0.0 if self._stopping.is_set() else _FLUSH)
+                if item is None:
+                    if self._stopping.is_set():
+                        break
+                    self._writer.flush()
+                elif isinstance(item, Read):
+                    self._writer.read(item)
+                else:
+                    self._writer.remark(item.at, item.text)
+            self._writer.close()
+        except OSError as error:
+            self.trouble = f'{self._path}: {error.strerror}; no more of it is written'
+            print(self.trouble, file=sys.stderr)
+
+
+def watch(backlog: Backlog, directions: Sequence[Direction], until: Optional[float],
+          on_frame: Callable[[Direction, Frame], None],
+          on_event: Callable[[Event], None]) -> None:
+    """Decode what a backlog gets, in this thread, until that time of the monotonic clock."""
+    by_end = {direction.sent: direction for direction in directions}
+    while True:
+        due = [direction.due() for direction in directions] + [until]
+        times = [time_ for time_ in due if time_ is not None]
+        item = backlog.get(min(times) - time.monotonic() if times else None)
+        now = time.monotonic() if item is None else item.at
+        if isinstance(item, Read):
+            speaker = by_end[item.sent]
+            for frame in speaker.hear(item.data, item.at):
+                on_frame(speaker, frame)
+        for direction in directions:
+            for frame in direction.silent_until(now):
+                on_frame(direction, frame)
+        if isinstance(item, Event):
+            if item.lost:
+                by_end[item.sent].reset()
+            on_event(item)
+        if until is not None and now >= until:
+            return
+
+
+def claim(port: Port) -> str:
+    """Open a port that is there; why that cannot be, in a line, or ''. An absent one is left.
+
+    To be called before a program begins: what is not there yet is waited for, but a port that
+    another program has does not become free by waiting.
+    """
+    if not os.path.exists(port.url):
+        return ''
+    try:
+        port.open()
+    except PortError as error:
+        holders = users_of(port.url)
+        if not holders:
+            return f'{port.url}: {error}'
+        return (f'{port.url} is open in {" and ".join(holders)}, and two readers of a port take '
+                'bytes from each other. End it first; or, if it is the bridge, look at what it '
+                'sees: rostopic echo /serial_msg')
+    return ''
+
+
+def users_of(path: str) -> List[str]:
+    """The programs that have a port for themselves, as far as we may see: `name (pid 12)`."""
+    found = []
+    try:
+        port = os.stat(path)
+        inode = f'{os.major(port.st_dev):02x}:{os.minor(port.st_dev):02x}:{port.st_ino}'
+        with open('/proc/locks') as locks:
+            pids = [words[4] for words in map(str.split, locks)
+                    if words[1] == 'FLOCK' and words[5] == inode]
+        for pid in pids:
+            with open(f'/proc/{pid}/cmdline', 'rb') as file:
+                words = file.read().decode('utf-8', 'replace').split('\0')
+            found.append(f'{_program(words)} (pid {pid})')
+    except (OSError, IndexError):
+        pass     # it has just ended, or this system does not tell
+    return found
+
+
+def _program(words: List[str]) -> str:
+    """Of a command line: not the interpreter, but what it runs."""
+    names = [os.path.basename(word) for word in words if word]
+    if len(names) > 1 and names[0].startswith('python') and not words[1].startswith('-'):
+        return names[1]
+    return names[0] if names else '?'

@@ -1,0 +1,211 @@
+#!/usr/bin/env python3
+"""wire play and wire stats, with bags: what a bridge on the robot saw, one on the desk sees again.
+
+SERIAL_COMMUNICATION_WIRE_SECONDS=60 records a minute with the bridge's default frame_timeout
+instead of a few seconds with one that no busy machine reaches by itself.
+"""
+import io
+import json
+import os
+import shutil
+import subprocess
+import unittest
+
+import rosbag
+import rospy
+import rostest
+from sensor_msgs.msg import Imu, Range, Temperature
+
+from boards import PACKAGE, PATIENCE, RX, Bridge, Diagnostics, Line, Topic, own_folder, program
+from serial_communication.msg import (McuStatus2, SerialMsg, SteeringFeedback, Ticks, Voltage)
+from serial_communication.tools.wire.recording import load
+
+LONG = float(os.environ.get('SERIAL_COMMUNICATION_WIRE_SECONDS', '0'))
+SECONDS = LONG or 6.0
+FRAME_TIMEOUT = 0.05 if LONG else 0.3
+FAULTS = {      # of the boards; the silences are longer than any frame_timeout here
+    'bus': ['flip=0.1', 'cut=0.1', 'insert=0.1'],
+    'arduino': ['flip=0.01', 'cut=0.01', 'lose=0.01', 'insert=0.01', 'double=0.005',
+                'silence=6/min:1.5-1.6'],
+    'mcu': ['flip=0.02', 'cut=0.02', 'lose=0.02', 'insert=0.02', 'double=0.02',
+            'silence=6/min:1.5-1.6']}
+TOPICS = {
+    '/serial_communication/imu': Imu, '/serial_communication/imu/temperature': Temperature,
+    '/serial_communication/voltage': Voltage, '/serial_communication/ticks': Ticks,
+    '/serial_communication/steering_angle': SteeringFeedback,
+    '/mcu/status': McuStatus2, '/mcu/imu': Imu, '/mcu/range_1': Range, '/mcu/range_2': Range}
+
+
+def values(message):
+    """All of a message but when it came."""
+    if hasattr(message, 'header'):
+        message.header.stamp, message.header.seq = rospy.Time(), 0
+    else:
+        message.stamp, message.last_frame_age_sec = rospy.Time(), 0.0
+    packed = io.BytesIO()
+    message.serialize(packed)
+    return packed.getvalue()
+
+
+class Session:
+    """A bridge at fresh lines, and all that it says."""
+
+    def __init__(self, folder):
+        self.lines = {link: Line(os.path.join(folder, link)).plug() for link in FAULTS}
+        parameters = {link + '/port': line.near for link, line in self.lines.items()}
+        self.bridge = Bridge(parameters=dict(parameters, frame_timeout=FRAME_TIMEOUT))
+        self.topics = {name: Topic(name, kind) for name, kind in TOPICS.items()}
+        self.frames = Topic('/serial_msg', SerialMsg)
+        self.diagnostics = Diagnostics()
+        self.diagnostics.wait_for_all(FAULTS, lambda status, link: True, 'anything')
+        self.frames.first(lambda message: message.link == 'arduino')     # the tap is open
+
+    def settle(self):
+        """Until nothing comes any more; what is incomplete has been given up then."""
+        def frames_of_boards():
+            return sum(message.direction == RX for message in list(self.frames.messages))
+
+        count = -1
+        while count != frames_of_boards():
+            count = frames_of_boards()
+            self.diagnostics.fresh_of_all(FAULTS, lambda status, link: True, 'anything')
+            rospy.sleep(2 * FRAME_TIMEOUT)
+        self.diagnostics.fresh_of_all(FAULTS, lambda status, link: True, 'anything')
+
+    def errors(self):
+        """Counted, by link and cause."""
+        keys = {link: self.diagnostics.statuses(link)[-1].keys for link in FAULTS}
+        return {link: {key: value for key, value in keys[link].items()
+                       if key.endswith(' errors') or key in ('frames lost', 'frames doubled')}
+                for link in FAULTS}
+
+    def said(self):
+        """The values on each topic; of the mcu's status those that frames gave, not silence."""
+        return {name: [values(message) for message in topic.messages
+                       if getattr(message, 'connected', True)]
+                for name, topic in self.topics.items()}
+
+    def good_frames(self, link):
+        """What the board said that was sound."""
+        return [message.frame for message in self.frames.messages
+                if (message.link, message.direction, message.error) == (link, RX, '')]
+
+    def keep(self, path):
+        """As rosbag record keeps it."""
+        with rosbag.Bag(path, 'w') as bag:
+            for message, arrival in zip(self.frames.messages, self.frames.arrivals):
+                bag.write('/serial_msg', message, rospy.Time.from_sec(arrival))
+
+    def close(self):
+        for topic in list(self.topics.values()) + [self.frames, self.diagnostics]:
+            topic.close()
+        self.bridge.end()
+        for line in self.lines.values():
+            line.unplug()
+
+
+def run(*arguments):
+    return subprocess.run([program('wire')] + list(arguments), stdout=subprocess.PIPE,
+                          stderr=subprocess.PIPE, universal_newlines=True, timeout=PATIENCE * 2)
+
+
+class WireTest(unittest.TestCase):
+    """One recording of three boards with faults, played into another bridge."""
+
+    @classmethod
+    def setUpClass(cls):
+        cls.folder = own_folder()
+        cls.bag = os.path.join(cls.folder, 'robot.bag')
+        cls.robot = Session(cls.folder)
+        boards = [subprocess.Popen(
+            [program('simulator'), link, '--port', cls.robot.lines[link].far, '--seed', '11',
+             '--duration', str(SECONDS)]
+            + [option for fault in faults for option in ('--fault', fault)],
+            stdout=subprocess.DEVNULL) for link, faults in FAULTS.items()]
+        for board in boards:
+            assert board.wait(SECONDS + PATIENCE) == 0
+        cls.robot.settle()
+        cls.robot.keep(cls.bag)
+        cls.errors, cls.said = cls.robot.errors(), cls.robot.said()
+        cls.robot.close()
+
+    @classmethod
+    def tearDownClass(cls):
+        shutil.rmtree(cls.folder)
+
+    def test_a_bridge_on_the_desk_sees_what_the_one_on_the_robot_saw(self):
+        for link, faulty in (('arduino', 'framing errors'), ('mcu', 'checksum errors'),
+                             ('mcu', 'frames doubled')):
+            self.assertGreater(int(self.errors[link][faulty]), 0, (link, self.errors))
+        desk = Session(self.folder)
+        try:
+            players = {link: subprocess.Popen(
+                [program('wire'), 'play', self.bag, link, desk.lines[link].far, '--json',
+                 '--frame-timeout', str(FRAME_TIMEOUT)],
+                stdout=subprocess.PIPE, stderr=subprocess.PIPE, universal_newlines=True)
+                for link in FAULTS}
+            for link, player in players.items():
+                output, trouble = player.communicate(timeout=SECONDS + PATIENCE)
+                self.assertEqual(player.returncode, 0, trouble)
+                self.assertNotIn('will not come out', trouble)
+                if LONG:
+                    print(link, output, trouble)
+            desk.settle()
+            self.assertEqual(desk.errors(), self.errors)
+            said = desk.said()
+            for name in TOPICS:
+                self.assertGreater(len(self.said[name]), 2, name)
+                self.assertEqual(said[name], self.said[name], name)
+            for link in FAULTS:     # also of the bus, whose bridge takes them for no answers
+                self.assertEqual(desk.good_frames(link), self.robot.good_frames(link), link)
+        finally:
+            desk.close()
+
+    def test_the_figures_of_a_bag(self):
+        done = run('stats', self.bag, '--json')
+        self.assertEqual(done.returncode, 0, done.stderr)
+        links = json.loads(done.stdout)['links']
+        for link in FAULTS:
+            self.assertEqual(links[link]['from the board']['bad'], sum(
+                1 for message in self.robot.frames.messages
+                if (message.link, message.direction) == (link, RX) and message.error))
+        self.assertEqual(links['mcu']['from the board']['types']['sensor status']['count'],
+                         len(self.robot.good_frames('mcu')))
+        self.assertGreater(links['bus']['round trips']['answered'], 2)
+        self.assertAlmostEqual(links['arduino']['heartbeats']['gap p50'], 0.01, 2)
+        table = run('stats', self.bag)
+        for words in ('round trips', 'heartbeats', 'lost, by their SEQ', 'bad: framing'):
+            self.assertIn(words, table.stdout)
+
+    def test_a_recording_of_another_clock_and_topic(self):
+        path = os.path.join(self.folder, 'odd.bag')
+        with rosbag.Bag(path, 'w') as bag:
+            for topic in '/left/serial_msg', '/right/serial_msg':
+                for second in (5.0, 6.0, 2.0, 3.0):     # the clock was set back
+                    message = SerialMsg(link='mcu', direction=RX, type=0x20, frame=b'\2\2\x20\7')
+                    message.header.stamp = rospy.Time.from_sec(second)
+                    bag.write(topic, message, rospy.Time.from_sec(second))
+        done = run('stats', path)
+        self.assertEqual(done.returncode, 1)
+        self.assertIn('--topic: /left/serial_msg, /right/serial_msg', done.stderr)
+        stamps = [each.frame.stamp for each in load(path, '/left/serial_msg').seen]
+        self.assertEqual(stamps, sorted(stamps))
+
+    def test_bags_that_cannot_be_played(self):
+        empty = os.path.join(self.folder, 'empty.bag')
+        with rosbag.Bag(empty, 'w') as bag:
+            bag.write('/serial_msg', Ticks(), rospy.Time(1))
+        cut = os.path.join(self.folder, 'cut.bag')
+        with open(self.bag, 'rb') as whole, open(cut, 'wb') as part:
+            part.write(whole.read(6000))
+        for path, words in ((empty, 'rosbag record'), (cut, 'reindex'),
+                            ('/nowhere.bag', 'No such file')):
+            done = run('play', path, 'mcu', '/dev/null')
+            self.assertEqual(done.returncode, 1)
+            self.assertIn(words, done.stderr)
+            self.assertEqual(len(done.stderr.splitlines()), 1)
+
+
+if __name__ == '__main__':
+    rospy.init_node('wire_test')
+    rostest.rosrun(PACKAGE, 'wire', '__main__')

@@ -1,0 +1,309 @@
+"""wire explain: every vector by its values, and any damage told as what it is."""
+import json
+import random
+import re
+import struct
+import subprocess
+import sys
+
+import pytest
+
+from serial_communication.protocols import cobs
+from serial_communication.simulation.faults import Faults, parse
+from serial_communication.tools.wire import explain
+from serial_communication.tools.wire.explain import NoHex
+from wire_lines import FAULTS, LINKS, PATIENCE, ROOT, Target, settings, vectors
+
+PROGRAM = [sys.executable, ROOT + '/scripts/wire', 'explain']
+TO_ARDUINO = (4, 5, 6, 11, 12)      # message types that only a computer sends
+
+
+def run(*arguments, given=''):
+    return subprocess.run(PROGRAM + list(arguments), input=given, timeout=PATIENCE, text=True,
+                          stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+def only(link, data, **options):
+    """The one frame in these bytes."""
+    found = explain.explain(data, settings(link)._replace(**options))
+    assert len(found) == 1, found
+    return found[0]
+
+
+def value_of(each, name):
+    """The value of the part with that name, which is there once."""
+    found = [part.value for part in each.parts if part.name == name]
+    assert len(found) == 1, (name, each.parts)
+    return found[0]
+
+
+def hexed(text):
+    return bytes.fromhex(text)
+
+
+# -- the vectors ----------------------------------------------------------------------------------
+
+BUS = vectors('robot_ctrl_bus')
+MCU = vectors('mcu')['frames']
+ARDUINO = vectors('arduino')['packets']
+
+
+@pytest.mark.parametrize('case', BUS['requests'], ids=lambda case: case['frame'])
+def test_bus_requests(case):
+    each = only('bus', hexed(case['frame']))
+    assert each.sent and not each.trouble
+    assert (value_of(each, 'CMD1'), value_of(each, 'CMD2')) == (case['cmd1'], case['cmd2'])
+    assert b''.join(part.data for part in each.parts[4:-1]) == hexed(case['data'])
+
+
+@pytest.mark.parametrize('case', BUS['replies'], ids=lambda case: case['frame'])
+def test_bus_replies(case):
+    each = only('bus', hexed(case['frame']))
+    assert not each.sent and not each.trouble
+    assert value_of(each, 'CMD1') == case['cmd1']
+    assert b''.join(part.data for part in each.parts[3:-1]) == hexed(case['data'])
+    if 'error' in case:
+        assert value_of(each, 'error code') == case['error']
+    told = re.search(r'smoke (\d+), (\S+) C, (\S+) %', case['name'])
+    if told:
+        assert [value_of(each, name) for name in ('smoke', 'temperature', 'humidity')] == [
+            float(number) for number in told.groups()]
+
+
+@pytest.mark.parametrize('case', MCU, ids=lambda case: case['frame'])
+def test_mcu_frames(case):
+    each = only('mcu', hexed(case['frame']))
+    assert not each.sent and not each.trouble
+    assert (value_of(each, 'TYPE'), value_of(each, 'SEQ')) == (case['type'], case['seq'])
+    names = {'vl53_1': 'range_1', 'vl53_2': 'range_2'}
+    wanted = dict(case['value'])
+    wanted.update((f'adc{index}', value) for index, value in enumerate(wanted.pop('adc', ())))
+    for name, value in wanted.items():
+        assert value_of(each, names.get(name, name)) == pytest.approx(value), name
+
+
+@pytest.mark.parametrize('case', ARDUINO, ids=lambda case: case['wire'])
+def test_arduino_packets(case):
+    each = only('arduino', hexed(case['wire']))
+    assert each.sent == (case['type'] in TO_ARDUINO)
+    assert value_of(each, 'type') == case['type']
+    decoded = b''.join(part.data for part in each.parts
+                       if part.name not in ('COBS code', 'end'))
+    assert decoded == bytes((case['type'],)) + hexed(case['payload'])
+    if case['type'] == 9:
+        raw = [part.raw for part in each.parts if part.name not in ('COBS code', 'type', 'end')]
+        assert raw == list(struct.unpack('>11h', hexed(case['payload'])))
+    elif 'value' in case:
+        name = 'text' if isinstance(case['value'], str) else 'value'
+        assert value_of(each, name) == (case['value'] if name == 'text'
+                                        else pytest.approx(case['value']))
+
+
+# -- damage ---------------------------------------------------------------------------------------
+
+def xor(data):
+    value = 0
+    for byte in data:
+        value ^= byte
+    return value
+
+
+def sound_bus(data):
+    """The length of the request or reply that `data` begins with; 0 where there is none."""
+    if data[:3] == b'\xa5\x02\x55' and data[3:5] == b'\x22\xd0':
+        return 5
+    if data[0] not in (0xA5, 0x5A):
+        return 0
+    header = 2 if data[0] == 0xA5 else 3
+    length = int.from_bytes(data[1:header], 'little')
+    if len(data) < header or (length >= 255) != (header == 3) or length > 1024:
+        return 0
+    for commands in (1, 2):
+        end = header + commands + length + 1
+        if len(data) >= end and not xor(data[:end]):
+            return end
+    return 0
+
+
+def sound_mcu(data):
+    lengths = {0x10: 12, 0x01: 14}
+    if len(data) < 6 or data[0] != 2 or data[1] < 2 or len(data) < data[1] + 4:
+        return 0
+    end = data[1] + 4
+    if lengths.get(data[2], data[1]) != data[1] or data[end - 1] != 3 or xor(data[2:end - 1]):
+        return 0
+    return end
+
+
+def sound_arduino(data):
+    """Of what has no checksum only the framing can be told, and the length that a type has."""
+    end = data.find(b'\0')
+    if end <= 0:
+        return max(end + 1, 0) if data[:1] == b'\0' else 0
+    try:
+        packet = cobs.decode(data[:end])
+    except cobs.CobsError:
+        return 0
+    sizes = {4: 2, 5: 2, 7: 2, 8: 1, 9: 22, 10: 4, 11: 0, 12: 0}
+    if not packet or packet[0] > 12 or sizes.get(packet[0], len(packet) - 1) != len(packet) - 1:
+        return 0
+    return end + 1
+
+
+SOUND = {'bus': sound_bus, 'mcu': sound_mcu, 'arduino': sound_arduino}
+SOURCES = {'bus': [case['frame'] for key in ('requests', 'replies') for case in BUS[key]],
+           'mcu': [case['frame'] for case in MCU], 'arduino': [case['wire'] for case in ARDUINO]}
+
+
+def all_sound(link, data):
+    """Whether `data` is sound frames and nothing else, as an independent look has it."""
+    while data:
+        size = SOUND[link](data)
+        if not size:
+            return False
+        data = data[size:]
+    return True
+
+
+def told_whole(data, found, link):
+    """Every byte stands in some frame or stretch, in order; bad ones may hold good ones' bytes."""
+    nothing = b'\0' if link == 'arduino' else b''
+    at = first = 0
+    for each in found:
+        raw = each.frame.raw
+        start = at if data.startswith(raw, at) else data.find(raw, first)
+        assert start >= 0, raw
+        assert not data[at:start].strip(nothing), data[at:start]
+        assert b''.join(raw[part.start:part.end] for part in each.parts) == raw
+        at = max(at, start + len(raw))
+        first = start + 1 if each.frame.cause else at
+    return not data[at:].strip(nothing)
+
+
+@pytest.mark.parametrize('link', LINKS)
+def test_ten_thousand_damaged_ones(link):
+    kinds = [kind.split('=')[0] + '=1' for kind in FAULTS]
+    faults = [Faults(parse([kind], Target), 7) for kind in kinds if not kind.startswith('drop')]
+    chance = random.Random(link)
+    troubled = 0
+    for number in range(3400):
+        data = hexed(chance.choice(SOURCES[link]))
+        if number % 10 == 9:
+            data = bytes(chance.randrange(256) for _ in range(chance.randrange(1, 40)))
+        else:
+            data = chance.choice(faults).sent(data, 0.0).wire
+            if chance.random() < 0.2:
+                data = hexed(chance.choice(SOURCES[link])) + data
+        if not data.strip(b'\0' if link == 'arduino' else b''):
+            continue
+        found = explain.explain(data, settings(link))
+        assert told_whole(data, found, link), data.hex()
+        trouble = [each.trouble for each in found if each.trouble]
+        troubled += bool(trouble)
+        if not all_sound(link, data):
+            assert trouble, data.hex()
+        elif link != 'arduino':    # there values that cannot be make a sound packet a bad one
+            assert not any(each.frame.cause for each in found), (data.hex(), found)
+        for each in found:
+            assert '\n' not in each.trouble and json.dumps(explain.as_dict(each), allow_nan=False)
+    assert troubled > 1500
+
+
+@pytest.mark.parametrize('link', LINKS)
+def test_a_frame_cut_short_is_explained_as_far_as_it_goes(link):
+    for text in SOURCES[link]:
+        data = hexed(text)
+        for size in range(1, min(len(data), 40)):
+            found = explain.explain(data[:size], settings(link))
+            assert told_whole(data[:size], found, link)
+            assert any(each.trouble for each in found) or all_sound(link, data[:size])
+    each = only('mcu', hexed('020c109c2f003a'))
+    assert each.trouble == 'incomplete'
+    assert [(part.name, part.data, part.error) for part in each.parts[4:6]] == [
+        ('range_1', b'\x2f\0', ''), ('range_2', b'\x3a', 'missing, 1 byte')]
+
+
+def test_the_checksum_as_it_is_and_as_it_should_be():
+    done = run('mcu', '020c109c2f003a0000000dfff3009903')
+    assert done.returncode == 1
+    assert re.search(r'99 +CRC +153 +should be 0x98', done.stdout)
+
+
+def test_a_zero_that_cobs_left_out_stands_in_the_decoded_column():
+    voltage = cobs.encode(b'\x0a' + b'\0\0\x40\x41') + b'\0'      # 12 V
+    done = run('arduino', voltage.hex())
+    assert done.returncode == 0
+    assert 'on the wire' in done.stdout and 'decoded' in done.stdout
+    assert re.search(r'01 03 40 41 +00 00 40 41 +value +12 V', done.stdout), done.stdout
+
+
+def test_noise_is_noise():
+    each = only('bus', b'\x11\x22\x33')
+    assert [part.name for part in each.parts] == ['noise'] and each.trouble
+
+
+def test_zeros_are_noise_but_between_packets():
+    assert only('mcu', bytes(3)).trouble and only('bus', bytes(1)).trouble
+    assert explain.explain(bytes(3), settings('arduino')) == []
+    assert run('arduino', '00').stdout == 'empty packets, which say nothing\n'
+
+
+def test_long_noise_is_told_whole():
+    assert len(only('mcu', b'\x11' * 3000).frame.raw) == 3000
+
+
+def test_both_ends_in_one_text_and_a_reply_to_its_request():
+    found = explain.explain(hexed('a5025522d0 a506025e01030acc1229'), settings('bus'))
+    assert [(each.sent, each.trouble) for each in found] == [(True, ''), (False, '')]
+    assert value_of(found[1], 'smoke') == 350
+    found = explain.explain(hexed('a50255200064b6 a506025e01030acc1229'), settings('bus'))
+    assert [part.name for part in found[1].parts][3:-1] == ['DATE']
+
+
+def test_who_said_it_can_be_forced():
+    frame = 'a50002a7'
+    assert run('bus', frame).stdout.startswith('from the board')
+    done = run('bus', '--sent', frame)
+    assert done.returncode == 1 and done.stdout.startswith('from the computer')
+    assert run('bus', '--received', 'a5025522d0').returncode == 1
+
+
+def test_replies_with_a_cmd2():
+    assert run('bus', 'a500020087', '--received').returncode == 1
+    done = run('bus', '--reply-has-cmd2', '--received', 'a5000220', '87')
+    assert done.returncode == 0 and 'CMD2' in done.stdout
+
+
+# -- the text of bytes ----------------------------------------------------------------------------
+
+@pytest.mark.parametrize('text', [
+    'A5 02 55', 'a50255', '0xA5,0x02,0x55', r'\xa5\x02\x55', '0xA5, 0x2, 0x55', 'a5:02:55',
+    'A5\n02\n55\n', '{0xA5, 0x02, 0x55};', r"b'\xa5\x02U'", r'b"\xa5\x02U"', '[165, 2, 85]',
+    '[165, 2, 85]\n---', '"a50255"', '0xa50255', '$A5 $02 $55'])
+def test_bytes_as_people_have_them(text):
+    assert explain.parse(text) == b'\xa5\x02\x55'
+
+
+@pytest.mark.parametrize('text', ['', ' ', 'xy', 'a5 0g', 'a50', '0x', "b'\\xa5", '[165, 256]',
+                                  'b"é"', 'A5-02', r'\x'])
+def test_what_is_no_hex(text):
+    with pytest.raises(NoHex):
+        explain.parse(text)
+
+
+def test_statuses():
+    assert run('bus', 'a5', '00', '02', 'a7').returncode == 0
+    assert run('bus', given='a50002a7\n').returncode == 0
+    assert run('bus', '-', given='a50002a7\n').returncode == 0
+    assert run('bus', 'a50002a6').returncode == 1
+    for arguments in (['bus', 'hello'], ['bus', ''], ['ferry', 'a5'], []):
+        done = run(*arguments)
+        assert done.returncode == 2 and 'Traceback' not in done.stderr
+    assert len(run('bus', 'hello').stderr.splitlines()) == 1
+
+
+def test_json_and_no_colours_in_a_pipe():
+    done = run('arduino', '--json', '0408010200')
+    told = json.loads(done.stdout)
+    assert not told['sound'] and told['frames'][0]['error'].startswith('length')
+    assert '\033' not in run('mcu', '11').stdout

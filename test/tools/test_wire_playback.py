@@ -1,0 +1,131 @@
+"""From a recording to bytes and times again: a link makes the same of them as it did."""
+import pytest
+
+from serial_communication.protocols import arduino, mcu
+from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.protocols.framing import FRAMING
+from serial_communication.tools.wire import playback
+from serial_communication.tools.wire.playback import Piece
+from serial_communication.tools.wire.recording import Read, Recording
+from wire_lines import LINKS, as_bag, damaged_reads, heard, settings
+
+SEEDS = range(40)
+
+
+def outcome(reads, line):
+    """What must come again: every frame that says something, in order, and all error counts.
+
+    Not how noise is cut into stretches: that depends on when somebody looked at it.
+    """
+    frames, errors = heard(reads, line)
+    return [(frame.raw, frame.cause) for frame in frames if frame.cause != FRAMING], errors
+
+
+def play(recording, line, rate=1.0):
+    return playback.spaced(playback.pieces_of(recording, line), line, rate)
+
+
+def played(pieces):
+    return [Read(piece.at, False, piece.data) for piece in pieces]
+
+
+@pytest.mark.parametrize('link', LINKS)
+def test_a_bag_of_a_damaged_line_gives_the_same_frames_and_errors_again(link):
+    line = settings(link)
+    damaged = 0
+    for seed in SEEDS:
+        reads = damaged_reads(link, seed)
+        bag = as_bag(reads, line)
+        wanted = outcome(reads, line)
+        pieces = play(bag, line)
+        assert outcome(played(pieces), line) == wanted, seed
+        assert playback.differences(bag.seen, pieces, line) == 0
+        damaged += sum(wanted[1].values())
+    assert damaged > 10 * len(SEEDS)      # or the test would show nothing
+
+
+@pytest.mark.parametrize('link', LINKS)
+def test_kept_bytes_give_the_same_frames_and_errors_again(link):
+    line = settings(link)
+    for seed in SEEDS:
+        reads = damaged_reads(link, seed)
+        pieces = play(Recording(0.0, {link: reads}, []), line)
+        assert b''.join(piece.data for piece in pieces) == b''.join(read.data for read in reads)
+        assert outcome(played(pieces), line) == outcome(reads, line), seed
+
+
+@pytest.mark.parametrize('link', LINKS)
+def test_a_desk_that_reads_a_little_late_makes_the_same_of_it(link):
+    """Every read up to 20 ms late: silences leave no doubt by more than that."""
+    line = settings(link)
+    for seed in SEEDS:
+        reads = damaged_reads(link, seed)
+        late, last = [], 0.0
+        for index, piece in enumerate(play(as_bag(reads, line), line)):
+            last = max(last, piece.at + (0.0, 0.02, 0.007)[index % 3])
+            late.append(Read(last, False, piece.data))
+        assert outcome(late, line) == outcome(reads, line), seed
+
+
+def test_at_another_rate_what_was_given_up_still_is():
+    line = settings('mcu')
+    for seed in SEEDS:
+        reads = damaged_reads('mcu', seed)
+        pieces = play(as_bag(reads, line), line, 4.0)
+        assert outcome(played(pieces), line)[1] == outcome(reads, line)[1]
+        assert pieces[-1].at < reads[-1].at / 2
+
+
+def test_whole_frames_keep_their_times():
+    line = settings('arduino')
+    reads = [Read(0.01 * number, False, arduino.encode(arduino.Ticks(number)))
+             for number in range(50)]
+    pieces = play(as_bag(reads, line), line)
+    assert [(piece.at, piece.data) for piece in pieces] == [(read.at, read.data) for read in reads]
+    faster = play(as_bag(reads, line), line, 2.0)
+    assert [piece.at for piece in faster] == [read.at / 2 for read in reads]
+
+
+def test_frames_of_one_read_are_one_write():
+    line = settings('mcu')
+    two = [mcu.encode(mcu.SensorStatus(1, 2, 0.0, 0.0, 0.0), seq) for seq in (1, 2)]
+    assert play(as_bag([Read(0.5, False, b''.join(two))], line), line) == [
+        Piece(0.5, b''.join(two), True)]
+
+
+def test_a_good_frame_that_begins_in_a_bad_one_is_not_sent_twice():
+    line = settings('bus')
+    ok = bus.encode_reply(bus.Reply(bus.OK))
+    stream = b'\xa5\x02\x02' + ok * 2      # a false start that takes the first byte of the next
+    bag = as_bag([Read(0.0, False, stream)], line)
+    assert sum(len(each.frame.raw) for each in bag.seen) > len(stream)
+    assert b''.join(piece.data for piece in play(bag, line)) == stream
+
+
+def test_a_frame_behind_a_false_start_that_waited_is_sent_when_it_came():
+    line = settings('bus')
+    ok = bus.encode_reply(bus.Reply(bus.OK))
+    reads = [Read(0.0, False, b'\xa5\xc8'), Read(0.02, False, ok), Read(0.04, False, ok)]
+    pieces = play(as_bag(reads, line), line)
+    assert [piece.at for piece in pieces if piece.data.endswith(ok)] == [0.02, 0.04]
+    assert outcome(played(pieces), line) == outcome(reads, line)
+
+
+def test_a_packet_that_was_too_long_does_not_take_the_next():
+    line = settings('arduino')
+    reads = [Read(0.0, False, b'\x11' * 400), Read(0.005, False, b'\x11' * 400 + b'\0'),
+             Read(0.01, False, arduino.encode(arduino.Ticks(5)))]
+    again = played(play(as_bag(reads, line), line))
+    assert heard(again, line)[1] == heard(reads, line)[1]
+    assert heard(again, line)[0][-1].message == arduino.Ticks(5)
+
+
+def test_what_will_differ_is_told():
+    line = settings('mcu')
+    frame = mcu.encode_raw(0x20, 1, b'x')
+    bag = as_bag([Read(0.0, False, frame)], line)
+    assert playback.differences(bag.seen, [Piece(0.0, frame, True)], line) == 0
+    assert playback.differences(bag.seen, [Piece(0.0, frame * 2, True)], line) == 1
+    assert playback.differences(bag.seen, [Piece(0.0, b'\x11', True)], line) == 1
+    noise = as_bag([Read(0.0, False, b'\x11' * 2000)], line)
+    assert playback.cut_off(noise.seen) == 1

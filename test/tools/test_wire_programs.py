@@ -1,0 +1,519 @@
+"""wire listen, tap, play and stats as programs, on real ttys."""
+import fcntl
+import json
+import os
+import pty
+import select
+import signal
+import subprocess
+import sys
+import time
+import tty
+
+import pytest
+
+from serial_communication.transport.port import Port
+from serial_communication.protocols import arduino, mcu
+from serial_communication.tools.wire.recording import load
+from wire_lines import PATIENCE, ROOT
+
+PROGRAM = [sys.executable, ROOT + '/scripts/wire']
+HEARTBEAT = arduino.encode(arduino.Heartbeat())
+EVERY_BYTE = bytes(range(256)) * 3
+
+
+def wait_for(condition, what):
+    deadline = time.monotonic() + PATIENCE
+    while True:
+        value = condition()
+        if value:
+            return value
+        assert time.monotonic() < deadline, f'waited in vain for {what}'
+        time.sleep(0.005)
+
+
+class Tty:
+    """A tty under a path of its own; it can vanish and return as another device."""
+
+    def __init__(self, path):
+        self.path = str(path)
+        self.fd = self._device = -1
+
+    def plug(self):
+        self.fd, self._device = pty.openpty()
+        tty.setraw(self._device)
+        os.set_blocking(self.fd, False)
+        os.symlink(os.ttyname(self._device), self.path)
+        return self
+
+    def unplug(self):
+        if self.fd >= 0:
+            os.unlink(self.path)
+            os.close(self._device)
+            os.close(self.fd)
+            self.fd = -1
+
+    def write(self, data):
+        while data:
+            assert select.select([], [self.fd], [], PATIENCE)[1], 'nobody reads'
+            data = data[os.write(self.fd, data):]
+
+    def read(self, size):
+        """So many bytes."""
+        data = b''
+        while len(data) < size:
+            assert select.select([self.fd], [], [], PATIENCE)[0], f'only {data.hex()} came'
+            data += os.read(self.fd, size - len(data))
+        return data
+
+    def is_quiet(self):
+        return not select.select([self.fd], [], [], 0)[0]
+
+
+class Program:
+    """One at work; its output in files."""
+
+    def __init__(self, folder, *arguments):
+        self.paths = [folder / 'stdout', folder / 'stderr']
+        with open(self.paths[0], 'w') as output, open(self.paths[1], 'w') as errors:
+            self.process = subprocess.Popen(PROGRAM + [str(each) for each in arguments],
+                                            stdout=output, stderr=errors, cwd=str(folder))
+
+    def lines(self):
+        return self.paths[0].read_text().splitlines()
+
+    def said(self):
+        return self.paths[1].read_text()
+
+    def wait_until_said(self, words, count=1):
+        wait_for(lambda: self.said().count(words) >= count, words)
+
+    def end(self, number=signal.SIGINT):
+        if self.process.poll() is None:
+            self.process.send_signal(number)
+        return self.process.wait(PATIENCE)
+
+
+@pytest.fixture
+def start(tmp_path):
+    begun = []
+
+    def begin(*arguments):
+        begun.append(Program(tmp_path, *arguments))
+        return begun[-1]
+
+    yield begin
+    for one in begun:
+        if one.process.poll() is None:
+            one.process.kill()
+            one.process.wait()
+
+
+@pytest.fixture
+def ttys(tmp_path):
+    made = [Tty(tmp_path / name).plug() for name in ('board', 'computer')]
+    yield made
+    for one in made:
+        one.unplug()
+
+
+def run(*arguments, **options):
+    return subprocess.run(PROGRAM + [str(each) for each in arguments], timeout=PATIENCE, text=True,
+                          stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options)
+
+
+def status(number):
+    return mcu.encode(mcu.SensorStatus(number, 500, 30.0, 4.0, 5.0), number % 256)
+
+
+# -- listen ---------------------------------------------------------------------------------------
+
+def test_listen_shows_and_keeps_every_frame_and_writes_nothing(ttys, start, tmp_path):
+    board = ttys[0]
+    program = start('listen', 'mcu', board.path, '--raw', 'kept.txt', '--json')
+    program.wait_until_said('open')
+    stream = status(1) + b'\x11\x22' + status(2) + status(3)[:7]
+    board.write(stream)
+    lines = wait_for(lambda: len(program.lines()) >= 4 and program.lines(), 'four frames')
+    told = [json.loads(line) for line in lines]
+    assert [each['frame'] for each in told] == [
+        status(1).hex(), '1122', status(2).hex(), status(3)[:7].hex()]
+    assert [bool(each['error']) for each in told] == [False, True, False, True]
+    assert told[0]['from'] == 'board' and told[0]['gap'] is None and told[1]['gap'] == 0
+    assert told[0]['text'].startswith('sensor status: 1 mm 500 mm')
+    assert abs(told[0]['time'] - time.time()) < 60
+    assert board.is_quiet()
+    assert program.end() == 0
+    assert '4 frames, 2 of them bad' in program.said() and 'kept in kept.txt' in program.said()
+    recording = load(str(tmp_path / 'kept.txt'))
+    assert b''.join(read.data for read in recording.reads['mcu']) == stream
+
+
+def test_listen_for_people(ttys, start):
+    board = ttys[0]
+    program = start('listen', 'arduino', board.path)
+    program.wait_until_said('open')
+    board.write(arduino.encode(arduino.Ticks(7)) + b'\x02\x63\0')
+    first, second = wait_for(lambda: len(program.lines()) == 2 and program.lines(), 'two lines')
+    assert first.split()[1:] == ['board', '03', '08', '07', '00', 'ticks', '7']
+    assert '+0 us' in second and 'unknown type' in second and '\033' not in second
+    assert program.end(signal.SIGTERM) == 0
+
+
+def test_listen_waits_for_a_port_and_comes_back_to_it(tmp_path, start):
+    board = Tty(tmp_path / 'late')
+    program = start('listen', 'mcu', board.path)
+    program.wait_until_said('waiting for it')
+    for count in (1, 2):
+        board.plug()
+        program.wait_until_said('late: open', count)
+        board.write(status(count))
+        wait_for(lambda: len(program.lines()) == count, 'a frame')
+        board.unplug()
+        program.wait_until_said('opening it again when it returns', count)
+    assert program.end() == 0
+
+
+def test_listen_says_who_has_the_port(ttys):
+    port = Port(ttys[0].path)
+    port.open()
+    done = run('listen', 'mcu', ttys[0].path)
+    port.close()
+    assert done.returncode == 1
+    assert f'(pid {os.getpid()})' in done.stderr and 'rostopic echo /serial_msg' in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_listen_ends_quietly_with_its_reader(ttys):
+    program = subprocess.Popen(PROGRAM + ['listen', 'mcu', ttys[0].path], stdout=subprocess.PIPE,
+                               stderr=subprocess.PIPE, text=True)
+    program.stdout.close()
+    while program.poll() is None:
+        try:
+            os.write(ttys[0].fd, status(1))
+        except BlockingIOError:
+            pass
+        time.sleep(0.01)
+    assert program.returncode == 0 and 'Traceback' not in program.stderr.read()
+    program.stderr.close()
+
+
+def test_listen_shows_a_recording(kept):
+    done = run('listen', 'mcu', kept)
+    assert done.returncode == 0
+    # What nobody says to that board is noise, and a stretch of noise is told once.
+    assert done.stdout.count(' board ') == 10 and done.stdout.count(' computer ') == 1
+    assert 'sensor status: 9 mm' in done.stdout and '11 frames, 2 of them bad' in done.stderr
+    assert run('listen', 'mcu', __file__).returncode == 1
+
+
+# -- tap ------------------------------------------------------------------------------------------
+
+@pytest.fixture
+def tapped(ttys, start):
+    board, computer = ttys
+    program = start('tap', 'arduino', board.path, computer.path, '--raw', 'kept.txt', '--json')
+    program.wait_until_said('open', 2)
+    return board, computer, program
+
+
+def test_tap_passes_all_bytes_unchanged_both_ways_at_once(tapped, tmp_path):
+    board, computer, program = tapped
+    for _ in range(3):
+        computer.write(EVERY_BYTE)
+        board.write(EVERY_BYTE[::-1])
+        assert board.read(len(EVERY_BYTE)) == EVERY_BYTE
+        assert computer.read(len(EVERY_BYTE)) == EVERY_BYTE[::-1]
+    assert program.end() == 0 and 'could not be passed on' not in program.said()
+    reads = load(str(tmp_path / 'kept.txt')).reads['arduino']
+    for sent, stream in ((True, EVERY_BYTE * 3), (False, EVERY_BYTE[::-1] * 3)):
+        assert b''.join(read.data for read in reads if read.sent == sent) == stream
+
+
+def test_tap_shows_which_end_spoke(tapped):
+    board, computer, program = tapped
+    computer.write(HEARTBEAT)
+    board.read(len(HEARTBEAT))
+    board.write(arduino.encode(arduino.Ticks(9)))
+    computer.read(4)
+    lines = wait_for(lambda: len(program.lines()) == 2 and program.lines(), 'two frames')
+    assert [(each['from'], each['text']) for each in map(json.loads, lines)] == [
+        ('computer', 'heartbeat'), ('board', 'ticks 9')]
+
+
+@pytest.mark.parametrize('gone', (0, 1), ids=('board', 'computer'))
+def test_tap_outlives_either_end(tapped, gone):
+    away, other = tapped[gone], tapped[1 - gone]
+    program = tapped[2]
+    away.unplug()
+    program.wait_until_said('opening it again')
+    other.write(b'into the void')
+    program.wait_until_said('not passed on')
+    away.plug()
+    program.wait_until_said(': open', 3)
+    other.write(HEARTBEAT)
+    assert away.read(3) == HEARTBEAT        # nothing old comes before it
+    away.write(b'back')
+    assert other.read(4) == b'back'
+    assert program.end() == 0
+    assert '13 bytes could not be passed on' in program.said()
+
+
+def test_an_end_that_takes_nothing_holds_up_neither_direction(tapped):
+    board, computer, program = tapped
+    for _ in range(200):                    # far more than a tty holds, and nobody reads it
+        board.write(bytes(1000))
+    program.wait_until_said('not passed on')
+    computer.write(HEARTBEAT)
+    assert board.read(3) == HEARTBEAT
+    while not computer.is_quiet():
+        os.read(computer.fd, 65536)
+    board.write(b'on')
+    program.wait_until_said('takes bytes again')
+
+
+def test_a_terminal_that_stands_still_does_not_hold_up_the_line(ttys):
+    board, computer = ttys
+    # Nobody reads its output; a pipe holds 64 KiB of it, or as little as we ask for.
+    program = subprocess.Popen(PROGRAM + ['tap', 'arduino', board.path, computer.path],
+                               stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    fcntl.fcntl(program.stdout, 1031, 4096)     # F_SETPIPE_SZ
+    try:
+        wait_for(lambda: select.select([program.stderr], [], [], 1)[0]
+                 and os.read(program.stderr.fileno(), 4096).count(b'open'), 'open')
+        time_out = time.monotonic() + PATIENCE
+        for number in range(600):
+            packet = arduino.encode(arduino.Ticks(number % 256))
+            computer.write(packet)
+            assert board.read(len(packet)) == packet
+            assert time.monotonic() < time_out
+    finally:
+        program.kill()
+        program.communicate()
+
+
+def test_tap_wants_two_ports(ttys):
+    assert run('tap', 'mcu', ttys[0].path).returncode == 2
+    assert run('tap', 'mcu', ttys[0].path, ttys[0].path).returncode == 2
+
+
+def test_what_a_tap_adds_can_be_measured():
+    done = run('tap', 'arduino', '--measure', '--duration', '1', '--json')
+    told = json.loads(done.stdout)
+    assert set(told['added at the median']) == {'to the board', 'from the board'}
+    assert told['milliseconds']['no tap']['count'] > 5
+
+
+# -- play and stats -------------------------------------------------------------------------------
+
+@pytest.fixture
+def kept(tmp_path):
+    """Ten frames, 20 ms apart, one of them cut short."""
+    path = tmp_path / 'kept.txt'
+    lines = ['# serial_communication wire recording', '# link mcu', '# baud 57600',
+             '# began 1763769600.5', '# a remark']
+    for number in range(10):
+        frame = status(number) if number != 4 else status(number)[:9]
+        lines += [f'{number * 0.02:.6f} rx {frame.hex()}', f'{number * 0.02:.6f} tx 00']
+    path.write_text('\n'.join(lines) + '\n')
+    return path
+
+
+def frames_of(data):
+    return [frame.message.range_1 for frame in mcu.Decoder().feed(data) if frame.message]
+
+
+def test_play_sends_what_the_board_sent(kept, ttys):
+    done = run('play', kept, 'mcu', ttys[0].path, '--json')
+    assert done.returncode == 0, done.stderr
+    assert frames_of(ttys[0].read(16 * 9 + 9)) == [0, 1, 2, 3, 5, 6, 7, 8, 9]
+    assert ttys[0].is_quiet()
+    told = json.loads(done.stdout)
+    assert (told['frames'], told['bad'], told['rounds'], told['lost']) == (10, 1, 1, 0)
+    assert told['late']['p50'] >= 0
+    assert '10 frames, 1 of them bad' in done.stderr and '0.2 of 0.2 s\n' in done.stderr
+    assert '\r' not in done.stderr and '\033' not in done.stderr
+
+
+def test_play_a_part_of_it(kept, ttys):
+    done = run('play', kept, 'mcu', ttys[0].path, '--from', '0.05', '--to', '0:0.13',
+               '--rate', '2')
+    assert done.returncode == 0, done.stderr
+    assert frames_of(ttys[0].read(16 * 3 + 9)) == [3, 5, 6]
+
+
+def test_play_again_and_again(kept, ttys, start):
+    program = start('play', kept, 'mcu', ttys[0].path, '--loop', '--rate', '20')
+    ttys[0].read((16 * 9 + 9) * 3)
+    assert program.end() == 0
+
+
+def test_play_drops_what_it_is_told(kept, ttys, start):
+    program = start('play', kept, 'mcu', ttys[0].path, '--loop')
+    ttys[0].read(16)
+    for _ in range(20):
+        ttys[0].write(bytes(1000))      # more than a tty holds
+    assert program.end() == 0
+
+
+def test_play_to_nobody_is_told(kept, ttys):
+    done = run('play', kept, 'mcu', ttys[0].path, '--rate', '0.001', '--from', '0.17',
+               '--to', '0.175')
+    assert done.returncode == 1 and 'links in it: mcu' in done.stderr
+    text = kept.read_text() + ''.join(f'{1 + number * 0.001:.6f} rx {"02" * 1000}\n'
+                                      for number in range(200))
+    kept.write_text(text)
+    done = run('play', kept, 'mcu', ttys[0].path)
+    assert done.returncode == 1 and 'nobody reads the other end' in done.stderr
+
+
+@pytest.mark.parametrize('line, words', [
+    ('0.1 rx 0', 'is not SECONDS'), ('x rx 00', 'is not SECONDS'), ('0.1 up 00', 'is not SECONDS'),
+    ('0.1 rx', 'is not SECONDS'), ('-5 rx 00', 'goes back')])
+def test_recordings_that_cannot_be_read(kept, line, words):
+    kept.write_text(kept.read_text() + line + '\n')
+    for program in (['play', kept, 'mcu', '/dev/null'], ['stats', kept]):
+        done = run(*program)
+        assert done.returncode == 1
+        assert words in done.stderr and f'{kept}:26' in done.stderr
+        assert len(done.stderr.splitlines()) == 1
+
+
+def test_what_is_no_recording(tmp_path):
+    (tmp_path / 'text').write_text('hello\n')
+    (tmp_path / 'bytes').write_bytes(b'# serial_communication wire recording\n# link mcu\n\xff\n')
+    (tmp_path / 'nobody').write_text('# serial_communication wire recording\n0 rx 00\n')
+    for path, words in ((tmp_path / 'text', 'neither a bag nor'), (tmp_path / 'bytes', 'not text'),
+                        (tmp_path / 'nobody', '# link'), (tmp_path, 'Is a directory'),
+                        (tmp_path / 'missing', 'No such file')):
+        done = run('stats', path)
+        assert done.returncode == 1 and words in done.stderr
+        assert len(done.stderr.splitlines()) == 1
+
+
+def test_stats(kept):
+    told = json.loads(run('stats', kept, '--json').stdout)
+    assert told['baud'] == 57600 and told['seconds'] == pytest.approx(0.18)
+    board = told['links']['mcu']['from the board']
+    assert (board['frames'], board['bad'], board['bytes']) == (10, 1, 153)
+    assert board['errors'] == {'framing': 1}
+    assert board['share of capacity'] == pytest.approx(153 * 10 / 57600 / 0.18)
+    types = board['types']['sensor status']
+    assert types['count'] == 9 and types['gap p50'] == pytest.approx(0.02)
+    assert types['gap max'] == pytest.approx(0.04)
+    assert told['links']['mcu']['lost by SEQ'] == 1
+    table = run('stats', kept).stdout
+    assert '1 bad' in table and 'bad: framing' in table and '1 frames lost' in table
+
+
+def test_stats_of_the_bus_and_of_heartbeats(tmp_path):
+    path = tmp_path / 'bus.txt'
+    path.write_text('# serial_communication wire recording\n# link bus\n'
+                    '0.0 tx a5025522d0\n0.004 rx a506025e01030acc1229\n'
+                    '1.0 tx a5025522d0\n1.5 tx a50255200064b6\n1.508 rx a50002a7\n')
+    told = json.loads(run('stats', path, '--json').stdout)['links']['bus']
+    trips = told['round trips']
+    assert (trips['answered'], trips['unanswered']) == (2, 1)
+    assert trips['round trip max'] == pytest.approx(0.008)
+    assert set(told['to the board']['types']) == {'environment', 'lift'}
+    path.write_text('# serial_communication wire recording\n# link arduino\n' + ''.join(
+        f'{at} tx 020b00\n' for at in (0.0, 0.01, 0.02, 0.07)))
+    beats = json.loads(run('stats', path, '--json').stdout)['links']['arduino']['heartbeats']
+    assert (beats['count'], beats['too_long']) == (4, 1)
+    assert beats['gap max'] == pytest.approx(0.05)
+
+
+def test_a_plot(kept, tmp_path):
+    plot = tmp_path / 'plot.png'
+    done = run('stats', kept, '--plot', plot)
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        assert done.returncode == 1 and 'sudo apt-get install python3-matplotlib' in done.stderr
+        assert 'sensor status' in done.stdout      # the rest was told all the same
+    else:
+        assert done.returncode == 0 and plot.read_bytes().startswith(b'\x89PNG')
+        assert run('stats', kept, '--plot', tmp_path / 'plot.docx').returncode == 1
+
+
+def test_messages_of_ones_own(tmp_path):
+    config = os.path.join(ROOT, 'config', 'own_messages.yaml')
+    done = run('explain', 'arduino', '--config', config, '0420f40100')
+    assert done.returncode == 0 and 'force' in done.stdout and '(sent as 500)' in done.stdout
+    assert run('explain', 'arduino', '0420f40100').returncode == 1
+    kept = tmp_path / 'own.txt'
+    kept.write_text('# serial_communication wire recording\n# link arduino\n0 rx 0420f40100\n')
+    assert '  force ' in run('stats', kept, '--config', config).stdout
+    wrong = tmp_path / 'wrong.yaml'
+    wrong.write_text('arduino: {messages: {force: {type: 4}}}')
+    for path in wrong, tmp_path / 'missing.yaml':
+        done = run('explain', 'arduino', '--config', path, '0420f40100')
+        assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
+
+
+# -- the program ----------------------------------------------------------------------------------
+
+@pytest.mark.parametrize('program', ['explain', 'listen', 'tap', 'play', 'stats'])
+def test_help(program):
+    done = run(program, '--help')
+    assert done.returncode == 0 and f'wire {program}' in done.stdout and not done.stderr
+    assert run('--help').stdout.count(f'wire {program}') == 1
+
+
+@pytest.mark.parametrize('arguments', [
+    [], ['dance'], ['listen'], ['listen', 'mcu'], ['listen', 'ferry', '/dev/null'],
+    ['listen', 'mcu', 'nonsense://x'], ['play', 'a', 'mcu', 'b', '--rate', '0'],
+    ['play', 'a', 'mcu', 'b', '--from', 'x'], ['stats'], ['stats', 'a', '--dance'],
+    ['explain', 'mcu', '02', '--dance']])
+def test_wrong_arguments(arguments):
+    done = run(*arguments)
+    assert done.returncode == 2 and 'Traceback' not in done.stderr
+
+
+BLOCKER = '''
+import runpy, sys
+class Blocker:
+    def find_spec(self, name, path=None, target=None):
+        if name.split('.')[0] in ('rospy', 'genpy', 'yaml', 'rosbag', 'roslib', 'rospkg',
+                                  'rosgraph', 'numpy', 'matplotlib'):
+            raise ImportError(f'{name} is not installed here')
+sys.meta_path.insert(0, Blocker())
+sys.argv[0] = 'wire'
+runpy.run_module('serial_communication.tools.wire', run_name='__main__', alter_sys=True)
+'''
+
+
+@pytest.mark.parametrize('arguments, returned', [
+    (['explain', 'bus', 'a50002a7'], 0), (['listen', 'mcu', '{board}', '--duration', '0.2'], 0),
+    (['tap', 'arduino', '{board}', '{computer}', '--duration', '0.2'], 0),
+    (['stats', '{kept}'], 0), (['--help'], 0)])
+def test_pyserial_alone_is_enough(ttys, kept, arguments, returned):
+    board, computer = ttys
+    arguments = [each.format(board=board.path, computer=computer.path, kept=kept)
+                 for each in arguments]
+    done = subprocess.run([sys.executable, '-c', BLOCKER] + arguments, cwd=ROOT, timeout=PATIENCE,
+                          stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+                          env={'PATH': os.environ['PATH'], 'PYTHONPATH': ROOT})
+    assert done.returncode == returned, done.stderr
+
+
+def test_a_bag_without_rosbag_is_told(tmp_path):
+    (tmp_path / 'a.bag').write_bytes(b'#ROSBAG V2.0\n')
+    done = subprocess.run([sys.executable, '-c', BLOCKER, 'stats', str(tmp_path / 'a.bag')],
+                          cwd=ROOT, timeout=PATIENCE, stderr=subprocess.PIPE, text=True,
+                          env={'PATH': os.environ['PATH'], 'PYTHONPATH': ROOT})
+    assert done.returncode == 1 and 'python3-rosbag' in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_colours_on_a_terminal_only():
+    shown = {}
+    for environment in ({'TERM': 'xterm'}, {'TERM': 'xterm', 'NO_COLOR': '1'}, {'TERM': 'dumb'}):
+        near, far = pty.openpty()
+        done = subprocess.Popen(PROGRAM + ['explain', 'mcu', '02 0c'], stdout=far,
+                                env=dict(os.environ, **environment))
+        assert done.wait(PATIENCE) == 1
+        shown[str(environment)] = b'\033[' in os.read(near, 65536)
+        os.close(near)
+        os.close(far)
+    assert list(shown.values()) == [True, False, False]

@@ -1,0 +1,104 @@
+"""What the tests of `wire` share: damaged streams, and what a link makes of them."""
+import json
+import os
+import random
+
+from serial_communication.protocols import arduino, mcu
+from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.simulation.faults import Faults, parse
+from serial_communication.tools.wire.lines import Direction, Settings
+from serial_communication.tools.wire.recording import Read, Recording, Seen
+
+ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+LINKS = ('bus', 'arduino', 'mcu')
+PATIENCE = 15.0      # s; only a test that fails waits as long
+
+
+class Target:
+    """Any fault may happen to it."""
+
+    NAME, FAULTS, READS = 'any', '', True
+
+
+def vectors(protocol):
+    """The byte-exact examples of one protocol."""
+    path = os.path.join(ROOT, 'test', 'protocols', 'vectors', protocol + '.json')
+    with open(path, encoding='utf-8') as file:
+        return json.load(file)
+
+
+def good_frame(link, chance):
+    """A frame that such a board sends."""
+    number = chance.randrange(256)
+    if link == 'bus':
+        data = bytes(chance.randrange(256) for _ in range(chance.choice((0, 0, 2, 6, 6, 40))))
+        return bus.encode_reply(bus.Reply(chance.choice((0, 1, 2, 2, 2, 3)), data))
+    if link == 'mcu':
+        return mcu.encode(mcu.SensorStatus(chance.randrange(3000), 0xFFFF, number, 3.0, -2.0),
+                          number)
+    return arduino.encode(chance.choice((
+        arduino.Ticks(number), arduino.SteeringAngle(number * 5), arduino.Voltage(number / 20),
+        arduino.Imu(16384, 0, 0, 0, *[number] * 7), arduino.Log(2, 'motor hot' * (number % 5)))))
+
+
+FAULTS = ('drop=0.01', 'cut=0.03', 'lose=0.03', 'flip=0.03', 'insert=0.03', 'double=0.02')
+PERIODS = {'bus': 0.06, 'arduino': 0.01, 'mcu': 0.05}     # s, from frame to frame
+
+
+def damaged_reads(link, seed, count=150):
+    """Reads of what a board with a bad line sends, at its pace: now and then a frame comes in two
+    reads, or several in one that was late, or nothing for a while."""
+    chance = random.Random(f'{link} {seed}')
+    faults = Faults(parse(FAULTS, Target), seed)
+    reads, waiting, due = [], b'', 0.0
+    for _ in range(count):
+        due += PERIODS[link]
+        at = due + chance.uniform(0.0, 0.0008)
+        waiting += faults.sent(good_frame(link, chance), at).wire
+        what = chance.random()
+        if what < 0.03:
+            continue                    # the next comes with the same read
+        if what < 0.05:
+            due += chance.choice((0.07, 0.5))
+        if what > 0.9 and len(waiting) > 1:
+            size = chance.randrange(1, len(waiting))
+            reads.append(Read(at, False, waiting[:size]))
+            at, waiting = at + 0.001, waiting[size:]
+        if waiting:
+            reads.append(Read(at, False, waiting))
+            waiting = b''
+    return reads
+
+
+def heard(reads, line):
+    """The frames that a link makes of it, and its counts of errors."""
+    seen, errors = told(reads, line)
+    return [each.frame for each in seen], errors
+
+
+def told(reads, line):
+    """The same, with when each was told."""
+    direction = Direction(line, False)
+    seen = []
+
+    def take(frames, now):
+        seen.extend(Seen(line.link, False, frame, now - frame.stamp) for frame in frames)
+
+    for read in reads + [Read(float('inf'), False, b'')]:
+        while direction.due() is not None and direction.due() < read.at:
+            now = direction.due()
+            take(direction.silent_until(now), now)
+        if read.data:
+            take(direction.hear(read.data, read.at), read.at)
+    return seen, dict(direction.decoder.errors)
+
+
+def as_bag(reads, line):
+    """What a bag has of these reads: frames without their messages, and when they were told."""
+    return Recording(0.0, {}, [each._replace(frame=each.frame._replace(message=None))
+                               for each in told(reads, line)[0]])
+
+
+def settings(link):
+    """With everything as the bridge has it by default."""
+    return Settings(link)

@@ -1,0 +1,227 @@
+#!/usr/bin/env python3
+"""Makes the recordings of doc/wire.md anew: python3 test/tools/wire_stories.py [FOLDER].
+
+Simulated boards with faults, a computer's link and `wire tap` or `wire listen` between them, over
+real ttys; it takes ten seconds. The page's words are about the recordings that are kept.
+"""
+import os
+import pty
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import tty
+from contextlib import contextmanager
+
+ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+sys.path.insert(0, ROOT)
+
+from serial_communication.links.arduino import ArduinoLink          # noqa: E402
+from serial_communication.links.bus import BusLink, BusSettings     # noqa: E402
+from serial_communication.transport.port import Port                    # noqa: E402
+from serial_communication.simulation.arduino import ModelCar        # noqa: E402
+from serial_communication.simulation.board import Runner            # noqa: E402
+from serial_communication.simulation.bus import ControlBoard        # noqa: E402
+from serial_communication.simulation.faults import Faults           # noqa: E402
+from serial_communication.simulation.mcu import SensorBoard         # noqa: E402
+
+WIRE = [sys.executable, os.path.join(ROOT, 'scripts', 'wire')]
+SOCAT_PAIR = os.path.join(ROOT, 'scripts', 'socat_pair')
+PATIENCE = 15.0
+
+
+def wait_for(condition, what):
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline, f'waited in vain for {what}'
+        time.sleep(0.01)
+
+
+# -- the stage ------------------------------------------------------------------------------------
+
+class Stage:
+    """A board, a tap and a computer's port in one line."""
+
+    def __init__(self, folder):
+        self.ports = {name: os.path.join(folder, name) for name in (
+            'computer', 'tap_computer', 'tap_board', 'board')}
+        self._programs = [subprocess.Popen([SOCAT_PAIR, self.ports[a], self.ports[b]])
+                          for a, b in (('computer', 'tap_computer'), ('tap_board', 'board'))]
+        wait_for(lambda: all(map(os.path.exists, self.ports.values())), 'the ports')
+
+    @contextmanager
+    def tapped(self, link, path):
+        """`wire tap --raw` at work."""
+        with tempfile.TemporaryFile() as output:
+            program = subprocess.Popen(
+                WIRE + ['tap', link, self.ports['tap_board'], self.ports['tap_computer'], '--raw',
+                        path], stdout=subprocess.DEVNULL, stderr=output)
+            wait_for(lambda: output.seek(0) == 0 and output.read().count(b'open') == 2, 'the tap')
+            try:
+                yield
+            finally:
+                program.terminate()
+                program.wait()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        for program in self._programs:
+            program.kill()
+            program.wait()
+
+
+@contextmanager
+def running(board, port, faults=None):
+    """A simulated board in a thread."""
+    runner = Runner(board, Port(port), faults=faults)
+    thread = threading.Thread(target=runner.run, name='board', daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        runner.stop()
+        thread.join()
+
+
+@contextmanager
+def computer(link):
+    """The bridge's link, started and ended."""
+    link.start()
+    try:
+        wait_for(lambda: link.port.is_open, 'the port')
+        yield link
+    finally:
+        link.stop()
+        link.join()
+
+
+# -- a swapped baud rate --------------------------------------------------------------------------
+
+def heard_at(data, sent_baud, heard_baud):
+    """What a UART at another speed makes of bytes that come back to back."""
+    levels = []                             # of the line, a bit each
+    for byte in data:
+        levels += [0] + [byte >> bit & 1 for bit in range(8)] + [1]
+    levels += [1] * 20
+    step = sent_baud / heard_baud           # sent bits in a heard one
+    heard, at = bytearray(), 0.0
+    while True:
+        while int(at) < len(levels) and levels[int(at)]:
+            at = int(at) + 1                # the line is idle until a start bit
+        if at + 9.5 * step >= len(levels):
+            return bytes(heard)
+        heard.append(sum(levels[int(at + (bit + 1.5) * step)] << bit for bit in range(8)))
+        at += 9.5 * step                    # the middle of the stop bit: ready for the next
+
+
+def baud(folder, path):
+    """A sensor board at 115200 baud, heard at 57600: one second."""
+    (sim, sim_device), (ear, ear_device) = pty.openpty(), pty.openpty()
+    for device in sim_device, ear_device:
+        tty.setraw(device)
+
+    def garble():
+        while True:
+            data = os.read(sim, 4096)
+            if not data:
+                return
+            os.write(ear, heard_at(data, 115200, 57600))
+
+    threading.Thread(target=garble, name='line', daemon=True).start()
+    with running(SensorBoard(seed=1), os.ttyname(sim_device)):
+        subprocess.run(WIRE + ['listen', 'mcu', os.ttyname(ear_device), '--baud', '57600', '--raw',
+                               path, '--duration', '1'], stdout=subprocess.DEVNULL,
+                       stderr=subprocess.DEVNULL, check=True)
+
+
+# -- a board that resets under load ---------------------------------------------------------------
+
+class WeakSupply(Faults):
+    """The battery gives in when the motor is to run fast: the board resets, once."""
+
+    def __init__(self):
+        super().__init__()
+        self.board = ModelCar(seed=2)
+        self._full_since = None
+        self._has_struck = False
+
+    def events(self, now):
+        if self._has_struck or not self.board.motor_on or self.board.command < 800:
+            return []
+        self._full_since = self._full_since or now
+        if now < self._full_since + 0.1:
+            return []
+        self._has_struck = True
+        return [('reset', 0.4)]
+
+
+def reset(folder, path):
+    """A car that is told to go fast; of it 0.9 s around the reset."""
+    whole = os.path.join(folder, 'whole.txt')
+    supply = WeakSupply()
+    with Stage(folder) as stage, stage.tapped('arduino', whole):
+        with running(supply.board, stage.ports['board'], supply), \
+                computer(ArduinoLink(Port(stage.ports['computer']))) as car:
+            for speed, seconds in ((300, 0.4), (900, 1.2)):
+                end = time.monotonic() + seconds
+                while time.monotonic() < end:
+                    car.set_speed(speed)
+                    time.sleep(0.1)
+    cut(whole, path, b'avrboot'.hex(), 0.3, 0.6)
+
+
+def cut(whole, path, where, before, after):
+    """Of a recording what stands around the first line with `where`."""
+    with open(whole, encoding='utf-8') as file:
+        lines = file.readlines()
+    middle = next(float(line.split()[0]) for line in lines if where in line)
+    with open(path, 'w', encoding='utf-8') as file:
+        for line in lines:
+            if line.startswith('#'):
+                if 'open' not in line:
+                    file.write(line)
+            elif middle - before <= float(line.split()[0]) <= middle + after:
+                file.write(line)
+
+
+# -- a reply that comes too late ------------------------------------------------------------------
+
+class SlowOnce(Faults):
+    """One reply is held back for longer than the Master waits: that to the lift."""
+
+    def sent(self, frame, now):
+        fate = super().sent(frame, now)
+        if frame == bytes.fromhex('a50002a7') and not self.counts:
+            self.counts['late'] = 1
+            return fate._replace(delay=0.8)
+        return fate
+
+
+def late(folder, path):
+    """A lift that answers 0.8 s late, where the Master waits for 0.5 s."""
+    settings = BusSettings(motion_timeout=0.5, environment_period=1.0)
+    with Stage(folder) as stage, stage.tapped('bus', path):
+        with running(ControlBoard(lift_speed=1000.0, seed=3), stage.ports['board'], SlowOnce()), \
+                computer(BusLink(Port(stage.ports['computer']), settings)) as bus:
+            bus.echo()
+            bus.lift(0, 40)
+            time.sleep(1.0)
+            bus.lift(0, 40)
+
+
+STORIES = {'baud': baud, 'reset': reset, 'late': late}
+
+
+def main():
+    target = sys.argv[1] if len(sys.argv) > 1 else os.path.join(ROOT, 'doc', 'wire')
+    for name, record in STORIES.items():
+        with tempfile.TemporaryDirectory(prefix='wire') as folder:
+            record(folder, os.path.join(target, name + '.txt'))
+        print(os.path.join(target, name + '.txt'))
+
+
+if __name__ == '__main__':
+    main()
