@@ -79,8 +79,7 @@ class ArduinoLink(Link):
         """PWM of the drive motor, saturated to ±1000; Refused where it cannot be sent now."""
         limit = arduino.SPEED_LIMIT
         if not -limit <= value <= limit:
-            self.log.warn('saturated', 'speed %d is beyond %d either way; sent as that'
-                          % (value, limit))
+            self.log.warn('saturated', f'speed {value} is beyond {limit} either way; sent as that')
             value = limit if value > 0 else -limit
         self.command(arduino.SpeedCommand(value))
 
@@ -172,16 +171,17 @@ class ArduinoLink(Link):
     def _look_for_standstill(self, now: float) -> None:
         stood = self._motor.stood_still(now)
         if stood is not None:
-            self._say_later('standstill', 'the bridge stood still for %.3g s: SPEED 0 goes first, '
-                            'what was commanded meanwhile is dropped' % stood)
+            self._say_later('standstill', f'the bridge stood still for {stood:.3g} s: SPEED 0 goes '
+                            'first, what was commanded meanwhile is dropped')
 
     def _unblock(self) -> None:
         """The port does not flow: drop what waits, or it reaches the board late, commands too."""
         self._motor.doubt()
         self._cut_off = True
         dropped = self.port.discard_output()
-        self._say_later('stalled', 'the port takes no data; %s, the board stops its motor' % (
-            'what waited was dropped' if dropped else 'the connection is broken off'))
+        self._say_later('stalled', 'the port takes no data; ' + (
+            'what waited was dropped' if dropped else 'the connection is broken off')
+                        + ', the board stops its motor')
 
     # -- the heart ------------------------------------------------------------------------
 
@@ -229,8 +229,8 @@ class ArduinoLink(Link):
                 if why:
                     self._send_packet(_SPEED_0, now)
                 if why == TIMED_OUT:
-                    self._say_later('speed timeout', 'no speed command for %g s: SPEED 0 sent'
-                                    % self.settings.speed_timeout)
+                    self._say_later('speed timeout', 'no speed command for '
+                                    f'{self.settings.speed_timeout:g} s: SPEED 0 sent')
                 if beat:
                     self._send_packet(arduino.Heartbeat(), now)
                 return beat
@@ -286,8 +286,8 @@ class ArduinoLink(Link):
         due = self._calibrating_since + self.settings.calibration_timeout
         if now < due:
             return due
-        self._calibrated('no IMU data %g s after the calibration began; taking commands again'
-                         % self.settings.calibration_timeout)
+        self._calibrated(f'no IMU data {self.settings.calibration_timeout:g} s after the '
+                         'calibration began; taking commands again')
         return None
 
     def _end_with_speed_0(self) -> None:
@@ -319,4 +319,4 @@ class ArduinoLink(Link):
 
     def own_values(self) -> List[Tuple[str, Any]]:
         return [('heartbeats sent', self.heartbeats_sent),
-                ('heartbeat max gap [ms]', '%.2f' % (self._heart.max_gap * 1e3))]
+                ('heartbeat max gap [ms]', f'{self._heart.max_gap * 1e3:.2f}')]

@@ -22,7 +22,7 @@ class Heart:
     Args:
         rate: heartbeats a second.
         work: what is to be done; `beat` says that a heartbeat is due. Returns whether one left.
-        on_fault: is told the traceback of what `work` raised; the heart goes on.
+        on_fault: is given the traceback of what `work` raised; the heart goes on.
     """
 
     def __init__(self, name: str, rate: float, work: Callable[[bool], bool],

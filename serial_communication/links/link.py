@@ -55,7 +55,7 @@ class Link:
         self.port = port
         self.decoder = decoder
         self.log = SparingLog(name, logger or logging.getLogger(__name__))
-        self.tap: Optional[Tap] = None     # is told every frame in and out; None: nobody listens
+        self.tap: Optional[Tap] = None     # is given every frame in and out; None: nobody listens
         self.frames_received = 0
         self.frames_sent = 0
         self.reconnects = 0

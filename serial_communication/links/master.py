@@ -15,7 +15,7 @@ time it is, asks `next_request` what to send, and sleeps until `deadline`. The r
 6. Replies carry no number, so one that is late or comes twice could be taken for the next
    request's. Before every move and raw request stands a fence: an ECHO with a fresh nonce has
    returned since the last byte of any other exchange. A line keeps its order, so what was under
-   way came before that echo. Repeatable requests need no fence: at worst they are told what the
+   way came before that echo. Repeatable requests need no fence: at worst they return what the
    board said to the same kind of request shortly before.
    After a SYNC, a timeout, a damaged reply, one of a wrong length or one that nobody asked for,
    the link is out of step: nothing at all goes out before such an ECHO, and whatever comes
@@ -23,7 +23,7 @@ time it is, asks `next_request` what to send, and sleeps until `deadline`. The r
    Where `ECHO_TRIES` ECHOs in a row are not answered, a SYNC and a silence of the reply timeout
    take the place of one. A board that has never echoed gets a silence of `QUIET` as its fence.
 7. An OK with another number of data bytes than its request's, or with values that cannot be, is
-   told as that, at once behind a fence. Without one, what may be repeated is asked once more
+   returned as that, at once behind a fence. Without one, what may be repeated is asked once more
    behind the ECHO.
 """
 import enum
@@ -48,7 +48,7 @@ _UNKNOWN = 'it is not known whether this was executed; look before you repeat it
 
 
 class Outcome(NamedTuple):
-    """What became of a call, as the caller is told it."""
+    """What became of a call, as it is returned to the caller."""
 
     status: int              # the reply's CMD1, NOT_SENT or TIMEOUT
     message: str             # for a person
@@ -209,7 +209,7 @@ class Master:
         self._last_received = now
 
     def disconnected(self, now: float, why: str) -> None:
-        """The port has closed: everybody is told."""
+        """The port has closed: every call returns."""
         self.state = State.CLOSED
         exchange, self._exchange = self._exchange, None
         if exchange is not None and exchange.call:
@@ -575,7 +575,7 @@ class Master:
                 pass
 
     def _abandoned_at(self, call: Call) -> float:
-        """When a call that waits is told that it was not sent, or not sent again."""
+        """When a call that waits returns that it was not sent, or not sent again."""
         if call.invalid_unconfirmed:
             return self._confirmation_limit(call)
         exchange = self._exchange

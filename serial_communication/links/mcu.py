@@ -64,7 +64,7 @@ class McuLink(Link):
             else:
                 self.frames_lost += (frame.command - last.command - 1) % 256
         self._last_at = now
-        if frame.message is None:     # sound, but of a type nobody knows
+        if frame.message is None:     # valid, but of a type nobody knows
             return
         if self.silent:
             self.silent = False
@@ -92,8 +92,8 @@ class McuLink(Link):
         if not self.silent and all(now >= heard.at + self._timeout
                                    for heard in self._heard.values()):
             self.silent = True
-            self.log.warn('silent', 'no valid frame for %g s; the status says so until '
-                          'the board talks again' % self._timeout)
+            self.log.warn('silent', f'no valid frame for {self._timeout:g} s; the status says so '
+                          'until the board talks again')
 
     def condition(self, now: float) -> Tuple[int, str]:
         if not self.port.is_open:

@@ -37,7 +37,7 @@ class SparingLog:
         held_back = int(last[1]) if last else 0
         self._causes[cause] = [now, 0]
         if held_back:
-            text += ' (and %d more like it)' % held_back
+            text += f' (and {held_back} more like it)'
         try:
             self._logger.log(level, '%s: %s', self._link, text)
         except Exception:  # pylint: disable=broad-except

@@ -30,7 +30,7 @@ class FrameTimer:
         self._front = None
 
     def bytes_came(self, last_byte: float, now: float) -> None:
-        """To be told before they are fed: noise behind a silence is a damage of its own."""
+        """To be called before they are fed: noise behind a silence is a damage of its own."""
         if now >= last_byte + self._timeout:
             self._decoder.silence()
 

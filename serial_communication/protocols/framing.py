@@ -14,7 +14,7 @@ from typing import Any, Deque, Dict, List, NamedTuple, Protocol, Tuple
 CHECKSUM = 'checksum'        # a whole frame whose checksum does not match
 FRAMING = 'framing'          # bytes that are no frame: noise, a false length, a frame cut short
 LENGTH = 'length'            # a known type with a length that is not its own
-UNKNOWN = 'unknown type'     # a valid frame of a type nobody told us of
+UNKNOWN = 'unknown type'     # a valid frame of a type that is not known here
 IMPLAUSIBLE = 'implausible'  # a valid packet whose values cannot be
 OVERSIZE = 'oversize'        # a packet longer than any packet may be
 

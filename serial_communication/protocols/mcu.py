@@ -162,7 +162,7 @@ class Decoder(StreamDecoder):
         end = at + size
         if buffer[end - 1] != ETX:
             return Bad(size, FRAMING, 'ETX')
-        if self.xor(at + 2, end - 1):    # of TYPE … CRC: 0 in a sound frame
+        if self.xor(at + 2, end - 1):    # of TYPE … CRC: 0 in a valid frame
             return Bad(size, CHECKSUM, 'CRC does not match')
         data = buffer[at + 4:end - 2]
         seq, kind = buffer[at + 3], self._messages.get(type_)

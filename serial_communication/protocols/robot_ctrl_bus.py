@@ -258,7 +258,7 @@ class _Decoder(StreamDecoder):
         return [Part(0, len(data), 'DATE', data)] if data else []
 
     def _short_end(self, frame: bytes) -> int:
-        """The size of a sound frame at the start that is shorter than its Datelen says, or 0."""
+        """The size of a valid frame at the start that is shorter than its Datelen says, or 0."""
         return 0
 
     def explain(self, frame: bytes, request: Optional[Request] = None) -> List[Part]:

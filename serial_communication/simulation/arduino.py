@@ -99,10 +99,10 @@ class ModelCar(Board):
         self._servo_target = float(SERVO_CENTRE)
         self._now = 0.0            # up to when the motion is worked out
         self._acceleration = 0.0   # m/s², along the car
-        self._counted = 0          # ticks told so far
+        self._counted = 0          # ticks sent so far
         self._charge = BATTERY
         self._volts: Deque[float] = deque(maxlen=300)   # of the last 3 s
-        self._random = Random('%d car' % seed)
+        self._random = Random(f'{seed} car')
         self._beat = Every(BEAT, 0.0)
         self._second = Every(1.0, 0.0)
 
@@ -185,33 +185,33 @@ class ModelCar(Board):
         if value == 0:
             self._motor_off('SPEED 0')
         elif self._heartbeat is None or now >= self._heartbeat + HEARTBEAT_TIMEOUT:
-            self.note('motor', on=False, speed=0, why='SPEED %d without a heartbeat' % value)
+            self.note('motor', on=False, speed=0, why=f'SPEED {value} without a heartbeat')
         else:
             if not self.motor_on or self.command * value < 0:
-                self.say('motor on: speed %d' % value)
+                self.say(f'motor on: speed {value}')
             self.motor_on = True
             self.command = value
-            self.note('motor', on=True, speed=value, why='SPEED %d' % value)
+            self.note('motor', on=True, speed=value, why=f'SPEED {value}')
 
     def _motor_off(self, why: str) -> None:
         if self.motor_on:
             self.motor_on = False
             self.command = 0
             self.note('motor', on=False, speed=0, why=why)
-            self.say('motor stopped: %s' % why)
+            self.say(f'motor stopped: {why}')
 
     def _set_led(self, text: str) -> None:
         if text not in _LEDS:
             self._log(_WARN, 'unknown LED command')
-            self.say('LED %r: there is no such' % text)
+            self.say(f'LED {text!r}: there is no such')
         elif text != self.led:
             self.led = text
-            self.say('LED: %s' % text)
+            self.say(f'LED: {text}')
 
     def _calibrate(self, now: float) -> None:
         self._motor_off('calibration')
         self._log(_INFO, 'IMU calibration: do not move the car')
-        self.say('IMU calibration: deaf for %g s' % self._calibration_time)
+        self.say(f'IMU calibration: deaf for {self._calibration_time:g} s')
         self.note('calibrate', on=True)
         self.calibrating = True
         self._calibrated_at = now + self._calibration_time
@@ -221,7 +221,7 @@ class ModelCar(Board):
         self.calibrating = False
         self.yaw = 0.0
         self.note('calibrate', on=False, kept=kept.hex())
-        self.say('IMU calibrated; %d bytes that came meanwhile are read now' % len(kept))
+        self.say(f'IMU calibrated; {len(kept)} bytes that came meanwhile are read now')
         self._log(_INFO, 'IMU calibrated, IMU ready')
         if kept:
             super().receive(kept, now)

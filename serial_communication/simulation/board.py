@@ -97,7 +97,7 @@ class Board:
         return None
 
     def fields(self, frame: bytes, message: Any) -> dict:
-        """What the journal is told of a frame that is sent."""
+        """What the journal says of a frame that is sent."""
         raise NotImplementedError
 
     # -- for subclasses ---------------------------------------------------------------------
@@ -152,12 +152,12 @@ class Runner:
             except PortError as error:
                 if str(error) != trouble:
                     trouble = str(error)
-                    self._say('%s: %s' % (self.port.url, trouble))
+                    self._say(f'{self.port.url}: {trouble}')
                 self._wait(pause, powered)
                 pause = min(pause * 2, _BACK_OFF[1])
                 continue
             pause, trouble = _BACK_OFF[0], ''
-            self._say('%s: open' % self.port.url)
+            self._say(f'{self.port.url}: open')
             self.line.opened(time.monotonic())
             if not powered:     # by its own USB plug, as it were
                 self.line.start(time.monotonic())
@@ -166,7 +166,7 @@ class Runner:
                 self._serve()
             except PortError as error:
                 trouble = str(error)
-                self._say('%s: %s; opening it again when it returns' % (self.port.url, trouble))
+                self._say(f'{self.port.url}: {trouble}; opening it again when it returns')
             self.port.close()
             self.line.closed(time.monotonic())
 

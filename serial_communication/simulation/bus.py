@@ -1,14 +1,14 @@
 """The simulated main control board: lift, gimbal and air, Slave on a robot-ctrl-bus.
 
-It answers every sound request once, in order, and does nothing unasked. While a motion lasts it
+It answers every valid request once, in order, and does nothing unasked. While a motion lasts it
 takes requests in and answers them afterwards, as a board with one loop does.
 
 What it says to a request that is damaged is a matter of safety: INVALID tells the Master that
 nothing was executed, so it sends the request again. Noise can look like a damaged frame and have
-a sound request right behind it; to answer INVALID and then execute that would move a lift twice.
+a valid request right behind it; to answer INVALID and then execute that would move a lift twice.
 So INVALID goes out only for what has a frame's form and a wrong checksum, and only when the line
-then stayed quiet for `FRAME_TIMEOUT` without a sound request; noise and frames cut short get no
-answer, nor does what trails a sound request: the Master's timeout deals with them.
+then stayed quiet for `FRAME_TIMEOUT` without a valid request; noise and frames cut short get no
+answer, nor does what trails a valid request: the Master's timeout deals with them.
 
     function     range                       speed                     refused with
     lift         0 … 1000 mm, starts at 500  100 mm/s                  0x8002 beyond the range
@@ -38,7 +38,7 @@ TILT_RANGE = (-45, 90)
 LIFT_SPEED = 100.0       # mm/s
 GIMBAL_SPEED = 90.0      # degrees/s
 
-_QUOTED = 64             # bytes that the journal has of what is no sound request
+_QUOTED = 64             # bytes that the journal has of what is no valid request
 _MOST_QUEUED = 16        # requests that wait while a motion lasts; more are lost
 
 
@@ -134,17 +134,17 @@ class ControlBoard(Board):
         self.tilt = Axis(0, TILT_RANGE, gimbal_speed)
         self.memory = b''
         self.synchronised = False
-        self.requests = 0       # sound and damaged ones
+        self.requests = 0       # valid and damaged ones
         self.executed = 0
         self._max_length = max_length
         self._reply_has_cmd2 = reply_has_cmd2
         self._echoes = echoes
         self._ok_data = ok_data
-        self._random = Random('%d air' % seed)
+        self._random = Random(f'{seed} air')
         self._motion: Optional[_Motion] = None
         self._queue: Deque[Tuple[int, Frame]] = deque()
         self._complaint = 0     # the damaged request that INVALID is to be said to; 0: none
-        self._sound = False     # a sound request came with, or just before, these bytes
+        self._valid = False     # a valid request came with, or just before, these bytes
 
     # -- hooks ----------------------------------------------------------------------------
 
@@ -155,7 +155,7 @@ class ControlBoard(Board):
         self._motion = None
         self._queue.clear()
         self._complaint = 0
-        self._sound = False
+        self._valid = False
 
     def power_off(self, now: float) -> None:
         for axis in (self.lift, self.pan, self.tilt):
@@ -163,7 +163,7 @@ class ControlBoard(Board):
 
     def receive(self, data: bytes, now: float) -> None:
         if not self.decoder.pending:
-            self._sound = False    # what comes from now on has nothing to do with what was
+            self._valid = False    # what comes from now on has nothing to do with what was
         super().receive(data, now)
 
     def frame(self, frame: Frame, now: float) -> None:
@@ -172,10 +172,10 @@ class ControlBoard(Board):
         if frame.cause:
             self.note('request', k=number, raw=frame.raw[:_QUOTED].hex(), sound=False,
                       cause=frame.cause, error=frame.error)
-            if frame.cause == CHECKSUM and not self._sound and not self._motion:
+            if frame.cause == CHECKSUM and not self._valid and not self._motion:
                 self._complaint = number
             return
-        self._sound = True
+        self._valid = True
         self._complaint = 0
         self.note('request', k=number, raw=frame.raw.hex(), sound=True,
                   text=f'{frame.message}', **self._genuine(frame))
@@ -266,8 +266,8 @@ class ControlBoard(Board):
             return _error(bus.OPERATION_FAILED)
         start = axis.at(now)
         self._motion = _Motion(axis.move(way, now), number, request)
-        self.say('%s: %s %d%s: %g -> %g%s' % (name, directions[direction], amount, unit,
-                                              round(start, 1), round(start + way, 1), unit))
+        self.say(f'{name}: {directions[direction]} {amount}{unit}: {round(start, 1):g} -> '
+                 f'{round(start + way, 1):g}{unit}')
         return None
 
     def _own_function(self, own: OwnFunction, request: bus.Request, now: float) -> bus.Reply:

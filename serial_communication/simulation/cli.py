@@ -41,7 +41,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
     try:
         journal = Journal(options.journal) if options.journal else None
     except OSError as error:
-        print('journal %s: %s' % (options.journal, error.strerror), file=sys.stderr)
+        print(f'journal {options.journal}: {error.strerror}', file=sys.stderr)
         return 1
     # Threads inherit the mask, so that only sigwait below takes these signals.
     signal.pthread_sigmask(signal.SIG_BLOCK, _STOPS)
@@ -52,8 +52,8 @@ def main(arguments: Optional[List[str]] = None) -> int:
                     baud=options.baud if options.baud_pace else 0)
     rates = {name: str(rate) for name, rate in options.rates.items()}
     if rates:
-        say('seed %d, faults %s' % (options.seed, ' '.join('%s=%s' % pair
-                                                           for pair in rates.items())))
+        say(f'seed {options.seed}, faults '
+            + ' '.join(f'{name}={rate}' for name, rate in rates.items()))
     if journal:
         journal.write(time.monotonic(), 'start', {
             'board': options.board, 'port': options.port, 'pid': os.getpid(),
@@ -74,8 +74,8 @@ def main(arguments: Optional[List[str]] = None) -> int:
         if journal.trouble:
             say(journal.trouble)
     if rates:
-        say('%d frames; faults: %s' % (runner.line.frames, ', '.join(
-            '%s %d' % pair for pair in sabotage.counts.items()) or 'none'))
+        counts = ', '.join(f'{name} {count}' for name, count in sabotage.counts.items())
+        say(f'{runner.line.frames} frames; faults: {counts or "none"}')
     say.end()
     return status[0] if status else 0
 
@@ -104,10 +104,10 @@ class _Voice:
         if len(text) > _LONGEST:
             text = text[:_LONGEST] + ' …'
         if self._left_out:
-            text += ' (%d more left out before this)' % self._left_out
+            text += f' ({self._left_out} more left out before this)'
             self._left_out = 0
         try:
-            print('%s: %s' % (self._name, text), flush=True)
+            print(f'{self._name}: {text}', flush=True)
         except (OSError, ValueError):
             pass
 
@@ -186,11 +186,11 @@ def _fault_help(board: Type[Board]) -> str:
              'silence=2/min:0.5-2']
     for name, kind in faults.KINDS.items():
         if faults.fits(name, board):
-            lasts = ' (%g-%g s)' % kind.seconds if kind.seconds else ''
-            lines.append('  %-10s %s%s' % (name, kind.text, lasts))
+            lasts = ' ({:g}-{:g} s)'.format(*kind.seconds) if kind.seconds else ''
+            lines.append(f'  {name:10} {kind.text}{lasts}')
     mix = board.FAULTS.split()
-    lines.append('  %-10s %s' % ('all', ' '.join(mix[:6])))
-    lines += ['  %-10s %s' % ('', ' '.join(mix[at:at + 6])) for at in range(6, len(mix), 6)]
+    lines.append(f'  {"all":10} {" ".join(mix[:6])}')
+    lines += [' ' * 13 + ' '.join(mix[at:at + 6]) for at in range(6, len(mix), 6)]
     return '\n'.join(lines)
 
 
@@ -198,7 +198,7 @@ def _port(text: str) -> str:
     try:
         check_url(text)
     except ValueError as error:
-        raise argparse.ArgumentTypeError('%s: %s' % (text, error)) from None
+        raise argparse.ArgumentTypeError(f'{text}: {error}') from None
     if not text:
         raise argparse.ArgumentTypeError('is empty')
     return text

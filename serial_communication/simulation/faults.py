@@ -54,10 +54,10 @@ class Rate(NamedTuple):
     seconds: Tuple[float, float]
 
     def __str__(self) -> str:
-        often = '%g/min' % self.per_minute if self.per_minute else '%g' % self.probability
+        often = f'{self.per_minute:g}/min' if self.per_minute else f'{self.probability:g}'
         if self.seconds == (0.0, 0.0):
             return often
-        return '%s:%g-%g' % ((often,) + self.seconds)
+        return '{}:{:g}-{:g}'.format(often, *self.seconds)
 
 
 class Target(Protocol):
@@ -112,27 +112,27 @@ def fits(name: str, board: Target) -> bool:
 def _parse_one(text: str, board: Target) -> Tuple[str, Rate]:
     match = _RATE.match(text)
     if not match:
-        raise ValueError('fault %r is not "all" or KIND=RATE[:SECONDS], as flip=0.01 or '
-                         'silence=2/min:0.5-2' % text)
+        raise ValueError(f'fault {text!r} is not "all" or KIND=RATE[:SECONDS], as flip=0.01 or '
+                         'silence=2/min:0.5-2')
     name, number, per_minute, low, high = match.groups()
     kind = KINDS.get(name)
     if kind is None:
-        raise ValueError('there is no fault %r, only %s' % (name, ', '.join(KINDS)))
+        raise ValueError(f'there is no fault {name!r}, only {", ".join(KINDS)}')
     if not fits(name, board):
         raise ValueError(f'fault {name!r}: the {board.NAME} board reads nothing anyway')
     amount = float(number)
     if kind.where == EVENT and not per_minute and amount:
-        raise ValueError('fault %r comes by the minute: write %s=%s/min' % (name, name, number))
+        raise ValueError(f'fault {name!r} comes by the minute: write {name}={number}/min')
     if not per_minute and amount > 1:
-        raise ValueError('fault %r: a probability is 0 to 1, or write %s=%s/min'
-                         % (name, name, number))
+        raise ValueError(f'fault {name!r}: a probability is 0 to 1, or write '
+                         f'{name}={number}/min')
     if low and kind.seconds is None:
-        raise ValueError('fault %r lasts no time: leave the seconds out' % name)
+        raise ValueError(f'fault {name!r} lasts no time: leave the seconds out')
     seconds = kind.seconds or (0.0, 0.0)
     if low:
         seconds = (float(low), float(high or low))
         if seconds[1] < seconds[0]:
-            raise ValueError('fault %r: %s-%s is no range' % (name, low, high))
+            raise ValueError(f'fault {name!r}: {low}-{high} is no range')
     return name, Rate(0.0 if per_minute else amount, amount if per_minute else 0.0, seconds)
 
 
@@ -142,9 +142,9 @@ class _Trigger:
     def __init__(self, name: str, rate: Rate, seed: int) -> None:
         self.name = name
         self.rate = rate
-        self.details = Random('%d %s details' % (seed, name))
+        self.details = Random(f'{seed} {name} details')
         self.due: Optional[float] = None     # of the next event, where it comes by the minute
-        self._random = Random('%d %s' % (seed, name))
+        self._random = Random(f'{seed} {name}')
 
     def start(self, now: float) -> None:
         """The minutes count from here."""

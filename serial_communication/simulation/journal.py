@@ -102,8 +102,8 @@ class Journal:
             while data and self._fd >= 0:
                 data = data[os.write(self._fd, data):]
         except OSError as error:
-            self.trouble = 'journal %s: %s; no more of it is written' % (
-                self.path, error.strerror)
+            self.trouble = (f'journal {self.path}: {error.strerror}; '
+                            'no more of it is written')
             self._close()
 
     def close(self) -> None:

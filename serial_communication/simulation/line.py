@@ -172,12 +172,12 @@ class Line:
         self.note('fault', kind=kind, seconds=round(seconds, 3))
         if kind == 'silence':
             self._silent_until = max(self._silent_until, now + seconds)
-            self.say('fault: silent for %.1f s' % seconds)
+            self.say(f'fault: silent for {seconds:.1f} s')
         elif kind == 'stall':
             self._stalled_until = max(self._stalled_until, now + seconds)
-            self.say('fault: reads nothing for %.1f s' % seconds)
+            self.say(f'fault: reads nothing for {seconds:.1f} s')
         else:
-            self.say('fault: reset, up again in %.1f s' % seconds)
+            self.say(f'fault: reset, up again in {seconds:.1f} s')
             if self._up_at is None:
                 self.board.power_off(now)
             self._up_at = now + seconds

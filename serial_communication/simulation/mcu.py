@@ -63,7 +63,7 @@ class SensorBoard(Board):
         self.seq = 0        # of the next frame
         self._adc = adc
         self._period = 1 / rate
-        self._random = Random('%d sensors' % seed)
+        self._random = Random(f'{seed} sensors')
         self._beat = Every(self._period, 0.0)
         self._on_since = 0.0
         self._own = Player(own)
