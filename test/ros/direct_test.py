@@ -80,6 +80,7 @@ class SlowSubscriber(unittest.TestCase):
     def test_what_it_has_not_read_is_complete_and_in_order_and_holds_up_nobody(self):
         self.begin(queue_size=0)
         other, sent = self.listen(), []
+        until(lambda: self.publisher.get_num_connections() == 2, 'both are connected')
 
         def publish():
             sent.append(str(len(sent)) * 3001)
