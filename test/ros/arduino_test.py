@@ -1,4 +1,4 @@
-#!/usr/bin/env python3
+#!/usr/bin/python3
 """The arduino link: measurements with their exact values, commands with their exact bytes, the
 heartbeat, the speed timeout, the calibration and the board's log lines."""
 import unittest

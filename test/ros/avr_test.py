@@ -1,4 +1,4 @@
-#!/usr/bin/env python3
+#!/usr/bin/python3
 """The bridge and real firmware: boards that are emulated microcontrollers, end to end.
 
 What a command does is looked up in the emulated world (registers, pins, steps), and what the

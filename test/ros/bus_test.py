@@ -1,4 +1,4 @@
-#!/usr/bin/env python3
+#!/usr/bin/python3
 """The bus link: every service, the exact bytes, and what the caller is told."""
 import re
 import time

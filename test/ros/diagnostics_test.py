@@ -1,4 +1,4 @@
-#!/usr/bin/env python3
+#!/usr/bin/python3
 """/diagnostics: the names, the keys, and a level that follows what happens on the line."""
 import unittest
 

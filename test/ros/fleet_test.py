@@ -1,4 +1,4 @@
-#!/usr/bin/env python3
+#!/usr/bin/python3
 """Several robots under one master: no bridge sees, says or moves anything of another."""
 import os
 import shutil

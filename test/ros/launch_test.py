@@ -1,4 +1,4 @@
-#!/usr/bin/env python3
+#!/usr/bin/python3
 """bridge.launch: with ports on the command line, and with simulated boards."""
 import os
 import shutil

@@ -1,4 +1,4 @@
-#!/usr/bin/env python3
+#!/usr/bin/python3
 """A master that goes, is replaced by a new one, or hangs, under a bridge that runs."""
 import os
 import shutil

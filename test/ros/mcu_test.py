@@ -1,4 +1,4 @@
-#!/usr/bin/env python3
+#!/usr/bin/python3
 """The mcu link: each frame's topics with their exact values, and what is said of a silence."""
 import unittest
 from math import inf, isinf, isnan, pi, sqrt

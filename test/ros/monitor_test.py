@@ -1,4 +1,4 @@
-#!/usr/bin/env python3
+#!/usr/bin/python3
 """monitor: what it says of a bridge that works, that does not, that goes and comes back."""
 import os
 import re

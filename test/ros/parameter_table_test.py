@@ -1,4 +1,4 @@
-#!/usr/bin/env python3
+#!/usr/bin/python3
 """config/bridge.yaml and the table of parameters are one. Needs no ROS master: run it alone, or
 with unittest or pytest."""
 import os

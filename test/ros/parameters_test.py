@@ -1,4 +1,4 @@
-#!/usr/bin/env python3
+#!/usr/bin/python3
 """Parameters: a wrong one ends the node with one line; every link can be used without the
 others."""
 import re

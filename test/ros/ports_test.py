@@ -1,4 +1,4 @@
-#!/usr/bin/env python3
+#!/usr/bin/python3
 """Ports that are absent, no ports at all, vanish, return elsewhere, or carry noise: the node
 lives, data flows again, and nothing old is sent."""
 import os

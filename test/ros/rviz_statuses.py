@@ -1,4 +1,4 @@
-#!/usr/bin/env python3
+#!/usr/bin/python3
 """Shows an rviz configuration and prints what each display says of itself, until all is well.
 
 usage: rviz_statuses.py CONFIG SECONDS. A line for each display and each of its statuses; the exit

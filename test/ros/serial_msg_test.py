@@ -1,4 +1,4 @@
-#!/usr/bin/env python3
+#!/usr/bin/python3
 """serial_msg: every frame of every link, in and out, good and bad."""
 import unittest
 

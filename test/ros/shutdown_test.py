@@ -1,4 +1,4 @@
-#!/usr/bin/env python3
+#!/usr/bin/python3
 """However the bridge is ended, SPEED 0 is its last packet and it is gone within 2 s."""
 import os
 import shutil

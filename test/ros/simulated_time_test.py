@@ -1,4 +1,4 @@
-#!/usr/bin/env python3
+#!/usr/bin/python3
 """With simulated time that never begins, everything that counts seconds counts them still."""
 import unittest
 

@@ -1,4 +1,4 @@
-#!/usr/bin/env python3
+#!/usr/bin/python3
 """tf: where the sensors stand, and with publish_tf how they are turned."""
 import unittest
 from math import sqrt

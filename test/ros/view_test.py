@@ -1,4 +1,4 @@
-#!/usr/bin/env python3
+#!/usr/bin/python3
 """view.launch: rviz starts with the configuration, and no display of it has an error."""
 import os
 import shutil

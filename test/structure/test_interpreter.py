@@ -1,0 +1,43 @@
+"""Programs run by ROS's own Python, whichever python3 comes first on the PATH.
+
+Debian's rosrun runs the files of a checkout themselves: another Python (of pyenv, conda or a
+virtual environment) has neither rospy nor pyserial.
+"""
+import os
+import subprocess
+
+import pytest
+from sources import ROOT, name, python_programs
+
+_HIT = 'the wrong python3 was asked'
+
+
+def _python_executables():
+    """Every file with the right to be run whose first line names a Python."""
+    tests = [path for path in sorted((ROOT / 'test').rglob('*.py')) if os.access(path, os.X_OK)]
+    return python_programs() + tests
+
+
+@pytest.mark.parametrize('path', _python_executables(), ids=name)
+def test_the_first_line_names_the_systems_python(path):
+    assert path.read_text().split('\n', 1)[0] == '#!/usr/bin/python3'
+
+
+def test_there_are_such_programs():
+    names = [path.name for path in _python_executables()]
+    assert {'serial_communication_node', 'simulator', 'soak', 'bench', 'monitor',
+            'bus_test.py'} <= set(names)
+
+
+@pytest.mark.parametrize('path', python_programs(), ids=name)
+def test_another_python3_first_on_the_path_is_not_asked(path, tmp_path):
+    fake = tmp_path / 'python3'
+    fake.write_text(f'#!/bin/sh\necho "{_HIT}"\nexit 9\n')
+    fake.chmod(0o755)
+    done = subprocess.run(
+        [str(path), '--help'], universal_newlines=True, timeout=60, stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        env={**os.environ, 'PATH': f'{tmp_path}:{os.environ["PATH"]}'})
+    assert _HIT not in done.stdout
+    assert done.returncode == 0, done.stdout
+    assert 'usage:' in done.stdout
