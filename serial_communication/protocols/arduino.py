@@ -53,8 +53,12 @@ class Log(NamedTuple):
         return cls.LAYOUT.parts(data)
 
     def implausible(self) -> str:
-        """Why it cannot be: there is no such text."""
-        return ''
+        """Why it cannot be, or '': a damaged packet may begin with 0 … 3, too, but hardly says
+        anything that can be read."""
+        unreadable = self.text.count('\N{REPLACEMENT CHARACTER}')
+        if 2 * unreadable <= len(self.text):
+            return ''
+        return f'{unreadable} of {len(self.text)} characters cannot be read'
 
     @property
     def TYPE(self) -> int:  # noqa: N802 - the type is the severity
@@ -324,8 +328,8 @@ class _Decoder:
             return self._bad(raw, UNKNOWN, f'message type {type_} is not known here', stamp,
                              type_, data)
         if not kind.LAYOUT.fits(len(data)):
-            return self._bad(raw, LENGTH, f'{kind.LABEL} has {kind.LAYOUT.sizes()} bytes of '
-                             f'data, not {len(data)}', stamp, type_, data)
+            return self._bad(raw, LENGTH, f'{kind.LABEL} packet with {len(data)} bytes of data '
+                             f'where {kind.LAYOUT.sizes()} is right', stamp, type_, data)
         message = kind.unpack(data) if kind is not Log else Log.unpack(type_, data)
         reason = self._check and message.implausible()
         if reason:

@@ -169,8 +169,8 @@ class Decoder(StreamDecoder):
         if kind is None:
             return Good(size, type_, seq, data, None)
         if not kind.LAYOUT.fits(len(data)):
-            return Good(size, type_, seq, data, None, LENGTH, f'{kind.LABEL} has '
-                        f'{kind.LAYOUT.sizes()} bytes of data, not {len(data)}')
+            return Good(size, type_, seq, data, None, LENGTH, f'{kind.LABEL} frame with '
+                        f'{len(data)} bytes of data where {kind.LAYOUT.sizes()} is right')
         message = kind.unpack(data)
         reason = message.implausible()
         if reason:

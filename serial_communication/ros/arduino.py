@@ -33,7 +33,8 @@ class ArduinoInterface(Interface):
         'port': PORT,
         'baud': BAUD,
         'reset_on_open': Parameter(False),
-        'heartbeat_rate': Parameter(100.0, 1.0, 1000.0, unit='Hz'),
+        # The board stops its motor after 30 ms without one.
+        'heartbeat_rate': Parameter(100.0, 34.0, 1000.0, unit='Hz'),
         'speed_timeout': seconds(0.5, 0.0, 3600.0),
         'network_silence': seconds(1.0, 0.0, 3600.0),
         'calibration_timeout': seconds(900.0, 1.0, 86400.0),

@@ -9,8 +9,10 @@ closes is dropped, not delivered later.
 """
 import errno
 import fcntl
+import grp
 import io
 import os
+import pwd
 import re
 import select
 import socket
@@ -109,8 +111,10 @@ class Port:
         Raises:
             PortError: it cannot be opened now.
         """
+        path = ''
         try:
             opened = serial.serial_for_url(self.url, do_not_open=True)
+            path = opened.port or ''
             opened.baudrate = self.baud
             opened.timeout = _SLICE
             if not self.url.startswith('rfc2217:'):     # which has none
@@ -119,7 +123,7 @@ class Port:
                 opened.exclusive = True
             opened.open()
         except (OSError, ValueError, termios.error) as error:
-            raise PortError(_explain(error)) from None
+            raise PortError(_explain(error, path)) from None
         try:
             fd = opened.fileno()
         except (io.UnsupportedOperation, AttributeError):
@@ -376,8 +380,6 @@ _HINTS = {
     errno.ENXIO: 'there is no such device; waiting for it',
     errno.ENODEV: 'the device has gone',
     errno.EIO: 'the device has gone',
-    errno.EACCES: 'permission denied; join the group that owns it '
-                  '(sudo usermod -a -G dialout $USER) and log in again',
     errno.EPERM: 'permission denied',
     errno.EBUSY: 'another program has it open',
     errno.EAGAIN: 'another program has it open',
@@ -407,8 +409,26 @@ _TEXTS = (
 )
 
 
-def _explain(error: BaseException) -> str:
-    """What is wrong, for a person, and what to do where that is known."""
+def _who_may_open(path: str) -> str:
+    """What somebody needs who may not open this device."""
+    try:
+        status = os.stat(path)
+        group, owner = grp.getgrgid(status.st_gid).gr_name, pwd.getpwuid(status.st_uid).pw_name
+    except (OSError, KeyError):     # a folder above it is closed, or nobody has that number
+        return 'permission denied'
+    if status.st_mode & 0o060 == 0o060 and group != 'root':
+        return ('permission denied; join the group that owns it '
+                f'(sudo usermod -a -G {group} $USER) and log in again')
+    return (f'permission denied; only {owner} may open it: a udev rule can give it to a group, '
+            'as in config/99-serial_communication.rules')
+
+
+def _explain(error: BaseException, path: str = '') -> str:
+    """What is wrong, for a person, and what to do where that is known.
+
+    Args:
+        path: of the device, if it is one.
+    """
     if isinstance(error, (AttributeError, TypeError)):
         return 'the connection has gone'     # closed while it was read
     cause: Optional[BaseException] = error
@@ -416,7 +436,8 @@ def _explain(error: BaseException) -> str:
         if isinstance(cause, socket.gaierror):
             return 'no host of that name is known'
         if isinstance(cause, (OSError, termios.error)) and cause.args:
-            hint = _HINTS.get(cause.args[0])
+            hint = _who_may_open(path) if cause.args[0] == errno.EACCES \
+                else _HINTS.get(cause.args[0])
             if hint:
                 return hint
         cause = cause.__context__

@@ -1,6 +1,8 @@
 """The port, over real ttys, sockets and the kinds that have no descriptor."""
 import ctypes
+import getpass
 import os
+import shutil
 import socket
 import struct
 import subprocess
@@ -160,19 +162,29 @@ def test_what_cannot_be_opened_says_why(tmp_path):
     assert refusal('hwgrep://no-such-device-is-here')
 
 
-def test_a_port_without_permission_names_the_group_to_join(tmp_path, line):
+@pytest.mark.parametrize('mode, group, words', [
+    (0o660, 'dialout', 'join the group that owns it (sudo usermod -a -G dialout $USER)'),
+    (0o660, 'uucp', 'join the group that owns it (sudo usermod -a -G uucp $USER)'),
+    (0o600, 'dialout', 'only root may open it'), (0o660, 'root', 'only root may open it')])
+def test_a_port_without_permission_says_who_has_it(tmp_path, line, mode, group, words):
     target = os.path.realpath(line.path)
-    os.chmod(target, 0)
     os.chmod(str(tmp_path), 0o755)
     root = os.geteuid() == 0
     if root:
+        shutil.chown(target, 'root', group)
+    else:
+        mode, words = 0, f'only {getpass.getuser()} may open it'
+    os.chmod(target, mode)
+    if root:
+        os.setegid(65534)
         os.seteuid(65534)
     try:
         said = refusal(target)
     finally:
         if root:
             os.seteuid(0)
-    assert 'permission denied' in said and 'dialout' in said
+            os.setegid(0)
+    assert said.startswith('permission denied; ' + words)
 
 
 def test_a_port_is_opened_exclusively(port, line):

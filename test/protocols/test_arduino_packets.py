@@ -278,3 +278,22 @@ def test_a_packet_cut_short_has_the_stamp_of_the_read_that_brought_its_last_byte
     decoder.feed(b'\x03', 'first')
     decoder.feed(b'\x08', 'second')
     assert [frame.stamp for frame in decoder.give_up()] == ['second']
+
+
+@pytest.mark.parametrize('text, taken', [
+    (b'', True), (b'ready', True), ('Lenkung über 90°'.encode(), True), (b'a\x01', True),
+    (b'100% \xb0C', True),      # one character of another encoding
+    (b'\x8f', False), (b'a\x01\x02', False), (b'\x12\xfe\x90Q\x07\xb3\xc1', False)])
+def test_what_looks_like_a_log_line_but_can_hardly_be_read_is_implausible(text, taken):
+    for severity in arduino.Log.TYPES:
+        decoder = arduino.Decoder()
+        frame, = decoder.feed(wire_of(severity, text + b'\0'))
+        assert (frame.cause == '') == taken, frame.error
+        assert decoder.errors[IMPLAUSIBLE] == (not taken)
+        frame, = arduino.Decoder(check_plausibility=False).feed(wire_of(severity, text + b'\0'))
+        assert isinstance(frame.message, arduino.Log)
+
+
+def test_a_wrong_length_is_told_with_the_right_one():
+    frame, = arduino.Decoder().feed(wire_of(arduino.Ticks.TYPE, bytes(22)))
+    assert frame.error == 'ticks packet with 22 bytes of data where 1 is right'

@@ -297,12 +297,12 @@ class Tuned(ArduinoTest):
             doing=lambda: self.board.say(arduino.Voltage(250.0))).value, 250.0)
 
     def test_the_heartbeat_has_the_rate_given(self):
-        self.board.wait_for_heartbeat_rate(10, 35, number=40)
+        self.board.wait_for_heartbeat_rate(10, 50, number=40)
 
     def test_a_speed_timeout_of_0_never_stops_the_motor(self):
         self.speed.publish(value=300)
         self.sent(1)
-        self.board.wait_for_heartbeats(25)      # a second
+        self.board.wait_for_heartbeats(40)      # a second
         self.assertEqual(self.board.speeds, [300])
         self.speed.publish(value=0)
         self.sent(2)

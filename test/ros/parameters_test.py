@@ -28,7 +28,7 @@ WRONG = (
     ('bus/baud', 49, 'a whole number from 50 to 4000000 (baud)'),
     ('bus/reply_timeout', float('nan'), 'a number from 0.01 to 60 (s)'),
     ('bus/environment_datelen', 1, '0 or 2'),
-    ('arduino/heartbeat_rate', 0, 'a number from 1 to 1000 (Hz)'),
+    ('arduino/heartbeat_rate', 33.9, 'a number from 34 to 1000 (Hz)'),
     ('arduino/imu_mount', [0, 0, 0], 'a list of 6 numbers'),
     ('mcu/range_1_mount', [0, 0, 0, 0, 0, 'up'], 'a list of 6 numbers'),
     ('mcu/min_range', 3.0, 'less than mcu/max_range'),
