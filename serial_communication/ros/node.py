@@ -8,7 +8,7 @@ import time
 
 import rospy
 
-from . import background_logging, direct, parameters
+from . import background_logging, direct, parameters, starting
 from .diagnostics import Diagnostics
 from .geometry import publish_mounts
 from .interface import Common
@@ -16,12 +16,14 @@ from .master_watch import MasterWatch
 from .traffic import Traffic
 
 _SWITCH_INTERVAL = 0.0005   # s that a busy thread may keep the interpreter from the heartbeat
+_NAME = 'serial_communication'    # unless the command line gives another one
 _SHUTDOWN = 1.0             # s for the links to end in
 _LOGGER = logging.getLogger('rosout')    # rospy's own, for terminal, file and /rosout
 
 
 def main() -> None:
     """Run until ROS or a signal ends it, and exit."""
+    starting.check_arguments(sys.argv[1:])
     sys.setswitchinterval(_SWITCH_INTERVAL)
     background_logging.install()
     status = 1
@@ -33,13 +35,20 @@ def main() -> None:
 
 
 def _run() -> int:
-    rospy.init_node('serial_communication')
+    ended = starting.may_start(_NAME)
+    if ended is not None:
+        return ended
+    try:
+        rospy.init_node(_NAME)
+    except rospy.ROSInitException:      # a signal came before the master had answered
+        return 0
     direct.install(_LOGGER)
     given = rospy.get_param('~', {})
     try:
         values, warnings = parameters.check(given, rospy.get_name())
     except parameters.ParameterError as error:
         rospy.logfatal(str(error))
+        starting.linger()
         return 1
     for warning in warnings:
         rospy.logwarn(warning)

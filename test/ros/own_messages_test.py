@@ -1,4 +1,4 @@
-#!/usr/bin/env python3
+#!/usr/bin/python3
 """Messages and functions of one's own: every example of config/own_messages.yaml and odd ones
 more, values on both sides of real ttys; and every mistake that needs ROS to be found."""
 import struct

@@ -17,9 +17,10 @@ from std_msgs.msg import String
 from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 from serial_communication.srv import Gimbal, Lift
 
+from ...ros.master import wait_for_master
 from ..watch.table import PERIOD, Screen
 from ..watch.topics import LINKS, NODE
-from ..watch.watcher import Watcher, leave, wait_for_master
+from ..watch.watcher import Watcher, leave
 from .state import Commands, State
 
 _START = 60.0           # s for the bridge to appear in

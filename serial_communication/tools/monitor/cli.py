@@ -14,10 +14,11 @@ from typing import List, Optional
 import rosgraph
 import rospy
 
+from ...ros.master import wait_for_master
 from ..watch.state import BridgeState, ago
 from ..watch.table import PERIOD, Frame, Line, Screen, plain
 from ..watch.topics import NODE
-from ..watch.watcher import Watcher, leave, wait_for_master
+from ..watch.watcher import Watcher, leave
 
 _PATIENCE = 5.0     # s that --once waits for a master's answer and for a bridge's first word
 _COLLECT = 3.0      # s that --once then counts: what comes once a second has come by then

@@ -17,41 +17,8 @@ from .state import BridgeState, LinkState
 from .topics import DIAGNOSTICS, Topic, expected_links, known, resolve
 
 _ASK_EVERY = 1.0      # s from one question to the master to the next
-_ASK_FOR_MASTER = 0.1                  # s, likewise while there is none
-_FIRST_WORD, _NEXT_WORD = 1.0, 10.0    # s until a person is told that one is waited for
 _FAREWELL = 2.0       # s
 _BUFFER = 1 << 18     # bytes; rospy's 64 KiB would delay the latest message behind older ones
-
-
-def wait_for_master(stopping: threading.Event, say: Callable[[str], None] = lambda _text: None,
-                    patience: Optional[float] = None) -> bool:
-    """Wait for a ROS master; False if `stopping` was set, or `patience` (s) ended, before.
-
-    Args:
-        say: is told every 10 s that a master is waited for.
-    """
-    found = threading.Event()
-    ended = threading.Event()
-
-    def ask() -> None:      # in a thread, since a host that does not answer may take minutes
-        while not ended.is_set():
-            if rosgraph.is_master_online():
-                found.set()
-                return
-            ended.wait(_ASK_FOR_MASTER)
-
-    threading.Thread(target=ask, name='waiting for a master', daemon=True).start()
-    began = now = time.monotonic()
-    due = began + _FIRST_WORD
-    while not found.wait(_ASK_FOR_MASTER) and not stopping.is_set() \
-            and (patience is None or now < began + patience):
-        now = time.monotonic()
-        if now >= due:
-            say(f'waiting for the ROS master at {rosgraph.get_master_uri()}; '
-                'start one with roscore, or set ROS_MASTER_URI')
-            due = now + _NEXT_WORD
-    ended.set()
-    return found.is_set() and not stopping.is_set()
 
 
 def leave() -> None:

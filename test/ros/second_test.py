@@ -1,0 +1,199 @@
+#!/usr/bin/python3
+"""What people type while a bridge runs: another one, its --help, wrong arguments, no master."""
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import unittest
+
+import rosgraph
+import rospy
+import rostest
+
+from boards import PACKAGE, PATIENCE, Bridge, CarBoard, Line, own_folder, program, until
+
+NAME = '/' + PACKAGE
+BEAT_MISSED = 0.030      # s without a heartbeat after which the board stops its motor
+TAKEN = 3                # exit status of one whose name is taken
+
+
+def lines_of(text):
+    """The lines that say something."""
+    return [line for line in text.split('\n') if line.strip()]
+
+
+class WhileOneRuns(unittest.TestCase):
+    """A bridge with a car; afterwards it is the same one, and no heartbeat was missed."""
+
+    def setUp(self):
+        self.folder = own_folder()
+        self.line = Line(os.path.join(self.folder, 'arduino')).plug()
+        self.car = CarBoard(self.line.far)
+        self.bridge = Bridge(parameters={'arduino/port': self.line.near})
+        self.car.wait_for_heartbeats(50)
+        self.master = rosgraph.Master('/second_test')
+        self.address = until(lambda: self.master.lookupNode(NAME), 'the bridge is registered')
+        self.started = []
+        self.car.forget()
+
+    def tearDown(self):
+        for bridge in [*self.started, self.bridge]:
+            if bridge.alive:
+                bridge.process.kill()
+                bridge.process.wait(10)
+        self.car.close()
+        self.line.unplug()
+        shutil.rmtree(self.folder)
+
+    def start(self, *arguments, **keywords):
+        """Another bridge of the same name, with the same parameters."""
+        self.started.append(Bridge(parameters={'arduino/port': self.line.near},
+                                   arguments=arguments, **keywords))
+        return self.started[-1]
+
+    def assert_unharmed(self):
+        """Still the same node, no heartbeat missed and none of the opening's SPEED 0."""
+        self.car.wait_for_heartbeats(50)
+        self.assertTrue(self.bridge.alive, self.bridge.output())
+        self.assertEqual(self.master.lookupNode(NAME), self.address)
+        self.assertLess(self.car.longest_gap(), BEAT_MISSED)
+        self.assertNotIn('another program', self.bridge.output())
+        self.assertEqual(self.car.speeds, [])
+
+    def test_a_second_one_says_so_and_ends_at_once(self):
+        second = self.start()
+        self.assertEqual(second.process.wait(PATIENCE), TAKEN)
+        said, = lines_of(second.output())
+        self.assertIn(f'{NAME} runs already ({self.address})', said)
+        self.assertIn(f'rosnode kill {NAME}', said)
+        self.assert_unharmed()
+
+    def test_by_roslaunch_it_says_it_once_and_takes_over_when_the_first_one_ends(self):
+        second = self.start('__log:=' + os.path.join(self.folder, 'second.log'))
+        second.wait_for('runs already')
+        self.car.wait_for_heartbeats(300)       # three seconds
+        self.assertTrue(second.alive, second.output())
+        self.assertEqual(len(lines_of(second.output())), 1, second.output())
+        self.assert_unharmed()
+        self.bridge.end()
+        self.car.forget()
+        self.car.wait_for_heartbeats(10)
+        self.assertTrue(second.alive)
+        _seconds, status = second.end()
+        self.assertEqual(status, 0)
+
+    def test_ctrl_c_ends_one_that_waits(self):
+        second = self.start('__log:=' + os.path.join(self.folder, 'second.log'))
+        second.wait_for('runs already')
+        _seconds, status = second.end(signal.SIGINT)
+        self.assertEqual(status, 0)
+        self.assertNotIn('Traceback', second.output())
+        self.assert_unharmed()
+
+    def test_another_name_or_namespace_is_another_node(self):
+        for arguments, name in ((['__name:=other'], '/other'), (['__ns:=/robot'], '/robot' + NAME)):
+            other = subprocess.Popen([program('serial_communication_node'), *arguments],
+                                     stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+            try:
+                def there(name=name):
+                    try:
+                        return self.master.lookupNode(name)
+                    except rosgraph.MasterError:
+                        return ''
+                until(there, f'{name} is registered')
+                again = subprocess.run([program('serial_communication_node'), *arguments],
+                                       stderr=subprocess.PIPE, text=True, timeout=PATIENCE)
+                self.assertEqual(again.returncode, TAKEN)
+                self.assertIn(f'{name} runs already', again.stderr)
+            finally:
+                other.send_signal(signal.SIGINT)
+                other.wait(PATIENCE)
+        self.assert_unharmed()
+
+    def test_one_that_was_killed_or_stands_still_is_no_hindrance(self):
+        for number in signal.SIGKILL, signal.SIGSTOP:
+            with self.subTest(number):
+                old = self.bridge
+                old.process.send_signal(number)
+                if number == signal.SIGKILL:
+                    old.process.wait(10)
+                self.bridge = self.start()
+                until(lambda: self.master.lookupNode(NAME) != self.address,
+                      'the new one has the name')
+                self.address = self.master.lookupNode(NAME)
+                old.process.kill()
+                old.process.wait(10)
+                self.car.forget()
+                self.car.wait_for_heartbeats(10)
+
+    def test_an_address_that_another_node_has_by_now_is_no_hindrance(self):
+        mine = rospy.get_node_uri()
+        rosgraph.Master('/ghost').registerPublisher('/ghost/topic', 'std_msgs/Empty', mine)
+        ghost = Bridge('ghost')
+        self.started.append(ghost)
+        until(lambda: self.master.lookupNode('/ghost') != mine, 'the new one has the name')
+
+    def test_help_and_wrong_arguments_end_before_anything_is_touched(self):
+        for arguments, status in ((['--help'], 0), (['-h'], 0), (['--wrong'], 2),
+                                  (['/dev/ttyS0'], 2), ([':=x'], 2), (['bus'], 2)):
+            with self.subTest(arguments):
+                done = subprocess.run([program('serial_communication_node'), *arguments],
+                                      stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+                                      timeout=2 * PATIENCE)
+                self.assertEqual(done.returncode, status)
+                said, silent = (done.stderr, done.stdout) if status else (done.stdout,
+                                                                          done.stderr)
+                self.assertIn('usage: serial_communication_node ', said)
+                self.assertEqual(silent, '')
+                if status:
+                    self.assertIn(repr(arguments[0]), lines_of(said)[0])
+        self.assert_unharmed()
+
+
+class WithoutAMaster(unittest.TestCase):
+    """It says so, and a Ctrl-C ends it."""
+
+    def test_it_waits_and_ctrl_c_ends_it_without_a_traceback(self):
+        with socket.socket() as taken:          # bound, but nobody listens
+            taken.bind(('127.0.0.1', 0))
+            uri = f'http://127.0.0.1:{taken.getsockname()[1]}'
+            for number in signal.SIGINT, signal.SIGTERM:
+                process = subprocess.Popen(
+                    [program('serial_communication_node')], stderr=subprocess.PIPE, text=True,
+                    env=dict(os.environ, ROS_MASTER_URI=uri))
+                said = process.stderr.readline()
+                self.assertIn(f'waiting for the ROS master at {uri}', said)
+                self.assertIn('roscore', said)
+                process.send_signal(number)
+                rest = process.communicate(timeout=PATIENCE)[1]
+                self.assertEqual((process.returncode, rest), (0, ''))
+
+
+class WrongParameter(unittest.TestCase):
+    """Where roslaunch starts it again at once, it does not tell once a second."""
+
+    def test_it_is_told_once_and_the_process_stays_for_a_while(self):
+        wrong = Bridge('wrong', {'bus/baud': 1}, arguments=['__log:=/dev/null'])
+        try:
+            wrong.wait_for('bus/baud')
+            self.assertTrue(wrong.alive)
+            until(lambda: not wrong.alive, 'it ends', 2 * PATIENCE)
+            self.assertEqual(wrong.process.returncode, 1)
+            said = [line for line in lines_of(wrong.output()) if 'bus/baud' in line]
+            self.assertEqual(len(said), 1, said)
+        finally:
+            wrong.process.kill()
+
+    def test_ctrl_c_ends_it_at_once(self):
+        wrong = Bridge('wrong', {'bus/baud': 1}, arguments=['__log:=/dev/null'])
+        wrong.wait_for('bus/baud')
+        seconds, _status = wrong.end(signal.SIGINT)
+        self.assertLess(seconds, 5.0)
+        self.assertIsNone(re.search('Traceback', wrong.output()))
+
+
+if __name__ == '__main__':
+    rospy.init_node('second_test')
+    rostest.rosrun(PACKAGE, 'second', '__main__')

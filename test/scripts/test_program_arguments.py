@@ -1,0 +1,52 @@
+"""--help and wrong arguments of every program: its usage and its status, before it does anything.
+
+Those of scripts/demo and scripts/test: test_demo_arguments; of the node beside a running one:
+test/ros/second_test.
+"""
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+
+SCRIPTS = Path(__file__).resolve().parents[2] / 'scripts'
+PROGRAMS = sorted(path.name for path in SCRIPTS.iterdir()
+                  if os.access(str(path), os.X_OK))
+WRONG = (
+    ('avr_board', ()), ('avr_board', ('wheel',)), ('avr_board', ('bus', '--wrong')),
+    ('avr_board', ('bus', '--link')), ('bench', ('--wrong',)), ('demo', ('--wrong',)),
+    ('monitor', ('--wrong',)), ('serial_communication_node', ('--wrong',)),
+    ('serial_communication_node', ('/dev/ttyS0',)), ('simulator', ()),
+    ('simulator', ('wheel',)), ('simulator', ('bus', '--wrong')), ('soak', ('--wrong',)),
+    ('socat_pair', ()), ('socat_pair', ('a',)), ('socat_pair', ('--wrong', 'a')),
+    ('test', ('--wrong',)),
+)
+
+
+def run(name, *arguments):
+    """The program, where there is no master and no folder that it could write to."""
+    return subprocess.run([str(SCRIPTS / name), *arguments], text=True, timeout=60, cwd='/proc',
+                          stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                          stderr=subprocess.PIPE,
+                          env={**os.environ, 'ROS_MASTER_URI': 'http://127.0.0.1:9'})
+
+
+@pytest.mark.parametrize('name', PROGRAMS)
+@pytest.mark.parametrize('option', ['-h', '--help'])
+def test_help(name, option):
+    done = run(name, option)
+    assert (done.returncode, done.stderr) == (0, '')
+    assert done.stdout.startswith('usage: ')
+    assert name in done.stdout.split('\n', 1)[0]
+
+
+@pytest.mark.parametrize('name, arguments', WRONG, ids=lambda each: str(each))
+def test_wrong_arguments(name, arguments):
+    done = run(name, *arguments)
+    assert (done.returncode, done.stdout) == (2, '')
+    assert name in done.stderr and ('usage:' in done.stderr or '--help' in done.stderr)
+    assert 'Traceback' not in done.stderr
+
+
+def test_every_program_is_tried():
+    assert {name for name, _arguments in WRONG} == set(PROGRAMS)
