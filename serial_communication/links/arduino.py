@@ -64,8 +64,9 @@ class ArduinoLink(Link):
         self._calibrating_since = 0.0
         self._look_at = 0.0                  # when to look again at what waits in the kernel
         self._heart = Heart('arduino heartbeat', settings.heartbeat_rate, self._tend,
-                            lambda text: self._say_later('fault', text))
-        self._unsaid: Deque[Tuple[str, str]] = deque()
+                            lambda text: self._say_later('fault', text),
+                            lambda text: self._say_later('priority', text, self.log.info))
+        self._unsaid: Deque[Tuple[Callable[[str, str], None], str, str]] = deque()
         self._board_lines = Allowance(*_BOARD_LINES)
 
     @property
@@ -240,9 +241,10 @@ class ArduinoLink(Link):
                 pass                # the link's thread sees it as well
             return False
 
-    def _say_later(self, cause: str, text: str) -> None:
+    def _say_later(self, cause: str, text: str,
+                   say: Optional[Callable[[str, str], None]] = None) -> None:
         """Have the link's thread log it: a log may block, a heartbeat and a command may not."""
-        self._unsaid.append((cause, text))
+        self._unsaid.append((say or self.log.warn, cause, text))
         self.wake()
 
     # -- hooks --------------------------------------------------------------------------
@@ -280,7 +282,8 @@ class ArduinoLink(Link):
 
     def idle(self, now: float) -> Optional[float]:
         while self._unsaid:
-            self.log.warn(*self._unsaid.popleft())
+            say, cause, text = self._unsaid.popleft()
+            say(cause, text)
         if not self.calibrating:
             return None
         due = self._calibrating_since + self.settings.calibration_timeout
@@ -310,6 +313,9 @@ class ArduinoLink(Link):
             return
         if self._on_log:
             self._on_log(message.severity, message.text)
+
+    def talks(self, now: float) -> Optional[bool]:
+        return None if self.calibrating else super().talks(now)     # deaf and dumb for minutes
 
     def condition(self, now: float) -> Tuple[int, str]:
         level, summary = super().condition(now)

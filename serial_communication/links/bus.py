@@ -239,6 +239,17 @@ class BusLink(Link):
             return OK, 'ready'
         return (ERROR if 'does not answer' in amiss else WARN), amiss
 
+    def talks(self, now: float) -> Optional[bool]:
+        # It talks only when it is asked.
+        amiss = self.master.condition()
+        if amiss:       # ECHO is said by the master: there are boards that know none
+            return self.is_silent(now) if 'does not answer SYNC' in amiss else None
+        return True
+
+    def silence(self) -> str:
+        return (f'{self.master.condition()}; asking on: has it power, is it wired, and is '
+                f'{self.port.baud} baud right?')
+
     def error_count(self) -> int:
         master = self.master
         return (super().error_count() + master.timeouts + master.length_errors

@@ -23,15 +23,17 @@ class Heart:
         rate: heartbeats a second.
         work: what is to be done; `beat` says that a heartbeat is due. Returns whether one left.
         on_fault: is given the traceback of what `work` raised; the heart goes on.
+        on_start: is given, in a line for people, whether it has real-time priority.
     """
 
     def __init__(self, name: str, rate: float, work: Callable[[bool], bool],
-                 on_fault: Callable[[str], None]) -> None:
+                 on_fault: Callable[[str], None], on_start: Callable[[str], None]) -> None:
         self.beats = 0
         self.max_gap = 0.0       # s, since `restart`
         self._period = 1.0 / rate
         self._work = work
         self._on_fault = on_fault
+        self._on_start = on_start
         self._last: Optional[float] = None
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
@@ -52,7 +54,7 @@ class Heart:
         self.max_gap = 0.0
 
     def _run(self) -> None:
-        be_quick(_REALTIME_PRIORITY)
+        self._on_start(_told(be_quick(_REALTIME_PRIORITY)))
         pace = Every(self._period, clock() - self._period)      # the first one at once
         while not self._stopping.is_set():
             now = clock()
@@ -69,3 +71,12 @@ class Heart:
         if last is not None:
             self.max_gap = max(self.max_gap, now - last)
         self.beats += 1
+
+
+def _told(granted: bool) -> str:
+    """Whether the heartbeat has real-time priority, in a line for people."""
+    if granted:
+        return 'the heartbeat has real-time priority'
+    return ('no real-time priority for the heartbeat, which a busy computer may make late; to '
+            f'allow it: the line "@dialout - rtprio {_REALTIME_PRIORITY}" in a file in '
+            '/etc/security/limits.d/, a user of that group, and a new login')

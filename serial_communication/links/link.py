@@ -8,11 +8,13 @@ from typing import Any, Callable, List, NamedTuple, Optional, Tuple
 from ..protocols.frame_timer import FrameTimer
 from ..protocols.framing import CHECKSUM, Decoder, Frame
 from ..transport.port import Port, PortError
+from .presence import FIRST_WORD, LOOK_PERIOD, Presence
 from .sparing_log import SparingLog
 
 OK, WARN, ERROR = 0, 1, 2      # as diagnostic_msgs/DiagnosticStatus has them
 RX, TX = 0, 1                  # as SerialMsg has them
 SILENCE = 1.0                  # s without a frame after which a talking board counts as silent
+_ORDERLY = 0.5                 # s in which the bridge may be told to end, too, when a port goes
 _BACK_OFF = (0.1, 1.0)         # s from one try to open to the next: first, last
 
 Tap = Callable[[str, int, Frame], None]
@@ -65,10 +67,14 @@ class Link:
         self._timer = FrameTimer(decoder, frame_timeout, port.baud)
         self.connections = 0               # how often the port has been opened
         self._trouble = ''                 # why the port is closed
+        self._lost = ''                    # how it was lost, while that is not said yet …
+        self._lost_at = 0.0                # … and when
         self._stopping = threading.Event()
         self._opening_done = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name + ' link', daemon=True)
         self._reported_errors = 0
+        self._presence = Presence(self.log)
+        self._opened_at = 0.0              # monotonic
 
     # -- hooks ------------------------------------------------------------------------
 
@@ -91,6 +97,25 @@ class Link:
     def shown(self, frame: Frame) -> Frame:
         """A frame that has come, as listeners see it, before it is `received`."""
         return frame
+
+    def talks(self, now: float) -> Optional[bool]:
+        """Whether the board talks; None where that cannot be told yet. Looked at while the port
+        is open, and said in the log when it changes."""
+        last = self.last_frame_at
+        if last is not None and now - last <= SILENCE:
+            return True
+        return self.is_silent(now)
+
+    def is_silent(self, now: float) -> Optional[bool]:
+        """The same of a board that does not talk now: if it has not since the port opened, it may
+        still start."""
+        has_talked = self.last_frame_at is not None and self.last_frame_at >= self._opened_at
+        return False if has_talked or now >= self._opened_at + FIRST_WORD else None
+
+    def silence(self) -> str:
+        """How the log tells of a board that does not talk."""
+        return ('the board is silent; has it power, is it wired, and is '
+                f'{self.port.baud} baud right?')
 
     # -- for users --------------------------------------------------------------------
 
@@ -210,9 +235,14 @@ class Link:
         trouble = self._open_port()
         if self._stopping.is_set():
             return False
+        # Where all ends together, a simulated board's port goes first: that is nobody's trouble.
+        if self._lost and (not trouble or time.monotonic() >= self._lost_at + _ORDERLY):
+            self.log.warn('lost', self._lost)
+            self._lost = ''
         if trouble:
             self._trouble = trouble
-            self.log.warn('closed', f'{self.port.url}: {trouble}')
+            if not self._lost:
+                self.log.warn('closed', f'{self.port.url}: {trouble}')
             return False
         self.connections += 1
         if self.connections > 1:
@@ -227,7 +257,8 @@ class Link:
             return function(*arguments)
         except PortError as error:
             self._trouble = str(error)
-            self.log.warn('lost', f'{self.port.url}: {error}; opening it again when it returns')
+            self._lost = f'{self.port.url}: {error}; opening it again when it returns'
+            self._lost_at = time.monotonic()
         except BaseException as error:  # pylint: disable=broad-except
             # Also what would end this thread alone, as SystemExit does.
             self._trouble = f'fault in the bridge: {error!r}'
@@ -277,14 +308,18 @@ class Link:
         """Read until the port goes or the link stops."""
         now = time.monotonic()
         self.opened(now)
-        self.last_byte_at = now
+        self.last_byte_at = self._opened_at = look_at = now
         timer = self._timer
         timer.reset()
         while not self._stopping.is_set():
             due = self.tick(now)
+            if now >= look_at:
+                self._presence.see(self.talks(now), self.silence(), now)
+                look_at = now + LOOK_PERIOD
+            due = look_at if due is None else min(due, look_at)
             if self.decoder.pending:
                 give_up = timer.due(self.last_byte_at, now)
-                due = give_up if due is None else min(due, give_up)
+                due = min(due, give_up)
             data = self.port.read(None if due is None else due - now)
             stamp = self._clock()
             now = time.monotonic()

@@ -486,7 +486,6 @@ class Master:
         self.timeouts += 1
         self.state = State.UNSYNCHRONISED
         self._unanswered_syncs += 1
-        self._log.warn('no answer', 'the board does not answer SYNC; asking on')
 
     def _echo_timed_out(self, _exchange: _Exchange, _now: float) -> None:
         self.timeouts += 1

@@ -69,7 +69,6 @@ class McuLink(Link):
         if self.silent:
             self.silent = False
             self._heard.pop(None, None)
-            self.log.info('talks', 'the board talks')
         self._heard[type(frame.message)] = _Heard(frame.command, now, now + self._timeout)
         if self._on_status:
             self._on_status(frame.message, frame.command, frame.stamp)
@@ -92,13 +91,14 @@ class McuLink(Link):
         if not self.silent and all(now >= heard.at + self._timeout
                                    for heard in self._heard.values()):
             self.silent = True
-            self.log.warn('silent', f'no valid frame for {self._timeout:g} s; the status says so '
-                          'until the board talks again')
 
     def condition(self, now: float) -> Tuple[int, str]:
         if not self.port.is_open:
             return super().condition(now)
         return (WARN, 'open, the board is silent') if self.silent else (OK, 'open')
+
+    def talks(self, now: float) -> Optional[bool]:
+        return self.is_silent(now) if self.silent else True
 
     def own_values(self) -> List[Tuple[str, Any]]:
         return [('frames lost', self.frames_lost), ('frames doubled', self.duplicates)]

@@ -38,6 +38,17 @@ class SparingLog:
         self._causes[cause] = [now, 0]
         if held_back:
             text += f' (and {held_back} more like it)'
+        self._write(level, text)
+
+    def always_info(self, text: str) -> None:
+        """A line that its caller is sparing with."""
+        self._write(logging.INFO, text)
+
+    def always_warn(self, text: str) -> None:
+        """Likewise, a warning."""
+        self._write(logging.WARNING, text)
+
+    def _write(self, level: int, text: str) -> None:
         try:
             self._logger.log(level, '%s: %s', self._link, text)
         except Exception:  # pylint: disable=broad-except

@@ -46,9 +46,10 @@ class Allowance:
         return True
 
 
-def be_quick(priority: int) -> None:
-    """Real-time priority for this thread where the system allows it."""
+def be_quick(priority: int) -> bool:
+    """Real-time priority for this thread where the system allows it; whether it does."""
     try:
         os.sched_setscheduler(threading.get_native_id(), os.SCHED_FIFO, os.sched_param(priority))
     except (OSError, AttributeError):
-        pass
+        return False
+    return True

@@ -394,6 +394,7 @@ def test_a_board_that_is_silent_is_reported(line, logger, running, lines):
     begun = time.monotonic()
     assert link.lift(0, 1).status == NOT_SENT
     assert time.monotonic() - begun < SHORT.motion_timeout + PATIENCE / 2
+    until(lambda: lines('does not answer SYNC'))      # not at once: it may still start
     assert len(lines('does not answer SYNC')) == 1
 
 
