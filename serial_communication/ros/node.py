@@ -83,6 +83,10 @@ class Bridge:
         if not self._links:
             ports = ', '.join(f'{board.NAME}/port' for board in p['boards'])
             rospy.logwarn(f'no port is set ({ports}): nothing to do')
+        off = [board.NAME for board in p['boards'] if not parameters.of_board(board, p)['port']]
+        if self._links and off:
+            rospy.loginfo(f'off, since no port is given for it: {", ".join(off)} (bridge.launch: '
+                          'where one port is named, those that are not count as empty)')
         self._mounts = publish_mounts(p['base_frame_id'], {
             own[f'{name}_frame_id']: own[f'{name}_mount']
             for board, own in boards for name in board.MOUNTS})

@@ -94,13 +94,15 @@ class EveryBoard:
 
 
 def for_every_board(text: str, board: Target) -> List[str]:
-    """Of faults that are meant for every board, as 'flip=0.02 cut=0.01', those that fit this one.
+    """Of faults that are meant for every board, as 'flip=0.02 cut=0.01', those that fit this one;
+    none of them for 'none' or an empty text.
 
     Raises:
         ValueError: as `parse`.
     """
-    parse(text.split(), EveryBoard)
-    return [part for part in text.split()
+    parts = [] if text == 'none' else text.split()
+    parse(parts, EveryBoard)
+    return [part for part in parts
             if part.split('=')[0] not in KINDS or fits(part.split('=')[0], board)]
 
 

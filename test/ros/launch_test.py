@@ -59,7 +59,8 @@ class Launch(unittest.TestCase):
                                         stdout=self.output, stderr=subprocess.STDOUT)
 
     def end(self):
-        """Ctrl-C."""
+        """Ctrl-C; the bridge then has nothing to complain of, though its boards may end first."""
+        before = len(self.output_so_far())
         self.process.send_signal(signal.SIGINT)
         status = self.process.wait(PATIENCE)
         self.output.seek(0)
@@ -67,6 +68,13 @@ class Launch(unittest.TestCase):
         self.assertEqual(status, 0, text)
         self.assertNotIn('Traceback', text)
         self.assertNotIn('escalating', text)
+        self.assertNotIn('[WARN]', text[before:])
+        self.assertNotIn('[ERROR]', text[before:])
+
+    def output_so_far(self):
+        """What roslaunch and the bridge have printed."""
+        self.output.seek(0)
+        return self.output.read()
 
     def launch_with_two_ports(self, *arguments):
         """With a bus board and a car on lines of the test's own; both work when it returns."""
@@ -99,6 +107,13 @@ class Launch(unittest.TestCase):
         self.assertEqual([name for name, nodes in state if name.startswith('/mcu')
                           and '/serial_communication' in nodes], [])
 
+    def test_naming_one_port_says_which_links_are_off(self):
+        self.launch('arduino_port:=' + os.path.join(self.folder, 'arduino'))
+        until(lambda: 'off, since no port is given for it: bus, mcu' in self.output_so_far(),
+              'it says so')
+        until(lambda: 'waiting for it' in self.output_so_far(), 'the other one is looked for')
+        self.end()
+
     @staticmethod
     def parameters(*arguments):
         """What this launch would set, by name."""
@@ -113,6 +128,18 @@ class Launch(unittest.TestCase):
                 port = self.parameters('sim:=' + value)['/serial_communication/bus/port']
                 self.assertEqual(port.startswith('/tmp/serial_communication-'), simulated, port)
                 self.assertEqual(port == '/dev/ttyS0', not simulated, port)
+
+    def test_ports_that_are_named_and_those_that_are_not(self):
+        for arguments, ports in (
+                ([], ['/dev/ttyS0', '/dev/ttyUSB0', '/dev/ttyUSB1']),
+                (['mcu_port:='], ['/dev/ttyS0', '/dev/ttyUSB0', '/dev/ttyUSB1']),
+                (['bus_port:=/dev/a'], ['/dev/a', '', '']),
+                (['bus_port:=/dev/a', 'mcu_port:=', 'arduino_port:=/dev/b'],
+                 ['/dev/a', '/dev/b', ''])):
+            with self.subTest(arguments):
+                given = self.parameters(*arguments)
+                self.assertEqual([given[f'/serial_communication/{link}/port']
+                                  for link in ('bus', 'arduino', 'mcu')], ports)
 
     def test_another_value_of_sim_ends_the_launch_with_a_clear_word(self):
         for value in 'maybe', '2', 'simulated':

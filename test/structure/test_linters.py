@@ -75,6 +75,13 @@ def test_launch_arguments_that_make_no_sense_end_it(arguments):
     assert arguments[-1] in str(failure.value) and 'Traceback' not in str(failure.value)
 
 
+@pytest.mark.parametrize('launch', sorted(path.name for path in ROOT.glob('launch/*.launch')))
+def test_no_argument_of_a_launch_file_looks_required_or_is_undocumented(launch):
+    said = run('roslaunch', '--ros-args', 'serial_communication', launch)
+    assert 'Optional Arguments:' in said
+    assert 'Required' not in said and 'undocumented' not in said, said
+
+
 def test_every_message_and_program_is_in_cmake():
     cmake = (ROOT / 'CMakeLists.txt').read_text().split()
     wanted = [path.name for folder in ('msg', 'srv') for path in (ROOT / folder).iterdir()]
