@@ -177,7 +177,7 @@ def test_silence_is_told_once_a_second_with_a_growing_age(line, watch, lines):
     ages = [age for kind, _, age in watched.silences if kind is mcu.AdcStatus]
     assert 0.2 <= ages[0] < took and ages == sorted(ages) and ages[-1] <= took
     assert ages[2] - ages[0] >= 1.9, 'once a second, not more often'
-    assert watched.link.silent and len(lines('no valid frame')) == 1
+    assert watched.link.silent and len(lines('the board is silent')) == 1
     assert watched.link.report(time.monotonic()).level == WARN
 
 
