@@ -1,4 +1,4 @@
-#!/usr/bin/env python3
+#!/usr/bin/python3
 """A subscriber that stops reading, over a real TCP connection, while others read on."""
 import io
 import logging

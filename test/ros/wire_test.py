@@ -1,4 +1,4 @@
-#!/usr/bin/env python3
+#!/usr/bin/python3
 """wire play and wire stats, with bags: what a bridge on the robot saw, one on the desk sees again.
 
 SERIAL_COMMUNICATION_WIRE_SECONDS=60 records a minute with the bridge's default frame_timeout
