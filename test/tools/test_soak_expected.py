@@ -149,3 +149,30 @@ def test_replies_of_the_bus():
     raw = bus.encode_reply(bus.Reply(bus.OK)).hex()
     entry = {'t': 1.0, 'ev': 'tx', 'n': 1, 'k': 1, 'raw': raw, 'ok': True}
     assert [frame.own for frame in arrivals([entry], 'bus')] == [(2, 0, b'')]
+
+
+AIR = next(topic for topic in TOPICS if topic.name.endswith('/environment'))
+REPLY = {'ev': 'tx', 'n': 1, 'ok': True,
+         'raw': bus.encode_reply(bus.Reply(bus.OK, bytes.fromhex('8200c800c201'))).hex()}
+
+
+def readings(*journal):
+    return [(one.t, one.kind) for one in expected(
+        arrivals(list(journal), 'bus'), AIR.sent, True, Intervals())]
+
+
+def test_a_reading_whose_reply_was_copied_later_may_be_published_twice():
+    copied = dict(REPLY, t=1.0, copies=2)
+    assert readings(copied, {'t': 1.02, 'ev': 'copy', 'n': 1}) == [(1.0, 'ok'), (1.02, 'ok')]
+    assert readings(dict(REPLY, t=1.0)) == [(1.0, 'ok')]
+
+
+def test_a_copy_that_did_not_leave():
+    copied = dict(REPLY, t=1.0, copies=2)
+    lost = {'t': 1.02, 'ev': 'copy', 'n': 1, 'sent': False, 'why': 'closed'}
+    assert readings(copied, lost) == [(1.0, 'ok')]
+
+
+def test_a_copy_of_a_reply_that_did_not_leave_itself():
+    first = dict(REPLY, t=1.0, copies=2, ok=False, sent=False, why='closed')
+    assert readings(first, {'t': 1.02, 'ev': 'copy', 'n': 1}) == [(1.02, 'maybe')]
