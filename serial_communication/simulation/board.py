@@ -174,7 +174,9 @@ class Runner:
         now = time.monotonic()
         while not self._stopping.is_set():
             due = self.line.tick(now)
-            timeout = None if due is None else max(due - now, 0.0)
+            if due is not None:
+                due = max(due, now)     # nobody is late for what was due before it was known
+            timeout = None if due is None else due - now
             if self.line.stalled(now):
                 self._stopping.wait(timeout)
                 data = b''

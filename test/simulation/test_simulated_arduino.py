@@ -264,3 +264,15 @@ def test_motor_stops_when_the_cable_is_pulled_and_heartbeats_alone_do_not_wake_i
     seen = len(car.messages)
     until(lambda: len(car.messages) > seen + 30, 'data')
     assert not car.board.motor_on
+
+
+def test_is_not_late_for_what_was_due_before_it_was_known(cable):
+    """As a frame that waits in the receive buffer during a calibration."""
+    class Behind(ModelCar):
+        def advance(self, now):
+            super().advance(now)
+            return now - 1000.0
+
+    with running(Behind(), cable.b) as notes:
+        until(lambda: len(notes.of('tx')) > 3, 'measurements')
+    assert not [fields for fields in notes.of('late') if fields['by'] > 900]
