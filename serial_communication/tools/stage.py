@@ -34,20 +34,21 @@ class Child:
         folder: where it runs, and where its log is.
         priority: real-time, if asked for and allowed; 0: none.
         orders: whether it reads its stdin.
-        stdout: a descriptor or subprocess.PIPE; None: its log, where stderr always goes.
+        stdout, stderr: a descriptor, or subprocess.PIPE for stdout; None: its log.
         fds: descriptors that it shares.
     """
 
     def __init__(self, name: str, command: Sequence[str], folder: str, env: Dict[str, str],
                  priority: int = 0, orders: bool = False, stdout: Optional[int] = None,
-                 fds: Sequence[int] = ()) -> None:
+                 stderr: Optional[int] = None, fds: Sequence[int] = ()) -> None:
         self.name = name
         self.log = os.path.join(folder, name.replace('/', '_').replace(' ', '_') + '.out')
         with open(self.log, 'ab') as log:
             self.process = subprocess.Popen(
                 command, stdin=subprocess.PIPE if orders else subprocess.DEVNULL,
-                stdout=log if stdout is None else stdout, stderr=log, pass_fds=fds, env=env,
-                cwd=folder, start_new_session=True, preexec_fn=lambda: _before_exec(priority))
+                stdout=log if stdout is None else stdout, stderr=log if stderr is None else stderr,
+                pass_fds=fds, env=env, cwd=folder, start_new_session=True,
+                preexec_fn=lambda: _before_exec(priority))
 
     @property
     def pid(self) -> int:
@@ -154,13 +155,17 @@ class Stage:
         self.end_master()
 
     def start_master(self) -> None:
-        """A roscore, at the same address each time."""
-        self._core = core = Child('roscore', ['roscore', '-p', str(self._port)], self.folder,
-                                  self.env)
+        """A roscore, at the same address each time; returns when it answers."""
+        core = self.launch_master()
         master = rosgraph.Master('/stage')
         self.wait(lambda: _answers(master) or not core.alive, 'roscore')
         if not core.alive:
             raise StageError(f'roscore does not start: {core.tail()}')
+
+    def launch_master(self) -> Child:
+        """The same without waiting for it."""
+        self._core = Child('roscore', ['roscore', '-p', str(self._port)], self.folder, self.env)
+        return self._core
 
     def end_master(self) -> None:
         """Nobody answers at its address any more."""

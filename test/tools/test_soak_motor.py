@@ -16,14 +16,23 @@ def told(t, value):
 CALIBRATION = {'topic': 'calibrate', 't0': 4.9, 't1': 4.95, 'error': ''}
 
 
-def motor(journal, commands, unplugged=(), bridge=(), stalls=()):
+def rows_of(journal, commands, unplugged=(), bridge=(), stalls=(), doubtful=()):
     journal = sorted([{'t': 0.0, 'ev': 'port', 'open': True}] + journal,
                      key=lambda event: event['t'])
-    reconnect, calibration, zero, commanded, _ran_on, made = check_motor(prepare(
-        journal, commands, list(unplugged), Intervals(bridge), [], Intervals(stalls), 0.5, END))
-    return {name: row.violations for name, row in (
-        ('reconnect', reconnect), ('calibration', calibration), ('zero', zero),
-        ('commanded', commanded))}, made.tries
+    return dict(zip(('reconnect', 'calibration', 'zero', 'commanded', 'rules', 'stands', 'invented',
+                     'made'), check_motor(prepare(
+                         journal, commands, list(unplugged), Intervals(bridge), [],
+                         Intervals(stalls), Intervals(doubtful), 0.5, END))))
+
+
+def motor(*arguments, **more):
+    rows = rows_of(*arguments, **more)
+    made = rows.pop('made')
+    return {name: row.violations for name, row in rows.items()}, made.tries
+
+
+def turns(t, value):
+    return {'t': t, 'ev': 'motor', 'on': bool(value), 'speed': value, 'why': ''}
 
 
 class TestMotor:
@@ -103,12 +112,71 @@ class TestMotor:
         assert not any(found.values()) and made == 1
 
 
-def test_a_speed_0_that_damage_took():
-    journal = [{'t': 1.0, 'ev': 'port', 'open': True}, speed(2.0, 300),
-               {'t': 2.0, 'ev': 'motor', 'on': True, 'speed': 300, 'why': ''},
-               {'t': 2.5, 'ev': 'rx', 'raw': '020b400204010100', 'cause': 'framing', 'error': ''},
-               {'t': 5.0, 'ev': 'motor', 'on': False, 'speed': 0, 'why': ''}]
-    rows = check_motor(prepare(journal, [told(1.99, 300)], [], Intervals(), [], Intervals(), 0.5,
-                               END))
-    assert [len(row.violations) for row in rows] == [0] * 6
-    assert rows[4].tries == 1 and rows[4].worst == 'for 2.5 s' and not rows[4].judged
+class TestStands:
+    """The motor itself, whatever came of the packets on the way."""
+
+    def test_soon_enough(self):
+        row = rows_of([speed(2.0, 300), turns(2.0, 300), speed(2.5, 0), turns(2.5, 0)],
+                      [told(1.99, 300)])['stands']
+        assert row.tries == 1 and row.violations == [] and row.worst == '510 ms'
+
+    def test_a_speed_0_that_damage_took_and_no_other_came(self):
+        lost = {'t': 2.5, 'ev': 'rx', 'raw': '020b400204010100', 'cause': 'framing', 'error': ''}
+        journal = [speed(2.0, 300), turns(2.0, 300), lost, turns(5.0, 0)]
+        rows = rows_of(journal, [told(1.99, 300)])
+        assert [name for name, row in rows.items() if row.violations] == ['stands']
+
+    def test_a_speed_0_that_damage_took_and_that_was_repeated(self):
+        lost = {'t': 2.5, 'ev': 'rx', 'raw': '020b400204010100', 'cause': 'framing', 'error': ''}
+        journal = [speed(2.0, 300), turns(2.0, 300), lost, speed(2.55, 0), turns(2.55, 0)]
+        assert not any(row.violations for row in rows_of(journal, [told(1.99, 300)]).values())
+
+    def test_of_commands_that_go_on(self):
+        journal = [event for t in range(2, 9) for event in (
+            speed(t / 2, 300 + t), turns(t / 2, 300 + t))]
+        commands = [told(t / 2 - 0.01, 300 + t) for t in range(2, 9)]
+        rows = rows_of(journal + [speed(4.5, 0), turns(4.5, 0)], commands)
+        assert not any(row.violations for row in rows.values())
+
+    def test_until_the_end(self):
+        journal = [speed(END - 2, 300), turns(END - 2, 300)]
+        assert rows_of(journal, [told(END - 2.01, 300)])['stands'].violations
+
+    def test_a_speed_that_damage_made_is_told_apart(self):
+        journal = [{'t': 2.0, 'ev': 'rx-fault', 'faults': ['rx-flip'], 'came': '0404210300',
+                    'became': '0404210100'}, speed(2.0, 0x121), turns(2.0, 0x121), turns(5.0, 0)]
+        rows = rows_of(journal, [])
+        assert rows['stands'].violations == [] and rows['invented'].tries == 1
+
+
+class TestZerosByTheRules:
+    """What the bridge sends by itself."""
+
+    def test_repeated_for_a_second(self):
+        journal = [speed(2.0, 300)] + [speed(2.5 + index / 20, 0) for index in range(21)]
+        assert not rows_of(journal, [told(1.99, 300)])['rules'].violations
+
+    def test_repeated_for_longer(self):
+        journal = [speed(2.0, 300)] + [speed(2.5 + index / 20, 0) for index in range(60)]
+        assert rows_of(journal, [told(1.99, 300)])['rules'].violations
+
+    def test_at_an_opening(self):
+        port = [{'t': 5.0, 'ev': 'port', 'open': False}, {'t': 6.0, 'ev': 'port', 'open': True}]
+        assert not rows_of(port + [speed(6.1, 0)], [])['rules'].violations
+
+    def test_after_a_standstill(self):
+        assert not rows_of([speed(8.0, 0)], [], doubtful=[(6.0, 7.9)])['rules'].violations
+
+    def test_commanded(self):
+        assert not rows_of([speed(8.0, 0)], [told(7.99, 0)])['rules'].violations
+
+    def test_out_of_the_blue(self):
+        assert len(rows_of([speed(8.0, 0)], [])['rules'].violations) == 1
+
+    def test_between_commands_that_go_on(self):
+        """One that is repeated although another speed has been accepted."""
+        journal = [speed(2.0, 300), speed(2.1, 0), speed(2.12, 301), speed(2.15, 0)]
+        commands = [told(1.99, 300), told(2.09, 0), told(2.11, 301)]
+        assert not rows_of(journal[:3] + [speed(2.62, 0)], commands)['commanded'].violations
+        late = [told(1.99, 300), told(1.995, 0), told(2.11, 301)]
+        assert rows_of(journal, late)['commanded'].violations

@@ -3,6 +3,7 @@ from bisect import bisect_right
 from typing import Dict, List, NamedTuple, Tuple
 
 from ...protocols import robot_ctrl_bus as bus
+from .records import Intervals
 from .table import Row
 
 NOT_SENT, TIMEOUT = 253, 254
@@ -18,12 +19,16 @@ class _Fate(NamedTuple):
 
 
 def check_bus(calls: List[Dict], journal: List[Dict], blind_replies: List[float],
-              timeouts: Dict[str, float]) -> List[Row]:
+              timeouts: Dict[str, float], stopped: Intervals = Intervals(),
+              no_master: Intervals = Intervals()) -> List[Row]:
     """All rows of the bus.
 
     Args:
         blind_replies: when damage made another sound reply of one.
         timeouts: of each kind of call, s.
+        stopped: when the campaign had stopped the bridge.
+        no_master: when there was no ROS master that knew the bridge, so that no caller who
+            looks for a service finds it.
     """
     judged = [call for call in calls if call['kind'] in _JUDGED]
     executed = [event for event in journal if event['ev'] == 'executed' and _is_a_callers(event)]
@@ -65,7 +70,7 @@ def check_bus(calls: List[Dict], journal: List[Dict], blind_replies: List[float]
         Row('bus', 'nothing executed that nobody asked for', len(executed),
             [(event['t'], event['text'][:80]) for event in orphans]),
         _wrong_replies(groups['success'], violations_of),
-        answered(calls, timeouts)]
+        answered(calls, timeouts, stopped, no_master)]
     count = len(blind) + len(blind_replies)
     rows.append(Row(
         'bus', 'damage that an XOR cannot see', count, [], '%d calls told wrong by it' % len(
@@ -122,8 +127,9 @@ def _wrong_replies(succeeded: List[_Fate], violations_of) -> Row:
                               if call['reply'] != call['data']]))
 
 
-def answered(calls: List[Dict], timeouts: Dict[str, float]) -> Row:
-    """Every caller was answered, whatever happened."""
+def answered(calls: List[Dict], timeouts: Dict[str, float], stopped: Intervals = Intervals(),
+             no_master: Intervals = Intervals()) -> Row:
+    """Every caller was answered, whatever happened; `stopped` and `no_master` as above."""
     violations, worst, tries = [], 0.0, 0
     for call in calls:
         if call['kind'] not in timeouts:
@@ -132,7 +138,10 @@ def answered(calls: List[Dict], timeouts: Dict[str, float]) -> Row:
         if call['t1'] is None:
             violations.append((call['t0'], '%s was never answered' % _name(call)))
             continue
-        over = call['t1'] - call['t0'] - timeouts[call['kind']]
+        if 'exception' in call and no_master.touches(call['t0'], call['t1']):
+            continue
+        over = (call['t1'] - call['t0'] - timeouts[call['kind']]
+                - stopped.seconds_within(call['t0'], call['t1']))
         worst = max(worst, over)
         if 'exception' in call:
             violations.append((call['t0'], '%s: %s' % (_name(call), call['exception'][:100])))

@@ -2,16 +2,19 @@
 from typing import Dict, List, Tuple
 
 from .align import Sent, align
+from .records import Intervals
 from .table import Row
 
 
 def check_published(group: str, says: str, topics: Dict[str, Tuple[List[Sent], List]],
+                    held_up: Intervals = Intervals(),
                     late: float = 3.0) -> Tuple[Row, int, int]:
     """Every frame that has to be published was: once, in order, with its own values.
 
     Args:
         topics: by name, what was sent and the (stamp, key, time of arrival) of what was
             published.
+        held_up: when the bridge, or the line, was stopped: what came late then is no figure.
 
     Returns:
         The row, how many messages were published of damage that nobody can see, and how many
@@ -26,9 +29,10 @@ def check_published(group: str, says: str, topics: Dict[str, Tuple[List[Sent], L
                         % (name, sent[i].n, sent[i].key)) for i in found.lost]
         violations += [(published[j][0], '%s: published, but no frame says so: %s'
                         % (name, published[j][1])) for j in found.extra]
-        held = max([held] + [one[2] - one[0] for one in published if len(one) > 2])
+        held = max([held] + [one[2] - one[0] for one in published
+                             if len(one) > 2 and not held_up.touches(one[0], one[2])])
         for i, j in found.pairs:
-            if sent[i].must and _lonely(sent, i):
+            if sent[i].must and _lonely(sent, i) and not held_up.holds(sent[i].t):
                 worst = max(worst, published[j][0] - sent[i].t)
             blind += sent[i].kind == 'blind'
             maybe += sent[i].kind == 'maybe'

@@ -12,6 +12,10 @@ from .records import Intervals
 from .table import Row
 
 LATE_ZERO = 0.050        # s that SPEED 0 may come later than speed_timeout
+STANDS = 0.3             # s over speed_timeout after a command in which the motor has to stand
+_REPEATED = 1.0          # s for which the bridge repeats the SPEED 0 of a stop
+_COMES_BACK = 1.5        # s from a port's return until the bridge has opened it
+_SLACK = 0.15            # s by which the bridge may be late with all of that
 _LIMIT = 1000            # of SPEED, either way
 _KEPT = 1.0              # s; a command that reaches the board later than this was kept
 _ORDER = 0.1             # s by which a command and a packet may be seen in another order
@@ -40,19 +44,22 @@ class Drive(NamedTuple):
     deaf: Intervals                 # while the board calibrates for one of these calls
     bridge_calibrates: Intervals    # while the bridge says that it takes no commands
     stalled: Intervals              # while the board reads nothing
+    closed: Intervals               # while the board's end of its port was
+    doubtful: Intervals             # while the campaign kept the bridge, or its output, from work
     blind: Intervals                # while nobody can tell when a packet came
-    motor: List[Tuple[float, bool]]  # when it went on and off
+    motor: List[Tuple[float, bool]]  # what it was told, and when: on (again), or off
     speed_timeout: float
 
 
 def prepare(journal: List[Dict], commands: List[Dict], unplugged: List[float],
             bridge_calibrates: Intervals, written: List[float], stood_still: Intervals,
-            speed_timeout: float, end: float) -> Drive:
+            doubtful: Intervals, speed_timeout: float, end: float) -> Drive:
     """From the records.
 
     Args:
         written: when the bridge had handed heartbeats to its port.
-        stood_still: when the whole machine did, or the campaign had stopped the bridge.
+        stood_still: when the whole machine did.
+        doubtful: when the campaign had stopped the bridge, or the line to the board.
     """
     came, made = packets_of(journal)
     calls = [entry['t0'] for entry in commands if entry['topic'] == 'calibrate'
@@ -65,10 +72,11 @@ def prepare(journal: List[Dict], commands: List[Dict], unplugged: List[float],
         calls, unplugged,
         Intervals([pair for pair in calibrations(journal, end)
                    if any(pair[0] - _CALIBRATION_CALL <= call <= pair[0] for call in calls)]),
-        bridge_calibrates, stalled,
-        closed_times(journal, end) + stalled + stood_still + Intervals(calibrations(journal, end))
-        + late_times(journal) + line_times(beats, written),
-        [(event['t'], event['on']) for event in journal if event['ev'] == 'motor'], speed_timeout)
+        bridge_calibrates, stalled, closed_times(journal, end), doubtful + stood_still,
+        closed_times(journal, end) + stalled + stood_still + doubtful
+        + Intervals(calibrations(journal, end)) + late_times(journal) + line_times(beats, written),
+        [(event['t'], event['on']) for event in journal if event['ev'] == 'motor'
+         and event['t'] < end] + [(end, False)], speed_timeout)
 
 
 def _speeds(came: List[Packet], commands: List[Dict], end: float) -> List[Speed]:
@@ -94,7 +102,7 @@ def _speeds(came: List[Packet], commands: List[Dict], end: float) -> List[Speed]
 def check_motor(drive: Drive) -> List[Row]:
     """All rows."""
     return [_nothing_old(drive), _nothing_while_calibrating(drive), _zero_in_time(drive),
-            _all_commanded(drive), _ran_on(drive), _made(drive)]
+            _all_commanded(drive), _zeros_by_the_rules(drive), *_stands(drive), _made(drive)]
 
 
 def _nothing_old(drive: Drive) -> Row:
@@ -184,20 +192,48 @@ def _all_commanded(drive: Drive) -> Row:
                sorted(violations))
 
 
-def _ran_on(drive: Drive) -> Row:
-    """How long the motor ran on after each SPEED 0 that reached the port and not the board."""
-    times = [t for t, _on in drive.motor]
-    excused = drive.deaf + drive.stalled
-    found = []
-    for speed in drive.speeds:
-        at = bisect_right(times, speed.t + 0.05) - 1
-        if not speed.value and at >= 0 and drive.motor[at][1] and times[at] < speed.t \
-                and not excused.holds(speed.t):
-            found.append((times[at + 1] if at + 1 < len(times) else speed.t) - speed.t)
-    return Row('arduino', 'SPEED 0 that damage on the way took: the motor ran on', len(found), [],
-               f'for {max(found):.1f} s' if found else '', False,
-               'the bridge sent it in time, the line lost it; the heartbeat keeps the motor '
-               'running until something else stops it' if found else '')
+def _zeros_by_the_rules(drive: Drive) -> Row:
+    """Each SPEED 0 was commanded, or is one that the bridge owes: at an opening of the port, at
+    a timeout, before a calibration, after a standstill or dropped output, and repeated for 1 s."""
+    stop = _REPEATED + _SLACK
+    owed = [(start, over + _COMES_BACK + stop) for start, over in drive.closed.pairs]
+    owed += [(start, over + stop) for start, over in (drive.doubtful + drive.stalled).pairs]
+    owed += [(t - _ORDER, t + stop) for t in drive.zeros + drive.calls]
+    owed += [(speed.t, speed.t + drive.speed_timeout + stop)
+             for speed in drive.speeds if speed.value]
+    allowed = Intervals(owed)
+    zeros = [speed.t for speed in drive.speeds if not speed.value]
+    return Row('arduino', 'SPEED 0 commanded, or where a rule has it, and never else', len(zeros),
+               [(t, 'SPEED 0, which nobody commanded and no rule has') for t in zeros
+                if not allowed.holds(t)])
+
+
+def _stands(drive: Drive) -> List[Row]:
+    """The motor, as it turned: whatever the line took, it stops soon after the last command."""
+    says = 'the motor stands within speed_timeout + 0.3 s of the last command'
+    commanded = [(speed.t, speed.commanded) for speed in drive.speeds
+                 if speed.value and speed.commanded is not None]
+    arrived = [t for t, _commanded in commanded]
+    invented = {packet.t for packet in drive.made if packet.type == SPEED}
+    violations, worst, apart = [], 0.0, 0
+    for (began, on), (until, _on) in zip(drive.motor, drive.motor[1:]):
+        if not on:
+            continue
+        if began in invented:
+            apart += 1
+            continue
+        # What the board makes of SPEED at `until` itself is the next stretch.
+        at = bisect_left(arrived, until) - 1
+        last = commanded[at][1] if at >= 0 else began
+        worst = max(worst, until - last)
+        if until - last > drive.speed_timeout + STANDS:
+            violations.append((until, f'the motor ran until {until - last:.2f} s after the last '
+                                      'command'))
+    return [Row('arduino', says, sum(on for _t, on in drive.motor), violations,
+                f'{worst * 1e3:.0f} ms'),
+            Row('arduino', 'motor that turned by a SPEED which damage on the way made', apart, [],
+                '', False, 'the link has no checksum: the bridge does not know of it, and '
+                'stops it only by its next SPEED' if apart else '')]
 
 
 def _made(drive: Drive) -> Row:

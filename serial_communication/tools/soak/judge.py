@@ -19,13 +19,16 @@ from .align import Sent
 from .check_bus import check_bus, outcomes
 from .check_frames import check_published
 from .check_heartbeat import check_heartbeat
+from .check_interference import (Connection, check_frozen_line, check_master, check_network,
+                                 check_standstill, check_unread)
 from .check_lost import Told, check_lost_frames, frame_of, heard_of
 from .check_motor import check_motor, prepare
-from .check_node import check_level, check_log, check_returns, log_lines
+from .check_node import RETURN, check_level, check_log, check_returns, log_lines
 from .expected import NODE, TOPICS, Arrival, arrivals, expected
-from .packets import HEARTBEAT, SPEED, closed_times, fault_times, packets_of
-from .records import Intervals, read_lines, read_messages
-from .run import SPEED_TIMEOUT, TIMEOUTS
+from .packets import (HEARTBEAT, SPEED, calibrations, closed_times, fault_times,
+                      packets_of)
+from .records import Intervals, read_lines, read_messages, stretches
+from .run import SPEED_TIMEOUT, TIMEOUTS, excuses_of_calls
 from .table import Row
 
 ENDING = 2.0             # s that the node may take to end
@@ -50,6 +53,7 @@ class _Published(NamedTuple):
     lost: List[Told]                              # the mcu link's counts in the diagnostics
     traffic: Dict[str, List[Tuple[float, Tuple]]]  # by link: good frames in, of serial_msg
     taken: List[Tuple[float, str, Tuple]]         # of the mcu: arrival, connection, frame
+    opened: List[Connection]                      # of every link
     beats: List[float]                            # when the bridge had written a heartbeat
     offset: float
 
@@ -73,27 +77,43 @@ def judge(folder: str) -> List[Row]:
               for link in LINKS}
     blind_replies = [frame.t for frame in frames['bus'] for made in frame.made
                      if made != frame.own]
-    rows = check_bus(calls, journals['bus'], blind_replies, TIMEOUTS)
+    stopped, no_master = excuses_of_calls(events, end)
+    frozen = stretches(events, 'frozen', 'thawed', end, 'arduino')
+    held_up = stopped + frozen
+    rows = check_bus(calls, journals['bus'], blind_replies, TIMEOUTS, stopped, no_master)
     rows[0] = rows[0]._replace(note='of %d lift, gimbal and raw calls: %s' % (
         sum(1 for call in calls if call['kind'] in TIMEOUTS), outcomes(calls)))
     rows += _of_link('bus', 'every reading of the air is one that the board measured', frames,
-                     published, exempt)
+                     published, exempt, held_up)
     rows += _of_link('arduino', 'every undamaged packet published once, in order', frames,
-                     published, exempt)
-    rows += check_motor(prepare(
+                     published, exempt, held_up)
+    drive = prepare(
         journals['arduino'], commands, _cuts(events, 'arduino'),
         _bridge_calibrates(commands, published), published.beats,
-        Intervals([(one['t'], one['t'] + one['late']) for one in metronome]), SPEED_TIMEOUT, end))
-    rows += check_heartbeat(journals['arduino'], metronome, published.beats, end)
+        Intervals([(one['t'], one['t'] + one['late']) for one in metronome]), held_up,
+        SPEED_TIMEOUT, end)
+    rows += check_motor(drive)
+    came = sorted(packets_of(journals['arduino'])[0], key=lambda packet: packet.t)
+    unclear = drive.closed + drive.stalled + Intervals(calibrations(journals['arduino'], end))
+    rows.append(check_frozen_line(frozen, came, unclear + stopped))
+    rows += check_standstill(stopped, came, drive.speeds, unclear + frozen)
+    rows += check_heartbeat(journals['arduino'], metronome, published.beats, end, held_up)
     rows += _of_link('mcu', 'every undamaged frame published once, in order', frames, published,
-                     exempt)
+                     exempt, held_up)
     rows += check_lost_frames(heard_of(journals['mcu'], published.taken), published.lost)
-    rows += _traffic(frames, published, exempt)
-    rows += [_returns(link, events, journals[link], published, end) for link in LINKS]
+    rows += _traffic(frames, published, exempt, held_up)
+    rows += [_returns(link, events, journals[link], published, held_up, end) for link in LINKS]
     settled = start + min(_SETTLING, (end - start) / 3)
     rows += check_level(read_lines(path('usage.jsonl')), start, settled, end)
     over = max([end] + [event['t'] for event in events if event['ev'] == 'bridge ended'])
-    rows += check_log([line for line in _log(folder, published.offset) if line[0] <= over])
+    log = [line for line in _log(folder, published.offset) if line[0] <= over]
+    rows += check_log(log)
+    unread = stretches(events, 'unread', 'read again', end)
+    rows.append(check_unread(unread, sum(unread.holds(t) for t, _severity, _text in log), {
+        link: _data_of(link, published) for link in LINKS}, {
+            link: held_up + _absent(link, events, end) for link in LINKS}))
+    rows += check_master(events, published.opened)
+    rows += _network(folder, events, end)
     rows.append(_ending(events, journals['arduino'], end))
     return rows
 
@@ -106,7 +126,7 @@ def _read(folder: str) -> _Published:
     by_topic: Dict[str, List] = {}
     for topic in TOPICS:
         by_topic.setdefault(topic.name.split(' ')[0], []).append(topic)
-    out = _Published({topic.name: [] for topic in TOPICS}, [], [], {}, [], [], offset)
+    out = _Published({topic.name: [] for topic in TOPICS}, [], [], {}, [], [], [], offset)
     instances = {name: message_class() for name, message_class in _CLASSES.items()}
     for t, name, data in messages:
         message = instances[name]
@@ -137,8 +157,12 @@ def _read_traffic(folder: str, out: _Published) -> None:
     if not os.path.exists(path):
         return
     message = SerialMsg()
+    latest: Dict[str, str] = {}
     for t, _name, data in read_messages(path)[1]:
         message.deserialize(data)
+        if latest.get(message.link) != message.header.frame_id:
+            latest[message.link] = message.header.frame_id
+            out.opened.append(Connection(t, message.link, message.header.frame_id))
         if message.direction == SerialMsg.TX:
             if message.type == HEARTBEAT and message.link == 'arduino':
                 out.beats.append(message.header.stamp.to_sec() - out.offset)
@@ -185,6 +209,12 @@ def _cuts(events: List[Dict], link: str) -> List[float]:
             and event['link'] == link]
 
 
+def _absent(link: str, events: List[Dict], end: float) -> Intervals:
+    """When its port was not there, or not for long enough for data to flow again."""
+    absent = stretches(events, 'unplugged', 'plugged', end, link)
+    return Intervals([(start, stop + RETURN) for start, stop in absent.pairs])
+
+
 def _data_of(link: str, published: _Published) -> List[float]:
     """When good frames of a link came in."""
     if link in published.traffic:
@@ -204,7 +234,7 @@ def _exempt(link: str, events: List[Dict], journal: List[Dict], published: _Publ
              for t, _key, _at in published.values[topic.name][:1]]
     # The node's end is like a port's absence: what is on its way then is lost.
     pairs = [(0.0, max([start] + first)), (end - _BEFORE_A_CUT, float('inf'))]
-    down = None
+    down = frozen = None
     for event in events:
         if event.get('link') != link:
             continue
@@ -215,6 +245,10 @@ def _exempt(link: str, events: List[Dict], journal: List[Dict], published: _Publ
             back = data[at] if at < len(data) else end
             pairs.append((down - _BEFORE_A_CUT, back + _AFTER_DATA))
             down = None
+        elif event['ev'] == 'frozen':
+            frozen = event['t']
+        elif event['ev'] == 'thawed':
+            pairs.append((frozen - _BEFORE_A_CUT, event['t'] + _AFTER_DATA))
         elif event['ev'] == 'noise' and link != 'mcu':
             pairs.append((event['t'] - 0.05, event['t'] + _BEHIND_NOISE))
     return Intervals(pairs)
@@ -243,15 +277,15 @@ _BLIND = {
 
 
 def _of_link(link: str, says: str, frames: Dict[str, List[Arrival]], published: _Published,
-             exempt: Dict[str, Intervals]) -> List[Row]:
+             exempt: Dict[str, Intervals], held_up: Intervals) -> List[Row]:
     topics = {}
     for topic in TOPICS:
         if topic.link == link:
-            sent = expected(frames[link], topic.sent, link == 'arduino', exempt[link])
+            sent = expected(frames[link], topic.sent, link != 'mcu', exempt[link])
             if link == 'bus':       # a reply may be one to get_environment that came too late
                 sent = [one._replace(must=False) for one in sent]
             topics[topic.name] = (sent, published.values[topic.name])
-    row, blind, maybe = check_published(link, says, topics)
+    row, blind, maybe = check_published(link, says, topics, held_up)
     if link == 'bus':
         row = row._replace(tries=sum(len(found) for _sent, found in topics.values()))
     rows = [row]
@@ -271,7 +305,7 @@ def _of_link(link: str, says: str, frames: Dict[str, List[Arrival]], published: 
 
 
 def _traffic(frames: Dict[str, List[Arrival]], published: _Published,
-             exempt: Dict[str, Intervals]) -> List[Row]:
+             exempt: Dict[str, Intervals], held_up: Intervals) -> List[Row]:
     """serial_msg has every good frame that came in, once and in order."""
     topics: Dict[str, Tuple[List[Sent], List]] = {}
     for link in LINKS:
@@ -283,15 +317,16 @@ def _traffic(frames: Dict[str, List[Arrival]], published: _Published,
     if not topics:
         return []
     row, _blind, _maybe = check_published('serial_msg', 'every undamaged frame in, once, in order',
-                                          topics)
+                                          topics, held_up)
     return [row]
 
 
 def _returns(link: str, events: List[Dict], journal: List[Dict], published: _Published,
-             end: float) -> Row:
+             held_up: Intervals, end: float) -> Row:
     """Judged from when both the port and the board are back, if the board then speaks."""
     closed = closed_times(journal, end)
     dumb = fault_times(journal, ('silence', 'reset') + (('stall',) if link == 'bus' else ()), 0.5)
+    dumb += held_up
     spoken = [event['t'] for event in journal if event['ev'] == 'tx' and event.get('ok')]
     plugged = [event['t'] for event in events if event['ev'] == 'plugged'
                and event['link'] == link]
@@ -310,6 +345,15 @@ def _returns(link: str, events: List[Dict], journal: List[Dict], published: _Pub
         if not dumb.touches(back, back + 1.5):
             returns.append((back, min(until, end)))
     return check_returns(link, returns, _data_of(link, published))
+
+
+def _network(folder: str, events: List[Dict], end: float) -> List[Row]:
+    journal = read_lines(os.path.join(folder, 'network.journal'))
+    if not journal:
+        return []
+    drive = prepare(journal, read_lines(os.path.join(folder, 'network_commands.jsonl')), [],
+                    Intervals(), [], Intervals(), Intervals(), SPEED_TIMEOUT, end)
+    return check_network(events, packets_of(journal)[0], drive.speeds, end)
 
 
 def _ending(events: List[Dict], journal: List[Dict], end: float) -> Row:

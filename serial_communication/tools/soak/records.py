@@ -109,6 +109,21 @@ def _messages(file, topics: List[str]) -> Iterator[Message]:
             yield Message(t, topics[index], data)
 
 
+def stretches(events: List[Dict], begins: str, ends: str, end: float,
+              link: str = '') -> 'Intervals':
+    """From each event `begins` of that link to the next `ends`; to `end` where there is none."""
+    pairs, since = [], None
+    for event in events:
+        if event.get('link', '') != link:
+            continue
+        if event['ev'] == begins and since is None:
+            since = event['t']
+        elif event['ev'] == ends and since is not None:
+            pairs.append((since, event['t']))
+            since = None
+    return Intervals(pairs + ([] if since is None else [(since, max(end, since))]))
+
+
 class Intervals:
     """Stretches of time, for asking whether another one touches them."""
 
@@ -132,6 +147,10 @@ class Intervals:
     def seconds(self) -> float:
         """Their length in all."""
         return sum(end - start for start, end in self.pairs)
+
+    def seconds_within(self, start: float, end: float) -> float:
+        """How much of start … end they cover."""
+        return sum(max(0.0, min(end, stop) - max(start, began)) for began, stop in self.pairs)
 
     def __add__(self, other: 'Intervals') -> 'Intervals':
         return Intervals(self.pairs + other.pairs)

@@ -5,6 +5,11 @@ All of it repeats every `CYCLE` seconds (less, if the campaign is shorter), seed
     0.02 … 0.26  the mcu's port flaps, twice a second        0.30  a calibration
     0.34 … 0.54  the bus's port flaps, twice a second        0.58 … 0.69  the arduino's goes, thrice
     0.75         bus and mcu go for a second                 0.79  a calibration, and the port goes
+    0.05, 0.725  the arduino reads nothing until output has been dropped, then reads again
+    0.09         roscore ends, and comes back
+    0.12 … 0.92  nobody reads what the bridge says on stdout and stderr
+    0.545        SIGSTOP for the bridge, and SIGCONT
+    0.15, 0.7    the network before another bridge's board freezes; 0.45  it forgets a connection
 
 and all the time one subscriber is stopped for seconds, two processes take what CPU they get, the
 boards have every fault they know, and noise comes on the lines.
@@ -16,13 +21,18 @@ import os
 import random
 import signal
 import time
-from typing import Any, Callable, Dict, List, Tuple
+from typing import Any, Callable, Dict, FrozenSet, List, Tuple
+
+import rosgraph
 
 from ..progress import Progress
 from ..stage import LINKS, Child
 from .check_bus import answered
-from .records import Lines
-from .stage import CampaignStage
+from .check_interference import registered
+from .expected import NODE
+from .network import Relay
+from .records import Intervals, Lines, read_lines, stretches
+from .stage import CampaignStage, Pipe
 
 CYCLE = 60.0
 FLAP = 0.25              # s down, and as long up: twice a second
@@ -34,6 +44,14 @@ TIMEOUTS = {'lift': PARAMETERS['bus/motion_timeout'], 'gimbal': PARAMETERS['bus/
             'raw': PARAMETERS['bus/reply_timeout']}      # of each kind of call
 BOARD_OPTIONS = {'bus': ('--lift-speed', '100000', '--gimbal-speed', '100000'),
                  'arduino': ('--calibration-time', '%g' % CALIBRATION), 'mcu': ()}
+NETWORK = '/network'     # the namespace of a second bridge, whose board is behind a network
+_STOPPED = 1.6           # s of SIGSTOP
+_FROZEN = 1.6            # s in which the arduino reads nothing …
+_DROPPED_AFTER = 0.8     # … so long after which the bridge has no room to write any more
+_FILL_PERIOD = 0.05      # s
+_NO_MASTER = 1.0         # s
+_NETWORK_FROZEN = 4.0    # s
+_LOOK_PERIOD = 0.1       # s from one look at a new master to the next
 _QUIET = 2.5             # s at the end of a cycle, and of all, in which every port stays
 _DRAIN = 1.5             # s for what is on its way at the end
 
@@ -70,7 +88,7 @@ class Campaign:
         self._end = start + self._duration
         stage.events.write(t=start, ev='begin', seed=self._seed, duration=self._duration)
         self._plan(start)
-        watch = Watch(stage.path('calls.jsonl'), self._children['bridge'])
+        watch = Watch(stage, self._children['bridge'])
         with self._progress.phase(f'{self._duration:.0f} s of faults', watch.note):
             self._carry_out()
         with self._progress.phase('ending'):
@@ -97,8 +115,20 @@ class Campaign:
             self._children[link] = stage.board(link, cable.far, seed, '--fault', 'all',
                                                *BOARD_OPTIONS[link])
         children = self._children
+        self._pipe = pipe = Pipe(stage, stage.path('said'), stage.path('bridge.out'))
         children['bridge'] = stage.bridge(
-            {link: cable.near for link, cable in stage.cables.items()}, PARAMETERS)
+            {link: cable.near for link, cable in stage.cables.items()}, PARAMETERS,
+            stdout=pipe.writer, stderr=pipe.writer)
+        self._relay = relay = Relay(stage.events)
+        relay.start()
+        children['network board'] = stage.board('arduino', relay.board, seed, name='network board',
+                                                journal=stage.path('network.journal'))
+        children['network bridge'] = stage.bridge({'arduino': relay.url}, {}, 'network bridge',
+                                                  namespace=NETWORK)
+        children['network commander'] = stage.user(
+            'commander', 'network_commands.jsonl', seed, f'{NODE}/speed:={NETWORK}{NODE}/speed',
+            f'{NODE}/steering:={NETWORK}{NODE}/steering', f'{NODE}/led:={NETWORK}{NODE}/led',
+            name='network commander', orders=True)
         for role, file, orders in (('recorder', 'messages.bin', False),
                                    ('traffic', 'traffic.bin', False), ('sleeper', 'none', False),
                                    ('callers', 'calls.jsonl', False),
@@ -122,14 +152,17 @@ class Campaign:
         for child in self._busy:
             stage.end(child)
         children['sleeper'].send(signal.SIGCONT)
-        for name in 'callers', 'commander':
+        for name in 'callers', 'commander', 'network commander', 'network bridge', 'network board':
             stage.end(children[name])
+        self._relay.close()
         time.sleep(_DRAIN)
         alive = children['bridge'].alive
         stage.events.write(t=time.monotonic(), ev='finish', alive=alive)
         took = stage.end(children['bridge'], signal.SIGINT)
         stage.events.write(t=time.monotonic(), ev='bridge ended', seconds=took,
                            status=children['bridge'].process.returncode)
+        self._pipe.take()
+        self._pipe.close()
         time.sleep(0.3)
         for name in ('recorder', 'traffic', 'sleeper', 'bus', 'arduino', 'mcu', 'metronome'):
             stage.end(children[name])
@@ -146,6 +179,7 @@ class Campaign:
             self._plan_cycle(start + number * cycle, cycle)
         self._at(start + 0.5, self._sample)
         self._at(start + 1.0, self._stop_subscriber)
+        self._at(start + 0.09 * cycle, self._restart_master)
         for link in ('bus', 'mcu', 'arduino'):
             self._at(start + 1.0, lambda due, link=link: self._noise(due, link))
 
@@ -164,6 +198,15 @@ class Campaign:
             self._cut(link, at(0.75), 1.0, self._random.random() < 0.5)
         self._at(at(0.79), self._calibrate)
         self._cut('arduino', at(0.79) + self._random.uniform(0.3, 2.0), 0.8, True)
+        for share in 0.05, 0.725:
+            self._freeze_line('arduino', at(share))
+        self._at(at(0.12), lambda due: self._pipe.leave())
+        self._at(at(0.92), lambda due: self._pipe.come_back())
+        self._at(at(0.545), self._stop_bridge)
+        for share in 0.15, 0.7:
+            self._at(at(share), lambda due: self._relay.freeze())
+            self._at(at(share) + _NETWORK_FROZEN, lambda due: self._relay.thaw())
+        self._at(at(0.45), lambda due: self._relay.vanish())
 
     def _at(self, when: float, action: Callable[[float], None]) -> None:
         heapq.heappush(self._due, (when, next(self._count), action))
@@ -177,6 +220,51 @@ class Campaign:
         cable = self._stage.cables[link]
         self._at(when, lambda due: cable.unplug(another_name))
         self._at(when + seconds, lambda due: cable.plug())
+
+    def _freeze_line(self, link: str, when: float) -> None:
+        """The board reads nothing, and a little later the bridge has no room to write."""
+        cable = self._stage.cables[link]
+        self._at(when, lambda due: cable.freeze())
+        filled = when + _DROPPED_AFTER
+        while filled < when + _FROZEN:
+            self._at(filled, lambda due: cable.fill())
+            filled += _FILL_PERIOD
+        self._at(when + _FROZEN, lambda due: cable.thaw())
+
+    def _stop_bridge(self, due: float) -> None:
+        self._tell_bridge('stopped', signal.SIGSTOP)
+        self._at(due + _STOPPED, lambda due: self._tell_bridge('continued', signal.SIGCONT))
+
+    def _tell_bridge(self, event: str, number: int) -> None:
+        self._stage.events.write(t=time.monotonic(), ev=event)
+        self._children['bridge'].send(number)
+
+    def _restart_master(self, due: float) -> None:
+        before = self._registered()
+        self._stage.events.write(t=time.monotonic(), ev='master ended')
+        self._stage.end_master()
+
+        def start(_due: float) -> None:
+            self._stage.launch_master()
+            self._stage.events.write(t=time.monotonic(), ev='master started')
+            self._at(time.monotonic() + _LOOK_PERIOD, look)
+
+        def look(due: float) -> None:
+            if self._registered() >= before:
+                self._stage.events.write(t=time.monotonic(), ev='registered')
+            else:
+                self._at(due + _LOOK_PERIOD, look)
+
+        self._at(due + _NO_MASTER, start)
+
+    @staticmethod
+    def _registered() -> FrozenSet[Tuple[str, str]]:
+        """What the master knows of the bridge; nothing where none answers."""
+        master = rosgraph.Master('/stage')
+        try:
+            return registered(master.getSystemState(), master.getParam(NODE), NODE)
+        except (OSError, rosgraph.MasterException):
+            return frozenset()
 
     def _calibrate(self, _due: float) -> None:
         self._children['commander'].order('calibrate')
@@ -199,7 +287,8 @@ class Campaign:
                  lambda due, link=link: self._noise(due, link))
 
     def _sample(self, due: float) -> None:
-        """What the node takes, once a second."""
+        """What the node takes, and says, once a second."""
+        self._pipe.take()
         usage = usage_of(self._children['bridge'].pid)
         if usage:
             self._usage.write(t=time.monotonic(), **usage)
@@ -210,11 +299,12 @@ class Watch:
     """What shows while a campaign runs: the rest is judged when all records are there.
 
     Args:
-        calls: the file of the callers.
+        stage: with the records of the callers and of the campaign itself.
     """
 
-    def __init__(self, calls: str, bridge: Child) -> None:
-        self._file = open(calls)
+    def __init__(self, stage: CampaignStage, bridge: Child) -> None:
+        self._file = open(stage.path('calls.jsonl'))
+        self._events = stage.path('events.jsonl')
         self._bridge = bridge
         self._calls = self._violations = 0
         self._rest = ''
@@ -225,9 +315,16 @@ class Watch:
         self._rest = lines.pop()
         calls = [json.loads(line) for line in lines]
         self._calls += len(calls)
-        self._violations += len(answered(calls, TIMEOUTS).violations)
+        self._violations += len(answered(calls, TIMEOUTS, *excuses_of_calls(
+            read_lines(self._events), time.monotonic())).violations)
         dead = '' if self._bridge.alive else ', the node has ended'
         return f'{self._calls} calls, violations so far: {self._violations}{dead}'
+
+
+def excuses_of_calls(events: List[Dict], end: float) -> Tuple[Intervals, Intervals]:
+    """When the bridge was stopped, and when no master knew it."""
+    return (stretches(events, 'stopped', 'continued', end),
+            stretches(events, 'master ended', 'registered', end))
 
 
 def seconds_of(duration: float) -> float:

@@ -13,6 +13,7 @@ from .records import Lines
 
 CABLE_PRIORITY = 15      # real-time: between the simulated boards' and the heartbeat's
 _START = 30.0            # s that a cable may take to start
+_READ_BUFFER = 6000      # bytes, more than a pseudo terminal's 4095
 
 
 class Cable:
@@ -55,6 +56,37 @@ class Cable:
             os.close(self._spares.pop(0))
         return now
 
+    def freeze(self) -> None:
+        """Nothing crosses it any more: what either end writes stays in the kernel."""
+        self._stage.events.write(t=time.monotonic(), ev='frozen', link=self.name)
+        self._child.send(signal.SIGSTOP)
+        # What a pseudo terminal's other end could read at once is beyond the bridge's flush, as
+        # no byte in a UART's buffer is. So that much is 0x00, no packet for anybody.
+        time.sleep(0.005)
+        self._write_zeros(_READ_BUFFER)
+
+    def fill(self) -> None:
+        """Leave the bridge no room to write, as if it had written it full itself."""
+        self._write_zeros(1 << 20)
+
+    def _write_zeros(self, count: int) -> None:
+        try:
+            fd = os.open(self.near, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
+        except OSError:
+            return
+        try:
+            while count > 0:
+                count -= os.write(fd, bytes(min(count, 4096)))
+        except OSError:
+            pass        # it is full
+        finally:
+            os.close(fd)
+
+    def thaw(self) -> None:
+        """All crosses it again, what waits first."""
+        self._stage.events.write(t=time.monotonic(), ev='thawed', link=self.name)
+        self._child.send(signal.SIGCONT)
+
     def noise(self, data: bytes) -> bool:
         """Put bytes on the line towards the bridge, which the board does not know of."""
         try:
@@ -75,6 +107,54 @@ class Cable:
     def close(self) -> None:
         while self._spares:
             os.close(self._spares.pop())
+
+
+class Pipe:
+    """A pipe for what the bridge says, whose reader goes and comes back.
+
+    Args:
+        log: where what is read is kept.
+    """
+
+    def __init__(self, stage: 'CampaignStage', path: str, log: str) -> None:
+        self._stage = stage
+        self._path = path
+        self._log = log
+        os.mkfifo(path)
+        self._reader = -1
+        self._open()
+        self.writer = os.open(path, os.O_WRONLY | os.O_CLOEXEC)
+
+    def _open(self) -> None:
+        self._reader = os.open(self._path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+
+    def take(self) -> None:
+        """Read what there is."""
+        try:
+            data = os.read(self._reader, 1 << 16) if self._reader >= 0 else b''
+        except BlockingIOError:
+            return
+        with open(self._log, 'ab') as log:
+            log.write(data)
+
+    def leave(self) -> None:
+        """From now on whoever writes to it gets an error."""
+        self.take()
+        self._stage.events.write(t=time.monotonic(), ev='unread')
+        os.close(self._reader)
+        self._reader = -1
+
+    def come_back(self) -> None:
+        """Read again."""
+        self._open()
+        self._stage.events.write(t=time.monotonic(), ev='read again')
+
+    def close(self) -> None:
+        """At the end."""
+        for fd in self._reader, self.writer:
+            if fd >= 0:
+                os.close(fd)
+        self._reader = self.writer = -1
 
 
 class CampaignStage(Stage):
@@ -105,10 +185,12 @@ class CampaignStage(Stage):
             'main; sys.exit(main())', kind, '--port', far, '--seed', str(seed),
             '--journal', journal or self.path(kind + '.journal'), *options])
 
-    def user(self, role: str, file: str, seed: int, **options: Any) -> Child:
+    def user(self, role: str, file: str, seed: int, *remappings: str, name: str = '',
+             **options: Any) -> Child:
         """A process of children.py."""
-        return self.child(role, [sys.executable, '-m', __package__ + '.children', role,
-                                 self.path(file), str(seed)], **options)
+        return self.child(name or role, [
+            sys.executable, '-m', __package__ + '.children', role, self.path(file), str(seed),
+            *remappings], **options)
 
     def program(self, name: str) -> str:
         """A script of this package, in a checkout or installed."""

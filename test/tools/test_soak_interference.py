@@ -1,0 +1,161 @@
+"""What the campaign does to the bridge and to what it stands on: each row passes sound records and
+finds what is wrong with doctored ones."""
+import pytest
+
+from serial_communication.tools.soak.check_bus import answered
+from serial_communication.tools.soak.check_interference import (
+    Connection, check_frozen_line, check_master, check_network, check_standstill, check_unread,
+    registered)
+from serial_communication.tools.soak.check_motor import Speed
+from serial_communication.tools.soak.packets import HEARTBEAT, SPEED, Packet
+from serial_communication.tools.soak.records import Intervals, stretches
+
+NEVER = Intervals()
+STOPPED = Intervals([(5.0, 7.0)])
+
+
+def beat(t):
+    return Packet(t, HEARTBEAT, b'')
+
+
+def speed(t, value):
+    return Packet(t, SPEED, value.to_bytes(2, 'little', signed=True))
+
+
+def driven(t, value, commanded):
+    return Speed(t, value, commanded, True, t + 0.1, 0)
+
+
+class TestStandstill:
+    def test_speed_0_first(self):
+        first, old = check_standstill(STOPPED, [beat(4.99), speed(7.01, 0), beat(7.01)], [], NEVER)
+        assert first.tries == 1 and not first.violations and not old.violations
+
+    @pytest.mark.parametrize('came', [[beat(7.01), speed(7.01, 0)], [speed(7.01, 300)], []])
+    def test_something_else_first(self, came):
+        first, _old = check_standstill(STOPPED, [beat(4.99)] + came, [], NEVER)
+        assert len(first.violations) == 1
+
+    @pytest.mark.parametrize('commanded', [4.9, 6.0])
+    def test_an_old_command(self, commanded):
+        speeds = [driven(7.05, 300, commanded), driven(8.0, 301, 7.99)]
+        _first, old = check_standstill(STOPPED, [speed(7.01, 0)], speeds, NEVER)
+        assert len(old.violations) == 1 and 'SPEED 300' in old.violations[0][1]
+
+    def test_while_the_port_is_closed_nothing_is_judged(self):
+        first, _old = check_standstill(STOPPED, [beat(7.3)], [], Intervals([(6.0, 7.2)]))
+        assert first.tries == 0
+
+
+class TestFrozenLine:
+    def test_speed_0_first(self):
+        row = check_frozen_line(STOPPED, [beat(4.99), speed(7.0001, 0), beat(7.0002)], NEVER)
+        assert row.tries == 1 and not row.violations
+
+    def test_behind_what_the_cable_held(self):
+        row = check_frozen_line(STOPPED, [beat(7.0001), speed(7.0002, 0), beat(7.01)], NEVER)
+        assert not row.violations
+
+    def test_never(self):
+        came = [beat(7.0 + index / 100) for index in range(1, 50)] + [speed(7.5, 0)]
+        assert len(check_frozen_line(STOPPED, came, NEVER).violations) == 1
+
+
+class TestUnread:
+    NEVER = dict.fromkeys(('bus', 'arduino', 'mcu'), NEVER)
+    DATA = {'bus': [t / 2 for t in range(100)], 'mcu': [t / 10 for t in range(500)]}
+
+    def test_goes_on(self):
+        assert not check_unread(Intervals([(5.0, 45.0)]), 9, self.DATA, self.NEVER).violations
+
+    def test_a_link_that_died(self):
+        data = dict(self.DATA, mcu=[t for t in self.DATA['mcu'] if t < 20.0])
+        row = check_unread(Intervals([(5.0, 45.0)]), 9, data, self.NEVER)
+        assert len(row.violations) == 1 and 'mcu' in row.violations[0][1]
+
+    def test_one_that_never_had_data(self):
+        row = check_unread(Intervals([(5.0, 45.0)]), 9, {'arduino': []}, self.NEVER)
+        assert len(row.violations) == 1
+
+    def test_a_port_that_was_not_there(self):
+        data = dict(self.DATA, mcu=[t for t in self.DATA['mcu'] if not 20.0 < t < 30.0])
+        row = check_unread(Intervals([(5.0, 45.0)]), 9, data, dict(self.NEVER, mcu=Intervals(
+            [(20.0, 29.0)])))
+        assert not row.violations
+
+
+class TestNetwork:
+    EVENTS = [{'t': 10.0, 'ev': 'frozen', 'link': 'network'},
+              {'t': 14.0, 'ev': 'thawed', 'link': 'network'},
+              {'t': 20.0, 'ev': 'vanished', 'link': 'network'}]
+
+    def rows(self, beats, speeds=()):
+        return check_network(self.EVENTS, [beat(t) for t in beats], list(speeds), 60.0)
+
+    def test_returns(self):
+        old, back = self.rows([9.0, 15.0, 20.05, 21.5], [driven(9.0, 300, 8.99)])
+        assert back.tries == 2 and not back.violations and not old.violations
+
+    def test_stays_away(self):
+        _old, back = self.rows([9.0, 15.0, 20.05])
+        assert len(back.violations) == 1
+
+    def test_old_commands(self):
+        old, _back = self.rows([], [driven(14.01, 300, 11.0)])
+        assert len(old.violations) == 1
+
+
+class TestMaster:
+    EVENTS = [{'t': 10.0, 'ev': 'master ended'}, {'t': 11.0, 'ev': 'master started'},
+              {'t': 15.0, 'ev': 'registered'}]
+    OPENED = [Connection(1.0, 'bus', 'connection 1')]
+
+    def test_back(self):
+        back, ports = check_master(self.EVENTS, self.OPENED)
+        assert back.tries == 1 and not back.violations and not ports.violations
+
+    def test_late(self):
+        events = self.EVENTS[:2] + [{'t': 22.0, 'ev': 'registered'}]
+        assert len(check_master(events, self.OPENED)[0].violations) == 1
+
+    def test_never(self):
+        assert len(check_master(self.EVENTS[:2], self.OPENED)[0].violations) == 1
+
+    def test_a_port_opened_anew(self):
+        opened = self.OPENED + [Connection(12.0, 'bus', 'connection 2')]
+        assert len(check_master(self.EVENTS, opened)[1].violations) == 1
+
+    def test_a_port_that_had_been_cut(self):
+        events = [{'t': 9.5, 'ev': 'plugged', 'link': 'bus'}] + self.EVENTS
+        opened = self.OPENED + [Connection(12.0, 'bus', 'connection 2')]
+        assert not check_master(events, opened)[1].violations
+
+    def test_what_a_master_knows_of_a_node(self):
+        state = [[['/imu', ['/a', '/b']]], [['/speed', ['/b']]], [['/lift', ['/a']]]]
+        assert registered(state, {'bus': 1}, '/a') == {
+            ('publishes', '/imu'), ('offers', '/lift'), ('parameter', 'bus')}
+
+
+class TestCallsMeanwhile:
+    TIMEOUTS = {'lift': 0.5}
+
+    def row(self, **more):
+        call = dict({'kind': 'lift', 't0': 5.0, 't1': 5.1, 'success': True, 'message': ''}, **more)
+        return answered([call], self.TIMEOUTS, Intervals([(10.0, 12.0)]),
+                        Intervals([(20.0, 22.0)]))
+
+    def test_while_the_bridge_was_stopped(self):
+        assert not self.row(t0=9.9, t1=12.5).violations
+        assert len(self.row(t0=9.9, t1=14.5).violations) == 1
+        assert len(self.row(t0=5.0, t1=7.5).violations) == 1
+
+    def test_without_a_master(self):
+        assert not self.row(t0=20.5, t1=20.6, exception='no service').violations
+        assert len(self.row(t0=15.5, t1=15.6, exception='no service').violations) == 1
+
+
+def test_stretches():
+    events = [{'t': 1.0, 'ev': 'stopped'}, {'t': 2.0, 'ev': 'continued'},
+              {'t': 3.0, 'ev': 'stopped', 'link': 'bus'}, {'t': 4.0, 'ev': 'stopped'}]
+    assert stretches(events, 'stopped', 'continued', 9.0).pairs == [(1.0, 2.0), (4.0, 9.0)]
+    assert stretches(events, 'stopped', 'continued', 9.0, 'bus').pairs == [(3.0, 9.0)]
