@@ -12,7 +12,7 @@ QUIET = 8.0              # s without data while a port stays, more than faults o
 NETWORK_AGE = 1.5        # s; what a frozen network lets through late is no older
 NETWORK_RETURN = 3.0     # s from a network's return until heartbeats reach the board
 MASTER_RETURN = 10.0     # s from a new master's start until it knows the bridge
-_IN_THE_CABLE = 2        # packets that the stopped process of a cable may hold
+_IN_THE_CABLE = 9        # packets of just before, which a cable on a busy machine had not passed on
 _SPEED_0 = (SPEED, b'\0\0')
 
 
@@ -60,7 +60,7 @@ def check_frozen_line(frozen: Intervals, came: List[Packet], unclear: Intervals)
             continue
         tries += 1
         at = bisect_right([packet.t for packet in came], over)
-        # A packet that the cable had taken before it was stopped comes before all.
+        # What the cable had not passed on as it was stopped comes before all.
         heads = came[at:at + 1 + _IN_THE_CABLE]
         if not any(_is_speed_0([packet]) for packet in heads):
             violations.append((over, f'the first packets afterwards are {heads or "none"}'))

@@ -201,6 +201,8 @@ def _zeros_by_the_rules(drive: Drive) -> Row:
     owed += [(t - _ORDER, t + stop) for t in drive.zeros + drive.calls]
     owed += [(speed.t, speed.t + drive.speed_timeout + stop)
              for speed in drive.speeds if speed.value]
+    # The first one of all is that of the bridge's start, whenever it has started.
+    owed += [(speed.t, speed.t + stop) for speed in drive.speeds[:1]]
     allowed = Intervals(owed)
     zeros = [speed.t for speed in drive.speeds if not speed.value]
     return Row('arduino', 'SPEED 0 commanded, or where a rule has it, and never else', len(zeros),
