@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from serial_communication.protocols import arduino
 from serial_communication.protocols import robot_ctrl_bus as bus
 from serial_communication.tools.bench import decoders, report
 from serial_communication.tools.bench.figures import (Bridges, Cpu, Heartbeat, Latency, Load,
