@@ -67,11 +67,17 @@ class TopicState:
         """Seconds since the latest message; None if there was none."""
         return None if self.last_at is None else max(0.0, now - self.last_at)
 
+    def stale_after(self) -> Optional[float]:
+        """The age in seconds above which its value is stale; None: no age is too old."""
+        period = self.period()
+        if not self.topic.ages or period is None:
+            return None
+        return max(_PERIODS_TO_STALE * period, _SOONEST_STALE)
+
     def stale(self, now: float) -> bool:
         """Whether its value has not been renewed for three of its periods."""
-        age, period = self.age(now), self.period()
-        return self.topic.ages and age is not None and period is not None \
-            and age > max(_PERIODS_TO_STALE * period, _SOONEST_STALE)
+        age, limit = self.age(now), self.stale_after()
+        return age is not None and limit is not None and age > limit
 
 
 class LinkState(NamedTuple):

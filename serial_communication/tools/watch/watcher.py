@@ -44,11 +44,15 @@ class Watcher:
     Args:
         state: what to fill.
         wants: which topics to subscribe to; /diagnostics always is one.
+        on_message: is told of every message, in rospy's threads: its topic, what of `unpack` is
+            to make a message, and when it came.
     """
 
-    def __init__(self, state: BridgeState, wants: Callable[[Topic], bool] = everything) -> None:
+    def __init__(self, state: BridgeState, wants: Callable[[Topic], bool] = everything,
+                 on_message: Optional[Callable[[Topic, bytes, float], None]] = None) -> None:
         self._state = state
         self._wants = wants
+        self._on_message = on_message
         self._lock = threading.Lock()      # of the subscriptions
         self._subscribers: Dict[str, rospy.Subscriber] = {}     # by full name
         self._latest: Dict[str, bytes] = {}                     # by relative name
@@ -82,11 +86,15 @@ class Watcher:
             if packed is None:
                 continue
             try:
-                message = self._class(each.topic.type)().deserialize(packed)
+                message = self.unpack(each.topic, packed)
                 each.values, each.words = each.topic.values(message), each.topic.words(message)
             except Exception as error:  # pylint: disable=broad-except
                 # Whatever another version of the type may make of it.
                 each.values, each.words = [], f'not as expected: {error}'
+
+    def unpack(self, topic: Topic, packed: bytes) -> Any:
+        """The message; an exception where it is none of the topic's type."""
+        return self._class(topic.type)().deserialize(packed)
 
     # -- messages --------------------------------------------------------------------------
 
@@ -96,8 +104,11 @@ class Watcher:
             return
         each = self._state.topic(name)
         if each is not None:
+            now = time.monotonic()
             self._latest[name] = message._buff
-            each.take(time.monotonic())
+            each.take(now)
+            if self._on_message:
+                self._on_message(each.topic, message._buff, now)
         if name == DIAGNOSTICS:                # each message is about one link
             self._take_links(self._class(header['type'])().deserialize(message._buff))
 
