@@ -116,6 +116,7 @@ class BridgeState:
         self.master_at: Optional[float] = None     # when the master answered last
         self.registered: Optional[bool] = None     # whether the master knows the node
         self._registered_since: float = 0.0        # when that last changed
+        self.parameters: Dict[str, Any] = {}       # its private ones, nested; not known: none
         self._expected = list(topics)
         self.topics: List[TopicState] = [TopicState(topic) for topic in self._expected]
         self.links: Dict[str, Optional[LinkState]] = dict.fromkeys(in_order(links))

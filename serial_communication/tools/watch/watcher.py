@@ -174,6 +174,8 @@ class Watcher:
         if registered:
             types = dict(master.getTopicTypes())
             parameters = self._parameters(master)
+            if parameters != state.parameters:
+                state.parameters = parameters
             state.expect_links(expected_links(parameters))
             state.set_topics(known(state.node, {name: types.get(name, '*')
                                                 for name in published}, parameters))

@@ -1,0 +1,118 @@
+"""The web page of a bridge: a node that looks, and with --control takes commands for it.
+
+Serves at once, with or without a ROS master; ROS is begun in a thread beside, as soon as there
+is a master to register with.
+"""
+import argparse
+import logging
+import re
+import secrets
+import signal
+import socket
+import sys
+import threading
+from typing import Any, List, Optional
+
+import rosgraph
+import rospy
+import tornado.ioloop
+
+from ...links.sparing_log import SparingLog
+from ..watch.topics import NODE
+from .commands import Commands
+from .feed import Feed
+from .guard import SHORTEST_TOKEN, Guard, is_loopback
+from .server import Hub, listen, own_names, serve
+
+_MASTER_EVERY = 1.0       # s from one look for a master to the next
+_SAY_EVERY = 10.0         # s from one word about its absence to the next
+_LAST_WORDS = 0.2         # s that a last SPEED 0 has to leave
+
+
+def _port(text: str) -> int:
+    if not text.isdecimal() or int(text) > 65535:
+        raise argparse.ArgumentTypeError(f'{text!r}, may be a number from 0 to 65535')
+    return int(text)
+
+
+def _token(text: str) -> str:
+    if not re.fullmatch(r'[A-Za-z0-9._~-]{%d,200}' % SHORTEST_TOKEN, text):
+        raise argparse.ArgumentTypeError(
+            f'{len(text)} characters, may be at least {SHORTEST_TOKEN} of A-Z a-z 0-9 . _ ~ -')
+    return text
+
+
+def _arguments(argv: List[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog='panel', description='Serve a page that shows what a bridge and its lines do.',
+        epilog='An address other than 127.0.0.1, and --control, need a token: open the address '
+               'that the panel prints.')
+    parser.add_argument('--port', type=_port, default=8080, help='0: any that is free')
+    parser.add_argument('--bind', default='127.0.0.1', metavar='ADDRESS',
+                        help='where to listen; 0.0.0.0: for everybody (default: %(default)s)')
+    parser.add_argument('--node', default=NODE, metavar='NAME',
+                        help="the bridge's name (default: %(default)s)")
+    parser.add_argument('--control', action='store_true',
+                        help='let the page move lift, gimbal and car')
+    parser.add_argument('--token', type=_token,
+                        help='what the address has to carry (default: made anew, where needed)')
+    return parser.parse_args(argv)
+
+
+def _address(bind: str, port: int, token: Optional[str]) -> str:
+    """What to open in a browser."""
+    host = socket.gethostname() if bind in ('0.0.0.0', '::', '') else bind
+    host = f'[{host}]' if ':' in host else host
+    return f'http://{host}:{port}/' + (f'?token={token}' if token else '')
+
+
+def _begin_ros(ready: Any) -> None:
+    """Register with the master, as soon as there is one; in a thread of its own."""
+    said = None
+    waited = 0.0
+    while not rosgraph.is_master_online():
+        if said is None or waited - said >= _SAY_EVERY:
+            said = waited
+            print(f'panel: no ROS master at {rosgraph.get_master_uri()}; waiting for it',
+                  file=sys.stderr, flush=True)
+        if _stopping.wait(_MASTER_EVERY):
+            return
+        waited += _MASTER_EVERY
+    rospy.init_node('panel', disable_signals=True)
+    ready()
+
+
+_stopping = threading.Event()
+
+
+def main(argv: Optional[List[str]] = None) -> int:
+    """Serve until a signal; the exit status."""
+    options = _arguments(rospy.myargv(sys.argv)[1:] if argv is None else argv)
+    token = options.token
+    if token is None and (options.control or not is_loopback(options.bind)):
+        token = secrets.token_urlsafe(16)
+    try:
+        sockets = listen(options.port, options.bind)
+    except OSError as error:
+        print(f'panel: cannot listen on {options.bind} port {options.port}: {error.strerror}; '
+              'choose others with --bind and --port', file=sys.stderr)
+        return 1
+
+    loop = tornado.ioloop.IOLoop.current()
+    log = SparingLog('panel', logging.getLogger('rosout'))
+    node = rospy.names.resolve_name(options.node)
+    commands = Commands(node, loop.add_callback, loop.call_later) if options.control else None
+    hub = Hub(Feed(node, rosgraph.get_master_uri()), commands, log)
+    server = serve(sockets, hub, Guard([*own_names(), options.bind], token))
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda *_: loop.add_callback_from_signal(loop.stop))
+    # Not to the log: whoever may read that shall not learn the token.
+    print('panel: ' + _address(options.bind, sockets[0].getsockname()[1], token), flush=True)
+    threading.Thread(target=_begin_ros, args=(lambda: loop.add_callback(hub.ros_is_there),),
+                     name='begin ROS', daemon=True).start()
+    loop.start()
+
+    _stopping.set()
+    server.stop()
+    hub.stop()
+    return 0

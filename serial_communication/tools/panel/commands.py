@@ -1,0 +1,270 @@
+"""What the page may have the robot do, with --control: calls of services, the LED, driving.
+
+A call is made in a thread of its own, since it may take seconds. Everything else here, the dead
+man's switch too, runs on the IO loop.
+"""
+import threading
+import time
+from collections import deque
+from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional
+
+import genpy
+import rosgraph
+import roslib.message
+import rospy
+from std_msgs.msg import String
+from std_srvs.srv import Empty, Trigger
+
+from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
+from serial_communication.srv import Gimbal, Lift
+
+from ...links.master import TIMEOUT
+from ...protocols.arduino import LED_LIMIT, SPEED_LIMIT
+from ..watch.topics import resolve
+from .dead_man import SILENCE, DeadMan, Refused
+
+STEERING = (500, 2500)      # µs that a servo may be told
+_AGAIN = 0.5                # s after a call in which the same is a second click, no second wish
+_MOST_CALLS = 8             # that are under way at once
+_MOST_ANSWERS = 30          # that stay to be read
+_DONE, _REFUSED, _UNKNOWN = 'done', 'refused', 'not known'
+
+
+class Service(NamedTuple):
+    """A service that the page may call."""
+
+    name: str           # relative to the node
+    service_class: Any
+
+    def fields(self) -> List[List[str]]:
+        """Name and type of each field of the request."""
+        request = self.service_class._request_class
+        return [list(pair) for pair in zip(request.__slots__, request._slot_types)]
+
+
+_BUILT_IN = {name: Service(name, service_class) for name, service_class in (
+    ('~lift', Lift), ('~gimbal', Gimbal), ('~calibrate_imu', Empty), ('~bus/echo', Trigger),
+    ('~bus/sync', Trigger))}
+
+
+def own_services(parameters: Any) -> Dict[str, Service]:
+    """Those that bus/functions makes, as far as their types are installed here."""
+    functions = parameters
+    for part in ('bus', 'functions'):
+        functions = functions.get(part) if isinstance(functions, dict) else None
+    found = {}
+    for name, row in (functions.items() if isinstance(functions, dict) else ()):
+        type_ = row.get('srv_type') if isinstance(row, dict) else None
+        service_class = roslib.message.get_service_class(type_) if type_ else None
+        if service_class:
+            found['~' + name] = Service('~' + name, service_class)
+    return found
+
+
+class Commands:
+    """The robot's end of the page's controls.
+
+    Args:
+        node: the bridge's full name.
+        later: runs a function on the IO loop, soon; from any thread.
+        call_later: runs one there after so many seconds.
+    """
+
+    def __init__(self, node: str, later: Callable, call_later: Callable) -> None:
+        self._node = node
+        self._later = later
+        self._call_later = call_later
+        self._services = _BUILT_IN
+        self._learned: Any = None        # the parameters that made the others
+        self._answers: Deque[Dict[str, Any]] = deque(maxlen=_MOST_ANSWERS)
+        # browser -> service -> when its last call ended; None: it is under way
+        self._ended: Dict[Any, Dict[str, Optional[float]]] = {}
+        self._numbers = 0
+        self._changed: List[Dict[str, Any]] = []
+        self._publishers: Dict[str, rospy.Publisher] = {}
+        self._dead_man = DeadMan(self._stop_driving)
+        self._drive_words = ''
+        self._told_drive: Any = None
+
+    # -- life ----------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Somebody looks: the bridge gets to know our topics, so that no first command is lost."""
+        for name, message_class in (('speed', SpeedPWMCommand), ('led', String),
+                                    ('steering', SteeringPWMCommand)):
+            self._publishers[name] = rospy.Publisher(
+                resolve('~' + name, self._node), message_class, queue_size=1, tcp_nodelay=True)
+
+    def stop(self) -> None:
+        """Nobody looks: the car stands."""
+        self._dead_man.end()
+        for publisher in self._publishers.values():
+            publisher.unregister()
+        self._publishers.clear()
+
+    def describe(self) -> Dict[str, Any]:
+        """What the page needs to draw its controls."""
+        return {'services': {name: service.fields() for name, service in self._services.items()},
+                'speed_limit': SPEED_LIMIT, 'steering': STEERING, 'led_limit': LED_LIMIT}
+
+    def take(self, parameters: Any) -> Dict[str, Any]:
+        """What has changed since the last time, for every page.
+
+        Args:
+            parameters: the node's, nested; they make services of their own.
+        """
+        update: Dict[str, Any] = {}
+        if parameters is not self._learned:
+            self._learned = parameters
+            self._services = {**_BUILT_IN, **own_services(parameters)}
+            update['controls'] = self.describe()
+        if self._changed:
+            update['calls'], self._changed = self._changed, []
+        drive = self._driving()
+        if drive != self._told_drive:
+            update['drive'] = self._told_drive = drive
+        return update
+
+    def everything(self) -> Dict[str, Any]:
+        """For a page that has just been opened."""
+        return {'calls': list(self._answers), 'drive': self._driving(),
+                'controls': self.describe()}
+
+    def _driving(self) -> Dict[str, Any]:
+        return {'held': self._dead_man.hold is not None, 'words': self._drive_words}
+
+    # -- services ------------------------------------------------------------------------------
+
+    def call(self, who: Any, key: str, name: str, arguments: Dict[str, Any]) -> None:
+        """Call a service for a browser; Refused where it is not even tried."""
+        service = self._services.get(name)
+        if service is None:
+            raise Refused(f'no service {name[:40]!r}')
+        now = time.monotonic()
+        ended = self._ended.setdefault(who, {})
+        last = ended.get(name, 0.0)
+        if last is None or now - last < _AGAIN:
+            raise Refused(f'{name}: one call at a time')
+        if sum(at is None for each in self._ended.values()
+               for at in each.values()) >= _MOST_CALLS:
+            raise Refused('too many calls are under way')
+        request = _request(service, arguments)
+        ended[name] = None
+        self._numbers += 1
+        entry = {'number': self._numbers, 'key': key, 'name': name,
+                 'arguments': arguments, 'began': round(now, 3)}
+        self._answers.append(entry)
+        self._changed.append(entry)
+        threading.Thread(target=self._run, args=(who, service, request, entry), daemon=True,
+                         name=f'call {name}').start()
+
+    def forget(self, who: Any) -> None:
+        """The browser has gone; what it called goes on to its end."""
+        self._dead_man.forget(who)
+        if None not in self._ended.get(who, {}).values():
+            self._ended.pop(who, None)
+
+    def _run(self, who: Any, service: Service, request: Any, entry: Dict[str, Any]) -> None:
+        outcome, words = _call(resolve(service.name, self._node), service, request)
+        self._later(self._answered, who, entry, outcome, words)
+
+    def _answered(self, who: Any, entry: Dict[str, Any], outcome: str, words: str) -> None:
+        now = time.monotonic()
+        entry.update(outcome=outcome, words=words, took=round(now - entry['began'], 3))
+        self._ended[who][entry['name']] = now
+        self._changed.append(entry)
+
+    # -- the car -------------------------------------------------------------------------------
+
+    def led(self, text: str) -> None:
+        """Show this on the car's LEDs."""
+        if len(text) > LED_LIMIT or not text.isascii() or '\0' in text:
+            raise Refused(f'the LED takes at most {LED_LIMIT} characters of ASCII')
+        self._publisher('led').publish(text)
+
+    def drive(self, who: Any, hold: int, seen: float, speed: int, steering: int) -> None:
+        """Drive, as long as this browser says so again and again."""
+        now = time.monotonic()
+        publisher = self._publisher('speed')
+        try:
+            self._dead_man.command(who, hold, seen, now)
+        except Refused as refused:
+            self._drive_words = str(refused)
+            raise
+        self._drive_words = ''
+        stamp = rospy.Time.now()
+        self._publish_speed(publisher, max(-SPEED_LIMIT, min(SPEED_LIMIT, speed)), stamp)
+        command = SteeringPWMCommand(value=max(STEERING[0], min(STEERING[1], steering)))
+        command.header.stamp = stamp
+        self._publisher('steering').publish(command)
+        self._call_later(SILENCE, self._check)
+
+    def release(self, who: Any, hold: int) -> None:
+        """The pad is held no longer."""
+        self._dead_man.release(who, hold)
+
+    def _check(self) -> None:
+        held = self._dead_man.hold
+        self._dead_man.check(time.monotonic())
+        if held and not self._dead_man.hold:
+            self._drive_words = 'the browser fell silent: stopped'
+
+    def _stop_driving(self) -> None:
+        publisher = self._publishers.get('speed')
+        if publisher:
+            self._publish_speed(publisher, 0, rospy.Time.now())
+
+    @staticmethod
+    def _publish_speed(publisher: rospy.Publisher, speed: int, stamp: rospy.Time) -> None:
+        command = SpeedPWMCommand(value=speed)
+        command.header.stamp = stamp
+        try:
+            publisher.publish(command)
+        except rospy.ROSException:
+            pass    # shutting down: the bridge's own timeout stops the car
+
+    def _publisher(self, name: str) -> rospy.Publisher:
+        publisher = self._publishers.get(name)
+        if publisher is None or not publisher.get_num_connections():
+            raise Refused(f'the bridge does not listen to ~{name}: its arduino link is off, '
+                          'or it does not run')
+        return publisher
+
+
+def _request(service: Service, arguments: Dict[str, Any]) -> Any:
+    """The request with these fields; Refused where they are not the service's."""
+    names = [name for name, _type in service.fields()]
+    if sorted(arguments) != sorted(names):
+        raise Refused(f'{service.name} takes {", ".join(names) or "nothing"}')
+    request = service.service_class._request_class(**arguments)
+    try:
+        request._check_types()
+    except genpy.SerializationError as error:
+        raise Refused(f'{service.name}: {error}') from None
+    return request
+
+
+def _call(name: str, service: Service, request: Any) -> Any:
+    """Call it: how it went, and in words."""
+    try:
+        rosgraph.Master(rospy.get_name()).lookupService(name)
+    except rosgraph.MasterError:
+        return _REFUSED, 'nothing was sent: no bridge offers this now'
+    except OSError:
+        return _REFUSED, 'nothing was sent: the ROS master does not answer'
+    try:
+        response = rospy.ServiceProxy(name, service.service_class)(request)
+    except rospy.ServiceException as error:
+        text = str(error)
+        if 'unable to connect' in text:
+            return _REFUSED, 'nothing was sent: the bridge does not answer'
+        _, responded, said = text.partition('responded with an error: ')
+        if responded:
+            return _REFUSED, said[2:-1] if said.startswith("b'") else said
+        return _UNKNOWN, f'the bridge went away meanwhile: {text}'
+    except Exception as error:  # pylint: disable=broad-except
+        return _UNKNOWN, f'the call failed: {error}'
+    words = getattr(response, 'message', '')
+    if getattr(response, 'success', True):
+        return _DONE, words or 'done'
+    return (_UNKNOWN if getattr(response, 'status', None) == TIMEOUT else _REFUSED), words

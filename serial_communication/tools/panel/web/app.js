@@ -1,0 +1,83 @@
+/** The page: cards, what they watch, and when they are drawn. */
+import {Air} from './cards/air.js';
+import {Attitude, Battery, Motion} from './cards/car.js';
+import {Commands} from './cards/commands.js';
+import {Drive} from './cards/drive.js';
+import {Links, worst} from './cards/links.js';
+import {Log} from './cards/log.js';
+import {OwnMessages} from './cards/own.js';
+import {Channels, Sensors} from './cards/sensors.js';
+import {Wire} from './cards/wire.js';
+import {Connection} from './connection.js';
+import {ago, mark, say} from './dom.js';
+import {Model} from './model.js';
+
+const IDLE = 200;         // ms from one drawing to the next while nothing comes
+
+const place = (id) => document.getElementById(id);
+const announce = (words) => { place('announcer').textContent = words; };
+
+const model = new Model();
+const connection = new Connection();
+const links = new Links(announce);
+const own = new OwnMessages();
+const commands = new Commands(connection, announce);
+const drive = new Drive(connection, announce);
+const wire = new Wire(watch);
+const columns = [[new Attitude(), new Battery(), drive], [new Motion(), own, new Log()],
+  [commands, new Sensors(), new Channels(), new Air()]];
+const below = [wire];
+const cards = [links, ...columns.flat(), ...below];
+
+columns.forEach((column, index) => place(`column-${index + 1}`).append(...column.map((each) => each.element)));
+place('below').append(...below.map((each) => each.element));
+
+function watch() {
+  connection.watch(new Set(cards.flatMap((each) => each.topics)));
+}
+
+/** The state of all in a line: connection, bridge, worst link. */
+function head(now) {
+  const alive = connection.alive;
+  const state = worst(model, now);
+  const trouble = alive ? model.trouble
+    : connection.seen ? `no connection to the panel for ${ago(Math.max(0, now - connection.seen))}: ${connection.words}` : connection.words;
+  place('trouble').hidden = !trouble || !connection.seen && connection.words === 'connecting …';
+  say(place('trouble'), trouble);
+  say(place('connection'), alive ? 'live' : 'no connection');
+  mark(document.body, 'data-connection', alive ? 'live' : 'lost');
+  say(place('node'), model.node.replace(/^\//, '') || 'serial_communication');
+  const sign = !alive ? '✕ no connection' : trouble ? `✕ ${trouble}` : state.words ? `${state.sign} ${state.words}` : '✓';
+  const title = `${sign} · ${place('node').textContent}`;
+  if (document.title !== title) document.title = title;
+}
+
+let asked = false;
+let drawnAt = 0;
+
+function draw() {
+  asked = false;
+  drawnAt = performance.now();
+  const now = connection.now();
+  head(now);
+  cards.forEach((each) => each.draw(model, now));
+}
+
+function drawSoon() {
+  if (asked) return;
+  asked = true;
+  requestAnimationFrame(draw);
+}
+
+connection.addEventListener('update', ({detail: update}) => {
+  model.take(update);
+  if (update.known && own.learn(update.known)) watch();
+  if (update.wire) wire.take(update.wire);
+  if (update.refused) {
+    if (update.refused.key === 'drive') drive.refused(update.refused.words);
+    else commands.refused(update.refused);
+  }
+  drawSoon();
+});
+setInterval(() => { if (performance.now() - drawnAt > IDLE) drawSoon(); }, IDLE);
+watch();

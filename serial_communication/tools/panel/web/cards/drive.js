@@ -1,0 +1,143 @@
+/**
+ * The driving pad, a dead man's switch: it drives while it is held. It stops on release, on a
+ * lost or slow connection, on a hidden tab and on blur; and if this page can do none of that any
+ * more, its silence stops the car at the panel, and the panel's at the bridge.
+ */
+import {card, h, mark, say} from '../dom.js';
+
+const EVERY = 50;           // ms from one command to the next
+const SILENCE = 0.3;        // s without a word from the panel, after which the pad lets go
+const MIDDLE = 1500;        // µs of the servo
+const TURN = 400;           // µs to either side
+const SLOW = 200;           // of 1000: how fast the pad goes at first
+const KEYS = {ArrowUp: [0, 1], ArrowDown: [0, -1], ArrowLeft: [-1, 0], ArrowRight: [1, 0]};
+
+export class Drive {
+  constructor(connection, announce) {
+    this.topics = [];
+    this._connection = connection;
+    this._announce = announce;
+    this._hold = 0;             // presses so far
+    this._timer = null;         // while held
+    this._keys = new Set();
+    this._at = [0, 0];          // right, ahead: -1 … 1
+    this._knob = h('span', {class: 'knob', 'aria-hidden': 'true'});
+    this._pad = h('div', {class: 'pad', role: 'application', tabindex: '0', id: 'pad',
+      'aria-label': 'driving pad: hold the arrow keys to drive, let go to stop',
+      'aria-describedby': 'pad-words'}, this._knob);
+    this._words = h('p', {class: 'words', id: 'pad-words', role: 'status'}, 'hold to drive');
+    this._limit = h('input', {type: 'range', min: '50', max: '1000', step: '50', value: String(SLOW),
+      id: 'speed-limit'});
+    this._limitWords = h('output', {for: 'speed-limit'}, String(SLOW));
+    this.element = card('Drive', '~speed, ~steering', this._pad, this._words,
+      h('label', {class: 'amount', for: 'speed-limit'}, 'at most ', this._limit, this._limitWords));
+    this.element.hidden = true;
+    this._limit.addEventListener('input', () => say(this._limitWords, this._limit.value));
+    this._listen();
+  }
+
+  get held() { return this._timer !== null; }
+
+  draw(model) {
+    this.element.hidden = model.controls === null;
+    if (this.held && this._connection.silence() > SILENCE) this._end('stopped: the panel fell silent');
+    mark(this._pad, 'data-held', this.held);
+    mark(this._pad, 'aria-disabled', this._connection.alive ? null : 'true');
+    if (!this.held && model.drive.held) say(this._words, 'another page drives');
+    else if (!this.held && this._words.textContent === 'another page drives') say(this._words, 'hold to drive');
+  }
+
+  /** The panel did not let this drive. */
+  refused(words) { this._end(`stopped: ${words}`); }
+
+  _listen() {
+    const pad = this._pad;
+    pad.addEventListener('pointerdown', (event) => {
+      if (event.button !== 0) return;
+      event.preventDefault();
+      pad.focus();
+      pad.setPointerCapture(event.pointerId);
+      this._point(event);
+      this._begin();
+    });
+    pad.addEventListener('pointermove', (event) => { if (this.held && !this._keys.size) this._point(event); });
+    for (const end of ['pointerup', 'pointercancel', 'lostpointercapture', 'contextmenu']) {
+      pad.addEventListener(end, (event) => {
+        if (end === 'contextmenu') event.preventDefault();
+        if (!this._keys.size) this._end('let go: stopped');
+      });
+    }
+    pad.addEventListener('keydown', (event) => {
+      if (!(event.key in KEYS)) {
+        if (this.held) this._end('stopped');
+        return;
+      }
+      event.preventDefault();
+      if (event.repeat) return;
+      this._keys.add(event.key);
+      this._steer();
+      this._begin();
+    });
+    pad.addEventListener('keyup', (event) => {
+      if (!this._keys.delete(event.key)) return;
+      if (this._keys.size) this._steer();
+      else this._end('let go: stopped');
+    });
+    pad.addEventListener('blur', () => this._end('stopped: the pad is no longer in focus'));
+    window.addEventListener('blur', () => this._end('stopped: the window is no longer in front'));
+    window.addEventListener('pagehide', () => this._end('stopped'));
+    document.addEventListener('visibilitychange', () => {
+      if (document.hidden) this._end('stopped: the page was hidden');
+    });
+    this._connection.addEventListener('lost', () => this._end('stopped: the connection was lost'));
+  }
+
+  _point(event) {
+    const {left, top, width, height} = this._pad.getBoundingClientRect();
+    const clip = (value) => Math.max(-1, Math.min(1, value));
+    this._at = [clip((event.clientX - left) / width * 2 - 1), clip(1 - (event.clientY - top) / height * 2)];
+  }
+
+  _steer() {
+    this._at = [...this._keys].reduce(([x, y], key) => [x + KEYS[key][0], y + KEYS[key][1]], [0, 0]);
+  }
+
+  _begin() {
+    if (this.held) return;
+    if (!this._connection.alive) {
+      say(this._words, 'no connection to the panel');
+      return;
+    }
+    this._hold += 1;
+    this._timer = setInterval(() => this._tell(), EVERY);
+    this._tell();
+  }
+
+  _tell() {
+    if (this._connection.silence() > SILENCE) {
+      this._end('stopped: the panel fell silent');
+      return;
+    }
+    const [right, ahead] = this._at;
+    const speed = Math.round(ahead * Number(this._limit.value));
+    const steering = Math.round(MIDDLE + right * TURN);
+    this._connection.send({drive: {key: 'drive', hold: this._hold, seen: this._connection.seen, speed, steering}});
+    this._place(right, ahead);
+    say(this._words, `speed ${speed}, steering ${steering}`);
+  }
+
+  /** Whatever it was that ended it: nothing drives from here on. */
+  _end(words) {
+    if (!this.held) return;
+    clearInterval(this._timer);
+    this._timer = null;
+    this._keys.clear();
+    this._connection.send({release: {hold: this._hold}});
+    this._place(0, 0);
+    say(this._words, words);
+  }
+
+  _place(right, ahead) {
+    this._knob.style.transform = `translate(${(right * 50).toFixed(1)}cqmin, ${(-ahead * 50).toFixed(1)}cqmin)`;
+  }
+}

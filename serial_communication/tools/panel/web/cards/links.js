@@ -1,0 +1,183 @@
+/** A card a link: how it is, in a colour and a word that are seen from across the room. */
+import {ago, card, colour, context, h, mark, number, say} from '../dom.js';
+
+const SHOWN = 300;         // s of the sparkline
+const BIN = 3;             // s of one of its bars
+const MINUTE = 60;
+const BOARDS = {bus: 'control board', arduino: 'model car', mcu: 'sensor board'};
+const SIGNS = {ok: '✓', warn: '!', error: '✕', none: '?'};
+const WORDS = {ok: 'well', warn: 'trouble', error: 'down', none: 'not known'};
+const CAUSES = ['--cause-1', '--cause-2', '--cause-3', '--cause-4', '--cause-5'];
+
+/** What else is worth a place on the card: label, and its text from the diagnostics' values. */
+const MORE = [
+  ['round trip', (v) => milliseconds(v['round trip p50 [ms]'])],
+  ['slowest', (v) => milliseconds(v['round trip max [ms]'])],
+  ['timeouts', (v) => v['timeouts']],
+  ['heartbeat gap', (v) => milliseconds(v['heartbeat max gap [ms]'])],
+  ['lost', (v) => v['frames lost']],
+  ['reconnects', (v) => v['reconnects']],
+];
+
+const milliseconds = (value) => value === undefined || value === '-' ? value : `${value} ms`;
+
+class LinkCard {
+  constructor(name, announce) {
+    this._name = name;
+    this._announce = announce;
+    this._look = null;
+    this._sign = h('span', {class: 'sign', 'aria-hidden': 'true'}, '?');
+    this._summary = h('p', {class: 'summary'}, 'no word from it yet');
+    this._port = h('p', {class: 'port'});
+    this._count = h('span', {class: 'count'}, '0');
+    this._spark = h('canvas', {class: 'spark', role: 'img', 'aria-label': 'errors'});
+    this._causes = h('ul', {class: 'causes'});
+    this._rates = {in: h('dd'), out: h('dd'), age: h('dd')};
+    this._more = new Map(MORE.map(([label]) => [label, h('dd')]));
+    this._all = h('tbody');
+    this._details = h('details', {class: 'all'}, h('summary', {}, 'everything it says'),
+      h('table', {}, this._all));
+    const item = (label, value) => h('div', {}, h('dt', {}, label), value);
+    this.element = card(name, BOARDS[name] ?? '',
+      h('div', {class: 'now'},
+        h('div', {class: 'state'}, this._sign, h('div', {}, this._summary, this._port)),
+        h('div', {class: 'errors'},
+          h('p', {class: 'per-minute'}, this._count, h('span', {}, ' errors a minute')),
+          this._spark)),
+      this._causes,
+      h('dl', {class: 'facts'}, item('in', this._rates.in), item('out', this._rates.out),
+        item('last frame', this._rates.age),
+        ...MORE.map(([label]) => item(label, this._more.get(label)))),
+      this._details);
+    this.element.classList.add('link');
+    this.element.dataset.link = name;
+  }
+
+  draw(model, now) {
+    const link = model.links.get(this._name);
+    if (!link) return;
+    const look = link.look(now);
+    mark(this.element, 'data-look', look);
+    say(this._sign, SIGNS[look]);
+    const stale = link.stale(now);
+    const said = link.at === null ? 'no word from it yet'
+      : stale ? `nothing heard for ${ago(now - link.at)}` : link.summary;
+    say(this._summary, said);
+    if (look !== this._look) {
+      if (this._look !== null || look === 'error') {
+        this._announce(`${this._name} link: ${WORDS[look]}, ${said}`);
+      }
+      this._look = look;
+    }
+    if (link.at === null) return;
+    const values = link.values;
+    say(this._port, values['port'] ?? '');
+    mark(this._port, 'title', values['port'] ?? '');
+    this._errors(link, now);
+    const rate = (sent) => {
+      const value = link.rate(sent);
+      return value === null || stale ? '–' : `${number(value, value < 10 ? 1 : 0)}/s`;
+    };
+    say(this._rates.in, rate(false));
+    say(this._rates.out, rate(true));
+    const age = Number(values['last frame age [s]']);
+    say(this._rates.age, Number.isNaN(age) ? 'never' : `${ago(age + (now - link.at))} ago`);
+    for (const [label, text] of MORE) {
+      const value = text(values), place = this._more.get(label);
+      place.parentElement.hidden = value === undefined;
+      say(place, value ?? '');
+    }
+    if (this._details.open) this._list(values);
+  }
+
+  _errors(link, now) {
+    const minute = link.errorsSince(now - MINUTE);
+    const sum = Object.values(minute).reduce((all, each) => all + each, 0);
+    say(this._count, number(sum));
+    mark(this._count, 'data-some', sum > 0);
+    const causes = Object.keys(link.errorsSince(now - SHOWN)).sort();
+    const words = causes.map((cause) => `${cause} ${minute[cause] ?? 0}`).join(' ');
+    this._causes.hidden = !causes.length;
+    if (this._causes.dataset.words !== words) {
+      this._causes.dataset.words = words;
+      this._causes.replaceChildren(...causes.map((cause, at) => {
+        const item = h('li', {class: 'key', 'data-cause': cause}, `${cause} `,
+          h('b', {}, String(minute[cause] ?? 0)));
+        item.style.setProperty('--key', `var(${CAUSES[at % CAUSES.length]})`);
+        return item;
+      }));
+      mark(this._spark, 'aria-label', `errors in the last five minutes: ${causes.map((cause) =>
+        `${cause} ${link.errorsSince(now - SHOWN)[cause]}`).join(', ') || 'none'}`);
+    }
+    const area = context(this._spark);
+    if (area) this._bars(area, link, now, causes);
+  }
+
+  _bars({ctx, width, height}, link, now, causes) {
+    const bins = Math.round(SHOWN / BIN), begin = (Math.floor(now / BIN) + 1) * BIN - SHOWN;
+    const sums = Array.from({length: bins}, () => causes.map(() => 0));
+    for (const [at, counts] of link.errors) {
+      const bin = sums[Math.floor((at - begin) / BIN)];
+      if (bin) causes.forEach((cause, index) => { bin[index] += counts[cause] ?? 0; });
+    }
+    const most = Math.max(5, ...sums.map((bin) => bin.reduce((all, each) => all + each, 0)));
+    const wide = width / bins;
+    ctx.fillStyle = colour('--grid');
+    ctx.fillRect(0, height - 1, width, 1);
+    sums.forEach((bin, index) => {
+      let y = height;
+      bin.forEach((count, cause) => {
+        if (!count) return;
+        const high = Math.max(2, count / most * (height - 2));
+        ctx.fillStyle = colour(CAUSES[cause % CAUSES.length]);
+        ctx.fillRect(index * wide, y - high, Math.max(1, wide - 0.6), high);
+        y -= high;
+      });
+    });
+  }
+
+  _list(values) {
+    const words = JSON.stringify(values);
+    if (this._all.dataset.words === words) return;
+    this._all.dataset.words = words;
+    this._all.replaceChildren(...Object.entries(values).map(([key, value]) =>
+      h('tr', {}, h('th', {scope: 'row'}, key), h('td', {}, value))));
+  }
+}
+
+/** The links that there are; a card each, as they become known. */
+export class Links {
+  constructor(announce) {
+    this.topics = [];
+    this.element = document.getElementById('links');
+    this._announce = announce;
+    this._cards = new Map();
+  }
+
+  draw(model, now) {
+    for (const name of model.links.keys()) {
+      if (!this._cards.has(name)) {
+        const made = new LinkCard(name, this._announce);
+        this._cards.set(name, made);
+        this.element.append(made.element);
+      }
+    }
+    for (const [name, each] of this._cards) {
+      each.element.hidden = !model.links.has(name);
+      each.draw(model, now);
+    }
+  }
+}
+
+/** The worst of all links, and in a few words which: for the tab's title. */
+export function worst(model, now) {
+  const order = ['none', 'error', 'warn', 'ok'];
+  let found = 'ok', words = '';
+  for (const link of model.links.values()) {
+    const look = link.look(now);
+    if (order.indexOf(look) < order.indexOf(found)) {
+      [found, words] = [look, `${link.name}: ${WORDS[look]}`];
+    }
+  }
+  return {look: found, sign: SIGNS[found], words};
+}

@@ -1,0 +1,27 @@
+/** What the bridge and its boards said. */
+import {ago, card, h, say} from '../dom.js';
+
+const SHOWN = 30;
+const LEVELS = {1: 'debug', 2: 'info', 4: 'warn', 8: 'error', 16: 'fatal'};
+
+export class Log {
+  constructor() {
+    this.topics = [];
+    this._list = h('ol', {class: 'log', tabindex: '0', 'aria-label': 'what was said, the newest first'});
+    this.element = card('What was said', '/rosout', this._list);
+    this._last = null;
+  }
+
+  draw(model, now) {
+    const lines = model.log.slice(-SHOWN).reverse();
+    const last = lines[0];
+    if (last !== this._last || lines.length !== this._list.children.length) {
+      this._last = last;
+      this._list.replaceChildren(...lines.map(([, level, text]) =>
+        h('li', {'data-level': LEVELS[level] ?? 'info'}, h('time', {}), h('span', {}, text))));
+    }
+    lines.forEach(([at], index) => say(this._list.children[index].firstChild,
+      `${ago(Math.max(0, now - at))}`));
+    if (!lines.length) this._list.replaceChildren(h('li', {class: 'words'}, 'nothing, since the page was opened'));
+  }
+}

@@ -1,0 +1,83 @@
+/** Elements, and numbers as text. Text of boards and topics becomes text nodes, never markup. */
+
+/** An element: attributes (`class`, `aria-…`, `onclick` …), then children: elements or text. */
+export function h(tag, attributes = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (name.startsWith('on')) element.addEventListener(name.slice(2), value);
+    else if (value === true) element.setAttribute(name, '');
+    else if (value !== false && value !== null) element.setAttribute(name, value);
+  }
+  element.append(...children);
+  return element;
+}
+
+/** A card: a section with a heading. Its name is what a screen reader says. */
+export function card(title, note, ...children) {
+  const id = 'card-' + title.toLowerCase().replace(/[^a-z0-9]+/g, '-');
+  return h('section', {class: 'card', id, 'aria-labelledby': id + '-title'},
+    h('header', {class: 'card-head'}, h('h2', {id: id + '-title'}, title),
+      h('span', {class: 'note'}, note)),
+    ...children);
+}
+
+/** Set text only where it changes: the page stands still where nothing happens. */
+export function say(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+/** Set or remove an attribute, likewise. */
+export function mark(element, name, value) {
+  if (value === null || value === false) {
+    if (element.hasAttribute(name)) element.removeAttribute(name);
+  } else {
+    const text = value === true ? '' : String(value);
+    if (element.getAttribute(name) !== text) element.setAttribute(name, text);
+  }
+}
+
+const UNITS = {'deg': '°', 'degrees C': '°C', 'm/s^2': 'm/s²', 'in 10 ms': '/10 ms'};
+
+export const unit = (name) => UNITS[name] ?? name;
+
+/** A number as text; U+2212 is as wide as a plus, a hyphen is not. */
+export function number(value, digits = null) {
+  if (typeof value === 'boolean') return value ? 'yes' : 'no';
+  if (typeof value === 'string') return value;
+  if (value === null || value === undefined || Number.isNaN(value)) return '–';
+  if (!Number.isFinite(value)) return value > 0 ? '∞' : '−∞';
+  let text = digits === null ? String(Number(value.toPrecision(6))) : value.toFixed(digits);
+  if (Number(text) === 0) text = text.replace('-', '');
+  return text.replace('-', '−');
+}
+
+/** An age in few characters. */
+export function ago(seconds) {
+  if (seconds < 120) return `${seconds < 10 ? seconds.toFixed(1) : seconds.toFixed(0)} s`;
+  return seconds < 7200 ? `${Math.floor(seconds / 60)} min` : `${Math.floor(seconds / 3600)} h`;
+}
+
+/** A colour of the style sheet, for a canvas; asked anew when light and dark change. */
+const colours = new Map();
+export function colour(name) {
+  if (!colours.has(name)) {
+    colours.set(name, getComputedStyle(document.documentElement).getPropertyValue(name).trim());
+  }
+  return colours.get(name);
+}
+matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => colours.clear());
+
+/** A canvas's context in CSS pixels, wiped; null while it is not shown. */
+export function context(canvas) {
+  const {clientWidth: width, clientHeight: height} = canvas;
+  if (!width || !height) return null;
+  const ratio = window.devicePixelRatio || 1;
+  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
+    canvas.width = Math.round(width * ratio);
+    canvas.height = Math.round(height * ratio);
+  }
+  const ctx = canvas.getContext('2d');
+  ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
+  ctx.clearRect(0, 0, width, height);
+  return {ctx, width, height};
+}

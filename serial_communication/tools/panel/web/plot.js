@@ -1,0 +1,144 @@
+/** A plot that moves: the last seconds of some fields, the newest at the right edge. */
+import {colour, context, h, mark, number} from './dom.js';
+
+const DESCRIBED = 5;      // s from one description for a screen reader to the next
+const EDGE = 6;           // px above and below the lines
+
+export class Plot {
+  /**
+   * @param lines [{topic, field, colour, name}]; a colour is a variable of the style sheet
+   * @param span seconds that are shown
+   * @param least the least height of what is shown, so that noise stays small
+   */
+  constructor(title, lines, {span = 20, least = 1, digits = 1, high = 120} = {}) {
+    Object.assign(this, {_title: title, _lines: lines, _span: span, _least: least,
+      _digits: digits, _described: -Infinity, _low: null, _high: null});
+    this._canvas = h('canvas', {class: 'plot', role: 'img', 'aria-label': title});
+    this._canvas.style.height = `${high}px`;
+    const keys = lines.length > 1 ? lines.map((line) => {
+      const key = h('span', {class: 'key'}, line.name);
+      key.style.setProperty('--key', `var(${line.colour})`);
+      return key;
+    }) : [];
+    this.element = h('figure', {class: 'figure'},
+      h('figcaption', {}, h('span', {}, title), ...keys,
+        h('span', {class: 'span'}, span >= 120 ? `${span / 60} min` : `${span} s`)),
+      this._canvas);
+  }
+
+  draw(model, now) {
+    const area = context(this._canvas);
+    if (!area) return;
+    const from = now - this._span;
+    const series = this._lines.map((line) => {
+      const topic = model.topic(line.topic), field = topic.field(line.field);
+      return {line, topic, at: field?.at, first: lowerBound(topic.rows, from)};
+    }).filter((each) => each.at !== undefined);
+    const [low, high] = this._limits(series);
+    this._frame(area, low, high);
+    const x = (time) => (time - from) / this._span * area.width;
+    const y = (value) => EDGE + (high - value) / (high - low) * (area.height - 2 * EDGE);
+    for (const each of series) this._trace(area.ctx, each, x, y);
+    this._describe(now, low, high, series);
+  }
+
+  /** What is shown grows at once, and shrinks slowly, so that it does not jump. */
+  _limits(series) {
+    let low = Infinity, high = -Infinity;
+    for (const {topic, at, first} of series) {
+      for (let index = first; index < topic.rows.length; index++) {
+        const value = Number(topic.rows[index][at]);
+        if (value < low && value > -Infinity) low = value;
+        if (value > high && value < Infinity) high = value;
+      }
+    }
+    if (low > high) [low, high] = [0, this._least];
+    const middle = (low + high) / 2, half = Math.max(high - low, this._least) / 2 * 1.12;
+    const want = [middle - half, middle + half];
+    if (this._low === null || want[0] < this._low || want[1] > this._high) {
+      this._low = Math.min(this._low ?? want[0], want[0]);
+      this._high = Math.max(this._high ?? want[1], want[1]);
+    }
+    this._low += (want[0] - this._low) * 0.03;
+    this._high += (want[1] - this._high) * 0.03;
+    return [Math.min(this._low, want[0]), Math.max(this._high, want[1])];
+  }
+
+  _frame({ctx, width, height}, low, high) {
+    ctx.font = '11px system-ui, sans-serif';
+    ctx.lineWidth = 1;
+    const step = niceStep((high - low) / (height / 30));
+    for (let value = Math.ceil(low / step) * step; value <= high; value += step) {
+      const y = Math.round(EDGE + (high - value) / (high - low) * (height - 2 * EDGE)) + 0.5;
+      const zero = Math.abs(value) < step / 2;
+      ctx.strokeStyle = colour(zero ? '--axis' : '--grid');
+      ctx.beginPath();
+      ctx.moveTo(0, y);
+      ctx.lineTo(width, y);
+      ctx.stroke();
+      ctx.fillStyle = colour('--faint');
+      if (y > 10) ctx.fillText(number(value, Math.max(0, -Math.floor(Math.log10(step)))), 2, y - 3);
+    }
+  }
+
+  /** One line. Of the rows in one column of pixels, the least and the greatest are drawn. */
+  _trace(ctx, {line, topic, at, first}, x, y) {
+    const gap = topic.limit ?? Infinity;
+    ctx.strokeStyle = colour(line.colour);
+    ctx.lineWidth = 1.5;
+    ctx.lineJoin = 'round';
+    ctx.beginPath();
+    let column = null, low = 0, high = 0, before = -Infinity, alone = false;
+    const flush = () => {
+      if (column === null) return;
+      ctx.lineTo(column, y(low));
+      if (high !== low) ctx.lineTo(column, y(high));
+      else if (alone) ctx.lineTo(column + 1, y(low));
+    };
+    for (let index = Math.max(0, first - 1); index < topic.rows.length; index++) {
+      const row = topic.rows[index], value = Number(row[at]);
+      if (!Number.isFinite(value)) { flush(); column = null; before = -Infinity; continue; }
+      const px = Math.round(x(row[0]));
+      if (row[0] - before > gap || column === null) {
+        flush();
+        ctx.moveTo(px, y(value));
+        [column, low, high, alone] = [px, value, value, true];
+      } else if (px === column) {
+        low = Math.min(low, value);
+        high = Math.max(high, value);
+      } else {
+        flush();
+        [column, low, high, alone] = [px, value, value, false];
+      }
+      before = row[0];
+    }
+    flush();
+    ctx.stroke();
+  }
+
+  _describe(now, low, high, series) {
+    if (now - this._described < DESCRIBED) return;
+    this._described = now;
+    const said = series.map(({line, topic, at}) =>
+      `${line.name ?? line.field} ${number(topic.last?.[at], this._digits)}`).join(', ');
+    mark(this._canvas, 'aria-label', `${this._title}, the last ${this._span} seconds: between `
+      + `${number(low, this._digits)} and ${number(high, this._digits)}; now ${said}`);
+  }
+}
+
+/** The first row that is not before this time. */
+export function lowerBound(rows, time) {
+  let low = 0, high = rows.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (rows[middle][0] < time) low = middle + 1;
+    else high = middle;
+  }
+  return low;
+}
+
+/** 1, 2 or 5 times a power of ten, not less than this. */
+function niceStep(least) {
+  const power = 10 ** Math.floor(Math.log10(least));
+  return power * [1, 2, 5, 10].find((each) => each * power >= least);
+}
