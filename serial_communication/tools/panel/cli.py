@@ -4,6 +4,7 @@ Serves at once, with or without a ROS master; ROS is begun in a thread beside, a
 is a master to register with.
 """
 import argparse
+import http.client
 import logging
 import re
 import secrets
@@ -11,7 +12,9 @@ import signal
 import socket
 import sys
 import threading
-from typing import Any, List, Optional
+import time
+import xmlrpc.client
+from typing import Any, Callable, List, Optional
 
 import rosgraph
 import rospy
@@ -66,23 +69,65 @@ def _address(bind: str, port: int, token: Optional[str]) -> str:
     return f'http://{host}:{port}/' + (f'?token={token}' if token else '')
 
 
-def _begin_ros(ready: Any) -> None:
-    """Register with the master, as soon as there is one; in a thread of its own."""
-    said = None
-    waited = 0.0
-    while not rosgraph.is_master_online():
-        if said is None or waited - said >= _SAY_EVERY:
-            said = waited
-            print(f'panel: no ROS master at {rosgraph.get_master_uri()}; waiting for it',
-                  file=sys.stderr, flush=True)
-        if _stopping.wait(_MASTER_EVERY):
+class _Ros:
+    """The node's life: begins in a thread of its own, as soon as there is a master."""
+
+    def __init__(self, ready: Callable[[], None], end: Callable[[int], None]) -> None:
+        self._ready = ready
+        self._end = end
+        self._stopping = threading.Event()
+        threading.Thread(target=self._begin, name='begin ROS', daemon=True).start()
+
+    def stop(self) -> None:
+        """Begin nothing any more, and leave the master."""
+        self._stopping.set()
+        rospy.signal_shutdown('the panel ends')
+
+    def _begin(self) -> None:
+        waited = 0.0
+        while not rosgraph.is_master_online():
+            if waited % _SAY_EVERY == 0:
+                print(f'panel: no ROS master at {rosgraph.get_master_uri()}; waiting for it',
+                      file=sys.stderr, flush=True)
+            if self._stopping.wait(_MASTER_EVERY):
+                return
+            waited += _MASTER_EVERY
+        name = rospy.names.resolve_name(
+            rosgraph.names.load_mappings(sys.argv).get('__name', 'panel'))
+        if _lives(name):
+            print(f'panel: another node is named {name} at {rosgraph.get_master_uri()}; end it, '
+                  'or take another name with __name:=NAME', file=sys.stderr, flush=True)
+            self._end(3)
             return
-        waited += _MASTER_EVERY
-    rospy.init_node('panel', disable_signals=True)
-    ready()
+        rospy.init_node('panel', disable_signals=True)
+        rospy.on_shutdown(self._over)
+        self._ready()
+
+    def _over(self) -> None:
+        """Somebody else took the name, or rosnode kill: the page would stand still for good."""
+        if not self._stopping.is_set():
+            print('panel: ROS has ended this node (rosnode kill, or another of its name)',
+                  file=sys.stderr, flush=True)
+            self._end(1)
 
 
-_stopping = threading.Event()
+def _lives(name: str) -> bool:
+    """Whether a node of this name answers; the master itself also knows those that died."""
+    try:
+        uri = rosgraph.Master('/panel_asks').lookupNode(name)
+        with xmlrpc.client.ServerProxy(uri, _Impatient()) as node:
+            return node.getPid('/panel_asks')[0] == 1
+    except (OSError, rosgraph.MasterException, xmlrpc.client.Error, http.client.HTTPException):
+        return False
+
+
+class _Impatient(xmlrpc.client.Transport):
+    """HTTP to a node that may hang."""
+
+    def make_connection(self, host: Any) -> Any:
+        connection = super().make_connection(host)
+        connection.timeout = 3.0
+        return connection
 
 
 def main(argv: Optional[List[str]] = None) -> int:
@@ -108,11 +153,17 @@ def main(argv: Optional[List[str]] = None) -> int:
         signal.signal(number, lambda *_: loop.add_callback_from_signal(loop.stop))
     # Not to the log: whoever may read that shall not learn the token.
     print('panel: ' + _address(options.bind, sockets[0].getsockname()[1], token), flush=True)
-    threading.Thread(target=_begin_ros, args=(lambda: loop.add_callback(hub.ros_is_there),),
-                     name='begin ROS', daemon=True).start()
+    statuses: List[int] = []
+
+    def end(status: int) -> None:
+        statuses.append(status)
+        loop.add_callback(loop.stop)
+
+    ros = _Ros(lambda: loop.add_callback(hub.ros_is_there), end)
     loop.start()
 
-    _stopping.set()
     server.stop()
-    hub.stop()
-    return 0
+    if hub.stop():
+        time.sleep(_LAST_WORDS)
+    ros.stop()
+    return statuses[0] if statuses else 0

@@ -95,9 +95,14 @@ class Commands:
             self._publishers[name] = rospy.Publisher(
                 resolve('~' + name, self._node), message_class, queue_size=1, tcp_nodelay=True)
 
-    def stop(self) -> None:
-        """Nobody looks: the car stands."""
+    def stop_driving(self) -> bool:
+        """Whoever drives, drives no longer; whether anybody did."""
+        drove = self._dead_man.hold is not None
         self._dead_man.end()
+        return drove
+
+    def stop(self) -> None:
+        """Nobody looks."""
         for publisher in self._publishers.values():
             publisher.unregister()
         self._publishers.clear()

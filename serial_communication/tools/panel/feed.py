@@ -12,7 +12,7 @@ import rospy
 from rosgraph_msgs.msg import Log
 
 from ..watch.state import BridgeState
-from ..watch.topics import SERIAL_MSG, TOPICS, Topic, Value
+from ..watch.topics import DIAGNOSTICS, SERIAL_MSG, TOPICS, Topic, Value
 from ..watch.watcher import Watcher
 from .wire import describe
 
@@ -29,7 +29,7 @@ class _Shown:
     """What the page knows of one topic."""
 
     def __init__(self) -> None:
-        self.shape: Tuple = ()               # of each value of a row: what it is
+        self.shape: Optional[Tuple] = None   # of each value of a row: what it is
         self.rows: List[List[Any]] = []      # that the page has not been told yet
         self.last: Optional[List[Any]] = None
         self.message: Any = None             # the latest
@@ -43,7 +43,7 @@ class _Shown:
         shape = tuple((each.name, each.unit, each.digits, each.low, each.high)
                       for each in values)
         if shape != self.shape:
-            if [each[0] for each in shape] != [each[0] for each in self.shape]:
+            if self.shape and [each[0] for each in shape] != [each[0] for each in self.shape]:
                 self.history.clear()
                 self.rows.clear()
             self.shape, self.changed = shape, True
@@ -123,7 +123,8 @@ class Feed:
     # -- in rospy's threads --------------------------------------------------------------------
 
     def _keep(self, topic: Topic, packed: bytes, at: float) -> None:
-        self._waiting.append((topic, packed, at))
+        if topic.name != DIAGNOSTICS:       # that is what the links are known from
+            self._waiting.append((topic, packed, at))
 
     def _hear(self, line: Log) -> None:
         if line.name == self._state.node:

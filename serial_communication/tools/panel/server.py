@@ -67,10 +67,11 @@ class Hub:
         if self._pages:
             self._feed.want(frozenset().union(*(page.topics for page in self._pages)))
 
-    def stop(self) -> None:
-        """The panel ends: the car stands."""
+    def stop(self) -> bool:
+        """The panel ends: the car stands; whether it was told so just now."""
+        drove = bool(self.commands and self.commands.stop_driving())
         self._pages.clear()
-        self._look_away()
+        return drove
 
     def _look(self) -> None:
         if self._ready and self._pages and not self._looking:

@@ -113,8 +113,7 @@ class Session(Guarded, WebSocketHandler):
             self.drop('it says too much')
             return
         try:
-            said = json.loads(message)
-            self._take(said)
+            self._take(dict(json.loads(message)))
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
             self.drop('it says what no page says')
 

@@ -1,0 +1,457 @@
+"""The server, seen by programs that play the browser: who is let in, what costs what, and what
+moves the robot."""
+import json
+import os
+import signal
+import subprocess
+import time
+
+import pytest
+import rosgraph
+from boards import program, ranges, until
+from panel_stage import NODE, TOKEN, Page, Panel, publishers_and_subscribers, subscribed
+
+from serial_communication.protocols import arduino
+
+LOOKS = ['~imu', '~voltage', '~environment', 'mcu/range_1', '~nothing']
+
+
+@pytest.fixture(scope='module')
+def panel(robot):
+    """One that only looks."""
+    panel = Panel(name='panel_looks')
+    yield panel
+    assert panel.end() == 0
+    assert 'Traceback' not in panel.output()
+
+
+@pytest.fixture(scope='module')
+def controls(robot):
+    """One that takes commands."""
+    panel = Panel('--control', '--token', TOKEN, name='panel_control')
+    yield panel
+    assert panel.end() == 0
+    assert 'Traceback' not in panel.output()
+
+
+@pytest.fixture
+def page(panel):
+    page = Page(panel, watch=LOOKS)
+    yield page
+    page.close()
+
+
+@pytest.fixture
+def driver(controls, robot):
+    """A page that may drive, and whose commands the bridge hears."""
+    page = Page(controls, TOKEN)
+    page.until(lambda page: 'node' in page.known, 'the panel speaks')
+    until(lambda: robot.car.connected, 'the car is there')
+    until(lambda: controls.node in publishers_and_subscribers()[0].get(NODE + '/speed', ()),
+          'the panel publishes speeds')
+    robot.car.forget()
+    yield page
+    page.close()
+    until(lambda: not page.known.get('drive', {}).get('held') or page.closed, 'nobody drives')
+
+
+# -- the command line -------------------------------------------------------------------------
+
+
+def run(*arguments):
+    return subprocess.run([program('panel'), *arguments], text=True, timeout=60,
+                          stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                          env={**os.environ, 'ROS_MASTER_URI': 'http://127.0.0.1:1'})
+
+
+def test_help():
+    done = run('--help')
+    assert done.returncode == 0 and done.stdout.startswith('usage: panel') and not done.stderr
+    for word in ('--port', '--bind', '--control', '--token', '--node'):
+        assert word in done.stdout
+
+
+@pytest.mark.parametrize('arguments, words', [
+    (['--port', '99999'], "'99999', may be a number from 0 to 65535"),
+    (['--port', 'x'], "'x', may be a number"), (['--fast'], 'unrecognized arguments: --fast'),
+    (['--token', 'short'], '5 characters, may be at least 12'),
+    (['--token', 'with a space in it'], 'may be at least 12 of A-Z')])
+def test_wrong_arguments(arguments, words):
+    done = run(*arguments)
+    assert done.returncode == 2 and words in done.stderr and not done.stdout
+
+
+def test_an_address_that_cannot_be_had(panel):
+    done = run('--port', str(panel.port))
+    assert done.returncode == 1
+    assert done.stderr.startswith('panel: cannot listen on 127.0.0.1 port') \
+        and len(done.stderr.splitlines()) == 1
+
+
+def test_without_a_master_it_says_so_serves_and_ends():
+    panel = Panel(environment={'ROS_MASTER_URI': 'http://127.0.0.1:1'})
+    panel.wait_for('no ROS master at http://127.0.0.1:1; waiting for it')
+    page = Page(panel)
+    page.until(lambda page: 'no answer from the ROS master' in page.known.get('trouble', ''),
+               'the page is told')
+    page.close()
+    assert panel.end(signal.SIGINT) == 0
+    assert 'Traceback' not in panel.output()
+
+
+def test_a_second_panel_of_the_same_name_leaves_the_first_alone(panel):
+    second = Panel(name='panel_looks')
+    assert second.process.wait(30) == 3
+    second.wait_for('another node is named /panel_looks')
+    assert 'Traceback' not in second.output()
+    page = Page(panel, watch=LOOKS)
+    page.until(lambda page: '~imu' in page.rows, 'the first one lives on')
+    page.close()
+
+
+def test_a_name_that_somebody_else_takes_ends_the_panel(robot):
+    panel = Panel(name='panel_taken')
+    until(lambda: rosnode_is_known('/panel_taken'), 'it is registered')
+    rosgraph.Master('/panel_taken').registerSubscriber(
+        '/chatter', 'std_msgs/String', 'http://localhost:1/')
+    assert panel.process.wait(30) == 1
+    panel.wait_for('panel: ROS has ended this node')
+
+
+def rosnode_is_known(name):
+    try:
+        return rosgraph.Master('/panel_test').lookupNode(name)
+    except rosgraph.MasterError:
+        return False
+
+
+# -- who is let in ----------------------------------------------------------------------------
+
+
+def test_the_page_loads_nothing_from_elsewhere_and_nothing_inline(panel):
+    status, headers, text = panel.get('/')
+    assert status == 200 and '<title>' in text
+    policy = headers['Content-Security-Policy']
+    for rule in ("default-src 'none'", "script-src 'self'", "frame-ancestors 'none'",
+                 "base-uri 'none'", "require-trusted-types-for 'script'"):
+        assert rule in policy
+    assert 'unsafe' not in policy and '*' not in policy
+    assert headers['X-Content-Type-Options'] == 'nosniff'
+    assert headers['Referrer-Policy'] == 'no-referrer'
+
+
+@pytest.mark.parametrize('path', ['/../cli.py', '/%2e%2e/cli.py', '/cards/../../cli.py',
+                                  '/nothing.js', '/cards/'])
+def test_no_other_files(panel, path):
+    assert panel.get(path)[0] in (403, 404)
+
+
+def test_foreign_host(panel):
+    status, _headers, text = panel.get('/', Host='evil.example')
+    assert status == 403 and 'is no name of this machine' in text
+    assert Page(panel, host='evil.example:80').status == 403
+    panel.wait_for('is no name of this machine')
+
+
+@pytest.mark.parametrize('origin', ['http://evil.example', 'null', None])
+def test_foreign_origin(panel, origin):
+    assert Page(panel, origin=origin).status == 403
+
+
+def test_foreign_origin_of_a_file(panel):
+    assert panel.get('/app.js', Origin='http://evil.example')[0] == 403
+    assert panel.get('/app.js', Origin=f'http://127.0.0.1:{panel.port}')[0] == 200
+
+
+def test_token(controls):
+    assert controls.url.endswith(f'?token={TOKEN}')
+    status, headers, text = controls.get('/')
+    assert status == 401 and 'with its token' in text and 'Set-Cookie' not in headers
+    assert controls.get('/app.js')[0] == 401
+    assert controls.get('/?token=not-the-right-one')[0] == 401
+    assert Page(controls).status == 401
+    assert Page(controls, 'not-the-right-one').status == 401
+    status, headers, _text = controls.get(f'/?token={TOKEN}')
+    cookie = headers['Set-Cookie']
+    assert status == 200 and 'HttpOnly' in cookie and 'SameSite=Strict' in cookie
+    assert controls.get('/app.js', Cookie=cookie.split(';')[0])[0] == 200
+    page = Page(controls, TOKEN)
+    assert page.status == 101
+    page.close()
+    # Said once, as the address; not with any request.
+    assert controls.output().count(TOKEN) == 1
+
+
+@pytest.mark.parametrize('arguments', [['--control'], ['--bind', '0.0.0.0']])
+def test_what_may_do_harm_gets_a_token_of_its_own(arguments):
+    one, other = Panel(*arguments, name='one'), Panel(*arguments, name='other')
+    assert len(one.token) >= 20 and one.token != other.token
+    assert one.get('/')[0] == 401
+    assert one.end() == other.end() == 0
+
+
+def test_a_page_that_asks_too_often_or_talks_nonsense_is_dropped(panel):
+    for message, why in ((b'{', 'says what no page says'), (b'[1]', 'says what no page says'),
+                         (b'{"watch": 5}', 'says what no page says'), (b'{"drive": 1}', 'no page')):
+        page = Page(panel)
+        page.write(message)
+        until(lambda: why in page.closed, f'{message} is refused')
+    page = Page(panel)
+    for _ in range(400):
+        page.write(b'{"seen": 0}')
+    until(lambda: 'says too much' in page.closed, 'it is dropped')
+    page = Page(panel)
+    page.write(json.dumps({'watch': ['x' * 5000]}).encode())
+    until(lambda: page.closed, 'a message that is too long ends it')
+
+
+def test_a_slow_page_is_dropped_and_the_others_are_not(panel, page):
+    slow = Page(panel, acknowledges=False)
+    until(lambda: 'does not take' in slow.closed, 'the slow one is dropped')
+    assert not page.closed
+    panel.wait_for('it does not take what is sent to it')
+
+
+def test_only_so_many_pages(panel):
+    pages = [Page(panel) for _ in range(16)]
+    try:
+        assert {page.status for page in pages} == {101}
+        assert Page(panel).status == 503
+    finally:
+        for page in pages:
+            page.close()
+    until(lambda: retry_page(panel), 'there is room again')
+
+
+def retry_page(panel):
+    page = Page(panel)
+    page.close()
+    return page.status == 101
+
+
+# -- what it costs, and what it tells ---------------------------------------------------------
+
+
+def test_no_browser_no_subscription(panel):
+    until(lambda: not subscribed(panel.node), 'nothing is subscribed to')
+    page = Page(panel, watch=LOOKS)
+    wanted = {NODE + '/imu', NODE + '/voltage', NODE + '/environment', '/mcu/range_1',
+              '/diagnostics', '/rosout_agg'}
+    until(lambda: subscribed(panel.node) == wanted, 'the topics that the page shows, and no other')
+    page.say(watch=LOOKS + ['serial_msg'])
+    until(lambda: subscribed(panel.node) == wanted | {'/serial_msg'}, 'the wire is looked at')
+    page.until(lambda page: page.known.get('wire', {}).get('frames'), 'frames come')
+    page.say(watch=LOOKS)
+    until(lambda: subscribed(panel.node) == wanted, 'the wire is looked at no longer')
+    page.close()
+    until(lambda: not subscribed(panel.node), 'nothing is subscribed to')
+
+
+def test_values_and_links(page, robot):
+    robot.others[0] = arduino.Voltage(6.25)
+    page.until(lambda page: page.rows.get('~voltage', {}).get('voltage') == 6.25, 'the voltage')
+    robot.others[0] = arduino.Voltage(7.4)
+    page.until(lambda page: page.rows.get('~imu', {}).get('acceleration z') is not None, 'the IMU')
+    assert page.rows['~imu']['acceleration z'] == pytest.approx(9.81, abs=1e-3)
+    page.until(lambda page: page.rows.get('~environment', {}).get('smoke') == 350, 'the air')
+    page.until(lambda page: page.rows.get('mcu/range_1', {}).get('range') == 0.47, 'a range')
+    page.until(lambda page: {'bus', 'arduino', 'mcu'} <= set(page.known.get('links', {})),
+               'all links')
+    assert page.known['links']['arduino']['values']['port'] == robot.lines['arduino'].near
+    assert page.known['node'] == NODE and page.known['trouble'] == ''
+
+
+def test_a_page_that_is_opened_later_gets_the_history(page, panel):
+    page.until(lambda page: '~environment' in page.rows, 'the air')
+    later = Page(panel, watch=LOOKS)
+    later.until(lambda page: page.updates, 'the first update')
+    first = later.updates[0]
+    assert '~environment' in first['topics'] and 'smoke' in first['topics'][
+        '~environment']['fields'][0]
+    later.close()
+
+
+def test_what_a_range_may_read_beside_numbers_is_json(page, robot):
+    for millimetres, word in ((65535, 'NaN'), (5000, 'Infinity'), (10, '-Infinity')):
+        robot.ranges = ranges(millimetres)
+        page.until(lambda page: page.rows.get('mcu/range_1', {}).get('range') == word,
+                   f'{word} comes')
+    robot.ranges = ranges()
+
+
+# -- commands ---------------------------------------------------------------------------------
+
+
+def test_a_panel_that_only_looks_takes_no_commands(page, robot):
+    before = len(robot.lifts)
+    page.say(call={'key': 'a', 'name': '~lift', 'arguments': {'direction': 0, 'distance': 5}})
+    page.until(lambda page: page.known.get('refused'), 'it is refused')
+    assert 'only looks' in page.known['refused']['words'] and len(robot.lifts) == before
+    assert 'controls' not in page.known
+    assert not any('/panel_looks' in publishers_and_subscribers()[0].get(NODE + name, ())
+                   for name in ('/speed', '/steering', '/led'))
+
+
+def lift(page, key, distance=5):
+    page.say(call={'key': key, 'name': '~lift',
+                   'arguments': {'direction': 0, 'distance': distance}})
+
+
+def test_a_call_and_its_answer(driver, robot):
+    robot.bus.forget()
+    lift(driver, 'one', 17)
+    driver.until(lambda page: page.calls.get('one', {}).get('outcome'), 'the answer')
+    assert driver.calls['one']['outcome'] == 'done' and 'lift up 17 mm' in driver.calls['one'][
+        'words']
+    assert [request.data for request in robot.lifts] == [bytes((0, 17))]
+
+
+def test_a_double_click_moves_once(driver, robot):
+    robot.bus.forget()
+    for key in ('first', 'second', 'third'):
+        lift(driver, key)
+    driver.until(lambda page: page.calls.get('first', {}).get('outcome'), 'the answer')
+    lift(driver, 'fourth')     # at once after the answer
+    driver.until(lambda page: page.known.get('refused', {}).get('key') == 'fourth', 'refused')
+    assert len(robot.lifts) == 1
+    assert not {'second', 'third', 'fourth'} & set(driver.calls)
+
+
+def test_not_known_is_told_as_that(driver, robot):
+    until(lambda: time.monotonic() - driver.now < 1, 'the page is up to date')
+    robot.bus.script.append(None)
+    driver.until(lambda page: try_lift(page, 'lost'), 'the call is taken')
+    driver.until(lambda page: page.calls['lost'].get('outcome'), 'the answer')
+    assert driver.calls['lost']['outcome'] == 'not known'
+
+
+def try_lift(page, key):
+    """A call that a page of this test may still be too early for."""
+    if key not in page.calls:
+        lift(page, key)
+        time.sleep(0.2)
+    return key in page.calls
+
+
+@pytest.mark.parametrize('name, arguments, words', [
+    ('~lift', {'direction': 0}, 'takes direction, distance'),
+    ('~lift', {'direction': 0, 'distance': 300}, '~lift'),
+    ('~lift', {'direction': 0, 'distance': 'x'}, '~lift'),
+    ('~get_loggers', {}, 'no service'), ('/rosout/get_loggers', {}, 'no service')])
+def test_calls_that_are_none(driver, robot, name, arguments, words):
+    robot.bus.forget()
+    driver.say(call={'key': 'wrong', 'name': name, 'arguments': arguments})
+    driver.until(lambda page: page.known.get('refused', {}).get('key') == 'wrong', 'refused')
+    assert words in driver.known['refused']['words'] and not robot.lifts
+
+
+def test_led(driver, robot):
+    driver.until(lambda page: send_led(page, robot), 'the car shows it')
+    driver.say(led={'key': 'long', 'text': 'x' * 31})
+    driver.until(lambda page: page.known.get('refused', {}).get('key') == 'long', 'refused')
+
+
+def send_led(page, robot):
+    page.say(led={'key': 'led', 'text': 'left'})
+    time.sleep(0.05)
+    return arduino.encode(arduino.LedCommand('left')) in robot.car.commands
+
+
+# -- driving ----------------------------------------------------------------------------------
+
+
+def drive(page, hold, speed=150, seen=None, steering=1600):
+    page.say(drive={'key': 'drive', 'hold': hold, 'seen': page.now if seen is None else seen,
+                    'speed': speed, 'steering': steering})
+
+
+def drive_until(page, hold, condition, what, speed=150):
+    """Hold until something is so, ten and more times a second."""
+    until(condition, what, doing=lambda: drive(page, hold, speed), every=0.04)
+
+
+def drives(robot, speed=150):
+    return lambda: speed in robot.car.speeds
+
+
+def stands(robot):
+    """Whether the last that the car was told is to stand, and that it did drive before."""
+    return lambda: robot.car.speeds and robot.car.speeds[-1] == 0
+
+
+def test_release_stops(driver, robot):
+    drive_until(driver, 1, drives(robot), 'the car drives')
+    driver.say(release={'hold': 1})
+    until(stands(robot), 'the car stands')
+    count = len(robot.car.speeds)
+    drive(driver, 1)
+    driver.until(lambda page: 'press again' in page.known.get('refused', {}).get('words', ''),
+                 'a command of the hold that has ended is refused')
+    assert robot.car.speeds[count:] in ([], [0])
+
+
+def test_silence_stops(driver, robot):
+    drive_until(driver, 1, drives(robot), 'the car drives')
+    until(stands(robot), 'the car stands')
+    driver.until(lambda page: page.known['drive'] == {
+        'held': False, 'words': 'the browser fell silent: stopped'}, 'the page is told')
+    # The panel said so, long before the bridge's own timeout of 0.5 s had to.
+    assert robot.car.frames[-1].stamp
+
+
+def test_a_lost_connection_stops(driver, robot):
+    drive_until(driver, 1, drives(robot), 'the car drives')
+    driver.close()
+    until(stands(robot), 'the car stands')
+
+
+def test_old_commands_do_not_drive(driver, robot):
+    old = driver.now
+    driver.until(lambda page: page.now > old + 1, 'a second passes')
+    for _ in range(5):
+        drive(driver, 1, seen=old)
+    driver.until(lambda page: any('too slow' in update.get('refused', {}).get('words', '')
+                                  for update in list(page.updates)), 'they are refused')
+    drive(driver, 2, speed=120)
+    until(drives(robot, 120), 'what is fresh drives')
+    assert 150 not in robot.car.speeds
+
+
+def test_a_panel_that_was_suspended_does_not_drive_on(driver, controls, robot):
+    drive_until(driver, 1, drives(robot), 'the car drives')
+    os.kill(controls.process.pid, signal.SIGSTOP)
+    try:
+        for _ in range(20):
+            drive(driver, 1, speed=170)     # waits in the panel's socket
+        until(stands(robot), "the bridge's own timeout stops the car")
+        robot.car.forget()
+    finally:
+        os.kill(controls.process.pid, signal.SIGCONT)
+    seen = driver.now
+    driver.until(lambda page: page.now > seen + 0.3, 'the panel lives on')
+    assert not [speed for speed in robot.car.speeds if speed]
+
+
+def test_two_pages_do_not_drive_at_once(driver, controls, robot):
+    other = Page(controls, TOKEN)
+    other.until(lambda page: page.now, 'the other page is there')
+    drive_until(driver, 1, drives(robot), 'the car drives')
+
+    def both():
+        drive(driver, 1)
+        drive(other, 1, speed=-90)
+    until(lambda: 'another browser drives' in other.known.get('refused', {}).get('words', ''),
+          'the other is refused', doing=both, every=0.04)
+    assert -90 not in robot.car.speeds
+    other.close()
+
+
+def test_the_panels_end_stops(robot):
+    panel = Panel('--control', '--token', TOKEN, name='panel_third')
+    page = Page(panel, TOKEN)
+    page.until(lambda page: page.now, 'the page is there')
+    robot.car.forget()
+    drive_until(page, 1, drives(robot), 'the car drives')
+    panel.process.send_signal(signal.SIGTERM)
+    until(stands(robot), 'the car stands')
+    assert panel.end() == 0
