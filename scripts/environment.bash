@@ -15,10 +15,13 @@ packages() {
 run    | ros-core-python-dev rosbash catkin          | ros-noetic-ros-core
 run    | python3-tf2-ros python3-diagnostic-updater  | ros-noetic-tf2-ros ros-noetic-diagnostic-updater
 run    | python3-serial socat cmake make g++         | python3-serial socat cmake make g++
+panel  | python3-tornado                             | python3-tornado
 test   | python3-rostest python3-rosbag              | ros-noetic-rostest ros-noetic-rosbag
 test   | python3-pytest python3-hypothesis           | python3-pytest python3-hypothesis
 test   | catkin-lint python3-flake8                  | catkin-lint python3-flake8
 test   | shellcheck libxml2-utils                    | shellcheck libxml2-utils
+# Ubuntu has chromium as a snap alone, which no driver here starts.
+browser | chromium chromium-driver python3-selenium  |
 avr    | gcc-avr avr-libc arduino-core-avr           | gcc-avr avr-libc arduino-core-avr
 avr    | simavr libsimavr-dev libelf-dev pkg-config  | simavr libsimavr-dev libelf-dev pkg-config
 view   | rviz python3-rviz ros-robot-state-publisher | ros-noetic-rviz ros-noetic-robot-state-publisher

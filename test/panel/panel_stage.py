@@ -122,8 +122,9 @@ class Panel:
         self.node = '/' + name
         self._output = tempfile.TemporaryFile('w+')
         self.process = subprocess.Popen(
-            [program('panel'), '--port', str(port), *arguments, '__name:=' + name], stdout=self._output,
-            stderr=subprocess.STDOUT, env={**os.environ, **(environment or {})})
+            [program('panel'), '--port', str(port), *arguments, '__name:=' + name],
+            stdout=self._output, stderr=subprocess.STDOUT,
+            env={**os.environ, **(environment or {})})
         self.url = until(lambda: re.search(r'http://\S+', self.output()) or not self.alive,
                          'the panel prints its address').group()
         self.port = int(re.search(r':(\d+)/', self.url).group(1))
@@ -159,6 +160,79 @@ class Panel:
             answer = error
         with answer:
             return answer.status, answer.headers, answer.read().decode()
+
+
+class Network:
+    """What lies between a browser and a panel: it can be cut, and it can keep all back."""
+
+    def __init__(self, panel):
+        self._to = panel.port
+        self._pairs = []
+        self._flows = threading.Event()
+        self._flows.set()
+        self._is_cut = False
+        self._listener = socket.create_server(('127.0.0.1', 0))
+        self.port = self._listener.getsockname()[1]
+        self.url = panel.url.replace(f':{panel.port}/', f':{self.port}/')
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def cut(self):
+        """Every connection ends, and no other is made."""
+        self._is_cut = True
+        for end in [each for pair in self._pairs for each in pair]:
+            try:
+                end.shutdown(socket.SHUT_RDWR)
+            except OSError:
+                pass
+        self._pairs.clear()
+
+    def mend(self):
+        """Connections are made again."""
+        self._is_cut = False
+
+    def keep_back(self):
+        """Nothing arrives any more, in either way; nothing is lost."""
+        self._flows.clear()
+
+    def deliver(self):
+        """All that was kept back arrives, at once."""
+        self._flows.set()
+
+    def close(self):
+        """No more."""
+        self._listener.close()
+        self.deliver()
+        self.cut()
+
+    def _accept(self):
+        while True:
+            try:
+                near, _address = self._listener.accept()
+            except OSError:
+                return
+            if self._is_cut:
+                near.close()
+                continue
+            far = socket.create_connection(('127.0.0.1', self._to))
+            self._pairs.append((near, far))
+            for source, sink in ((near, far), (far, near)):
+                threading.Thread(target=self._carry, args=(source, sink), daemon=True).start()
+
+    def _carry(self, source, sink):
+        try:
+            while True:
+                data = source.recv(65536)
+                if not data:
+                    break
+                self._flows.wait()
+                sink.sendall(data)
+        except OSError:
+            pass
+        for end in (source, sink):
+            try:
+                end.shutdown(socket.SHUT_RDWR)
+            except OSError:
+                pass
 
 
 class Page:

@@ -21,6 +21,7 @@ import rospy
 import tornado.ioloop
 
 from ...links.sparing_log import SparingLog
+from ...ros.master_watch import MasterWatch
 from ..watch.topics import NODE
 from .commands import Commands
 from .feed import Feed
@@ -101,6 +102,7 @@ class _Ros:
             return
         rospy.init_node('panel', disable_signals=True)
         rospy.on_shutdown(self._over)
+        MasterWatch({}, logging.getLogger('rosout')).start()
         self._ready()
 
     def _over(self) -> None:

@@ -14,6 +14,9 @@ import {Model} from './model.js';
 
 const IDLE = 200;         // ms from one drawing to the next while nothing comes
 
+// The token has become a cookie: it shall stay neither in the address bar nor in the history.
+if (location.search) history.replaceState(null, '', location.pathname);
+
 const place = (id) => document.getElementById(id);
 const announce = (words) => { place('announcer').textContent = words; };
 
@@ -24,7 +27,7 @@ const own = new OwnMessages();
 const commands = new Commands(connection, announce);
 const drive = new Drive(connection, announce);
 const wire = new Wire(watch);
-const columns = [[new Attitude(), new Battery(), drive], [new Motion(), own, new Log()],
+const columns = [[new Attitude(), drive, new Battery()], [new Motion(), own, new Log()],
   [commands, new Sensors(), new Channels(), new Air()]];
 const below = [wire];
 const cards = [links, ...columns.flat(), ...below];

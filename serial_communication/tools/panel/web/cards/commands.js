@@ -10,7 +10,8 @@ const MOVES = {
   '~lift': ['lift', 'distance', 'mm', 20, [['▲ up', 0], ['▼ down', 1]]],
   '~gimbal': ['gimbal', 'angle', '°', 10, [['◀ left', 0], ['▶ right', 1], ['▲ up', 2], ['▼ down', 3]]],
 };
-const PLAIN = {'~bus/echo': 'echo', '~bus/sync': 'sync'};
+const BUS = {'~bus/echo': 'echo', '~bus/sync': 'sync'};
+const PLAIN = {...BUS, '~calibrate_imu': 'calibrate the IMU'};
 const LEDS = ['left', 'right', 'brake', 'disable'];
 const INTEGER = /^u?int\d+$/;
 
@@ -110,9 +111,9 @@ export class Commands {
     const parts = [];
     for (const [name, fields] of Object.entries(services)) {
       if (MOVES[name]) parts.push(this._move(name, ...MOVES[name]));
-      else if (!PLAIN[name] && name !== '~calibrate_imu') parts.push(this._form(name, fields));
+      else if (!PLAIN[name]) parts.push(this._form(name, fields));
     }
-    parts.splice(2, 0, this._led(ledLimit), this._plain(Object.keys(PLAIN)), this._calibrate());
+    parts.splice(2, 0, this._led(ledLimit), this._bus(), this._calibrate());
     this._body.replaceChildren(...parts);
   }
 
@@ -136,9 +137,10 @@ export class Commands {
       h('div', {class: 'row'}, h('label', {class: 'amount'}, input, h('span', {}, unit)), ...buttons));
   }
 
-  _plain(names) {
-    return h('fieldset', {}, h('legend', {}, 'bus'), h('div', {class: 'row'}, ...names.map((name) =>
-      this._button(name, PLAIN[name], (event) => this._ask(event, name, {}, PLAIN[name])))));
+  _bus() {
+    return h('fieldset', {}, h('legend', {}, 'bus'), h('div', {class: 'row'},
+      ...Object.entries(BUS).map(([name, words]) =>
+        this._button(name, words, (event) => this._ask(event, name, {}, words)))));
   }
 
   _led(limit) {
@@ -164,7 +166,7 @@ export class Commands {
   _calibrate() {
     const yes = this._button('~calibrate_imu', 'Calibrate now', (event) => {
       dialog.close();
-      this._ask(event, '~calibrate_imu', {}, 'calibrate the IMU');
+      this._ask(event, '~calibrate_imu', {}, PLAIN['~calibrate_imu']);
     });
     const dialog = h('dialog', {'aria-labelledby': 'calibrate-title'},
       h('h2', {id: 'calibrate-title'}, 'Calibrate the IMU?'),
@@ -226,6 +228,7 @@ export class Commands {
 /** A call in words, whichever page made it. */
 function describe({name, arguments: args}) {
   const move = MOVES[name];
+  if (PLAIN[name]) return PLAIN[name];
   if (!move) return `${name.replace('~', '')} ${Object.values(args).join(' ')}`.trim();
   const [title, amount, unit, , directions] = move;
   return `${title} ${directions[args.direction]?.[0].slice(2) ?? args.direction} ${args[amount]} ${unit}`;

@@ -1,0 +1,186 @@
+"""Chromium, headless, by its driver: what the tests look at and press."""
+import contextlib
+import tempfile
+
+from boards import until
+from selenium import webdriver
+from selenium.common.exceptions import StaleElementReferenceException
+from selenium.webdriver.chrome.options import Options
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.by import By
+
+_FLAGS = ('--headless=new', '--no-sandbox', '--disable-gpu', '--disable-quic', '--no-first-run',
+          '--disable-background-networking', '--disable-component-update', '--disable-sync',
+          '--disable-dev-shm-usage', '--hide-scrollbars',
+          '--host-resolver-rules=MAP rebinding.example 127.0.0.1')
+
+
+class Browser:
+    """One window of a browser with a fresh profile."""
+
+    def __init__(self, width=1600, height=1000):
+        self._profile = tempfile.TemporaryDirectory(prefix='panel_browser_')
+        options = Options()
+        for flag in (*_FLAGS, f'--window-size={width},{height}',
+                     f'--user-data-dir={self._profile.name}'):
+            options.add_argument(flag)
+        options.binary_location = '/usr/bin/chromium'
+        options.set_capability('goog:loggingPrefs', {'browser': 'ALL'})
+        self._driver = webdriver.Chrome(options=options,
+                                        service=Service('/usr/bin/chromedriver'))
+        self.resize(width, height)
+        self.scheme('light')
+
+    def quit(self):
+        """Close it."""
+        self._driver.quit()
+        self._profile.cleanup()
+
+    def open(self, url):
+        """Go to this address."""
+        self._driver.get(url)
+
+    def resize(self, width, height, scale=1):
+        """The page's size, in its pixels."""
+        self._driver.execute_cdp_cmd('Emulation.setDeviceMetricsOverride', {
+            'width': width, 'height': height, 'deviceScaleFactor': scale,
+            'mobile': width < 600})
+
+    def scheme(self, scheme):
+        """What the system prefers: light or dark."""
+        self._driver.execute_cdp_cmd('Emulation.setEmulatedMedia', {
+            'features': [{'name': 'prefers-color-scheme', 'value': scheme}]})
+
+    # -- looking ---------------------------------------------------------------------------
+
+    @property
+    def title(self):
+        """The tab's."""
+        return self._driver.title
+
+    def script(self, text, *arguments):
+        """What it returns."""
+        return self._driver.execute_script(text, *arguments)
+
+    def all(self, selector):
+        """Every such element."""
+        return self._driver.find_elements(By.CSS_SELECTOR, selector)
+
+    def text(self, selector):
+        """What the first such element shows; nothing where there is none."""
+        return self.script("return document.querySelector(arguments[0])?.innerText ?? ''",
+                           selector).strip()
+
+    def attribute(self, selector, name):
+        """An attribute of the first such element; None where there is none."""
+        return self.script(
+            "return document.querySelector(arguments[0])?.getAttribute(arguments[1])",
+            selector, name)
+
+    def readings(self):
+        """Every number that is shown: topic:field."""
+        return self.script("return [...document.querySelectorAll('[data-reading]')]"
+                           ".filter(e => e.checkVisibility()).map(e => e.dataset.reading)")
+
+    def wait(self, condition, what, seconds=20, doing=None):
+        """Until `condition(self)`; `doing` is done meanwhile."""
+        def holds():
+            try:
+                return condition(self)
+            except StaleElementReferenceException:
+                return False
+        return until(holds, f'{what}; the page is titled {self.title!r}', seconds, doing, 0.05)
+
+    def wait_for_text(self, selector, text):
+        """Until the first such element shows this."""
+        shown = []
+
+        def holds():
+            shown[:] = [self.text(selector)]
+            return shown == [text]
+        try:
+            until(holds, '', 20, every=0.05)
+        except AssertionError:
+            raise AssertionError(f'{selector} shows {shown[0]!r}, not {text!r}') from None
+
+    def wait_for_updates(self, number):
+        """Until the page has been drawn so many times more."""
+        self._driver.set_script_timeout(20)
+        self._driver.execute_async_script('''
+            let left = arguments[0];
+            const next = () => { if (left-- > 0) requestAnimationFrame(next); else arguments[1](); };
+            next();''', number * 3)
+
+    def errors(self):
+        """What the console holds since the last time, but for plain words."""
+        return [entry for entry in self._driver.get_log('browser')
+                if entry['level'] in ('SEVERE', 'WARNING')]
+
+    def accessibility(self):
+        """What a screen reader is given."""
+        tree = self._driver.execute_cdp_cmd('Accessibility.getFullAXTree', {})['nodes']
+        return [node for node in tree if not node.get('ignored')]
+
+    # -- doing -----------------------------------------------------------------------------
+
+    def click(self, selector):
+        """Click the first such element."""
+        self.all(selector)[0].click()
+
+    def double_click(self, selector):
+        """Double-click it."""
+        ActionChains(self._driver).double_click(self.all(selector)[0]).perform()
+
+    def press_at(self, selector, right, down):
+        """Press there, from the element's middle, and hold."""
+        element = self.all(selector)[0]
+        self.script("arguments[0].scrollIntoView({block: 'center'})", element)
+        ActionChains(self._driver).move_to_element_with_offset(
+            element, right, down).click_and_hold().perform()
+
+    def release(self):
+        """Let go."""
+        ActionChains(self._driver).release().perform()
+
+    def press(self, key):
+        """Press and release a key."""
+        ActionChains(self._driver).send_keys(key).perform()
+
+    def key_down(self, key):
+        """Press a key and hold it."""
+        self._key('keyDown', key)
+
+    def key_up(self, key):
+        """Let go of it."""
+        self._key('keyUp', key)
+
+    def _key(self, what, key):
+        name, code = {'\ue012': ('ArrowLeft', 37), '\ue013': ('ArrowUp', 38),
+                      '\ue014': ('ArrowRight', 39)}[key]
+        self._driver.execute_cdp_cmd('Input.dispatchKeyEvent', {
+            'type': what, 'key': name, 'code': name, 'windowsVirtualKeyCode': code})
+
+    @contextlib.contextmanager
+    def other_tab(self):
+        """Another tab is in front."""
+        here = self._driver.current_window_handle
+        self._driver.switch_to.new_window('tab')
+        try:
+            yield
+        finally:
+            self._driver.close()
+            self._driver.switch_to.window(here)
+
+    def in_frame(self, selector, condition):
+        """Whether something holds in that frame."""
+        self._driver.switch_to.frame(self.all(selector)[0])
+        try:
+            assert condition(self)
+        finally:
+            self._driver.switch_to.default_content()
+
+    def forget_cookies(self, url):
+        """All of this site's."""
+        self._driver.get(url)
+        self._driver.delete_all_cookies()

@@ -1,0 +1,518 @@
+"""The page in a real browser: what it shows against the topics, what it does to the robot, and
+how it bears what happens to bridge, master, panel and line."""
+import os
+import shutil
+import signal
+import threading
+from http.server import BaseHTTPRequestHandler, HTTPServer
+
+import pytest
+from boards import Diagnostics, Topic as Heard, ranges, until
+from panel_stage import NODE, TOKEN, Network, Panel, free_port
+
+from sensor_msgs.msg import Imu, Range
+
+from serial_communication.msg import Environment, SteeringFeedback, Ticks, Voltage, McuStatus2
+from serial_communication.protocols import arduino
+from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.tools.watch.topics import TOPICS
+
+if not shutil.which('chromedriver') and os.path.isdir('/opt/ros/noetic'):
+    pytest.skip('no browser here: Ubuntu has chromium as a snap alone, which no driver starts',
+                allow_module_level=True)
+
+from panel_browser import Browser  # noqa: E402
+
+LEFT, RIGHT = '\ue012', '\ue014'
+UP = '\ue013'
+
+
+@pytest.fixture(scope='module')
+def panel(robot):
+    panel = Panel(name='panel_looks')
+    yield panel
+    assert panel.end() == 0
+    assert 'Traceback' not in panel.output()
+
+
+@pytest.fixture(scope='module')
+def controls(robot):
+    panel = Panel('--control', '--token', TOKEN, name='panel_control')
+    yield panel
+    assert panel.end() == 0
+    assert 'Traceback' not in panel.output()
+
+
+@pytest.fixture(scope='module')
+def chromium():
+    browser = Browser()
+    yield browser
+    browser.quit()
+
+
+@pytest.fixture
+def page(chromium, panel):
+    """The page of the panel that only looks, live; without an error in its console at the end."""
+    chromium.open(panel.url)
+    chromium.wait_for_text('#connection', 'live')
+    yield chromium
+    assert chromium.errors() == []
+
+
+@pytest.fixture(scope='module')
+def network(controls):
+    """Between the browser and the panel that takes commands."""
+    network = Network(controls)
+    yield network
+    network.close()
+
+
+@pytest.fixture
+def cockpit(chromium, controls, network, robot):
+    """The page of the panel that takes commands."""
+    chromium.open(network.url)
+    chromium.wait_for_text('#connection', 'live')
+    until(lambda: robot.car.connected, 'the car is there')
+    chromium.wait(lambda page: page.text('[data-link="bus"] .summary') == 'ready', 'the bus is ready')
+    robot.car.forget()
+    robot.bus.forget()
+    yield chromium
+    chromium.script("document.getElementById('pad').blur()")
+    assert chromium.errors() == []
+
+
+# -- what it shows ----------------------------------------------------------------------------
+
+
+def test_each_number_is_its_topics(page, robot):
+    """Every reading on the page against the message, by the digits that the topic's value has."""
+    robot.imu = arduino.Imu(15000, 3000, -4000, 4000, 100, -200, 300, 1000, -500, 8000, 320)
+    robot.bus.air = bus.Environment(417, 31.25, 55.5)
+    types = {'~imu': Imu, '~voltage': Voltage, '~ticks': Ticks, '~environment': Environment,
+             '~steering_angle': SteeringFeedback, 'mcu/status': McuStatus2}
+    table = {topic.name: topic for topic in TOPICS}
+    heard = {name: Heard(name.replace('~', NODE + '/'), each) for name, each in types.items()}
+    page.wait_for_text('[data-reading="~environment:smoke"] .number', '417')
+    readings = page.readings()
+    assert len(readings) >= 18
+    seen = set()
+    for reading in readings:
+        name, field = reading.split(':')
+        if name not in heard:
+            continue
+        message = heard[name].first()
+        value = next(each for each in table[name].values(message) if each.name == field)
+        page.wait_for_text(f'[data-reading="{reading}"] .number',
+                           f'{value.value:.{value.digits}f}'.replace('-', '\N{MINUS SIGN}'))
+        seen.add(name)
+    assert seen == set(types)
+    for topic in heard.values():
+        topic.close()
+
+
+def test_ranges_as_bars_with_their_limits(page, robot):
+    heard = Heard('/mcu/range_1', Range)
+    message = heard.first()
+    card = '[data-range="mcu/range_1"]'
+    page.wait_for_text(card + ' .number', '0.470 m')
+    assert page.text(card + ' .limits') == \
+        f'{message.min_range:.2f} m\n{message.max_range:.2f} m'
+    assert page.attribute(card + ' [role=meter]', 'aria-valuenow') == '0.470'
+    width = page.script("return document.querySelector(arguments[0]).style.width", card + ' .fill')
+    assert width == f'{(0.47 - message.min_range) / (message.max_range - message.min_range):.1%}'
+    for millimetres, words, mark in ((65535, 'no reading', 'none'),
+                                     (9000, 'farther than 2.00 m', 'far'),
+                                     (5, 'nearer than 0.03 m', 'near')):
+        robot.ranges = ranges(millimetres)
+        page.wait_for_text(card + ' .number', words)
+        assert page.attribute(card, 'data-beyond') == mark
+    robot.ranges = ranges()
+    heard.close()
+
+
+def test_links_are_as_diagnostics_say(page):
+    statuses = Diagnostics().wait_for_all(('bus', 'arduino', 'mcu'), lambda *_: True, 'a status')
+    for name, status in statuses.items():
+        card = f'[data-link="{name}"]'
+        page.wait_for_text(card + ' .summary', status.message)
+        assert page.text(card + ' .port') == status.keys['port']
+        page.script("document.querySelector(arguments[0]).open = true", card + ' details')
+        page.wait(lambda page: len(page.all(card + ' details tr')) == len(status.keys), 'all keys')
+        shown = dict(page.script(
+            "return [...document.querySelectorAll(arguments[0])].map(row => "
+            "[...row.children].map(cell => cell.textContent))", card + ' details tr'))
+        for key in ('checksum errors', 'framing errors', 'reconnects'):
+            assert shown[key] == status.keys[key]
+
+
+def test_an_error_is_seen_and_counted_by_its_cause(page, robot):
+    card = '[data-link="mcu"]'
+    page.wait(lambda page: page.attribute(card, 'data-look') == 'ok', 'it is well')
+    before = int(page.text(card + ' .count'))
+    for _ in range(3):
+        robot.sensors.write(b'\x02\x0c\x10\x00' + bytes(10) + b'\x00\x03')    # a false CRC
+    page.wait(lambda page: page.attribute(card, 'data-look') == 'warn', 'it is in trouble')
+    page.wait(lambda page: int(page.text(card + ' .count')) >= before + 3, 'three are counted')
+    assert 'checksum' in page.text(card + ' .causes')
+    page.wait(lambda page: page.title.startswith('! mcu: trouble'), 'the tab says so')
+    assert 'mcu link: trouble' in page.script(
+        "return document.getElementById('announcer').textContent")
+    page.wait(lambda page: page.attribute(card, 'data-look') == 'ok', 'it is well again')
+
+
+def test_what_is_no_longer_renewed_says_how_old_it_is(page, robot):
+    robot.others = robot.others[1:]         # no VOLTAGE; all else goes on
+    try:
+        reading = '[data-reading="~voltage:voltage"]'
+        page.wait(lambda page: page.attribute(reading, 'data-state') == 'stale', 'it is grey')
+        assert page.text(reading + ' .age').endswith(' old')
+        assert page.attribute('[data-reading="~ticks:ticks"]', 'data-state') == 'fresh'
+    finally:
+        robot.others = [arduino.Voltage(7.4)] + robot.others
+    page.wait(lambda page: page.attribute(reading, 'data-state') == 'fresh', 'it is fresh again')
+    assert page.text(reading + ' .age') == ''
+
+
+def test_a_hostile_text_is_words(page, robot):
+    text = '<img src=x onerror=document.title="pwned"><script>document.title="pwned"</script>'
+    page.script("document.getElementById('card-wire').open = true")
+
+    def shows(page):
+        return text in page.text('.log') and page.script(
+            "return [...document.querySelectorAll('.chip')]"
+            ".some(chip => chip.textContent.includes('WARN'))")
+    page.wait(shows, 'log and wire show it', doing=lambda: robot.car.say(arduino.Log(2, text)))
+    assert page.all('.log img') == page.all('.log script') == page.all('.frame img') == []
+    assert 'pwned' not in page.title
+    page.script("document.getElementById('card-wire').open = false")
+
+
+def test_the_wire(page, robot):
+    page.click('#card-wire > summary')
+    page.wait(lambda page: len(page.all('.frame')) == 16, 'frames are shown')
+    for word in ('mcu', 'arduino'):
+        page.wait(lambda page: any(chip.text == word for chip in page.all('.chip')), word)
+    page.script("[...document.querySelectorAll('.chip')]"
+                ".find(chip => chip.textContent == 'arduino').click()")
+    page.wait(lambda page: {link.text.split()[0] for link in page.all('.frame-link')} <= {
+        'mcu', 'bus'}, 'the arduino is filtered out')
+    page.click('.tools button')       # pause
+    shown = page.text('.frames')
+    page.wait(lambda page: page.text('.wire .note[role=status]') == 'paused', 'it says so')
+    page.wait_for_updates(20)
+    assert page.text('.frames') == shown
+    page.click('.tools button')
+    page.wait(lambda page: page.text('.frames') != shown, 'it goes on')
+    page.click('#card-wire > summary')
+
+
+def test_a_phone(page):
+    page.resize(390, 844)
+    try:
+        page.wait(lambda page: page.script('return innerWidth') == 390, 'it is narrow')
+        assert page.script('return document.documentElement.scrollWidth') == 390
+        for card in page.all('.card'):
+            if card.is_displayed():
+                assert card.rect['x'] >= 0 and card.rect['x'] + card.rect['width'] <= 390
+    finally:
+        page.resize(1600, 1000)
+
+
+def test_dark_and_light_follow_the_system(page):
+    grounds = []
+    for scheme in ('light', 'dark'):
+        page.scheme(scheme)
+        grounds.append(page.script('return getComputedStyle(document.body).backgroundColor'))
+    page.scheme('light')
+    assert grounds == ['rgb(243, 244, 246)', 'rgb(14, 17, 20)']
+
+
+def test_keyboard_and_screen_reader_reach_everything(cockpit):
+    """Whatever can be pressed is reached by Tab, and has a name."""
+    wanted = cockpit.script(
+        "return [...document.querySelectorAll('button, input, summary, [tabindex]')]"
+        ".filter(e => e.checkVisibility() && !e.disabled).length")
+    cockpit.script("document.activeElement.blur(); window.reached = new Set();"
+                   "document.addEventListener('focusin', e => reached.add(e.target))")
+    for _ in range(wanted + 5):
+        cockpit.press('\ue004')
+    assert cockpit.script('return reached.size') >= wanted
+    nameless = [node for node in cockpit.accessibility() if node['role']['value'] in (
+        'button', 'textbox', 'spinbutton', 'slider', 'meter', 'image', 'region', 'application')
+        and not node.get('name', {}).get('value')]
+    assert nameless == []
+
+
+# -- what it does -----------------------------------------------------------------------------
+
+
+def test_lift_moves_once_at_a_double_click(cockpit, robot):
+    up = '[data-service="~lift"] button'
+    cockpit.double_click(up)
+    cockpit.wait(lambda page: 'done' in page.text('.answers'), 'the answer is there')
+    cockpit.wait(lambda page: page.all(up)[0].is_enabled(), 'the button is enabled again')
+    assert [request.data for request in robot.lifts] == [bytes((0, 20))]
+    assert 'lift up 20 mm done' in cockpit.text('.answers li')
+
+
+def test_a_control_is_disabled_until_its_answer_is_there(cockpit, robot):
+    robot.bus.script.append(None)        # no answer: 5 s until it is given up
+    down = '[data-service="~lift"] button:last-of-type'
+    cockpit.click(down)
+    cockpit.wait(lambda page: 'under way' in page.text('.answers'), 'it is under way')
+    assert not any(button.is_enabled() for button in cockpit.all('[data-service="~lift"] button'))
+    cockpit.wait(lambda page: page.attribute('.answers li', 'data-outcome') == 'not known',
+                 'the outcome is told as not known')
+    cockpit.wait(lambda page: page.all(down)[0].is_enabled(), 'the button is enabled again')
+    assert 'not known' in cockpit.text('.answers li .outcome')
+    assert len(robot.lifts) == 1
+
+
+def drop_connection(page, network):
+    """Cut the page off, and connect it again as it has noticed."""
+    network.cut()
+    page.wait_for_text('#connection', 'no connection')
+    network.mend()
+    page.wait_for_text('#connection', 'live')
+    page.errors()      # that the network was gone is in the console, and has to be
+
+
+def test_an_answer_that_the_connection_did_not_live_to_see_is_not_known(cockpit, robot, network):
+    robot.bus.script.append(None)
+    cockpit.click('[data-service="~lift"] button')
+    until(lambda: robot.lifts, 'the board has got it')
+    drop_connection(cockpit, network)
+    cockpit.wait(lambda page: any('the connection went before the answer came' in each.text
+                                  for each in page.all('.answers li')), 'it says so')
+    until(lambda: cockpit.all('[data-service="~lift"] button')[0].is_enabled(), 'it is over')
+
+
+def test_calibration_is_confirmed_first(cockpit, robot):
+    packet = arduino.encode(arduino.ImuCalibration())
+    cockpit.click('[data-service="~calibrate_imu"] button')
+    cockpit.wait(lambda page: page.script("return document.querySelector('dialog').open"),
+                 'it asks')
+    cockpit.click('dialog button:last-of-type')
+    assert packet not in robot.car.commands
+    cockpit.click('[data-service="~calibrate_imu"] button')
+    robot.talks = False          # as a board does while it calibrates
+    try:
+        cockpit.click('dialog button')
+        until(lambda: packet in robot.car.commands, 'the board is told')
+        cockpit.wait(lambda page: 'being calibrated for' in page.text(
+            '[data-service="~calibrate_imu"] .words'), 'the time that has passed')
+    finally:
+        robot.talks = True
+    cockpit.wait(lambda page: page.text('[data-service="~calibrate_imu"] .words') == '', 'over')
+
+
+def test_led_echo_and_sync(cockpit, robot):
+    led = arduino.encode(arduino.LedCommand('brake'))
+    cockpit.click('[data-service="~led"] button:nth-of-type(3)')
+    until(lambda: led in robot.car.commands, 'the LED is told')
+    for word in ('echo', 'sync'):
+        cockpit.script("[...document.querySelectorAll('.commands button')]"
+                       ".find(b => b.textContent == arguments[0]).click()", word)
+        cockpit.wait(lambda page: any(each.text.startswith(word + ' done') for each in page.all(
+            '.answers li')), word)
+
+
+# -- the dead man's switch --------------------------------------------------------------------
+
+
+def hold(page, robot):
+    """Press the pad ahead of its middle, and hold."""
+    page.press_at('#pad', 0, -60)
+    until(lambda: any(speed > 0 for speed in robot.car.speeds), 'the car drives')
+
+
+def stands(robot, page):
+    until(lambda: robot.car.speeds[-1] == 0, 'the car stands')
+    page.wait(lambda page: page.attribute('#pad', 'data-held') is None, 'the pad is let go')
+    count = len(robot.car.speeds)
+    page.wait_for_updates(15)
+    assert not any(robot.car.speeds[count:])
+
+
+def test_it_stops_on_release(cockpit, robot):
+    hold(cockpit, robot)
+    cockpit.release()
+    stands(robot, cockpit)
+
+
+def test_it_stops_on_blur(cockpit, robot):
+    hold(cockpit, robot)
+    cockpit.script("document.getElementById('speed-limit').focus()")
+    stands(robot, cockpit)
+    cockpit.release()
+
+
+def test_it_stops_as_the_window_loses_the_focus(cockpit, robot):
+    hold(cockpit, robot)
+    cockpit.script("window.dispatchEvent(new Event('blur'))")
+    stands(robot, cockpit)
+    cockpit.release()
+
+
+def test_it_stops_on_a_hidden_tab(cockpit, robot):
+    hold(cockpit, robot)
+    with cockpit.other_tab():
+        until(lambda: robot.car.speeds[-1] == 0, 'the car stands')
+    stands(robot, cockpit)
+    cockpit.release()
+
+
+def test_it_stops_on_a_lost_connection(cockpit, robot, network):
+    hold(cockpit, robot)
+    drop_connection(cockpit, network)
+    stands(robot, cockpit)
+    cockpit.release()
+
+
+def test_what_the_network_kept_back_does_not_drive(cockpit, robot, network):
+    hold(cockpit, robot)
+    network.keep_back()
+    try:
+        until(lambda: robot.car.speeds[-1] == 0, 'the car stands')
+        cockpit.wait(lambda page: 'fell silent' in page.text('#pad-words'), 'the pad lets go')
+        cockpit.release()
+        # Pressed again while nothing arrives: the pad does not even try, or what it says is old.
+        cockpit.press_at('#pad', 0, -60)
+        cockpit.release()
+        robot.car.forget()
+    finally:
+        network.deliver()
+    cockpit.wait_for_text('#connection', 'live')
+    cockpit.wait_for_updates(15)
+    assert not any(robot.car.speeds)
+
+
+def test_it_stops_as_the_panel_falls_silent(cockpit, robot, controls):
+    hold(cockpit, robot)
+    os.kill(controls.process.pid, signal.SIGSTOP)
+    try:
+        cockpit.wait(lambda page: 'fell silent' in page.text('#pad-words'), 'the pad says so')
+        until(lambda: robot.car.speeds[-1] == 0, 'the bridge stops the car')
+    finally:
+        os.kill(controls.process.pid, signal.SIGCONT)
+    cockpit.wait_for_text('#connection', 'live')
+    stands(robot, cockpit)
+    cockpit.release()
+
+
+def test_it_stops_as_the_page_stands_still(cockpit, robot):
+    """Nothing of the page runs any more: its silence stops the car."""
+    hold(cockpit, robot)
+    cockpit.script("const end = performance.now() + 1500; while (performance.now() < end);")
+    assert 0 in robot.car.speeds
+    cockpit.release()
+    stands(robot, cockpit)
+
+
+def test_keys_drive(cockpit, robot):
+    cockpit.script("document.getElementById('pad').focus()")
+    cockpit.key_down(UP)
+    until(lambda: 200 in robot.car.speeds, 'the car drives')
+    cockpit.key_down(RIGHT)
+    until(lambda: arduino.encode(arduino.SteeringCommand(1900)) in robot.car.commands, 'it turns')
+    cockpit.key_up(RIGHT)
+    cockpit.key_up(UP)
+    stands(robot, cockpit)
+
+
+# -- what happens around it -------------------------------------------------------------------
+
+
+def test_unplug_and_replug(page, robot):
+    robot.lines['mcu'].unplug()
+    card = '[data-link="mcu"]'
+    page.wait(lambda page: page.attribute(card, 'data-look') == 'error', 'it is down')
+    assert page.text(card + ' .summary').startswith('closed: ')
+    page.wait(lambda page: page.attribute('[data-range="mcu/range_1"]', 'data-state') == 'stale',
+              'the range is old')
+    robot.lines['mcu'].plug()
+    page.wait(lambda page: page.attribute(card, 'data-look') == 'ok', 'it is well again')
+    page.wait(lambda page: page.attribute('[data-range="mcu/range_1"]', 'data-state') == 'fresh',
+              'the range is fresh')
+
+
+def test_restart_of_the_bridge(page, robot):
+    robot.bridge.end()
+    page.wait(lambda page: 'no bridge ' + NODE in page.text('#trouble'), 'the page says so')
+    assert page.attribute('[data-link="bus"]', 'data-look') in ('none', 'ok')
+    page.wait(lambda page: page.attribute('[data-link="bus"]', 'data-look') == 'none', 'grey')
+    robot.start_bridge()
+    page.wait(lambda page: page.text('#trouble') == '', 'it is back')
+    page.wait(lambda page: page.attribute('[data-link="bus"]', 'data-look') == 'ok', 'well')
+    page.wait(lambda page: page.attribute('[data-reading="~imu:roll"]', 'data-state') == 'fresh',
+              'data comes again')
+
+
+def test_restart_of_the_master(page, robot, core):
+    core.stop()
+    page.wait(lambda page: 'no answer from the ROS master' in page.text('#trouble'),
+              'the page says so')
+    core.start()
+    page.wait(lambda page: page.text('#trouble') == '', 'it is back')
+    # What is new to the master is found as well: a topic that was not subscribed to before.
+    page.click('#card-wire > summary')
+    page.wait(lambda page: page.all('.frame'), 'serial_msg comes')
+    page.click('#card-wire > summary')
+
+
+def test_restart_of_the_panel(chromium, robot):
+    port = free_port()
+    first = Panel(port=port, name='panel_short')
+    chromium.open(first.url)
+    chromium.wait_for_text('#connection', 'live')
+    first.end()
+    chromium.wait(lambda page: 'no connection to the panel' in page.text('#trouble'),
+                  'the page says so')
+    chromium.wait(lambda page: page.attribute('[data-reading="~ticks:ticks"]', 'data-state')
+                  == 'stale', 'its numbers are old')
+    second = Panel(port=port, name='panel_short')
+    chromium.wait_for_text('#connection', 'live')
+    chromium.wait(lambda page: page.attribute('[data-reading="~ticks:ticks"]', 'data-state')
+                  == 'fresh', 'its numbers are fresh')
+    chromium.errors()          # that a connection was refused is in the console, and has to be
+    assert second.end() == 0
+
+
+def test_a_page_of_another_site(chromium, panel):
+    """It can open no connection, and show no frame of ours."""
+    evil = f'''<title>evil</title><script>
+      const socket = new WebSocket('ws://127.0.0.1:{panel.port}/socket');
+      socket.onopen = () => document.title = 'open';
+      socket.onerror = () => document.title = 'refused';
+    </script><iframe src="http://127.0.0.1:{panel.port}/"></iframe>'''.encode()
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self):
+            self.send_response(200)
+            self.send_header('Content-Type', 'text/html')
+            self.end_headers()
+            self.wfile.write(evil)
+
+        def log_message(self, *_arguments):
+            pass
+
+    server = HTTPServer(('127.0.0.1', 0), Handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    chromium.open(f'http://localhost:{server.server_port}/')
+    chromium.wait(lambda page: page.title == 'refused', 'the connection is refused')
+    chromium.in_frame('iframe', lambda page: not page.all('#node'))
+    # By a name of its own that resolves to us.
+    chromium.open(f'http://rebinding.example:{panel.port}/')
+    assert 'is no name of this machine' in chromium.text('body')
+    server.shutdown()
+    chromium.errors()
+
+
+def test_a_wrong_token(chromium, controls):
+    chromium.forget_cookies(controls.url)
+    chromium.open(controls.url.split('?')[0])
+    assert 'with its token' in chromium.text('body')
+    chromium.open(controls.url)
+    chromium.wait_for_text('#connection', 'live')
+    assert TOKEN not in chromium.script('return location.href')
+    chromium.errors()
