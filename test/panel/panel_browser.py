@@ -72,6 +72,11 @@ class Browser:
         return self.script("return document.querySelector(arguments[0])?.innerText ?? ''",
                            selector).strip()
 
+    def texts(self, selector):
+        """What every such element shows."""
+        return self.script("return [...document.querySelectorAll(arguments[0])]"
+                           ".map(each => each.innerText)", selector)
+
     def attribute(self, selector, name):
         """An attribute of the first such element; None where there is none."""
         return self.script(
@@ -109,7 +114,9 @@ class Browser:
         self._driver.set_script_timeout(20)
         self._driver.execute_async_script('''
             let left = arguments[0];
-            const next = () => { if (left-- > 0) requestAnimationFrame(next); else arguments[1](); };
+            const next = () => {
+                if (left-- > 0) requestAnimationFrame(next); else arguments[1]();
+            };
             next();''', number * 3)
 
     def errors(self):
@@ -127,6 +134,12 @@ class Browser:
     def click(self, selector):
         """Click the first such element."""
         self.all(selector)[0].click()
+
+    def hover(self, selector):
+        """Point at the first such element."""
+        element = self.all(selector)[0]
+        self.script("arguments[0].scrollIntoView({block: 'center'})", element)
+        ActionChains(self._driver).move_to_element(element).perform()
 
     def double_click(self, selector):
         """Double-click it."""

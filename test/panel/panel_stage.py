@@ -88,7 +88,7 @@ class Robot:
         """Start the bridge; its services are there when this returns."""
         self.bridge = Bridge(parameters={
             **{f'{name}/port': line.near for name, line in self.lines.items()},
-            'bus/environment_period': 0.2})
+            'bus/environment_period': 0.2, 'bus/motion_timeout': 1.0})
         rospy.wait_for_service(NODE + '/calibrate_imu', PATIENCE)
 
     def end(self):

@@ -7,10 +7,13 @@ import threading
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
+import rospy
 from boards import Diagnostics, Topic as Heard, ranges, until
 from panel_stage import NODE, TOKEN, Network, Panel, free_port
 
+from geometry_msgs.msg import Vector3
 from sensor_msgs.msg import Imu, Range
+from std_msgs.msg import Float32, String
 
 from serial_communication.msg import Environment, SteeringFeedback, Ticks, Voltage, McuStatus2
 from serial_communication.protocols import arduino
@@ -73,7 +76,7 @@ def cockpit(chromium, controls, network, robot):
     chromium.open(network.url)
     chromium.wait_for_text('#connection', 'live')
     until(lambda: robot.car.connected, 'the car is there')
-    chromium.wait(lambda page: page.text('[data-link="bus"] .summary') == 'ready', 'the bus is ready')
+    chromium.wait_for_text('[data-link="bus"] .summary', 'ready')
     robot.car.forget()
     robot.bus.forget()
     yield chromium
@@ -100,7 +103,7 @@ def test_each_number_is_its_topics(page, robot):
         name, field = reading.split(':')
         if name not in heard:
             continue
-        message = heard[name].first()
+        message = heard[name].next()
         value = next(each for each in table[name].values(message) if each.name == field)
         page.wait_for_text(f'[data-reading="{reading}"] .number',
                            f'{value.value:.{value.digits}f}'.replace('-', '\N{MINUS SIGN}'))
@@ -206,6 +209,64 @@ def test_the_wire(page, robot):
     page.click('#card-wire > summary')
 
 
+def test_a_field_and_its_bytes(page, robot):
+    """Point at a field and see its bytes, and at bytes and see their field."""
+    page.click('#card-wire > summary')
+    page.wait(lambda page: page.all('.frame'), 'frames come')
+    page.script("[...document.querySelectorAll('.chip')]"
+                ".filter(chip => !/sensor status|mcu$/.test(chip.firstChild.textContent)"
+                " && chip.ariaPressed == 'true').forEach(chip => chip.click())")
+    page.wait(lambda page: {each.text for each in page.all('.frame-link')} == {'mcu \u2190'},
+              'only the sensor board is shown')
+    page.script("document.querySelector('.frame').click()")
+    fields = dict(page.script("return [...document.querySelectorAll('.fields > div')].map(field =>"
+                              "[field.querySelector('dt').textContent,"
+                              " [...field.querySelectorAll('dd')].map(each => each.textContent)])"))
+    assert fields['range_1'] == ['470 mm', 'bytes 4 \u2013 5']
+    assert fields['CRC'][1] == 'byte 14'
+    for points_at, lights_up, words in (
+            ('.fields > div:nth-child(5)', '.frame-detail .byte[data-lit]', 'd6 01'),    # 470
+            ('.frame-detail .byte:nth-child(5)', '.fields [data-lit] dt', 'range_1')):
+        page.wait(lambda page: page.texts(lights_up) == [words], f'{words} lights up',
+                  doing=lambda: page.hover(points_at))
+    page.click('#card-wire > summary')
+
+
+def test_own_topics_appear_by_themselves(chromium, core):
+    """This process plays a bridge that publishes what no other does."""
+    wind = rospy.Publisher('~wind', Vector3, queue_size=1)
+    words = rospy.Publisher('~motto', String, queue_size=1)
+    panel = Panel('--node', rospy.get_name(), name='panel_own')
+    try:
+        chromium.open(panel.url)
+        chromium.wait_for_text('#connection', 'live')
+        done = threading.Event()
+
+        def publish():
+            while not done.wait(0.05):
+                wind.publish(1.5, -2.25, 1e-9)
+                words.publish('<b>semper idem</b>')
+        threading.Thread(target=publish, daemon=True).start()
+        card = '[data-own="~wind"] '
+        chromium.wait_for_text('[data-reading="~wind:y"] .number', '\N{MINUS SIGN}2.25')
+        assert chromium.text('[data-reading="~wind:x"] .number') == '1.5'
+        assert chromium.all(card + 'canvas')
+        chromium.wait_for_text('[data-reading="~motto:data"] .number', '<b>semper idem</b>')
+        assert not chromium.all('[data-own="~motto"] canvas')
+        third = rospy.Publisher('~later', Float32, queue_size=1, latch=True)
+        third.publish(7.0)
+        chromium.wait_for_text('[data-reading="~later:data"] .number', '7')
+        third.unregister()
+        chromium.wait(lambda page: not page.all('[data-own="~later"]'), 'it goes with its topic')
+        done.set()
+        assert chromium.errors() == []
+    finally:
+        wind.unregister()
+        words.unregister()
+        chromium.open('about:blank')
+        panel.end()
+
+
 def test_a_phone(page):
     page.resize(390, 844)
     try:
@@ -256,7 +317,7 @@ def test_lift_moves_once_at_a_double_click(cockpit, robot):
 
 
 def test_a_control_is_disabled_until_its_answer_is_there(cockpit, robot):
-    robot.bus.script.append(None)        # no answer: 5 s until it is given up
+    robot.bus.script.append(None)        # no answer, until it is given up
     down = '[data-service="~lift"] button:last-of-type'
     cockpit.click(down)
     cockpit.wait(lambda page: 'under way' in page.text('.answers'), 'it is under way')
@@ -464,16 +525,15 @@ def test_restart_of_the_panel(chromium, robot):
     port = free_port()
     first = Panel(port=port, name='panel_short')
     chromium.open(first.url)
-    chromium.wait_for_text('#connection', 'live')
+    ticks = '[data-reading="~ticks:ticks"]'
+    chromium.wait(lambda page: page.attribute(ticks, 'data-state') == 'fresh', 'numbers come')
     first.end()
     chromium.wait(lambda page: 'no connection to the panel' in page.text('#trouble'),
                   'the page says so')
-    chromium.wait(lambda page: page.attribute('[data-reading="~ticks:ticks"]', 'data-state')
-                  == 'stale', 'its numbers are old')
+    chromium.wait(lambda page: page.attribute(ticks, 'data-state') == 'stale', 'they are old')
     second = Panel(port=port, name='panel_short')
     chromium.wait_for_text('#connection', 'live')
-    chromium.wait(lambda page: page.attribute('[data-reading="~ticks:ticks"]', 'data-state')
-                  == 'fresh', 'its numbers are fresh')
+    chromium.wait(lambda page: page.attribute(ticks, 'data-state') == 'fresh', 'they are fresh')
     chromium.errors()          # that a connection was refused is in the console, and has to be
     assert second.end() == 0
 

@@ -14,10 +14,11 @@ from rosgraph_msgs.msg import Log
 from ..watch.state import BridgeState
 from ..watch.topics import DIAGNOSTICS, SERIAL_MSG, TOPICS, Topic, Value
 from ..watch.watcher import Watcher
-from .wire import describe
+from .wire import Wire
 
 HISTORY = 600.0         # s that a topic's rows, and a link's errors, are kept for
 _SPARSE = 0.5           # s between the messages of a topic whose rows are kept
+_FIRST_WORD = 1.5       # s that master and bridge have to answer, once somebody looks
 _MOST_WAITING = 2000    # messages that wait for the IO loop; older ones are left out
 _MOST_FRAMES = 100      # that one update carries: 2500 a second
 _MOST_LINES = 100       # of the log that are kept
@@ -82,9 +83,12 @@ class Feed:
         self._state = BridgeState(node, master=master)
         self._watcher: Optional[Watcher] = None
         self._log: Optional[rospy.Subscriber] = None
+        self._since = 0.0                        # when it began to look
         self._wanted: Set[str] = set()
         self._waiting: Deque[Tuple[Topic, bytes, float]] = deque(maxlen=_MOST_WAITING)
         self._shown: Dict[str, _Shown] = {}
+        self._wire = Wire({})
+        self._wired: Any = None                  # the parameters that it is made of
         self._told_topics: Optional[List[Topic]] = None
         self._links: Dict[str, Any] = {}         # name -> the LinkState that was counted last
         self._errors: Dict[str, Deque[_Errors]] = {}
@@ -95,6 +99,7 @@ class Feed:
         """Somebody looks; rospy.init_node has been called."""
         self._watcher = Watcher(self._state, lambda topic: topic.name in self._wanted, self._keep)
         self._watcher.start()
+        self._since = time.monotonic()
         self._log = rospy.Subscriber('/rosout_agg', Log, self._hear, queue_size=100)
 
     def stop(self) -> None:
@@ -135,7 +140,7 @@ class Feed:
     def take(self, now: float) -> Tuple[Dict[str, Any], Optional[Dict[str, Any]]]:
         """What has come since the last time; and what of the wire, if anything."""
         frames, left_out = self._unpack()
-        update: Dict[str, Any] = {'now': round(now, 4), 'trouble': self._state.trouble(now)}
+        update: Dict[str, Any] = {'now': round(now, 4), 'trouble': self._trouble(now)}
         topics = {name: self._tell(name, shown, shown.rows)
                   for name, shown in self._shown.items() if shown.rows}
         for name in topics:
@@ -161,7 +166,7 @@ class Feed:
     def everything(self, now: float) -> Dict[str, Any]:
         """All that a page which has just been opened has to know; to be asked after `take`."""
         update: Dict[str, Any] = {
-            'now': round(now, 4), 'trouble': self._state.trouble(now), 'node': self._state.node,
+            'now': round(now, 4), 'trouble': self._trouble(now), 'node': self._state.node,
             'known': self._known(), 'log': list(self._lines), 'topics': {}, 'links': {}}
         for name, shown in self._shown.items():
             rows = [row for row in shown.history if now - row[0] <= HISTORY]
@@ -173,6 +178,10 @@ class Feed:
                 each for each in self._errors.get(name, ()) if now - each.at <= HISTORY])
         return update
 
+    def _trouble(self, now: float) -> str:
+        """Why nothing new can come; nobody can have answered as soon as they were asked."""
+        return self._state.trouble(now) if now - self._since > _FIRST_WORD else ''
+
     def _unpack(self) -> Tuple[List[Any], int]:
         """Messages into rows, and serial_msg into frames, with how many of these were left out."""
         frames, left_out = [], 0
@@ -180,7 +189,7 @@ class Feed:
             topic, packed, at = self._waiting.popleft()
             if topic.name == SERIAL_MSG:
                 if len(frames) < _MOST_FRAMES:
-                    frames.append(describe(self._watcher.unpack(topic, packed), at))
+                    frames.append(self._explain(self._watcher.unpack(topic, packed), at))
                 else:
                     left_out += 1
                 continue
@@ -193,6 +202,12 @@ class Feed:
                 # Whatever another version of the type may make of it.
                 shown.trouble = f'not as expected: {error}'
         return frames, left_out
+
+    def _explain(self, message: Any, at: float) -> List[Any]:
+        if self._wired is not self._state.parameters:
+            self._wired = self._state.parameters
+            self._wire = Wire(self._wired)
+        return self._wire.describe(message, at)
 
     def _known(self) -> Dict[str, Any]:
         return {topic.name: {'type': topic.type, 'links': topic.links,

@@ -102,7 +102,7 @@ class Session(Guarded, WebSocketHandler):
 
     def _write(self, text: str) -> None:
         try:
-            self.write_message(text)
+            self.write_message(text).add_done_callback(_look_at)
         except WebSocketClosedError:
             self._hub.remove(self)
 
@@ -154,6 +154,12 @@ class Session(Guarded, WebSocketHandler):
                                      f'{refused}')
             self._write(encode({'now': time.monotonic(),
                                 'refused': {'key': key, 'words': str(refused)}}))
+
+
+def _look_at(future: Any) -> None:
+    """A page that went as it was written to is no fault to be logged."""
+    if not future.cancelled():
+        future.exception()
 
 
 def encode(update: Dict[str, Any], more: Optional[Dict[str, Any]] = None) -> str:

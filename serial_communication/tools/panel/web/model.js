@@ -1,6 +1,7 @@
 /** What the page knows of the bridge: everything that `update` has told so far. */
 const KEPT = 600;          // s of rows
 const MOST_ROWS = 4000;    // of one topic: 40 s of what comes a hundred times a second
+const MOST_CALLS = 30;     // whose answers stay to be read
 const ERRORS_SHOWN = 10;   // s that an error keeps its link from looking well
 
 /** One topic: its values' names, and rows of [time, value …]. */
@@ -150,5 +151,8 @@ export class Model {
     this.log.push(...update.log ?? []);
     this.log.splice(0, this.log.length - 100);
     for (const call of update.calls ?? []) this.calls.set(call.number, call);
+    for (const number of this.calls.keys()) {
+      if (this.calls.size > MOST_CALLS) this.calls.delete(number);    // the oldest
+    }
   }
 }

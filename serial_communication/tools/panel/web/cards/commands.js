@@ -5,6 +5,7 @@
 import {ago, card, h, mark, say} from '../dom.js';
 
 const LEAST_DISABLED = 700;    // ms; the second click of a double click comes within 500
+const SHOWN = 12;              // answers
 const WORDS = {done: 'done', refused: 'refused', 'not known': 'not known'};
 const MOVES = {
   '~lift': ['lift', 'distance', 'mm', 20, [['▲ up', 0], ['▼ down', 1]]],
@@ -85,6 +86,7 @@ export class Commands {
 
   _tell(what, outcome, words) {
     this._told.push({what, outcome, words, at: this._connection.now()});
+    this._told.splice(0, this._told.length - SHOWN);
     this._announce(`${what}: ${WORDS[outcome]}, ${words}`);
   }
 
@@ -214,7 +216,7 @@ export class Commands {
     const waiting = [...this._pending.values()].filter((each) => each.name && ![...model.calls.values()]
       .some((call) => this._pending.get(call.key) === each)).map((each) =>
       ({what: each.words, at: each.at, words: 'asking …'}));
-    const all = [...calls, ...this._told, ...waiting].sort((one, other) => other.at - one.at).slice(0, 12);
+    const all = [...calls, ...this._told, ...waiting].sort((one, other) => other.at - one.at).slice(0, SHOWN);
     const drawn = JSON.stringify(all.map(({what, outcome, words, at}) => [what, outcome, words, at]));
     if (drawn === this._drawnAnswers) return;
     this._drawnAnswers = drawn;

@@ -110,7 +110,7 @@ export class Wire {
   }
 
   /** The bytes, each stretch of one field in one colour. */
-  _bytes([, , , , , , hex, fields], most = 24) {
+  _bytes([, , , , , , hex, fields], most = 28) {
     const out = [], bytes = hex.match(/../g) ?? [];
     const owner = new Array(bytes.length).fill(null);
     fields.forEach(([, first, end], index) => owner.fill(index, first, end));
@@ -136,9 +136,9 @@ export class Wire {
       h('p', {class: 'frame-title'}, h('b', {}, `${link} ${sent ? 'sent' : 'received'}: `),
         error ? `${error}; ${words}` : words),
       h('p', {class: 'bytes'}, ...this._bytes(frame, Infinity)),
-      h('dl', {class: 'fields'}, ...fields.map(([name, first, end, value], index) =>
+      h('dl', {class: 'fields'}, ...fields.map(([name, first, end, value, amiss], index) =>
         h('div', {class: `f${index % COLOURS}`, 'data-field': index, tabindex: '0'},
-          h('dt', {}, name), h('dd', {}, value),
+          h('dt', {}, name), h('dd', {}, value, ...amiss ? [h('b', {class: 'amiss'}, ` ${amiss}`)] : []),
           h('dd', {class: 'note'}, end - first > 1 ? `bytes ${first} – ${end - 1}` : `byte ${first}`)))));
   }
 
