@@ -1,0 +1,100 @@
+"""How long from a topic to the page, and what a panel costs; run by hand:
+
+    . build/devel/setup.bash; python3 test/panel/measure.py [SECONDS]
+
+Starts a master, the simulated boards with their bridge, a panel and a browser. From topic to page:
+this process publishes a number on a topic of its own at times of no pattern, and the page notes
+when its text changes; both on this machine's clock. CPU: of the panel's process, at the boards'
+own rates, with nobody looking, with a page, and with the wire open.
+"""
+import os
+import random
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+sys.path[:0] = [str(Path(__file__).resolve().parents[1] / 'ros'), str(Path(__file__).parent)]
+
+import panel_stage  # noqa: E402
+import rospy  # noqa: E402
+from boards import until  # noqa: E402
+from panel_browser import Browser  # noqa: E402
+from std_msgs.msg import Float32  # noqa: E402
+
+_WATCH = '''
+    window.seen = {};
+    const place = document.querySelector('[data-reading="~probe:data"] .number');
+    new MutationObserver(() => { seen[place.textContent] = Date.now(); }).observe(
+        place, {childList: true, characterData: true, subtree: true});
+'''
+
+
+def cpu(process, seconds):
+    """Of one core, in percent."""
+    def used():
+        fields = Path(f'/proc/{process.pid}/stat').read_text().rsplit(')', 1)[1].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
+    began, before = time.monotonic(), used()
+    time.sleep(seconds)
+    return 100 * (used() - before) / (time.monotonic() - began)
+
+
+def latencies(browser, number):
+    """In ms, from before publishing to the text on the page."""
+    probe = rospy.Publisher('~probe', Float32, queue_size=1, tcp_nodelay=True)
+    panel = panel_stage.Panel('--node', rospy.get_name(), name='panel_measured')
+    browser.open(panel.url)
+    until(lambda: browser.all('[data-reading="~probe:data"]'), 'the topic is on the page',
+          doing=lambda: probe.publish(-1.0), every=0.2)
+    browser.script(_WATCH)
+    sent = {}
+    for count in range(1, number + 1):
+        time.sleep(random.uniform(0.05, 0.2))
+        sent[str(count)] = time.time() * 1e3
+        probe.publish(float(count))
+    browser.wait(lambda page: str(number) in page.script('return seen'), 'the last is there')
+    seen = browser.script('return seen')
+    panel.end()
+    return sorted(seen[each] - sent[each] for each in sent if each in seen), number
+
+
+def main():
+    """Measure and print."""
+    seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 20.0
+    os.environ['ROS_MASTER_URI'] = f'http://localhost:{panel_stage.free_port()}'
+    os.environ.setdefault('ROS_HOSTNAME', 'localhost')
+    core = panel_stage.Core()
+    rospy.init_node('measure', disable_signals=True)
+    with tempfile.TemporaryDirectory() as folder:
+        launch = subprocess.Popen(
+            ['roslaunch', 'serial_communication', 'bridge.launch', 'sim:=true',
+             'sim_dir:=' + folder], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        rospy.wait_for_service(panel_stage.NODE + '/calibrate_imu', 30)
+        panel = panel_stage.Panel()
+        time.sleep(5)
+        print(f'load of the machine {os.getloadavg()[0]:.1f}, {os.cpu_count()} cores')
+        print(f'panel, nobody looks     {cpu(panel.process, seconds):5.1f} % of a core')
+        browser = Browser()
+        browser.open(panel.url)
+        browser.wait_for_text('#connection', 'live')
+        time.sleep(5)
+        print(f'panel, one page         {cpu(panel.process, seconds):5.1f} % of a core')
+        browser.click('#card-wire > summary')
+        time.sleep(2)
+        print(f'panel, the wire as well {cpu(panel.process, seconds):5.1f} % of a core')
+        panel.end()
+        found, number = latencies(browser, 200)
+        print(f'from topic to page, {len(found)} of {number}: p50 {statistics.median(found):.0f}, '
+              f'p90 {found[int(len(found) * 0.9)]:.0f}, most {found[-1]:.0f} ms')
+        browser.quit()
+        launch.terminate()
+        launch.wait(20)
+    rospy.signal_shutdown('done')
+    core.stop()
+
+
+if __name__ == '__main__':
+    main()
