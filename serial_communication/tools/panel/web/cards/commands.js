@@ -212,7 +212,8 @@ export class Commands {
   _list(model, now) {
     const calls = [...model.calls.values()].map((call) => ({
       what: describe(call), outcome: call.outcome, at: call.began, number: call.number,
-      words: call.outcome ? `${call.words} (${call.took.toFixed(2)} s)` : `under way for ${ago(now - call.began)}`}));
+      words: call.outcome ? `${said(call)} (${call.took.toFixed(2)} s)`.trim()
+        : `under way for ${ago(now - call.began)}`}));
     const waiting = [...this._pending.values()].filter((each) => each.name && ![...model.calls.values()]
       .some((call) => this._pending.get(call.key) === each)).map((each) =>
       ({what: each.words, at: each.at, words: 'asking …'}));
@@ -226,6 +227,9 @@ export class Commands {
         h('span', {class: 'words'}, words))));
   }
 }
+
+/** The answer's words, but for those that only repeat what was asked. */
+const said = ({outcome, words}) => outcome === 'done' && words.startsWith('done') ? '' : words;
 
 /** A call in words, whichever page made it. */
 function describe({name, arguments: args}) {

@@ -4,6 +4,7 @@ import {ago, card, colour, context, h, mark, number, say} from '../dom.js';
 const SHOWN = 300;         // s of the sparkline
 const BIN = 3;             // s of one of its bars
 const MINUTE = 60;
+const LONGEST_GAP = 30;    // ms between heartbeats that the car bears
 const BOARDS = {bus: 'control board', arduino: 'model car', mcu: 'sensor board'};
 const SIGNS = {ok: '✓', warn: '!', error: '✕', none: '?'};
 const WORDS = {ok: 'well', warn: 'trouble', error: 'down', none: 'not known'};
@@ -86,6 +87,7 @@ class LinkCard {
       const value = text(values), place = this._more.get(label);
       place.parentElement.hidden = value === undefined;
       say(place, value ?? '');
+      mark(place, 'data-bad', label === 'heartbeat gap' && parseFloat(value) > LONGEST_GAP);
     }
     if (this._details.open) this._list(values);
   }
