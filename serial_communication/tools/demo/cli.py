@@ -110,6 +110,7 @@ def _arguments(argv: Optional[List[str]]) -> argparse.Namespace:
                         help='move lift and gimbal and drive the car')
     parser.add_argument('--duration', type=float, metavar='SECONDS', help='end by itself')
     parser.add_argument('--setup', default='', help='the line that a second terminal needs')
+    parser.add_argument('--page', default='', help="the panel's address")
     return parser.parse_args(argv)
 
 
@@ -117,7 +118,7 @@ def main(argv: Optional[List[str]] = None) -> int:
     """Show the table; 1 if, after --duration, something had not been shown to work."""
     options = _arguments(argv)
     state = State(options.boards, options.links, options.move, options.setup,
-                  rosgraph.get_master_uri())
+                  rosgraph.get_master_uri(), options.page)
     stopping = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: stopping.set())

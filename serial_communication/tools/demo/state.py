@@ -27,8 +27,10 @@ class State:
     """All that the demo's table shows."""
 
     def __init__(self, boards: str = 'simulated', links: Sequence[str] = LINKS,
-                 moves: bool = True, setup: str = '', master: str = '') -> None:
+                 moves: bool = True, setup: str = '', master: str = '',
+                 page: str = '') -> None:
         self.boards = boards
+        self.page = page             # the panel's address
         self.setup = setup           # the line that a second terminal needs
         self.elapsed = 0.0           # s
         self.bridge = BridgeState(NODE, [topic for topic in TOPICS
@@ -68,6 +70,8 @@ class State:
             commands.append(Line(
                 f"car     ~speed {speed}, ~steering {steering}, ~led {led or '-'}"))
         notes = [Line('In another terminal:  ' + self.setup, whole=True)] if self.setup else []
+        if self.page:
+            notes.append(Line('In a browser:  ' + self.page, whole=True))
         return Frame((f'{self.boards.capitalize()} boards, {self.elapsed:.0f} s.',
                       'Ctrl-C ends it.', f'~ is {NODE}/'), tuple(notes),
                      tuple(commands) or (Line('none: real boards are only looked at'),))
