@@ -26,6 +26,7 @@ avr    | gcc-avr avr-libc arduino-core-avr           | gcc-avr avr-libc arduino-
 avr    | simavr libsimavr-dev libelf-dev pkg-config  | simavr libsimavr-dev libelf-dev pkg-config
 view   | rviz python3-rviz ros-robot-state-publisher | ros-noetic-rviz ros-noetic-robot-state-publisher
 view   | xvfb                                        | xvfb
+pictures | imagemagick                               | imagemagick
 END
 }
 

@@ -1,4 +1,5 @@
 """Chromium, headless, by its driver: what the tests look at and press."""
+import base64
 import contextlib
 import tempfile
 
@@ -76,6 +77,13 @@ class Browser:
         """What every such element shows."""
         return self.script("return [...document.querySelectorAll(arguments[0])]"
                            ".map(each => each.innerText)", selector)
+
+    def picture(self, selector=''):
+        """A PNG of what is to be seen, or of one element alone."""
+        if selector:
+            return self.all(selector)[0].screenshot_as_png
+        shot = self._driver.execute_cdp_cmd('Page.captureScreenshot', {'format': 'png'})
+        return base64.b64decode(shot['data'])
 
     def attribute(self, selector, name):
         """An attribute of the first such element; None where there is none."""

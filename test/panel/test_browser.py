@@ -14,6 +14,7 @@ from panel_stage import NODE, TOKEN, Network, Panel, free_port
 from geometry_msgs.msg import Vector3
 from sensor_msgs.msg import Imu, Range
 from std_msgs.msg import Float32, String
+from std_srvs.srv import SetBool, SetBoolResponse
 
 from serial_communication.msg import Environment, SteeringFeedback, Ticks, Voltage, McuStatus2
 from serial_communication.protocols import arduino
@@ -376,6 +377,39 @@ def test_led_echo_and_sync(cockpit, robot):
                        ".find(b => b.textContent == arguments[0]).click()", word)
         cockpit.wait(lambda page: any(each.text.startswith(word + ' done') for each in page.all(
             '.answers li')), word)
+
+
+def test_own_functions(chromium, core):
+    """This process plays a bridge with a function of the configuration."""
+    asked = []
+
+    def pump(request):
+        asked.append(request.data)
+        return SetBoolResponse(request.data, 'the pump runs' if request.data else 'it is empty')
+    rospy.set_param('~bus/functions/pump', {'cmd2': 48, 'srv_type': 'std_srvs/SetBool'})
+    there = rospy.Publisher('~there', String, queue_size=1)
+    service = rospy.Service('~pump', SetBool, pump)
+    panel = Panel('--control', '--node', rospy.get_name(), name='panel_functions')
+    try:
+        chromium.open(panel.url)
+        form = '[data-service="~pump"] '
+        chromium.wait(lambda page: page.all(form + 'button'), 'the function is offered')
+        for outcome in ('refused', 'done'):
+            chromium.wait(lambda page: page.all(form + 'button')[0].is_enabled(), 'it is free')
+            chromium.click(form + 'button')
+            chromium.wait(lambda page: page.attribute('.answers li', 'data-outcome') == outcome,
+                          outcome)
+            chromium.click(form + 'input')
+        assert asked == [False, True]
+        answers = chromium.text('.answers')
+        assert 'the pump runs' in answers and 'it is empty' in answers
+        assert chromium.errors() == []
+    finally:
+        chromium.open('about:blank')
+        service.shutdown()
+        there.unregister()
+        rospy.delete_param('~bus')
+        panel.end()
 
 
 # -- the dead man's switch --------------------------------------------------------------------

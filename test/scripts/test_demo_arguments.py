@@ -1,4 +1,4 @@
-"""What scripts/demo and scripts/test say to arguments that they cannot use, before any set-up."""
+"""What scripts/demo, test and pictures say to arguments that they cannot use, before any set-up."""
 import subprocess
 from pathlib import Path
 
@@ -52,7 +52,13 @@ def test_wrong_arguments_of_test(arguments, words):
     assert words in done.stderr and len(done.stderr.splitlines()) == 2
 
 
-@pytest.mark.parametrize('program', ['demo', 'test'])
+def test_wrong_arguments_of_pictures():
+    done = run('pictures', '--fast')
+    assert done.returncode == 2
+    assert 'unknown argument: --fast' in done.stderr and len(done.stderr.splitlines()) == 2
+
+
+@pytest.mark.parametrize('program', ['demo', 'test', 'pictures'])
 @pytest.mark.parametrize('option', ['--help', '-h'])
 def test_help(program, option):
     done = run(program, option)

@@ -27,7 +27,7 @@ export class Reading {
     if (value !== undefined) {
       say(this._number, this._format ? this._format(value, field)
         : number(value, field.digits));
-      if (this._units === null) say(this._unit, unit(field.unit));
+      if (this._units === null) say(this._unit, Number.isNaN(value) ? '' : unit(field.unit));
     }
     mark(this.element, 'data-state', value === undefined ? 'none' : stale ? 'stale' : 'fresh');
     say(this._age, stale ? `${ago(topic.age(now))} old` : '');

@@ -1,0 +1,190 @@
+"""Makes the pictures of the documentation; scripts/pictures calls it with their folder.
+
+Each is of simulated boards: first of sound lines, then of a bad one.
+"""
+import contextlib
+import html
+import os
+import pty
+import re
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import termios
+import time
+from fcntl import ioctl
+from pathlib import Path
+
+sys.path[:0] = [str(Path(__file__).resolve().parents[1] / 'ros'), str(Path(__file__).parent)]
+
+import panel_stage  # noqa: E402
+from boards import Bridge, Line, program  # noqa: E402
+from panel_browser import Browser  # noqa: E402
+
+HISTORY = 45            # s that run before a picture, so that there is something to be seen
+COLUMNS, ROWS = 100, 34  # of the terminal
+SPEED, STEERING = 300, 1650
+
+_TERMINAL = '''<style>
+  body { margin: 0; background: #14171b; color: #d7dce2; width: max-content;
+         font: 15px/1.35 "DejaVu Sans Mono", monospace; padding: 18px 22px; white-space: pre; }
+  .s1 { font-weight: bold; color: #fff } .s32 { color: #5fd39a } .s33 { color: #f2b824 }
+  .s31 { color: #ff6b75 }
+</style>'''
+
+
+@contextlib.contextmanager
+def running(*command, **options):
+    """A program, from here to the end of the block."""
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                               **options)
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(20)
+        except subprocess.TimeoutExpired:
+            process.kill()
+
+
+def save(picture, path):
+    """As few colours as do, so that the file is small."""
+    subprocess.run(['convert', '-', '-strip', '-dither', 'None', '-colors', '128',
+                    '-define', 'png:compression-level=9', f'png8:{path}'],
+                   input=picture, check=True)
+    print(f'{path}: {path.stat().st_size / 1024:.0f} KiB', flush=True)
+
+
+def driving(stack):
+    """Somebody drives in a circle."""
+    for name, kind, value in (('speed', 'SpeedPWMCommand', SPEED),
+                              ('steering', 'SteeringPWMCommand', STEERING)):
+        stack.enter_context(running(
+            'rostopic', 'pub', '-r', '10', f'{panel_stage.NODE}/{name}',
+            f'serial_communication/{kind}', f'{{value: {value}}}'))
+
+
+def terminal(folder):
+    """What `monitor` shows, as the browser draws it."""
+    near, far = pty.openpty()
+    ioctl(far, termios.TIOCSWINSZ, struct.pack('HHHH', ROWS, COLUMNS, 0, 0))
+    shown = bytearray()
+    process = subprocess.Popen([program('monitor')], stdin=far, stdout=far, stderr=far,
+                               env={**os.environ, 'TERM': 'xterm'})
+    os.close(far)
+    with contextlib.suppress(OSError):
+        end = time.monotonic() + 12
+        while time.monotonic() < end:
+            shown += os.read(near, 65536)
+            if time.monotonic() > end - 1 and process.poll() is None:
+                break
+    whole = bytes(shown).decode().split('\033[H')[-2]        # the last that is complete
+    process.terminate()
+    with contextlib.suppress(OSError):
+        while os.read(near, 65536):
+            pass
+    process.wait(10)
+    os.close(near)
+    text = re.sub(r'\033\[0?m', '</span>', html.escape(whole))
+    text = re.sub(r'\033\[(\d+)m', r'<span class="s\1">', text)
+    text = re.sub(r'\033\[[?0-9]*[A-Za-z]', '', text).replace('\r', '').rstrip()
+    page = folder / 'terminal.html'
+    page.write_text(f'<!DOCTYPE html><meta charset="utf-8">{_TERMINAL}<body>{text}')
+    return page
+
+
+def take_terminal(browser, folder, out):
+    """Its picture, as large as its text."""
+    browser.open(terminal(folder).as_uri())
+    width, height = browser.script(
+        'return [document.body.scrollWidth, document.body.scrollHeight]')
+    browser.resize(width, height)
+    save(browser.picture(), out / 'terminal.png')
+
+
+def sound(browser, out):
+    """The page wide and on a phone, and rviz."""
+    reading, writing = os.pipe()
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(running('Xvfb', '-displayfd', str(writing), '-screen', '0',
+                                    '1200x750x24', '-nolisten', 'tcp', pass_fds=[writing]))
+        os.close(writing)
+        with os.fdopen(reading) as number:
+            display = f':{number.readline().strip()}'
+        stack.enter_context(running('roslaunch', 'serial_communication', 'view.launch',
+                                    'sim:=true', env={**os.environ, 'DISPLAY': display}))
+        driving(stack)
+        panel = panel_stage.Panel('--control')
+        stack.callback(panel.end)
+        browser.resize(1600, 1000)
+        browser.open(panel.url)
+        browser.wait(lambda page: page.attribute('[data-link="bus"]', 'data-look') == 'ok',
+                     'the bridge runs', 60)
+        time.sleep(HISTORY)
+        for service, button in (('~gimbal', 2), ('~lift', 1)):
+            browser.click(f'[data-service="{service}"] button:nth-of-type({button})')
+            browser.wait(lambda page: page.all(f'[data-service="{service}"] button')[0]
+                         .is_enabled(), 'the answer is there')
+        save(browser.picture(), out / 'panel.png')
+        browser.resize(390, 844, 2)
+        time.sleep(1)
+        save(browser.picture(), out / 'panel_phone.png')
+        save(subprocess.run(['import', '-display', display, '-window', 'root', 'png:-'],
+                            stdout=subprocess.PIPE, check=True).stdout, out / 'rviz.png')
+
+
+def bad(browser, folder, out):
+    """The page in the dark, the wire, and the terminal; with a bad cable and one that is out."""
+    lines = {name: Line(str(folder / name)).plug() for name in ('bus', 'arduino', 'mcu')}
+    with contextlib.ExitStack() as stack:
+        for name, line in lines.items():
+            stack.callback(line.unplug)
+            stack.enter_context(running(
+                program('simulator'), name, '--port', line.far, '--seed', '7',
+                *(['--fault', 'flip=0.005'] if name == 'arduino' else [])))
+        bridge = Bridge(parameters={f'{name}/port': line.near for name, line in lines.items()})
+        stack.callback(bridge.end)
+        driving(stack)
+        panel = panel_stage.Panel()
+        stack.callback(panel.end)
+        browser.resize(1600, 1000)
+        browser.scheme('dark')
+        browser.open(panel.url)
+        browser.wait(lambda page: page.attribute('[data-link="arduino"]', 'data-look') == 'warn',
+                     'the cable is bad', 60)
+        time.sleep(HISTORY)
+        lines['mcu'].unplug()
+        browser.wait(lambda page: page.attribute('[data-link="mcu"]', 'data-look') == 'error',
+                     'the other is out')
+        save(browser.picture(), out / 'panel_dark.png')
+        browser.scheme('light')
+        browser.click('#card-wire > summary')
+        browser.wait(lambda page: page.all('.frame[data-error]'), 'a damaged frame', 60)
+        browser.script("document.querySelector('.frame[data-error]').click();"
+                       "document.getElementById('card-wire').scrollIntoView()")
+        browser.wait(lambda page: page.all('.fields'), 'it is explained')
+        save(browser.picture('#card-wire'), out / 'panel_wire.png')
+        take_terminal(browser, folder, out)
+
+
+def main():
+    """All of them."""
+    out = Path(sys.argv[1])
+    os.environ['ROS_MASTER_URI'] = f'http://localhost:{panel_stage.free_port()}'
+    os.environ['ROS_HOSTNAME'] = 'localhost'
+    core = panel_stage.Core()
+    browser = Browser()
+    with tempfile.TemporaryDirectory(prefix='pictures_') as folder:
+        try:
+            sound(browser, out)
+            bad(browser, Path(folder), out)
+        finally:
+            browser.quit()
+            core.stop()
+
+
+if __name__ == '__main__':
+    main()
