@@ -27,9 +27,9 @@ const own = new OwnMessages();
 const commands = new Commands(connection, announce);
 const drive = new Drive(connection, announce);
 const wire = new Wire(watch);
-const columns = [[new Attitude(), drive, new Battery()], [new Motion(), own, new Log()],
+const columns = [[new Attitude(), drive, new Battery()], [new Motion(), new Log()],
   [commands, new Sensors(), new Channels(), new Air()]];
-const below = [wire];
+const below = [own, wire];
 const cards = [links, ...columns.flat(), ...below];
 
 columns.forEach((column, index) => place(`column-${index + 1}`).append(...column.map((each) => each.element)));

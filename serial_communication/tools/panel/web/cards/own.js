@@ -8,12 +8,12 @@ const MOST_LINES = COLOURS.length;    // of one plot
 const SLOW = 0.7;                     // s of a stale limit above which ten minutes are shown
 
 class OwnCard {
-  constructor(name) {
+  constructor(name, type) {
     this.name = name;
     this._shape = null;
     this._parts = [];
     this._body = h('div', {class: 'own'}, h('p', {class: 'words'}, 'nothing yet'));
-    this.element = card(name, '', this._body);
+    this.element = card(name, type, this._body);
     this.element.dataset.own = name;
   }
 
@@ -67,7 +67,7 @@ export class OwnMessages {
     }
     for (const name of names) {
       if (!this._cards.has(name)) {
-        const made = new OwnCard(name);
+        const made = new OwnCard(name, known[name].type);
         this._cards.set(name, made);
         this.element.append(made.element);
       }
