@@ -245,15 +245,21 @@ def test_own_topics_appear_by_themselves(chromium, core):
 
         def publish():
             while not done.wait(0.05):
-                wind.publish(1.5, -2.25, 1e-9)
+                wind.publish(1.5, -2.25, 1.25e-9)
                 words.publish('<b>semper idem</b>')
         threading.Thread(target=publish, daemon=True).start()
         card = '[data-own="~wind"] '
         chromium.wait_for_text('[data-reading="~wind:y"] .number', '\N{MINUS SIGN}2.25')
         assert chromium.text('[data-reading="~wind:x"] .number') == '1.5'
+        assert chromium.text('[data-reading="~wind:z"] .number') == '1.25e\N{MINUS SIGN}9'
         assert chromium.all(card + 'canvas')
         chromium.wait_for_text('[data-reading="~motto:data"] .number', '<b>semper idem</b>')
         assert not chromium.all('[data-own="~motto"] canvas')
+        # A range with limits that are none, from another's program: the page bears it.
+        odd = rospy.Publisher('~odd', Range, queue_size=1, latch=True)
+        odd.publish(min_range=float('nan'), max_range=float('inf'), range=0.25)
+        chromium.wait_for_text('[data-reading="~odd:range"] .number', '0.250')
+        odd.unregister()
         third = rospy.Publisher('~later', Float32, queue_size=1, latch=True)
         third.publish(7.0)
         chromium.wait_for_text('[data-reading="~later:data"] .number', '7')

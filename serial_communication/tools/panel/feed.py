@@ -41,7 +41,7 @@ class _Shown:
     def add(self, at: float, values: Iterable[Value]) -> None:
         """Another message has come."""
         values = tuple(values)
-        shape = tuple((each.name, each.unit, each.digits, each.low, each.high)
+        shape = tuple((each.name, each.unit, each.digits, _limit(each.low), _limit(each.high))
                       for each in values)
         if shape != self.shape:
             if self.shape and [each[0] for each in shape] != [each[0] for each in self.shape]:
@@ -65,8 +65,14 @@ def plain(value: Value) -> Any:
     if not isinstance(number, float):
         return number
     if math.isfinite(number):
-        return round(number, 6 if value.digits is None else value.digits + 2)
+        return float(f'{number:.7g}') if value.digits is None \
+            else round(number, value.digits + 2)
     return 'NaN' if math.isnan(number) else 'Infinity' if number > 0 else '-Infinity'
+
+
+def _limit(number: Optional[float]) -> Optional[float]:
+    """A limit; one that limits nothing, or is no number, is none."""
+    return number if number is not None and math.isfinite(number) else None
 
 
 class _Errors(NamedTuple):
