@@ -247,6 +247,7 @@ class Page:
         self.known = {}             # all that updates have said, the latest of each
         self.rows = {}              # topic -> latest row by field
         self.calls = {}
+        self.holds = 0              # presses of the driving pad
         self.acknowledges = acknowledges
         self._fields = {}
         self._sending = threading.Lock()

@@ -365,9 +365,19 @@ def drive(page, hold, speed=150, seen=None, steering=1600):
                     'speed': speed, 'steering': steering})
 
 
-def drive_until(page, hold, condition, what, speed=150):
-    """Hold until something is so, ten and more times a second."""
-    until(condition, what, doing=lambda: drive(page, hold, speed), every=0.04)
+def drive_until(page, condition, what, speed=150):
+    """Hold until something is so, ten and more times a second; the number of the hold.
+
+    Where the machine stands still for too long meanwhile, the hold ends; then another.
+    """
+    def hold_on():
+        if 'refused' in page.known:
+            del page.known['refused']
+            page.holds += 1
+        drive(page, page.holds, speed)
+    page.holds += 1
+    until(condition, what, doing=hold_on, every=0.04)
+    return page.holds
 
 
 def drives(robot, speed=150):
@@ -380,18 +390,18 @@ def stands(robot):
 
 
 def test_release_stops(driver, robot):
-    drive_until(driver, 1, drives(robot), 'the car drives')
-    driver.say(release={'hold': 1})
+    hold = drive_until(driver, drives(robot), 'the car drives')
+    driver.say(release={'hold': hold})
     until(stands(robot), 'the car stands')
     count = len(robot.car.speeds)
-    drive(driver, 1)
+    drive(driver, hold)
     driver.until(lambda page: 'press again' in page.known.get('refused', {}).get('words', ''),
                  'a command of the hold that has ended is refused')
     assert robot.car.speeds[count:] in ([], [0])
 
 
 def test_silence_stops(driver, robot):
-    drive_until(driver, 1, drives(robot), 'the car drives')
+    drive_until(driver, drives(robot), 'the car drives')
     until(stands(robot), 'the car stands')
     driver.until(lambda page: page.known['drive'] == {
         'held': False, 'words': 'the browser fell silent: stopped'}, 'the page is told')
@@ -400,7 +410,7 @@ def test_silence_stops(driver, robot):
 
 
 def test_a_lost_connection_stops(driver, robot):
-    drive_until(driver, 1, drives(robot), 'the car drives')
+    drive_until(driver, drives(robot), 'the car drives')
     driver.close()
     until(stands(robot), 'the car stands')
 
@@ -412,17 +422,17 @@ def test_old_commands_do_not_drive(driver, robot):
         drive(driver, 1, seen=old)
     driver.until(lambda page: any('too slow' in update.get('refused', {}).get('words', '')
                                   for update in list(page.updates)), 'they are refused')
-    drive(driver, 2, speed=120)
-    until(drives(robot, 120), 'what is fresh drives')
+    driver.holds = 1
+    drive_until(driver, drives(robot, 120), 'what is fresh drives', speed=120)
     assert 150 not in robot.car.speeds
 
 
 def test_a_panel_that_was_suspended_does_not_drive_on(driver, controls, robot):
-    drive_until(driver, 1, drives(robot), 'the car drives')
+    hold = drive_until(driver, drives(robot), 'the car drives')
     os.kill(controls.process.pid, signal.SIGSTOP)
     try:
         for _ in range(20):
-            drive(driver, 1, speed=170)     # waits in the panel's socket
+            drive(driver, hold, speed=170)     # waits in the panel's socket
         until(stands(robot), "the bridge's own timeout stops the car")
         robot.car.forget()
     finally:
@@ -435,10 +445,10 @@ def test_a_panel_that_was_suspended_does_not_drive_on(driver, controls, robot):
 def test_two_pages_do_not_drive_at_once(driver, controls, robot):
     other = Page(controls, TOKEN)
     other.until(lambda page: page.now, 'the other page is there')
-    drive_until(driver, 1, drives(robot), 'the car drives')
+    hold = drive_until(driver, drives(robot), 'the car drives')
 
     def both():
-        drive(driver, 1)
+        drive(driver, hold)
         drive(other, 1, speed=-90)
     until(lambda: 'another browser drives' in other.known.get('refused', {}).get('words', ''),
           'the other is refused', doing=both, every=0.04)
@@ -451,7 +461,7 @@ def test_the_panels_end_stops(robot):
     page = Page(panel, TOKEN)
     page.until(lambda page: page.now, 'the page is there')
     robot.car.forget()
-    drive_until(page, 1, drives(robot), 'the car drives')
+    drive_until(page, drives(robot), 'the car drives')
     panel.process.send_signal(signal.SIGTERM)
     until(stands(robot), 'the car stands')
     assert panel.end() == 0

@@ -5,6 +5,7 @@
  */
 import {card, h, mark, say} from '../dom.js';
 
+const TOPICS = '~speed, ~steering';
 const EVERY = 50;           // ms from one command to the next
 const SILENCE = 0.3;        // s without a word from the panel, after which the pad lets go
 const MIDDLE = 1500;        // µs of the servo
@@ -29,9 +30,10 @@ export class Drive {
     this._limit = h('input', {type: 'range', min: '50', max: '1000', step: '50', value: String(SLOW),
       id: 'speed-limit'});
     this._limitWords = h('output', {for: 'speed-limit'}, String(SLOW));
-    this.element = card('Drive', '~speed, ~steering', this._pad, this._words,
+    this.element = card('Drive', TOPICS, this._pad, this._words,
       h('label', {class: 'amount', for: 'speed-limit'}, 'at most ', this._limit, this._limitWords));
     this.element.hidden = true;
+    this._note = this.element.querySelector('.note');
     this._limit.addEventListener('input', () => say(this._limitWords, this._limit.value));
     this._listen();
   }
@@ -43,8 +45,7 @@ export class Drive {
     if (this.held && this._connection.silence() > SILENCE) this._end('stopped: the panel fell silent');
     mark(this._pad, 'data-held', this.held);
     mark(this._pad, 'aria-disabled', this._connection.alive ? null : 'true');
-    if (!this.held && model.drive.held) say(this._words, 'another page drives');
-    else if (!this.held && this._words.textContent === 'another page drives') say(this._words, 'hold to drive');
+    say(this._note, model.drive.held && this._connection.alive ? 'a page drives' : TOPICS);
   }
 
   /** The panel did not let this drive. */
