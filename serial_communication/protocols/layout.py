@@ -65,9 +65,13 @@ class Layout:
         if len(self._items) != len(self.values):
             raise ValueError(f'it has {len(self._items)} values, not {len(self.values)}')
         self._has_text = any(item.code == 's' for item in self._items)
-        self._is_plain = all(value.scale == 1 and value.offset == 0 for value in values) and all(
-            item.code in NUMBERS and item.end > 0 for item in self._items)
-        self._checked = [index for index, value in enumerate(self.values)
+        self._is_plain = all(value.scale == 1 and value.offset == 0 for value in values)
+        self._is_numbers = not self._rest and not self._has_text    # … one for each value
+        # A whole number stays one where there is nothing to scale, also with a scale of 1.0.
+        self._factors = [(1, 0) if value.scale == 1 and value.offset == 0
+                         else (value.scale, value.offset) for value in values]
+        self._checked = [(index, value, value.minimum, value.maximum)
+                         for index, value in enumerate(self.values)
                          if value.place or value.minimum > -inf or value.maximum < inf]
 
     # -- bytes and values -----------------------------------------------------------------
@@ -86,8 +90,12 @@ class Layout:
 
     def unpack(self, data: bytes) -> Tuple:
         """The values; struct.error where `data` has not the right length."""
-        if self._is_plain:
-            return self._struct.unpack(data)
+        if self._is_numbers:
+            raw = self._struct.unpack(data)
+            if self._is_plain:
+                return raw
+            return tuple([number * scale + offset
+                          for number, (scale, offset) in zip(raw, self._factors)])
         return tuple([_value(raw, value) for raw, value in zip(self.raw(data), self.values)])
 
     def raw(self, data: bytes) -> Tuple:
@@ -171,10 +179,12 @@ class Layout:
 
     def implausible(self, values: Sequence) -> str:
         """Why one of these values cannot be; '' where all can."""
-        for index in self._checked:
-            reason = _objection(values[index], self.values[index])
-            if reason:
-                return reason
+        for index, value, minimum, maximum in self._checked:
+            given = values[index]
+            if value.place or isinstance(given, (tuple, str)) or not minimum <= given <= maximum:
+                reason = _objection(given, value)
+                if reason:
+                    return reason
         return ''
 
     def text(self, values: Sequence) -> str:

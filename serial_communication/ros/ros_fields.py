@@ -47,7 +47,8 @@ def find_type(key: str, name: str, kind: str = 'msg') -> Any:
 class _Place(NamedTuple):
     """Where one value goes."""
 
-    steps: Tuple[Union[str, int], ...]     # names of fields and indexes of elements
+    owner: Tuple[Union[str, int], ...]     # names of fields and indexes of elements on the way
+    last: Union[str, int]                  # … and the last one
     to_ros: Optional[Callable[[Any], Any]]
     code: str                              # struct's code of its number; '' for a text
 
@@ -69,6 +70,7 @@ class RosFields:
         self._arrays: List[Tuple[Tuple, int, Any]] = []    # to be lengthened in a new message
         self._places = [self._resolve(key, layout, index) if value.name else None
                         for index, value in enumerate(layout.values)]
+        self._filled = [(index,) + place[:3] for index, place in enumerate(self._places) if place]
 
     def narrowed(self, layout: Layout) -> Layout:
         """The same layout, which takes what a field cannot hold for implausible."""
@@ -92,15 +94,13 @@ class RosFields:
 
     def fill(self, message: Any, values: Sequence) -> Any:
         """Put the values into a message that `new` made; return it."""
-        for place, value in zip(self._places, values):
-            if place:
-                owner, last = _walk(message, place.steps[:-1]), place.steps[-1]
-                if place.to_ros:
-                    value = place.to_ros(value)
-                if isinstance(last, int):
-                    owner[last] = value
-                else:
-                    setattr(owner, last, value)
+        for index, owner, last, to_ros in self._filled:
+            value = to_ros(values[index]) if to_ros else values[index]
+            holder = _walk(message, owner) if owner else message
+            if isinstance(last, int):
+                holder[last] = value
+            else:
+                setattr(holder, last, value)
         return message
 
     def read(self, message: Any) -> Tuple:
@@ -108,9 +108,9 @@ class RosFields:
         values = []
         for place in self._places:
             try:
-                value = _walk(message, place.steps) if place else 0
+                value = _walk(message, (*place.owner, place.last)) if place else 0
             except IndexError:
-                raise ValueError(f'{place.steps[-2]} has no element {place.steps[-1]}') from None
+                raise ValueError(f'{place.owner[-1]} has no element {place.last}') from None
             values.append(tuple(value) if isinstance(value, (list, bytes)) else value)
         return tuple(values)
 
@@ -167,7 +167,7 @@ class RosFields:
             convert = round
         if convert and has == 'array':
             one, convert = convert, lambda numbers: [one(number) for number in numbers]
-        return _Place(steps, convert, _CODES.get(type_, ''))
+        return _Place(steps[:-1], steps[-1], convert, _CODES.get(type_, ''))
 
 
 def _walk(message: Any, steps: Sequence) -> Any:

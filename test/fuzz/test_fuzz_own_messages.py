@@ -50,8 +50,9 @@ def row_and_raws(draw):
         layout, paths = layout + 's', paths + ['distortion_model']
         raws.append(draw(st.text(st.characters(blacklist_characters='\0', blacklist_categories=(
             'Cs',)), max_size=12)))
-    scale = draw(st.sampled_from((1, 1, 1, 0.5, -2, 0.01)))
-    offset = draw(st.sampled_from((0, 0, 7, -0.25)))
+    scale, offset = (draw(st.one_of(st.sampled_from(some), st.lists(
+        st.sampled_from(some), min_size=len(raws), max_size=len(raws)))) for some in (
+            (1, 1, 1, 1.0, 0.5, -2, 0.01), (0, 0, 0.0, 7, -0.25)))
     return dict(ros_type='sensor_msgs/CameraInfo', layout=layout, fields=paths, scale=scale,
                 offset=offset), raws
 
@@ -59,11 +60,13 @@ def row_and_raws(draw):
 def expected_of(row, raws):
     """What each field is to be, by the contract; None where a value cannot be."""
     wanted = []
-    for path, raw in zip(row['fields'], raws):
+    scales, offsets = (row[key] if isinstance(row[key], list) else [row[key]] * len(raws)
+                       for key in ('scale', 'offset'))
+    for path, raw, scale, offset in zip(row['fields'], raws, scales, offsets):
         if isinstance(raw, str):
             wanted.append(raw)
             continue
-        values = [each * row['scale'] + row['offset'] for each in
+        values = [each * scale + offset for each in
                   (raw if isinstance(raw, list) else [raw])]
         if path in TRUTHS:
             values = [value != 0 for value in values]
