@@ -1,0 +1,117 @@
+#!/usr/bin/env python3
+"""doc/own_messages.md, step by step: its files, its commands, and its firmware on an emulated
+board."""
+import os
+import re
+import shutil
+import signal
+import subprocess
+import tempfile
+import unittest
+
+import rospy
+import rostest
+from std_msgs.msg import Float32
+
+from avr_boards import firmware_build
+from boards import PACKAGE, PATIENCE, Topic, own_folder, until
+from emulated_board import EmulatedBoard
+
+ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+PAGE = os.path.join(ROOT, 'doc', 'own_messages.md')
+SKETCHES = ('nano_car/nano_car.ino', 'ctrl_board/ctrl_board.ino')
+PORT = '/dev/ttyUSB0'      # as the page calls it
+
+
+def blocks():
+    """The page's blocks of code: (language, file, text)."""
+    with open(PAGE, encoding='utf-8') as page:
+        return re.findall(r'^```(\w+) ?(.*)\n((?:.*\n)*?)```$', page.read(), re.M)
+
+
+class Tutorial(unittest.TestCase):
+    """The page as a reader follows it."""
+
+    def setUp(self):
+        self.folder = own_folder()
+        self.addCleanup(shutil.rmtree, self.folder, ignore_errors=True)
+        self.launched = None
+        self.addCleanup(self.end)
+        self.board = EmulatedBoard(firmware_build(), 'car', image='nano_car_own.elf')
+        self.addCleanup(self.board.close)
+
+    def end(self):
+        """Ctrl-C in the terminal where roslaunch runs."""
+        if self.launched and self.launched.poll() is None:
+            os.killpg(self.launched.pid, signal.SIGINT)
+            self.launched.wait(PATIENCE)
+
+    def run_line(self, line):
+        """One line of a block of commands."""
+        line = line.replace(PORT, self.board.port)
+        if 'flash' in line.split():
+            return      # the emulator has that image already
+        if line.startswith('roslaunch'):
+            self.end()
+            self.output = tempfile.TemporaryFile('w+')
+            self.launched = subprocess.Popen(['bash', '-c', 'exec ' + line], cwd=self.folder,
+                                             stdout=self.output, stderr=subprocess.STDOUT,
+                                             start_new_session=True)
+            until(lambda: 'open' in self.said(), f'{line} opens a port', every=0.1)
+            return
+        # As a reader does: again, if the bridge was not there yet.
+        until(lambda: subprocess.run(
+            ['bash', '-c', 'timeout 8 ' + line], cwd=self.folder, stdout=subprocess.DEVNULL,
+            stderr=subprocess.STDOUT).returncode == 0, f'{line} succeeds', 4 * PATIENCE)
+
+    def said(self):
+        """What roslaunch has printed."""
+        self.output.seek(0)
+        return self.output.read()
+
+    def test_every_step_in_its_order(self):
+        self.board.set('force', 500)
+        commands = 0
+        for language, name, text in blocks():
+            if language == 'yaml':
+                with open(os.path.join(self.folder, name), 'w', encoding='utf-8') as file:
+                    file.write(text)
+            elif language == 'bash':
+                for line in text.splitlines():
+                    self.run_line(line)
+                    commands += 1
+                    self.check(line)
+        self.assertGreater(commands, 8)
+
+    def check(self, line):
+        """What the page's words promise of a command."""
+        if PORT in line and line.startswith('roslaunch'):
+            topic = Topic('/serial_communication/force', Float32)
+            topic.first(lambda m: abs(m.data - 145.0) < 1e-3, what='is 500 * 29 / 100 N')
+            topic.close()
+        if 'rostopic pub' in line:
+            until(lambda: self.board.get('gripper_pwm') == (500 + 1000) * 255 // 2000,
+                  'the gripper moves')
+
+    def test_the_firmware_of_the_page_is_that_of_the_sketches(self):
+        sources = ''
+        for sketch in SKETCHES:
+            with open(os.path.join(ROOT, 'firmware', sketch), encoding='utf-8') as file:
+                sources += file.read()
+        shown = [text for language, _, text in blocks() if language == 'cpp']
+        self.assertGreater(len(shown), 5)
+        for text in shown:
+            for part in text.strip('\n').split('\n\n'):
+                self.assertIn(part, sources)
+
+    def test_it_is_as_short_as_it_says(self):
+        """Ten lines of firmware and five of YAML."""
+        rows = [text for language, _, text in blocks() if language == 'yaml'][0]
+        self.assertLessEqual(len(rows.splitlines()), 5)
+        firmware = [text for language, _, text in blocks() if language == 'cpp'][:2]
+        self.assertLessEqual(sum(1 for line in ''.join(firmware).splitlines() if line.strip()), 10)
+
+
+if __name__ == '__main__':
+    rospy.init_node('own_tutorial_test')
+    rostest.rosrun(PACKAGE, 'own_tutorial', '__main__')
