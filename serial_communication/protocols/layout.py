@@ -70,8 +70,9 @@ class Layout:
         # A whole number stays one where there is nothing to scale, also with a scale of 1.0.
         self._factors = [(1, 0) if value.scale == 1 and value.offset == 0
                          else (value.scale, value.offset) for value in values]
-        self._checked = [(index, value, value.minimum, value.maximum)
-                         for index, value in enumerate(self.values)
+        # Of each value with limits: where it is, whether they are all that there is to check.
+        self._checked = [(index, not value.place and self.kind(index) == 'number', value.minimum,
+                          value.maximum) for index, value in enumerate(self.values)
                          if value.place or value.minimum > -inf or value.maximum < inf]
 
     # -- bytes and values -----------------------------------------------------------------
@@ -179,10 +180,9 @@ class Layout:
 
     def implausible(self, values: Sequence) -> str:
         """Why one of these values cannot be; '' where all can."""
-        for index, value, minimum, maximum in self._checked:
-            given = values[index]
-            if value.place or isinstance(given, (tuple, str)) or not minimum <= given <= maximum:
-                reason = _objection(given, value)
+        for index, is_simple, minimum, maximum in self._checked:
+            if not is_simple or not minimum <= values[index] <= maximum:
+                reason = _objection(values[index], self.values[index])
                 if reason:
                     return reason
         return ''

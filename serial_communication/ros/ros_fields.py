@@ -70,7 +70,8 @@ class RosFields:
         self._arrays: List[Tuple[Tuple, int, Any]] = []    # to be lengthened in a new message
         self._places = [self._resolve(key, layout, index) if value.name else None
                         for index, value in enumerate(layout.values)]
-        self._filled = [(index,) + place[:3] for index, place in enumerate(self._places) if place]
+        self._filled = [(index, place.owner, place.last, isinstance(place.last, int), place.to_ros)
+                        for index, place in enumerate(self._places) if place]
 
     def narrowed(self, layout: Layout) -> Layout:
         """The same layout, which takes what a field cannot hold for implausible."""
@@ -94,10 +95,10 @@ class RosFields:
 
     def fill(self, message: Any, values: Sequence) -> Any:
         """Put the values into a message that `new` made; return it."""
-        for index, owner, last, to_ros in self._filled:
+        for index, owner, last, is_element, to_ros in self._filled:
             value = to_ros(values[index]) if to_ros else values[index]
             holder = _walk(message, owner) if owner else message
-            if isinstance(last, int):
+            if is_element:
                 holder[last] = value
             else:
                 setattr(holder, last, value)

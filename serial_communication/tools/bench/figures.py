@@ -76,6 +76,15 @@ class Decoding(NamedTuple):
     same_messages: bool
 
 
+class RowCost(NamedTuple):
+    """A message that is a row, and one that is a class of its own."""
+
+    what: str
+    us_decoded: float               # from bytes to the typed message
+    us_to_ros: float                # … to the bytes of a ROS message
+    times: float                    # that of a class of its own
+
+
 class Load(NamedTuple):
     """Frames back to back."""
 

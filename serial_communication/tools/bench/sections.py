@@ -10,9 +10,10 @@ from typing import Any, Callable, Dict, List, NamedTuple, Sequence, Tuple
 from ..stage import NODE, Child
 from .boards import BITS, COUNTED, TURNS
 from .decoders import run as run_decoders
-from .figures import BusCalls, Bridges, Cpu, Decoding, Heartbeat, Latency, Load
+from .figures import BusCalls, Bridges, Cpu, Decoding, Heartbeat, Latency, Load, RowCost
 from .nodes import ENVIRONMENT_EVERY, POLLS
 from .report import match, over_turns, queue_gaps
+from .rows import run as run_rows
 from .stage import BenchStage, Servant, memory
 
 RATES = {'arduino': 100.0, 'mcu': 20.0}           # turns a second, as the boards have it
@@ -261,6 +262,11 @@ def decoders(_stage: BenchStage, plan: Plan) -> List[Decoding]:
     return run_decoders(4.0 if plan.short else 8.0 * plan.seconds)
 
 
+def rows(_stage: BenchStage, plan: Plan) -> List[RowCost]:
+    """Messages that are rows, against a class of its own."""
+    return run_rows(2.0 if plan.short else 4.0 * plan.seconds)
+
+
 # -- 6: until something is lost -----------------------------------------------------------------
 
 _TOPICS = {'arduino': ['imu', 'imu/temperature', 'ticks', 'steering_angle', 'voltage'],
@@ -371,5 +377,6 @@ SECTIONS = {
     'bridges': Section(bridges, lambda p: 25 + 1.5 * p.turns * p.seconds),
     'bus': Section(bus, lambda p: 5 + 16 * p.seconds),
     'decoders': Section(decoders, lambda p: 5 + 8 * p.seconds),
+    'rows': Section(rows, lambda p: 2.0 if p.short else 4 * p.seconds),
     'scale': Section(scale, lambda p: len(_scale_cases(p)) * (p.seconds + 6)),
 }
