@@ -6,7 +6,7 @@ they have of ROS (types, services, topics) is text here, for others to resolve.
 """
 import difflib
 import re
-from math import isnan
+from math import inf, isnan
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 
 from . import arduino, mcu
@@ -227,11 +227,11 @@ class _Row:
         if len(paths) != count:
             raise RowError(self.name('fields'), paths, f'may be a list of {count}, one for each '
                            f'value of the layout {layout}')
-        scales = self._each('scale', len(paths), 1, lambda n: abs(n) < float('inf') and n != 0,
+        scales = self._each('scale', len(paths), 1, lambda n: abs(n) < inf and n != 0,
                             'a number but 0')
-        offsets = self._each('offset', len(paths), 0, lambda n: abs(n) < float('inf'), 'a number')
-        minima = self._each('minimum', len(paths), -float('inf'), lambda n: True, 'a number')
-        maxima = self._each('maximum', len(paths), float('inf'), lambda n: True, 'a number')
+        offsets = self._each('offset', len(paths), 0, lambda n: abs(n) < inf, 'a number')
+        minima = self._each('minimum', len(paths), -inf, lambda n: True, 'a number')
+        maxima = self._each('maximum', len(paths), inf, lambda n: True, 'a number')
         values = [Value(path, '', *numbers) for path, *numbers in zip(
             paths, scales, offsets, minima, maxima)]
         self._check_limits(Layout(layout, values))
@@ -249,13 +249,22 @@ class _Row:
         return numbers
 
     def _check_limits(self, layout: Layout) -> None:
-        """A limit that no value can reach is a mistake, and so is one beyond the other."""
-        for index, value in enumerate(layout.values):
-            low, high = layout.range(index)
-            for key, limit in (('minimum', value.minimum), ('maximum', value.maximum)):
-                if abs(limit) < float('inf') and not low <= limit <= high:
-                    raise RowError(self.name(key), self.given[key], f'may be from {low:.10g} to '
-                                   f'{high:.10g}, which is what its place holds')
+        """A limit that its place cannot hold is a mistake, and so is one beyond the other.
+
+        One number for all values has to fit one of them.
+        """
+        limited = [(value, layout.range(index)) for index, value in enumerate(layout.values)
+                   if value.name and layout.kind(index) != 'text']
+        for key in ('minimum', 'maximum'):
+            given = self.given.get(key)
+            fits = [low <= getattr(value, key) <= high or abs(getattr(value, key)) == inf
+                    for value, (low, high) in limited]
+            if given is not None and limited and not (
+                    all(fits) if type(given) is list else any(fits)):
+                low, high = limited[fits.index(False)][1]
+                raise RowError(self.name(key), given, f'may be from {low:.10g} to {high:.10g}, '
+                               'which is what its place holds')
+        for value, _ in limited:
             if value.minimum > value.maximum:
                 raise RowError(self.name('minimum'), self.given['minimum'],
                                f'may be at most the maximum, {value.maximum:g}')

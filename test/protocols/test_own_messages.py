@@ -226,6 +226,10 @@ def test_functions_of_ones_own_are_explained_by_name():
     (FORCE, {'offset': float('inf')}, 'offset', 'may be a number'),
     (FORCE, {'minimum': float('nan')}, 'minimum', 'may be a number'),
     (FORCE, {'maximum': 400}, 'maximum', 'from -327.68 to 327.67'),
+    (FORCE, {'layout': '<Bh', 'fields': ['a', 'b'], 'scale': 1, 'maximum': [300, 300]}, 'maximum',
+     'from 0 to 255'),
+    (FORCE, {'layout': '<Bh', 'fields': ['a', 'b'], 'scale': 1, 'maximum': 33000}, 'maximum',
+     'from 0 to 255'),
     (FORCE, {'minimum': 200, 'maximum': 100}, 'minimum', 'at most the maximum, 100'),
     (FORCE, {'frame_id': 5}, 'frame_id', 'may be text'),
     (FORCE, {'ros_typ': 'x'}, 'ros_typ', 'did you mean ros_type?'),
@@ -268,6 +272,13 @@ def test_mistakes_of_names_and_numbers(make, entries, key, said):
         make(entries)
     assert f'/{key}'.rstrip('/') + ' ' in str(mistake.value)
     assert said in str(mistake.value)
+
+
+def test_one_limit_for_several_values_has_to_fit_one_of_them():
+    kind = message('<BBh', ['', 'a', 'b'], maximum=1000)
+    assert received(kind, b'\xff\xff\xe8\3')[1] == {}
+    assert received(kind, b'\xff\xff\xe9\3')[1] == {IMPLAUSIBLE: 1}
+    message('<Bh', ['', 'a'], maximum=[1000, 5])
 
 
 def test_no_entries_are_no_messages():

@@ -1,4 +1,4 @@
-#!/usr/bin/env python3
+#!/usr/bin/python3
 """doc/own_messages.md, step by step: its files, its commands, and its firmware on an emulated
 board."""
 import os

@@ -26,8 +26,10 @@ from .records import Lines, MessageFile
 NODE = '/serial_communication'
 TOPICS = [NODE + name for name in (
     '/imu', '/imu/temperature', '/imu/calibrating', '/voltage', '/ticks', '/steering_angle',
+    '/pressure', '/line',
     '/environment', '/environment/temperature', '/environment/humidity')] + [
-        '/mcu/status', '/mcu/imu', '/mcu/range_1', '/mcu/range_2', '/tf', '/diagnostics']
+        '/mcu/status', '/mcu/imu', '/mcu/range_1', '/mcu/range_2', '/mcu/cliff', '/tf',
+        '/diagnostics']
 TRAFFIC = '/serial_msg'
 MEMORY = 0xF0          # CMD2 that the simulated board executes and no bridge knows
 UNSUPPORTED = 0x77     # CMD2 that it refuses

@@ -7,11 +7,13 @@ float is turned back into what the board must have sent, and refused if it is no
 import struct
 from collections import deque
 from dataclasses import dataclass, field
+from functools import partial
 from math import cos, inf, isinf, isnan, pi, radians, sin, sqrt
 from typing import Any, Callable, Deque, Dict, Iterable, List, NamedTuple, Optional, Tuple
 
 from ...protocols import arduino, mcu
 from ...protocols import robot_ctrl_bus as bus
+from ...protocols.own_messages import arduino_messages, mcu_messages
 from .align import Sent
 from .packets import IMU, STEERING_ANGLE, TICKS, VOLTAGE
 from .records import Intervals
@@ -23,7 +25,23 @@ _ACCELERATION = 8 / 65536 * 9.81
 _GIVEN_UP = 0.05         # s after which a decoder drops what has begun
 _TOLERANCE = 0.01        # of a step
 _BESIDE = 0.02           # s that noise may have come before or after its note says
-_DECODERS = {'arduino': arduino.Decoder, 'mcu': mcu.Decoder, 'bus': bus.ReplyDecoder}
+# Messages of one's own in the mix: parameters of the bridge, and what the simulated boards play.
+OWN_ROWS = {
+    'arduino': {'messages': {
+        'pressure': {'type': 60, 'ros_type': 'sensor_msgs/FluidPressure', 'layout': '>h',
+                     'fields': ['fluid_pressure'], 'scale': 0.5, 'minimum': -1000,
+                     'maximum': 1000},
+        'line': {'type': 61, 'ros_type': 'sensor_msgs/JointState', 'layout': '<H*',
+                 'fields': ['position'], 'maximum': 4000}}},
+    'mcu': {'messages': {
+        'cliff': {'type': 0x20, 'ros_type': 'sensor_msgs/Range', 'layout': '<BH',
+                  'fields': ['', 'range'], 'scale': 0.001, 'maximum': [255, 60]}}}}
+_DECODERS = {
+    'arduino': partial(arduino.Decoder, messages=[
+        own.kind for own in arduino_messages(OWN_ROWS['arduino']['messages'])]),
+    'mcu': partial(mcu.Decoder, [
+        own.kind for own in mcu_messages(OWN_ROWS['mcu']['messages'])]),
+    'bus': bus.ReplyDecoder}
 
 
 @dataclass
@@ -233,6 +251,23 @@ def _one(type_: int, layout: str) -> Callable[[Any], Any]:
     return key
 
 
+def _line_sent(frame) -> Any:
+    if frame[0] != 61 or len(frame[2]) % 2:
+        return None
+    values = struct.unpack(f'<{len(frame[2]) // 2}H', frame[2])
+    return values if all(value <= 4000 for value in values) else None
+
+
+def _cliff_sent(frame) -> Any:
+    values = _unpack(frame, 0x20, '<BH')
+    return values[1] if values and values[1] <= 60000 else None
+
+
+def _pressure_sent(frame) -> Any:
+    values = _unpack(frame, 60, '>h')
+    return values[0] if values and -2000 <= values[0] <= 2000 else None
+
+
 def _status(frame) -> Optional[Tuple]:
     """range 1, range 2, yaw, pitch, roll; angles in 0.01 degrees, the yaw restored."""
     values = _unpack(frame, SENSOR_STATUS, '<HHhhh')
@@ -341,6 +376,11 @@ TOPICS = (
     Topic('arduino', NODE + '/voltage', _one(VOLTAGE, '<f'), lambda m: m.value),
     Topic('arduino', NODE + '/ticks', _one(TICKS, '<B'), lambda m: m.value),
     Topic('arduino', NODE + '/steering_angle', _one(STEERING_ANGLE, '<H'), lambda m: m.value),
+    Topic('arduino', NODE + '/pressure', _pressure_sent,
+          lambda m: _steps(m.fluid_pressure, 0.5)),
+    Topic('arduino', NODE + '/line', _line_sent,
+          lambda m: tuple(round(value) for value in m.position)),
+    Topic('mcu', '/mcu/cliff', _cliff_sent, lambda m: _steps(m.range, 0.001)),
     Topic('arduino', '/tf imu_orientation', _attitude_sent,
           lambda m: _turn_published(m.transforms[0].transform.rotation)),
     Topic('mcu', '/mcu/status', _status_sent, _status_published),

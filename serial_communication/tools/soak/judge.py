@@ -7,7 +7,7 @@ from typing import Any, Dict, List, NamedTuple, Tuple
 
 import genpy
 from diagnostic_msgs.msg import DiagnosticArray
-from sensor_msgs.msg import Imu, Range, RelativeHumidity, Temperature
+from sensor_msgs.msg import FluidPressure, Imu, JointState, Range, RelativeHumidity, Temperature
 from std_msgs.msg import Bool
 from tf2_msgs.msg import TFMessage
 
@@ -42,7 +42,8 @@ _CLASSES = {
     NODE + '/steering_angle': SteeringFeedback, NODE + '/environment': Environment,
     NODE + '/environment/temperature': Temperature, NODE + '/environment/humidity':
     RelativeHumidity, '/mcu/status': McuStatus2, '/mcu/imu': Imu, '/mcu/range_1': Range,
-    '/mcu/range_2': Range, '/tf': TFMessage, '/diagnostics': DiagnosticArray}
+    '/mcu/range_2': Range, '/mcu/cliff': Range, NODE + '/pressure': FluidPressure,
+    NODE + '/line': JointState, '/tf': TFMessage, '/diagnostics': DiagnosticArray}
 
 
 class _Published(NamedTuple):

@@ -29,7 +29,7 @@ from ..progress import Progress
 from ..stage import LINKS, Child
 from .check_bus import answered
 from .check_interference import registered
-from .expected import NODE
+from .expected import NODE, OWN_ROWS
 from .network import Relay
 from .records import Intervals, Lines, read_lines, stretches
 from .stage import CampaignStage, Pipe
@@ -110,14 +110,19 @@ class Campaign:
 
     def _set_up(self) -> None:
         stage, seed = self._stage, self._seed
+        rows = stage.path('own_messages.yaml')
+        with open(rows, 'w', encoding='utf-8') as file:
+            json.dump(OWN_ROWS, file)       # which is YAML, too
         for link in LINKS:
             cable = stage.cable(link)
             self._children[link] = stage.board(link, cable.far, seed, '--fault', 'all',
-                                               *BOARD_OPTIONS[link])
+                                               '--config', rows, *BOARD_OPTIONS[link])
         children = self._children
         self._pipe = pipe = Pipe(stage, stage.path('said'), stage.path('bridge.out'))
         children['bridge'] = stage.bridge(
-            {link: cable.near for link, cable in stage.cables.items()}, PARAMETERS,
+            {link: cable.near for link, cable in stage.cables.items()},
+            {**PARAMETERS, **{f'{link}/messages': json.dumps(own['messages'])
+                              for link, own in OWN_ROWS.items()}},
             stdout=pipe.writer, stderr=pipe.writer)
         self._relay = relay = Relay(stage.events)
         relay.start()
