@@ -15,11 +15,12 @@ PROGRAMS = sorted(path.name for path in SCRIPTS.iterdir()
 WRONG = (
     ('avr_board', ()), ('avr_board', ('wheel',)), ('avr_board', ('bus', '--wrong')),
     ('avr_board', ('bus', '--link')), ('bench', ('--wrong',)), ('demo', ('--wrong',)),
-    ('monitor', ('--wrong',)), ('serial_communication_node', ('--wrong',)),
+    ('monitor', ('--wrong',)), ('panel', ('--wrong',)), ('pictures', ('--wrong',)),
+    ('serial_communication_node', ('--wrong',)),
     ('serial_communication_node', ('/dev/ttyS0',)), ('simulator', ()),
     ('simulator', ('wheel',)), ('simulator', ('bus', '--wrong')), ('soak', ('--wrong',)),
     ('socat_pair', ()), ('socat_pair', ('a',)), ('socat_pair', ('--wrong', 'a')),
-    ('test', ('--wrong',)),
+    ('test', ('--wrong',)), ('wire', ()), ('wire', ('wheel',)), ('wire', ('listen', 'wheel')),
 )
 
 
