@@ -3,7 +3,7 @@ import time
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tuple
 
 from ..protocols import mcu
-from ..protocols.framing import Frame
+from ..protocols.framing import CHECKSUM, Frame
 from .link import OK, WARN, Link
 from ..transport.port import Port
 
@@ -41,6 +41,7 @@ class McuLink(Link):
         super().__init__('mcu', port, mcu.Decoder(messages), **link_arguments)
         self.frames_lost = 0
         self.duplicates = 0
+        self.checksum_errors = 0   # up to the latest frame, in whatever pieces bytes are read
         self.silent = True                      # no message of any class
         self._timeout = timeout
         self._network_silence = network_silence
@@ -72,6 +73,9 @@ class McuLink(Link):
         self._heard[type(frame.message)] = _Heard(frame.command, now, now + self._timeout)
         if self._on_status:
             self._on_status(frame.message, frame.command, frame.stamp)
+
+    def damaged(self, frame: Frame, now: float) -> None:
+        self.checksum_errors += frame.cause == CHECKSUM
 
     def tick(self, now: float) -> float:
         due = self.idle(now)

@@ -10,7 +10,6 @@ from serial_communication.msg import McuStatus, McuStatus2
 
 from ..links.mcu import McuLink
 from ..protocols import mcu
-from ..protocols.framing import CHECKSUM
 from ..transport.port import Port
 from .geometry import OrientationBroadcaster, quaternion
 from .interface import Common, Interface
@@ -84,11 +83,11 @@ class McuInterface(Interface):
         age = time.monotonic() - self.link.last_frame_at
         if type(message) is mcu.AdcStatus:
             if wanted(self._adc_status):
-                self._adc_status.publish(stamp, seq, True, True, self._crc_errors(), age,
+                self._adc_status.publish(stamp, seq, True, True, self.link.checksum_errors, age,
                                          *message)
             return
         if wanted(self._status):
-            self._status.publish(stamp, seq, True, message.valid, self._crc_errors(), age,
+            self._status.publish(stamp, seq, True, message.valid, self.link.checksum_errors, age,
                                  *message)
         for (topic, out), millimetres in zip(self._ranges, message[:2]):
             if wanted(topic):
@@ -108,14 +107,11 @@ class McuInterface(Interface):
     def _silent(self, kind: Optional[type], seq: int, age: float) -> None:
         if kind in self._rows:
             return      # such a topic falls silent with its board
-        head = (rospy.Time.now(), seq, False, False, self._crc_errors(), age)
+        head = (rospy.Time.now(), seq, False, False, self.link.checksum_errors, age)
         if kind is mcu.AdcStatus:
             self._adc_status.publish(*head, *[_NOT_CONNECTED] * 6)
         else:
             self._status.publish(*head, _NOT_CONNECTED, _NOT_CONNECTED, nan, nan, nan)
-
-    def _crc_errors(self) -> int:
-        return self.link.decoder.errors[CHECKSUM]
 
 
 def _metres(millimetres: int, low: float, high: float) -> float:

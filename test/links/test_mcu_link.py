@@ -56,6 +56,19 @@ def test_frames_are_passed_on_with_seq_and_stamp(line, watch):
     assert watched.link.report(time.monotonic())[:2] == (OK, 'open')
 
 
+def test_checksum_errors_are_those_before_a_frame_though_one_read_brings_more(line, watch):
+    watched = watch()
+    counted = []
+    watched.link._on_status = lambda message, seq, stamp: counted.append(
+        (seq, watched.link.checksum_errors))
+    bad = bytearray(status(2))
+    bad[-2] ^= 0xFF
+    line.write(status(1) + bytes(bad) + status(3) + bytes(bad) + status(4))     # read in one
+    until(lambda: len(counted) == 3)
+    assert counted == [(1, 0), (3, 1), (4, 2)]
+    assert watched.link.decoder.errors['checksum'] == 2
+
+
 @pytest.mark.parametrize('seqs, lost', [
     ((1, 2, 3), 0), ((1, 3), 1), ((1, 11, 12), 9), ((254, 255, 0, 1), 0), ((250, 4), 9),
     ((255, 1), 1), ((200, 0), 55), ((9,), 0)])

@@ -98,9 +98,9 @@ class FromTheCar(unittest.TestCase):
             self.addCleanup(topic.close)
         odd = '>hxQ2sdH'
         wrong = (
-            (32, b'\1\2\3', 'length: force has 2 bytes of data, not 3'),
+            (32, b'\1\2\3', 'length: force packet with 3 bytes of data where 2 is right'),
             (32, struct.pack('<h', -1), 'implausible: force: data is -0.01, not within 0 to 300'),
-            (34, b'\1', 'length: line_sensors has 0 or 2 more, 4 more … bytes of data, not 1'),
+            (34, b'\1', 'length: line_sensors packet with 1 bytes of data where 0'),
             (34, struct.pack('<2H', 3, 1024), 'implausible: line_sensors: data is 1024, over 1023'),
             (200, struct.pack(odd, 51, 0, b'', 0.0, 0), 'implausible: odd: height is -2, which'),
             (200, struct.pack(odd, 0, 0, b'', -1.0, 0), 'implausible: odd: roi.x_offset is -1'),
@@ -203,7 +203,7 @@ class FromTheSensors(unittest.TestCase):
         self.assertEqual(message.header.frame_id, 'robot/cliff')
         frames = Topic('/serial_msg', SerialMsg)
         self.addCleanup(frames.close)
-        for data, error in ((b'\1\0\0', 'length: cliff has 2 bytes of data, not 3'),
+        for data, error in ((b'\1\0\0', 'length: cliff frame with 3 bytes of data where 2 is'),
                             (struct.pack('<H', 2001), 'implausible: cliff: range is 2.001, over'),
                             (struct.pack('<H', 2000), '')):
             frames.first(lambda m, e=error: m.type == 0x20 and m.error.startswith(e),

@@ -1,0 +1,55 @@
+"""The pages for people, and what stands in them: headings, links, commands."""
+import re
+from pathlib import Path
+from typing import List, NamedTuple
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / 'README.md', ROOT / 'firmware' / 'README.md', *sorted((ROOT / 'doc').glob('*.md'))]
+
+_FENCE = re.compile(r'^( *)```(\w*)[^\n]*\n(.*?)^\1```$', re.MULTILINE | re.DOTALL)
+_MARK = re.compile(r'<!-- (.*?) -->\s*$')
+
+
+class Block(NamedTuple):
+    """A fenced block of a page."""
+
+    page: Path
+    line: int         # where it begins
+    language: str     # what stands behind its first fence
+    mark: str         # the comment right before it, which says how it is run
+    text: str
+
+    @property
+    def id(self) -> str:
+        """As a test's name."""
+        return f'{self.page.relative_to(ROOT)}:{self.line}'
+
+
+def blocks(page: Path) -> List[Block]:
+    """Every fenced block of a page, without its indentation."""
+    text = page.read_text()
+    found = []
+    for match in _FENCE.finditer(text):
+        indent, language, body = match.groups()
+        before = text[:match.start()]
+        mark = _MARK.search(before)
+        found.append(Block(page, before.count('\n') + 1, language, mark.group(1) if mark else '',
+                           re.sub(f'^{indent}', '', body, flags=re.MULTILINE)))
+    return found
+
+
+def prose(page: Path) -> str:
+    """A page without its fenced blocks and its code."""
+    text = _FENCE.sub('', page.read_text())
+    return re.sub(r'`[^`\n]*`', '', text)
+
+
+def anchors(page: Path) -> List[str]:
+    """What a link to a heading of the page may say behind its #, as GitHub makes it."""
+    found: List[str] = []
+    for heading in re.findall(r'^#+ +(.*)$', _FENCE.sub('', page.read_text()), re.MULTILINE):
+        heading = re.sub(r'\[([^\]]*)\]\([^)]*\)', r'\1', heading).strip().lower()
+        slug = re.sub(r'[^\w\- ]', '', heading).replace(' ', '-')
+        count = sum(1 for each in found if re.fullmatch(re.escape(slug) + r'(-\d+)?', each))
+        found.append(f'{slug}-{count}' if count else slug)
+    return found

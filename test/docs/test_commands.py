@@ -1,0 +1,125 @@
+"""Every command in the pages does what its page says, or is marked as one that needs a board.
+
+A comment right before a block of commands says how it is run:
+
+    <!-- run: alone -->        one after the other, with nothing else
+    <!-- run: bridge -->       beside a bridge with simulated boards
+    <!-- run: launch -->       each line starts a bridge, whose links all become OK
+    <!-- run: background -->   all at once; then the bus link becomes OK
+    <!-- run: panel -->        a bridge, whose links become OK, and the page at its address
+    <!-- run: avr -->          beside a bridge with emulated boards, their folder in $SIM_DIR
+    <!-- run by: PART -->      by that part of scripts/test
+    <!-- file: NAME -->        not a command: by test/ros/other_board_test.py
+    <!-- needs a board -->     by nobody, likewise `needs a screen`
+"""
+import re
+import urllib.request
+
+import pytest
+from pages import PAGES, ROOT, blocks
+from stage import Stage, until
+
+BLOCKS = [block for page in PAGES for block in blocks(page)]
+LINKS = ('bus', 'arduino', 'mcu')
+
+
+def marked(mark):
+    """The blocks of commands with this mark, as parameters of a test."""
+    return pytest.mark.parametrize('block', [
+        block for block in BLOCKS if block.language == 'sh' and block.mark == mark],
+        ids=lambda block: getattr(block, 'id', 'none'))
+
+
+def lines(block):
+    """The commands of a block that stand alone in their lines."""
+    return [line.partition('  #')[0].strip() for line in block.text.splitlines() if line.strip()]
+
+
+@pytest.fixture(scope='module')
+def master(tmp_path_factory):
+    with Stage(tmp_path_factory.mktemp('docs')).master() as stage:
+        yield stage
+
+
+@pytest.fixture(scope='module')
+def bridge(tmp_path_factory):
+    """A master, and a bridge with simulated boards."""
+    with Stage(tmp_path_factory.mktemp('bridge')).master() as stage, stage.background([
+            'roslaunch serial_communication bridge.launch sim:=true publish_tf:=true '
+            f'sim_dir:={stage.folder}/sim']):
+        until(lambda: stage.links_are_ok(*LINKS), f'all links are OK: {stage.output()}')
+        yield stage
+
+
+def test_every_block_of_commands_says_how_it_is_run():
+    parts = re.search(r'^parts=\((.*)\)$', (ROOT / 'scripts' / 'test').read_text(), re.M)
+    for block in BLOCKS:
+        if block.language != 'sh':
+            continue
+        kind, _, part = block.mark.partition('run by: scripts/test ')
+        assert block.mark in ('needs a board', 'needs a screen', *(f'run: {each}' for each in (
+            'alone', 'bridge', 'launch', 'background', 'panel', 'avr'))) or (
+                not kind and part in parts.group(1).split()), f'{block.id}: {block.mark!r}'
+
+
+@marked('run: alone')
+def test_alone(block, tmp_path):
+    done = Stage(tmp_path).run(block.text)
+    assert done.returncode == 0, done.stdout
+
+
+@marked('run: bridge')
+def test_beside_a_bridge(block, bridge):
+    done = bridge.run(block.text)
+    assert done.returncode == 0, done.stdout
+
+
+@marked('run: launch')
+def test_launch(block, master):
+    for line in lines(block):
+        if 'sim:=avr' in line:
+            continue        # by test_with_emulated_boards
+        with master.background([f'{line} sim_dir:={master.folder}/launch']):
+            # Where the lines are made bad, errors are what is to be seen.
+            until(lambda: master.links_are_ok(*LINKS, or_warn='faults:=' in line),
+                  f'all links are OK: {master.output()}')
+        until(lambda: not master.links_are_ok('bus'), 'the bridge has ended')
+
+
+@marked('run: panel')
+def test_with_the_page(block, master):
+    line, = lines(block)
+    with master.background([f'{line} sim_dir:={master.folder}/panel '
+                            'panel_args:="--port 0"']):
+        until(lambda: master.links_are_ok(*LINKS), f'all links are OK: {master.output()}')
+        until(lambda: re.search(r'http://\S+', master.output()), 'the page has an address')
+        address = re.findall(r'http://\S+', master.output())[-1]
+        with urllib.request.urlopen(address, timeout=10) as page:
+            assert b'<html' in page.read()
+
+
+@marked('run: background')
+def test_in_the_background(block, master):
+    with master.background(lines(block)):
+        until(lambda: master.links_are_ok('bus'), f'the link is OK: {master.output()}')
+
+
+@marked('run: avr')
+def test_with_emulated_boards(block, master):
+    folder = master.folder / 'avr'
+    master.environment['SIM_DIR'] = str(folder)
+    with master.background([
+            f'roslaunch serial_communication bridge.launch sim:=avr sim_dir:={folder}']):
+        until(lambda: master.links_are_ok(*LINKS), f'all links are OK: {master.output()}')
+        done = master.run(block.text)
+        assert done.returncode == 0 and done.stdout.strip(), done.stdout
+
+
+@pytest.mark.parametrize('block', [block for block in BLOCKS
+                                   if block.language == 'python' and not block.mark],
+                         ids=lambda block: getattr(block, 'id', 'none'))
+def test_python(block, bridge):
+    program = bridge.folder / 'example.py'
+    program.write_text(block.text)
+    done = bridge.run(f'/usr/bin/python3 {program}')
+    assert done.returncode == 0 and 'Traceback' not in done.stdout, done.stdout
