@@ -14,7 +14,7 @@ from math import acos, cos, degrees, radians, sin, sqrt
 
 import serial
 
-from boards import PACKAGE, SPEED_0_PACKET, Bridge, program, until
+from boards import PACKAGE, SPEED_0_PACKET, Bridge, until
 
 _TEST = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 sys.path.insert(0, os.path.join(_TEST, 'firmware'))
@@ -26,9 +26,10 @@ def firmware_build():
     """The folder with the firmware and the emulator, up to date: where avr_board keeps them."""
     build = os.environ.get('FIRMWARE_BUILD') or os.path.join(os.path.dirname(_TEST), 'build',
                                                              'firmware')
-    built = subprocess.run([program('avr_board'), 'bus', '--help'],
-                           env=dict(os.environ, FIRMWARE_BUILD=build), stdout=subprocess.PIPE,
-                           stderr=subprocess.STDOUT, universal_newlines=True)
+    firmware = os.path.join(os.path.dirname(_TEST), 'firmware')
+    built = subprocess.run(['make', '-C', firmware, 'BUILD=' + build, '-j2'],
+                           stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+                           universal_newlines=True)
     assert built.returncode == 0, built.stdout
     return build
 
