@@ -4,7 +4,6 @@ Serves at once, with or without a ROS master; ROS is begun in a thread beside, a
 is a master to register with.
 """
 import argparse
-import http.client
 import logging
 import re
 import secrets
@@ -13,14 +12,14 @@ import socket
 import sys
 import threading
 import time
-import xmlrpc.client
-from typing import Any, Callable, List, Optional
+from typing import Callable, List, Optional
 
 import rosgraph
 import rospy
 import tornado.ioloop
 
 from ...links.sparing_log import SparingLog
+from ...ros.master import full_name, living_node
 from ...ros.master_watch import MasterWatch
 from ..watch.topics import NODE
 from .commands import Commands
@@ -93,9 +92,8 @@ class _Ros:
             if self._stopping.wait(_MASTER_EVERY):
                 return
             waited += _MASTER_EVERY
-        name = rospy.names.resolve_name(
-            rosgraph.names.load_mappings(sys.argv).get('__name', 'panel'))
-        if _lives(name):
+        name = full_name('panel')
+        if living_node(name):
             print(f'panel: another node is named {name} at {rosgraph.get_master_uri()}; end it, '
                   'or take another name with __name:=NAME', file=sys.stderr, flush=True)
             self._end(3)
@@ -111,25 +109,6 @@ class _Ros:
             print('panel: ROS has ended this node (rosnode kill, or another of its name)',
                   file=sys.stderr, flush=True)
             self._end(1)
-
-
-def _lives(name: str) -> bool:
-    """Whether a node of this name answers; the master itself also knows those that died."""
-    try:
-        uri = rosgraph.Master('/panel_asks').lookupNode(name)
-        with xmlrpc.client.ServerProxy(uri, _Impatient()) as node:
-            return node.getPid('/panel_asks')[0] == 1
-    except (OSError, rosgraph.MasterException, xmlrpc.client.Error, http.client.HTTPException):
-        return False
-
-
-class _Impatient(xmlrpc.client.Transport):
-    """HTTP to a node that may hang."""
-
-    def make_connection(self, host: Any) -> Any:
-        connection = super().make_connection(host)
-        connection.timeout = 3.0
-        return connection
 
 
 def main(argv: Optional[List[str]] = None) -> int:
