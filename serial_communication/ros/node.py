@@ -8,7 +8,6 @@ import time
 
 import rospy
 
-from ..transport.pace import be_quick
 from . import background_logging, direct, parameters, starting
 from .diagnostics import Diagnostics
 from .geometry import publish_mounts
@@ -18,7 +17,7 @@ from .traffic import Traffic
 
 _SWITCH_INTERVAL = 0.0005   # s that a busy thread may keep the interpreter from the heartbeat
 _NAME = 'serial_communication'    # unless the command line gives another one
-_PRIORITY = 1               # real-time, where the system allows it
+_NICE = -20                 # where the system allows it
 _SHUTDOWN = 1.0             # s for the links to end in
 _LOGGER = logging.getLogger('rosout')    # rospy's own, for terminal, file and /rosout
 
@@ -27,10 +26,7 @@ def main() -> None:
     """Run until ROS or a signal ends it, and exit."""
     starting.check_arguments(sys.argv[1:])
     sys.setswitchinterval(_SWITCH_INTERVAL)
-    # Every thread inherits this. The heartbeat's has a higher priority still, but it waits for the
-    # interpreter's lock, which a thread of ordinary priority may hold while it waits for its turn
-    # on a busy machine: for 30 ms and more, where the board stops its motor.
-    be_quick(_PRIORITY)
+    _come_first()
     background_logging.install()
     status = 1
     try:
@@ -38,6 +34,19 @@ def main() -> None:
     finally:
         background_logging.finish(status)
     sys.exit(status)
+
+
+def _come_first() -> None:
+    """Before what else the machine does, every thread: one that waits for the processor may hold
+    the interpreter's lock, for which the heartbeat waits.
+
+    Not by real-time priority, which the heartbeat's thread alone has: rospy polls while it starts
+    and ends, and would then keep both processors from the very threads that it waits for.
+    """
+    try:
+        os.nice(_NICE)
+    except OSError:
+        pass
 
 
 def _run() -> int:

@@ -9,7 +9,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'ros'))
 pytest.register_assert_rewrite('panel_stage')
 
-from panel_stage import Core, Robot, free_port  # noqa: E402
+from panel_stage import TOKEN, Core, Panel, Robot, free_port  # noqa: E402
 
 
 @pytest.fixture(scope='session')
@@ -32,3 +32,21 @@ def robot(core):
         robot = Robot(folder)
         yield robot
         robot.end()
+
+
+@pytest.fixture(scope='module')
+def panel(robot):
+    """One that only looks."""
+    panel = Panel(name='panel_looks')
+    yield panel
+    assert panel.end() == 0
+    assert 'Traceback' not in panel.output()
+
+
+@pytest.fixture(scope='module')
+def controls(robot):
+    """One that takes commands."""
+    panel = Panel('--control', '--token', TOKEN, name='panel_control')
+    yield panel
+    assert panel.end() == 0
+    assert 'Traceback' not in panel.output()

@@ -32,22 +32,6 @@ UP = '\ue013'
 
 
 @pytest.fixture(scope='module')
-def panel(robot):
-    panel = Panel(name='panel_looks')
-    yield panel
-    assert panel.end() == 0
-    assert 'Traceback' not in panel.output()
-
-
-@pytest.fixture(scope='module')
-def controls(robot):
-    panel = Panel('--control', '--token', TOKEN, name='panel_control')
-    yield panel
-    assert panel.end() == 0
-    assert 'Traceback' not in panel.output()
-
-
-@pytest.fixture(scope='module')
 def chromium():
     browser = Browser()
     yield browser

@@ -16,24 +16,6 @@ from serial_communication.protocols import arduino
 LOOKS = ['~imu', '~voltage', '~environment', 'mcu/range_1', '~nothing']
 
 
-@pytest.fixture(scope='module')
-def panel(robot):
-    """One that only looks."""
-    panel = Panel(name='panel_looks')
-    yield panel
-    assert panel.end() == 0
-    assert 'Traceback' not in panel.output()
-
-
-@pytest.fixture(scope='module')
-def controls(robot):
-    """One that takes commands."""
-    panel = Panel('--control', '--token', TOKEN, name='panel_control')
-    yield panel
-    assert panel.end() == 0
-    assert 'Traceback' not in panel.output()
-
-
 @pytest.fixture
 def page(panel):
     page = Page(panel, watch=LOOKS)
