@@ -27,7 +27,9 @@ def firmware_build():
     build = os.environ.get('FIRMWARE_BUILD') or os.path.join(os.path.dirname(_TEST), 'build',
                                                              'firmware')
     firmware = os.path.join(os.path.dirname(_TEST), 'firmware')
-    built = subprocess.run(['make', '-C', firmware, 'BUILD=' + build, '-j2'],
+    os.makedirs(build, exist_ok=True)
+    built = subprocess.run(['flock', os.path.join(build, '.lock'),      # as avr_board does
+                            'make', '-C', firmware, 'BUILD=' + build, '-j2'],
                            stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
                            universal_newlines=True)
     assert built.returncode == 0, built.stdout
