@@ -148,6 +148,16 @@ class TestStands:
         rows = rows_of(journal, [])
         assert rows['stands'].violations == [] and rows['invented'].tries == 1
 
+    def test_what_a_board_that_stood_still_reads_at_once_turns_nothing(self):
+        journal = [speed(1.0, 300), turns(1.0, 300), turns(1.04, 0),
+                   {'t': 1.01, 'ev': 'fault', 'kind': 'stall', 'seconds': 1.2},
+                   speed(2.21, 301), speed(2.21, 302), speed(2.21, 0),
+                   turns(2.21, 301), turns(2.21, 302), turns(2.21, 0)]
+        commands = [told(0.99, 300), told(1.05, 301), told(1.06, 302)]
+        assert rows_of(journal, commands)['stands'].violations == []
+        journal[-1] = turns(2.9, 0)
+        assert len(rows_of(journal, commands)['stands'].violations) == 1
+
 
 class TestZerosByTheRules:
     """What the bridge sends by itself."""

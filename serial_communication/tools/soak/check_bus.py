@@ -8,7 +8,7 @@ from .table import Row
 
 NOT_SENT, TIMEOUT = 253, 254
 PATIENCE = 1.0           # s over its timeout in which a call has to be answered
-_JUDGED = ('lift', 'gimbal', 'raw')
+_JUDGED = ('lift', 'gimbal', 'raw', 'own')
 _OWN_ECHO = 6            # bytes; the bridge's own ECHOs carry fewer
 _OK_TO_PASS = 0.005      # s by which a journal's time may be off
 

@@ -219,7 +219,7 @@ def _stands(drive: Drive) -> List[Row]:
     invented = {packet.t for packet in drive.made if packet.type == SPEED}
     violations, worst, apart = [], 0.0, 0
     for (began, on), (until, _on) in zip(drive.motor, drive.motor[1:]):
-        if not on:
+        if not on or until == began:    # one read of the board's: the motor has not turned
             continue
         if began in invented:
             apart += 1

@@ -14,13 +14,14 @@ import time
 from typing import Callable, Dict, Iterator, List, Tuple
 
 import rospy
-from std_msgs.msg import String
+from std_msgs.msg import String, UInt16
 from std_srvs.srv import Empty, Trigger
 
 from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 from serial_communication.srv import BusRequest, GetEnvironment, Gimbal, Lift
 
 from ...protocols import robot_ctrl_bus as bus
+from .packets import PRESS
 from .records import Lines, MessageFile
 
 NODE = '/serial_communication'
@@ -133,9 +134,10 @@ def _told(answer) -> Dict:
 
 
 def call(path: str, randomly: random.Random) -> None:
-    """Lift, gimbal and raw requests, all at once."""
+    """Lift, gimbal, raw requests and a function of one's own, all at once."""
     lines = Lines(path)
     lifts, gimbals = Locked(moves(randomly, 2)), Locked(moves(randomly, 4))
+    presses = Locked(moves(randomly, 256))
     numbers = Locked(iter(range(1 << 40)))
     callers = []
     for index in range(2):
@@ -146,7 +148,8 @@ def call(path: str, randomly: random.Random) -> None:
             Caller(lines, 'gimbal', '/gimbal', Gimbal, lambda own=own: _gimbal(gimbals, own),
                    bool(index), own, 0.15),
             Caller(lines, 'raw', '/bus/request', BusRequest,
-                   lambda own=own: _raw(numbers, own), bool(index), own, 0.1)]
+                   lambda own=own: _raw(numbers, own), bool(index), own, 0.1),
+            Caller(lines, 'own', '/press', Lift, lambda: _press(presses), bool(index), own, 0.3)]
     own = random.Random(randomly.random())
     callers += [
         Caller(lines, 'environment', '/get_environment', GetEnvironment, lambda: ({}, {}), True,
@@ -180,6 +183,11 @@ def _gimbal(gimbals: Locked, randomly: random.Random) -> Tuple[Dict, Dict]:
     return _move(bus.GIMBAL, direction, amount, dict(direction=direction, angle=amount))
 
 
+def _press(presses: Locked) -> Tuple[Dict, Dict]:
+    direction, amount = next(presses)
+    return _move(PRESS, direction, amount, dict(direction=direction, distance=amount))
+
+
 def _move(cmd2: int, direction: int, amount: int, request: Dict) -> Tuple[Dict, Dict]:
     return ({'cmd1': bus.FUNCTION, 'cmd2': cmd2, 'data': bytes((direction, amount)).hex()},
             request)
@@ -210,7 +218,7 @@ def _raw(numbers: Locked, randomly: random.Random) -> Tuple[Dict, Dict]:
 def command(path: str, randomly: random.Random) -> None:
     """Speeds with pauses, steering, LEDs; calibrations when told on stdin."""
     lines = Lines(path)
-    loops = [_drive, _steer, _light]
+    loops = [_drive, _steer, _light, _wind]
     threads = [threading.Thread(target=loop, args=(lines, random.Random(randomly.random())),
                                 daemon=True) for loop in loops]
     threads.append(threading.Thread(target=_orders, args=(lines,), daemon=True))
@@ -275,6 +283,16 @@ def _light(lines: Lines, randomly: random.Random) -> None:
         text = randomly.choice(texts)
         lines.write(t=time.monotonic(), topic='led', value=text)
         topic.publish(data=text)
+
+
+def _wind(lines: Lines, randomly: random.Random) -> None:
+    """A command of one's own, each value once in an hour; 0 is none that its row allows."""
+    topic = _publisher('/winch', UInt16)
+    value = randomly.randrange(1 << 16)
+    while not stopping.wait(randomly.uniform(0.02, 0.2)):
+        value = (value + 1) % (1 << 16)
+        lines.write(t=time.monotonic(), topic='winch', value=value)
+        topic.publish(data=value)
 
 
 def _orders(lines: Lines) -> None:

@@ -15,7 +15,7 @@ from ...protocols import arduino, mcu
 from ...protocols import robot_ctrl_bus as bus
 from ...protocols.own_messages import arduino_messages, mcu_messages
 from .align import Sent
-from .packets import IMU, STEERING_ANGLE, TICKS, VOLTAGE
+from .packets import IMU, OWN_COMMAND, PRESS, STEERING_ANGLE, TICKS, VOLTAGE
 from .records import Intervals
 
 NODE = '/serial_communication'
@@ -32,10 +32,15 @@ OWN_ROWS = {
                      'fields': ['fluid_pressure'], 'scale': 0.5, 'minimum': -1000,
                      'maximum': 1000},
         'line': {'type': 61, 'ros_type': 'sensor_msgs/JointState', 'layout': '<H*',
-                 'fields': ['position'], 'maximum': 4000}}},
+                 'fields': ['position'], 'maximum': 4000},
+        'winch': {'type': OWN_COMMAND, 'direction': 'to_board', 'ros_type': 'std_msgs/UInt16',
+                  'layout': '>H', 'fields': ['data'], 'minimum': 1}}},
     'mcu': {'messages': {
         'cliff': {'type': 0x20, 'ros_type': 'sensor_msgs/Range', 'layout': '<BH',
-                  'fields': ['', 'range'], 'scale': 0.001, 'maximum': [255, 60]}}}}
+                  'fields': ['', 'range'], 'scale': 0.001, 'maximum': [255, 60]}}},
+    'bus': {'functions': {
+        'press': {'cmd2': PRESS, 'srv_type': 'serial_communication/Lift', 'timeout': 0.3,
+                  'request': {'layout': '<2B', 'fields': ['direction', 'distance']}}}}}
 _DECODERS = {
     'arduino': partial(arduino.Decoder, messages=[
         own.kind for own in arduino_messages(OWN_ROWS['arduino']['messages'])]),

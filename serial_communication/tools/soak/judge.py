@@ -23,6 +23,7 @@ from .check_interference import (Connection, check_frozen_line, check_master, ch
                                  check_standstill, check_unread)
 from .check_lost import Told, check_lost_frames, frame_of, heard_of
 from .check_motor import check_motor, prepare
+from .check_own import check_own_commands
 from .check_node import RETURN, check_level, check_log, check_returns, log_lines
 from .expected import NODE, TOPICS, Arrival, arrivals, expected
 from .packets import (HEARTBEAT, SPEED, calibrations, closed_times, fault_times,
@@ -82,7 +83,7 @@ def judge(folder: str) -> List[Row]:
     frozen = stretches(events, 'frozen', 'thawed', end, 'arduino')
     held_up = stopped + frozen
     rows = check_bus(calls, journals['bus'], blind_replies, TIMEOUTS, stopped, no_master)
-    rows[0] = rows[0]._replace(note='of %d lift, gimbal and raw calls: %s' % (
+    rows[0] = rows[0]._replace(note='of %d lift, gimbal, raw and own calls: %s' % (
         sum(1 for call in calls if call['kind'] in TIMEOUTS), outcomes(calls)))
     rows += _of_link('bus', 'every reading of the air is one that the board measured', frames,
                      published, exempt, held_up)
@@ -96,6 +97,7 @@ def judge(folder: str) -> List[Row]:
     rows += check_motor(drive)
     came = sorted(packets_of(journals['arduino'])[0], key=lambda packet: packet.t)
     unclear = drive.closed + drive.stalled + Intervals(calibrations(journals['arduino'], end))
+    rows.append(check_own_commands(came, commands, _cuts(events, 'arduino'), unclear + held_up))
     rows.append(check_frozen_line(frozen, came, unclear + stopped))
     rows += check_standstill(stopped, came, drive.speeds, unclear + frozen)
     rows += check_heartbeat(journals['arduino'], metronome, published.beats, end, held_up)

@@ -8,6 +8,8 @@ from .records import Intervals
 
 # Message types, from the protocol's own table.
 SPEED, STEERING, LED, STEERING_ANGLE, TICKS, IMU, VOLTAGE, HEARTBEAT, CALIBRATION = range(4, 13)
+OWN_COMMAND = 62         # of a message of one's own
+PRESS = 0x40             # CMD2 of a bus function of one's own
 
 GAP = 0.030              # s without a heartbeat after which the board stops its motor
 _CROSSING = 0.010        # s that a byte may take from one end of the line to the other

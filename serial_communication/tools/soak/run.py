@@ -41,7 +41,8 @@ PARAMETERS: Dict[str, Any] = {
     'bus/motion_timeout': 0.5, 'bus/reply_timeout': 0.3, 'publish_tf': True}
 SPEED_TIMEOUT = 0.5      # the node's default
 TIMEOUTS = {'lift': PARAMETERS['bus/motion_timeout'], 'gimbal': PARAMETERS['bus/motion_timeout'],
-            'raw': PARAMETERS['bus/reply_timeout']}      # of each kind of call
+            'raw': PARAMETERS['bus/reply_timeout'],
+            'own': OWN_ROWS['bus']['functions']['press']['timeout']}      # of each kind of call
 BOARD_OPTIONS = {'bus': ('--lift-speed', '100000', '--gimbal-speed', '100000'),
                  'arduino': ('--calibration-time', '%g' % CALIBRATION), 'mcu': ()}
 NETWORK = '/network'     # the namespace of a second bridge, whose board is behind a network
@@ -121,8 +122,9 @@ class Campaign:
         self._pipe = pipe = Pipe(stage, stage.path('said'), stage.path('bridge.out'))
         children['bridge'] = stage.bridge(
             {link: cable.near for link, cable in stage.cables.items()},
-            {**PARAMETERS, **{f'{link}/messages': json.dumps(own['messages'])
-                              for link, own in OWN_ROWS.items()}},
+            {**PARAMETERS, **{f'{link}/{what}': json.dumps(entries)
+                              for link, own in OWN_ROWS.items()
+                              for what, entries in own.items()}},
             stdout=pipe.writer, stderr=pipe.writer)
         self._relay = relay = Relay(stage.events)
         relay.start()
@@ -132,7 +134,7 @@ class Campaign:
                                                   namespace=NETWORK)
         children['network commander'] = stage.user(
             'commander', 'network_commands.jsonl', seed, f'{NODE}/speed:={NETWORK}{NODE}/speed',
-            f'{NODE}/steering:={NETWORK}{NODE}/steering', f'{NODE}/led:={NETWORK}{NODE}/led',
+            *(f'{NODE}/{name}:={NETWORK}{NODE}/{name}' for name in ('steering', 'led', 'winch')),
             name='network commander', orders=True)
         for role, file, orders in (('recorder', 'messages.bin', False),
                                    ('traffic', 'traffic.bin', False), ('sleeper', 'none', False),
