@@ -65,6 +65,17 @@ class TestMotor:
         found, _made = motor([speed(1.0, 300), speed(1.5, 0)], [told(0.99, 301)])
         assert len(found['commanded']) == 1
 
+    def test_a_line_that_thaws(self):
+        """What was in the cable comes then; and SPEED 0 again, of a drop that was under way."""
+        journal = [speed(6.62, 300), speed(6.621, 0), speed(6.622, 301), speed(6.64, 0)]
+        commands = [told(4.99, 300), told(6.5, 301)]
+        found, _made = motor(journal, commands, doubtful=[(5.0, 6.62)])
+        assert not any(found.values())
+        found, _made = motor(journal, [told(5.2, 300), told(6.5, 301)], doubtful=[(5.0, 6.62)])
+        assert [name for name, violations in found.items() if violations] == ['reconnect']
+        found, _made = motor(journal, commands, doubtful=[(5.0, 6.4)])
+        assert found['commanded']
+
     def test_twice(self):
         found, _made = motor([speed(1.0, 300), speed(1.1, 300), speed(1.6, 0)], [told(0.99, 300)])
         assert len(found['commanded']) == 1

@@ -73,7 +73,10 @@ def prepare(journal: List[Dict], commands: List[Dict], unplugged: List[float],
         Intervals([pair for pair in calibrations(journal, end)
                    if any(pair[0] - _CALIBRATION_CALL <= call <= pair[0] for call in calls)]),
         bridge_calibrates, stalled, closed_times(journal, end), doubtful + stood_still,
-        closed_times(journal, end) + stalled + stood_still + doubtful
+        closed_times(journal, end) + stalled + stood_still
+        # A line that thaws passes on SPEED 0 and more before the bridge, which had just dropped
+        # what waited, can know of it: it says SPEED 0 once more.
+        + Intervals([(start, over + _ORDER) for start, over in doubtful.pairs])
         + Intervals(calibrations(journal, end)) + late_times(journal) + line_times(beats, written),
         [(event['t'], event['on']) for event in journal if event['ev'] == 'motor'
          and event['t'] < end] + [(end, False)], speed_timeout)
@@ -112,7 +115,7 @@ def _nothing_old(drive: Drive) -> Row:
             continue
         tries += 1
         age = speed.t - speed.commanded
-        if not drive.stalled.holds(speed.t):
+        if not drive.stalled.holds(speed.t) and not _in_the_cable(speed, drive.doubtful):
             oldest = max(oldest, age)
             if age > _KEPT:
                 violations.append((speed.t, f'SPEED {speed.value}, commanded {age:.2f} s before'))
@@ -122,6 +125,12 @@ def _nothing_old(drive: Drive) -> Row:
                                         f'; the port went at {drive.unplugged[cut]:.3f}'))
     return Row('arduino', 'nothing for the motor that was commanded before a reconnect', tries,
                violations, f'oldest command {oldest * 1e3:.0f} ms')
+
+
+def _in_the_cable(speed: Speed, frozen: Intervals) -> bool:
+    """Whether it was on its way as the line froze, and came as it thawed: nobody can drop it."""
+    return any(start - _ORDER <= speed.commanded <= start + _ORDER and over <= speed.t
+               for start, over in frozen.pairs)
 
 
 def _nothing_while_calibrating(drive: Drive) -> Row:
