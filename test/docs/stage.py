@@ -4,13 +4,16 @@ import os
 import signal
 import socket
 import subprocess
+import sys
 import time
 from pathlib import Path
-from typing import Dict, Iterator, List
+from typing import Callable, Dict, Iterator, List
+from xmlrpc.client import ServerProxy
 
 import rosgraph
 
 PATIENCE = 60.0     # s; only a command that fails takes as long
+LEVELS = Path(__file__).with_name('levels.py')
 
 
 def until(condition, what: str, seconds: float = PATIENCE) -> None:
@@ -37,19 +40,24 @@ class Stage:
             os.environ, ROS_MASTER_URI=f'http://localhost:{port}', ROS_HOSTNAME='localhost',
             ROS_LOG_DIR=str(folder / 'log'), PATH=f'/usr/bin:{os.environ["PATH"]}')
         self._port = port
+        self._levels = folder / 'levels'      # what levels.py prints …
+        self._began_at = 0                    # … and how long that was as the background began
 
     @contextlib.contextmanager
     def master(self) -> Iterator['Stage']:
-        """With a roscore."""
+        """With a roscore, and what looks at the links."""
+        self._levels.touch()
         master = rosgraph.Master('/docs', self.environment['ROS_MASTER_URI'])
         with self.background([f'roscore -p {self._port}']):
-            until(lambda: _answers(master), 'the master answers')
-            yield self
+            until(lambda: _answers(master.getPid), 'the master answers')
+            with self.background([f'{sys.executable} {LEVELS} >{self._levels}']):
+                yield self
 
     @contextlib.contextmanager
     def background(self, commands: List[str]) -> Iterator[None]:
         """Commands that run until the block ends, started in their order."""
         running = []
+        self._began_at = self._levels.stat().st_size if self._levels.exists() else 0
         try:
             for command in commands:
                 output = (self.folder / 'output').open('a')
@@ -71,11 +79,19 @@ class Stage:
             stderr=subprocess.STDOUT, text=True, timeout=PATIENCE * 3, check=False)
 
     def links_are_ok(self, *links: str, or_warn: bool = False) -> bool:
-        """Whether the monitor says so of each of these links, or that it merely warns."""
-        said = self.run('rosrun serial_communication monitor --once || true').stdout
+        """Whether the last status of each of these links says so, or that it merely warns.
+
+        Only what has come since the commands in the background were started counts.
+        """
         levels = ('OK', 'WARN') if or_warn else ('OK',)
-        return all(any(line.split()[:2] == [link, level] for line in said.splitlines()
-                       for level in levels) for link in links)
+        said = self._levels.read_text()[self._began_at:]
+        last = dict(line.split() for line in said.splitlines(True) if line.endswith('\n'))
+        return all(last.get(link) in levels for link in links)
+
+    def node_lives(self, name: str) -> bool:
+        """Whether a node of this name answers."""
+        master = rosgraph.Master('/docs', self.environment['ROS_MASTER_URI'])
+        return _answers(lambda: ServerProxy(master.lookupNode(name)).getPid('/docs'))
 
     def output(self) -> str:
         """What the commands in the background have said."""
@@ -83,11 +99,11 @@ class Stage:
         return path.read_text(errors='replace') if path.exists() else ''
 
 
-def _answers(master: rosgraph.Master) -> bool:
+def _answers(question: Callable[[], object]) -> bool:
     try:
-        master.getPid()
+        question()
         return True
-    except OSError:
+    except (OSError, rosgraph.MasterException):
         return False
 
 

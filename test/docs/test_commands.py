@@ -14,13 +14,17 @@ A comment right before a block of commands says how it is run:
 """
 import re
 import urllib.request
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from pages import PAGES, ROOT, blocks
 from stage import Stage, until
 
 BLOCKS = [block for page in PAGES for block in blocks(page)]
+PYTHON = [block for block in BLOCKS if block.language == 'python' and not block.mark]
+BESIDE = PYTHON + [block for block in BLOCKS if block.mark == 'run: bridge']
 LINKS = ('bus', 'arduino', 'mcu')
+NODE = '/serial_communication'
 
 
 def marked(mark):
@@ -51,6 +55,21 @@ def bridge(tmp_path_factory):
         yield stage
 
 
+@pytest.fixture(scope='module')
+def beside(bridge):
+    """What each block beside the bridge does, by its id. They are run three at a time, since most
+    of them only wait."""
+    def run(block):
+        if block.language == 'sh':
+            return bridge.run(block.text)
+        program = bridge.folder / f'example_{block.line}.py'
+        program.write_text(block.text)
+        return bridge.run(f'/usr/bin/python3 {program}')
+
+    with ThreadPoolExecutor(3) as pool:
+        yield {block.id: pool.submit(run, block) for block in BESIDE}
+
+
 def test_every_block_of_commands_says_how_it_is_run():
     parts = re.search(r'^parts=\((.*)\)$', (ROOT / 'scripts' / 'test').read_text(), re.M)
     for block in BLOCKS:
@@ -69,21 +88,25 @@ def test_alone(block, tmp_path):
 
 
 @marked('run: bridge')
-def test_beside_a_bridge(block, bridge):
-    done = bridge.run(block.text)
+def test_beside_a_bridge(block, beside):
+    done = beside[block.id].result()
     assert done.returncode == 0, done.stdout
+
+
+_LAUNCHED = set()     # lines that have been tried
 
 
 @marked('run: launch')
 def test_launch(block, master):
     for line in lines(block):
-        if 'sim:=avr' in line:
-            continue        # by test_with_emulated_boards
+        if 'sim:=avr' in line or line in _LAUNCHED:
+            continue        # by test_with_emulated_boards, or for another page
         with master.background([f'{line} sim_dir:={master.folder}/launch']):
             # Where the lines are made bad, errors are what is to be seen.
             until(lambda: master.links_are_ok(*LINKS, or_warn='faults:=' in line),
                   f'all links are OK: {master.output()}')
-        until(lambda: not master.links_are_ok('bus'), 'the bridge has ended')
+        until(lambda: not master.node_lives(NODE), 'the bridge has ended')
+        _LAUNCHED.add(line)
 
 
 @marked('run: panel')
@@ -115,11 +138,7 @@ def test_with_emulated_boards(block, master):
         assert done.returncode == 0 and done.stdout.strip(), done.stdout
 
 
-@pytest.mark.parametrize('block', [block for block in BLOCKS
-                                   if block.language == 'python' and not block.mark],
-                         ids=lambda block: getattr(block, 'id', 'none'))
-def test_python(block, bridge):
-    program = bridge.folder / 'example.py'
-    program.write_text(block.text)
-    done = bridge.run(f'/usr/bin/python3 {program}')
+@pytest.mark.parametrize('block', PYTHON, ids=lambda block: getattr(block, 'id', 'none'))
+def test_python(block, beside):
+    done = beside[block.id].result()
     assert done.returncode == 0 and 'Traceback' not in done.stdout, done.stdout
