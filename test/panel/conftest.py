@@ -25,9 +25,9 @@ def core():
     core.stop()
 
 
-@pytest.fixture(scope='module')
-def robot(core):
-    """A bridge with three boards that do what the test says, on lines that can be cut."""
+@pytest.fixture(scope='session')
+def started_robot(core):
+    """The robot, as the last test has left it; for `robot` and the panels."""
     with tempfile.TemporaryDirectory(prefix='panel_') as folder:
         robot = Robot(folder)
         yield robot
@@ -35,7 +35,14 @@ def robot(core):
 
 
 @pytest.fixture(scope='module')
-def panel(robot):
+def robot(started_robot):
+    """A bridge with three boards that do what the test says, on lines that can be cut."""
+    started_robot.rest()
+    return started_robot
+
+
+@pytest.fixture(scope='session')
+def panel(started_robot):
     """One that only looks."""
     panel = Panel(name='panel_looks')
     yield panel
@@ -43,8 +50,8 @@ def panel(robot):
     assert 'Traceback' not in panel.output()
 
 
-@pytest.fixture(scope='module')
-def controls(robot):
+@pytest.fixture(scope='session')
+def controls(started_robot):
     """One that takes commands."""
     panel = Panel('--control', '--token', TOKEN, name='panel_control')
     yield panel

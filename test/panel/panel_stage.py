@@ -15,8 +15,8 @@ from collections import deque
 
 import rosgraph
 import rospy
-from boards import (PATIENCE, BusBoard, CarBoard, Bridge, Line, SensorBoard, level_imu, program,
-                    ranges, until)
+from boards import (AIR, PATIENCE, BusBoard, CarBoard, Bridge, Line, SensorBoard, level_imu,
+                    program, ranges, until)
 
 from serial_communication.protocols import arduino
 
@@ -76,13 +76,18 @@ class Robot:
         self.bus = BusBoard(self.lines['bus'].far, polled=True)
         self.car = CarBoard(self.lines['arduino'].far)
         self.sensors = SensorBoard(self.lines['mcu'].far)
+        self.rest()
+        self._ended = threading.Event()
+        threading.Thread(target=self._talk, daemon=True).start()
+        self.start_bridge()
+
+    def rest(self):
+        """The boards measure again what they do at first."""
+        self.bus.air = AIR
         self.imu = level_imu()
         self.others = [arduino.Voltage(7.4), arduino.Ticks(3), arduino.SteeringAngle(600)]
         self.ranges = ranges()
         self.talks = True
-        self._ended = threading.Event()
-        threading.Thread(target=self._talk, daemon=True).start()
-        self.start_bridge()
 
     def start_bridge(self):
         """Start the bridge; its services are there when this returns."""

@@ -23,6 +23,15 @@ def page(panel):
     page.close()
 
 
+@pytest.fixture(scope='module')
+def two_pages(panel):
+    """One that takes nothing, and one that does: what becomes of them takes 5 s, in which other
+    tests run."""
+    slow, other = Page(panel, acknowledges=False), Page(panel)
+    yield slow, other
+    other.close()
+
+
 @pytest.fixture
 def driver(controls, robot):
     """A page that may drive, and whose commands the bridge hears."""
@@ -63,6 +72,7 @@ def test_wrong_arguments(arguments, words):
     assert done.returncode == 2 and words in done.stderr and not done.stdout
 
 
+@pytest.mark.usefixtures('two_pages')       # so that their time begins
 def test_an_address_that_cannot_be_had(panel):
     done = run('--port', str(panel.port))
     assert done.returncode == 1
@@ -187,11 +197,12 @@ def test_a_page_that_asks_too_often_or_talks_nonsense_is_dropped(panel):
     until(lambda: page.closed, 'a message that is too long ends it')
 
 
-def test_a_slow_page_is_dropped_and_the_others_are_not(panel, page):
-    slow = Page(panel, acknowledges=False)
+def test_a_slow_page_is_dropped_and_the_others_are_not(panel, two_pages):
+    slow, other = two_pages
     until(lambda: 'does not take' in slow.closed, 'the slow one is dropped')
-    assert not page.closed
+    assert not other.closed
     panel.wait_for('it does not take what is sent to it')
+    other.close()
 
 
 def test_only_so_many_pages(panel):
