@@ -25,13 +25,31 @@ def lines_of(text):
 
 
 class WhileOneRuns(unittest.TestCase):
-    """A bridge with a car; afterwards it is the same one, and no heartbeat was missed."""
+    """A bridge with a car; afterwards it is the same one, and no heartbeat was missed.
+
+    A test that ends the bridge, or puts another in its place, leaves the next to start its own.
+    """
+
+    @classmethod
+    def setUpClass(cls):
+        cls.folder = own_folder()
+        cls.line = Line(os.path.join(cls.folder, 'arduino')).plug()
+        cls.car = CarBoard(cls.line.far)
+        cls.first = None
+
+    @classmethod
+    def tearDownClass(cls):
+        if cls.first is not None:
+            cls.first.process.kill()
+            cls.first.process.wait(10)
+        cls.car.close()
+        cls.line.unplug()
+        shutil.rmtree(cls.folder)
 
     def setUp(self):
-        self.folder = own_folder()
-        self.line = Line(os.path.join(self.folder, 'arduino')).plug()
-        self.car = CarBoard(self.line.far)
-        self.bridge = Bridge(parameters={'arduino/port': self.line.near})
+        if self.first is None or not self.first.alive:
+            type(self).first = Bridge(parameters={'arduino/port': self.line.near})
+        self.bridge = self.first
         self.car.wait_for_heartbeats(50)
         self.master = rosgraph.Master('/second_test')
         self.address = until(lambda: self.master.lookupNode(NAME), 'the bridge is registered')
@@ -39,13 +57,10 @@ class WhileOneRuns(unittest.TestCase):
         self.car.forget()
 
     def tearDown(self):
-        for bridge in [*self.started, self.bridge]:
+        for bridge in self.started:
             if bridge.alive:
                 bridge.process.kill()
                 bridge.process.wait(10)
-        self.car.close()
-        self.line.unplug()
-        shutil.rmtree(self.folder)
 
     def start(self, *arguments, **keywords):
         """Another bridge of the same name, with the same parameters."""
@@ -175,16 +190,11 @@ class WrongParameter(unittest.TestCase):
     """Where roslaunch starts it again at once, it does not tell once a second."""
 
     def test_it_is_told_once_and_the_process_stays_for_a_while(self):
-        wrong = Bridge('wrong', {'bus/baud': 1}, arguments=['__log:=/dev/null'])
-        try:
-            wrong.wait_for('bus/baud')
-            self.assertTrue(wrong.alive)
-            until(lambda: not wrong.alive, 'it ends', 2 * PATIENCE)
-            self.assertEqual(wrong.process.returncode, 1)
-            said = [line for line in lines_of(wrong.output()) if 'bus/baud' in line]
-            self.assertEqual(len(said), 1, said)
-        finally:
-            wrong.process.kill()
+        self.assertTrue(STAYED)
+        until(lambda: not WRONG.alive, 'it ends', 2 * PATIENCE)
+        self.assertEqual(WRONG.process.returncode, 1)
+        said = [line for line in lines_of(WRONG.output()) if 'bus/baud' in line]
+        self.assertEqual(len(said), 1, said)
 
     def test_ctrl_c_ends_it_at_once(self):
         wrong = Bridge('wrong', {'bus/baud': 1}, arguments=['__log:=/dev/null'])
@@ -196,4 +206,8 @@ class WrongParameter(unittest.TestCase):
 
 if __name__ == '__main__':
     rospy.init_node('second_test')
+    # It ends by itself after 10 s, which pass while the other tests run.
+    WRONG = Bridge('wrong_for_long', {'bus/baud': 1}, arguments=['__log:=/dev/null'])
+    WRONG.wait_for('bus/baud')
+    STAYED = WRONG.alive
     rostest.rosrun(PACKAGE, 'second', '__main__')
