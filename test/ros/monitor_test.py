@@ -14,8 +14,8 @@ import rosgraph
 import rospy
 import rostest
 
-from boards import (PATIENCE, Bridge, BusBoard, CarBoard, Line, level_imu, own_folder, program,
-                    settle, until)
+from boards import (PATIENCE, Bridge, BusBoard, CarBoard, Line, Waiter, level_imu, own_folder,
+                    program, settle, until)
 from serial_communication.protocols import arduino
 
 NAME = 'watched'
@@ -56,6 +56,26 @@ class Monitor:
             self.process.wait(10)
 
 
+class TalkingCar(CarBoard):
+    """A car that talks as cars do, but slower."""
+
+    def __init__(self, path):
+        super().__init__(path)
+        self._quiet = threading.Event()
+        self._talking = threading.Thread(target=self._talk, daemon=True)
+        self._talking.start()
+
+    def close(self):
+        self._quiet.set()
+        self._talking.join(10)
+        super().close()
+
+    def _talk(self):
+        while not self._quiet.wait(0.05):
+            self.say(level_imu())
+            self.say(arduino.Voltage(11.5))
+
+
 class MonitorTest(unittest.TestCase):
     """A bridge with a bus board and a car that talks all the time."""
 
@@ -63,32 +83,21 @@ class MonitorTest(unittest.TestCase):
         self.folder = own_folder()
         self.lines = [Line(os.path.join(self.folder, name)).plug() for name in ('bus', 'car')]
         self.board = BusBoard(self.lines[0].far, polled=True)
-        self.car = CarBoard(self.lines[1].far)
-        self.bridges, self.monitors, self.processes = [], [], []
-        self.quiet = threading.Event()
-        self.talking = threading.Thread(target=self.talk, daemon=True)
-        self.talking.start()
+        self.car = TalkingCar(self.lines[1].far)
+        self.bridges, self.monitors = [], []
 
     def tearDown(self):
-        self.quiet.set()
-        self.talking.join(10)
         for monitor in self.monitors:
             monitor.close()
-        for process in [bridge.process for bridge in self.bridges] + self.processes:
-            if process.poll() is None:
-                process.kill()
-                process.wait(10)
+        for bridge in self.bridges:
+            if bridge.alive:
+                bridge.process.kill()
+                bridge.process.wait(10)
         for board in self.board, self.car:
             board.close()
         for line in self.lines:
             line.unplug()
         shutil.rmtree(self.folder)
-
-    def talk(self):
-        """As the car does, but slower."""
-        while not self.quiet.wait(0.05):
-            self.car.say(level_imu())
-            self.car.say(arduino.Voltage(11.5))
 
     def bridge(self):
         """A bridge that works."""
@@ -151,24 +160,36 @@ class MonitorTest(unittest.TestCase):
         self.assertNotIn('Traceback', said)
 
     def test_a_master_that_goes_and_comes_back(self):
-        with socket.socket() as free:
-            free.bind(('localhost', 0))
-            port = free.getsockname()[1]
-        uri = f'http://localhost:{port}'
-        environment = {'ROS_MASTER_URI': uri}
+        MASTER_CAME_BACK.result(6 * PATIENCE)
 
-        def start(*command):
-            self.processes.append(subprocess.Popen(
-                command, env={**os.environ, **environment}, stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL))
-            return self.processes[-1]
 
-        def master_and_bridge():
-            master = start('rosmaster', '--core', '-p', str(port))
-            until(rosgraph.Master('/test', uri).is_online, 'the master is there')
-            return master, start(program('serial_communication_node'), '__name:=' + NAME,
-                                 '_arduino/port:=' + self.lines[1].near)
-        monitor = self.monitor(**environment)
+def master_that_goes_and_comes_back():
+    """A monitor and a bridge with a car, under a master of their own that goes and comes back.
+
+    Mostly the monitor waits there; so does the test, while others run.
+    """
+    with socket.socket() as free:
+        free.bind(('localhost', 0))
+        port = free.getsockname()[1]
+    uri = f'http://localhost:{port}'
+    environment = {'ROS_MASTER_URI': uri}
+    folder, processes = own_folder(), []
+    line = Line(os.path.join(folder, 'car')).plug()
+    talkative = TalkingCar(line.far)
+
+    def start(*command):
+        processes.append(subprocess.Popen(
+            command, env={**os.environ, **environment}, stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL))
+        return processes[-1]
+
+    def master_and_bridge():
+        master = start('rosmaster', '--core', '-p', str(port))
+        until(rosgraph.Master('/test', uri).is_online, 'the master is there')
+        return master, start(program('serial_communication_node'), '__name:=' + NAME,
+                             '_arduino/port:=' + line.near)
+    monitor = Monitor('--node', NAME, **environment)
+    try:
         monitor.wait_for(f'waiting for the ROS master at {uri}')
         master, bridge = master_and_bridge()
         monitor.wait_for('the bridge is there')
@@ -181,10 +202,20 @@ class MonitorTest(unittest.TestCase):
         monitor.wait_for('the bridge is back, after')
         monitor.wait_for('topics carry data, ~imu', times=len(re.findall(
             'topics carry data, ~imu', monitor.output())) + 1)
-        self.assertEqual(monitor.end(), 0)
-        self.assertNotIn('Traceback', monitor.output())
+        assert monitor.end() == 0
+        assert 'Traceback' not in monitor.output()
+    finally:
+        monitor.close()
+        for process in processes:
+            if process.poll() is None:
+                process.kill()
+                process.wait(10)
+        talkative.close()
+        line.unplug()
+        shutil.rmtree(folder)
 
 
 if __name__ == '__main__':
     rospy.init_node('monitor_test')
+    MASTER_CAME_BACK = Waiter(master_that_goes_and_comes_back)
     rostest.rosrun('serial_communication', 'monitor', MonitorTest)
