@@ -137,4 +137,4 @@ def test_the_node_has_not_grown_and_says_nothing_of_a_fault(scene):
 
 def test_the_scene_can_fail(scene):
     with pytest.raises(AssertionError):
-        until(lambda: False, 'never', every=PATIENCE)
+        until(lambda: False, 'never', seconds=0.1)
