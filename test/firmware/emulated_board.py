@@ -2,13 +2,13 @@
 
 Needs neither ROS nor the Python package.
 
-build_firmware('/some/dir')
-with EmulatedBoard('/some/dir', 'car') as board:
+with EmulatedBoard(build_firmware(), 'car') as board:
     port = serial.Serial(board.port, 115200)
     board.set('yaw', 30)
     board.wait_until(lambda: board.get('turning') == 0, seconds=5)
 """
 
+import fcntl
 import os
 import shutil
 import socket
@@ -28,16 +28,27 @@ class BoardError(Exception):
     """The emulator did not start, ended, or refused a command."""
 
 
-def build_firmware(build):
-    """Builds the firmware and the emulator into the directory `build`, if they are not there."""
-    result = subprocess.run(
-        ['make', '-C', FIRMWARE, 'BUILD=' + os.path.abspath(build), '-j2'],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        universal_newlines=True,
+def build_firmware():
+    """Builds the firmware and the emulator, as far as they are not up to date.
+
+    Returns the directory: the one that scripts/avr_board builds into, or FIRMWARE_BUILD.
+    """
+    build = os.path.abspath(
+        os.environ.get('FIRMWARE_BUILD')
+        or os.path.join(FIRMWARE, os.pardir, 'build', 'firmware')
     )
+    os.makedirs(build, exist_ok=True)
+    with open(os.path.join(build, '.lock'), 'w') as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # others may build it just now
+        result = subprocess.run(
+            ['make', '-C', FIRMWARE, 'BUILD=' + build, '-j2'],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            universal_newlines=True,
+        )
     if result.returncode != 0:
         raise BoardError('the firmware does not build:\n' + result.stdout)
+    return build
 
 
 class EmulatedBoard(object):

@@ -8,8 +8,6 @@ import subprocess
 
 import pytest
 
-from emulated_board import FIRMWARE
-
 HERE = os.path.dirname(os.path.abspath(__file__))
 
 with open(os.path.join(HERE, 'vectors.json')) as _file:
@@ -42,25 +40,10 @@ class Driver(object):
 
 
 @pytest.fixture(scope='session')
-def program(tmp_path_factory):
-    path = str(tmp_path_factory.mktemp('driver') / 'protocol_driver')
-    subprocess.check_call(
-        [
-            'g++',
-            '-std=c++11',
-            '-O1',
-            '-Wall',
-            '-Wextra',
-            '-Werror',
-            '-fsanitize=address,undefined',
-            '-fno-sanitize-recover=all',
-            '-I',
-            os.path.join(FIRMWARE, 'protocol'),
-            os.path.join(HERE, 'protocol_driver.cpp'),
-            '-o',
-            path,
-        ]
-    )
+def program(protocol_driver):
+    path, compiler = protocol_driver
+    said = compiler.communicate()[0]
+    assert compiler.returncode == 0, said
     return path
 
 

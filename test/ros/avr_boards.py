@@ -4,7 +4,6 @@ and one bridge on it; and rotations, put together here from the turns that they 
 import os
 import pty
 import select
-import subprocess
 import sys
 import threading
 import tty
@@ -19,21 +18,8 @@ from boards import PACKAGE, SPEED_0_PACKET, Bridge, until
 _TEST = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 sys.path.insert(0, os.path.join(_TEST, 'firmware'))
 
-from emulated_board import EmulatedBoard  # noqa: E402  pylint: disable=wrong-import-position
-
-
-def firmware_build():
-    """The folder with the firmware and the emulator, up to date: where avr_board keeps them."""
-    build = os.environ.get('FIRMWARE_BUILD') or os.path.join(os.path.dirname(_TEST), 'build',
-                                                             'firmware')
-    firmware = os.path.join(os.path.dirname(_TEST), 'firmware')
-    os.makedirs(build, exist_ok=True)
-    built = subprocess.run(['flock', os.path.join(build, '.lock'),      # as avr_board does
-                            'make', '-C', firmware, 'BUILD=' + build, '-j2'],
-                           stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-                           universal_newlines=True)
-    assert built.returncode == 0, built.stdout
-    return build
+from emulated_board import (  # noqa: E402  pylint: disable=wrong-import-position
+    EmulatedBoard, build_firmware)
 
 
 class OnBoard(unittest.TestCase):
@@ -45,7 +31,7 @@ class OnBoard(unittest.TestCase):
 
     @classmethod
     def setUpClass(cls):
-        cls.board = EmulatedBoard(firmware_build(), cls.WORLD)
+        cls.board = EmulatedBoard(build_firmware(), cls.WORLD)
         cls.addClassCleanup(cls.board.close)
         cls.bridge = None
         cls.addClassCleanup(cls.end_bridge)

@@ -13,9 +13,8 @@ import rospy
 import rostest
 from std_msgs.msg import Float32
 
-from avr_boards import firmware_build
+from avr_boards import EmulatedBoard, build_firmware
 from boards import PACKAGE, PATIENCE, Topic, own_folder, until
-from emulated_board import EmulatedBoard
 
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 PAGE = os.path.join(ROOT, 'doc', 'own_messages.md')
@@ -37,7 +36,7 @@ class Tutorial(unittest.TestCase):
         self.addCleanup(shutil.rmtree, self.folder, ignore_errors=True)
         self.launched = None
         self.addCleanup(self.end)
-        self.board = EmulatedBoard(firmware_build(), 'car', image='nano_car_own.elf')
+        self.board = EmulatedBoard(build_firmware(), 'car', image='nano_car_own.elf')
         self.addCleanup(self.board.close)
 
     def end(self):
