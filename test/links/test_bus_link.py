@@ -5,6 +5,7 @@ import time
 import pytest
 
 from boards import PATIENCE, BusBoard, until
+from serial_communication.links import link as link_module
 from serial_communication.links.bus import BusLink, BusSettings, _Poller
 from serial_communication.links.link import ERROR, OK, RX, TX
 from serial_communication.links.master import NOT_SENT, QUIET, TIMEOUT
@@ -387,7 +388,8 @@ def test_stopping_answers_those_who_wait(board, open_link):
     assert link.lift(0, 1).status == NOT_SENT
 
 
-def test_a_board_that_is_silent_is_reported(line, logger, running, lines):
+def test_a_board_that_is_silent_is_reported(line, logger, running, lines, monkeypatch):
+    monkeypatch.setattr(link_module, 'FIRST_WORD', 0.5)
     link = running(BusLink(Port(line.path), SHORT, logger=logger))
     until(lambda: link.report(time.monotonic()).level == ERROR
           and link.report(time.monotonic()).summary == 'the board does not answer SYNC')
