@@ -98,7 +98,11 @@ class _Ros:
                   'or take another name with __name:=NAME', file=sys.stderr, flush=True)
             self._end(3)
             return
-        rospy.init_node('panel', disable_signals=True)
+        try:
+            rospy.init_node('panel', disable_signals=True)
+        except rospy.ROSInitException:      # somebody took the name meanwhile
+            self._over()
+            return
         rospy.on_shutdown(self._over)
         MasterWatch({}, logging.getLogger('rosout')).start()
         self._ready()
