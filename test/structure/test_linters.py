@@ -41,7 +41,7 @@ def test_shellcheck(path):
     run('shellcheck', '--exclude=SC2015', '--external-sources', '--source-path', ROOT, path)
 
 
-@pytest.mark.parametrize('path', [ROOT / 'package.xml', *sorted(ROOT.glob('launch/*.launch')),
+@pytest.mark.parametrize('path', [ROOT / 'package.xml', *sorted(ROOT.glob('launch/*')),
                                   *sorted(ROOT.glob('config/*.urdf')),
                                   *sorted(ROOT.glob('test/ros/*.test'))], ids=name)
 def test_xml(path):
