@@ -165,7 +165,7 @@ class Link:
             return None
         due = self.last_byte_at + limit
         if now >= due:
-            raise PortError('the board has not been heard for %g s' % limit)
+            raise PortError(f'the board has not been heard for {limit:g} s')
         return due
 
     # -- diagnostics ------------------------------------------------------------------
@@ -176,8 +176,8 @@ class Link:
         new_errors, self._reported_errors = errors - self._reported_errors, errors
         level, summary = self.condition(now)
         if level == OK and new_errors:
-            level, summary = WARN, '%d error%s in the last second' % (
-                new_errors, 's' if new_errors > 1 else '')
+            level, summary = WARN, (f'{new_errors} error{"s" if new_errors > 1 else ""} '
+                                    'in the last second')
         counted = dict(self.decoder.errors)
         checksum = counted.pop(CHECKSUM, 0)
         framing = counted.pop('framing')
@@ -191,7 +191,7 @@ class Link:
             ('checksum errors', checksum),
             ('framing errors', framing),
             ('reconnects', self.reconnects),
-            ('last frame age [s]', '%.3f' % (now - self.last_frame_at)
+            ('last frame age [s]', f'{now - self.last_frame_at:.3f}'
              if self.last_frame_at is not None else 'never'),
         ]
         values += sorted((cause + ' errors', count) for cause, count in counted.items())
@@ -200,7 +200,7 @@ class Link:
     def condition(self, now: float) -> Tuple[int, str]:
         """Level and a few words, new errors aside."""
         if not self.port.is_open:
-            return ERROR, 'closed: %s' % (self._trouble or 'not opened yet')
+            return ERROR, f'closed: {self._trouble or "not opened yet"}'
         if self.last_frame_at is None or now - self.last_frame_at > SILENCE:
             return WARN, 'open, the board is silent'
         return OK, 'open'
@@ -339,8 +339,7 @@ class Link:
         for frame in frames:
             shown = self.shown(frame) if tap else frame
             if frame.cause:
-                self.log.warn(frame.cause, '%s: %s: %s' % (
-                    frame.cause, frame.error, frame.raw[:24].hex()))
+                self.log.warn(frame.cause, f'{frame.cause}: {frame.error}: {frame.raw[:24].hex()}')
                 self.damaged(frame, now)
             else:
                 self.frames_received += 1

@@ -1,4 +1,5 @@
 """Linters for what is Python, shell, XML and catkin."""
+import ast
 import os
 import shutil
 import subprocess
@@ -33,6 +34,14 @@ def test_flake8():
     # W503 and W504, each the other's contrary: operators stand where the line reads best.
     run(sys.executable, '-m', 'flake8', '--isolated', '--jobs=1', '--max-line-length=100',
         '--extend-ignore=W503,W504', *python_files())
+
+
+@pytest.mark.parametrize('path', sorted(PACKAGE.rglob('*.py')), ids=name)
+def test_texts_are_put_together_as_f_strings(path):
+    """`%` takes a NamedTuple, as most messages are, for several values."""
+    assert [node.lineno for node in ast.walk(ast.parse(path.read_text()))
+            if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mod)
+            and isinstance(getattr(node.left, 'value', None), (str, bytes))] == []
 
 
 @pytest.mark.parametrize('path', shell_files(), ids=name)

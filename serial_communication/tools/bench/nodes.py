@@ -139,7 +139,7 @@ class Floor:
         diagnostics = rospy.Publisher('diagnostics', DiagnosticArray, queue_size=100,
                                       tcp_nodelay=True)
         # As many and as long as the bridge's three.
-        values = [KeyValue('bytes received %d' % n, '1234567') for n in range(15)]
+        values = [KeyValue(f'bytes received {n}', '1234567') for n in range(15)]
         array = DiagnosticArray(status=[DiagnosticStatus(
             0, 'serial_communication: bus link', 'open', '/dev/ttyUSB0', values)])
         self._loops = {
@@ -198,7 +198,7 @@ class Subscriber:
             self._subscribe(namespace, 'diagnostics', DiagnosticArray, '', None)
 
     def _subscribe(self, namespace, name, message_class, kind, count) -> rospy.Subscriber:
-        counts, topic = self._counts, '%s/%s' % (namespace, name)
+        counts, topic = self._counts, f'{namespace}/{name}'
         counts[topic] = 0
         if count is None:
             def callback(_message):
@@ -244,7 +244,7 @@ class Caller:
     """Calls the bus services of one bridge from several threads at once."""
 
     def __init__(self, namespace: str) -> None:
-        self._prefix = '%s/%s/' % (namespace, NODE)
+        self._prefix = f'{namespace}/{NODE}/'
 
     def _ask(self, kind: str) -> Callable[[], Any]:
         """A connection of its own; a call returns the number in the answer, -1 without one."""

@@ -358,7 +358,7 @@ def _settled(counter: Servant, topics: List[str]) -> Dict[str, int]:
 
 def _diagnostics(counter: Servant, link: str) -> Dict[str, str]:
     for name, values in counter.ask('diagnostics').items():
-        if name.endswith('%s link' % link):
+        if name.endswith(f'{link} link'):
             return values
     return {'frames received': '0'}
 

@@ -53,7 +53,7 @@ def main() -> int:
         return beat(path)
     rospy.init_node('soak_' + role, anonymous=True, disable_signals=True,
                     disable_rosout=True)
-    ROLES[role](path, random.Random('%s %s' % (role, seed)))
+    ROLES[role](path, random.Random(f'{role} {seed}'))
     # Not through rospy's own end, which may wait for a bridge that is gone.
     sys.stdout.flush()
     os._exit(0)
@@ -117,7 +117,7 @@ class Caller(threading.Thread):
                 record.update(_told(answer))
             except Exception as error:  # pylint: disable=broad-except
                 record['t1'] = time.monotonic()
-                record['exception'] = '%s: %s' % (type(error).__name__, error)
+                record['exception'] = f'{type(error).__name__}: {error}'
                 proxy = None
             self.under_way = {}
             self._lines.write(**record)

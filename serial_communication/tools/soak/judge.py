@@ -83,8 +83,9 @@ def judge(folder: str) -> List[Row]:
     frozen = stretches(events, 'frozen', 'thawed', end, 'arduino')
     held_up = stopped + frozen
     rows = check_bus(calls, journals['bus'], blind_replies, TIMEOUTS, stopped, no_master)
-    rows[0] = rows[0]._replace(note='of %d lift, gimbal, raw and own calls: %s' % (
-        sum(1 for call in calls if call['kind'] in TIMEOUTS), outcomes(calls)))
+    number = sum(1 for call in calls if call['kind'] in TIMEOUTS)
+    rows[0] = rows[0]._replace(
+        note=f'of {number} lift, gimbal, raw and own calls: {outcomes(calls)}')
     rows += _of_link('bus', 'every reading of the air is one that the board measured', frames,
                      published, exempt, held_up)
     rows += _of_link('arduino', 'every undamaged packet published once, in order', frames,
@@ -367,10 +368,9 @@ def _ending(events: List[Dict], journal: List[Dict], end: float) -> Row:
     if not finish.get('alive'):
         violations.append((end, 'the node had ended before'))
     if ended.get('seconds', 1e9) > ENDING:
-        violations.append((end, 'it took %.2f s to end' % ended.get('seconds', 1e9)))
+        violations.append((end, f"it took {ended.get('seconds', 1e9):.2f} s to end"))
     last = [packet for packet in packets_of(journal)[0] if packet.t >= end - 5]
     if not last or (last[-1].type, last[-1].data) != (SPEED, b'\0\0'):
-        violations.append((end, 'the last packet that the board saw is %s'
-                           % (last[-1:] or 'none')))
+        violations.append((end, f"the last packet that the board saw is {last[-1:] or 'none'}"))
     return Row('node', 'lives to the end; SIGINT: SPEED 0 last, ends within 2 s', 1, violations,
-               '%.2f s' % ended.get('seconds', 0.0))
+               f"{ended.get('seconds', 0.0):.2f} s")
