@@ -24,7 +24,7 @@ def check_bus(calls: List[Dict], journal: List[Dict], blind_replies: List[float]
     """All rows of the bus.
 
     Args:
-        blind_replies: when damage made another sound reply of one.
+        blind_replies: when damage made another valid reply of one.
         timeouts: of each kind of call, s.
         stopped: when the campaign had stopped the bridge.
         no_master: when there was no ROS master that knew the bridge, so that no caller who

@@ -3,6 +3,7 @@ import re
 from bisect import bisect_right
 from typing import Dict, List, Tuple
 
+from .expected import LINKS
 from .table import Row
 
 RETURN = 1.5             # s from a port's return to data
@@ -52,7 +53,7 @@ def log_lines(text: str, seconds_of) -> List[Tuple[float, str, str]]:
 def cause_of(text: str) -> Tuple[str, str]:
     """(link, cause) of a line of the bridge's: its words without what differs each time."""
     link, _colon, rest = text.partition(': ')
-    if link not in ('bus', 'arduino', 'mcu'):
+    if link not in LINKS:
         return '', _NUMBERS.sub('#', text)[:80]
     rest = re.sub(r' \(and \d+ more like it\)$', '', rest)
     if rest.startswith(('checksum', 'framing', 'length', 'unknown type', 'implausible',

@@ -21,17 +21,12 @@ from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 from serial_communication.srv import BusRequest, GetEnvironment, Gimbal, Lift
 
 from ...protocols import robot_ctrl_bus as bus
+from ..watch.topics import NODE, SERIAL_MSG, resolve
+from .expected import RECORDED
 from .packets import PRESS
 from .records import Lines, MessageFile
 
-NODE = '/serial_communication'
-TOPICS = [NODE + name for name in (
-    '/imu', '/imu/temperature', '/imu/calibrating', '/voltage', '/ticks', '/steering_angle',
-    '/pressure', '/line',
-    '/environment', '/environment/temperature', '/environment/humidity')] + [
-        '/mcu/status', '/mcu/imu', '/mcu/range_1', '/mcu/range_2', '/mcu/cliff', '/tf',
-        '/diagnostics']
-TRAFFIC = '/serial_msg'
+TRAFFIC = resolve(SERIAL_MSG, NODE)
 MEMORY = 0xF0          # CMD2 that the simulated board executes and no bridge knows
 UNSUPPORTED = 0x77     # CMD2 that it refuses
 PATIENCE = 6.0         # s that a call may take before it counts as lost
@@ -338,7 +333,7 @@ def _lift_once(lines: Lines) -> None:
 
 def record(path: str, _random: random.Random) -> None:
     """Every topic but serial_msg, as it was serialized."""
-    _record(path, TOPICS)
+    _record(path, list(RECORDED))
 
 
 def record_traffic(path: str, _random: random.Random) -> None:
@@ -363,7 +358,7 @@ def _take(message: rospy.AnyMsg, file_and_topic: Tuple[MessageFile, str]) -> Non
 
 def sleep(_path: str, _random: random.Random) -> None:
     """Subscribes to everything; to be stopped and continued from outside."""
-    for topic in TOPICS + [TRAFFIC]:
+    for topic in [*RECORDED, TRAFFIC]:
         rospy.Subscriber(topic, rospy.AnyMsg, lambda message: None)
     stopping.wait()
 

@@ -14,6 +14,7 @@ import tty
 from typing import Any, Callable, Dict, List, NamedTuple
 
 from ..stage import Child, StageError
+from .expected import LINKS
 from .stage import CampaignStage
 from .table import Row
 from .worst_streams import worst_streams
@@ -56,7 +57,7 @@ def node_costs(stage: CampaignStage, costs: List[Cost], say: Callable[[str], Non
     """Of the streams that cost a decoder most, for a node with a subscriber of everything."""
     found = []
     streams = {(stream.link, stream.name): stream for stream in worst_streams(_NODE_SIZE)}
-    for link in ('bus', 'arduino', 'mcu'):
+    for link in LINKS:
         worst = sorted((cost for cost in costs if cost.link == link),
                        key=lambda cost: -cost.worst)[:_NODES_STREAMS]
         feeder = _Feeder(stage, link)

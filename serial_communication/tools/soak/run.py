@@ -26,10 +26,11 @@ from typing import Any, Callable, Dict, FrozenSet, List, Tuple
 import rosgraph
 
 from ..progress import Progress
-from ..stage import LINKS, Child
+from ..stage import Child
+from ..watch.topics import NODE
 from .check_bus import answered
 from .check_interference import registered
-from .expected import NODE, OWN_ROWS
+from .expected import LINKS, OWN_ROWS
 from .network import Relay
 from .records import Intervals, Lines, read_lines, stretches
 from .stage import CampaignStage, Pipe
@@ -171,7 +172,7 @@ class Campaign:
         self._pipe.take()
         self._pipe.close()
         time.sleep(0.3)
-        for name in ('recorder', 'traffic', 'sleeper', 'bus', 'arduino', 'mcu', 'metronome'):
+        for name in ('recorder', 'traffic', 'sleeper', *LINKS, 'metronome'):
             stage.end(children[name])
         for cable in list(stage.cables.values()):
             cable.unplug()

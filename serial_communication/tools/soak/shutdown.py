@@ -14,14 +14,14 @@ from typing import Any, Dict, List, Optional, Tuple
 
 import rosgraph
 
+from ..progress import Progress
+from ..watch.topics import NODE
+from .expected import LINKS
 from .packets import SPEED, packets_of
 from .records import read_lines, read_messages
-from ..progress import Progress
-from ..stage import LINKS, NODE as NAME
 from .stage import CampaignStage
 from .table import Row
 
-NODE = '/' + NAME
 ENDING = 2.0             # s that the node may take to end
 RETURN = 5.0             # s from SIGKILL to data
 _FLUSH = 0.7             # s until a journal holds what happened
@@ -61,7 +61,8 @@ class Shutdown:
         self._progress = progress
         self._results: Dict[str, List[Tuple[str, float, List[str]]]] = {}
         self._ports: Dict[str, str] = {}
-        for link, options in (('bus', ('--lift-speed', '20')), ('arduino', ()), ('mcu', ())):
+        for link in LINKS:
+            options = ('--lift-speed', '20') if link == 'bus' else ()
             cable = stage.cable('last_' + link)
             self._ports[link] = cable.near
             stage.board(link, cable.far, seed, *options, name=f'last_{link}_board',
