@@ -6,7 +6,7 @@ import traceback
 from typing import Any, Callable, List, NamedTuple, Optional, Tuple
 
 from ..protocols.frame_timer import FrameTimer
-from ..protocols.framing import CHECKSUM, Decoder, Frame
+from ..protocols.framing import CHECKSUM, FRAMING, Decoder, Frame
 from ..transport.port import Port, PortError
 from .presence import FIRST_WORD, LOOK_PERIOD, Presence
 from .sparing_log import SparingLog
@@ -92,6 +92,10 @@ class Link:
 
     def tick(self, now: float) -> Optional[float]:
         """Do what is due by time; return when to be called next at the latest, or None."""
+        return None
+
+    def idle(self, now: float) -> Optional[float]:
+        """`tick` while the port is closed; asked at least once a second."""
         return None
 
     def shown(self, frame: Frame) -> Frame:
@@ -180,7 +184,7 @@ class Link:
                                     'in the last second')
         counted = dict(self.decoder.errors)
         checksum = counted.pop(CHECKSUM, 0)
-        framing = counted.pop('framing')
+        framing = counted.pop(FRAMING)
         values = [
             ('port', self.port.url),
             ('state', summary),
@@ -299,10 +303,6 @@ class Link:
             due = self._guarded(self.idle, now)
             until.wait(max((end if due is None else min(due, end)) - now, 0.0))
             now = time.monotonic()
-
-    def idle(self, now: float) -> Optional[float]:
-        """`tick` while the port is closed; asked at least once a second."""
-        return None
 
     def _serve(self) -> None:
         """Read until the port goes or the link stops."""
