@@ -41,7 +41,7 @@ def test_texts_are_put_together_as_f_strings(path):
     """`%` takes a NamedTuple, as most messages are, for several values."""
     assert [node.lineno for node in ast.walk(ast.parse(path.read_text()))
             if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mod)
-            and isinstance(getattr(node.left, 'value', None), (str, bytes))] == []
+            and isinstance(getattr(node.left, 'value', None), str)] == []
 
 
 @pytest.mark.parametrize('path', shell_files(), ids=name)
