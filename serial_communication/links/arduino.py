@@ -41,6 +41,7 @@ class ArduinoLink(Link):
         on_log: likewise with each (severity 0 … 3, text), sparingly if they are many.
         on_calibrating: is called with True and False as a calibration begins and ends.
         messages: classes of messages of one's own that the board sends.
+        link_arguments: frame_timeout, clock and logger, as `Link` has them.
     """
 
     STOPS_FIRST = True
@@ -177,7 +178,7 @@ class ArduinoLink(Link):
 
     def _unblock(self) -> None:
         """The port does not flow: drop what waits, or it reaches the board late, commands too."""
-        self._motor.doubt()
+        self._motor.expect_any_speed()
         self._cut_off = True
         dropped = self.port.discard_output()
         self._say_later('stalled', 'the port takes no data; ' + (
@@ -255,7 +256,7 @@ class ArduinoLink(Link):
             if self._motor.moving and not self._finished:
                 self._say_later('moved', 'the car may have been moving when the port went: '
                                          'SPEED 0 is sent first when it returns')
-            self._motor.doubt()
+            self._motor.expect_any_speed()
             self._cut_off = False
             self._heart.restart()
 

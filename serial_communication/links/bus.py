@@ -57,6 +57,7 @@ class BusLink(Link):
 
     Args:
         on_environment: is called in the link's thread with each reading and its stamp.
+        link_arguments: frame_timeout, clock and logger, as `Link` has them.
     """
 
     def __init__(self, port: Port, settings: BusSettings = BusSettings(),

@@ -6,7 +6,7 @@ import traceback
 from typing import Any, Callable, List, NamedTuple, Optional, Tuple
 
 from ..protocols.frame_timer import FrameTimer
-from ..protocols.framing import CHECKSUM, Decoder, Frame
+from ..protocols.framing import CHECKSUM, FRAMING, Decoder, Frame
 from ..transport.port import Port, PortError
 from .presence import FIRST_WORD, LOOK_PERIOD, Presence
 from .sparing_log import SparingLog
@@ -94,6 +94,10 @@ class Link:
         """Do what is due by time; return when to be called next at the latest, or None."""
         return None
 
+    def idle(self, now: float) -> Optional[float]:
+        """`tick` while the port is closed; asked at least once a second."""
+        return None
+
     def shown(self, frame: Frame) -> Frame:
         """A frame that has come, as listeners see it, before it is `received`."""
         return frame
@@ -165,7 +169,7 @@ class Link:
             return None
         due = self.last_byte_at + limit
         if now >= due:
-            raise PortError('the board has not been heard for %g s' % limit)
+            raise PortError(f'the board has not been heard for {limit:g} s')
         return due
 
     # -- diagnostics ------------------------------------------------------------------
@@ -176,11 +180,11 @@ class Link:
         new_errors, self._reported_errors = errors - self._reported_errors, errors
         level, summary = self.condition(now)
         if level == OK and new_errors:
-            level, summary = WARN, '%d error%s in the last second' % (
-                new_errors, 's' if new_errors > 1 else '')
+            level, summary = WARN, (f'{new_errors} error{"s" if new_errors > 1 else ""} '
+                                    'in the last second')
         counted = dict(self.decoder.errors)
         checksum = counted.pop(CHECKSUM, 0)
-        framing = counted.pop('framing')
+        framing = counted.pop(FRAMING)
         values = [
             ('port', self.port.url),
             ('state', summary),
@@ -191,7 +195,7 @@ class Link:
             ('checksum errors', checksum),
             ('framing errors', framing),
             ('reconnects', self.reconnects),
-            ('last frame age [s]', '%.3f' % (now - self.last_frame_at)
+            ('last frame age [s]', f'{now - self.last_frame_at:.3f}'
              if self.last_frame_at is not None else 'never'),
         ]
         values += sorted((cause + ' errors', count) for cause, count in counted.items())
@@ -200,7 +204,7 @@ class Link:
     def condition(self, now: float) -> Tuple[int, str]:
         """Level and a few words, new errors aside."""
         if not self.port.is_open:
-            return ERROR, 'closed: %s' % (self._trouble or 'not opened yet')
+            return ERROR, f'closed: {self._trouble or "not opened yet"}'
         if self.last_frame_at is None or now - self.last_frame_at > SILENCE:
             return WARN, 'open, the board is silent'
         return OK, 'open'
@@ -300,10 +304,6 @@ class Link:
             until.wait(max((end if due is None else min(due, end)) - now, 0.0))
             now = time.monotonic()
 
-    def idle(self, now: float) -> Optional[float]:
-        """`tick` while the port is closed; asked at least once a second."""
-        return None
-
     def _serve(self) -> None:
         """Read until the port goes or the link stops."""
         now = time.monotonic()
@@ -339,8 +339,7 @@ class Link:
         for frame in frames:
             shown = self.shown(frame) if tap else frame
             if frame.cause:
-                self.log.warn(frame.cause, '%s: %s: %s' % (
-                    frame.cause, frame.error, frame.raw[:24].hex()))
+                self.log.warn(frame.cause, f'{frame.cause}: {frame.error}: {frame.raw[:24].hex()}')
                 self.damaged(frame, now)
             else:
                 self.frames_received += 1

@@ -31,6 +31,7 @@ class McuLink(Link):
         on_silence: is called once a second for each class of message that the board has sent
             and sends no more, or with None while it has never spoken; with its last seq and the
             seconds since that message (or since the start).
+        link_arguments: frame_timeout, clock and logger, as `Link` has them.
     """
 
     def __init__(self, port: Port, timeout: float = 1.0,

@@ -47,8 +47,8 @@ class Motor:
         self.moving = self.in_doubt = False
         self._repeat_at = now + _REPEAT_PERIOD
 
-    def doubt(self) -> None:
-        """What was sent may not have left (dropped output, a closed port): expect any speed."""
+    def expect_any_speed(self) -> None:
+        """What was sent may not have left (dropped output, a closed port)."""
         self.moving = self.in_doubt = True
 
     def repeat_no_more(self) -> None:
@@ -75,7 +75,7 @@ class Motor:
             return None
         self._awake_at = now
         self._deaf_until = now + _DEAF
-        self.doubt()
+        self.expect_any_speed()
         return stood
 
     def awake(self, now: float) -> None:

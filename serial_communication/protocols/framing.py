@@ -248,7 +248,7 @@ class StreamDecoder:
                 need = found.size
                 break
         self._show_noise(at)
-        self._keep(at, need)
+        self._decided(at, need)
         return frames
 
     def _add(self, start: int, found: Good) -> None:
@@ -311,7 +311,7 @@ class StreamDecoder:
             self._reads.popleft()
         return self._reads[0][1]
 
-    def _keep(self, start: int, need: int) -> None:
+    def _decided(self, start: int, need: int) -> None:
         """All before `start` is decided; the search goes on at `need` bytes from there."""
         self.buffer = self.buffer[start:]
         self._xors = self._xors[start:]

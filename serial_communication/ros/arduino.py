@@ -123,7 +123,7 @@ class ArduinoInterface(Interface):
         try:
             command(message)
         except Refused as refused:
-            self.link.log.warn('%s refused: %s' % (name, refused.cause), str(refused))
+            self.link.log.warn(f'{name} refused: {refused.cause}', str(refused))
 
     def _calibrate(self, _request) -> EmptyResponse:
         try:

@@ -76,7 +76,7 @@ class BusInterface(Interface):
         response = _answer(GetEnvironmentResponse, outcome)
         if reading:
             response.environment = self._message(reading, rospy.Time.now())
-            response.message = 'done: %s' % str(reading)
+            response.message = f'done: {reading}'
         return response
 
     def _request(self, request) -> BusRequestResponse:
@@ -88,7 +88,7 @@ class BusInterface(Interface):
 
     def _echo(self, _request) -> TriggerResponse:
         outcome = self.link.echo()
-        return TriggerResponse(outcome.success, '%.2f ms' % (outcome.round_trip * 1e3)
+        return TriggerResponse(outcome.success, f'{outcome.round_trip * 1e3:.2f} ms'
                                if outcome.success else outcome.message)
 
     def _sync(self, _request) -> TriggerResponse:

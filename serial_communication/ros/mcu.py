@@ -50,7 +50,7 @@ class McuInterface(Interface):
         p = parameters
         self._turn = -1.0 if p['yaw_clockwise'] else 1.0
         self._imu_message = _imu(p)
-        self._ranges = [(publisher('mcu/range_%d' % number, Range), _range(p, number))
+        self._ranges = [(publisher(f'mcu/range_{number}', Range), _range(p, number))
                         for number in (1, 2)]
         self._status = publisher('mcu/status', McuStatus2)
         self._adc_status = publisher('mcu/adc_status', McuStatus)
@@ -125,7 +125,7 @@ def _metres(millimetres: int, low: float, high: float) -> float:
 def _range(p: Dict[str, Any], number: int) -> Range:
     message = Range(radiation_type=Range.INFRARED, field_of_view=p['field_of_view'],
                     min_range=p['min_range'], max_range=p['max_range'])
-    message.header.frame_id = p['range_%d_frame_id' % number]
+    message.header.frame_id = p[f'range_{number}_frame_id']
     return message
 
 

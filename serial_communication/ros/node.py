@@ -77,20 +77,11 @@ def _run() -> int:
     return 0
 
 
-def _now() -> rospy.Time:
-    """rospy.Time.now(), of a wall clock in a quarter of the time; it stamps every read."""
-    if not rospy.rostime.is_wallclock():
-        return rospy.Time.now()
-    stamp = rospy.Time.__new__(rospy.Time)
-    stamp.secs, stamp.nsecs = divmod(time.time_ns(), 1000000000)
-    return stamp
-
-
 class Bridge:
     """The links that have a port, and what belongs to all of them."""
 
     def __init__(self, p: dict) -> None:
-        common = Common(p['frame_timeout'], _now, _LOGGER)
+        common = Common(p['frame_timeout'], rospy.Time.now, _LOGGER)
         boards = [(board, own) for board, own in (
             (board, parameters.of_board(board, p)) for board in p['boards']) if own['port']]
         self._interfaces = [board(own, common) for board, own in boards]

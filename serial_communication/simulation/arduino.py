@@ -28,7 +28,7 @@ from ..protocols.own_messages import OwnMessage, arduino_messages
 from ..protocols.rotation import quaternion
 from ..transport.pace import Every
 from .board import Board, positive
-from .own_messages import Player, add_option
+from .own_messages import Player
 
 HEARTBEAT_TIMEOUT = 0.03   # s
 BEAT = 0.01                # s
@@ -67,13 +67,13 @@ class ModelCar(Board):
     MEASURES_PACE = True
     CHATTER = b'\x14\x10avrboot\r\n\xff\x1c\xe0'
     DELIMITER = b'\0'
+    OWN_ROWS = 'messages', arduino_messages
 
     @classmethod
     def add_options(cls, parser: argparse.ArgumentParser) -> None:
         parser.add_argument('--calibration-time', type=positive, default=10.0, metavar='S',
                             help='how long an IMU calibration takes (%(default)g; the real one: '
                                  'over 300)')
-        add_option(parser, 'arduino', 'messages', arduino_messages)
 
     @classmethod
     def from_options(cls, options: argparse.Namespace) -> 'ModelCar':

@@ -28,7 +28,7 @@ from ..protocols import robot_ctrl_bus as bus
 from ..protocols.framing import CHECKSUM, Frame
 from ..protocols.own_messages import OwnFunction, bus_functions
 from .board import FRAME_TIMEOUT, Board, positive
-from .own_messages import add_option, wandering
+from .own_messages import wandering
 
 MEMORY = 0xF0            # CMD2 of the function that a bridge does not know
 LIFT_RANGE = (0, 1000)   # mm
@@ -101,6 +101,7 @@ class ControlBoard(Board):
               'delay=0.01 late=0.005 rx-drop=0.005 rx-lose=0.005 rx-flip=0.01 rx-insert=0.005 '
               'silence=0.5/min stall=0.5/min reset=0.5/min')
     CHATTER = b'\r\nboot 1.4\r\nRAM ok\r\nlift: ok gimbal: ok\r\n'
+    OWN_ROWS = 'functions', bus_functions
 
     @classmethod
     def add_options(cls, parser: argparse.ArgumentParser) -> None:
@@ -115,7 +116,6 @@ class ControlBoard(Board):
         parser.add_argument('--no-echo', action='store_true', help='never answer ECHO')
         parser.add_argument('--ok-data', type=bytes.fromhex, default=b'', metavar='HEX',
                             help='data in the OK to a move, as 0102')
-        add_option(parser, 'bus', 'functions', bus_functions)
 
     @classmethod
     def from_options(cls, options: argparse.Namespace) -> 'ControlBoard':

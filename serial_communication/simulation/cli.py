@@ -15,6 +15,7 @@ from ..transport.port import Port, check_url
 from . import faults
 from .board import Board, Runner, positive
 from .journal import Journal
+from .own_messages import add_option
 
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _BURST, _RATE = 20, 2.0      # lines for people: in a burst, and a second after that
@@ -179,6 +180,7 @@ def _add(boards: Any, name: str, board: Type[Board], page: str) -> None:
                              'serial_communication/simulation/journal.py)')
     parser.add_argument('--duration', type=positive, metavar='S', help='end after that')
     board.add_options(parser)
+    add_option(parser, board.NAME, board.OWN_ROWS)
 
 
 def _fault_help(board: Type[Board]) -> str:

@@ -4,6 +4,7 @@ Frames leave in the order in which they were sent, as on any serial line: one th
 holds back all behind it.
 """
 from collections import deque
+from dataclasses import dataclass
 from typing import Any, Callable, Deque, NamedTuple, Optional
 
 from ..transport.port import PortBusy, PortError
@@ -22,6 +23,14 @@ class _Output(NamedTuple):
     data: bytes
     event: str              # for the journal, with the last piece; else ''
     fields: dict
+
+
+@dataclass
+class _Leaving:
+    """A frame on its way through the port, piece by piece."""
+
+    findable: bool         # what left before it ended as it should
+    whole: bool = True     # no piece of it was lost
 
 
 class Line:
@@ -51,9 +60,7 @@ class Line:
         self._waiting = 0              # bytes in it
         self._free = 0.0               # when the last byte of the queue has left
         self._last = b''               # the last byte that left, b'': none since the port opened
-        self._begun = False            # some piece of a frame has left, not yet its last
-        self._whole = True             # no piece of it was lost
-        self._findable = True          # what left before it ended as it should
+        self._leaving: Optional[_Leaving] = None   # a frame of which a piece is still to leave
         self._silent_until = 0.0
         self._stalled_until = 0.0
         self._up_at: Optional[float] = None    # the board restarts and is up again then
@@ -201,11 +208,10 @@ class Line:
 
     def _put(self, output: _Output, why: str = '') -> None:
         self._waiting -= len(output.data)
-        if not self._begun:
-            self._whole = True
+        if self._leaving is None:
             delimiter = self.board.DELIMITER
-            self._findable = not delimiter or self._last in (b'', delimiter)
-        self._begun = not output.event
+            self._leaving = _Leaving(not delimiter or self._last in (b'', delimiter))
+        frame = self._leaving
         if not why:
             try:
                 self._write(output.data)
@@ -215,15 +221,16 @@ class Line:
             except PortError:
                 why = 'closed'
         if why:
-            self._whole = False
+            frame.whole = False
         if not output.event:
             return
+        self._leaving = None
         fields = output.fields
         if output.event == 'tx':
-            intact = self._whole and 'wire' not in fields
-            fields['ok'] = intact and self._findable
-            if intact and not self._findable:
+            intact = frame.whole and 'wire' not in fields
+            fields['ok'] = intact and frame.findable
+            if intact and not frame.findable:
                 fields['behind_damage'] = True
-        if not self._whole:
+        if not frame.whole:
             fields.update(sent=False, why=why or 'busy')
         self.note(output.event, **fields)

@@ -17,7 +17,7 @@ from ..protocols import mcu
 from ..protocols.own_messages import OwnMessage, mcu_messages
 from ..transport.pace import Every
 from .board import Board, positive
-from .own_messages import Player, add_option
+from .own_messages import Player
 
 RATE = 20.0              # Hz
 OUT_OF_RANGE = 8190      # mm, what the sensor says where nothing is near enough
@@ -44,6 +44,7 @@ class SensorBoard(Board):
     CHATTER = (b'ets Jun  8 2016 00:22:57\r\n\r\nrst:0x1 (POWERON_RESET),boot:0x13 '
                b'(SPI_FAST_FLASH_BOOT)\r\nconfigsip: 0, SPIWP:0xee\r\nload:0x3fff0030,len:1184\r\n'
                b'entry 0x400805f0\r\n')
+    OWN_ROWS = 'messages', mcu_messages
 
     @classmethod
     def add_options(cls, parser: argparse.ArgumentParser) -> None:
@@ -51,7 +52,6 @@ class SensorBoard(Board):
                             help='frames a second (%(default)g)')
         parser.add_argument('--adc', action='store_true',
                             help='be the board with six ADC channels')
-        add_option(parser, 'mcu', 'messages', mcu_messages)
 
     @classmethod
     def from_options(cls, options: argparse.Namespace) -> 'SensorBoard':

@@ -15,9 +15,20 @@ _UNLIMITED = 100.0
 _TURN = 10.0      # s in which a value comes round
 
 
-def add_option(parser: argparse.ArgumentParser, section: str, rows: str,
-               parse: Callable[[Any], List[Any]]) -> None:
-    """--config FILE, whose ``section/rows`` are what the board has of one's own."""
+def add_option(parser: argparse.ArgumentParser, section: str,
+               own_rows: Optional[Tuple[str, Callable[[Any], List[Any]]]]) -> None:
+    """--config FILE, whose ``section/rows`` are what the board has of one's own.
+
+    Args:
+        own_rows: the rows' name, and what reads them; None: the board can have none, and the
+            option is taken for what a launch file gives to all of them.
+    """
+    if own_rows is None:
+        parser.add_argument('--config', metavar='FILE',
+                            help='parameters of the bridge; this board needs none of them')
+        return
+    rows, parse = own_rows
+
     def load(path: str) -> List[Any]:
         try:
             return read(path, section, rows, parse)

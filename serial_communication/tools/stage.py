@@ -16,7 +16,6 @@ from typing import Any, Callable, Dict, List, Optional, Sequence
 
 import rosgraph
 
-LINKS = ('bus', 'arduino', 'mcu')
 NODE = 'serial_communication'
 _PR_SET_PDEATHSIG = 1
 _START = 30.0            # s that anything may take to start

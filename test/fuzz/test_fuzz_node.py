@@ -9,6 +9,7 @@ from functools import partial
 
 import pytest
 import waiting
+from fake_bus import FakeBus
 from fuzz_streams import garbage
 from hypothesis import given
 
@@ -32,12 +33,14 @@ until = partial(waiting.until, seconds=PATIENCE, every=0.02)
 class Far:
     """The board's end of a port."""
 
-    def __init__(self, decoder=None):
+    def __init__(self):
         self._master, slave = pty.openpty()
         tty.setraw(slave)
         self.name = os.ttyname(slave)
-        self._decoder = decoder
         threading.Thread(target=self._run, daemon=True).start()
+
+    def come(self, data):
+        """Bytes have come."""
 
     def write(self, data):
         while data:
@@ -49,17 +52,23 @@ class Far:
                 data = os.read(self._master, 4096)
             except OSError:
                 return
-            for frame in self._decoder.feed(data) if self._decoder else ():
-                self._answer(frame)
+            self.come(data)
 
-    def _answer(self, frame):
-        """As a board on the bus that has every function and does nothing."""
-        if frame.cause:
-            return
-        request = frame.message
-        cmd1 = request.cmd1 if request.cmd1 in (bus.SYNC, bus.ECHO) else bus.OK
-        data = b'' if request.cmd1 == bus.SYNC else request.data
-        self.write(bus.encode_reply(bus.Reply(cmd1, data)))
+
+class BusFar(FakeBus, Far):
+    """A board on the bus that answers every function with the data that it gets."""
+
+    def __init__(self):
+        FakeBus.__init__(self)
+        self.rule = lambda request: (
+            bus.Reply(bus.OK, request.data) if request.cmd1 == bus.FUNCTION else None)
+        self._decoder = bus.RequestDecoder()
+        Far.__init__(self)
+
+    def come(self, data):
+        for frame in self._decoder.feed(data):
+            if not frame.cause:
+                self.take(frame)
 
 
 class Scene:
@@ -67,7 +76,7 @@ class Scene:
 
     def __init__(self, folder):
         self.stage = CampaignStage(folder).__enter__()
-        self.ports = {'bus': Far(bus.RequestDecoder()), 'arduino': Far(), 'mcu': Far()}
+        self.ports = {'bus': BusFar(), 'arduino': Far(), 'mcu': Far()}
         self.bridge = self.stage.bridge({name: port.name for name, port in self.ports.items()},
                                         {'bus/reply_timeout': 0.2, 'bus/environment_period': 0.0})
         rospy.init_node('fuzz', anonymous=True, disable_signals=True, disable_rosout=True)

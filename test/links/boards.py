@@ -16,6 +16,7 @@ from functools import partial
 import serial
 import serial.rfc2217
 import waiting
+from fake_bus import FakeBus
 
 from serial_communication.protocols import arduino
 from serial_communication.protocols import robot_ctrl_bus as bus
@@ -130,17 +131,13 @@ class Board:
             self.idle()
 
 
-class BusBoard(Board):
-    """Executes all that it is asked; `script` decides otherwise.
+class BusBoard(FakeBus, Board):
+    """The main control board."""
 
-    script(request) gives the bytes to send in place of the usual reply, or None for that one.
-    """
-
-    def __init__(self, line):
-        super().__init__(line, bus.RequestDecoder(), 'bus board')
-        self.script = lambda request: None
-        self.executed = []
-        self.answered = []       # requests that got a reply
+    def __init__(self, line, **manners):
+        FakeBus.__init__(self, **manners)
+        Board.__init__(self, line, bus.RequestDecoder(), 'bus board')
+        self.write = line.write
 
     def requests(self, cmd1=None):
         return [request for request in self.messages() if cmd1 in (None, request.cmd1)]
@@ -149,20 +146,6 @@ class BusBoard(Board):
         """Lifts, turns and raw requests, in their order."""
         return [request for request in self.requests(bus.FUNCTION)
                 if request != bus.ENVIRONMENT_REQUEST]
-
-    def take(self, frame):
-        request = frame.message
-        wire = self.script(request)
-        self.line.write(self.reply(request) if wire is None else wire)
-
-    def reply(self, request):
-        """Execute it; the usual reply's bytes."""
-        if request.cmd1 in (bus.SYNC, bus.ECHO):
-            return bus.encode_reply(bus.Reply(request.cmd1, request.data))
-        self.executed.append(request)
-        if request == bus.ENVIRONMENT_REQUEST:
-            return bus.encode_reply(bus.Reply(bus.OK, bus.Environment(350, 25.63, 48.12).pack()))
-        return bus.encode_reply(bus.Reply(bus.OK))
 
 
 class CarBoard(Board):

@@ -100,7 +100,7 @@ def test_a_poller_keeps_its_pace_and_does_not_make_up_for_what_it_missed():
 
 def test_several_things_are_polled_each_to_its_own(line, board, logger, running):
     kept = {0x30: [], 0x31: []}
-    board.script = lambda request: (
+    board.rule = lambda request: (
         bus.encode_reply(bus.Reply(bus.OK, bytes((request.cmd2,)))) if is_move(request) else None)
     link = BusLink(Port(line.path), PATIENT, logger=logger)
     for cmd2 in kept:
@@ -112,10 +112,7 @@ def test_several_things_are_polled_each_to_its_own(line, board, logger, running)
 
 
 def test_settings_reach_the_wire(line, running, logger):
-    board = running(BusBoard(line))
-    board.reply = lambda request: bus.encode_reply(
-        bus.Reply(bus.OK if request.cmd2 else request.cmd1,
-                  bytes(6) if request.cmd2 else request.data, request.cmd2), has_cmd2=True)
+    board = running(BusBoard(line, has_cmd2=True))
     link = running(BusLink(Port(line.path), PATIENT._replace(
         reply_has_cmd2=True, environment_datelen=0), logger=logger))
     until(lambda: link.master.synchronised)
@@ -124,7 +121,7 @@ def test_settings_reach_the_wire(line, running, logger):
 
 
 def test_callers_of_many_threads_each_get_their_own_reply(board, open_link):
-    board.script = lambda request: (
+    board.rule = lambda request: (
         bus.encode_reply(bus.Reply(bus.OK, request.data[::-1])) if is_move(request) else None)
     link = open_link()
     wrong = []
@@ -150,19 +147,19 @@ def test_callers_of_many_threads_each_get_their_own_reply(board, open_link):
     (bus.encode_reply(bus.Reply(bus.ERROR, b'\2\x80')), bus.ERROR, 0x8002),
     (bus.encode_reply(bus.Reply(bus.INVALID, b'\x20')), bus.INVALID, 0x20)])
 def test_a_refusal_is_told(board, open_link, wire, status, code):
-    board.script = lambda request: wire if is_move(request) else None
+    board.rule = lambda request: wire if is_move(request) else None
     outcome = open_link().lift(0, 100)
     assert (outcome.status, outcome.error_code, outcome.success) == (status, code, False)
     assert board.moves() == [LIFT]
 
 
 def test_no_reply_is_a_timeout_and_the_move_is_not_sent_again(board, open_link):
-    board.script = lambda request: b'' if is_move(request) else None
+    board.rule = lambda request: b'' if is_move(request) else None
     link = open_link(SHORT)
     outcome = link.lift(0, 100)
     assert outcome.status == TIMEOUT and 'not known' in outcome.message
     until(lambda: link.master.in_step)
-    board.script = lambda request: None
+    board.rule = lambda request: None
     assert link.gimbal(0, 1).success
     assert board.moves() == [LIFT, bus.gimbal(0, 1)]
     assert dict(link.own_values())['timeouts'] == 1
@@ -172,9 +169,9 @@ def test_a_late_reply_is_not_taken_for_the_next_requests(board, open_link):
     """The lift's OK comes just before the echo; the gimbal, asked meanwhile, gets its own."""
     late = []
 
-    def script(request):
+    def rule(request):
         if request.cmd1 == bus.ECHO and late:
-            return late.pop() + board.reply(request)
+            return late.pop() + bus.encode_reply(board.usual(request))
         if request == LIFT:
             late.append(OK_WIRE)
             return b''
@@ -183,7 +180,7 @@ def test_a_late_reply_is_not_taken_for_the_next_requests(board, open_link):
         return None
 
     link = open_link(SHORT)
-    board.script = script
+    board.rule = rule
     assert link.lift(0, 100).status == TIMEOUT
     outcome = link.gimbal(0, 1)
     assert outcome.status == bus.ERROR and not late
@@ -193,7 +190,7 @@ def test_a_refused_lift_is_not_told_as_done_where_the_ok_before_it_comes_twice(b
     """The OK's copy is on its way for 5 ms, so the next lift is asked before it is there."""
     refused = bus.lift(0, 200)
 
-    def script(request):
+    def rule(request):
         if request == LIFT:
             board.line.write(OK_WIRE)
             threading.Event().wait(0.005)
@@ -202,7 +199,7 @@ def test_a_refused_lift_is_not_told_as_done_where_the_ok_before_it_comes_twice(b
             return bus.encode_reply(bus.Reply(bus.ERROR, b'\2\x80'))
         return None
 
-    board.script = script
+    board.rule = rule
     link = open_link()
     for _ in range(20):
         assert link.lift(0, 100).success
@@ -214,11 +211,11 @@ def test_a_refused_lift_is_not_told_as_done_where_the_ok_before_it_comes_twice(b
 def test_before_a_move_a_board_that_never_echoes_is_left_in_silence(board, open_link):
     answered = []       # when the board began to answer
 
-    def script(request):
+    def rule(request):
         answered.append(time.monotonic())
         return b'' if request.cmd1 == bus.ECHO else None
 
-    board.script = script
+    board.rule = rule
     link = open_link(SHORT)
     for _ in range(5):
         assert link.sync().success
@@ -230,7 +227,7 @@ def test_before_a_move_a_board_that_never_echoes_is_left_in_silence(board, open_
 
 @pytest.mark.parametrize('data', [b'\0', bytes(6)], ids=len)
 def test_a_board_may_answer_moves_with_data(board, open_link, data):
-    board.script = lambda request: (
+    board.rule = lambda request: (
         bus.encode_reply(bus.Reply(bus.OK, data)) if is_move(request) else None)
     link = open_link()
     for _ in range(3):
@@ -240,7 +237,7 @@ def test_a_board_may_answer_moves_with_data(board, open_link, data):
 
 def test_a_reading_of_a_wrong_length_is_told_as_that_and_holds_nobody_up(board, open_link, lines):
     """The timeouts are longer than this test may take."""
-    board.script = lambda request: (
+    board.rule = lambda request: (
         bus.encode_reply(bus.Reply(bus.OK, bytes(4))) if request == bus.ENVIRONMENT_REQUEST
         else None)
     readings = []
@@ -257,7 +254,7 @@ def test_a_reading_of_a_wrong_length_is_told_as_that_and_holds_nobody_up(board, 
 
 
 def test_a_damaged_reply_is_a_timeout_told_at_once(board, open_link):
-    board.script = lambda request: b'\xa5\0\2\0' if is_move(request) else None
+    board.rule = lambda request: b'\xa5\0\2\0' if is_move(request) else None
     link = open_link()       # its timeouts are longer than this test may take
     outcome = link.lift(0, 100)
     assert outcome.status == TIMEOUT and 'damaged' in outcome.message
@@ -268,14 +265,14 @@ def test_a_damaged_reply_is_a_timeout_told_at_once(board, open_link):
 
 def test_a_damaged_reading_is_asked_for_again(board, open_link):
     answers = [b'\xa5\0\2\0']
-    board.script = lambda request: (
+    board.rule = lambda request: (
         answers.pop() if request == bus.ENVIRONMENT_REQUEST and answers else None)
     assert open_link().environment()[0].success and not answers
 
 
 @pytest.mark.parametrize('noise', [b'\x11\x22\x33', b'\xa5\xff', b'\x00' * 200])
 def test_noise_during_a_motion_does_not_cost_the_good_reply_behind_it(board, open_link, noise):
-    board.script = lambda request: noise + OK_WIRE if is_move(request) else None
+    board.rule = lambda request: noise + OK_WIRE if is_move(request) else None
     link = open_link()
     assert link.lift(0, 100).success
     assert board.moves() == [LIFT]
@@ -285,7 +282,7 @@ def test_noise_during_a_motion_does_not_cost_the_good_reply_behind_it(board, ope
 
 def test_a_frame_that_stays_incomplete_is_given_up(board, open_link):
     """A false start whose length swallows the reply holds it for `frame_timeout`, no longer."""
-    board.script = lambda request: b'\xa5\xc8' + OK_WIRE if is_move(request) else None
+    board.rule = lambda request: b'\xa5\xc8' + OK_WIRE if is_move(request) else None
     link = open_link(frame_timeout=0.1)
     assert link.lift(0, 100).success
     assert link.decoder.errors['framing'] == 1
@@ -293,7 +290,7 @@ def test_a_frame_that_stays_incomplete_is_given_up(board, open_link):
 
 def test_frame_timeout_is_as_long_as_it_says(board, open_link):
     """Within it, a reply in two pieces is one reply."""
-    board.script = lambda request: OK_WIRE[:2] if is_move(request) else None
+    board.rule = lambda request: OK_WIRE[:2] if is_move(request) else None
     link = open_link(frame_timeout=PATIENCE * 2)
     outcomes = in_background(link.lift, 0, 100)
     until(board.moves)
@@ -321,7 +318,7 @@ def test_no_request_leaves_while_a_reply_is_coming_in(board, open_link):
 def test_a_reset_board_is_synchronised_and_the_move_is_executed_once(board, open_link):
     link = open_link()
     answers = [bus.encode_reply(bus.Reply(bus.INVALID, b'\x10'))]
-    board.script = lambda request: answers.pop() if answers and is_move(request) else None
+    board.rule = lambda request: answers.pop() if answers and is_move(request) else None
     assert link.lift(0, 100).success
     assert board.executed == [LIFT]
     assert [request.cmd1 for request in board.requests()][-3:] == [
@@ -348,7 +345,7 @@ def test_a_closed_port_refuses_at_once(line, logger, running):
 
 
 def test_a_port_that_closes_during_a_motion_leaves_its_outcome_unknown(board, open_link):
-    board.script = lambda request: b'' if is_move(request) else None
+    board.rule = lambda request: b'' if is_move(request) else None
     link = open_link()
     moving = in_background(link.lift, 0, 100)
     until(board.moves)
@@ -358,7 +355,7 @@ def test_a_port_that_closes_during_a_motion_leaves_its_outcome_unknown(board, op
         assert until(lambda: moving)[0].status == TIMEOUT
         assert until(lambda: waiting)[0].status == NOT_SENT
         assert link.lift(0, 100).status == NOT_SENT
-    board.script = lambda request: None
+    board.rule = lambda request: None
     until(lambda: link.master.synchronised and link.master.in_step)
     assert link.reconnects == 1
     assert link.echo().success
@@ -377,7 +374,7 @@ def test_a_port_that_is_absent_at_start_is_waited_for(line, logger, running, lin
 
 
 def test_stopping_answers_those_who_wait(board, open_link):
-    board.script = lambda request: b'' if is_move(request) else None
+    board.rule = lambda request: b'' if is_move(request) else None
     link = open_link()
     moving = in_background(link.lift, 0, 100)
     until(board.moves)
@@ -430,7 +427,7 @@ def test_the_tap_sees_every_frame_both_ways(board, open_link):
     link = open_link()
     tapped = []
     link.tap = lambda name, direction, frame: tapped.append((name, direction, frame))
-    board.script = lambda request: b'\x11\x22' + OK_WIRE if is_move(request) else None
+    board.rule = lambda request: b'\x11\x22' + OK_WIRE if is_move(request) else None
     link.lift(0, 100)
     until(lambda: link.master.in_step)
     until(lambda: len(tapped) >= 5)

@@ -79,7 +79,7 @@ def test_a_timeout_of_0_is_never_for_speeds_and_standstills():
 
 
 def test_doubt_makes_any_stop_begin_again(motor):
-    motor.doubt()
+    motor.expect_any_speed()
     assert motor.due(100.0) == IN_DOUBT
     motor.sent(0, 100.0)
     assert len(repetitions(motor, 100.0, 102.0)) == 20

@@ -23,6 +23,14 @@ IMU_PACKET = bytes.fromhex('05092d41e00210020801040affec021e0564ff382003faf600')
 XYZ = 'x', 'y', 'z'
 
 
+def setUpModule():
+    """The boards, and what the nodes say."""
+    global BOARDS, ROSOUT
+    line = rospy.get_param('~line')
+    BOARDS = {PACKAGE: CarBoard(line + '_board'), 'tuned': CarBoard(line + '_tuned_board')}
+    ROSOUT = Rosout()
+
+
 class ArduinoTest(unittest.TestCase):
     """The car at the end of one line."""
 
@@ -320,7 +328,4 @@ class Tuned(ArduinoTest):
 
 if __name__ == '__main__':
     rospy.init_node('arduino_test')
-    LINE = rospy.get_param('~line')
-    BOARDS = {PACKAGE: CarBoard(LINE + '_board'), 'tuned': CarBoard(LINE + '_tuned_board')}
-    ROSOUT = Rosout()
     rostest.rosrun(PACKAGE, 'arduino', '__main__')

@@ -12,7 +12,6 @@ import sys
 import tempfile
 import threading
 import time
-from collections import deque
 from typing import Dict, NamedTuple
 
 import rosgraph
@@ -28,6 +27,7 @@ from serial_communication.protocols import robot_ctrl_bus as bus
 
 sys.path.insert(0, os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(__file__))),
                                 'helpers'))
+from fake_bus import AIR, FakeBus  # noqa: E402,F401
 from waiting import PATIENCE, Waiter, until  # noqa: E402,F401
 
 PACKAGE = 'serial_communication'
@@ -40,7 +40,6 @@ SYNC_FRAME = bytes.fromhex('a5000000a5')
 HEARTBEAT_PACKET = bytes.fromhex('020b00')
 SPEED_0_PACKET = bytes.fromhex('0204010100')
 CALIBRATION_PACKET = bytes.fromhex('020c00')
-AIR = bus.Environment(350, 25.63, 48.12)
 AIR_DATA = bytes.fromhex('5e01030acc12')
 
 
@@ -138,53 +137,17 @@ class Board:
                 self.take(frame)
 
 
-class BusBoard(Board):
-    """The main control board: answers SYNC and ECHO, obeys, and can be told to do otherwise.
+class BusBoard(FakeBus, Board):
+    """The main control board."""
 
-    `script` holds what the next requests but SYNC and ECHO get: a Reply, bytes, None for no
-    answer, or a function of the request that returns one of these. `echo` and `sync`, where
-    set, are such functions for theirs. On a `polled` board the environment is not scripted.
-    """
-
-    def __init__(self, path, has_cmd2=False, polled=False):
-        self._polled = polled
-        self.script = deque()
-        self.echo = None
-        self.sync = None
-        self.air = AIR
-        self._has_cmd2 = has_cmd2
-        super().__init__(path, bus.RequestDecoder())
+    def __init__(self, path, **manners):
+        FakeBus.__init__(self, **manners)
+        Board.__init__(self, path, bus.RequestDecoder())
 
     @property
     def others(self):
         """The frames that are neither SYNC nor ECHO."""
         return [frame.raw for frame in self.frames if frame.type not in (bus.SYNC, bus.ECHO)]
-
-    def say(self, reply):
-        """Send a Reply, or bytes; nothing for None."""
-        if isinstance(reply, bus.Reply):
-            reply = bus.encode_reply(reply, self._has_cmd2)
-        if reply:
-            self.write(reply)
-
-    def take(self, frame):
-        request = frame.message
-        own = {bus.SYNC: self.sync, bus.ECHO: self.echo}
-        if self._polled and request == bus.Request(bus.FUNCTION, bus.ENVIRONMENT):
-            answer = self._obey
-        elif request.cmd1 in own:
-            answer = own[request.cmd1] or (lambda r: bus.Reply(r.cmd1, r.data, r.cmd2))
-        else:
-            answer = self.script.popleft() if self.script else self._obey
-        self.say(answer(request) if callable(answer) and not isinstance(answer, bus.Reply)
-                 else answer)
-
-    def _obey(self, request):
-        if request.cmd1 != bus.FUNCTION or request.cmd2 not in (bus.LIFT, bus.GIMBAL,
-                                                                bus.ENVIRONMENT):
-            return bus.Reply(bus.ERROR, bus.UNSUPPORTED.to_bytes(2, 'little'), request.cmd2)
-        data = self.air.pack() if request.cmd2 == bus.ENVIRONMENT else b''
-        return bus.Reply(bus.OK, data, request.cmd2)
 
 
 class CarBoard(Board):
@@ -519,7 +482,7 @@ def command_topic(name, message_class):
 def settle(node, board):
     """The bus of `node` is in step, and nothing waits; `board` has forgotten all before."""
     board.script.clear()
-    board.echo = board.sync = None
+    board.rule = lambda request: None
     echo = service('/%s/bus/echo' % node, Trigger)
     until(lambda: board.connected, 'the board has its port')
     until(lambda: echo().success, 'the bus answers ECHO')

@@ -23,6 +23,16 @@ DONE = bus.Reply(bus.OK)
 FAILED = bus.Reply(bus.ERROR, bytes.fromhex('0280'))
 
 
+def setUpModule():
+    """The boards, and what the first one has read before any test."""
+    global BOARDS, BEGAN_WITH
+    line = rospy.get_param('~line')
+    BOARDS = {PACKAGE: BusBoard(line + '_board'),
+              'strict': BusBoard(line + '_strict_board', has_cmd2=True, polled=True)}
+    until(lambda: BOARDS[PACKAGE].frames, 'a first request')
+    BEGAN_WITH = bytes(BOARDS[PACKAGE].wire)
+
+
 def invalid(code):
     """An INVALID reply."""
     return bus.Reply(bus.INVALID, bytes((code,)))
@@ -138,7 +148,7 @@ class NoReply(BusTest):
     def test_a_move_times_out_after_motion_timeout_and_is_not_sent_again(self):
         for call, frame in ((self.lift, LIFT_UP_100), (self.gimbal, GIMBAL_LEFT_30)):
             self.board.forget()
-            self.board.script += [None]
+            self.board.script += [b'']
             waiter = Waiter(call, 0, frame[5])
             self.assert_answer(waiter.result(), False, TIMEOUT)
             self.assertGreaterEqual(waiter.took, 0.8)
@@ -147,7 +157,7 @@ class NoReply(BusTest):
             self.assertEqual(self.board.others, [frame])
 
     def test_a_raw_request_times_out_after_reply_timeout_and_is_not_sent_again(self):
-        self.board.script += [None]
+        self.board.script += [b'']
         waiter = Waiter(self.request, 0x55, 0x30, b'')
         self.assert_answer(waiter.result(), False, TIMEOUT)
         self.assertGreaterEqual(waiter.took, 0.4)
@@ -163,10 +173,12 @@ class NoReply(BusTest):
             if len(nonces) == 2:
                 self.board.say(bus.Reply(bus.ECHO, nonces[0]))
                 self.board.say(bus.Reply(bus.OK))
-            return bus.Reply(bus.ECHO, request.data) if len(nonces) > 1 else None
+            return None if len(nonces) > 1 else b''
 
         def say_nothing_from_here(_request):
-            self.board.echo = answer_the_second_echo
+            self.board.rule = lambda request: (
+                answer_the_second_echo(request) if request.cmd1 == bus.ECHO else None)
+            return b''
 
         self.board.script += [say_nothing_from_here]
         self.assert_answer(self.lift(0, 100), False, TIMEOUT)
@@ -183,12 +195,13 @@ class NoReply(BusTest):
         def late_reply_first(request):
             if late:
                 self.board.say(late.pop())
-            return bus.Reply(bus.ECHO, request.data) if request.cmd1 == bus.ECHO else FAILED
+            return FAILED if request.cmd1 == bus.FUNCTION else None
 
         def say_nothing_from_here(_request):
-            self.board.echo = late_reply_first
+            self.board.rule = late_reply_first
+            return b''
 
-        self.board.script += [say_nothing_from_here, late_reply_first]
+        self.board.script += [say_nothing_from_here]
         self.assert_answer(self.lift(0, 100), False, TIMEOUT)
         self.assert_answer(self.gimbal(0, 30), False, bus.ERROR, 0x8002)
         self.assertEqual(self.board.others, [LIFT_UP_100, GIMBAL_LEFT_30])
@@ -221,7 +234,8 @@ class NoReply(BusTest):
 
     def test_a_board_that_answers_sync_but_never_echo_is_served(self):
         def never_echo_from_here(_request):
-            self.board.echo = lambda request: None
+            self.board.rule = lambda request: b'' if request.cmd1 == bus.ECHO else None
+            return b''
 
         self.board.script += [never_echo_from_here]
         self.assert_answer(self.request(0x55, 0x30, b''), False, TIMEOUT)
@@ -232,11 +246,11 @@ class NoReply(BusTest):
         self.assertTrue(answered)
 
     def test_echo_and_sync_are_repeated_and_then_told(self):
-        self.board.sync = lambda request: None
+        self.board.rule = lambda request: b'' if request.cmd1 == bus.SYNC else None
         answer = self.sync()
         self.assertFalse(answer.success)
         self.assertTrue(answer.message)
-        self.board.sync = None
+        self.board.rule = lambda request: None
         self.assertGreaterEqual(self.board.raws.count(SYNC_FRAME), 2)
 
 
@@ -276,7 +290,7 @@ class Air(BusTest):
                                        doing=self.get_environment).relative_humidity, 1.0)
 
     def test_a_reading_is_asked_for_again_when_no_reply_comes(self):
-        self.board.script += [None]
+        self.board.script += [b'']
         self.assert_answer(self.get_environment(), True, bus.OK)
         self.assertEqual(self.board.others, [ENVIRONMENT] * 2)
 
@@ -441,9 +455,4 @@ class Closed(unittest.TestCase):
 
 if __name__ == '__main__':
     rospy.init_node('bus_test')
-    LINE = rospy.get_param('~line')
-    BOARDS = {PACKAGE: BusBoard(LINE + '_board'),
-              'strict': BusBoard(LINE + '_strict_board', has_cmd2=True, polled=True)}
-    until(lambda: BOARDS[PACKAGE].frames, 'a first request')
-    BEGAN_WITH = bytes(BOARDS[PACKAGE].wire)
     rostest.rosrun(PACKAGE, 'bus', '__main__')

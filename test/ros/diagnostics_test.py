@@ -22,6 +22,15 @@ BAD_CHECKSUM = {'bus': bytes.fromhex('a50002a6'),
                 'mcu': bytes.fromhex('020c1001010002000300040005000003')}
 
 
+def setUpModule():
+    """The three boards, and a record of all that comes while the tests run."""
+    global LINE, BOARDS, RECORD
+    LINE = rospy.get_param('~line')
+    BOARDS = {'bus': BusBoard(LINE + '_bus_board'), 'arduino': CarBoard(LINE + '_arduino_board'),
+              'mcu': SensorBoard(LINE + '_mcu_board')}
+    RECORD = Diagnostics()
+
+
 def number(status, key):
     """The value of a key that is a number."""
     return float(status.keys[key])
@@ -124,22 +133,17 @@ class DiagnosticsTest(unittest.TestCase):
 
     def test_a_request_without_reply_is_counted(self):
         before = self.fresh('bus', lambda s: s.level == OK, 'OK')
-        BOARDS['bus'].script.append(None)
+        BOARDS['bus'].script.append(b'')
         self.assertFalse(service('/serial_communication/lift', Lift)(0, 1).success)
         self.fresh('bus', lambda s: number(s, 'timeouts') > number(before, 'timeouts'),
                    'more timeouts')
 
     def test_a_board_that_does_not_answer_is_an_error_until_it_does(self):
-        def mute(_request):
-            return None
-
         board = BOARDS['bus']
-        board.echo = board.sync = mute
-        board.script.extend([None] * 1000)
+        board.rule = lambda request: b''
         status = self.fresh('bus', lambda s: s.level == ERROR, 'ERROR')
         self.assertIn('does not answer', status.message)
-        board.echo = board.sync = None
-        board.script.clear()
+        board.rule = lambda request: None
         self.fresh('bus', lambda s: s.level == OK, 'OK again')
 
     def test_a_closed_port_is_an_error(self):
@@ -156,8 +160,4 @@ class DiagnosticsTest(unittest.TestCase):
 
 if __name__ == '__main__':
     rospy.init_node('diagnostics_test')
-    LINE = rospy.get_param('~line')
-    BOARDS = {'bus': BusBoard(LINE + '_bus_board'), 'arduino': CarBoard(LINE + '_arduino_board'),
-              'mcu': SensorBoard(LINE + '_mcu_board')}
-    RECORD = Diagnostics()      # of all that comes while the tests run
     rostest.rosrun(PACKAGE, 'diagnostics', '__main__')

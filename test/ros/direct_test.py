@@ -21,6 +21,14 @@ from serial_communication.ros import direct
 _BIG = 'x' * (32 << 20)      # more than the kernel holds for one connection
 
 
+def setUpModule():
+    """rospy's own connection, and the one that takes its place."""
+    global QUEUED, INSTALLED
+    QUEUED = rospy.topics.QueuedConnection
+    direct.install(logging.getLogger('rosout'))
+    INSTALLED = rospy.topics.QueuedConnection
+
+
 class RawSubscriber:
     """A connection to a publisher of this process, from which nothing is read unasked."""
 
@@ -149,7 +157,4 @@ class AnotherRospy(unittest.TestCase):
 
 if __name__ == '__main__':
     rospy.init_node('direct_test')
-    QUEUED = rospy.topics.QueuedConnection
-    direct.install(logging.getLogger('rosout'))
-    INSTALLED = rospy.topics.QueuedConnection
     rostest.rosrun(PACKAGE, 'direct', '__main__')

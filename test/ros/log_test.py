@@ -75,7 +75,7 @@ class Unwritable:
         speed.unregister()
 
     def test_the_call_after_one_that_timed_out_is_answered(self):
-        self.bus.script.append(None)
+        self.bus.script.append(b'')
         lift = service('/serial_communication/lift', Lift)
         self.assertEqual(lift(0, 1).status, TIMEOUT)
         answer = lift(0, 2)

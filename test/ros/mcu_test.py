@@ -19,6 +19,13 @@ BAD_CRC_FRAME = bytes.fromhex('020c1001010002000300040005000003')
 GOT = 'connected', 'valid', 'seq', 'vl53_1', 'vl53_2'
 
 
+def setUpModule():
+    """The boards."""
+    global BOARDS
+    line = rospy.get_param('~line')
+    BOARDS = {'': SensorBoard(line + '_board'), '/other': SensorBoard(line + '_other_board')}
+
+
 class McuTest(unittest.TestCase):
     """The board at the end of one line, which never hears a byte."""
 
@@ -207,6 +214,4 @@ class Absent(unittest.TestCase):
 
 if __name__ == '__main__':
     rospy.init_node('mcu_test')
-    LINE = rospy.get_param('~line')
-    BOARDS = {'': SensorBoard(LINE + '_board'), '/other': SensorBoard(LINE + '_other_board')}
     rostest.rosrun(PACKAGE, 'mcu', '__main__')

@@ -24,6 +24,45 @@ from serial_communication.ros.rows import MCU_NAMES, PRIVATE_NAMES
 from serial_communication.srv import GetEnvironment, Lift
 
 OWN = '/' + PACKAGE + '/'
+EXAMPLES = __file__.rsplit('/', 3)[0] + '/config/own_messages.yaml'
+
+
+class OwnCar(CarBoard):
+    """The model car, which also keeps the packets whose types it does not know."""
+
+    @property
+    def unknown(self):
+        """Packets of types that no built-in has, as they were on the wire."""
+        return [frame.raw for frame in self.bad]
+
+
+class OwnBoard(BusBoard):
+    """Answers functions of one's own as `answers` has it; others as always. None: no answer."""
+
+    def __init__(self, path):
+        self.answers = {}
+        self.all = []
+        super().__init__(path)
+
+    def take(self, frame):
+        self.all.append(frame)
+        if frame.type == bus.FUNCTION and frame.command >= 0x30:
+            self.say(self.answers.get(frame.command, bus.Reply(bus.ERROR, b'\0\x80')))
+        else:
+            super().take(frame)
+
+
+def setUpModule():
+    """The boards, which every test here shares, and what the bridge says."""
+    global CAR, SENSORS, BOARD, ROSOUT, DIAGNOSTICS
+    line = rospy.get_param('~line')
+    CAR = OwnCar(line + '_arduino_board')
+    SENSORS = SensorBoard(line + '_mcu_board')
+    BOARD = OwnBoard(line + '_bus_board')
+    ROSOUT = Rosout()
+    DIAGNOSTICS = Diagnostics()
+    until(lambda: CAR.connected and SENSORS.connected, 'the boards have their ports')
+    CAR.say(level_imu())
 
 
 def packet(type_, data=b''):
@@ -397,40 +436,6 @@ class Mistakes(unittest.TestCase):
             self.assertEqual((PARAMETERS[name].default, values[name]), ({}, []))
 
 
-class OwnCar(CarBoard):
-    """The model car, which also keeps the packets whose types it does not know."""
-
-    @property
-    def unknown(self):
-        """Packets of types that no built-in has, as they were on the wire."""
-        return [frame.raw for frame in self.bad]
-
-
-class OwnBoard(BusBoard):
-    """Answers functions of one's own as `answers` has it; others as always. None: no answer."""
-
-    def __init__(self, path):
-        self.answers = {}
-        self.all = []
-        super().__init__(path)
-
-    def take(self, frame):
-        self.all.append(frame)
-        if frame.type == bus.FUNCTION and frame.command >= 0x30:
-            self.say(self.answers.get(frame.command, bus.Reply(bus.ERROR, b'\0\x80')))
-        else:
-            super().take(frame)
-
-
 if __name__ == '__main__':
     rospy.init_node('own_messages_test')
-    LINE = rospy.get_param('~line')
-    EXAMPLES = __file__.rsplit('/', 3)[0] + '/config/own_messages.yaml'
-    CAR = OwnCar(LINE + '_arduino_board')
-    SENSORS = SensorBoard(LINE + '_mcu_board')
-    BOARD = OwnBoard(LINE + '_bus_board')
-    ROSOUT = Rosout()
-    DIAGNOSTICS = Diagnostics()
-    until(lambda: CAR.connected and SENSORS.connected, 'the boards have their ports')
-    CAR.say(level_imu())
     rostest.rosrun(PACKAGE, 'own_messages', '__main__')

@@ -1,12 +1,20 @@
 #!/usr/bin/python3
-"""config/bridge.yaml and the table of parameters are one. Needs no ROS master: run it alone, or
-with unittest or pytest."""
+"""What the code says in two places is one: config/bridge.yaml and the table of parameters, the
+messages of the car and their topics. Needs no ROS master: run it alone, or with unittest or pytest.
+"""
+import logging
 import os
 import re
+import time
 import unittest
+from unittest import mock
 
+import rosunit
 import yaml
 
+from serial_communication.protocols import arduino
+from serial_communication.ros import arduino as interface
+from serial_communication.ros.interface import Common
 from serial_communication.ros.parameters import PARAMETERS, ParameterError, check
 
 CONFIG = os.path.join(os.path.dirname(os.path.abspath(__file__)), '..', '..', 'config',
@@ -104,5 +112,34 @@ class ParameterTable(unittest.TestCase):
         self.assertEqual(repr(values['bus/reply_timeout']), '2.0')
 
 
+class Sonar(arduino.Ticks):
+    """A message that the car could send."""
+
+    TYPE = 99
+
+
+class Topics(unittest.TestCase):
+    """Each message that the car sends has a topic, or the node does not start."""
+
+    @staticmethod
+    def interface():
+        """One with the default parameters, which opens no port and asks no master."""
+        values = {name: each.default
+                  for name, each in interface.ArduinoInterface.PARAMETERS.items()}
+        values.update(publish_tf=False, frame_prefix='', base_frame_id='base_link')
+        with mock.patch.object(interface, 'publisher'), \
+                mock.patch.object(interface, 'built_in_topic'):
+            return interface.ArduinoInterface(
+                values, Common(0.05, time.time, logging.getLogger('table')))
+
+    def test_every_message_of_the_car_has_a_topic(self):
+        self.assertEqual(self.interface().link.name, 'arduino')
+
+    def test_one_that_has_none_is_named_before_a_port_is_open(self):
+        with mock.patch.object(arduino, 'FROM_BOARD', (*arduino.FROM_BOARD, Sonar)), \
+                self.assertRaisesRegex(TypeError, 'messages without a topic: .*Sonar'):
+            self.interface()
+
+
 if __name__ == '__main__':
-    unittest.main()
+    rosunit.unitrun('serial_communication', 'parameter_table', '__main__')

@@ -25,6 +25,12 @@ from serial_communication.srv import Lift
 LINKS = 'bus', 'arduino', 'mcu'
 
 
+def setUpModule():
+    """What the nodes say."""
+    global ROSOUT
+    ROSOUT = Rosout()
+
+
 class PortsTest(unittest.TestCase):
     """A bridge with three links, and lines that a test plugs and unplugs."""
 
@@ -188,7 +194,7 @@ class Cut(PortsTest):
     def test_a_call_that_waits_while_the_port_goes_is_a_timeout_at_once(self):
         board = self.boards['bus']
         board.forget()
-        board.script.append(None)
+        board.script.append(b'')
         waiter = Waiter(self.lift, 0, 100)
         until(lambda: board.others, 'the request is on the wire')
         cut = time.monotonic()
@@ -267,5 +273,4 @@ class Cut(PortsTest):
 
 if __name__ == '__main__':
     rospy.init_node('ports_test')
-    ROSOUT = Rosout()
     rostest.rosrun(PACKAGE, 'ports', '__main__')

@@ -15,6 +15,14 @@ from serial_communication.srv import BusRequest, Lift
 FIELDS = 'type', 'command', 'data', 'frame', 'error'
 
 
+def setUpModule():
+    """The three boards."""
+    global BUS, CAR, SENSORS
+    line = rospy.get_param('~line')
+    BUS, CAR, SENSORS = (BusBoard(line + '_bus_board'), CarBoard(line + '_arduino_board'),
+                         SensorBoard(line + '_mcu_board'))
+
+
 class SerialMsgTest(unittest.TestCase):
     """Three boards, and one who looks on."""
 
@@ -123,7 +131,4 @@ class SerialMsgTest(unittest.TestCase):
 
 if __name__ == '__main__':
     rospy.init_node('serial_msg_test')
-    LINE = rospy.get_param('~line')
-    BUS, CAR, SENSORS = (BusBoard(LINE + '_bus_board'), CarBoard(LINE + '_arduino_board'),
-                         SensorBoard(LINE + '_mcu_board'))
     rostest.rosrun(PACKAGE, 'serial_msg', '__main__')

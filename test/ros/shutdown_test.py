@@ -108,7 +108,7 @@ class Shutdown(unittest.TestCase):
                 if number != signal.SIGINT:
                     self.stop_driving()
                     self.setUp()
-                self.bus.script.append(None)
+                self.bus.script.append(b'')
                 waiter = Waiter(service('/serial_communication/lift', Lift), 0, 100)
                 until(lambda: self.bus.others, 'the request is on the wire')
                 self.assert_ended(*self.bridge.end(number))

@@ -15,6 +15,15 @@ from serial_communication.protocols import robot_ctrl_bus as bus
 from serial_communication.srv import GetEnvironment, Lift
 
 
+def setUpModule():
+    """The three boards."""
+    global BUS, CAR, SENSORS
+    line = rospy.get_param('~line')
+    BUS, CAR, SENSORS = (BusBoard(line + '_bus_board', polled=True),
+                         CarBoard(line + '_arduino_board'), SensorBoard(line + '_mcu_board'))
+    BUS.air = bus.Environment(1, 2.0, 3.0)
+
+
 class SimulatedTime(unittest.TestCase):
     """No /clock at all."""
 
@@ -37,7 +46,7 @@ class SimulatedTime(unittest.TestCase):
         self.assertTrue(lift(0, 100).success)
         self.assertTrue(service('/serial_communication/get_environment',
                                 GetEnvironment)().success)
-        BUS.script.append(None)
+        BUS.script.append(b'')
         self.assertEqual(lift(0, 100).status, TIMEOUT)
         until(lambda: service('/serial_communication/bus/echo', Trigger)().success, 'an echo')
 
@@ -66,8 +75,4 @@ class SimulatedTime(unittest.TestCase):
 
 if __name__ == '__main__':
     rospy.init_node('simulated_time_test')
-    LINE = rospy.get_param('~line')
-    BUS, CAR, SENSORS = (BusBoard(LINE + '_bus_board', polled=True),
-                         CarBoard(LINE + '_arduino_board'), SensorBoard(LINE + '_mcu_board'))
-    BUS.air = bus.Environment(1, 2.0, 3.0)
     rostest.rosrun(PACKAGE, 'simulated_time', '__main__')

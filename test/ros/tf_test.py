@@ -14,6 +14,16 @@ from serial_communication.protocols import arduino
 HALF = sqrt(0.5)
 
 
+def setUpModule():
+    """The boards of three bridges."""
+    global CAR, SENSORS, STILL, PREFIXED_CAR, PREFIXED_SENSORS
+    line = rospy.get_param('~line')
+    CAR, SENSORS = CarBoard(line + '_arduino_board'), SensorBoard(line + '_mcu_board')
+    STILL = CarBoard(line + '_still_board')
+    PREFIXED_CAR = CarBoard(line + '_prefixed_arduino_board')
+    PREFIXED_SENSORS = SensorBoard(line + '_prefixed_mcu_board')
+
+
 class TfTest(unittest.TestCase):
     """What stands on /tf and /tf_static, by node."""
 
@@ -98,9 +108,4 @@ class TfTest(unittest.TestCase):
 
 if __name__ == '__main__':
     rospy.init_node('tf_test')
-    LINE = rospy.get_param('~line')
-    CAR, SENSORS = CarBoard(LINE + '_arduino_board'), SensorBoard(LINE + '_mcu_board')
-    STILL = CarBoard(LINE + '_still_board')
-    PREFIXED_CAR = CarBoard(LINE + '_prefixed_arduino_board')
-    PREFIXED_SENSORS = SensorBoard(LINE + '_prefixed_mcu_board')
     rostest.rosrun(PACKAGE, 'tf', '__main__')

@@ -1,4 +1,5 @@
 """Linters for what is Python, shell, XML and catkin."""
+import ast
 import os
 import shutil
 import subprocess
@@ -35,13 +36,21 @@ def test_flake8():
         '--extend-ignore=W503,W504', *python_files())
 
 
+@pytest.mark.parametrize('path', sorted(PACKAGE.rglob('*.py')), ids=name)
+def test_texts_are_put_together_as_f_strings(path):
+    """`%` takes a NamedTuple, as most messages are, for several values."""
+    assert [node.lineno for node in ast.walk(ast.parse(path.read_text()))
+            if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mod)
+            and isinstance(getattr(node.left, 'value', None), str)] == []
+
+
 @pytest.mark.parametrize('path', shell_files(), ids=name)
 def test_shellcheck(path):
     # SC2015: `a && b || complain` is what it looks like where b is a test as well.
     run('shellcheck', '--exclude=SC2015', '--external-sources', '--source-path', ROOT, path)
 
 
-@pytest.mark.parametrize('path', [ROOT / 'package.xml', *sorted(ROOT.glob('launch/*.launch')),
+@pytest.mark.parametrize('path', [ROOT / 'package.xml', *sorted(ROOT.glob('launch/*')),
                                   *sorted(ROOT.glob('config/*.urdf')),
                                   *sorted(ROOT.glob('test/ros/*.test'))], ids=name)
 def test_xml(path):

@@ -109,13 +109,13 @@ def test_every_decoder_is_timed():
 def test_a_running_number_comes_back(n):
     imu, ticks, angle, voltage = decoders.messages(
         PROTOCOLS['arduino'].package(), [packet for _, packet in arduino_turn(n)])
-    assert imu.az == n % COUNTED['imu']
-    assert ticks.value == n % COUNTED['ticks']
-    assert angle.value == n % COUNTED['steering_angle']
-    assert round(voltage.value * 128) == n % COUNTED['voltage']
+    assert imu.az == n % COUNTED['~imu']
+    assert ticks.value == n % COUNTED['~ticks']
+    assert angle.value == n % COUNTED['~steering_angle']
+    assert round(voltage.value * 128) == n % COUNTED['~voltage']
     status, = decoders.messages(
         PROTOCOLS['mcu'].package(), [frame for _, frame in mcu_turn(n)])
-    assert status.range_1 == n % COUNTED['status']
+    assert status.range_1 == n % COUNTED['mcu/status']
 
 
 # -- goals and tables -------------------------------------------------------------------------

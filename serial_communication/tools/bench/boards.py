@@ -16,6 +16,7 @@ from typing import Dict, List, Tuple
 
 from ...protocols import arduino, mcu
 from ...protocols import robot_ctrl_bus as bus
+from ..watch.topics import TOPICS, Topic
 from .child import be_a_board, jittered, serve, sleep_until, wait_until
 
 BITS = 10              # of a byte on the wire, start and stop bit included
@@ -23,27 +24,27 @@ RAW_COMMAND = 0x40     # CMD2 of a function that only this board has
 _CHUNK = 0.001         # s of wire time in one write, as a USB adapter hands it over
 _CATCH_UP = 0.004      # s of wire time in one write at most, after the talker itself was late
 
-# What is sent, and modulo what it counts: as far as its field goes.
-COUNTED = {'imu': 16384, 'ticks': 256, 'steering_angle': 1024, 'voltage': 8192,
-           'status': 60000, 'environment': 65536}
+# The topic of what is sent, and modulo what it counts: as far as its field goes.
+COUNTED = {'~imu': 16384, '~ticks': 256, '~steering_angle': 1024, '~voltage': 8192,
+           'mcu/status': 60000, '~environment': 65536}
 
 
 def arduino_turn(n: int) -> List[Tuple[str, bytes]]:
-    """What the car sends each 10 ms: (name, packet)."""
+    """What the car sends each 10 ms: (topic, packet)."""
     return [
-        ('imu', arduino.encode(arduino.Imu(16384, 0, 0, 0, 10, -20, 30, 100, -200,
-                                           n % COUNTED['imu'], -1290))),
-        ('ticks', arduino.encode(arduino.Ticks(n % COUNTED['ticks']))),
-        ('steering_angle', arduino.encode(
-            arduino.SteeringAngle(n % COUNTED['steering_angle']))),
-        ('voltage', arduino.encode(arduino.Voltage(n % COUNTED['voltage'] / 128))),
+        ('~imu', arduino.encode(arduino.Imu(16384, 0, 0, 0, 10, -20, 30, 100, -200,
+                                            n % COUNTED['~imu'], -1290))),
+        ('~ticks', arduino.encode(arduino.Ticks(n % COUNTED['~ticks']))),
+        ('~steering_angle', arduino.encode(
+            arduino.SteeringAngle(n % COUNTED['~steering_angle']))),
+        ('~voltage', arduino.encode(arduino.Voltage(n % COUNTED['~voltage'] / 128))),
     ]
 
 
 def mcu_turn(n: int) -> List[Tuple[str, bytes]]:
-    """What the sensor board sends each 50 ms: (name, frame)."""
-    return [('status', mcu.encode(mcu.SensorStatus(n % COUNTED['status'], 500, 12.34, -2.43, 2.43),
-                                  n % 256))]
+    """What the sensor board sends each 50 ms: (topic, frame)."""
+    status = mcu.SensorStatus(n % COUNTED['mcu/status'], 500, 12.34, -2.43, 2.43)
+    return [('mcu/status', mcu.encode(status, n % 256))]
 
 
 def imu_count(acceleration_z: float) -> int:
@@ -52,6 +53,13 @@ def imu_count(acceleration_z: float) -> int:
 
 
 TURNS = {'arduino': arduino_turn, 'mcu': mcu_turn}
+LINKS = (*TURNS, 'bus')      # that the bench has boards for
+
+
+def measured_topics(*links: str) -> List[Topic]:
+    """The topics with what these boards send: all but those that come on change alone."""
+    return [topic for link in links for topic in TOPICS if topic.links == (link,)
+            and topic.ages and not topic.optional]
 
 
 class Talker:
@@ -226,7 +234,7 @@ class BusBoard:
         if request.cmd1 in (bus.SYNC, bus.ECHO):
             return bus.Reply(request.cmd1, request.data)
         if request == bus.ENVIRONMENT_REQUEST:
-            smoke = self._n % COUNTED['environment']
+            smoke = self._n % COUNTED['~environment']
             return bus.Reply(bus.OK, bus.Environment(smoke, 25.63, 48.12).pack())
         if request.cmd2 == RAW_COMMAND:
             return bus.Reply(bus.OK, self._n.to_bytes(4, 'little'))

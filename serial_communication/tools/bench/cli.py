@@ -29,7 +29,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
         print('stopped', file=sys.stderr)
         return 130
     except StageError as error:
-        print('the bench does not work: %s' % error, file=sys.stderr)
+        print(f'the bench does not work: {error}', file=sys.stderr)
         return 1
     goals = judge(results)
     print(render(facts, goals, results), file=sys.stderr if options.json == '-' else sys.stdout)
@@ -89,7 +89,7 @@ def _sections(text: str) -> List[str]:
     names = text.split(',')
     for name in names:
         if name not in SECTIONS:
-            raise argparse.ArgumentTypeError('%r is none of %s' % (name, ', '.join(SECTIONS)))
+            raise argparse.ArgumentTypeError(f"{name!r} is none of {', '.join(SECTIONS)}")
     return names
 
 

@@ -47,7 +47,7 @@ class Counter:
             self._waiting.add(topic)
             connection = socket.create_connection(protocol[1:3])
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
-            fields = [b'%s=%s' % (key.encode(), value.encode()) for key, value in (
+            fields = [f'{key}={value}'.encode() for key, value in (
                 ('callerid', _ID), ('topic', topic), ('md5sum', '*'), ('type', '*'),
                 ('tcp_nodelay', '1'))]
             header = b''.join(_LENGTH.pack(len(field)) + field for field in fields)

@@ -14,40 +14,33 @@ from typing import Any, Callable, Dict, List
 import rospy
 import serial
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from roslib.message import get_message_class
 from sensor_msgs.msg import Imu, Range, RelativeHumidity, Temperature
 from std_srvs.srv import Trigger
 
-from serial_communication.msg import (Environment, McuStatus2, SteeringFeedback, Ticks, Voltage)
+from serial_communication.msg import Environment, SteeringFeedback, Ticks, Voltage
 from serial_communication.srv import BusRequest, GetEnvironment
 
 from ...protocols import arduino, mcu
 from ...protocols import robot_ctrl_bus as bus
 from ...ros.geometry import quaternion
-from .boards import RAW_COMMAND, imu_count
+from ..stage import NODE
+from ..watch.topics import resolve
+from .boards import LINKS, RAW_COMMAND, imu_count, measured_topics
 from .child import serve, sleep_until
 from .decoders import ByteArduino, ByteBus, ByteMcu
 
 POLLS = 200                # a second
 HEARTBEAT_EVERY = 2        # polls
 ENVIRONMENT_EVERY = 10     # polls; the bridge is set to the same period
-NODE = 'serial_communication'
 
-# Every topic that the bridge publishes at the boards' rates, its type, and where the message
-# holds the running number that the board put in (None: it is only received).
-TOPICS = {
-    NODE + '/imu': (Imu, 'imu', lambda m: imu_count(m.linear_acceleration.z)),
-    NODE + '/imu/temperature': (Temperature, '', None),
-    NODE + '/ticks': (Ticks, 'ticks', lambda m: m.value),
-    NODE + '/steering_angle': (SteeringFeedback, 'steering_angle', lambda m: m.value),
-    NODE + '/voltage': (Voltage, 'voltage', lambda m: round(m.value * 128)),
-    NODE + '/environment': (Environment, 'environment', lambda m: m.smoke),
-    NODE + '/environment/temperature': (Temperature, '', None),
-    NODE + '/environment/humidity': (RelativeHumidity, '', None),
-    'mcu/status': (McuStatus2, 'status', lambda m: m.vl53_1),
-    'mcu/imu': (Imu, '', None),
-    'mcu/range_1': (Range, '', None),
-    'mcu/range_2': (Range, '', None),
-}
+# Every topic that the bridge publishes at the boards' rates, as the bridge names it: with its
+# type, and where the message holds the running number that the board put in.
+TOPICS = {topic.name: get_message_class(topic.type) for topic in measured_topics(*LINKS)}
+COUNTS: Dict[str, Callable[[Any], int]] = {
+    '~imu': lambda m: imu_count(m.linear_acceleration.z), '~ticks': lambda m: m.value,
+    '~steering_angle': lambda m: m.value, '~voltage': lambda m: round(m.value * 128),
+    '~environment': lambda m: m.smoke, 'mcu/status': lambda m: m.vl53_1}
 
 
 class Reference:
@@ -57,14 +50,13 @@ class Reference:
         self._ports = {link: serial.Serial(port, 115200, timeout=0)
                        for link, port in ports.items()}
         self._decoders = {'arduino': ByteArduino(), 'mcu': ByteMcu(), 'bus': ByteBus()}
-        self._topics = {name: rospy.Publisher('~' + name[len(NODE) + 1:] if name.startswith(NODE)
-                                              else name, topic[0], queue_size=10)
-                        for name, topic in TOPICS.items()}
+        self._topics = {name: rospy.Publisher(name, message_class, queue_size=10)
+                        for name, message_class in TOPICS.items()}
         self._handlers: Dict[type, Callable[[Any], None]] = {
             arduino.Imu: self._imu, mcu.SensorStatus: self._status, bus.Reply: self._reply,
-            arduino.Ticks: lambda m: self._value('/ticks', Ticks, m),
-            arduino.SteeringAngle: lambda m: self._value('/steering_angle', SteeringFeedback, m),
-            arduino.Voltage: lambda m: self._value('/voltage', Voltage, m),
+            arduino.Ticks: lambda m: self._value('~ticks', Ticks, m),
+            arduino.SteeringAngle: lambda m: self._value('~steering_angle', SteeringFeedback, m),
+            arduino.Voltage: lambda m: self._value('~voltage', Voltage, m),
         }
         threading.Thread(target=self._run, daemon=True).start()
 
@@ -91,7 +83,7 @@ class Reference:
         self._topics[topic].publish(message)
 
     def _value(self, topic: str, message_class: type, message: Any) -> None:
-        self._publish(NODE + topic, message_class(value=message.value))
+        self._publish(topic, message_class(value=message.value))
 
     def _imu(self, message: arduino.Imu) -> None:
         out = Imu()
@@ -102,8 +94,8 @@ class Reference:
          out.angular_velocity.z) = message.angular_velocity()
         (out.linear_acceleration.x, out.linear_acceleration.y,
          out.linear_acceleration.z) = message.linear_acceleration()
-        self._publish(NODE + '/imu', out)
-        self._publish(NODE + '/imu/temperature', Temperature(temperature=message.temperature()))
+        self._publish('~imu', out)
+        self._publish('~imu/temperature', Temperature(temperature=message.temperature()))
 
     def _status(self, message: mcu.SensorStatus) -> None:
         self._topics['mcu/status'].publish(rospy.Time.now(), 0, True, message.valid, 0, 0.0,
@@ -120,10 +112,10 @@ class Reference:
         if len(reply.data) != bus.Environment.LAYOUT.size:
             return
         reading = bus.Environment.unpack(reply.data)
-        self._publish(NODE + '/environment', Environment(None, *reading))
-        self._publish(NODE + '/environment/temperature',
+        self._publish('~environment', Environment(None, *reading))
+        self._publish('~environment/temperature',
                       Temperature(temperature=reading.temperature))
-        self._publish(NODE + '/environment/humidity',
+        self._publish('~environment/humidity',
                       RelativeHumidity(relative_humidity=reading.humidity / 100))
 
 
@@ -133,24 +125,18 @@ class Floor:
     def __init__(self) -> None:
         def topic(name: str) -> rospy.Publisher:
             # As the bridge has its publishers, so that the comparison is of the rest.
-            return rospy.Publisher('~' + name[len(NODE) + 1:] if name.startswith(NODE) else name,
-                                   TOPICS[name][0], queue_size=100, tcp_nodelay=True)
+            return rospy.Publisher(name, TOPICS[name], queue_size=100, tcp_nodelay=True)
 
         diagnostics = rospy.Publisher('diagnostics', DiagnosticArray, queue_size=100,
                                       tcp_nodelay=True)
         # As many and as long as the bridge's three.
-        values = [KeyValue('bytes received %d' % n, '1234567') for n in range(15)]
+        values = [KeyValue(f'bytes received {n}', '1234567') for n in range(15)]
         array = DiagnosticArray(status=[DiagnosticStatus(
             0, 'serial_communication: bus link', 'open', '/dev/ttyUSB0', values)])
-        self._loops = {
-            100.0: [(topic(NODE + name), _ready_made(NODE + name)) for name in (
-                '/imu', '/imu/temperature', '/ticks', '/steering_angle', '/voltage')],
-            20.0: [(topic(name), _ready_made(name)) for name in (
-                'mcu/status', 'mcu/range_1', 'mcu/range_2', 'mcu/imu')],
-            1.0: [(topic(NODE + name), _ready_made(NODE + name)) for name in (
-                '/environment', '/environment/temperature', '/environment/humidity')]
-            + [(diagnostics, array)] * 3,
-        }
+        self._loops = {rate: [(topic(each.name), _ready_made(each.name))
+                              for each in measured_topics(link)]
+                       for link, rate in (('arduino', 100.0), ('mcu', 20.0), ('bus', 1.0))}
+        self._loops[1.0] += [(diagnostics, array)] * 3
 
     def publish(self, seconds: float) -> int:
         """For so long; returns how many messages."""
@@ -176,7 +162,7 @@ class Floor:
 
 
 def _ready_made(name: str) -> Any:
-    message = TOPICS[name][0]()
+    message = TOPICS[name]()
     if hasattr(message, 'header'):
         message.header.frame_id = 'imu'
         message.header.stamp = rospy.Time.now()
@@ -191,20 +177,20 @@ class Subscriber:
         self._counts: Dict[str, int] = {}
         self._subscribers = []
         for namespace in namespaces:
-            for name, (message_class, kind, count) in TOPICS.items():
-                self._subscribers.append(self._subscribe(namespace, name, message_class, kind,
-                                                         count))
+            for name, message_class in TOPICS.items():
+                self._subscribers.append(self._subscribe(namespace, name, message_class))
             # Who does not publish it, the reference, is not waited for.
-            self._subscribe(namespace, 'diagnostics', DiagnosticArray, '', None)
+            self._subscribe(namespace, 'diagnostics', DiagnosticArray)
 
-    def _subscribe(self, namespace, name, message_class, kind, count) -> rospy.Subscriber:
-        counts, topic = self._counts, '%s/%s' % (namespace, name)
+    def _subscribe(self, namespace: str, name: str, message_class: type) -> rospy.Subscriber:
+        counts, topic = self._counts, resolve(name, f'{namespace}/{NODE}')
         counts[topic] = 0
+        count = COUNTS.get(name)
         if count is None:
             def callback(_message):
                 counts[topic] += 1
         else:
-            stamps = self._received.setdefault(namespace, {}).setdefault(kind, [])
+            stamps = self._received.setdefault(namespace, {}).setdefault(name, [])
             monotonic = time.monotonic
 
             def callback(message):
@@ -236,7 +222,7 @@ class Subscriber:
         return self._counts
 
     def collect(self, namespace: str) -> Dict[str, list]:
-        """[number, time of the callback] by name, since `begin`."""
+        """[number, time of the callback] by topic, since `begin`."""
         return self._received[namespace]
 
 
@@ -244,7 +230,7 @@ class Caller:
     """Calls the bus services of one bridge from several threads at once."""
 
     def __init__(self, namespace: str) -> None:
-        self._prefix = '%s/%s/' % (namespace, NODE)
+        self._prefix = f'{namespace}/{NODE}/'
 
     def _ask(self, kind: str) -> Callable[[], Any]:
         """A connection of its own; a call returns the number in the answer, -1 without one."""

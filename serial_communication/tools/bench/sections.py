@@ -8,7 +8,8 @@ import time
 from typing import Any, Callable, Dict, List, NamedTuple, Sequence, Tuple
 
 from ..stage import NODE, Child
-from .boards import BITS, COUNTED, TURNS
+from ..watch.topics import resolve
+from .boards import BITS, COUNTED, LINKS, TURNS, measured_topics
 from .decoders import run as run_decoders
 from .figures import BusCalls, Bridges, Cpu, Decoding, Heartbeat, Latency, Load, RowCost
 from .nodes import ENVIRONMENT_EVERY, POLLS
@@ -17,8 +18,6 @@ from .rows import run as run_rows
 from .stage import BenchStage, Servant, memory
 
 RATES = {'arduino': 100.0, 'mcu': 20.0}           # turns a second, as the boards have it
-_OF_LINK = {'arduino': ('imu', 'ticks', 'steering_angle', 'voltage'), 'mcu': ('status',),
-            'bus': ('environment',)}
 _THINKING = 0.005      # s that the bus board takes at most, so that no poller is in phase
 _SETTLE = 0.2          # s for what is under way to arrive
 _CALLERS = 8
@@ -80,7 +79,7 @@ def latency(stage: BenchStage, plan: Plan) -> List[Latency]:
     """From the board's write to the subscriber's callback, of each link."""
     pair = _Pair(stage)
     measured: Dict[Tuple[str, str], List[List[float]]] = {
-        (link, side): [] for link in _OF_LINK for side in pair.boards}
+        (link, side): [] for link in LINKS for side in pair.boards}
     missing = dict.fromkeys(measured, 0)
     for side in pair.turns(plan.turns):
         boards = pair.boards[side]
@@ -90,10 +89,10 @@ def latency(stage: BenchStage, plan: Plan) -> List[Latency]:
         exchanges = boards.bus.ask('collect')
         time.sleep(_SETTLE)
         received = pair.subscriber.ask('collect', namespace='/' + side)
-        sent['environment'] = [(number, written) for number, _, written, _ in exchanges]
-        for link, names in _OF_LINK.items():
+        sent['~environment'] = [(number, written) for number, _, written, _ in exchanges]
+        for link in LINKS:
             turn: List[float] = []
-            for name in names:
+            for name in [topic.name for topic in measured_topics(link) if topic.name in COUNTED]:
                 latencies, unmatched = match(sent[name], received[name], COUNTED[name])
                 turn += latencies
                 missing[link, side] += unmatched
@@ -197,7 +196,7 @@ def _bridges_row(stage: BenchStage, plan: Plan, number: int) -> Bridges:
 
     for name in names:
         stage.wait(lambda: not counter.ask('connect', node=f'{name}/{NODE}',
-                                           topics=_topics(name, *_TOPICS)),
+                                           topics=_topics(name, *LINKS)),
                    f'the bridge {name} is up')
     stage.wait(lambda: not counter.ask('waiting'), 'every topic is connected')
     load(1.0)
@@ -269,15 +268,9 @@ def rows(_stage: BenchStage, plan: Plan) -> List[RowCost]:
 
 # -- 6: until something is lost -----------------------------------------------------------------
 
-_TOPICS = {'arduino': ['imu', 'imu/temperature', 'ticks', 'steering_angle', 'voltage'],
-           'mcu': ['status', 'imu', 'range_1', 'range_2'],
-           'bus': ['environment', 'environment/temperature', 'environment/humidity']}
-
-
 def _topics(namespace: str, *links: str) -> List[str]:
     """Of these links, with their whole names."""
-    return [f"{namespace}/{'mcu' if link == 'mcu' else NODE}/{name}" for link in links
-            for name in _TOPICS[link]]
+    return [resolve(topic.name, f'{namespace}/{NODE}') for topic in measured_topics(*links)]
 
 
 def _scale_cases(plan: Plan) -> List[Tuple[str, int, float]]:
@@ -320,9 +313,10 @@ def _scale_row(stage: BenchStage, link: str, baud: int, load: float, seconds: fl
     stage.check(node)
     said = _diagnostics(counter, link)
     packets = sent['packets']
-    # Of the car's four packets the first makes two messages, the others one each.
-    dues = ([(packets + 3 - n) // 4 for n in (0, 0, 1, 2, 3)] if link == 'arduino'
-            else [packets] * len(topics))
+    # Each packet of a turn makes a message on its topic; the first makes those on the others, too.
+    turn = [name for name, _ in TURNS[link](0)]
+    dues = [(packets + len(turn) - 1 - (turn.index(name) if name in turn else 0)) // len(turn)
+            for name in [topic.name for topic in measured_topics(link)]]
     # A silent sensor board's status is published, too: that one is not due.
     published = sum(min(counts[topic], due) for topic, due in zip(topics, dues))
     due = sum(dues)
@@ -358,7 +352,7 @@ def _settled(counter: Servant, topics: List[str]) -> Dict[str, int]:
 
 def _diagnostics(counter: Servant, link: str) -> Dict[str, str]:
     for name, values in counter.ask('diagnostics').items():
-        if name.endswith('%s link' % link):
+        if name.endswith(f'{link} link'):
             return values
     return {'frames received': '0'}
 

@@ -10,7 +10,8 @@ import sys
 import tty
 from typing import Any, Dict, List, Tuple
 
-from ..stage import LINKS, Child, Stage
+from ..stage import Child, Stage
+from .boards import LINKS
 
 _ANSWER = 300.0   # s that an order may take
 

@@ -105,7 +105,7 @@ def _arguments(argv: Optional[List[str]]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description='Show what the bridge does, once a second.')
     parser.add_argument('--boards', default='real', help='what to call the boards')
     parser.add_argument('--links', nargs='+', choices=LINKS, default=LINKS, metavar='LINK',
-                        help='the links that are on: bus, arduino, mcu')
+                        help='the links that are on: ' + ', '.join(LINKS))
     parser.add_argument('--move', action='store_true',
                         help='move lift and gimbal and drive the car')
     parser.add_argument('--duration', type=float, metavar='SECONDS', help='end by itself')

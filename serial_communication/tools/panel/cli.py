@@ -39,7 +39,7 @@ def _port(text: str) -> int:
 
 
 def _token(text: str) -> str:
-    if not re.fullmatch(r'[A-Za-z0-9._~-]{%d,200}' % SHORTEST_TOKEN, text):
+    if not re.fullmatch(rf'[A-Za-z0-9._~-]{{{SHORTEST_TOKEN},200}}', text):
         raise argparse.ArgumentTypeError(
             f'{len(text)} characters, may be at least {SHORTEST_TOKEN} of A-Z a-z 0-9 . _ ~ -')
     return text

@@ -24,7 +24,7 @@ def check_bus(calls: List[Dict], journal: List[Dict], blind_replies: List[float]
     """All rows of the bus.
 
     Args:
-        blind_replies: when damage made another sound reply of one.
+        blind_replies: when damage made another valid reply of one.
         timeouts: of each kind of call, s.
         stopped: when the campaign had stopped the bridge.
         no_master: when there was no ROS master that knew the bridge, so that no caller who
@@ -42,7 +42,7 @@ def check_bus(calls: List[Dict], journal: List[Dict], blind_replies: List[float]
         for call, what in found:
             end = call['t1'] if call['t1'] is not None else call['t0'] + 10
             at = bisect_right(blind_times, call['t0'] - _OK_TO_PASS)
-            line = (call['t0'], '%s %s, %s' % (_name(call), _told(call), what))
+            line = (call['t0'], f'{_name(call)} {_told(call)}, {what}')
             if at < len(blind_times) and blind_times[at] <= end + _OK_TO_PASS:
                 excused.append(line)
             else:
@@ -54,18 +54,18 @@ def check_bus(calls: List[Dict], journal: List[Dict], blind_replies: List[float]
         groups[_group(fate.call)].append(fate)
     rows = [
         Row('bus', 'told success: executed exactly once', len(groups['success']), violations_of(
-            [(f.call, 'executed %d times' % len(f.executed)) for f in groups['success']
+            [(f.call, f'executed {len(f.executed)} times') for f in groups['success']
              if len(f.executed) != 1])),
         Row('bus', 'told refused or not sent: not executed', len(groups['refused']), violations_of(
-            [(f.call, 'executed at %s' % _times(f.executed)) for f in groups['refused']
+            [(f.call, f'executed at {_times(f.executed)}') for f in groups['refused']
              if f.executed])),
         Row('bus', 'told timeout: executed at most once', len(groups['timeout']), violations_of(
-            [(f.call, 'executed at %s' % _times(f.executed)) for f in groups['timeout']
+            [(f.call, f'executed at {_times(f.executed)}') for f in groups['timeout']
              if len(f.executed) > 1]),
-            '%d executed, %d not' % (sum(1 for f in groups['timeout'] if f.executed),
-                                     sum(1 for f in groups['timeout'] if not f.executed))),
+            f"{sum(1 for f in groups['timeout'] if f.executed)} executed, "
+            f"{sum(1 for f in groups['timeout'] if not f.executed)} not"),
         Row('bus', 'nothing executed twice', len(executed), violations_of(
-            [(f.call, 'executed at %s' % _times(f.executed)) for f in fates
+            [(f.call, f'executed at {_times(f.executed)}') for f in fates
              if len(f.executed) > 1])),
         Row('bus', 'nothing executed that nobody asked for', len(executed),
             [(event['t'], event['text'][:80]) for event in orphans]),
@@ -73,8 +73,8 @@ def check_bus(calls: List[Dict], journal: List[Dict], blind_replies: List[float]
         answered(calls, timeouts, stopped, no_master)]
     count = len(blind) + len(blind_replies)
     rows.append(Row(
-        'bus', 'damage that an XOR cannot see', count, [], '%d calls told wrong by it' % len(
-            {line[0] for line in excused}), False,
+        'bus', 'damage that an XOR cannot see', count, [],
+        f'{len({line[0] for line in excused})} calls told wrong by it', False,
         'a request or a reply that damage turned into another with a right checksum: one in 256 '
         'of those whose damage is not a single bit; nobody can tell it from a good one'
         if count else ''))
@@ -123,7 +123,7 @@ def _group(call: Dict) -> str:
 def _wrong_replies(succeeded: List[_Fate], violations_of) -> Row:
     raw = [fate.call for fate in succeeded if fate.call['kind'] == 'raw']
     return Row('bus', 'no reply to the wrong caller (raw: its own unique data)', len(raw),
-               violations_of([(call, 'with the reply %s' % call['reply'][:40]) for call in raw
+               violations_of([(call, f"with the reply {call['reply'][:40]}") for call in raw
                               if call['reply'] != call['data']]))
 
 
@@ -136,7 +136,7 @@ def answered(calls: List[Dict], timeouts: Dict[str, float], stopped: Intervals =
             continue
         tries += 1
         if call['t1'] is None:
-            violations.append((call['t0'], '%s was never answered' % _name(call)))
+            violations.append((call['t0'], f'{_name(call)} was never answered'))
             continue
         if 'exception' in call and no_master.touches(call['t0'], call['t1']):
             continue
@@ -144,12 +144,12 @@ def answered(calls: List[Dict], timeouts: Dict[str, float], stopped: Intervals =
                 - stopped.seconds_within(call['t0'], call['t1']))
         worst = max(worst, over)
         if 'exception' in call:
-            violations.append((call['t0'], '%s: %s' % (_name(call), call['exception'][:100])))
+            violations.append((call['t0'], f"{_name(call)}: {call['exception'][:100]}"))
         elif over > PATIENCE:
-            violations.append((call['t0'], '%s answered %.2f s after its timeout (%s)'
-                               % (_name(call), over, call['message'][:80])))
+            violations.append((call['t0'], f'{_name(call)} answered {over:.2f} s after its '
+                               f'timeout ({call["message"][:80]})'))
     return Row('bus', 'every call answered within its timeout + 1 s', tries, violations,
-               '%.2f s after its timeout' % worst)
+               f'{worst:.2f} s after its timeout')
 
 
 def outcomes(calls: List[Dict]) -> str:
@@ -161,12 +161,12 @@ def outcomes(calls: List[Dict]) -> str:
             if group == 'refused' and call['status'] == NOT_SENT:
                 group = 'not sent'
             counts[group] = counts.get(group, 0) + 1
-    return ', '.join('%d %s' % (counts[key], key) for key in (
+    return ', '.join(f'{counts[key]} {key}' for key in (
         'success', 'refused', 'not sent', 'timeout', 'lost') if key in counts)
 
 
 def _name(call: Dict) -> str:
-    return '%s %s' % (call['kind'], call.get('data', '')[:24])
+    return f"{call['kind']} {call.get('data', '')[:24]}"
 
 
 def _told(call: Dict) -> str:
@@ -174,9 +174,9 @@ def _told(call: Dict) -> str:
         return 'never answered'
     if 'exception' in call:
         return call['exception'][:80]
-    return 'told %s (status %d) after %.3f s' % (_group(call), call.get('status', 0),
-                                                 call['t1'] - call['t0'])
+    return (f"told {_group(call)} (status {call.get('status', 0)}) "
+            f"after {call['t1'] - call['t0']:.3f} s")
 
 
 def _times(times: List[float]) -> str:
-    return ', '.join('%.3f' % t for t in times)
+    return ', '.join(f'{t:.3f}' for t in times)

@@ -25,10 +25,10 @@ def check_published(group: str, says: str, topics: Dict[str, Tuple[List[Sent], L
     for name, (sent, published) in topics.items():
         found = align(sent, published, late=late)
         tries += sum(1 for one in sent if one.must)
-        violations += [(sent[i].t, '%s: frame %d was not published: %s'
-                        % (name, sent[i].n, sent[i].key)) for i in found.lost]
-        violations += [(published[j][0], '%s: published, but no frame says so: %s'
-                        % (name, published[j][1])) for j in found.extra]
+        violations += [(sent[i].t, f'{name}: frame {sent[i].n} was not published: {sent[i].key}')
+                       for i in found.lost]
+        violations += [(published[j][0], f'{name}: published, but no frame says so: '
+                        f'{published[j][1]}') for j in found.extra]
         held = max([held] + [one[2] - one[0] for one in published
                              if len(one) > 2 and not held_up.touches(one[0], one[2])])
         for i, j in found.pairs:
@@ -37,8 +37,8 @@ def check_published(group: str, says: str, topics: Dict[str, Tuple[List[Sent], L
             blind += sent[i].kind == 'blind'
             maybe += sent[i].kind == 'maybe'
     return Row(group, says, tries, sorted(violations),
-               '%.0f ms from the board to the stamp, %.0f ms on to a subscriber'
-               % (worst * 1e3, held * 1e3)), blind, maybe
+               f'{worst * 1e3:.0f} ms from the board to the stamp, '
+               f'{held * 1e3:.0f} ms on to a subscriber'), blind, maybe
 
 
 def _lonely(sent: List[Sent], i: int) -> bool:

@@ -3,6 +3,7 @@ import re
 from bisect import bisect_right
 from typing import Dict, List, Tuple
 
+from .expected import LINKS
 from .table import Row
 
 RETURN = 1.5             # s from a port's return to data
@@ -24,14 +25,14 @@ def check_level(usage: List[Dict], start: float, settled: float, end: float) -> 
         worst = ''
         if early and later:
             growth = max(later) - max(early)
-            shown = '%.1f' if unit else '%d'
-            worst = 'at most %s, then %s%s' % (shown % max(early), shown % max(later), unit)
+            digits = 1 if unit else 0
+            worst = f'at most {max(early):.{digits}f}, then {max(later):.{digits}f}{unit}'
             if growth > slack:
-                violations.append((end, '%s grew by %.1f%s between the halves of the time after '
-                                   'the first %.0f s' % (key, growth, unit, settled - start)))
-        rows.append(Row('node', '%s level after the first %.0f s' % (
-            {'files': 'open files'}.get(key, key), settled - start), len(early) + len(later),
-            violations, worst))
+                violations.append((end, f'{key} grew by {growth:.1f}{unit} between the halves of '
+                                   f'the time after the first {settled - start:.0f} s'))
+        name = {'files': 'open files'}.get(key, key)
+        rows.append(Row('node', f'{name} level after the first {settled - start:.0f} s',
+                        len(early) + len(later), violations, worst))
     return rows
 
 
@@ -52,7 +53,7 @@ def log_lines(text: str, seconds_of) -> List[Tuple[float, str, str]]:
 def cause_of(text: str) -> Tuple[str, str]:
     """(link, cause) of a line of the bridge's: its words without what differs each time."""
     link, _colon, rest = text.partition(': ')
-    if link not in ('bus', 'arduino', 'mcu'):
+    if link not in LINKS:
         return '', _NUMBERS.sub('#', text)[:80]
     rest = re.sub(r' \(and \d+ more like it\)$', '', rest)
     if rest.startswith(('checksum', 'framing', 'length', 'unknown type', 'implausible',
@@ -82,11 +83,11 @@ def check_log(lines: List[Tuple[float, str, str]]) -> List[Row]:
             gap = t - last[link, cause]
             closest = min(closest, gap)
             if gap < _LOG_PERIOD - _LOG_JITTER:
-                violations.append((t, '%.2f s after the one before: %s' % (gap, text[:150])))
+                violations.append((t, f'{gap:.2f} s after the one before: {text[:150]}'))
         last[link, cause] = t
     return [Row('node', 'no cause has more than one log line in 10 s per link', tries, violations,
-                '%.1f s apart' % closest if closest < 1e9 else '',
-                note="the board's own log lines, %d of them, have a limit of their own" % said
+                f'{closest:.1f} s apart' if closest < 1e9 else '',
+                note=f"the board's own log lines, {said} of them, have a limit of their own"
                 if said else ''),
             Row('node', 'no traceback, no link that gets stuck', len(lines), faults)]
 
@@ -107,7 +108,7 @@ def check_returns(link: str, returns: List[Tuple[float, float]], data: List[floa
         took = data[at] - back if at < len(data) else 1e9
         worst = max(worst, took)
         if took > RETURN:
-            violations.append((back, 'no data for %s' % (
-                '%.2f s' % took if took < 1e9 else 'good')))
-    return Row('ports', 'data of the %s link within 1.5 s of its port\'s return' % link, tries,
-               violations, '%.2f s' % worst if tries and worst < 1e9 else '')
+            violations.append((back, 'no data for ' + (
+                f'{took:.2f} s' if took < 1e9 else 'good')))
+    return Row('ports', f"data of the {link} link within 1.5 s of its port's return", tries,
+               violations, f'{worst:.2f} s' if tries and worst < 1e9 else '')

@@ -21,17 +21,12 @@ from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 from serial_communication.srv import BusRequest, GetEnvironment, Gimbal, Lift
 
 from ...protocols import robot_ctrl_bus as bus
+from ..watch.topics import NODE, SERIAL_MSG, resolve
+from .expected import RECORDED
 from .packets import PRESS
 from .records import Lines, MessageFile
 
-NODE = '/serial_communication'
-TOPICS = [NODE + name for name in (
-    '/imu', '/imu/temperature', '/imu/calibrating', '/voltage', '/ticks', '/steering_angle',
-    '/pressure', '/line',
-    '/environment', '/environment/temperature', '/environment/humidity')] + [
-        '/mcu/status', '/mcu/imu', '/mcu/range_1', '/mcu/range_2', '/mcu/cliff', '/tf',
-        '/diagnostics']
-TRAFFIC = '/serial_msg'
+TRAFFIC = resolve(SERIAL_MSG, NODE)
 MEMORY = 0xF0          # CMD2 that the simulated board executes and no bridge knows
 UNSUPPORTED = 0x77     # CMD2 that it refuses
 PATIENCE = 6.0         # s that a call may take before it counts as lost
@@ -53,7 +48,7 @@ def main() -> int:
         return beat(path)
     rospy.init_node('soak_' + role, anonymous=True, disable_signals=True,
                     disable_rosout=True)
-    ROLES[role](path, random.Random('%s %s' % (role, seed)))
+    ROLES[role](path, random.Random(f'{role} {seed}'))
     # Not through rospy's own end, which may wait for a bridge that is gone.
     sys.stdout.flush()
     os._exit(0)
@@ -117,7 +112,7 @@ class Caller(threading.Thread):
                 record.update(_told(answer))
             except Exception as error:  # pylint: disable=broad-except
                 record['t1'] = time.monotonic()
-                record['exception'] = '%s: %s' % (type(error).__name__, error)
+                record['exception'] = f'{type(error).__name__}: {error}'
                 proxy = None
             self.under_way = {}
             self._lines.write(**record)
@@ -338,7 +333,7 @@ def _lift_once(lines: Lines) -> None:
 
 def record(path: str, _random: random.Random) -> None:
     """Every topic but serial_msg, as it was serialized."""
-    _record(path, TOPICS)
+    _record(path, list(RECORDED))
 
 
 def record_traffic(path: str, _random: random.Random) -> None:
@@ -363,7 +358,7 @@ def _take(message: rospy.AnyMsg, file_and_topic: Tuple[MessageFile, str]) -> Non
 
 def sleep(_path: str, _random: random.Random) -> None:
     """Subscribes to everything; to be stopped and continued from outside."""
-    for topic in TOPICS + [TRAFFIC]:
+    for topic in [*RECORDED, TRAFFIC]:
         rospy.Subscriber(topic, rospy.AnyMsg, lambda message: None)
     stopping.wait()
 

@@ -48,7 +48,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
             stage.discard()
         return 130
     except StageError as error:
-        print('the campaign does not work: %s' % error, file=sys.stderr)
+        print(f'the campaign does not work: {error}', file=sys.stderr)
         return 2
     status = _report(rows, options, stage.folder)
     if not status:
@@ -67,7 +67,7 @@ def _hostile(options) -> int:
         print('stopped', file=sys.stderr)
         return 130
     except StageError as error:
-        print('soak --hostile does not work: %s' % error, file=sys.stderr)
+        print(f'soak --hostile does not work: {error}', file=sys.stderr)
         return 2
     print(render_costs('decoder', decoders))
     print()
@@ -81,9 +81,9 @@ def _hostile(options) -> int:
 def _report(rows, options, folder: str) -> int:
     print(render(rows))
     failed = [row for row in rows if row.violations]
-    print('%d invariants, %d violated' % (sum(row.judged for row in rows), len(failed)))
+    print(f'{sum(row.judged for row in rows)} invariants, {len(failed)} violated')
     if failed:
-        print('evidence: %s' % folder)
+        print(f'evidence: {folder}')
     if options.json:
         with open(options.json, 'w') as file:
             json.dump({'seed': options.seed, 'duration': options.duration, 'folder': folder,
@@ -113,14 +113,14 @@ def _parse(arguments: List[str]) -> argparse.Namespace:
     if options.seed is None:
         options.seed = SystemRandom().randrange(1 << 31)
     if options.keep and os.path.isdir(options.keep) and os.listdir(options.keep):
-        parser.error('%s is not empty' % options.keep)
+        parser.error(f'{options.keep} is not empty')
     return options
 
 
 def _seconds(text: str) -> float:
     value = float(text)
     if not 10 <= value <= 1e6:
-        raise argparse.ArgumentTypeError('%s s, may be 10 to 1000000' % text)
+        raise argparse.ArgumentTypeError(f'{text} s, may be 10 to 1000000')
     return value
 
 

@@ -14,11 +14,12 @@ from typing import Any, Callable, Deque, Dict, Iterable, List, NamedTuple, Optio
 from ...protocols import arduino, mcu
 from ...protocols import robot_ctrl_bus as bus
 from ...protocols.own_messages import arduino_messages, mcu_messages
+from ..watch import topics as bridge_topics
+from ..watch.topics import NODE
 from .align import Sent
 from .packets import IMU, OWN_COMMAND, PRESS, STEERING_ANGLE, TICKS, VOLTAGE
 from .records import Intervals
 
-NODE = '/serial_communication'
 SENSOR_STATUS = 0x10     # TYPE of an mcu frame
 _GYRO = 4000 / 65536 * pi / 180 * 25
 _ACCELERATION = 8 / 65536 * 9.81
@@ -42,11 +43,17 @@ OWN_ROWS = {
         'press': {'cmd2': PRESS, 'srv_type': 'serial_communication/Lift', 'timeout': 0.3,
                   'request': {'layout': '<2B', 'fields': ['direction', 'distance']}}}}}
 _DECODERS = {
+    'bus': bus.ReplyDecoder,
     'arduino': partial(arduino.Decoder, messages=[
         own.kind for own in arduino_messages(OWN_ROWS['arduino']['messages'])]),
     'mcu': partial(mcu.Decoder, [
-        own.kind for own in mcu_messages(OWN_ROWS['mcu']['messages'])]),
-    'bus': bus.ReplyDecoder}
+        own.kind for own in mcu_messages(OWN_ROWS['mcu']['messages'])])}
+LINKS = tuple(_DECODERS)      # whose values are known here
+# What is recorded: topics with their types. Only the values are worked out here once more.
+RECORDED = {bridge_topics.resolve(topic.name, NODE): topic.type
+            for topic in [*bridge_topics.TOPICS, *bridge_topics.own_topics(OWN_ROWS)]
+            if topic.name not in (bridge_topics.SERIAL_MSG, '/tf_static')
+            and set(topic.links) & set(LINKS) and not topic.optional}
 
 
 @dataclass

@@ -14,6 +14,7 @@ import tty
 from typing import Any, Callable, Dict, List, NamedTuple
 
 from ..stage import Child, StageError
+from .expected import LINKS
 from .stage import CampaignStage
 from .table import Row
 from .worst_streams import worst_streams
@@ -56,18 +57,18 @@ def node_costs(stage: CampaignStage, costs: List[Cost], say: Callable[[str], Non
     """Of the streams that cost a decoder most, for a node with a subscriber of everything."""
     found = []
     streams = {(stream.link, stream.name): stream for stream in worst_streams(_NODE_SIZE)}
-    for link in ('bus', 'arduino', 'mcu'):
+    for link in LINKS:
         worst = sorted((cost for cost in costs if cost.link == link),
                        key=lambda cost: -cost.worst)[:_NODES_STREAMS]
         feeder = _Feeder(stage, link)
-        records = 'hostile_%s.bin' % link
+        records = f'hostile_{link}.bin'
         recorder = stage.user('recorder', records, 0)
         clean_stream = streams[link, worst[0].name].clean
         if link != 'bus':       # which publishes nothing that nobody asked for
             _wait_for_subscriber(feeder, clean_stream[:READ], stage.path(records))
         clean = feeder.cost(clean_stream)
         for cost in worst:
-            say('%s: %s' % (link, cost.name))
+            say(f'{link}: {cost.name}')
             found.append(Cost(link, cost.name, clean,
                               feeder.cost(streams[link, cost.name].worst)))
         feeder.close()
@@ -94,16 +95,16 @@ def rows_of(decoders: List[Cost], nodes: List[Cost]) -> List[Row]:
 def _row(group: str, says: str, costs: List[Cost]) -> Row:
     worst = max(costs, key=lambda cost: cost.ratio)
     return Row(group, says, len(costs), [
-        (0.0, '%s, %s: %.0f ns a byte, %.1f times clean traffic'
-         % (cost.link, cost.name, cost.worst, cost.ratio)) for cost in costs
-        if cost.ratio > LIMIT], '%.1f times: %s, %s' % (worst.ratio, worst.link, worst.name))
+        (0.0, f'{cost.link}, {cost.name}: {cost.worst:.0f} ns a byte, '
+         f'{cost.ratio:.1f} times clean traffic') for cost in costs
+        if cost.ratio > LIMIT], f'{worst.ratio:.1f} times: {worst.link}, {worst.name}')
 
 
 def render_costs(title: str, costs: List[Cost]) -> str:
     """One line a stream."""
-    lines = ['%-18s %-56s %12s %12s %7s' % (title, 'stream', 'clean ns/B', 'worst ns/B', 'times')]
-    lines += ['%-18s %-56s %12.0f %12.0f %7.1f' % (cost.link, cost.name, cost.clean, cost.worst,
-                                                   cost.ratio) for cost in costs]
+    lines = [f'{title:18} {"stream":56} {"clean ns/B":>12} {"worst ns/B":>12} {"times":>7}']
+    lines += [f'{cost.link:18} {cost.name:56} {cost.clean:12.0f} {cost.worst:12.0f} '
+              f'{cost.ratio:7.1f}' for cost in costs]
     return '\n'.join(lines)
 
 
@@ -138,7 +139,7 @@ class _Feeder:
         at = 0
         while at < len(stream):
             if not select.select([], [self._master], [], 20.0)[1]:
-                raise StageError('the node takes no bytes: %s' % self._node.tail())
+                raise StageError(f'the node takes no bytes: {self._node.tail()}')
             try:
                 at += os.write(self._master, stream[at:at + READ])
             except BlockingIOError:

@@ -6,15 +6,12 @@ from bisect import bisect_left, bisect_right
 from typing import Any, Dict, List, NamedTuple, Tuple
 
 import genpy
-from diagnostic_msgs.msg import DiagnosticArray
-from sensor_msgs.msg import FluidPressure, Imu, JointState, Range, RelativeHumidity, Temperature
-from std_msgs.msg import Bool
+from roslib.message import get_message_class
 from tf2_msgs.msg import TFMessage
 
-from serial_communication.msg import (Environment, McuStatus2, SerialMsg, SteeringFeedback, Ticks,
-                                      Voltage)
+from serial_communication.msg import SerialMsg
 
-from ..stage import LINKS
+from ..watch.topics import NODE
 from .align import Sent
 from .check_bus import check_bus, outcomes
 from .check_frames import check_published
@@ -25,7 +22,7 @@ from .check_lost import Told, check_lost_frames, frame_of, heard_of
 from .check_motor import check_motor, prepare
 from .check_own import check_own_commands
 from .check_node import RETURN, check_level, check_log, check_returns, log_lines
-from .expected import NODE, TOPICS, Arrival, arrivals, expected
+from .expected import LINKS, RECORDED, TOPICS, Arrival, arrivals, expected
 from .packets import (HEARTBEAT, SPEED, calibrations, closed_times, fault_times,
                       packets_of)
 from .records import Intervals, read_lines, read_messages, stretches
@@ -37,14 +34,6 @@ _SETTLING = 60.0         # s after which memory is level; a third of a shorter c
 _BEFORE_A_CUT = 0.15     # s of data that may be lost with a port
 _AFTER_DATA = 0.05       # s after the first data behind a port's return: all must come again
 _BEHIND_NOISE = 0.15     # s in which noise on a line without a checksum may swallow packets
-_CLASSES = {
-    NODE + '/imu': Imu, NODE + '/imu/temperature': Temperature, NODE + '/imu/calibrating': Bool,
-    NODE + '/voltage': Voltage, NODE + '/ticks': Ticks,
-    NODE + '/steering_angle': SteeringFeedback, NODE + '/environment': Environment,
-    NODE + '/environment/temperature': Temperature, NODE + '/environment/humidity':
-    RelativeHumidity, '/mcu/status': McuStatus2, '/mcu/imu': Imu, '/mcu/range_1': Range,
-    '/mcu/range_2': Range, '/mcu/cliff': Range, NODE + '/pressure': FluidPressure,
-    NODE + '/line': JointState, '/tf': TFMessage, '/diagnostics': DiagnosticArray}
 
 
 class _Published(NamedTuple):
@@ -83,8 +72,9 @@ def judge(folder: str) -> List[Row]:
     frozen = stretches(events, 'frozen', 'thawed', end, 'arduino')
     held_up = stopped + frozen
     rows = check_bus(calls, journals['bus'], blind_replies, TIMEOUTS, stopped, no_master)
-    rows[0] = rows[0]._replace(note='of %d lift, gimbal, raw and own calls: %s' % (
-        sum(1 for call in calls if call['kind'] in TIMEOUTS), outcomes(calls)))
+    number = sum(1 for call in calls if call['kind'] in TIMEOUTS)
+    rows[0] = rows[0]._replace(
+        note=f'of {number} lift, gimbal, raw and own calls: {outcomes(calls)}')
     rows += _of_link('bus', 'every reading of the air is one that the board measured', frames,
                      published, exempt, held_up)
     rows += _of_link('arduino', 'every undamaged packet published once, in order', frames,
@@ -130,7 +120,7 @@ def _read(folder: str) -> _Published:
     for topic in TOPICS:
         by_topic.setdefault(topic.name.split(' ')[0], []).append(topic)
     out = _Published({topic.name: [] for topic in TOPICS}, [], [], {}, [], [], [], offset)
-    instances = {name: message_class() for name, message_class in _CLASSES.items()}
+    instances = {name: get_message_class(kind)() for name, kind in RECORDED.items()}
     for t, name, data in messages:
         message = instances[name]
         message.deserialize(data)
@@ -367,10 +357,9 @@ def _ending(events: List[Dict], journal: List[Dict], end: float) -> Row:
     if not finish.get('alive'):
         violations.append((end, 'the node had ended before'))
     if ended.get('seconds', 1e9) > ENDING:
-        violations.append((end, 'it took %.2f s to end' % ended.get('seconds', 1e9)))
+        violations.append((end, f"it took {ended.get('seconds', 1e9):.2f} s to end"))
     last = [packet for packet in packets_of(journal)[0] if packet.t >= end - 5]
     if not last or (last[-1].type, last[-1].data) != (SPEED, b'\0\0'):
-        violations.append((end, 'the last packet that the board saw is %s'
-                           % (last[-1:] or 'none')))
+        violations.append((end, f"the last packet that the board saw is {last[-1:] or 'none'}"))
     return Row('node', 'lives to the end; SIGINT: SPEED 0 last, ends within 2 s', 1, violations,
-               '%.2f s' % ended.get('seconds', 0.0))
+               f"{ended.get('seconds', 0.0):.2f} s")

@@ -26,10 +26,11 @@ from typing import Any, Callable, Dict, FrozenSet, List, Tuple
 import rosgraph
 
 from ..progress import Progress
-from ..stage import LINKS, Child
+from ..stage import Child
+from ..watch.topics import NODE
 from .check_bus import answered
 from .check_interference import registered
-from .expected import NODE, OWN_ROWS
+from .expected import LINKS, OWN_ROWS
 from .network import Relay
 from .records import Intervals, Lines, read_lines, stretches
 from .stage import CampaignStage, Pipe
@@ -44,7 +45,7 @@ TIMEOUTS = {'lift': PARAMETERS['bus/motion_timeout'], 'gimbal': PARAMETERS['bus/
             'raw': PARAMETERS['bus/reply_timeout'],
             'own': OWN_ROWS['bus']['functions']['press']['timeout']}      # of each kind of call
 BOARD_OPTIONS = {'bus': ('--lift-speed', '100000', '--gimbal-speed', '100000'),
-                 'arduino': ('--calibration-time', '%g' % CALIBRATION), 'mcu': ()}
+                 'arduino': ('--calibration-time', f'{CALIBRATION:g}'), 'mcu': ()}
 NETWORK = '/network'     # the namespace of a second bridge, whose board is behind a network
 _STOPPED = 1.6           # s of SIGSTOP
 _FROZEN = 1.6            # s in which the arduino reads nothing …
@@ -73,7 +74,7 @@ class Campaign:
         self._number_busy = busy
         self._busy: List[Child] = []
         self._progress = progress
-        self._random = random.Random('campaign %d' % seed)
+        self._random = random.Random(f'campaign {seed}')
         self._due: List[Tuple[float, int, Callable[[float], None]]] = []
         self._count = itertools.count()
         self._usage = Lines(stage.path('usage.jsonl'))
@@ -143,7 +144,7 @@ class Campaign:
             children[role] = stage.user(role, file, seed, orders=orders)
         self._busy = stage.busy(self._number_busy)
         children['metronome'] = stage.user('metronome', 'metronome.jsonl', seed)
-        stage.wait(self._flows, 'data from the bridge: %s' % children['bridge'].log)
+        stage.wait(self._flows, f"data from the bridge: {children['bridge'].log}")
 
     def _flows(self) -> bool:
         """Whether everything has begun."""
@@ -171,7 +172,7 @@ class Campaign:
         self._pipe.take()
         self._pipe.close()
         time.sleep(0.3)
-        for name in ('recorder', 'traffic', 'sleeper', 'bus', 'arduino', 'mcu', 'metronome'):
+        for name in ('recorder', 'traffic', 'sleeper', *LINKS, 'metronome'):
             stage.end(children[name])
         for cable in list(stage.cables.values()):
             cable.unplug()
@@ -342,11 +343,11 @@ def seconds_of(duration: float) -> float:
 def usage_of(pid: int) -> Dict[str, float]:
     """Resident MB, threads and open files; empty if it has ended."""
     try:
-        with open('/proc/%d/status' % pid) as status:
+        with open(f'/proc/{pid}/status') as status:
             values = dict(line.split(':', 1) for line in status)
         return {'memory': int(values['VmRSS'].split()[0]) / 1024,
                 'threads': int(values['Threads']),
-                'files': len(os.listdir('/proc/%d/fd' % pid)), 'waited': _waited(pid)}
+                'files': len(os.listdir(f'/proc/{pid}/fd')), 'waited': _waited(pid)}
     except (OSError, KeyError, ValueError):
         return {}
 
@@ -354,9 +355,9 @@ def usage_of(pid: int) -> Dict[str, float]:
 def _waited(pid: int) -> float:
     """Seconds that its threads were ready to run and did not, all together."""
     total = 0
-    for thread in os.listdir('/proc/%d/task' % pid):
+    for thread in os.listdir(f'/proc/{pid}/task'):
         try:
-            with open('/proc/%d/task/%s/schedstat' % (pid, thread)) as file:
+            with open(f'/proc/{pid}/task/{thread}/schedstat') as file:
                 total += int(file.read().split()[1])
         except (OSError, ValueError, IndexError):
             pass

@@ -14,14 +14,14 @@ from typing import Any, Dict, List, Optional, Tuple
 
 import rosgraph
 
+from ..progress import Progress
+from ..watch.topics import NODE
+from .expected import LINKS
 from .packets import SPEED, packets_of
 from .records import read_lines, read_messages
-from ..progress import Progress
-from ..stage import LINKS, NODE as NAME
 from .stage import CampaignStage
 from .table import Row
 
-NODE = '/' + NAME
 ENDING = 2.0             # s that the node may take to end
 RETURN = 5.0             # s from SIGKILL to data
 _FLUSH = 0.7             # s until a journal holds what happened
@@ -61,11 +61,12 @@ class Shutdown:
         self._progress = progress
         self._results: Dict[str, List[Tuple[str, float, List[str]]]] = {}
         self._ports: Dict[str, str] = {}
-        for link, options in (('bus', ('--lift-speed', '20')), ('arduino', ()), ('mcu', ())):
+        for link in LINKS:
+            options = ('--lift-speed', '20') if link == 'bus' else ()
             cable = stage.cable('last_' + link)
             self._ports[link] = cable.near
-            stage.board(link, cable.far, seed, *options, name='last_%s_board' % link,
-                        journal=stage.path('last_%s.journal' % link))
+            stage.board(link, cable.far, seed, *options, name=f'last_{link}_board',
+                        journal=stage.path(f'last_{link}.journal'))
         self._driver = stage.user('driver', 'last_calls.jsonl', seed, orders=True)
         self._recorder = stage.user('recorder', 'last_messages.bin', seed)
 
@@ -113,7 +114,7 @@ class Shutdown:
         self._progress.say('shutdown: SIGKILL under roslaunch, then its stop')
         launch = self._stage.child('roslaunch', [
             'roslaunch', '--wait', 'serial_communication', 'bridge.launch'] + [
-                '%s_port:=%s' % port for port in self._ports.items()])
+                f'{link}_port:={port}' for link, port in self._ports.items()])
         self._wait_for_driving()
         killed = time.monotonic()
         os.kill(_pid_of_node(), signal.SIGKILL)
@@ -137,13 +138,13 @@ class Shutdown:
         time.sleep(_FLUSH)
         troubles = []
         if took > ENDING:
-            troubles.append('it took %.2f s to end' % took)
+            troubles.append(f'it took {took:.2f} s to end')
         if status < 0:
-            troubles.append('signal %d killed it' % -status)
+            troubles.append(f'signal {-status} killed it')
         if speaks:
             last = [packet for packet in self._packets() if packet.t >= began - 1.0]
             if not last or (last[-1].type, last[-1].data) != _SPEED_0:
-                troubles.append('the last packet is %s' % (last[-1:] or 'none'))
+                troubles.append(f"the last packet is {last[-1:] or 'none'}")
         self._results.setdefault('speaks' if speaks else 'hangs', []).append(
             (name, took, troubles))
 
@@ -175,13 +176,13 @@ class Shutdown:
             cases = self._results.get(key, [])
             rows.append(Row(
                 'shutdown', says, len(cases),
-                [(0.0, '%s: %s' % (name, trouble)) for name, _took, troubles in cases
+                [(0.0, f'{name}: {trouble}') for name, _took, troubles in cases
                  for trouble in troubles],
-                '%.2f s' % max([took for _name, took, _troubles in cases] or [0.0])))
+                f'{max([took for _name, took, _troubles in cases] or [0.0]):.2f} s'))
         if with_roslaunch:
             rows.append(Row(
                 'shutdown', 'after SIGKILL, respawn has data flowing again within 5 s', 1,
-                [] if back <= RETURN else [(0.0, 'data after %.2f s' % back)], '%.2f s' % back))
+                [] if back <= RETURN else [(0.0, f'data after {back:.2f} s')], f'{back:.2f} s'))
         return rows
 
 
@@ -196,7 +197,7 @@ def _pid_of_node() -> int:
 
 def _lives(pid: int) -> bool:
     try:
-        with open('/proc/%d/stat' % pid) as stat:
+        with open(f'/proc/{pid}/stat') as stat:
             return stat.read().rpartition(')')[2].split()[0] != 'Z'
     except OSError:
         return False

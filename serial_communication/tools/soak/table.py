@@ -18,23 +18,23 @@ class Row(NamedTuple):
 
 def render(rows: List[Row]) -> str:
     """The table, then the first violations of each row, then the notes."""
-    lines = ['%-10s %-66s %9s %10s  %s' % ('', 'invariant', 'tries', 'violations', 'worst case')]
+    lines = [f'{"":10} {"invariant":66} {"tries":>9} {"violations":>10}  worst case']
     group = ''
     for row in rows:
-        lines.append('%-10s %-66s %9d %10s  %s' % (
-            row.group if row.group != group else '', row.says, row.tries,
-            len(row.violations) if row.judged else 'counted', row.worst))
+        shown = row.group if row.group != group else ''
+        violations = len(row.violations) if row.judged else 'counted'
+        lines.append(f'{shown:10} {row.says:66} {row.tries:9} {violations:>10}  {row.worst}')
         group = row.group
     notes = [row for row in rows if row.note]
     if notes:
         lines += ['', 'Notes']
-        lines += ['  %s, %s: %s' % (row.group, row.says, row.note) for row in notes]
+        lines += [f'  {row.group}, {row.says}: {row.note}' for row in notes]
     for row in rows:
         if row.violations:
-            lines += ['', 'VIOLATED  %s: %s' % (row.group, row.says)]
-            lines += ['  at %.3f: %s' % pair for pair in row.violations[:_SHOWN]]
+            lines += ['', f'VIOLATED  {row.group}: {row.says}']
+            lines += [f'  at {t:.3f}: {text}' for t, text in row.violations[:_SHOWN]]
             if len(row.violations) > _SHOWN:
-                lines.append('  and %d more' % (len(row.violations) - _SHOWN))
+                lines.append(f'  and {len(row.violations) - _SHOWN} more')
     return '\n'.join(lines)
 
 

@@ -73,7 +73,7 @@ def _bus_false_starts():
         ('one kind of flag and noise in turn', bytes((bus.STANDARD_FLAG, 0))),
         ('the other kind of flag and noise in turn', bytes((bus.LONG_FLAG, 0))),
         ('noise without a flag', bytes(range(90))),
-        ('the shortest sound frames', bus.encode_reply(bus.Reply(0))),
+        ('the shortest valid frames', bus.encode_reply(bus.Reply(0))),
         ('lengths one apart', b''.join(bytes((bus.STANDARD_FLAG, n)) for n in range(255))),
     )
 
@@ -90,7 +90,7 @@ def _mcu_false_starts():
         ('a known TYPE, a false CRC, ETX everywhere',
          bytes((mcu.STX, 12, mcu.SensorStatus.TYPE)) + bytes((mcu.ETX,)) * 13),
         ('the shortest frames, with a false CRC', bytes((mcu.STX, 2, 9, 9, 1, mcu.ETX))),
-        ('the shortest sound frames', mcu.encode_raw(9, 9, b'')),
+        ('the shortest valid frames', mcu.encode_raw(9, 9, b'')),
         ('noise without STX', bytes(range(4, 200))),
     )
 
