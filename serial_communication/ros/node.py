@@ -17,7 +17,6 @@ from .traffic import Traffic
 
 _SWITCH_INTERVAL = 0.0005   # s that a busy thread may keep the interpreter from the heartbeat
 _NAME = 'serial_communication'    # unless the command line gives another one
-_NICE = -20                 # where the system allows it
 _SHUTDOWN = 1.0             # s for the links to end in
 _LOGGER = logging.getLogger('rosout')    # rospy's own, for terminal, file and /rosout
 
@@ -26,7 +25,6 @@ def main() -> None:
     """Run until ROS or a signal ends it, and exit."""
     starting.check_arguments(sys.argv[1:])
     sys.setswitchinterval(_SWITCH_INTERVAL)
-    _come_first()
     background_logging.install()
     status = 1
     try:
@@ -34,19 +32,6 @@ def main() -> None:
     finally:
         background_logging.finish(status)
     sys.exit(status)
-
-
-def _come_first() -> None:
-    """Before what else the machine does, every thread: one that waits for the processor may hold
-    the interpreter's lock, for which the heartbeat waits.
-
-    Not by real-time priority, which the heartbeat's thread alone has: rospy polls while it starts
-    and ends, and would then keep both processors from the very threads that it waits for.
-    """
-    try:
-        os.nice(_NICE)
-    except OSError:
-        pass
 
 
 def _run() -> int:
