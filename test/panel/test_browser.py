@@ -314,7 +314,7 @@ def test_lift_moves_once_at_a_double_click(cockpit, robot):
 
 
 def test_a_control_is_disabled_until_its_answer_is_there(cockpit, robot):
-    robot.bus.script.append(None)        # no answer, until it is given up
+    robot.bus.script.append(b'')        # no answer, until it is given up
     down = '[data-service="~lift"] button:last-of-type'
     cockpit.click(down)
     cockpit.wait(lambda page: 'under way' in page.text('.answers'), 'it is under way')
@@ -336,7 +336,7 @@ def drop_connection(page, network):
 
 
 def test_an_answer_that_the_connection_did_not_live_to_see_is_not_known(cockpit, robot, network):
-    robot.bus.script.append(None)
+    robot.bus.script.append(b'')
     cockpit.click('[data-service="~lift"] button')
     until(lambda: robot.lifts, 'the board has got it')
     drop_connection(cockpit, network)

@@ -330,7 +330,7 @@ def test_a_double_click_moves_once(driver, robot):
 
 def test_not_known_is_told_as_that(driver, robot):
     until(lambda: time.monotonic() - driver.now < 1, 'the page is up to date')
-    robot.bus.script.append(None)
+    robot.bus.script.append(b'')
     driver.until(lambda page: try_lift(page, 'lost'), 'the call is taken')
     driver.until(lambda page: page.calls['lost'].get('outcome'), 'the answer')
     assert driver.calls['lost']['outcome'] == 'not known'

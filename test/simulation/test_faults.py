@@ -234,6 +234,7 @@ def test_a_stalled_board_still_sends_and_reads_on(cable):
             until(lambda: len(seqs) > 50, 'frames')
         finally:
             link.stop()
+            link.join(10.0)
     with running(ControlBoard(), cable.b,
                  faults=Faults(parse(['stall=200/min:0.2'], ControlBoard), 1)) as notes:
         port = Port(cable.a)

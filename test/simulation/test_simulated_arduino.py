@@ -228,6 +228,7 @@ def car(cable):
         until(lambda: link.heartbeats_sent > 3 and messages, 'the car')
         yield link
         link.stop()
+        link.join(10.0)
 
 
 def test_link_drives_the_car(car):

@@ -261,6 +261,7 @@ def master(cable):
         until(lambda: link.master.synchronised, 'SYNC')
         yield link
         link.stop()
+        link.join(10.0)
 
 
 def test_link_moves_the_lift_once(master):

@@ -96,3 +96,4 @@ def test_link_receives_it_and_finds_it_again(cable):
             until(lambda: len(seqs) > seen + 20, 'frames again')
         finally:
             link.stop()
+            link.join(10.0)
