@@ -8,6 +8,7 @@ import time
 
 import rospy
 
+from ..transport.pace import all_be_quick
 from . import background_logging, direct, parameters, starting
 from .diagnostics import Diagnostics
 from .geometry import publish_mounts
@@ -17,6 +18,7 @@ from .traffic import Traffic
 
 _SWITCH_INTERVAL = 0.0005   # s that a busy thread may keep the interpreter from the heartbeat
 _NAME = 'serial_communication'    # unless the command line gives another one
+_PRIORITY = 1               # real-time, where the system allows it
 _SHUTDOWN = 1.0             # s for the links to end in
 _LOGGER = logging.getLogger('rosout')    # rospy's own, for terminal, file and /rosout
 
@@ -86,6 +88,9 @@ class Bridge:
 
     def start(self) -> None:
         """Open the ports and take calls."""
+        # Not the heartbeat's thread alone: any other may hold the interpreter's lock while it waits
+        # for the processor, and the heartbeat with it.
+        all_be_quick(_PRIORITY)
         for link in self._links:
             link.start()
         for interface in self._interfaces:
@@ -94,6 +99,9 @@ class Bridge:
 
     def stop(self) -> None:
         """SPEED 0 first, then everything ends; in 1 s even where a port hangs."""
+        # rospy's thread for other nodes' calls turns in circles once its socket is closed, and would
+        # keep a processor from those that it waits for.
+        all_be_quick(0)
         # Whatever then keeps the interpreter alive (a thread in a dead connection, say).
         last_resort = threading.Timer(1.5, os._exit, (0,))
         last_resort.daemon = True

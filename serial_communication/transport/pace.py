@@ -46,10 +46,21 @@ class Allowance:
         return True
 
 
-def be_quick(priority: int) -> bool:
-    """Real-time priority for this thread where the system allows it; whether it does."""
+def be_quick(priority: int, thread: int = 0) -> bool:
+    """Real-time priority for a thread, or this one, where the system allows it; whether it does.
+
+    0 is none: the ordinary one.
+    """
+    policy = os.SCHED_FIFO if priority else os.SCHED_OTHER
     try:
-        os.sched_setscheduler(threading.get_native_id(), os.SCHED_FIFO, os.sched_param(priority))
+        os.sched_setscheduler(thread or threading.get_native_id(), policy,
+                              os.sched_param(priority))
     except (OSError, AttributeError):
         return False
     return True
+
+
+def all_be_quick(priority: int) -> None:
+    """The same for every thread of this process, and for those that they start."""
+    for thread in os.listdir('/proc/self/task'):
+        be_quick(priority, int(thread))
