@@ -48,17 +48,28 @@ class TestStandstill:
 
 
 class TestFrozenLine:
-    def test_speed_0_first(self):
-        row = check_frozen_line(STOPPED, [beat(4.99), speed(7.0001, 0), beat(7.0002)], NEVER)
-        assert row.tries == 1 and not row.violations
+    WRITTEN = [index / 100 for index in range(300, 900)]
 
-    def test_behind_what_the_cable_held(self):
-        row = check_frozen_line(STOPPED, [beat(7.0001), speed(7.0002, 0), beat(7.01)], NEVER)
-        assert not row.violations
+    def violations(self, *came, filled=(5.006,)):
+        row = check_frozen_line(STOPPED, list(filled), self.WRITTEN, list(came), NEVER)
+        assert row.tries == 1
+        return row.violations
+
+    def test_speed_0_first(self):
+        assert not self.violations(beat(4.99), speed(7.0001, 0), beat(7.0002))
+
+    def test_behind_what_was_written_before_the_line_was_full(self):
+        assert not self.violations(beat(7.0001), speed(7.0002, 0), beat(7.01))
+        nine = [beat(7.0001)] * 9
+        assert not self.violations(*nine, speed(7.0002, 0), filled=[5.08])
+
+    def test_behind_more_than_that(self):
+        assert self.violations(*[beat(7.0001)] * 4, speed(7.0002, 0))
+        assert self.violations(*[beat(7.0001)] * 12, speed(7.0002, 0), filled=[5.08])
 
     def test_never(self):
-        came = [beat(7.0 + index / 100) for index in range(1, 50)] + [speed(7.5, 0)]
-        assert len(check_frozen_line(STOPPED, came, NEVER).violations) == 1
+        assert self.violations(*[beat(7.0 + index / 100) for index in range(1, 50)],
+                               speed(7.5, 0))
 
 
 class TestUnread:

@@ -4,7 +4,7 @@ from bisect import bisect_left, bisect_right
 from typing import Any, Dict, FrozenSet, List, NamedTuple, Tuple
 
 from .check_motor import Speed
-from .packets import HEARTBEAT, SPEED, Packet
+from .packets import CROSSING, HEARTBEAT, SPEED, Packet
 from .records import Intervals
 from .table import Row
 
@@ -12,7 +12,6 @@ QUIET = 8.0              # s without data while a port stays, more than faults o
 NETWORK_AGE = 1.5        # s; what a frozen network lets through late is no older
 NETWORK_RETURN = 3.0     # s from a network's return until heartbeats reach the board
 MASTER_RETURN = 10.0     # s from a new master's start until it knows the bridge
-_IN_THE_CABLE = 9        # packets of just before, which a cable on a busy machine had not passed on
 _SPEED_0 = (SPEED, b'\0\0')
 
 
@@ -52,16 +51,27 @@ def check_standstill(stopped: Intervals, came: List[Packet], speeds: List[Speed]
             Row('standstill', 'no command of before or meanwhile drives the motor', tries, old)]
 
 
-def check_frozen_line(frozen: Intervals, came: List[Packet], unclear: Intervals) -> Row:
-    """A board that reads nothing, until the bridge drops what waits, and then reads again."""
+def check_frozen_line(frozen: Intervals, filled: List[float], written: List[float],
+                      came: List[Packet], unclear: Intervals) -> Row:
+    """A board that reads nothing, until the bridge drops what waits, and then reads again.
+
+    A pseudo terminal hands up to 4095 bytes to its other end at once, where no flush reaches
+    them; a UART does not. So what the bridge had written before the campaign filled that place
+    comes before SPEED 0, and nothing else may.
+
+    Args:
+        filled: when the campaign had.
+        written: when the bridge had handed packets to its port, in order.
+    """
     violations, tries = [], 0
     for start, over in frozen.pairs:
         if unclear.touches(start - 0.1, over + 0.1):
             continue
         tries += 1
         at = bisect_right([packet.t for packet in came], over)
-        # What the cable had not passed on as it was stopped comes before all.
-        heads = came[at:at + 1 + _IN_THE_CABLE]
+        full = next((t for t in filled if start <= t <= over), start)
+        under_way = bisect_right(written, full + CROSSING) - bisect_left(written, start - CROSSING)
+        heads = came[at:at + under_way + 1]
         if not any(_is_speed_0([packet]) for packet in heads):
             violations.append((over, f'the first packets afterwards are {heads or "none"}'))
     return Row('arduino', 'dropped output, then the board reads again: SPEED 0 comes first', tries,

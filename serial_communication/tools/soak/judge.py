@@ -45,7 +45,8 @@ class _Published(NamedTuple):
     traffic: Dict[str, List[Tuple[float, Tuple]]]  # by link: good frames in, of serial_msg
     taken: List[Tuple[float, str, Tuple]]         # of the mcu: arrival, connection, frame
     opened: List[Connection]                      # of every link
-    beats: List[float]                            # when the bridge had written a heartbeat
+    written: List[float]                          # when the bridge had written to the arduino …
+    beats: List[float]                            # … and when of that a heartbeat
     offset: float
 
 
@@ -88,7 +89,9 @@ def judge(folder: str) -> List[Row]:
     came = sorted(packets_of(journals['arduino'])[0], key=lambda packet: packet.t)
     unclear = drive.closed + drive.stalled + Intervals(calibrations(journals['arduino'], end))
     rows.append(check_own_commands(came, commands, _cuts(events, 'arduino'), unclear + held_up))
-    rows.append(check_frozen_line(frozen, came, unclear + stopped))
+    filled = [event['t'] for event in events if event['ev'] == 'filled'
+              and event['link'] == 'arduino']
+    rows.append(check_frozen_line(frozen, filled, published.written, came, unclear + stopped))
     rows += check_standstill(stopped, came, drive.speeds, unclear + frozen)
     rows += check_heartbeat(journals['arduino'], metronome, published.beats, end, held_up)
     rows += _of_link('mcu', 'every undamaged frame published once, in order', frames, published,
@@ -119,7 +122,7 @@ def _read(folder: str) -> _Published:
     by_topic: Dict[str, List] = {}
     for topic in TOPICS:
         by_topic.setdefault(topic.name.split(' ')[0], []).append(topic)
-    out = _Published({topic.name: [] for topic in TOPICS}, [], [], {}, [], [], [], offset)
+    out = _Published({topic.name: [] for topic in TOPICS}, [], [], {}, [], [], [], [], offset)
     instances = {name: get_message_class(kind)() for name, kind in RECORDED.items()}
     for t, name, data in messages:
         message = instances[name]
@@ -157,8 +160,10 @@ def _read_traffic(folder: str, out: _Published) -> None:
             latest[message.link] = message.header.frame_id
             out.opened.append(Connection(t, message.link, message.header.frame_id))
         if message.direction == SerialMsg.TX:
-            if message.type == HEARTBEAT and message.link == 'arduino':
-                out.beats.append(message.header.stamp.to_sec() - out.offset)
+            if message.link == 'arduino':
+                out.written.append(message.header.stamp.to_sec() - out.offset)
+                if message.type == HEARTBEAT:
+                    out.beats.append(out.written[-1])
         elif not message.error:
             frame = frame_of(message)
             out.traffic.setdefault(message.link, []).append((

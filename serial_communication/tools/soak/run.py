@@ -254,9 +254,13 @@ class Campaign:
     def _restart_master(self, due: float) -> None:
         before = self._registered()
         self._stage.events.write(t=time.monotonic(), ev='master ended')
-        self._stage.end_master()
+        self._stage.ask_master_to_end()
 
-        def start(_due: float) -> None:
+        def start(due: float) -> None:
+            if self._stage.master_runs:     # nothing else may wait for its end
+                self._at(due + _LOOK_PERIOD, start)
+                return
+            self._stage.end_master()
             self._stage.launch_master()
             self._stage.events.write(t=time.monotonic(), ev='master started')
             self._at(time.monotonic() + _LOOK_PERIOD, look)

@@ -64,6 +64,7 @@ class Cable:
         # no byte in a UART's buffer is. So that much is 0x00, no packet for anybody.
         time.sleep(0.005)
         self._write_zeros(_READ_BUFFER)
+        self._stage.events.write(t=time.monotonic(), ev='filled', link=self.name)
 
     def fill(self) -> None:
         """Leave the bridge no room to write, as if it had written it full itself."""
