@@ -16,7 +16,7 @@ _SPEED_0 = (SPEED, b'\0\0')
 
 
 class Connection(NamedTuple):
-    """A frame that is the first one of a connection of the bridge's."""
+    """A connection of the bridge's, by the bridge's stamp of its first frame."""
 
     t: float
     link: str
@@ -82,15 +82,30 @@ def _is_speed_0(packets: List[Packet]) -> bool:
     return bool(packets) and (packets[0].type, packets[0].data) == _SPEED_0
 
 
+def opened_anew(events: List[Dict], opened: List[Connection]) -> List[Connection]:
+    """The connections, but each link's first, that no absence of the port explains."""
+    found = []
+    latest: Dict[str, Connection] = {}
+    for one in opened:
+        before = latest.get(one.link)
+        latest[one.link] = one
+        if before and not any(event['ev'] == 'unplugged' and event['link'] == one.link
+                              and before.t < event['t'] < one.t for event in events):
+            found.append(one)
+    return found
+
+
 def check_unread(unread: Intervals, lines: int, data: Dict[str, List[float]],
-                 excused: Dict[str, Intervals]) -> Row:
+                 excused: Dict[str, Intervals], anew: List[Connection]) -> Row:
     """The reader of stdout and stderr has gone; the links go on.
 
     Args:
         lines: that the bridge had to say meanwhile.
         data: by link, when frames came in; `excused`: when none could.
+        anew: connections that had no reason.
     """
-    violations, worst = [], 0.0
+    violations, worst = [(one.t, f'the port of the {one.link} link was opened anew')
+                         for one in anew if unread.holds(one.t)], 0.0
     for start, over in unread.pairs:
         for link, times in data.items():
             within = [start] + [t for t in times if start < t < over] + [over]
@@ -100,7 +115,7 @@ def check_unread(unread: Intervals, lines: int, data: Dict[str, List[float]],
                 if gap > QUIET:
                     violations.append((before, f'no data of the {link} link for {gap:.1f} s'))
     return Row('node', 'links go on while nobody reads what it says (a broken pipe)', lines,
-               violations, f'{worst:.1f} s without data' if lines else '')
+               sorted(violations), f'{worst:.1f} s without data' if lines else '')
 
 
 def check_network(events: List[Dict], came: List[Packet], speeds: List[Speed],
@@ -146,11 +161,11 @@ def registered(state: Any, parameters: Any, node: str) -> FrozenSet[Tuple[str, s
     return frozenset(known | {('parameter', key) for key in parameters})
 
 
-def check_master(events: List[Dict], opened: List[Connection]) -> List[Row]:
+def check_master(events: List[Dict], anew: List[Connection]) -> List[Row]:
     """A roscore that is restarted.
 
     Args:
-        opened: each connection of the bridge's, by its first frame.
+        anew: connections that had no reason.
     """
     late, again, slowest, tries = [], [], 0.0, 0
     for index, event in enumerate(events):
@@ -165,11 +180,8 @@ def check_master(events: List[Dict], opened: List[Connection]) -> List[Row]:
                          f'{took:.1f} s' if back else 'nothing of the bridge came back'))
         gone = max(one['t'] for one in events[:index] if one['ev'] == 'master ended')
         until = back['t'] if back else event['t'] + MASTER_RETURN
-        for one in opened:
-            cut = any(other['ev'] == 'plugged' and other.get('link') == one.link
-                      and one.t - QUIET < other['t'] <= one.t for other in events)
-            if gone < one.t < until and not cut:
-                again.append((one.t, f'the port of the {one.link} link was opened anew'))
+        again += [(one.t, f'the port of the {one.link} link was opened anew') for one in anew
+                  if gone < one.t < until]
     return [Row('master', 'roscore restarted: topics, services, parameters back within 10 s', tries,
                 late, f'{slowest:.1f} s' if tries and not late else ''),
             Row('master', 'no port is opened anew meanwhile', tries, again)]

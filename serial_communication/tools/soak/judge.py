@@ -3,7 +3,7 @@ import glob
 import os
 import time
 from bisect import bisect_left, bisect_right
-from typing import Any, Dict, List, NamedTuple, Tuple
+from typing import Any, Dict, List, NamedTuple, Set, Tuple
 
 import genpy
 from roslib.message import get_message_class
@@ -17,7 +17,7 @@ from .check_bus import check_bus, outcomes
 from .check_frames import check_published
 from .check_heartbeat import check_heartbeat
 from .check_interference import (Connection, check_frozen_line, check_master, check_network,
-                                 check_standstill, check_unread)
+                                 check_standstill, check_unread, opened_anew)
 from .check_lost import Told, check_lost_frames, frame_of, heard_of
 from .check_motor import check_motor, prepare
 from .check_own import check_own_commands
@@ -105,10 +105,11 @@ def judge(folder: str) -> List[Row]:
     log = [line for line in _log(folder, published.offset) if line[0] <= over]
     rows += check_log(log)
     unread = stretches(events, 'unread', 'read again', end)
+    anew = opened_anew(events, published.opened)
     rows.append(check_unread(unread, sum(unread.holds(t) for t, _severity, _text in log), {
         link: _data_of(link, published) for link in LINKS}, {
-            link: held_up + _absent(link, events, end) for link in LINKS}))
-    rows += check_master(events, published.opened)
+            link: held_up + _absent(link, events, end) for link in LINKS}, anew))
+    rows += check_master(events, anew)
     rows += _network(folder, events, end)
     rows.append(_ending(events, journals['arduino'], end))
     return rows
@@ -153,12 +154,13 @@ def _read_traffic(folder: str, out: _Published) -> None:
     if not os.path.exists(path):
         return
     message = SerialMsg()
-    latest: Dict[str, str] = {}
+    seen: Set[Tuple[str, str]] = set()      # links and connections
     for t, _name, data in read_messages(path)[1]:
         message.deserialize(data)
-        if latest.get(message.link) != message.header.frame_id:
-            latest[message.link] = message.header.frame_id
-            out.opened.append(Connection(t, message.link, message.header.frame_id))
+        if (message.link, message.header.frame_id) not in seen:
+            seen.add((message.link, message.header.frame_id))
+            out.opened.append(Connection(message.header.stamp.to_sec() - out.offset, message.link,
+                                         message.header.frame_id))
         if message.direction == SerialMsg.TX:
             if message.link == 'arduino':
                 out.written.append(message.header.stamp.to_sec() - out.offset)
