@@ -7,7 +7,7 @@ from serial_communication.tools.soak.check_interference import (
     Connection, check_frozen_line, check_master, check_network, check_standstill, check_unread,
     opened_anew, registered)
 from serial_communication.tools.soak.check_motor import Speed
-from serial_communication.tools.soak.packets import HEARTBEAT, SPEED, Packet
+from serial_communication.tools.soak.packets import HEARTBEAT, SPEED, STEERING, Packet
 from serial_communication.tools.soak.records import Intervals, stretches
 
 NEVER = Intervals()
@@ -47,25 +47,34 @@ class TestStandstill:
         assert first.tries == 0
 
 
+def steering(t, value):
+    return Packet(t, STEERING, value.to_bytes(2, 'little'))
+
+
 class TestFrozenLine:
-    WRITTEN = [index / 100 for index in range(300, 900)]
+    """The line freezes at 5.0 s; the latest steering that came was written at 4.955 s, and 1 ms
+    later three heartbeats of before had come as well. Heartbeats are written each 10 ms."""
+
+    WRITTEN = sorted([beat(index / 100) for index in range(300, 900)]
+                     + [steering(4.455, 7), steering(4.955, 8)])
+    CAME = [steering(4.456, 7), beat(4.956), steering(4.956, 8)] + [beat(4.97)] * 3
 
     def violations(self, *came, filled=(5.006,)):
-        row = check_frozen_line(STOPPED, list(filled), self.WRITTEN, list(came), NEVER)
+        row = check_frozen_line(STOPPED, list(filled), self.WRITTEN, self.CAME + list(came), NEVER)
         assert row.tries == 1
         return row.violations
 
     def test_speed_0_first(self):
-        assert not self.violations(beat(4.99), speed(7.0001, 0), beat(7.0002))
+        assert not self.violations(speed(7.0001, 0), beat(7.0002))
 
     def test_behind_what_was_written_before_the_line_was_full(self):
-        assert not self.violations(beat(7.0001), speed(7.0002, 0), beat(7.01))
-        nine = [beat(7.0001)] * 9
-        assert not self.violations(*nine, speed(7.0002, 0), filled=[5.08])
-
-    def test_behind_more_than_that(self):
+        """At 4.99, 5.0 and 5.01 s: what is stamped up to 10 ms later may have left before."""
+        assert not self.violations(*[beat(7.0001)] * 3, speed(7.0002, 0))
         assert self.violations(*[beat(7.0001)] * 4, speed(7.0002, 0))
-        assert self.violations(*[beat(7.0001)] * 12, speed(7.0002, 0), filled=[5.08])
+
+    def test_where_the_campaign_needed_long_to_fill_it(self):
+        assert not self.violations(*[beat(7.0001)] * 10, speed(7.0002, 0), filled=[5.076])
+        assert self.violations(*[beat(7.0001)] * 11, speed(7.0002, 0), filled=[5.076])
 
     def test_never(self):
         assert self.violations(*[beat(7.0 + index / 100) for index in range(1, 50)],

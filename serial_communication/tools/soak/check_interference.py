@@ -4,7 +4,7 @@ from bisect import bisect_left, bisect_right
 from typing import Any, Dict, FrozenSet, List, NamedTuple, Tuple
 
 from .check_motor import Speed
-from .packets import CROSSING, HEARTBEAT, SPEED, Packet
+from .packets import CROSSING, HEARTBEAT, SPEED, STEERING, Packet
 from .records import Intervals
 from .table import Row
 
@@ -51,7 +51,7 @@ def check_standstill(stopped: Intervals, came: List[Packet], speeds: List[Speed]
             Row('standstill', 'no command of before or meanwhile drives the motor', tries, old)]
 
 
-def check_frozen_line(frozen: Intervals, filled: List[float], written: List[float],
+def check_frozen_line(frozen: Intervals, filled: List[float], written: List[Packet],
                       came: List[Packet], unclear: Intervals) -> Row:
     """A board that reads nothing, until the bridge drops what waits, and then reads again.
 
@@ -61,7 +61,7 @@ def check_frozen_line(frozen: Intervals, filled: List[float], written: List[floa
 
     Args:
         filled: when the campaign had.
-        written: when the bridge had handed packets to its port, in order.
+        written: what the bridge had handed to its port, and when, in order.
     """
     violations, tries = [], 0
     for start, over in frozen.pairs:
@@ -70,12 +70,26 @@ def check_frozen_line(frozen: Intervals, filled: List[float], written: List[floa
         tries += 1
         at = bisect_right([packet.t for packet in came], over)
         full = next((t for t in filled if start <= t <= over), start)
-        under_way = bisect_right(written, full + CROSSING) - bisect_left(written, start - CROSSING)
-        heads = came[at:at + under_way + 1]
+        heads = came[at:at + _under_way(written, full, came[:at]) + 1]
         if not any(_is_speed_0([packet]) for packet in heads):
             violations.append((over, f'the first packets afterwards are {heads or "none"}'))
     return Row('arduino', 'dropped output, then the board reads again: SPEED 0 comes first', tries,
                violations)
+
+
+def _under_way(written: List[Packet], full: float, came: List[Packet]) -> int:
+    """How many packets were written by the time `full` and had not come.
+
+    The latest steering that came tells which of all packets it was: no value recurs soon.
+    """
+    until = bisect_right([packet.t for packet in written], full + CROSSING)
+    for behind, packet in enumerate(reversed(came)):
+        if packet.type != STEERING:
+            continue
+        for index in range(until - 1, -1, -1):
+            if (written[index].type, written[index].data) == (STEERING, packet.data):
+                return max(0, until - index - 1 - behind)
+    return 0
 
 
 def _is_speed_0(packets: List[Packet]) -> bool:

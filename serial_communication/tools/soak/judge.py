@@ -23,7 +23,7 @@ from .check_motor import check_motor, prepare
 from .check_own import check_own_commands
 from .check_node import RETURN, check_level, check_log, check_returns, log_lines
 from .expected import LINKS, RECORDED, TOPICS, Arrival, arrivals, expected
-from .packets import (HEARTBEAT, SPEED, calibrations, closed_times, fault_times,
+from .packets import (HEARTBEAT, SPEED, Packet, calibrations, closed_times, fault_times,
                       packets_of)
 from .records import Intervals, read_lines, read_messages, stretches
 from .run import SPEED_TIMEOUT, TIMEOUTS, excuses_of_calls
@@ -45,8 +45,8 @@ class _Published(NamedTuple):
     traffic: Dict[str, List[Tuple[float, Tuple]]]  # by link: good frames in, of serial_msg
     taken: List[Tuple[float, str, Tuple]]         # of the mcu: arrival, connection, frame
     opened: List[Connection]                      # of every link
-    written: List[float]                          # when the bridge had written to the arduino …
-    beats: List[float]                            # … and when of that a heartbeat
+    written: List[Packet]                         # by the bridge to the arduino, and when
+    beats: List[float]                            # when of that a heartbeat
     offset: float
 
 
@@ -163,9 +163,11 @@ def _read_traffic(folder: str, out: _Published) -> None:
                                          message.header.frame_id))
         if message.direction == SerialMsg.TX:
             if message.link == 'arduino':
-                out.written.append(message.header.stamp.to_sec() - out.offset)
-                if message.type == HEARTBEAT:
-                    out.beats.append(out.written[-1])
+                packet = Packet(message.header.stamp.to_sec() - out.offset, message.type,
+                                bytes(message.data))
+                out.written.append(packet)
+                if packet.type == HEARTBEAT:
+                    out.beats.append(packet.t)
         elif not message.error:
             frame = frame_of(message)
             out.traffic.setdefault(message.link, []).append((
