@@ -43,7 +43,9 @@ TIMEOUTS = {'lift': PARAMETERS['bus/motion_timeout'], 'gimbal': PARAMETERS['bus/
             'raw': PARAMETERS['bus/reply_timeout'],
             'own': OWN_ROWS['bus']['functions']['press']['timeout']}      # of each kind of call
 BOARD_OPTIONS = {'bus': ('--lift-speed', '100000', '--gimbal-speed', '100000'),
-                 'arduino': ('--calibration-time', f'{CALIBRATION:g}'), 'mcu': ()}
+                 # Damage takes a SPEED 0 too seldom to show within a minute that one is not enough.
+                 'arduino': ('--calibration-time', f'{CALIBRATION:g}', '--lose-stops'),
+                 'mcu': ()}
 NETWORK = '/network'     # the namespace of a second bridge, whose board is behind a network
 _DROPPED_AFTER = 0.8     # s after a line froze, from when the bridge has no room to write
 _FILL_PERIOD = 0.05      # s
