@@ -56,6 +56,7 @@ class ModelCar(Board):
         calibration_time: s.
         seed: of the sensors' noise.
         own: messages of one's own: sent beside these, and told as they come.
+        lose_stops: the line loses the first SPEED 0 of each stop, as damage may.
     """
 
     NAME = 'arduino'
@@ -74,13 +75,16 @@ class ModelCar(Board):
         parser.add_argument('--calibration-time', type=positive, default=10.0, metavar='S',
                             help='how long an IMU calibration takes (%(default)g; the real one: '
                                  'over 300)')
+        parser.add_argument('--lose-stops', action='store_true',
+                            help='the first SPEED 0 of each stop is lost on the line')
 
     @classmethod
     def from_options(cls, options: argparse.Namespace) -> 'ModelCar':
-        return cls(options.calibration_time, options.seed, options.config)
+        return cls(options.calibration_time, options.seed, options.config,
+                   options.lose_stops)
 
     def __init__(self, calibration_time: float = 10.0, seed: int = 0,
-                 own: Sequence[OwnMessage] = ()) -> None:
+                 own: Sequence[OwnMessage] = (), lose_stops: bool = False) -> None:
         super().__init__(arduino.BoardDecoder(
             messages=[message.kind for message in own if message.is_command]))
         self._own = Player(own)
@@ -94,6 +98,8 @@ class ModelCar(Board):
         self.calibrating = False
         self._calibration_time = calibration_time
         self._calibrated_at = 0.0
+        self._lose_stops = lose_stops
+        self._lost_stop = False    # since the motor was told to run
         self._kept = b''           # in the receive buffer while calibrating
         self._heartbeat: Optional[float] = None   # the latest
         self._servo_target = float(SERVO_CENTRE)
@@ -143,8 +149,13 @@ class ModelCar(Board):
         if frame.cause:
             self.note('rx', raw=frame.raw[:_QUOTED].hex(), cause=frame.cause, error=frame.error)
             return
-        self.note('rx', type=frame.type, data=frame.data.hex())
         message = frame.message
+        if self._lose_stops and self.motor_on and not self._lost_stop \
+                and message == arduino.SpeedCommand(0):
+            self._lost_stop = True
+            self.note('rx-lost', data=arduino.encode(message).hex(), why='lose-stops')
+            return
+        self.note('rx', type=frame.type, data=frame.data.hex())
         if isinstance(message, arduino.Heartbeat):
             self._heartbeat = now
         elif isinstance(message, arduino.SpeedCommand):
@@ -190,6 +201,7 @@ class ModelCar(Board):
             if not self.motor_on or self.command * value < 0:
                 self.say(f'motor on: speed {value}')
             self.motor_on = True
+            self._lost_stop = False
             self.command = value
             self.note('motor', on=True, speed=value, why=f'SPEED {value}')
 

@@ -21,7 +21,8 @@ All boards:
               [``sent`` false, ``why``]
 ``fault``     ``kind`` silence | stall | reset, ``seconds``: it begins, and how long it lasts
 ``rx-fault``  ``faults``, ``came`` what the port gave, ``became`` what the board was given of it
-``rx-lost``   ``data``, ``why``: bytes that came while the board could not take them
+``rx-lost``   ``data``, ``why``: bytes that came while the board could not take them, or that the
+              line lost on demand
 ``boot``      the board is up, at its start and after every reset
 ``late``      ``by`` seconds: the simulator itself was woken this late by its machine; what it saw
               just before and after, heartbeat gaps too, may be its own fault

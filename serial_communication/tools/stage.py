@@ -166,6 +166,16 @@ class Stage:
         self._core = Child('roscore', ['roscore', '-p', str(self._port)], self.folder, self.env)
         return self._core
 
+    @property
+    def master_runs(self) -> bool:
+        """Whether there is a roscore, one that was asked to end included."""
+        return self._core is not None and self._core.alive
+
+    def ask_master_to_end(self) -> None:
+        """Returns at once: a roscore may take seconds to end."""
+        if self._core:
+            self._core.ask_to_end()
+
     def end_master(self) -> None:
         """Nobody answers at its address any more."""
         if self._core:

@@ -189,13 +189,15 @@ class CarBoard(Board):
 
 
 class Rfc2217Server:
-    """A server with one connection, which stands still while `running` is not set."""
+    """A server of one connection; who comes later is refused at once, so that no link is left
+    waiting for an answer as a test ends."""
 
     def __init__(self, listening, path):
         self.url = 'rfc2217://127.0.0.1:%d' % listening.getsockname()[1]
         self.peer = None
-        self.running = threading.Event()
-        self.running.set()
+        self._going = threading.Event()
+        self._going.set()
+        self._standing = threading.Event()
         self._ended = threading.Event()
         self._server, self._path = listening, path
         self._thread = threading.Thread(target=self._serve, name='rfc2217 server', daemon=True)
@@ -205,28 +207,42 @@ class Rfc2217Server:
     def alive(self):
         return self._thread.is_alive()
 
+    def stand_still(self):
+        """From the return of this on it takes nothing, until `go_on`."""
+        self._standing.clear()
+        self._going.clear()
+        assert self._standing.wait(PATIENCE)
+
+    def go_on(self):
+        self._going.set()
+
     def end(self):
         self._ended.set()
-        self.running.set()
+        self._going.set()
         self._thread.join()
 
     def _serve(self):
-        self.peer, _ = self._server.accept()
-        peer = self.peer
-        with _Device(self._path, timeout=0.05) as device:
-            manager = serial.rfc2217.PortManager(device, _Connection(peer))
-            peer.settimeout(0.05)
+        with self._server:
+            self.peer, _ = self._server.accept()
+        connection = _Connection(self.peer)
+        with self.peer, _Device(self._path, timeout=0.05) as device:
+            manager = serial.rfc2217.PortManager(device, connection)
+            self.peer.settimeout(0.05)
             while not self._ended.is_set():
-                if not self.running.wait(0.05):
+                if not self._going.is_set():
+                    self._standing.set()
+                    self._going.wait()
                     continue
+                connection.write(b''.join(manager.escape(device.read(device.in_waiting))))
                 try:
-                    peer.sendall(b''.join(manager.escape(device.read(device.in_waiting))))
-                    device.write(b''.join(manager.filter(peer.recv(65536))))
+                    data = self.peer.recv(65536)
                 except socket.timeout:
-                    pass
+                    continue
                 except OSError:
                     break
-        peer.close()
+                if not data:
+                    break       # ended, not reset: the other end knew that all had arrived
+                device.write(b''.join(manager.filter(data)))
 
 
 class _Device(serial.Serial):
@@ -240,4 +256,10 @@ class _Connection:
     """What a PortManager writes its own words to."""
 
     def __init__(self, peer):
-        self.write = peer.sendall
+        self._peer = peer
+
+    def write(self, data):
+        try:
+            self._peer.sendall(data)
+        except OSError:
+            pass    # nobody is there to read it; what came from there can be read all the same

@@ -280,12 +280,18 @@ def test_a_network_port_that_falls_silent_is_opened_anew(logger, running, lines)
     with socket.create_server(('127.0.0.1', 0)) as server:
         server.settimeout(PATIENCE)
         watched = Watched(dict(port=Port('socket://127.0.0.1:%d' % server.getsockname()[1]),
-                               timeout=20.0, logger=logger, network_silence=0.4))
+                               timeout=20.0, logger=logger, network_silence=0.0))
         running(watched.link)
         first, _ = server.accept()
         with first:
             until(lambda: watched.link.port.is_open)
             first.sendall(status(1))
+            until(lambda: watched.seqs() == [1])
+            # Only now, and not for the next one: a slow machine may need any time to speak.
+            watched.link._network_silence = 0.4
+            watched.link.wake()
+            until(lambda: not watched.link.port.is_open)
+            watched.link._network_silence = 0.0
             second, _ = server.accept()
             with second:
                 until(lambda: watched.link.port.is_open)

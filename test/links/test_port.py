@@ -399,7 +399,7 @@ def test_a_socket_that_nobody_serves_says_so(free_server):
 
 @pytest.fixture
 def rfc2217(free_server, line):
-    """Telnet with serial options, as ser2net speaks it; `stalled` while its event is set."""
+    """Telnet with serial options, as ser2net speaks it."""
     server = Rfc2217Server(free_server, line.path)
     yield server
     server.end()
@@ -418,10 +418,16 @@ def test_a_port_by_rfc2217(rfc2217, line):
     port.close()
 
 
+def narrow(port):
+    """Few bytes fill it, as the server looks at each of them by itself."""
+    port._serial._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 16)
+
+
 def test_an_rfc2217_server_that_stands_still_makes_no_writer_wait(rfc2217, line):
     port = Port(rfc2217.url)
     port.open()
-    rfc2217.running.clear()
+    narrow(port)
+    rfc2217.stand_still()
     taken = fill(port)
     begun = time.monotonic()
     for _ in range(100):
@@ -429,7 +435,7 @@ def test_an_rfc2217_server_that_stands_still_makes_no_writer_wait(rfc2217, line)
             port.write(b'x' * 70000)
     assert time.monotonic() - begun < 2.0
     assert port.backlog() > 1.0
-    rfc2217.running.set()
+    rfc2217.go_on()
     reader = Reader(port, 1.0)
     expected, received = b''.join(map(frame, taken)), b''
     deadline = time.monotonic() + PATIENCE
@@ -447,7 +453,7 @@ def test_what_a_connection_has_not_sent_is_never_sent_once_it_is_given_up(
         server = Rfc2217Server(free_server, line.path)
         port = Port(server.url)
         port.open()
-        server.running.clear()
+        server.stand_still()
         peer = until(lambda: server.peer)
     else:
         port = Port('socket://127.0.0.1:%d' % free_server.getsockname()[1])
@@ -521,6 +527,7 @@ def vanish(peer):
 @pytest.fixture
 def free_server():
     server = socket.socket()
+    server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 14)
     server.bind(('127.0.0.1', 0))
     server.listen(1)
     server.settimeout(PATIENCE)

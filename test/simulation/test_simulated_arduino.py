@@ -46,6 +46,20 @@ def test_rates():
                                         arduino.Imu: 3000, arduino.Voltage: 30}
 
 
+def test_the_first_speed_0_of_each_stop_may_be_lost():
+    bench = make(lose_stops=True)
+    zero = arduino.encode(arduino.SpeedCommand(0))
+    for _ in range(2):
+        drive(bench, 0.05, 300)
+        bench.feed(zero)
+        assert bench.board.motor_on
+        bench.feed(zero)
+        assert not bench.board.motor_on
+        bench.feed(zero)
+    assert [(fields['data'], fields['why']) for fields in bench.notes.of('rx-lost')] == [
+        (zero.hex(), 'lose-stops')] * 2
+
+
 def test_rates_do_not_drift_when_it_is_woken_late():
     bench = make()
     start = bench.now

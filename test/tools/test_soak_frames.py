@@ -1,6 +1,7 @@
 """Each check passes sound records and finds what is wrong with doctored ones."""
 from serial_communication.tools.soak.align import Sent
 from serial_communication.tools.soak.check_frames import check_published
+from serial_communication.tools.soak.records import Intervals
 
 
 def published(values, sent=None):
@@ -26,3 +27,12 @@ class TestPublished:
         sent = [Sent(0.0, 1, True, 'ok'), Sent(0.1, 2, False, 'blind'), Sent(0.2, 3, True, 'ok')]
         row, blind = published([(0.0, 1), (0.1, 2), (0.2, 3)], sent)
         assert row.violations == [] and blind == 1
+
+    def test_what_waited_in_a_line_that_was_stopped_for_long(self):
+        """The line held everything from 0.05 s to 5 s, so all of it came then."""
+        sent = [Sent(index / 10, index, True, 'ok', index) for index in range(10)]
+        came = [(0.0, 0, 0.0)] + [(5.0, index, 5.0) for index in range(1, 10)]
+        row, _blind, _maybe = check_published('g', 's', {'topic': (sent, came)},
+                                              Intervals([(0.05, 5.0)]))
+        assert row.violations == []
+        assert published(came, sent)[0].violations

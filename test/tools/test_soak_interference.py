@@ -5,9 +5,9 @@ import pytest
 from serial_communication.tools.soak.check_bus import answered
 from serial_communication.tools.soak.check_interference import (
     Connection, check_frozen_line, check_master, check_network, check_standstill, check_unread,
-    registered)
+    opened_anew, registered)
 from serial_communication.tools.soak.check_motor import Speed
-from serial_communication.tools.soak.packets import HEARTBEAT, SPEED, Packet
+from serial_communication.tools.soak.packets import HEARTBEAT, SPEED, STEERING, Packet
 from serial_communication.tools.soak.records import Intervals, stretches
 
 NEVER = Intervals()
@@ -47,41 +47,65 @@ class TestStandstill:
         assert first.tries == 0
 
 
-class TestFrozenLine:
-    def test_speed_0_first(self):
-        row = check_frozen_line(STOPPED, [beat(4.99), speed(7.0001, 0), beat(7.0002)], NEVER)
-        assert row.tries == 1 and not row.violations
+def steering(t, value):
+    return Packet(t, STEERING, value.to_bytes(2, 'little'))
 
-    def test_behind_what_the_cable_held(self):
-        row = check_frozen_line(STOPPED, [beat(7.0001), speed(7.0002, 0), beat(7.01)], NEVER)
-        assert not row.violations
+
+class TestFrozenLine:
+    """The line freezes at 5.0 s; the latest steering that came was written at 4.955 s, and 1 ms
+    later three heartbeats of before had come as well. Heartbeats are written each 10 ms."""
+
+    WRITTEN = sorted([beat(index / 100) for index in range(300, 900)]
+                     + [steering(4.455, 7), steering(4.955, 8)])
+    CAME = [steering(4.456, 7), beat(4.956), steering(4.956, 8)] + [beat(4.97)] * 3
+
+    def violations(self, *came, filled=(5.006,)):
+        row = check_frozen_line(STOPPED, list(filled), self.WRITTEN, self.CAME + list(came), NEVER)
+        assert row.tries == 1
+        return row.violations
+
+    def test_speed_0_first(self):
+        assert not self.violations(speed(7.0001, 0), beat(7.0002))
+
+    def test_behind_what_was_written_before_the_line_was_full(self):
+        """At 4.99, 5.0 and 5.01 s: what is stamped up to 10 ms later may have left before."""
+        assert not self.violations(*[beat(7.0001)] * 3, speed(7.0002, 0))
+        assert self.violations(*[beat(7.0001)] * 4, speed(7.0002, 0))
+
+    def test_where_the_campaign_needed_long_to_fill_it(self):
+        assert not self.violations(*[beat(7.0001)] * 10, speed(7.0002, 0), filled=[5.076])
+        assert self.violations(*[beat(7.0001)] * 11, speed(7.0002, 0), filled=[5.076])
 
     def test_never(self):
-        came = [beat(7.0 + index / 100) for index in range(1, 50)] + [speed(7.5, 0)]
-        assert len(check_frozen_line(STOPPED, came, NEVER).violations) == 1
+        assert self.violations(*[beat(7.0 + index / 100) for index in range(1, 50)],
+                               speed(7.5, 0))
 
 
 class TestUnread:
     NEVER = dict.fromkeys(('bus', 'arduino', 'mcu'), NEVER)
     DATA = {'bus': [t / 2 for t in range(100)], 'mcu': [t / 10 for t in range(500)]}
 
+    def violations(self, data, excused=NEVER, anew=()):
+        return check_unread(Intervals([(5.0, 45.0)]), 9, data, excused, list(anew)).violations
+
     def test_goes_on(self):
-        assert not check_unread(Intervals([(5.0, 45.0)]), 9, self.DATA, self.NEVER).violations
+        assert not self.violations(self.DATA)
 
     def test_a_link_that_died(self):
         data = dict(self.DATA, mcu=[t for t in self.DATA['mcu'] if t < 20.0])
-        row = check_unread(Intervals([(5.0, 45.0)]), 9, data, self.NEVER)
-        assert len(row.violations) == 1 and 'mcu' in row.violations[0][1]
+        (_t, what), = self.violations(data)
+        assert 'mcu' in what
 
     def test_one_that_never_had_data(self):
-        row = check_unread(Intervals([(5.0, 45.0)]), 9, {'arduino': []}, self.NEVER)
-        assert len(row.violations) == 1
+        assert len(self.violations({'arduino': []})) == 1
 
     def test_a_port_that_was_not_there(self):
         data = dict(self.DATA, mcu=[t for t in self.DATA['mcu'] if not 20.0 < t < 30.0])
-        row = check_unread(Intervals([(5.0, 45.0)]), 9, data, dict(self.NEVER, mcu=Intervals(
-            [(20.0, 29.0)])))
-        assert not row.violations
+        assert not self.violations(data, dict(self.NEVER, mcu=Intervals([(20.0, 29.0)])))
+
+    def test_a_link_that_only_begins_again_and_again(self):
+        anew = [Connection(t, 'mcu', '') for t in (4.0, 20.0, 46.0)]
+        assert [t for t, _what in self.violations(self.DATA, anew=anew)] == [20.0]
 
 
 class TestNetwork:
@@ -105,30 +129,46 @@ class TestNetwork:
         assert len(old.violations) == 1
 
 
+class TestOpenedAnew:
+    def anew(self, *opened, cuts=()):
+        events = [{'t': 0.0, 'ev': 'begin'}] + [{'t': t, 'ev': 'unplugged', 'link': link}
+                                                for t, link in cuts]
+        return [(one.t, one.link) for one in opened_anew(events, [
+            Connection(t, link, '') for t, link in opened])]
+
+    def test_the_first_ones(self):
+        assert self.anew((1.0, 'bus'), (1.1, 'mcu')) == []
+
+    def test_behind_a_cut(self):
+        assert self.anew((1.0, 'bus'), (5.0, 'bus'), cuts=[(4.0, 'bus')]) == []
+
+    def test_without_one(self):
+        assert self.anew((1.0, 'bus'), (5.0, 'bus')) == [(5.0, 'bus')]
+        assert self.anew((1.0, 'bus'), (5.0, 'bus'), cuts=[(4.0, 'mcu')]) == [(5.0, 'bus')]
+
+    def test_twice_behind_one_cut(self):
+        assert self.anew((1.0, 'bus'), (5.0, 'bus'), (6.0, 'bus'), cuts=[(4.0, 'bus')]) == [
+            (6.0, 'bus')]
+
+
 class TestMaster:
     EVENTS = [{'t': 10.0, 'ev': 'master ended'}, {'t': 11.0, 'ev': 'master started'},
               {'t': 15.0, 'ev': 'registered'}]
-    OPENED = [Connection(1.0, 'bus', 'connection 1')]
 
     def test_back(self):
-        back, ports = check_master(self.EVENTS, self.OPENED)
+        back, ports = check_master(self.EVENTS, [])
         assert back.tries == 1 and not back.violations and not ports.violations
 
     def test_late(self):
         events = self.EVENTS[:2] + [{'t': 22.0, 'ev': 'registered'}]
-        assert len(check_master(events, self.OPENED)[0].violations) == 1
+        assert len(check_master(events, [])[0].violations) == 1
 
     def test_never(self):
-        assert len(check_master(self.EVENTS[:2], self.OPENED)[0].violations) == 1
+        assert len(check_master(self.EVENTS[:2], [])[0].violations) == 1
 
     def test_a_port_opened_anew(self):
-        opened = self.OPENED + [Connection(12.0, 'bus', 'connection 2')]
-        assert len(check_master(self.EVENTS, opened)[1].violations) == 1
-
-    def test_a_port_that_had_been_cut(self):
-        events = [{'t': 9.5, 'ev': 'plugged', 'link': 'bus'}] + self.EVENTS
-        opened = self.OPENED + [Connection(12.0, 'bus', 'connection 2')]
-        assert not check_master(events, opened)[1].violations
+        anew = [Connection(t, 'bus', 'connection 2') for t in (9.0, 12.0, 16.0)]
+        assert [t for t, _what in check_master(self.EVENTS, anew)[1].violations] == [12.0]
 
     def test_what_a_master_knows_of_a_node(self):
         state = [[['/imu', ['/a', '/b']]], [['/speed', ['/b']]], [['/lift', ['/a']]]]

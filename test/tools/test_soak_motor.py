@@ -149,6 +149,15 @@ class TestStands:
         rows = rows_of(journal + [speed(4.5, 0), turns(4.5, 0)], commands)
         assert not any(row.violations for row in rows.values())
 
+    def test_what_the_board_took_in_one_read_did_not_turn_it(self):
+        """Behind a line that stood still, say."""
+        journal = [speed(2.0, 300), turns(2.0, 300), speed(2.5, 0), turns(2.5, 0),
+                   speed(9.0, 301), turns(9.0, 301), speed(9.0, 302), turns(9.0, 302),
+                   speed(9.0, 0), turns(9.0, 0)]
+        assert not rows_of(journal, [told(1.99, 300)])['stands'].violations
+        assert rows_of(journal[:-1] + [turns(9.5, 0)], [
+            told(1.99, 300), told(8.0, 301), told(8.1, 302)])['stands'].violations
+
     def test_until_the_end(self):
         journal = [speed(END - 2, 300), turns(END - 2, 300)]
         assert rows_of(journal, [told(END - 2.01, 300)])['stands'].violations
@@ -181,19 +190,43 @@ class TestZerosByTheRules:
         journal = [speed(2.0, 300)] + [speed(2.5 + index / 20, 0) for index in range(60)]
         assert rows_of(journal, [told(1.99, 300)])['rules'].violations
 
+    # That of the bridge's start, which the rules of the others have nothing to do with.
+    START = [speed(3.0, 0), {'t': 3.001, 'ev': 'rx', 'type': 11, 'data': ''}]
+
+    def found(self, journal, *arguments, **more):
+        rules = rows_of(self.START + journal, *arguments, **more)['rules']
+        return [t for t, _what in rules.violations]
+
+    def test_as_the_bridge_starts(self):
+        assert not self.found([], [])
+        assert not self.found([speed(3.0 + index / 20, 0) for index in range(1, 21)], [])
+
+    def test_the_first_one_behind_a_heartbeat(self):
+        journal = [{'t': 3.0, 'ev': 'rx', 'type': 11, 'data': ''}, speed(5.0, 0)]
+        assert [t for t, _what in rows_of(journal, [])['rules'].violations] == [5.0]
+
     def test_at_an_opening(self):
         port = [{'t': 5.0, 'ev': 'port', 'open': False}, {'t': 6.0, 'ev': 'port', 'open': True}]
-        assert not rows_of(port + [speed(6.1, 0)], [])['rules'].violations
+        assert not self.found(port + [speed(6.1, 0)], [])
 
     def test_after_a_standstill(self):
-        assert not rows_of([speed(8.0, 0)], [], doubtful=[(6.0, 7.9)])['rules'].violations
+        assert not self.found([speed(8.0, 0)], [], doubtful=[(6.0, 7.9)])
+
+    def test_as_the_board_takes_in_what_came_while_it_read_nothing(self):
+        stall = [{'t': 6.0, 'ev': 'fault', 'kind': 'stall', 'seconds': 1.9}]
+        assert not self.found(stall + [speed(8.0, 0)], [])
 
     def test_commanded(self):
-        assert not rows_of([speed(8.0, 0)], [told(7.99, 0)])['rules'].violations
+        assert not self.found([speed(8.0, 0)], [told(7.99, 0)])
+
+    def test_before_a_calibration(self):
+        assert not self.found([speed(4.97, 0)], [CALIBRATION])
+
+    def test_after_a_speed(self):
+        assert not self.found([speed(8.0, 300), speed(8.5, 0)], [told(7.99, 300)])
 
     def test_out_of_the_blue(self):
-        found = rows_of([speed(1.0, 0), speed(8.0, 0)], [])['rules'].violations
-        assert [t for t, _what in found] == [8.0]
+        assert self.found([speed(8.0, 0)], []) == [8.0]
 
     def test_between_commands_that_go_on(self):
         """One that is repeated although another speed has been accepted."""

@@ -15,12 +15,15 @@ def check_published(group: str, says: str, topics: Dict[str, Tuple[List[Sent], L
         topics: by name, what was sent and the (stamp, key, time of arrival) of what was
             published.
         held_up: when the bridge, or the line, was stopped: what came late then is no figure.
+        late: seconds after which a message can no more be of a frame, stops aside.
 
     Returns:
         The row, how many messages were published of damage that nobody can see, and how many
         of frames whose own bytes were right but not those around them.
     """
     tries, worst, held, blind, maybe = 0, 0.0, 0.0, 0, 0
+    # A line that is stopped keeps what is on it for as long.
+    late += max([over - start for start, over in held_up.pairs], default=0.0)
     violations: List[Tuple[float, str]] = []
     for name, (sent, published) in topics.items():
         found = align(sent, published, late=late)

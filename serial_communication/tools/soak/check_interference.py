@@ -4,7 +4,7 @@ from bisect import bisect_left, bisect_right
 from typing import Any, Dict, FrozenSet, List, NamedTuple, Tuple
 
 from .check_motor import Speed
-from .packets import HEARTBEAT, SPEED, Packet
+from .packets import CROSSING, HEARTBEAT, SPEED, STEERING, Packet
 from .records import Intervals
 from .table import Row
 
@@ -12,12 +12,11 @@ QUIET = 8.0              # s without data while a port stays, more than faults o
 NETWORK_AGE = 1.5        # s; what a frozen network lets through late is no older
 NETWORK_RETURN = 3.0     # s from a network's return until heartbeats reach the board
 MASTER_RETURN = 10.0     # s from a new master's start until it knows the bridge
-_IN_THE_CABLE = 9        # packets of just before, which a cable on a busy machine had not passed on
 _SPEED_0 = (SPEED, b'\0\0')
 
 
 class Connection(NamedTuple):
-    """A frame that is the first one of a connection of the bridge's."""
+    """A connection of the bridge's, by the bridge's stamp of its first frame."""
 
     t: float
     link: str
@@ -52,35 +51,75 @@ def check_standstill(stopped: Intervals, came: List[Packet], speeds: List[Speed]
             Row('standstill', 'no command of before or meanwhile drives the motor', tries, old)]
 
 
-def check_frozen_line(frozen: Intervals, came: List[Packet], unclear: Intervals) -> Row:
-    """A board that reads nothing, until the bridge drops what waits, and then reads again."""
+def check_frozen_line(frozen: Intervals, filled: List[float], written: List[Packet],
+                      came: List[Packet], unclear: Intervals) -> Row:
+    """A board that reads nothing, until the bridge drops what waits, and then reads again.
+
+    A pseudo terminal hands up to 4095 bytes to its other end at once, where no flush reaches
+    them; a UART does not. So what the bridge had written before the campaign filled that place
+    comes before SPEED 0, and nothing else may.
+
+    Args:
+        filled: when the campaign had.
+        written: what the bridge had handed to its port, and when, in order.
+    """
     violations, tries = [], 0
     for start, over in frozen.pairs:
         if unclear.touches(start - 0.1, over + 0.1):
             continue
         tries += 1
         at = bisect_right([packet.t for packet in came], over)
-        # What the cable had not passed on as it was stopped comes before all.
-        heads = came[at:at + 1 + _IN_THE_CABLE]
+        full = next((t for t in filled if start <= t <= over), start)
+        heads = came[at:at + _under_way(written, full, came[:at]) + 1]
         if not any(_is_speed_0([packet]) for packet in heads):
             violations.append((over, f'the first packets afterwards are {heads or "none"}'))
     return Row('arduino', 'dropped output, then the board reads again: SPEED 0 comes first', tries,
                violations)
 
 
+def _under_way(written: List[Packet], full: float, came: List[Packet]) -> int:
+    """How many packets were written by the time `full` and had not come.
+
+    The latest steering that came tells which of all packets it was: no value recurs soon.
+    """
+    until = bisect_right([packet.t for packet in written], full + CROSSING)
+    for behind, packet in enumerate(reversed(came)):
+        if packet.type != STEERING:
+            continue
+        for index in range(until - 1, -1, -1):
+            if (written[index].type, written[index].data) == (STEERING, packet.data):
+                return max(0, until - index - 1 - behind)
+    return 0
+
+
 def _is_speed_0(packets: List[Packet]) -> bool:
     return bool(packets) and (packets[0].type, packets[0].data) == _SPEED_0
 
 
+def opened_anew(events: List[Dict], opened: List[Connection]) -> List[Connection]:
+    """The connections, but each link's first, that no absence of the port explains."""
+    found = []
+    latest: Dict[str, Connection] = {}
+    for one in opened:
+        before = latest.get(one.link)
+        latest[one.link] = one
+        if before and not any(event['ev'] == 'unplugged' and event['link'] == one.link
+                              and before.t < event['t'] < one.t for event in events):
+            found.append(one)
+    return found
+
+
 def check_unread(unread: Intervals, lines: int, data: Dict[str, List[float]],
-                 excused: Dict[str, Intervals]) -> Row:
+                 excused: Dict[str, Intervals], anew: List[Connection]) -> Row:
     """The reader of stdout and stderr has gone; the links go on.
 
     Args:
         lines: that the bridge had to say meanwhile.
         data: by link, when frames came in; `excused`: when none could.
+        anew: connections that had no reason.
     """
-    violations, worst = [], 0.0
+    violations, worst = [(one.t, f'the port of the {one.link} link was opened anew')
+                         for one in anew if unread.holds(one.t)], 0.0
     for start, over in unread.pairs:
         for link, times in data.items():
             within = [start] + [t for t in times if start < t < over] + [over]
@@ -90,7 +129,7 @@ def check_unread(unread: Intervals, lines: int, data: Dict[str, List[float]],
                 if gap > QUIET:
                     violations.append((before, f'no data of the {link} link for {gap:.1f} s'))
     return Row('node', 'links go on while nobody reads what it says (a broken pipe)', lines,
-               violations, f'{worst:.1f} s without data' if lines else '')
+               sorted(violations), f'{worst:.1f} s without data' if lines else '')
 
 
 def check_network(events: List[Dict], came: List[Packet], speeds: List[Speed],
@@ -136,11 +175,11 @@ def registered(state: Any, parameters: Any, node: str) -> FrozenSet[Tuple[str, s
     return frozenset(known | {('parameter', key) for key in parameters})
 
 
-def check_master(events: List[Dict], opened: List[Connection]) -> List[Row]:
+def check_master(events: List[Dict], anew: List[Connection]) -> List[Row]:
     """A roscore that is restarted.
 
     Args:
-        opened: each connection of the bridge's, by its first frame.
+        anew: connections that had no reason.
     """
     late, again, slowest, tries = [], [], 0.0, 0
     for index, event in enumerate(events):
@@ -155,11 +194,8 @@ def check_master(events: List[Dict], opened: List[Connection]) -> List[Row]:
                          f'{took:.1f} s' if back else 'nothing of the bridge came back'))
         gone = max(one['t'] for one in events[:index] if one['ev'] == 'master ended')
         until = back['t'] if back else event['t'] + MASTER_RETURN
-        for one in opened:
-            cut = any(other['ev'] == 'plugged' and other.get('link') == one.link
-                      and one.t - QUIET < other['t'] <= one.t for other in events)
-            if gone < one.t < until and not cut:
-                again.append((one.t, f'the port of the {one.link} link was opened anew'))
+        again += [(one.t, f'the port of the {one.link} link was opened anew') for one in anew
+                  if gone < one.t < until]
     return [Row('master', 'roscore restarted: topics, services, parameters back within 10 s', tries,
                 late, f'{slowest:.1f} s' if tries and not late else ''),
             Row('master', 'no port is opened anew meanwhile', tries, again)]

@@ -48,6 +48,7 @@ class Drive(NamedTuple):
     doubtful: Intervals             # while the campaign kept the bridge, or its output, from work
     blind: Intervals                # while nobody can tell when a packet came
     motor: List[Tuple[float, bool]]  # what it was told, and when: on (again), or off
+    began: List[float]              # when the very first packet came, if any did
     speed_timeout: float
 
 
@@ -79,7 +80,8 @@ def prepare(journal: List[Dict], commands: List[Dict], unplugged: List[float],
         + Intervals([(start, over + _ORDER) for start, over in doubtful.pairs])
         + Intervals(calibrations(journal, end)) + late_times(journal) + line_times(beats, written),
         [(event['t'], event['on']) for event in journal if event['ev'] == 'motor'
-         and event['t'] < end] + [(end, False)], speed_timeout)
+         and event['t'] < end] + [(end, False)],
+        sorted(packet.t for packet in came)[:1], speed_timeout)
 
 
 def _speeds(came: List[Packet], commands: List[Dict], end: float) -> List[Speed]:
@@ -210,8 +212,8 @@ def _zeros_by_the_rules(drive: Drive) -> Row:
     owed += [(t - _ORDER, t + stop) for t in drive.zeros + drive.calls]
     owed += [(speed.t, speed.t + drive.speed_timeout + stop)
              for speed in drive.speeds if speed.value]
-    # The first one of all is that of the bridge's start, whenever it has started.
-    owed += [(speed.t, speed.t + stop) for speed in drive.speeds[:1]]
+    # With the first packet of all the bridge has opened its port, whenever it was started.
+    owed += [(t, t + stop) for t in drive.began]
     allowed = Intervals(owed)
     zeros = [speed.t for speed in drive.speeds if not speed.value]
     return Row('arduino', 'SPEED 0 commanded, or where a rule has it, and never else', len(zeros),

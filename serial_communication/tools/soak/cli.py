@@ -18,6 +18,7 @@ from ..stage import StageError
 from .hostile import decoder_costs, node_costs, render_costs, rows_of
 from .judge import judge
 from .run import Campaign, seconds_of
+from .schedule import LEAST
 from .shutdown import Shutdown
 from .stage import CampaignStage
 from .table import as_dict, render
@@ -119,8 +120,9 @@ def _parse(arguments: List[str]) -> argparse.Namespace:
 
 def _seconds(text: str) -> float:
     value = float(text)
-    if not 10 <= value <= 1e6:
-        raise argparse.ArgumentTypeError(f'{text} s, may be 10 to 1000000')
+    if not LEAST <= value <= 1e6:
+        raise argparse.ArgumentTypeError(f'{text} s, may be {LEAST:g} to 1000000: in less, faults '
+                                         'that exclude each other would overlap')
     return value
 
 

@@ -3,7 +3,7 @@ import glob
 import os
 import time
 from bisect import bisect_left, bisect_right
-from typing import Any, Dict, List, NamedTuple, Tuple
+from typing import Any, Dict, List, NamedTuple, Set, Tuple
 
 import genpy
 from roslib.message import get_message_class
@@ -17,13 +17,13 @@ from .check_bus import check_bus, outcomes
 from .check_frames import check_published
 from .check_heartbeat import check_heartbeat
 from .check_interference import (Connection, check_frozen_line, check_master, check_network,
-                                 check_standstill, check_unread)
+                                 check_standstill, check_unread, opened_anew)
 from .check_lost import Told, check_lost_frames, frame_of, heard_of
 from .check_motor import check_motor, prepare
 from .check_own import check_own_commands
 from .check_node import RETURN, check_level, check_log, check_returns, log_lines
 from .expected import LINKS, RECORDED, TOPICS, Arrival, arrivals, expected
-from .packets import (HEARTBEAT, SPEED, calibrations, closed_times, fault_times,
+from .packets import (HEARTBEAT, SPEED, Packet, calibrations, closed_times, fault_times,
                       packets_of)
 from .records import Intervals, read_lines, read_messages, stretches
 from .run import SPEED_TIMEOUT, TIMEOUTS, excuses_of_calls
@@ -45,7 +45,8 @@ class _Published(NamedTuple):
     traffic: Dict[str, List[Tuple[float, Tuple]]]  # by link: good frames in, of serial_msg
     taken: List[Tuple[float, str, Tuple]]         # of the mcu: arrival, connection, frame
     opened: List[Connection]                      # of every link
-    beats: List[float]                            # when the bridge had written a heartbeat
+    written: List[Packet]                         # by the bridge to the arduino, and when
+    beats: List[float]                            # when of that a heartbeat
     offset: float
 
 
@@ -88,7 +89,9 @@ def judge(folder: str) -> List[Row]:
     came = sorted(packets_of(journals['arduino'])[0], key=lambda packet: packet.t)
     unclear = drive.closed + drive.stalled + Intervals(calibrations(journals['arduino'], end))
     rows.append(check_own_commands(came, commands, _cuts(events, 'arduino'), unclear + held_up))
-    rows.append(check_frozen_line(frozen, came, unclear + stopped))
+    filled = [event['t'] for event in events if event['ev'] == 'filled'
+              and event['link'] == 'arduino']
+    rows.append(check_frozen_line(frozen, filled, published.written, came, unclear + stopped))
     rows += check_standstill(stopped, came, drive.speeds, unclear + frozen)
     rows += check_heartbeat(journals['arduino'], metronome, published.beats, end, held_up)
     rows += _of_link('mcu', 'every undamaged frame published once, in order', frames, published,
@@ -102,10 +105,11 @@ def judge(folder: str) -> List[Row]:
     log = [line for line in _log(folder, published.offset) if line[0] <= over]
     rows += check_log(log)
     unread = stretches(events, 'unread', 'read again', end)
+    anew = opened_anew(events, published.opened)
     rows.append(check_unread(unread, sum(unread.holds(t) for t, _severity, _text in log), {
         link: _data_of(link, published) for link in LINKS}, {
-            link: held_up + _absent(link, events, end) for link in LINKS}))
-    rows += check_master(events, published.opened)
+            link: held_up + _absent(link, events, end) for link in LINKS}, anew))
+    rows += check_master(events, anew)
     rows += _network(folder, events, end)
     rows.append(_ending(events, journals['arduino'], end))
     return rows
@@ -119,7 +123,7 @@ def _read(folder: str) -> _Published:
     by_topic: Dict[str, List] = {}
     for topic in TOPICS:
         by_topic.setdefault(topic.name.split(' ')[0], []).append(topic)
-    out = _Published({topic.name: [] for topic in TOPICS}, [], [], {}, [], [], [], offset)
+    out = _Published({topic.name: [] for topic in TOPICS}, [], [], {}, [], [], [], [], offset)
     instances = {name: get_message_class(kind)() for name, kind in RECORDED.items()}
     for t, name, data in messages:
         message = instances[name]
@@ -150,15 +154,20 @@ def _read_traffic(folder: str, out: _Published) -> None:
     if not os.path.exists(path):
         return
     message = SerialMsg()
-    latest: Dict[str, str] = {}
+    seen: Set[Tuple[str, str]] = set()      # links and connections
     for t, _name, data in read_messages(path)[1]:
         message.deserialize(data)
-        if latest.get(message.link) != message.header.frame_id:
-            latest[message.link] = message.header.frame_id
-            out.opened.append(Connection(t, message.link, message.header.frame_id))
+        if (message.link, message.header.frame_id) not in seen:
+            seen.add((message.link, message.header.frame_id))
+            out.opened.append(Connection(message.header.stamp.to_sec() - out.offset, message.link,
+                                         message.header.frame_id))
         if message.direction == SerialMsg.TX:
-            if message.type == HEARTBEAT and message.link == 'arduino':
-                out.beats.append(message.header.stamp.to_sec() - out.offset)
+            if message.link == 'arduino':
+                packet = Packet(message.header.stamp.to_sec() - out.offset, message.type,
+                                bytes(message.data))
+                out.written.append(packet)
+                if packet.type == HEARTBEAT:
+                    out.beats.append(packet.t)
         elif not message.error:
             frame = frame_of(message)
             out.traffic.setdefault(message.link, []).append((

@@ -12,7 +12,7 @@ OWN_COMMAND = 62         # of a message of one's own
 PRESS = 0x40             # CMD2 of a bus function of one's own
 
 GAP = 0.030              # s without a heartbeat after which the board stops its motor
-_CROSSING = 0.010        # s that a byte may take from one end of the line to the other
+CROSSING = 0.010         # s that a byte may take from one end of the line to the other
 
 
 class Packet(NamedTuple):
@@ -135,11 +135,11 @@ def line_times(beats: List[float], written: List[float]) -> Intervals:
     """
     pairs = []
     for before, after in zip(beats, beats[1:]):
-        if after - before < 2 * _CROSSING:
+        if after - before < 2 * CROSSING:
             continue
         at = bisect_right(written, before + 0.003)
         # The one written before this gap may be the one that ended it, too.
         if at and at < len(written) and written[at] - written[at - 1] < GAP and \
-                written[at] - before < GAP and after - written[at] > _CROSSING:
+                written[at] - before < GAP and after - written[at] > CROSSING:
             pairs.append((written[at], after))
     return Intervals(pairs)

@@ -1,15 +1,13 @@
-"""The campaign's hour: what is plugged, cut, stopped, disturbed and asked, and when.
+"""The campaign's hour: what is plugged, cut, stopped, disturbed and asked.
 
-All of it repeats every `CYCLE` seconds (less, if the campaign is shorter), seeded:
+When the arduino's line freezes or goes, when it calibrates, when the bridge is stopped and when the
+network fails stands in `schedule`. Beside these, at these shares of each cycle, seeded:
 
-    0.02 … 0.26  the mcu's port flaps, twice a second        0.30  a calibration
-    0.34 … 0.54  the bus's port flaps, twice a second        0.58 … 0.69  the arduino's goes, thrice
-    0.75         bus and mcu go for a second                 0.79  a calibration, and the port goes
-    0.05, 0.725  the arduino reads nothing until output has been dropped, then reads again
-    0.09         roscore ends, and comes back
+    0.02 … 0.26  the mcu's port flaps, twice a second
+    0.09         roscore ends, and comes back (in the first cycle)
     0.12 … 0.92  nobody reads what the bridge says on stdout and stderr
-    0.545        SIGSTOP for the bridge, and SIGCONT
-    0.15, 0.7    the network before another bridge's board freezes; 0.45  it forgets a connection
+    0.34 … 0.50  the bus's port flaps, twice a second
+    0.75         bus and mcu go for a second
 
 and all the time one subscriber is stopped for seconds, two processes take what CPU they get, the
 boards have every fault they know, and noise comes on the lines.
@@ -21,7 +19,7 @@ import os
 import random
 import signal
 import time
-from typing import Any, Callable, Dict, FrozenSet, List, Tuple
+from typing import Any, Callable, Dict, FrozenSet, Iterator, List, Tuple
 
 import rosgraph
 
@@ -33,11 +31,11 @@ from .check_interference import registered
 from .expected import LINKS, OWN_ROWS
 from .network import Relay
 from .records import Intervals, Lines, read_lines, stretches
+from .schedule import (CALIBRATION, CUTS, FROZEN, IN_TURN, LONGER, NETWORK_FROZEN, QUIET, STOPPED,
+                       Turn, cycles)
 from .stage import CampaignStage, Pipe
 
-CYCLE = 60.0
 FLAP = 0.25              # s down, and as long up: twice a second
-CALIBRATION = 3.0        # s that the board takes for one
 PARAMETERS: Dict[str, Any] = {
     'bus/motion_timeout': 0.5, 'bus/reply_timeout': 0.3, 'publish_tf': True}
 SPEED_TIMEOUT = 0.5      # the node's default
@@ -45,16 +43,14 @@ TIMEOUTS = {'lift': PARAMETERS['bus/motion_timeout'], 'gimbal': PARAMETERS['bus/
             'raw': PARAMETERS['bus/reply_timeout'],
             'own': OWN_ROWS['bus']['functions']['press']['timeout']}      # of each kind of call
 BOARD_OPTIONS = {'bus': ('--lift-speed', '100000', '--gimbal-speed', '100000'),
-                 'arduino': ('--calibration-time', f'{CALIBRATION:g}'), 'mcu': ()}
+                 # Damage takes a SPEED 0 too seldom to show within a minute that one is not enough.
+                 'arduino': ('--calibration-time', f'{CALIBRATION:g}', '--lose-stops'),
+                 'mcu': ()}
 NETWORK = '/network'     # the namespace of a second bridge, whose board is behind a network
-_STOPPED = 1.6           # s of SIGSTOP
-_FROZEN = 1.6            # s in which the arduino reads nothing …
-_DROPPED_AFTER = 0.8     # … so long after which the bridge has no room to write any more
+_DROPPED_AFTER = 0.8     # s after a line froze, from when the bridge has no room to write
 _FILL_PERIOD = 0.05      # s
 _NO_MASTER = 1.0         # s
-_NETWORK_FROZEN = 4.0    # s
 _LOOK_PERIOD = 0.1       # s from one look at a new master to the next
-_QUIET = 2.5             # s at the end of a cycle, and of all, in which every port stays
 _DRAIN = 1.5             # s for what is on its way at the end
 
 
@@ -181,10 +177,9 @@ class Campaign:
     # -- what happens when ------------------------------------------------------------------
 
     def _plan(self, start: float) -> None:
-        cycle = min(CYCLE, self._duration)
-        rounds = max(1, round(self._duration / cycle))
-        for number in range(rounds):
-            self._plan_cycle(start + number * cycle, cycle)
+        number, cycle = cycles(self._duration)
+        for index in range(number):
+            self._plan_cycle(start + index * cycle, cycle)
         self._at(start + 0.5, self._sample)
         self._at(start + 1.0, self._stop_subscriber)
         self._at(start + 0.09 * cycle, self._restart_master)
@@ -195,26 +190,37 @@ class Campaign:
         def at(share: float) -> float:
             return start + share * cycle
 
+        cuts = iter(CUTS)
+        for turn in IN_TURN['arduino']:
+            self._plan_turn(turn, at(turn.share), cuts)
         self._flap('mcu', at(0.02), at(0.26))
-        self._at(at(0.30), self._calibrate)
-        self._flap('bus', at(0.34), at(0.54))
-        # Each time for longer, and with the time to come back that is asked for.
-        for index, share in enumerate((0.58, 0.63, 0.69)):
-            self._cut('arduino', at(share), (0.15, 0.5, 1.2)[index] * self._random.uniform(
-                0.7, 1.2), index == 1)
+        self._flap('bus', at(0.34), at(0.50))
         for link in 'bus', 'mcu':
             self._cut(link, at(0.75), 1.0, self._random.random() < 0.5)
-        self._at(at(0.79), self._calibrate)
-        self._cut('arduino', at(0.79) + self._random.uniform(0.3, 2.0), 0.8, True)
-        for share in 0.05, 0.725:
-            self._freeze_line('arduino', at(share))
         self._at(at(0.12), lambda due: self._pipe.leave())
         self._at(at(0.92), lambda due: self._pipe.come_back())
-        self._at(at(0.545), self._stop_bridge)
-        for share in 0.15, 0.7:
-            self._at(at(share), lambda due: self._relay.freeze())
-            self._at(at(share) + _NETWORK_FROZEN, lambda due: self._relay.thaw())
-        self._at(at(0.45), lambda due: self._relay.vanish())
+        for turn in IN_TURN['network']:
+            if turn.what == 'freeze':
+                self._at(at(turn.share), lambda due: self._relay.freeze())
+                self._at(at(turn.share) + NETWORK_FROZEN, lambda due: self._relay.thaw())
+            else:
+                self._at(at(turn.share), lambda due: self._relay.vanish())
+
+    def _plan_turn(self, turn: Turn, when: float, cuts: Iterator[float]) -> None:
+        """A fault of the arduino's line, or of the bridge; `cuts`: seconds of those to come."""
+        if turn.what == 'freeze':
+            self._freeze_line('arduino', when)
+        elif turn.what == 'stop':
+            self._at(when, self._stop_bridge)
+        elif turn.what == 'cut':
+            # Each time for longer, and with the time to come back that is asked for.
+            seconds = next(cuts)
+            self._cut('arduino', when, seconds * self._random.uniform(0.7, LONGER),
+                      seconds == CUTS[1])
+        else:
+            self._at(when, self._calibrate)
+            if turn.what == 'calibrate and cut':
+                self._cut('arduino', when + self._random.uniform(0.3, 2.0), 0.8, True)
 
     def _at(self, when: float, action: Callable[[float], None]) -> None:
         heapq.heappush(self._due, (when, next(self._count), action))
@@ -234,14 +240,14 @@ class Campaign:
         cable = self._stage.cables[link]
         self._at(when, lambda due: cable.freeze())
         filled = when + _DROPPED_AFTER
-        while filled < when + _FROZEN:
+        while filled < when + FROZEN:
             self._at(filled, lambda due: cable.fill())
             filled += _FILL_PERIOD
-        self._at(when + _FROZEN, lambda due: cable.thaw())
+        self._at(when + FROZEN, lambda due: cable.thaw())
 
     def _stop_bridge(self, due: float) -> None:
         self._tell_bridge('stopped', signal.SIGSTOP)
-        self._at(due + _STOPPED, lambda due: self._tell_bridge('continued', signal.SIGCONT))
+        self._at(due + STOPPED, lambda due: self._tell_bridge('continued', signal.SIGCONT))
 
     def _tell_bridge(self, event: str, number: int) -> None:
         self._stage.events.write(t=time.monotonic(), ev=event)
@@ -250,9 +256,13 @@ class Campaign:
     def _restart_master(self, due: float) -> None:
         before = self._registered()
         self._stage.events.write(t=time.monotonic(), ev='master ended')
-        self._stage.end_master()
+        self._stage.ask_master_to_end()
 
-        def start(_due: float) -> None:
+        def start(due: float) -> None:
+            if self._stage.master_runs:     # nothing else may wait for its end
+                self._at(due + _LOOK_PERIOD, start)
+                return
+            self._stage.end_master()
             self._stage.launch_master()
             self._stage.events.write(t=time.monotonic(), ev='master started')
             self._at(time.monotonic() + _LOOK_PERIOD, look)
@@ -285,7 +295,7 @@ class Campaign:
         self._at(again + self._random.uniform(0.5, 2.0), self._stop_subscriber)
 
     def _noise(self, due: float, link: str) -> None:
-        if due < self._end - _QUIET:
+        if due < self._end - QUIET:
             size = self._random.choice((1, 2, 3, 8, 20, 60))
             self._stage.cables[link].noise(bytes(
                 self._random.choice((0xA5, 0x5A, 0x02, 0x03, 0x00, self._random.randrange(256)))

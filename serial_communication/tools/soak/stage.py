@@ -60,10 +60,12 @@ class Cable:
         """Nothing crosses it any more: what either end writes stays in the kernel."""
         self._stage.events.write(t=time.monotonic(), ev='frozen', link=self.name)
         self._child.send(signal.SIGSTOP)
+        # On a busy machine it may read on for a while. What comes now has to stay where it is.
+        os.waitid(os.P_PID, self._child.pid, os.WSTOPPED | os.WEXITED | os.WNOWAIT)
         # What a pseudo terminal's other end could read at once is beyond the bridge's flush, as
         # no byte in a UART's buffer is. So that much is 0x00, no packet for anybody.
-        time.sleep(0.005)
         self._write_zeros(_READ_BUFFER)
+        self._stage.events.write(t=time.monotonic(), ev='filled', link=self.name)
 
     def fill(self) -> None:
         """Leave the bridge no room to write, as if it had written it full itself."""
