@@ -99,9 +99,6 @@ class Bridge:
 
     def stop(self) -> None:
         """SPEED 0 first, then everything ends; in 1 s even where a port hangs."""
-        # rospy's thread for other nodes' calls turns in circles once its socket is closed, and would
-        # keep a processor from those that it waits for.
-        all_be_quick(0)
         # Whatever then keeps the interpreter alive (a thread in a dead connection, say).
         last_resort = threading.Timer(1.5, os._exit, (0,))
         last_resort.daemon = True
@@ -112,3 +109,6 @@ class Bridge:
         for link in self._links:
             link.join(max(0.0, deadline - time.monotonic()))
         self._diagnostics.stop()
+        # rospy's thread for the calls of others turns in circles once its socket is closed, and
+        # would keep a processor from those that it waits for.
+        all_be_quick(0)
