@@ -31,6 +31,7 @@ MEMORY = 0xF0          # CMD2 that the simulated board executes and no bridge kn
 UNSUPPORTED = 0x77     # CMD2 that it refuses
 PATIENCE = 6.0         # s that a call may take before it counts as lost
 _START = 30.0          # s for the bridge to offer its services
+_APART = 0.1             # s from one caller's first call to the next one's
 _LAST_CALLS = 4.0      # s for the calls under way as the callers end
 STEADY = 400             # the speed of a car that just drives
 METRONOME_PRIORITY = 10  # real-time, as the simulated boards have it: the least of all
@@ -154,6 +155,8 @@ def call(path: str, randomly: random.Random) -> None:
         rospy.wait_for_service(caller.service, _START)
     for caller in callers:
         caller.start()
+        # rospy's listener keeps five connections waiting; TCP asks again for a sixth after 1 s.
+        stopping.wait(_APART)
     stopping.wait()
     deadline = time.monotonic() + _LAST_CALLS
     for caller in callers:
