@@ -65,6 +65,7 @@ def test_the_same_cause(one, other):
 
 
 @pytest.mark.parametrize('one, other', [
+    (f'mcu: /{"folder/" * 12}mcu: there is no such device', f'mcu: /{"folder/" * 12}mcu: open'),
     ('bus: checksum: x', 'mcu: checksum: x'), ('bus: checksum: x', 'bus: framing: x')])
 def test_another_cause(one, other):
     assert cause_of(one) != cause_of(other)

@@ -56,6 +56,7 @@ def cause_of(text: str) -> Tuple[str, str]:
     if link not in LINKS:
         return '', _NUMBERS.sub('#', text)[:80]
     rest = re.sub(r' \(and \d+ more like it\)$', '', rest)
+    rest = re.sub(r'/\S+', '#', rest)      # a path may be longer than what is compared
     if rest.startswith(('checksum', 'framing', 'length', 'unknown type', 'implausible',
                         'oversize', 'out of step')):
         return link, rest.split(':')[0]
