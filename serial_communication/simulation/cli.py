@@ -23,7 +23,7 @@ _LONGEST = 150               # characters of one
 _AGAIN = 10.0                # s that a wrong argument takes where roslaunch would start it again
 
 _EXAMPLES = """\
-examples:
+examples (each with  rosrun serial_communication  before it, or in a checkout with  scripts/):
   socat_pair /tmp/ttyV0 /tmp/ttyV1 &            two linked ports: one for the bridge, one for us
   simulator bus --port /tmp/ttyV1
   simulator bus --port /tmp/ttyV1 --fault late=0.05 --fault reset=1/min
