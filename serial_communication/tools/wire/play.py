@@ -203,8 +203,8 @@ def run(options: argparse.Namespace) -> int:
         signal.signal(number, signal.default_int_handler)     # as Ctrl-C
     player = Player(port, pieces, line.frame_timeout * _PAUSE if options.loop else -1.0)
     stopped = False
-    player.start()
     try:
+        player.start()
         _follow(player, pieces)
     except KeyboardInterrupt:
         stopped = True
