@@ -24,6 +24,9 @@ nothing else; its parameters stand in config/bridge.yaml. Some ways to start it:
   roslaunch serial_communication bridge.launch --ros-args     what the launch file takes
   roslaunch serial_communication bridge.launch sim:=true      with simulated boards
   rosrun serial_communication {_PROGRAM} _bus/port:=/dev/ttyS0
+
+Exit status 0: it was told to end; 1: a parameter is wrong, or something failed, which it has
+said; {WRONG_ARGUMENTS}: wrong arguments; {NAME_TAKEN}: a node of its name runs already.
 """
 
 

@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from random import SystemRandom
-from typing import Any, List, Optional, Type
+from typing import Any, List, NoReturn, Optional, Type
 
 from ..boards import BOARDS, board_module
 from ..transport.pace import Allowance
@@ -20,9 +20,10 @@ from .own_messages import add_option
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _BURST, _RATE = 20, 2.0      # lines for people: in a burst, and a second after that
 _LONGEST = 150               # characters of one
+_AGAIN = 10.0                # s that a wrong argument takes where roslaunch would start it again
 
 _EXAMPLES = """\
-examples:
+examples (each with  rosrun serial_communication  before it, or in a checkout with  scripts/):
   socat_pair /tmp/ttyV0 /tmp/ttyV1 &            two linked ports: one for the bridge, one for us
   simulator bus --port /tmp/ttyV1
   simulator bus --port /tmp/ttyV1 --fault late=0.05 --fault reset=1/min
@@ -123,10 +124,22 @@ class _Voice:
 # -- the command line -------------------------------------------------------------------------
 
 
+class _Parser(argparse.ArgumentParser):
+    """Says in one line what is wrong, where argparse would have its whole usage before it."""
+
+    def error(self, message: str) -> NoReturn:
+        signal.pthread_sigmask(signal.SIG_BLOCK, _STOPS)
+        print(f'{self.prog}: {message}. Try: {self.prog} --help', file=sys.stderr, flush=True)
+        if any(each.startswith('__log:=') for each in sys.argv):
+            # By roslaunch, which has it again a second after it ends, to say the same.
+            signal.sigtimedwait(_STOPS, _AGAIN)
+        sys.exit(2)
+
+
 def _parse(arguments: List[str]) -> argparse.Namespace:
     # What roslaunch adds: __name:=… and remappings.
     arguments = [each for each in arguments if not re.match(r'[\w/~]+:=', each)]
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog='simulator', epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         description='A simulated board on a serial port, for trying a bridge without hardware.')

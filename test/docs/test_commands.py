@@ -6,6 +6,8 @@ A comment right before a block of commands says how it is run:
     <!-- run: bridge -->       beside a bridge with simulated boards
     <!-- run: launch -->       each line starts a bridge, whose links all become OK
     <!-- run: background -->   all at once; then the bus link becomes OK
+    <!-- run: play -->         all at once, the last with a bridge that waits and a recording
+                               drive.bag; then the arduino link becomes OK
     <!-- run: panel -->        a bridge, whose links become OK, and the page at its address
     <!-- run: avr -->          beside a bridge with emulated boards, their folder in $SIM_DIR
     <!-- run by: PART -->      by that part of scripts/test
@@ -77,7 +79,7 @@ def test_every_block_of_commands_says_how_it_is_run():
             continue
         kind, _, part = block.mark.partition('run by: scripts/test ')
         assert block.mark in ('needs a board', 'needs a screen', *(f'run: {each}' for each in (
-            'alone', 'bridge', 'launch', 'background', 'panel', 'avr'))) or (
+            'alone', 'bridge', 'launch', 'background', 'play', 'panel', 'avr'))) or (
                 not kind and part in parts.group(1).split()), f'{block.id}: {block.mark!r}'
 
 
@@ -125,6 +127,17 @@ def test_with_the_page(block, master):
 def test_in_the_background(block, master):
     with master.background(lines(block)):
         until(lambda: master.links_are_ok('bus'), f'the link is OK: {master.output()}')
+
+
+@marked('run: play')
+def test_with_a_recording(block, master, bridge):
+    done = bridge.run(f'rosbag record --duration 5 -O {master.folder}/drive.bag /serial_msg')
+    assert done.returncode == 0, done.stdout
+    *there, play = lines(block)
+    with master.background(there):
+        until(lambda: '/tmp/bridge: open' in master.output(), f'it opens: {master.output()}')
+        with master.background([play]):
+            until(lambda: master.links_are_ok('arduino'), f'the link is OK: {master.output()}')
 
 
 @marked('run: avr')

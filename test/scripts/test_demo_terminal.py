@@ -1,5 +1,6 @@
 """scripts/demo in a real terminal: what it shows at each size, and how it ends."""
 import os
+import signal
 import socket
 import subprocess
 import time
@@ -108,6 +109,17 @@ def test_ctrl_c_while_it_starts(demo, moment):
     assert terminal.status == 0
     assert descendants(terminal) == []
     assert 'Traceback' not in terminal.text()
+
+
+def test_a_roslaunch_that_hangs_is_ended_without_a_word_of_the_shell(demo):
+    terminal = demo()
+    terminal.until(lambda: any(is_table(each) for each in terminal.screens()), 'the table')
+    roslaunch, = [pid for pid in descendants(terminal)
+                  if b'--skip-log-check' in Path(f'/proc/{pid}/cmdline').read_bytes()]
+    os.kill(roslaunch, signal.SIGSTOP)
+    terminal.press(CTRL_C)
+    assert terminal.wait() < MOST and terminal.status == 0
+    assert 'Killed' not in terminal.text()
 
 
 @pytest.mark.parametrize('delay', [0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4])

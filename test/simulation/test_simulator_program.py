@@ -197,6 +197,24 @@ def test_duration():
     assert run('mcu', '--port', '/nowhere/ttyV1', '--duration', '0.05').returncode == 0
 
 
+def test_a_wrong_argument_is_told_in_one_line():
+    done = run('bus', '--port', '/nowhere/ttyV1', '--baud', 'fast')
+    assert done.returncode == 2 and done.stdout == ''
+    line, = done.stderr.splitlines()
+    assert "'fast'" in line and line.endswith('Try: simulator bus --help')
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_roslaunch_which_would_start_it_again_is_told_what_is_wrong_once(start, number):
+    simulator = start('bus', '--port', '/nowhere/ttyV1', '--baud', 'fast',
+                      '__name:=bus_board', '__log:=/nowhere/bus_board.log')
+    until(simulator.text)
+    with pytest.raises(subprocess.TimeoutExpired):
+        simulator.process.wait(1.0)     # it would have ended in a few milliseconds
+    assert simulator.end(number) == 2
+    assert len(simulator.text().splitlines()) == 1
+
+
 def test_runs_as_it_is_from_anywhere(tmp_path):
     environment = {key: value for key, value in os.environ.items() if key != 'PYTHONPATH'}
     assert run('--help', cwd=str(tmp_path), env=environment).returncode == 0
@@ -277,7 +295,7 @@ def test_pair_leaves_files_alone(tmp_path):
 @pytest.mark.parametrize('arguments', [[], ['a'], ['a', 'a'], ['a', 'b', 'c'], ['a,b', 'c']])
 def test_pair_usage(arguments):
     result = subprocess.run([SOCAT_PAIR] + arguments, stderr=subprocess.PIPE, timeout=PATIENCE)
-    assert result.returncode == 2 and b'usage' in result.stderr
+    assert result.returncode == 2 and b'--help' in result.stderr
 
 
 def test_pair_without_socat(tmp_path):

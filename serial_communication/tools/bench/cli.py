@@ -1,8 +1,8 @@
-"""rosrun serial_communication bench: how fast, how even and how cheap the node is, here.
+"""How fast, how even and how cheap the node is on this machine. Takes about nine minutes.
 
-Everything runs on this machine: a roscore of its own, the node, boards behind ptys, and what the
-node is compared with: a node that polls its ports (the reference), and one that only publishes
-(the floor). Exit status 0 if the bench worked, whatever it measured.
+It starts all it needs: a roscore of its own, the node, boards behind ptys, and what the node is
+compared with: a node that polls its ports (the reference), and one that only publishes (the
+floor). Exit status 0 if the bench worked, whatever it measured.
 """
 import argparse
 import json
@@ -73,13 +73,16 @@ def _plot(results: Dict[str, Any], path: str) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog='bench', description=__doc__.split('\n\n')[0])
+    parser = argparse.ArgumentParser(
+        prog='bench', description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--short', action='store_true',
                         help='a second a turn, under a minute in all: to see that it works')
     parser.add_argument('--json', metavar='FILE', help='everything measured; - for stdout')
-    parser.add_argument('--plot', metavar='FILE.png', help='cost against load, from "scale"')
+    parser.add_argument('--plot', metavar='FILE.png',
+                        help='a picture of cost against load (of the section scale)')
     parser.add_argument('--only', metavar='SECTION,...', type=_sections, default=list(SECTIONS),
-                        help='of ' + ', '.join(SECTIONS))
+                        help='measure these alone, of ' + ', '.join(SECTIONS))
     parser.add_argument('--duration', metavar='S', type=float, default=0.0,
                         help='seconds a turn (3.5, with --short 1)')
     return parser

@@ -47,16 +47,19 @@ def _token(text: str) -> str:
 
 def _arguments(argv: List[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog='panel', description='Serve a page that shows what a bridge and its lines do.',
-        epilog='An address other than 127.0.0.1, and --control, need a token: open the address '
-               'that the panel prints.')
-    parser.add_argument('--port', type=_port, default=8080, help='0: any that is free')
+        prog='panel', description='Serve a page in the browser that shows what a bridge and its '
+        'lines do. Ctrl-C ends it.',
+        epilog='Without options the page only looks, and only this machine can open it. An '
+               'address other than 127.0.0.1, and --control, need a token: open the address that '
+               'the panel prints.')
+    parser.add_argument('--port', type=_port, default=8080,
+                        help='where to listen; 0: any that is free (default: %(default)d)')
     parser.add_argument('--bind', default='127.0.0.1', metavar='ADDRESS',
                         help='where to listen; 0.0.0.0: for everybody (default: %(default)s)')
     parser.add_argument('--node', default=NODE, metavar='NAME',
                         help="the bridge's name (default: %(default)s)")
     parser.add_argument('--control', action='store_true',
-                        help='let the page move lift, gimbal and car')
+                        help='let the page move lift, gimbal and car, too')
     parser.add_argument('--token', type=_token,
                         help='what the address has to carry (default: made anew, where needed)')
     return parser.parse_args(argv)

@@ -1,4 +1,4 @@
-"""rosrun serial_communication soak: the bridge on the worst of days, and what it made of it.
+"""The fault campaign: the bridge on the worst of days, and what it made of it.
 
 Everything runs on this machine: a roscore of its own, the bridge, three simulated boards with
 every fault they know, callers, commanders, subscribers, ports that come and go. Afterwards the
@@ -94,7 +94,7 @@ def _report(rows, options, folder: str) -> int:
 
 def _parse(arguments: List[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog='soak', description=__doc__.split(':', 1)[1].strip(),
+        prog='soak', description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--duration', type=_seconds, default=60.0, metavar='S',
                         help='seconds of faults (%(default)g); starting and judging come on top')

@@ -16,6 +16,9 @@ The wire under a lens: what is on a serial line, in bytes and in words.
   what do both say?                   wire tap arduino /dev/ttyUSB0 /tmp/tap
   the robot's day, again, at the desk wire play drive.bag mcu /tmp/board
   how good is that line?              wire stats drive.bag
+
+wire stands for  rosrun serial_communication wire , or scripts/wire in a checkout; each program
+below has its own --help.
 """
 
 

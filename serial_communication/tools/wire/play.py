@@ -3,7 +3,7 @@
 A recording is a bag of serial_msg (rosbag record /serial_msg) or what wire listen --raw and wire
 tap --raw wrote. A bridge on the other end of the port then sees what the one on the robot saw:
 
-  socat_pair /tmp/bridge /tmp/board &
+  rosrun serial_communication socat_pair /tmp/bridge /tmp/board &
   roslaunch serial_communication bridge.launch mcu_port:=/tmp/bridge &
   wire play drive.bag mcu /tmp/board
 
@@ -203,8 +203,8 @@ def run(options: argparse.Namespace) -> int:
         signal.signal(number, signal.default_int_handler)     # as Ctrl-C
     player = Player(port, pieces, line.frame_timeout * _PAUSE if options.loop else -1.0)
     stopped = False
-    player.start()
     try:
+        player.start()
         _follow(player, pieces)
     except KeyboardInterrupt:
         stopped = True

@@ -3,7 +3,7 @@
 Wire it in with two serial adapters, one to the board and one to the computer (TX to RX, RX to
 TX, ground to ground); or on the bridge's own computer with two linked ports and no adapter:
 
-  socat_pair /tmp/bridge /tmp/tap &
+  rosrun serial_communication socat_pair /tmp/bridge /tmp/tap &
   wire tap arduino /dev/ttyUSB0 /tmp/tap
   roslaunch serial_communication bridge.launch arduino_port:=/tmp/bridge
 
