@@ -127,8 +127,11 @@ def test_a_value_beyond_its_limits_is_implausible(limits, raw, plausible):
     kind = message('<h', ['data'], **limits)
     data = raw.to_bytes(2, 'little', signed=True)
     assert received(kind, data)[1] == ({} if plausible else {IMPLAUSIBLE: 1})
-    # The check is the row's own: check_plausibility is about what this package knows.
     assert bool(kind(raw).implausible()) != plausible
+    # The check is the row's own: check_plausibility is about what this package knows.
+    decoder = arduino.Decoder(check_plausibility=False, messages=[kind])
+    frame, = decoder.feed(arduino.encode_raw(kind.TYPE, data))
+    assert (not frame.cause) == plausible
 
 
 def test_each_number_of_an_array_has_the_limits():
