@@ -5,8 +5,10 @@ import pty
 import signal
 import subprocess
 import sys
+from functools import partial
 
 import pytest
+from programs import started
 from simulation_bench import PATIENCE, ROOT, until
 
 from serial_communication.transport.port import Port
@@ -42,17 +44,7 @@ class Running:
 
 @pytest.fixture
 def start(tmp_path):
-    begun = []
-
-    def begin(*arguments):
-        begun.append(Running(tmp_path, *arguments))
-        return begun[-1]
-
-    yield begin
-    for one in begun:
-        if one.process.poll() is None:
-            one.process.kill()
-            one.process.wait()
+    yield from started(partial(Running, tmp_path))
 
 
 @pytest.fixture

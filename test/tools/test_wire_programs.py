@@ -9,8 +9,10 @@ import subprocess
 import sys
 import time
 import tty
+from functools import partial
 
 import pytest
+from programs import started
 
 from serial_communication.transport.port import Port
 from serial_communication.protocols import arduino, mcu
@@ -96,17 +98,7 @@ class Program:
 
 @pytest.fixture
 def start(tmp_path):
-    begun = []
-
-    def begin(*arguments):
-        begun.append(Program(tmp_path, *arguments))
-        return begun[-1]
-
-    yield begin
-    for one in begun:
-        if one.process.poll() is None:
-            one.process.kill()
-            one.process.wait()
+    yield from started(partial(Program, tmp_path))
 
 
 @pytest.fixture
