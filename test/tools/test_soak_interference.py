@@ -28,13 +28,20 @@ def driven(t, value, commanded):
 
 class TestStandstill:
     def test_speed_0_first(self):
-        first, old = check_standstill(STOPPED, [beat(4.99), speed(7.01, 0), beat(7.01)], [], NEVER)
+        first, old = check_standstill(STOPPED, [beat(4.995), speed(7.01, 0), beat(7.01)], [], NEVER)
         assert first.tries == 1 and not first.violations and not old.violations
 
     @pytest.mark.parametrize('came', [[beat(7.01), speed(7.01, 0)], [speed(7.01, 300)], []])
     def test_something_else_first(self, came):
-        first, _old = check_standstill(STOPPED, [beat(4.99)] + came, [], NEVER)
+        first, _old = check_standstill(STOPPED, [beat(4.995)] + came, [], NEVER)
         assert len(first.violations) == 1
+
+    @pytest.mark.parametrize('came, violations', [
+        ([beat(7.01), speed(7.01, 0)], 0), ([beat(7.01), beat(7.01), speed(7.01, 0)], 1),
+        ([speed(7.01, 300)], 1)])
+    def test_stopped_in_the_middle_of_a_beat(self, came, violations):
+        first, _old = check_standstill(STOPPED, [beat(4.99)] + came, [], NEVER)
+        assert len(first.violations) == violations
 
     @pytest.mark.parametrize('commanded', [4.9, 6.0])
     def test_an_old_command(self, commanded):

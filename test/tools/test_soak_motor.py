@@ -176,6 +176,8 @@ class TestStands:
         commands = [told(0.99, 300), told(1.05, 301), told(1.06, 302)]
         assert rows_of(journal, commands)['stands'].violations == []
         journal[-1] = turns(2.9, 0)
+        assert rows_of(journal, commands)['stands'].violations == []
+        journal[-1] = turns(3.1, 0)
         assert len(rows_of(journal, commands)['stands'].violations) == 1
 
 

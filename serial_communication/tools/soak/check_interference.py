@@ -9,6 +9,8 @@ from .records import Intervals
 from .table import Row
 
 QUIET = 8.0              # s without data while a port stays, more than faults of a board explain
+_BEAT = 0.010            # s from one heartbeat to the next
+_AROUND = 0.002          # s by which the records may be off
 NETWORK_AGE = 1.5        # s; what a frozen network lets through late is no older
 NETWORK_RETURN = 3.0     # s from a network's return until heartbeats reach the board
 MASTER_RETURN = 10.0     # s from a new master's start until it knows the bridge
@@ -39,7 +41,11 @@ def check_standstill(stopped: Intervals, came: List[Packet], speeds: List[Speed]
         if unclear.touches(start - 0.1, over + 0.1):
             continue
         tries += 1
-        at = bisect_right([packet.t for packet in came], over)
+        times = [packet.t for packet in came]
+        at = bisect_right(times, over)
+        if _stopped_in_a_beat(came[:bisect_right(times, start)], start) \
+                and came[at:] and came[at].type == HEARTBEAT:
+            at += 1
         if not _is_speed_0(came[at:at + 1]):
             first.append((over, f'the first packet afterwards is {came[at:at + 1] or "none"}'))
         old += [(speed.t, f'SPEED {speed.value}, commanded {speed.t - speed.commanded:.2f} s '
@@ -49,6 +55,13 @@ def check_standstill(stopped: Intervals, came: List[Packet], speeds: List[Speed]
     return [Row('standstill', 'SPEED 0 is the first packet after SIGSTOP and SIGCONT', tries,
                 first),
             Row('standstill', 'no command of before or meanwhile drives the motor', tries, old)]
+
+
+def _stopped_in_a_beat(came: List[Packet], start: float) -> bool:
+    """Whether the next heartbeat was due just as the bridge was stopped: it may have been decided
+    on, and leaves as the bridge goes on, before anything can be looked at."""
+    beats = [packet.t for packet in came if packet.type == HEARTBEAT]
+    return bool(beats) and abs(start - beats[-1] - _BEAT) < _AROUND
 
 
 def check_frozen_line(frozen: Intervals, filled: List[float], written: List[Packet],

@@ -238,6 +238,8 @@ def _stands(drive: Drive) -> List[Row]:
         # What the board makes of SPEED at `until` itself is the next stretch.
         at = bisect_left(arrived, until) - 1
         last = commanded[at][1] if at >= 0 else began
+        if drive.stalled.holds(began):      # a board that read nothing takes it only now
+            last = max(last, began)
         worst = max(worst, until - last)
         if until - last > drive.speed_timeout + STANDS:
             violations.append((until, f'the motor ran until {until - last:.2f} s after the last '

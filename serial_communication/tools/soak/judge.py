@@ -33,6 +33,7 @@ ENDING = 2.0             # s that the node may take to end
 _SETTLING = 60.0         # s after which memory is level; a third of a shorter campaign
 _BEFORE_A_CUT = 0.15     # s of data that may be lost with a port
 _AFTER_DATA = 0.05       # s after the first data behind a port's return: all must come again
+_THAWS = 0.1             # s in which a line that thaws passes on what it held
 _BEHIND_NOISE = 0.15     # s in which noise on a line without a checksum may swallow packets
 
 
@@ -88,7 +89,9 @@ def judge(folder: str) -> List[Row]:
     rows += check_motor(drive)
     came = sorted(packets_of(journals['arduino'])[0], key=lambda packet: packet.t)
     unclear = drive.closed + drive.stalled + Intervals(calibrations(journals['arduino'], end))
-    rows.append(check_own_commands(came, commands, _cuts(events, 'arduino'), unclear + held_up))
+    # What a line held reaches the board as it thaws.
+    late = Intervals([(since, over + _THAWS) for since, over in held_up.pairs])
+    rows.append(check_own_commands(came, commands, _cuts(events, 'arduino'), unclear + late))
     filled = [event['t'] for event in events if event['ev'] == 'filled'
               and event['link'] == 'arduino']
     rows.append(check_frozen_line(frozen, filled, published.written, came, unclear + stopped))
