@@ -57,7 +57,7 @@ class _ByHand(arduino.Decoder):
         if message_class is None or len(data) != _STRUCT.size:
             return None
         message = message_class.unpack(data)
-        if self._check and message.implausible():
+        if type_ not in self._unchecked and message.implausible():
             return None
         return _good(raw, type_, data, message, stamp)
 
