@@ -37,14 +37,14 @@ def check_standstill(stopped: Intervals, came: List[Packet], speeds: List[Speed]
     first: List[Tuple[float, str]] = []
     old: List[Tuple[float, str]] = []
     tries = 0
+    times = [packet.t for packet in came]
+    beats = [packet.t for packet in came if packet.type == HEARTBEAT]
     for start, over in stopped.pairs:
         if unclear.touches(start - 0.1, over + 0.1):
             continue
         tries += 1
-        times = [packet.t for packet in came]
         at = bisect_right(times, over)
-        if _stopped_in_a_beat(came[:bisect_right(times, start)], start) \
-                and came[at:] and came[at].type == HEARTBEAT:
+        if _stopped_in_a_beat(beats, start) and came[at:] and came[at].type == HEARTBEAT:
             at += 1
         if not _is_speed_0(came[at:at + 1]):
             first.append((over, f'the first packet afterwards is {came[at:at + 1] or "none"}'))
@@ -57,11 +57,11 @@ def check_standstill(stopped: Intervals, came: List[Packet], speeds: List[Speed]
             Row('standstill', 'no command of before or meanwhile drives the motor', tries, old)]
 
 
-def _stopped_in_a_beat(came: List[Packet], start: float) -> bool:
+def _stopped_in_a_beat(beats: List[float], start: float) -> bool:
     """Whether the next heartbeat was due just as the bridge was stopped: it may have been decided
     on, and leaves as the bridge goes on, before anything can be looked at."""
-    beats = [packet.t for packet in came if packet.type == HEARTBEAT]
-    return bool(beats) and abs(start - beats[-1] - _BEAT) < _AROUND
+    before = bisect_right(beats, start)
+    return before > 0 and abs(start - beats[before - 1] - _BEAT) < _AROUND
 
 
 def check_frozen_line(frozen: Intervals, filled: List[float], written: List[Packet],

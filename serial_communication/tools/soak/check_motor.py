@@ -17,7 +17,7 @@ _REPEATED = 1.0          # s for which the bridge repeats the SPEED 0 of a stop
 _COMES_BACK = 1.5        # s from a port's return until the bridge has opened it
 _SLACK = 0.15            # s by which the bridge may be late with all of that
 _LIMIT = 1000            # of SPEED, either way
-_KEPT = 1.0              # s; a command that reaches the board later than this was kept
+KEPT = 1.0               # s; a command that reaches the board later than this was kept
 _ORDER = 0.1             # s by which a command and a packet may be seen in another order
 _CALIBRATION_CALL = 5.0  # s after a call in which the board's calibration is that call's
 
@@ -77,7 +77,7 @@ def prepare(journal: List[Dict], commands: List[Dict], unplugged: List[float],
         closed_times(journal, end) + stalled + stood_still
         # A line that thaws passes on SPEED 0 and more before the bridge, which had just dropped
         # what waited, can know of it: it says SPEED 0 once more.
-        + Intervals([(start, over + _ORDER) for start, over in doubtful.pairs])
+        + doubtful.longer(_ORDER)
         + Intervals(calibrations(journal, end)) + late_times(journal) + line_times(beats, written),
         [(event['t'], event['on']) for event in journal if event['ev'] == 'motor'
          and event['t'] < end] + [(end, False)],
@@ -119,7 +119,7 @@ def _nothing_old(drive: Drive) -> Row:
         age = speed.t - speed.commanded
         if not drive.stalled.holds(speed.t) and not _in_the_cable(speed, drive.doubtful):
             oldest = max(oldest, age)
-            if age > _KEPT:
+            if age > KEPT:
                 violations.append((speed.t, f'SPEED {speed.value}, commanded {age:.2f} s before'))
         cut = bisect_left(drive.unplugged, speed.commanded)
         if cut < len(drive.unplugged) and drive.unplugged[cut] < speed.t:

@@ -2,11 +2,10 @@
 from bisect import bisect_left, bisect_right
 from typing import Dict, List, Set
 
+from .check_motor import KEPT
 from .packets import OWN_COMMAND, Packet
 from .records import Intervals
 from .table import Row
-
-_KEPT = 1.0              # s; a command that reaches the board later than this was kept
 
 
 def check_own_commands(came: List[Packet], commands: List[Dict], unplugged: List[float],
@@ -38,7 +37,7 @@ def check_own_commands(came: List[Packet], commands: List[Dict], unplugged: List
         seen.add(commanded)
         if not unclear.holds(packet.t):
             oldest = max(oldest, packet.t - commanded)
-            if packet.t - commanded > _KEPT:
+            if packet.t - commanded > KEPT:
                 violations.append((packet.t, f'winch {value}, commanded '
                                              f'{packet.t - commanded:.2f} s before'))
         cut = bisect_left(unplugged, commanded)

@@ -90,8 +90,8 @@ def judge(folder: str) -> List[Row]:
     came = sorted(packets_of(journals['arduino'])[0], key=lambda packet: packet.t)
     unclear = drive.closed + drive.stalled + Intervals(calibrations(journals['arduino'], end))
     # What a line held reaches the board as it thaws.
-    late = Intervals([(since, over + _THAWS) for since, over in held_up.pairs])
-    rows.append(check_own_commands(came, commands, _cuts(events, 'arduino'), unclear + late))
+    rows.append(check_own_commands(came, commands, _cuts(events, 'arduino'),
+                                   unclear + held_up.longer(_THAWS)))
     filled = [event['t'] for event in events if event['ev'] == 'filled'
               and event['link'] == 'arduino']
     rows.append(check_frozen_line(frozen, filled, published.written, came, unclear + stopped))
@@ -216,8 +216,7 @@ def _cuts(events: List[Dict], link: str) -> List[float]:
 
 def _absent(link: str, events: List[Dict], end: float) -> Intervals:
     """When its port was not there, or not for long enough for data to flow again."""
-    absent = stretches(events, 'unplugged', 'plugged', end, link)
-    return Intervals([(start, stop + RETURN) for start, stop in absent.pairs])
+    return stretches(events, 'unplugged', 'plugged', end, link).longer(RETURN)
 
 
 def _data_of(link: str, published: _Published) -> List[float]:

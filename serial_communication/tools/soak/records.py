@@ -152,5 +152,9 @@ class Intervals:
         """How much of start … end they cover."""
         return sum(max(0.0, min(end, stop) - max(start, began)) for began, stop in self.pairs)
 
+    def longer(self, seconds: float) -> 'Intervals':
+        """Each of them, and so long after it."""
+        return Intervals([(start, end + seconds) for start, end in self.pairs])
+
     def __add__(self, other: 'Intervals') -> 'Intervals':
         return Intervals(self.pairs + other.pairs)
