@@ -1,0 +1,73 @@
+"""What scripts/test ends with, in a checkout of its own that holds a single part."""
+import os
+import shutil
+import signal
+import subprocess
+from pathlib import Path
+
+import pytest
+from waiting import PATIENCE, until
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+# In place of what installs and builds.
+ENVIRONMENT = """
+checkout=$(dirname "$(dirname "$(readlink -f "${BASH_SOURCE[0]}")")")
+build=$checkout/build
+set_up() { PYTHONPATH=; }
+"""
+GREEN = 'def test_green():\n    pass\n'
+RED = 'def test_red():\n    assert False\n'
+LONG = """
+import os, pathlib, time
+def test_long():
+    pathlib.Path(__file__).with_name('pid').write_text(str(os.getpid()))
+    time.sleep(600)
+"""
+
+
+@pytest.fixture(name='suite')
+def fixture_suite(tmp_path):
+    """A function that starts it on tests; its output is read and it has ended with the test."""
+    for name in ('scripts/test', 'test/scripts/results.py'):
+        (tmp_path / name).parent.mkdir(parents=True)
+        shutil.copy(str(CHECKOUT / name), str(tmp_path / name))
+    (tmp_path / 'scripts/environment.bash').write_text(ENVIRONMENT)
+    begun = []
+
+    def start(**tests):
+        for part, text in tests.items():
+            (tmp_path / 'test' / part).mkdir()
+            (tmp_path / 'test' / part / 'test_it.py').write_text(text)
+        begun.append(subprocess.Popen([str(tmp_path / 'scripts/test'), *tests], text=True,
+                                      stdout=subprocess.PIPE, stderr=subprocess.STDOUT))
+        return begun[-1]
+
+    yield start
+    for process in begun:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize('tests, status, last', [
+    ({'protocols': GREEN}, 0, '1 passed, 0 failed'),
+    ({'protocols': GREEN, 'links': GREEN, 'fuzz': GREEN}, 0, '3 passed, 0 failed'),
+    ({'protocols': GREEN, 'links': RED}, 1, '1 passed, 1 failed'),
+    ({'protocols': ''}, 1, '0 passed, 1 failed'),
+], ids=['green', 'three green', 'one red', 'no test'])
+def test_the_status_is_that_of_the_tests(suite, tests, status, last):
+    process = suite(**tests)
+    said = process.communicate(timeout=4 * PATIENCE)[0]
+    assert said.splitlines()[-1] == last
+    assert process.returncode == status
+
+
+@pytest.mark.parametrize('sent, status', [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_a_signal_ends_what_it_runs(suite, tmp_path, sent, status):
+    process = suite(links=LONG)
+    pid = tmp_path / 'test/links/pid'
+    until(lambda: pid.exists() and pid.read_text(), 'the test runs')
+    process.send_signal(sent)
+    process.communicate(timeout=PATIENCE)
+    assert process.returncode == status
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(pid.read_text()), 0)
