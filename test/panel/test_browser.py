@@ -178,10 +178,10 @@ def test_the_wire(page, robot):
     page.click('#card-wire > summary')
     page.wait(lambda page: len(page.all('.frame')) == 16, 'frames are shown')
     for word in ('mcu', 'arduino'):
-        page.wait(lambda page: any(chip.text == word for chip in page.all('.chip')), word)
+        page.wait(lambda page: word in page.texts('.chip'), word)
     page.script("[...document.querySelectorAll('.chip')]"
                 ".find(chip => chip.textContent == 'arduino').click()")
-    page.wait(lambda page: {link.text.split()[0] for link in page.all('.frame-link')} <= {
+    page.wait(lambda page: {link.split()[0] for link in page.texts('.frame-link')} <= {
         'mcu', 'bus'}, 'the arduino is filtered out')
     page.click('.tools button')       # pause
     shown = page.text('.frames')
@@ -200,7 +200,7 @@ def test_a_field_and_its_bytes(page, robot):
     page.script("[...document.querySelectorAll('.chip')]"
                 ".filter(chip => !/sensor status|mcu$/.test(chip.firstChild.textContent)"
                 " && chip.ariaPressed == 'true').forEach(chip => chip.click())")
-    page.wait(lambda page: {each.text for each in page.all('.frame-link')} == {'mcu \u2190'},
+    page.wait(lambda page: set(page.texts('.frame-link')) == {'mcu \u2190'},
               'only the sensor board is shown')
     page.script("document.querySelector('.frame').click()")
     fields = dict(page.script("return [...document.querySelectorAll('.fields > div')].map(field =>"
@@ -340,8 +340,8 @@ def test_an_answer_that_the_connection_did_not_live_to_see_is_not_known(cockpit,
     cockpit.click('[data-service="~lift"] button')
     until(lambda: robot.lifts, 'the board has got it')
     drop_connection(cockpit, network)
-    cockpit.wait(lambda page: any('the connection went before the answer came' in each.text
-                                  for each in page.all('.answers li')), 'it says so')
+    cockpit.wait(lambda page: any('the connection went before the answer came' in each
+                                  for each in page.texts('.answers li')), 'it says so')
     until(lambda: cockpit.all('[data-service="~lift"] button')[0].is_enabled(), 'it is over')
 
 
@@ -371,7 +371,7 @@ def test_led_echo_and_sync(cockpit, robot):
     for word in ('echo', 'sync'):
         cockpit.script("[...document.querySelectorAll('.commands button')]"
                        ".find(b => b.textContent == arguments[0]).click()", word)
-        cockpit.wait(lambda page: any(each.text.startswith(word + ' done') for each in page.all(
+        cockpit.wait(lambda page: any(each.startswith(word + ' done') for each in page.texts(
             '.answers li')), word)
 
 

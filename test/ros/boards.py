@@ -28,6 +28,7 @@ from serial_communication.protocols import robot_ctrl_bus as bus
 sys.path.insert(0, os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(__file__))),
                                 'helpers'))
 from fake_bus import AIR, FakeBus  # noqa: E402,F401
+from heartbeats import longest_gap  # noqa: E402
 from waiting import PATIENCE, Waiter, until  # noqa: E402,F401
 
 PACKAGE = 'serial_communication'
@@ -196,20 +197,8 @@ class CarBoard(Board):
         until(lambda: len(self.heartbeats) >= wanted, '%d heartbeats' % number)
 
     def longest_gap(self, rate=100.0):
-        """Between two heartbeats so far, in s.
-
-        That this test was late to read, or the line to pass on, is not counted: heartbeats of
-        meanwhile then come in a burst, in one read or in several, and a bridge that was late does
-        not make up for those that it missed.
-        """
-        bursts = []     # when each began, when its latest read was, and how many came in it
-        for stamp in sorted(self.heartbeats):
-            if bursts and stamp - bursts[-1][1] < 0.5 / rate:
-                bursts[-1][1:] = stamp, bursts[-1][2] + 1
-            else:
-                bursts.append([stamp, stamp, 1])
-        return max(began - before - (number - 1) / rate
-                   for (_, before, _), (began, _, number) in zip(bursts, bursts[1:]))
+        """Between two heartbeats as the bridge sent them, at the least, in s."""
+        return longest_gap(self.heartbeats, rate)
 
     def wait_for_heartbeat_rate(self, least, most, number=100):
         """Until it is within that, in Hz, over `number` heartbeats.

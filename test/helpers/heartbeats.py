@@ -1,0 +1,22 @@
+"""What the times at which heartbeats were read say of when they were sent."""
+
+
+def longest_gap(stamps, rate):
+    """Between two heartbeats as they were sent: no less than this, in s.
+
+    That this test was late to read them, or the line to pass them on, is not counted. Neither can
+    hold a heartbeat back without those behind it, and a bridge that was late does not make up for
+    those that it missed: so each left at least as many periods before a later one as it has places
+    before it, however they came, in one read or in several.
+
+    Args:
+        stamps: when each was read, in s.
+        rate: heartbeats a second.
+    """
+    stamps = sorted(stamps)
+    longest, sent = 0.0, stamps[-1]      # the latest moment at which it can have left
+    for stamp, before in zip(stamps[:0:-1], stamps[-2::-1]):
+        sent = min(stamp, sent)
+        longest = max(longest, sent - before)
+        sent -= 1.0 / rate
+    return longest
