@@ -243,7 +243,8 @@ class StreamDecoder:
                 at += 1
             elif isinstance(found, Good):
                 self._add(at, found)
-                at += found.size
+                # Its LEN may be false all the same: an XOR does not see whole frames in it.
+                at += 1 if found.cause == LENGTH else found.size
             else:
                 need = found.size
                 break

@@ -166,6 +166,25 @@ def test_mcu_frames_of_ones_own():
     assert sum(decoder.errors.values()) == 2
 
 
+@pytest.mark.parametrize('read', [40, 16, 1], ids='{} bytes a read'.format)
+def test_a_false_len_that_the_checksum_fits_costs_no_frame_behind_it(read):
+    """One bit of LEN makes one frame of three: two alike cancel out of an XOR."""
+    own, = mcu_messages({'line': dict(FORCE, type=0x20)})
+    decoder = mcu.Decoder([own.kind])
+    wire = bytearray(mcu.encode(own.kind(12.5), 7))
+    wire[1] ^= 0x20
+    statuses = [mcu.SensorStatus(470, 580, 0.0, 0.0, roll) for roll in (1.0, 2.0)]
+    wire += mcu.encode(statuses[0], 8) + mcu.encode(statuses[1], 9)
+    assert len(wire) == 40 == wire[1] + 4
+    frames = []
+    for at in range(0, 40, read):
+        frames += decoder.feed(bytes(wire[at:at + read]))
+    assert [(frame.cause, frame.message) for frame in frames] == [
+        (LENGTH, None), ('', statuses[0]), ('', statuses[1])]
+    assert decoder.errors[LENGTH] == sum(decoder.errors.values()) == 1
+    assert not decoder.pending
+
+
 def test_a_function_of_ones_own():
     pump = one(PUMP)
     assert pump.ask((True,)) == bus.Request(bus.FUNCTION, 48, b'\1')

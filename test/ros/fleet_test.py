@@ -130,6 +130,7 @@ class Fleet(unittest.TestCase):
                 self.assertEqual(wrong[:1], [], topic.name)
         for robot, topic in zip(self.robots, frames):
             topic.first(lambda m: m.link == 'bus' and m.direction == 0 and m.data)
+            topic.first(lambda m: m.link == 'arduino' and m.type == arduino.Voltage.TYPE)
             read = {bytes(m.frame) for m in topic.messages if m.link == 'arduino'
                     and m.type == arduino.Voltage.TYPE}
             self.assertEqual(read, {arduino.encode(arduino.Voltage(10.0 + robot.number))})

@@ -26,36 +26,61 @@ def driven(t, value, commanded):
     return Speed(t, value, commanded, True, t + 0.1, 0)
 
 
+def steering(t, value):
+    return Packet(t, STEERING, value.to_bytes(2, 'little'))
+
+
 class TestStandstill:
+    """From 5.0 to 7.0 s."""
+
+    @staticmethod
+    def violations(*came, driving=(), steered=(), before=(beat(4.995),)):
+        """Of each of the two rows."""
+        rows = check_standstill(STOPPED, list(before + came), list(driving), list(steered), NEVER)
+        assert [row.tries for row in rows] == [1, 1]
+        return [[words for _t, words in row.violations] for row in rows]
+
     def test_speed_0_first(self):
-        first, old = check_standstill(STOPPED, [beat(4.995), speed(7.01, 0), beat(7.01)], [], NEVER)
-        assert first.tries == 1 and not first.violations and not old.violations
+        assert self.violations(speed(7.01, 0), beat(7.01)) == [[], []]
 
     @pytest.mark.parametrize('came', [[beat(7.01), speed(7.01, 0)], [speed(7.01, 300)], []])
     def test_something_else_first(self, came):
-        first, _old = check_standstill(STOPPED, [beat(4.995)] + came, [], NEVER)
-        assert len(first.violations) == 1
+        assert [len(found) for found in self.violations(*came)] == [1, 0]
 
-    @pytest.mark.parametrize('came, violations', [
+    @pytest.mark.parametrize('came, number', [
         ([beat(7.01), speed(7.01, 0)], 0), ([beat(7.01), beat(7.01), speed(7.01, 0)], 1),
         ([speed(7.01, 300)], 1)])
-    def test_stopped_in_the_middle_of_a_beat(self, came, violations):
-        first, _old = check_standstill(STOPPED, [beat(4.99)] + came, [], NEVER)
-        assert len(first.violations) == violations
+    def test_stopped_in_the_middle_of_a_beat(self, came, number):
+        first, _old = self.violations(*came, before=(beat(4.99),))
+        assert len(first) == number
+
+    @pytest.mark.parametrize('commanded, numbers', [(4.98, [0, 0]), (4.9, [1, 1]), (5.1, [1, 1])])
+    def test_stopped_as_a_speed_was_handed_over(self, commanded, numbers):
+        found = self.violations(speed(7.01, 300), speed(7.011, 0),
+                                driving=[driven(7.01, 300, commanded), driven(7.011, 0, None)])
+        assert [len(each) for each in found] == numbers
+
+    def test_a_second_speed_of_before(self):
+        first, old = self.violations(
+            speed(7.01, 300), speed(7.011, 0), speed(7.012, 301), driving=[
+                driven(7.01, 300, 4.98), driven(7.011, 0, None), driven(7.012, 301, 4.98)])
+        assert first == [] and len(old) == 1 and 'SPEED 301' in old[0]
+
+    @pytest.mark.parametrize('commanded, number', [(4.98, 0), (4.9, 1), (6.0, 1)])
+    def test_stopped_as_steering_was_handed_over(self, commanded, number):
+        first, _old = self.violations(steering(7.01, 1500), speed(7.011, 0),
+                                      steered=[(4.98, 1400), (commanded, 1500)])
+        assert len(first) == number
 
     @pytest.mark.parametrize('commanded', [4.9, 6.0])
     def test_an_old_command(self, commanded):
-        speeds = [driven(7.05, 300, commanded), driven(8.0, 301, 7.99)]
-        _first, old = check_standstill(STOPPED, [speed(7.01, 0)], speeds, NEVER)
-        assert len(old.violations) == 1 and 'SPEED 300' in old.violations[0][1]
+        _first, old = self.violations(speed(7.01, 0), driving=[
+            driven(7.05, 300, commanded), driven(8.0, 301, 7.99)])
+        assert len(old) == 1 and 'SPEED 300' in old[0]
 
     def test_while_the_port_is_closed_nothing_is_judged(self):
-        first, _old = check_standstill(STOPPED, [beat(7.3)], [], Intervals([(6.0, 7.2)]))
+        first, _old = check_standstill(STOPPED, [beat(7.3)], [], [], Intervals([(6.0, 7.2)]))
         assert first.tries == 0
-
-
-def steering(t, value):
-    return Packet(t, STEERING, value.to_bytes(2, 'little'))
 
 
 class TestFrozenLine:
@@ -138,9 +163,9 @@ class TestNetwork:
 
 class TestOpenedAnew:
     def anew(self, *opened, cuts=()):
-        events = [{'t': 0.0, 'ev': 'begin'}] + [{'t': t, 'ev': 'unplugged', 'link': link}
-                                                for t, link in cuts]
-        return [(one.t, one.link) for one in opened_anew(events, [
+        absent = {link: Intervals([(t, t + 0.3) for t, cut in cuts if cut == link])
+                  for link in ('bus', 'mcu')}
+        return [(one.t, one.link) for one in opened_anew(absent, [
             Connection(t, link, '') for t, link in opened])]
 
     def test_the_first_ones(self):
@@ -148,6 +173,9 @@ class TestOpenedAnew:
 
     def test_behind_a_cut(self):
         assert self.anew((1.0, 'bus'), (5.0, 'bus'), cuts=[(4.0, 'bus')]) == []
+
+    def test_behind_a_cut_after_which_its_first_frame_still_came(self):
+        assert self.anew((4.01, 'bus'), (5.0, 'bus'), cuts=[(4.0, 'bus')]) == []
 
     def test_without_one(self):
         assert self.anew((1.0, 'bus'), (5.0, 'bus')) == [(5.0, 'bus')]

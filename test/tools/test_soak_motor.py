@@ -16,12 +16,12 @@ def told(t, value):
 CALIBRATION = {'topic': 'calibrate', 't0': 4.9, 't1': 4.95, 'error': ''}
 
 
-def rows_of(journal, commands, unplugged=(), bridge=(), stalls=(), doubtful=()):
+def rows_of(journal, commands, absent=(), bridge=(), stalls=(), doubtful=()):
     journal = sorted([{'t': 0.0, 'ev': 'port', 'open': True}] + journal,
                      key=lambda event: event['t'])
     return dict(zip(('reconnect', 'calibration', 'zero', 'commanded', 'rules', 'stands', 'invented',
                      'made'), check_motor(prepare(
-                         journal, commands, list(unplugged), Intervals(bridge), [],
+                         journal, commands, Intervals(absent), Intervals(bridge), [],
                          Intervals(stalls), Intervals(doubtful), 0.5, END))))
 
 
@@ -86,10 +86,15 @@ class TestMotor:
 
     def test_commanded_before_a_reconnect(self):
         port = [{'t': 1.1, 'ev': 'port', 'open': False}, {'t': 1.3, 'ev': 'port', 'open': True}]
-        found, _made = motor(port + [speed(1.5, 300), speed(2.0, 0)], [told(1.0, 300)], [1.1])
+        driving = port + [speed(1.5, 300), speed(2.0, 0)]
+        found, _made = motor(driving, [told(1.0, 300)], [(1.1, 1.3)])
         assert len(found['reconnect']) == 1
-        found, _made = motor(port + [speed(1.5, 300), speed(2.0, 0)], [told(1.45, 300)], [1.1])
+        found, _made = motor(driving, [told(1.45, 300)], [(1.1, 1.3)])
         assert not found['reconnect']
+
+    def test_the_line_still_passes_on_what_came_as_it_was_cut(self):
+        found, _made = motor([speed(1.11, 300), speed(1.61, 0)], [told(1.09, 300)], [(1.1, 1.3)])
+        assert not any(found.values())
 
     def test_kept_for_long(self):
         found, _made = motor([speed(3.0, 300), speed(3.5, 0)], [told(1.0, 300)])

@@ -12,8 +12,8 @@ def told(t, value):
     return {'t': t, 'topic': 'winch', 'value': value}
 
 
-def violations(packets, commands, unplugged=(), unclear=()):
-    row = check_own_commands(packets, commands, list(unplugged), Intervals(unclear))
+def violations(packets, commands, absent=(), unclear=()):
+    row = check_own_commands(packets, commands, Intervals(absent), Intervals(unclear))
     assert row.tries == len(packets)
     return [what.partition(', ')[2] for _t, what in row.violations]
 
@@ -46,5 +46,9 @@ def test_one_that_was_kept():
 
 
 def test_one_of_before_the_port_went():
-    assert violations([came(1.5, 7)], [told(1.0, 7)], unplugged=[1.2]) == [
+    assert violations([came(1.5, 7)], [told(1.0, 7)], absent=[(1.2, 1.4)]) == [
         'commanded before the port went']
+
+
+def test_one_that_the_line_still_passed_on_as_it_was_cut():
+    assert violations([came(1.21, 7)], [told(1.19, 7)], absent=[(1.2, 1.4)]) == []

@@ -1,7 +1,7 @@
 """What the campaign does to the bridge itself and to what it stands on: it is stopped, its line
 freezes, nobody reads what it says, its network and its master go. Pure functions over records."""
 from bisect import bisect_left, bisect_right
-from typing import Any, Dict, FrozenSet, List, NamedTuple, Tuple
+from typing import Any, Dict, FrozenSet, List, NamedTuple, Optional, Tuple
 
 from .check_motor import Speed
 from .packets import CROSSING, HEARTBEAT, SPEED, STEERING, Packet
@@ -11,6 +11,7 @@ from .table import Row
 QUIET = 8.0              # s without data while a port stays, more than faults of a board explain
 _BEAT = 0.010            # s from one heartbeat to the next
 _AROUND = 0.002          # s by which the records may be off
+_HANDED = 0.05           # s from a command to its write, on a busy computer
 NETWORK_AGE = 1.5        # s; what a frozen network lets through late is no older
 NETWORK_RETURN = 3.0     # s from a network's return until heartbeats reach the board
 MASTER_RETURN = 10.0     # s from a new master's start until it knows the bridge
@@ -26,12 +27,16 @@ class Connection(NamedTuple):
 
 
 def check_standstill(stopped: Intervals, came: List[Packet], speeds: List[Speed],
-                     unclear: Intervals) -> List[Row]:
+                     steering: List[Tuple[float, int]], unclear: Intervals) -> List[Row]:
     """SIGSTOP and SIGCONT.
+
+    One packet may have been decided on as the bridge was stopped: it leaves as the bridge goes on,
+    before anything can be looked at, and SPEED 0 is the next.
 
     Args:
         stopped: when the bridge was.
         came: what reached the board, in order.
+        steering: the commands.
         unclear: when the board could not take what came, or its port was closed.
     """
     first: List[Tuple[float, str]] = []
@@ -44,24 +49,36 @@ def check_standstill(stopped: Intervals, came: List[Packet], speeds: List[Speed]
             continue
         tries += 1
         at = bisect_right(times, over)
-        if _stopped_in_a_beat(beats, start) and came[at:] and came[at].type == HEARTBEAT:
+        begun = over
+        if not _is_speed_0(came[at:at + 1]) and came[at:] and _was_decided_on(
+                came[at], start, beats, speeds, steering):
+            begun = came[at].t
             at += 1
         if not _is_speed_0(came[at:at + 1]):
             first.append((over, f'the first packet afterwards is {came[at:at + 1] or "none"}'))
         old += [(speed.t, f'SPEED {speed.value}, commanded {speed.t - speed.commanded:.2f} s '
                           'before') for speed in speeds
                 if speed.value and speed.commanded is not None
-                and speed.t > over and speed.commanded <= over]
+                and speed.t > begun and speed.commanded <= over]
     return [Row('standstill', 'SPEED 0 is the first packet after SIGSTOP and SIGCONT', tries,
                 first),
             Row('standstill', 'no command of before or meanwhile drives the motor', tries, old)]
 
 
-def _stopped_in_a_beat(beats: List[float], start: float) -> bool:
-    """Whether the next heartbeat was due just as the bridge was stopped: it may have been decided
-    on, and leaves as the bridge goes on, before anything can be looked at."""
-    before = bisect_right(beats, start)
-    return before > 0 and abs(start - beats[before - 1] - _BEAT) < _AROUND
+def _was_decided_on(packet: Packet, start: float, beats: List[float], speeds: List[Speed],
+                    steering: List[Tuple[float, int]]) -> bool:
+    """Whether it is a heartbeat that was due just as the bridge was stopped, or a command that
+    came just before."""
+    if packet.type == HEARTBEAT:
+        before = bisect_right(beats, start)
+        return before > 0 and abs(start - beats[before - 1] - _BEAT) < _AROUND
+    told: List[Optional[float]] = []
+    if packet.type == SPEED:
+        told = [speed.commanded for speed in speeds if speed.t == packet.t]
+    elif packet.type == STEERING:
+        value = int.from_bytes(packet.data, 'little')
+        told = [t for t, commanded in steering if commanded == value]
+    return any(t is not None and start - _HANDED < t <= start for t in told)
 
 
 def check_frozen_line(frozen: Intervals, filled: List[float], written: List[Packet],
@@ -109,15 +126,14 @@ def _is_speed_0(packets: List[Packet]) -> bool:
     return bool(packets) and (packets[0].type, packets[0].data) == _SPEED_0
 
 
-def opened_anew(events: List[Dict], opened: List[Connection]) -> List[Connection]:
+def opened_anew(absent: Dict[str, Intervals], opened: List[Connection]) -> List[Connection]:
     """The connections, but each link's first, that no absence of the port explains."""
     found = []
     latest: Dict[str, Connection] = {}
     for one in opened:
         before = latest.get(one.link)
         latest[one.link] = one
-        if before and not any(event['ev'] == 'unplugged' and event['link'] == one.link
-                              and before.t < event['t'] < one.t for event in events):
+        if before and not absent[one.link].touches(before.t, one.t):
             found.append(one)
     return found
 

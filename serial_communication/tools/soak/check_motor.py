@@ -40,7 +40,7 @@ class Drive(NamedTuple):
     made: List[Packet]              # by damage on the way to the board
     zeros: List[float]              # when SPEED 0 was published
     calls: List[float]              # for a calibration
-    unplugged: List[float]          # when the port went
+    absent: Intervals               # from the port's going, at the latest, to its return
     deaf: Intervals                 # while the board calibrates for one of these calls
     bridge_calibrates: Intervals    # while the bridge says that it takes no commands
     stalled: Intervals              # while the board reads nothing
@@ -52,12 +52,13 @@ class Drive(NamedTuple):
     speed_timeout: float
 
 
-def prepare(journal: List[Dict], commands: List[Dict], unplugged: List[float],
+def prepare(journal: List[Dict], commands: List[Dict], absent: Intervals,
             bridge_calibrates: Intervals, written: List[float], stood_still: Intervals,
             doubtful: Intervals, speed_timeout: float, end: float) -> Drive:
     """From the records.
 
     Args:
+        absent: when the port was; what comes before its return came by the connection of before.
         written: when the bridge had handed heartbeats to its port.
         stood_still: when the whole machine did.
         doubtful: when the campaign had stopped the bridge, or the line to the board.
@@ -70,7 +71,7 @@ def prepare(journal: List[Dict], commands: List[Dict], unplugged: List[float],
     return Drive(
         _speeds(came, commands, end), made,
         [entry['t'] for entry in commands if entry['topic'] == 'speed' and not entry['value']],
-        calls, unplugged,
+        calls, absent,
         Intervals([pair for pair in calibrations(journal, end)
                    if any(pair[0] - _CALIBRATION_CALL <= call <= pair[0] for call in calls)]),
         bridge_calibrates, stalled, closed_times(journal, end), doubtful + stood_still,
@@ -121,10 +122,10 @@ def _nothing_old(drive: Drive) -> Row:
             oldest = max(oldest, age)
             if age > KEPT:
                 violations.append((speed.t, f'SPEED {speed.value}, commanded {age:.2f} s before'))
-        cut = bisect_left(drive.unplugged, speed.commanded)
-        if cut < len(drive.unplugged) and drive.unplugged[cut] < speed.t:
+        absence = drive.absent.first_within(speed.commanded, speed.t)
+        if absence:
             violations.append((speed.t, f'SPEED {speed.value}, commanded at {speed.commanded:.3f}'
-                                        f'; the port went at {drive.unplugged[cut]:.3f}'))
+                                        f'; the port went at {absence[0]:.3f}'))
     return Row('arduino', 'nothing for the motor that was commanded before a reconnect', tries,
                violations, f'oldest command {oldest * 1e3:.0f} ms')
 

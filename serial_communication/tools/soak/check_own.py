@@ -1,5 +1,5 @@
 """Commands of one's own, as they reached the board. Pure functions over records."""
-from bisect import bisect_left, bisect_right
+from bisect import bisect_right
 from typing import Dict, List, Set
 
 from .check_motor import KEPT
@@ -8,13 +8,13 @@ from .records import Intervals
 from .table import Row
 
 
-def check_own_commands(came: List[Packet], commands: List[Dict], unplugged: List[float],
+def check_own_commands(came: List[Packet], commands: List[Dict], absent: Intervals,
                        unclear: Intervals) -> Row:
     """Each was commanded, just now, on this connection, and came once.
 
     Args:
         came: what reached the board.
-        unplugged: when the port went.
+        absent: when the port was; what comes before its return came by the connection of before.
         unclear: when the board could not take in at once what came.
     """
     published: Dict[int, List[float]] = {}
@@ -40,8 +40,7 @@ def check_own_commands(came: List[Packet], commands: List[Dict], unplugged: List
             if packet.t - commanded > KEPT:
                 violations.append((packet.t, f'winch {value}, commanded '
                                              f'{packet.t - commanded:.2f} s before'))
-        cut = bisect_left(unplugged, commanded)
-        if cut < len(unplugged) and unplugged[cut] < packet.t:
+        if absent.first_within(commanded, packet.t):
             violations.append((packet.t, f'winch {value}, commanded before the port went'))
     return Row('arduino', "a command of one's own: commanded just now, here, and sent once",
                len(packets), violations, f'oldest command {oldest * 1e3:.0f} ms')

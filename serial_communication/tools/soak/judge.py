@@ -71,6 +71,7 @@ def judge(folder: str) -> List[Row]:
     blind_replies = [frame.t for frame in frames['bus'] for made in frame.made
                      if made != frame.own]
     stopped, no_master = excuses_of_calls(events, end)
+    absent = {link: stretches(events, 'unplugged', 'plugged', end, link) for link in LINKS}
     frozen = stretches(events, 'frozen', 'thawed', end, 'arduino')
     held_up = stopped + frozen
     rows = check_bus(calls, journals['bus'], blind_replies, TIMEOUTS, stopped, no_master)
@@ -82,7 +83,7 @@ def judge(folder: str) -> List[Row]:
     rows += _of_link('arduino', 'every undamaged packet published once, in order', frames,
                      published, exempt, held_up)
     drive = prepare(
-        journals['arduino'], commands, _cuts(events, 'arduino'),
+        journals['arduino'], commands, absent['arduino'],
         _bridge_calibrates(commands, published), published.beats,
         Intervals([(one['t'], one['t'] + one['late']) for one in metronome]), held_up,
         SPEED_TIMEOUT, end)
@@ -90,12 +91,14 @@ def judge(folder: str) -> List[Row]:
     came = sorted(packets_of(journals['arduino'])[0], key=lambda packet: packet.t)
     unclear = drive.closed + drive.stalled + Intervals(calibrations(journals['arduino'], end))
     # What a line held reaches the board as it thaws.
-    rows.append(check_own_commands(came, commands, _cuts(events, 'arduino'),
+    rows.append(check_own_commands(came, commands, absent['arduino'],
                                    unclear + held_up.longer(_THAWS)))
     filled = [event['t'] for event in events if event['ev'] == 'filled'
               and event['link'] == 'arduino']
     rows.append(check_frozen_line(frozen, filled, published.written, came, unclear + stopped))
-    rows += check_standstill(stopped, came, drive.speeds, unclear + frozen)
+    rows += check_standstill(stopped, came, drive.speeds, [
+        (entry['t'], entry['value']) for entry in commands if entry['topic'] == 'steering'],
+        unclear + frozen)
     rows += check_heartbeat(journals['arduino'], metronome, published.beats, end, held_up)
     rows += _of_link('mcu', 'every undamaged frame published once, in order', frames, published,
                      exempt, held_up)
@@ -108,10 +111,10 @@ def judge(folder: str) -> List[Row]:
     log = [line for line in _log(folder, published.offset) if line[0] <= over]
     rows += check_log(log)
     unread = stretches(events, 'unread', 'read again', end)
-    anew = opened_anew(events, published.opened)
+    anew = opened_anew(absent, published.opened)
     rows.append(check_unread(unread, sum(unread.holds(t) for t, _severity, _text in log), {
         link: _data_of(link, published) for link in LINKS}, {
-            link: held_up + _absent(link, events, end) for link in LINKS}, anew))
+            link: held_up + absent[link].longer(RETURN) for link in LINKS}, anew))
     rows += check_master(events, anew)
     rows += _network(folder, events, end)
     rows.append(_ending(events, journals['arduino'], end))
@@ -207,16 +210,6 @@ def _with_noise(journal: List[Dict], events: List[Dict], link: str) -> List[Dict
 
 
 # -- when what has to hold ----------------------------------------------------------------------
-
-
-def _cuts(events: List[Dict], link: str) -> List[float]:
-    return [event['t'] for event in events if event['ev'] == 'unplugged'
-            and event['link'] == link]
-
-
-def _absent(link: str, events: List[Dict], end: float) -> Intervals:
-    """When its port was not there, or not for long enough for data to flow again."""
-    return stretches(events, 'unplugged', 'plugged', end, link).longer(RETURN)
 
 
 def _data_of(link: str, published: _Published) -> List[float]:
@@ -334,7 +327,8 @@ def _returns(link: str, events: List[Dict], journal: List[Dict], published: _Pub
     spoken = [event['t'] for event in journal if event['ev'] == 'tx' and event.get('ok')]
     plugged = [event['t'] for event in events if event['ev'] == 'plugged'
                and event['link'] == link]
-    cuts = _cuts(events, link)
+    cuts = [event['t'] for event in events if event['ev'] == 'unplugged'
+            and event['link'] == link]
     returns = []
     for back in plugged[1:]:
         at = bisect_right(cuts, back)
@@ -355,8 +349,8 @@ def _network(folder: str, events: List[Dict], end: float) -> List[Row]:
     journal = read_lines(os.path.join(folder, 'network.journal'))
     if not journal:
         return []
-    drive = prepare(journal, read_lines(os.path.join(folder, 'network_commands.jsonl')), [],
-                    Intervals(), [], Intervals(), Intervals(), SPEED_TIMEOUT, end)
+    drive = prepare(journal, read_lines(os.path.join(folder, 'network_commands.jsonl')),
+                    Intervals(), Intervals(), [], Intervals(), Intervals(), SPEED_TIMEOUT, end)
     return check_network(events, packets_of(journal)[0], drive.speeds, end)
 
 

@@ -17,7 +17,7 @@ import struct
 import threading
 import time
 from bisect import bisect_left
-from typing import Any, Dict, Iterator, List, NamedTuple, Tuple
+from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple
 
 _HEAD = struct.Struct('<dHI')    # time of arrival, index of the topic, bytes that follow
 
@@ -143,6 +143,11 @@ class Intervals:
 
     def holds(self, t: float) -> bool:
         return self.touches(t, t)
+
+    def first_within(self, start: float, end: float) -> Optional[Tuple[float, float]]:
+        """The first that begins at `start` or later, if it is over by `end`."""
+        at = bisect_left(self.pairs, (start, start))
+        return self.pairs[at] if at < len(self.pairs) and self.pairs[at][1] <= end else None
 
     def seconds(self) -> float:
         """Their length in all."""
