@@ -1,10 +1,13 @@
-"""--help and wrong arguments of every program: its usage and its status, before it does anything.
+"""--help and wrong arguments of every program: its usage and its status, before it does anything;
+and Ctrl-C as it begins.
 
 Those of scripts/demo and scripts/test: test_demo_arguments; of the node beside a running one:
 test/ros/second_test.
 """
 import os
+import signal
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -47,6 +50,27 @@ def test_wrong_arguments(name, arguments):
     assert (done.returncode, done.stdout) == (2, '')
     assert name in done.stderr and ('usage:' in done.stderr or '--help' in done.stderr)
     assert 'Traceback' not in done.stderr
+
+
+_CTRL_C = '''
+import os, runpy, signal, sys
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == 'argparse' or name.endswith('.node'):
+            os.kill(os.getpid(), signal.SIGINT)
+sys.modules.pop('argparse', None)
+sys.meta_path.insert(0, Finder())
+sys.argv = [sys.argv[1], '--help']
+runpy.run_path(sys.argv[0], run_name='__main__')
+'''
+
+
+@pytest.mark.parametrize('name', ['monitor', 'panel', 'serial_communication_node', 'simulator'])
+def test_ctrl_c_while_it_is_imported_ends_it_without_a_word(name):
+    done = subprocess.run([sys.executable, '-c', _CTRL_C, str(SCRIPTS / name)], text=True,
+                          timeout=60, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                          stderr=subprocess.PIPE)
+    assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, '', '')
 
 
 def test_every_program_is_tried():

@@ -107,12 +107,15 @@ class _Ros:
             self._over()
             return
         rospy.on_shutdown(self._over)
+        if rospy.core.is_shutdown_requested():      # just now: the hook came too late
+            self._over()
         MasterWatch({}, logging.getLogger('rosout')).start()
         self._ready()
 
     def _over(self) -> None:
         """Somebody else took the name, or rosnode kill: the page would stand still for good."""
         if not self._stopping.is_set():
+            self._stopping.set()
             print('panel: ROS has ended this node (rosnode kill, or another of its name)',
                   file=sys.stderr, flush=True)
             self._end(1)
