@@ -272,8 +272,8 @@ class Logs(ArduinoTest):
         self.assertTrue(line.endswith('DMP ready!'), line)
 
     def test_control_characters_and_bad_utf_8_are_replaced(self):
-        self.board.write(arduino.encode_raw(2, b'odd \x1b[31m\xff\xfe tail\x00'))
-        line = ROSOUT.wait_for(self.node, 'tail', Log.WARN)
+        self.board.write(arduino.encode_raw(2, b'odd \x1b[31m\xff\xfe at its tail\x00'))
+        line = ROSOUT.wait_for(self.node, 'at its tail', Log.WARN)
         self.assertTrue(line.isprintable(), line)
         self.assertIn('odd', line)
 
