@@ -75,6 +75,11 @@ class Child:
         if self.alive:
             self.process.send_signal(number)
 
+    def hold(self) -> None:
+        """Stop it, until it is sent SIGCONT: it stands when this returns, or has ended."""
+        self.send(signal.SIGSTOP)
+        os.waitid(os.P_PID, self.pid, os.WSTOPPED | os.WEXITED | os.WNOWAIT)
+
     def ask_to_end(self, number: int = signal.SIGTERM) -> None:
         """Begin to end it, also where it is stopped."""
         self.send(signal.SIGCONT)

@@ -79,7 +79,8 @@ class MasterTest(unittest.TestCase):
         self.core = subprocess.Popen(['roscore', '-p', self.uri.rsplit(':', 1)[1]],
                                      stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         until(self.server.is_online, 'the master answers', every=0.1)
-        until(lambda: self.answers(self.server.getParam, '/run_id'), 'roscore is complete')
+        # Before that, Ctrl-C may miss the node it is just starting, for which it then waits 15 s.
+        until(lambda: self.answers(self.server.lookupNode, '/rosout'), 'roscore is complete')
 
     def stop_core(self):
         """Ctrl-C; nothing listens there any more when this returns."""

@@ -238,7 +238,7 @@ class Campaign:
     def _freeze_line(self, link: str, when: float) -> None:
         """The board reads nothing, and a little later the bridge has no room to write."""
         cable = self._stage.cables[link]
-        self._at(when, lambda due: cable.freeze())
+        self._at(when, lambda due: cable.freeze(self._children['bridge']))
         filled = when + _DROPPED_AFTER
         while filled < when + FROZEN:
             self._at(filled, lambda due: cable.fill())

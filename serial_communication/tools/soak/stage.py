@@ -56,15 +56,17 @@ class Cable:
             os.close(self._spares.pop(0))
         return now
 
-    def freeze(self) -> None:
+    def freeze(self, bridge: Child) -> None:
         """Nothing crosses it any more: what either end writes stays in the kernel."""
         self._stage.events.write(t=time.monotonic(), ev='frozen', link=self.name)
-        self._child.send(signal.SIGSTOP)
         # On a busy machine it may read on for a while. What comes now has to stay where it is.
-        os.waitid(os.P_PID, self._child.pid, os.WSTOPPED | os.WEXITED | os.WNOWAIT)
+        self._child.hold()
         # What a pseudo terminal's other end could read at once is beyond the bridge's flush, as
-        # no byte in a UART's buffer is. So that much is 0x00, no packet for anybody.
+        # no byte in a UART's buffer is. So that much is 0x00, no packet for anybody. A terminal
+        # lets one at a time write: the bridge, refused, would drop them before they are there.
+        bridge.hold()
         self._write_zeros(_READ_BUFFER)
+        bridge.send(signal.SIGCONT)
         self._stage.events.write(t=time.monotonic(), ev='filled', link=self.name)
 
     def fill(self) -> None:
