@@ -13,7 +13,7 @@ from .records import Lines
 
 CABLE_PRIORITY = 15      # real-time: between the simulated boards' and the heartbeat's
 _START = 30.0            # s that a cable may take to start
-_READ_BUFFER = 6000      # bytes, more than a pseudo terminal's 4095
+FILLING = 6000           # bytes, more than a pseudo terminal's 4095
 
 
 class Cable:
@@ -65,7 +65,7 @@ class Cable:
         # no byte in a UART's buffer is. So that much is 0x00, no packet for anybody. A terminal
         # lets one at a time write: the bridge, refused, would drop them before they are there.
         bridge.hold()
-        self._write_zeros(_READ_BUFFER)
+        self._write_zeros(FILLING)
         bridge.send(signal.SIGCONT)
         self._stage.events.write(t=time.monotonic(), ev='filled', link=self.name)
 
