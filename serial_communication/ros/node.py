@@ -9,7 +9,7 @@ import time
 import rospy
 
 from ..transport.pace import all_be_quick
-from . import background_logging, direct, parameters, starting
+from . import background_logging, direct, handshake, parameters, starting
 from .diagnostics import Diagnostics
 from .geometry import publish_mounts
 from .interface import Common
@@ -40,6 +40,7 @@ def _run() -> int:
     ended = starting.may_start(_NAME)
     if ended is not None:
         return ended
+    handshake.install(_LOGGER)
     try:
         rospy.init_node(_NAME)
     except rospy.ROSInitException:      # a signal came before the master had answered

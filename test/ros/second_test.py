@@ -1,5 +1,6 @@
 #!/usr/bin/python3
 """What people type while a bridge runs: another one, its --help, wrong arguments, no master."""
+import io
 import os
 import re
 import shutil
@@ -7,10 +8,12 @@ import signal
 import socket
 import subprocess
 import unittest
+from urllib.parse import urlsplit
 
 import rosgraph
 import rospy
 import rostest
+from rosgraph.network import encode_ros_handshake_header, read_ros_handshake_header
 
 from boards import PACKAGE, PATIENCE, Bridge, CarBoard, Line, own_folder, program, until
 
@@ -83,6 +86,22 @@ class WhileOneRuns(unittest.TestCase):
         said, = lines_of(second.output())
         self.assertIn(f'{NAME} runs already ({self.address})', said)
         self.assertIn(f'rosnode kill {NAME}', said)
+        self.assert_unharmed()
+
+    def test_connections_that_do_not_speak_ros_hold_up_nobody(self):
+        name = NAME + '/get_loggers'
+        address = urlsplit(self.master.lookupService(name))
+        silent, other, caller = [
+            socket.create_connection((address.hostname, address.port), PATIENCE) for _ in range(3)]
+        other.sendall(b'POST /RPC2 HTTP/1.1')       # as the master calls nodes
+        caller.sendall(encode_ros_handshake_header(
+            {'callerid': '/second_test', 'service': name, 'md5sum': '*'}))
+        header = read_ros_handshake_header(caller, io.BytesIO(), 4096)
+        self.assertEqual(header['type'], 'roscpp/GetLoggers')
+        caller.close()
+        for each in silent, other:
+            self.assertEqual(each.recv(1), b'')
+            each.close()
         self.assert_unharmed()
 
     def test_by_roslaunch_it_says_it_once_and_takes_over_when_the_first_one_ends(self):
