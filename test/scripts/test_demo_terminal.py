@@ -128,7 +128,9 @@ def test_ctrl_c_while_it_sets_up(demo, delay):
     time.sleep(delay)       # there is nothing to wait for: any moment will do
     terminal.press(CTRL_C)
     assert terminal.wait() < MOST
-    assert terminal.status == 0
+    # On a busy machine bash may not have read the first line by then, and just ends.
+    assert terminal.status == 0 or (terminal.status == -signal.SIGINT
+                                    and terminal.text().strip() in ('', '^C'))
 
 
 def test_the_launched_processes_do_not_ignore_ctrl_c(demo):
