@@ -117,8 +117,8 @@ def test_with_the_page(block, master):
     with master.background([f'{line} sim_dir:={master.folder}/panel '
                             'panel_args:="--port 0"']):
         until(lambda: master.links_are_ok(*LINKS), f'all links are OK: {master.output()}')
-        until(lambda: re.search(r'http://\S+', master.output()), 'the page has an address')
-        address = re.findall(r'http://\S+', master.output())[-1]
+        until(lambda: 'panel: http://' in master.output(), 'the page has an address')
+        address = re.search(r'panel: (\S+)', master.output()).group(1)
         with urllib.request.urlopen(address, timeout=10) as page:
             assert b'<html' in page.read()
 
