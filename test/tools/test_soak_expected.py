@@ -52,6 +52,15 @@ def test_a_packet_behind_one_without_an_end():
     assert (8, False, 'blind') not in joined and (8, False, 'maybe') in joined
 
 
+def test_a_packet_that_came_twice_behind_one_without_an_end():
+    """The first of the two ends the one before it: an IMU packet of the right length, then it."""
+    cut = packet(1.0, 0, type=9, data='2592000a008333cfffff00010030fca005bf1fb9f9c2', ok=False,
+                 wire='04092592020a068333cfffff02010a30fca005bf1f')
+    frames = arrivals([cut, packet(1.01, 3, ok=False, copies=2)], 'arduino')
+    assert [one.key[0] for one in expected(frames, lambda own: own, True, Intervals())] == [
+        9, 8, 9, 8]
+
+
 def test_noise_that_came_before_a_packet_which_the_records_have_before_it():
     noise = {'t': 1.0001, 'ev': 'chatter', 'wire': '0202'}
     frames = arrivals([packet(1.0, 7), noise, packet(1.01, 9)], 'arduino')

@@ -216,14 +216,17 @@ def expected(frames: List[Arrival], key: Callable[[Any], Any], doubled: bool,
     out = []
     for frame in frames:
         own = key(frame.own) if frame.own else None
+        sent = []
         if own is not None:
             must = frame.ok and not exempt.holds(frame.t)
-            for _ in range(frame.copies if doubled else 1):
-                out.append(Sent(frame.t, own, must, 'ok' if frame.ok else 'maybe', frame.n))
+            sent = [Sent(frame.t, own, must, 'ok' if frame.ok else 'maybe', frame.n)] * (
+                frame.copies if doubled else 1)
+        out += sent[:1]
         for made in frame.made:
             other = key(made)
             if other is not None and other != own:
                 out.append(Sent(frame.t, other, False, 'blind', frame.n))
+        out += sent[1:]     # damage before it may have taken the first one
     return out
 
 
