@@ -109,6 +109,7 @@ class _Ros:
         rospy.on_shutdown(self._over)
         if rospy.core.is_shutdown_requested():      # just now: the hook came too late
             self._over()
+            return
         MasterWatch({}, logging.getLogger('rosout')).start()
         self._ready()
 
