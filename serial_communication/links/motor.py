@@ -8,7 +8,7 @@ from typing import Optional
 _REPEAT_PERIOD = 0.05    # s from one SPEED 0 of a stop to the next …
 _REPEAT_FOR = 1.0        # … until so long after the first: the line may lose any of them
 _EARLY = 0.005           # s by which the next one may be early, lest it waits for another heartbeat
-_SHORTEST = 0.1          # s that a standstill takes at least; any computer is late by less
+_STALL = 0.5             # s without the heart at work that make a stall; no parameter changes it
 _DEAF = 0.5              # s after a standstill in which what was commanded meanwhile still comes
 
 IN_DOUBT = 'in doubt'
@@ -22,8 +22,7 @@ class Motor:
     A new one is in doubt: the board may hold the speed of a bridge that crashed.
 
     Args:
-        speed_timeout: seconds after the last speed until SPEED 0 is due; 0: never. A bridge that
-            did nothing for longer has stood still.
+        speed_timeout: seconds after the last speed until SPEED 0 is due; 0: never.
     """
 
     def __init__(self, speed_timeout: float, now: float) -> None:
@@ -71,7 +70,7 @@ class Motor:
         commanded during the standstill comes now, all at once.
         """
         stood = now - self._awake_at
-        if not self._speed_timeout or stood <= max(self._speed_timeout, _SHORTEST):
+        if stood <= _STALL:
             return None
         self._awake_at = now
         self._deaf_until = now + _DEAF

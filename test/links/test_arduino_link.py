@@ -458,37 +458,40 @@ def test_a_standstill_while_the_port_is_closed_counts(board, open_link, standsti
         assert refused.value.cause == 'standstill'
 
 
-def test_a_process_that_was_stopped_says_speed_0_first_and_none_of_what_waited(board, line):
+STOPPED = ("import logging, sys\n"
+           "from serial_communication.links.arduino import ArduinoLink, ArduinoSettings\n"
+           "from serial_communication.links.link import Refused\n"
+           "from serial_communication.transport.port import Port\n"
+           "settings = ArduinoSettings(speed_timeout=float(sys.argv[2]))\n"
+           "link = ArduinoLink(Port(sys.argv[1]), settings)\n"
+           "link.start()\n"
+           "for command in sys.stdin:\n"
+           "    try:\n"
+           "        link.set_speed(int(command))\n"
+           "    except Refused as refused:\n"
+           "        print(refused, flush=True)\n"
+           "link.stop()\n"
+           "link.join()\n")
+
+
+@pytest.mark.parametrize('speed_timeout', ['0.5', '0'])
+def test_a_process_that_was_stopped_says_speed_0_first_and_none_of_what_waited(
+        board, line, speed_timeout):
     """SIGSTOP and SIGCONT; ten commands wait in a pipe for a thread of that process."""
-    program = ("import logging, sys\n"
-               "from serial_communication.links.arduino import ArduinoLink\n"
-               "from serial_communication.links.link import Refused\n"
-               "from serial_communication.transport.port import Port\n"
-               "link = ArduinoLink(Port(sys.argv[1]))\n"
-               "link.start()\n"
-               "for command in sys.stdin:\n"
-               "    try:\n"
-               "        link.set_speed(int(command))\n"
-               "    except Refused as refused:\n"
-               "        print(refused, flush=True)\n"
-               "link.stop()\n"
-               "link.join()\n")
-    bridge = subprocess.Popen([sys.executable, '-c', program, line.path], stdin=subprocess.PIPE,
-                              stdout=subprocess.PIPE, universal_newlines=True)
+    bridge = subprocess.Popen([sys.executable, '-c', STOPPED, line.path, speed_timeout],
+                              stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                              universal_newlines=True)
     try:
         def drive():
             bridge.stdin.write('500\n')
             bridge.stdin.flush()
-            return SpeedCommand(500) in board.messages()
+            return board.commands()[-1:] == [SpeedCommand(500)]
 
         until(lambda: board.heartbeats() > 3)
-        until(drive)
         # The signal may come between the decision to send a heartbeat and its write: that one
         # then leaves first, which nothing in the process can exclude, and SPEED 0 is next.
         for _ in range(3):
-            until(lambda: board.commands()[-1] == SpeedCommand(0), what='the speed timeout')
             until(drive, every=0.05)
-            until(lambda: board.commands()[-1] == SpeedCommand(500))
             bridge.send_signal(signal.SIGSTOP)
             os.waitpid(bridge.pid, os.WUNTRACED)
             threading.Event().wait(1.0)

@@ -71,11 +71,11 @@ def test_a_speed_times_out(motor):
     assert motor.due(100.96) == REPEATED
 
 
-def test_a_timeout_of_0_is_never_for_speeds_and_standstills():
+def test_a_timeout_of_0_is_never():
     motor = Motor(0.0, 0.0)
     motor.sent(0, 0.0)
     motor.sent(500, 0.0)
-    assert motor.due(1e6) == '' and motor.stood_still(1e6) is None
+    assert motor.due(1e6) == ''
 
 
 def test_doubt_makes_any_stop_begin_again(motor):
@@ -101,6 +101,8 @@ def test_a_standstill_is_told_once_and_makes_deaf_for_a_while(motor):
     assert not motor.deaf(105.6)
 
 
-def test_a_short_timeout_takes_no_busy_computer_for_a_standstill():
-    motor = Motor(0.01, 0.0)
-    assert motor.stood_still(0.09) is None and motor.stood_still(0.11) is not None
+@pytest.mark.parametrize('speed_timeout', [0.0, 0.01, 0.5, 10.0])
+def test_a_stall_is_longer_than_half_a_second_whatever_the_speed_timeout_is(speed_timeout):
+    motor = Motor(speed_timeout, 100.0)
+    assert motor.stood_still(100.49) is None and motor.stood_still(100.51) is not None
+    assert motor.due(100.51) == IN_DOUBT and motor.deaf(100.51)
