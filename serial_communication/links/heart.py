@@ -64,7 +64,12 @@ class Heart:
                     self._count(now)
             except BaseException:  # pylint: disable=broad-except
                 self._on_fault(traceback.format_exc())
-            time.sleep(min(max(pace.due - clock(), 0.0), _LONGEST_NAP))
+            try:
+                time.sleep(min(max(pace.due - clock(), 0.0), _LONGEST_NAP))
+            except BaseException:  # pylint: disable=broad-except
+                self._on_fault(traceback.format_exc())
+                # Never a loop without a pause: at real-time priority it would take a whole core.
+                self._stopping.wait(_LONGEST_NAP)
 
     def _count(self, now: float) -> None:
         last, self._last = self._last, now

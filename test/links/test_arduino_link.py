@@ -558,6 +558,16 @@ def test_the_first_opening_begins_with_speed_0(board, open_link):
     assert board.messages()[0] == SpeedCommand(0)
 
 
+def test_the_time_while_the_port_is_closed_is_no_heartbeat_gap(board, open_link, standstill):
+    link = open_link(port=Noted)
+    with board.unplugged():
+        until(lambda: not link.port.is_open)
+        standstill(link, 1000.0)
+    sent = link.heartbeats_sent
+    until(lambda: link.heartbeats_sent > sent + 3)
+    assert link._heart.max_gap < 1000.0
+
+
 def test_no_heartbeat_is_counted_while_the_port_is_closed(board, open_link):
     link = open_link()
     with board.unplugged():
