@@ -8,8 +8,8 @@ from typing import Any, Callable, Deque, Iterable, List, NamedTuple, Optional, T
 
 from ..protocols import arduino
 from ..protocols.framing import Frame
-from .heart import Heart, clock
-from .link import OK, WARN, Link, Refused
+from .heart import LONGEST_GAP, Heart, clock
+from .link import OK, WARN, Link, Refused, Report
 from .motor import TIMED_OUT, Motor
 from ..transport.pace import Allowance
 from ..transport.port import Port, PortBusy, PortError
@@ -67,6 +67,7 @@ class ArduinoLink(Link):
         self._heart = Heart('arduino heartbeat', settings.heartbeat_rate, self._tend,
                             lambda text: self._say_later('fault', text),
                             lambda text: self._say_later('priority', text, self.log.info))
+        self._recent_gap = 0.0               # s; between heartbeats, since the report before
         self._unsaid: Deque[Tuple[Callable[[str, str], None], str, str]] = deque()
         self._board_lines = Allowance(*_BOARD_LINES)
 
@@ -250,6 +251,9 @@ class ArduinoLink(Link):
 
     # -- hooks --------------------------------------------------------------------------
 
+    def opened(self, now: float) -> None:
+        self._heart.opened(clock())
+
     def closed(self, now: float) -> None:
         # At once, not as it opens again: from then on anybody may be the first to write.
         with self._sending:
@@ -318,12 +322,23 @@ class ArduinoLink(Link):
     def talks(self, now: float) -> Optional[bool]:
         return None if self.calibrating else super().talks(now)     # deaf and dumb for minutes
 
+    def report(self, now: float) -> Report:
+        self._recent_gap = self._heart.recent_gap(clock())
+        return super().report(now)
+
     def condition(self, now: float) -> Tuple[int, str]:
         level, summary = super().condition(now)
-        if self.calibrating and self.port.is_open:
+        if not self.port.is_open:
+            return level, summary
+        if self.calibrating:
             return WARN if level else OK, 'calibrating the IMU'
-        return level, summary
+        if self._recent_gap <= LONGEST_GAP:
+            return level, summary
+        gap = (f'heartbeat gap of {self._recent_gap * 1e3:.1f} ms: after 30 ms the board stops '
+               'its motor; see "Let the bridge come first" in doc/troubleshooting.md')
+        return WARN, gap if level == OK else f'{summary}; {gap}'
 
     def own_values(self) -> List[Tuple[str, Any]]:
         return [('heartbeats sent', self.heartbeats_sent),
+                ('heartbeat gap [ms]', f'{self._recent_gap * 1e3:.2f}'),
                 ('heartbeat max gap [ms]', f'{self._heart.max_gap * 1e3:.2f}')]

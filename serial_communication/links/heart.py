@@ -3,10 +3,12 @@ after a stall, and nothing that another thread does can end it."""
 import threading
 import time
 import traceback
-from typing import Callable, Optional
+from collections import deque
+from typing import Callable, Deque, Optional
 
 from ..transport.pace import Every, be_quick
 
+LONGEST_GAP = 0.03       # s without a heartbeat after which the board stops its motor
 _LONGEST_NAP = 0.02      # s; so that a slow heartbeat does not make SPEED 0 late
 _REALTIME_PRIORITY = 20
 
@@ -35,6 +37,8 @@ class Heart:
         self._on_fault = on_fault
         self._on_start = on_start
         self._last: Optional[float] = None
+        self._opened_at: Optional[float] = None
+        self._gaps: Deque[float] = deque(maxlen=1000)     # since `recent_gap` was last called
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
@@ -48,10 +52,26 @@ class Heart:
         if self._thread.is_alive():
             self._thread.join(patience)
 
+    def opened(self, now: float) -> None:
+        """The port is open: heartbeats are due from now on."""
+        self._opened_at = now
+
     def restart(self) -> None:
         """Measure gaps anew: the port has closed."""
-        self._last = None
+        self._last = self._opened_at = None
         self.max_gap = 0.0
+
+    def recent_gap(self, now: float) -> float:
+        """The longest gap, in s, since this was last called.
+
+        The one that still lasts counts, too: from the latest heartbeat, or from the opening of the
+        port where none has left since.
+        """
+        last = self._opened_at if self._last is None else self._last
+        longest = 0.0 if last is None else now - last
+        while self._gaps:
+            longest = max(longest, self._gaps.popleft())
+        return longest
 
     def _run(self) -> None:
         self._on_start(_told(be_quick(_REALTIME_PRIORITY)))
@@ -75,6 +95,7 @@ class Heart:
         last, self._last = self._last, now
         if last is not None:
             self.max_gap = max(self.max_gap, now - last)
+            self._gaps.append(now - last)
         self.beats += 1
 
 

@@ -1,5 +1,6 @@
 """The link to the model car, over a real tty: what reaches the motor, and when."""
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -13,7 +14,7 @@ from boards import PATIENCE, CarBoard, Rfc2217Server, until
 from serial_communication.links import arduino as link_module
 from serial_communication.links import heart as heart_module
 from serial_communication.links.arduino import ArduinoLink, ArduinoSettings
-from serial_communication.links.link import Refused
+from serial_communication.links.link import OK, WARN, Refused
 from serial_communication.transport.port import Port, PortBusy
 from serial_communication.protocols import arduino
 from serial_communication.protocols.arduino import (Heartbeat, ImuCalibration, LedCommand,
@@ -566,6 +567,30 @@ def test_the_time_while_the_port_is_closed_is_no_heartbeat_gap(board, open_link,
     sent = link.heartbeats_sent
     until(lambda: link.heartbeats_sent > sent + 3)
     assert link._heart.max_gap < 1000.0
+
+
+def test_a_heartbeat_gap_is_a_warning_until_a_report_without_one(board, open_link):
+    def is_ok():
+        level, summary, _ = link.report(time.monotonic())
+        return level == OK and summary == 'open'
+
+    link = open_link()
+    board.streaming = True
+    until(is_ok)
+    with link._sending:         # so that no heartbeat can leave
+        sent = link.heartbeats_sent
+        assert not threading.Event().wait(0.1)
+        level, summary, values = link.report(time.monotonic())
+        assert level == WARN
+        assert re.match('heartbeat gap of [0-9.]+ ms: after 30 ms the board stops its motor; '
+                        'see .* in doc/troubleshooting.md$', summary)
+        assert float(dict(values)['heartbeat gap [ms]']) > 90.0
+    until(lambda: link.heartbeats_sent > sent + 1)
+    report = link.report(time.monotonic())
+    assert report.level == WARN and report.summary.startswith('heartbeat gap of ')
+    until(is_ok)
+    assert float(dict(link.report(time.monotonic()).values)['heartbeat max gap [ms]']) > 90.0
+    board.streaming = False
 
 
 def test_no_heartbeat_is_counted_while_the_port_is_closed(board, open_link):

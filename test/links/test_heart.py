@@ -39,3 +39,33 @@ def test_a_nap_that_fails_does_not_end_it(heart, monkeypatch):
     before = heart.beats
     until(lambda: heart.beats > before + 3)
     assert 'must be non-negative' in heart.faults[0]
+
+
+# -- gaps between heartbeats ----------------------------------------------------------------------
+
+def test_the_recent_gap_is_the_longest_since_it_was_last_asked_for():
+    heart = make()
+    assert heart.recent_gap(100.0) == 0.0, 'the port has not opened yet'
+    for now in (100.0, 100.01, 100.11, 100.12):
+        heart._count(now)
+    assert heart.recent_gap(100.13) == pytest.approx(0.1)
+    assert heart.recent_gap(100.13) == pytest.approx(0.01), 'that one is over'
+    assert heart.max_gap == pytest.approx(0.1)
+
+
+def test_a_gap_that_still_lasts_counts_and_once_more_as_it_ends():
+    heart = make()
+    heart._count(100.0)
+    assert heart.recent_gap(105.0) == 5.0
+    assert heart.recent_gap(106.0) == 6.0
+    heart._count(106.5)
+    assert heart.recent_gap(106.5) == 6.5
+    assert heart.recent_gap(106.5) == 0.0
+
+
+def test_without_any_heartbeat_the_gap_begins_as_the_port_opens():
+    heart = make()
+    heart.opened(100.0)
+    assert heart.recent_gap(105.0) == 5.0
+    heart.restart()
+    assert heart.recent_gap(200.0) == 0.0, 'the port is closed'

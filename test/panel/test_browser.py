@@ -133,6 +133,19 @@ def test_links_are_as_diagnostics_say(page):
             assert shown[key] == status.keys[key]
 
 
+def test_a_heartbeat_gap_is_red_until_it_is_over(page, robot):
+    card = '[data-link="arduino"]'
+    bad = card + ' dd[data-bad]'
+    page.wait(lambda page: page.attribute(card, 'data-look') == 'ok', 'it is well')
+    robot.bridge.process.send_signal(signal.SIGSTOP)
+    threading.Event().wait(0.25)
+    robot.bridge.process.send_signal(signal.SIGCONT)
+    page.wait(lambda page: 'heartbeat gap of' in page.text(card + ' .summary')
+              and len(page.all(bad)) == 1, 'the gap is said, and red')
+    page.wait(lambda page: page.attribute(card, 'data-look') == 'ok' and page.all(bad) == [],
+              'it is over')
+
+
 def test_an_error_is_seen_and_counted_by_its_cause(page, robot):
     card = '[data-link="mcu"]'
     page.wait(lambda page: page.attribute(card, 'data-look') == 'ok', 'it is well')

@@ -12,6 +12,7 @@ import sys
 import tempfile
 import threading
 import time
+import xmlrpc.client
 from typing import Dict, NamedTuple
 
 import rosgraph
@@ -278,6 +279,12 @@ class Line:
         self._process.kill()
         self._process.wait(10)
         self._process = None
+
+
+def pid_of(node):
+    """The process of a node that runs."""
+    with xmlrpc.client.ServerProxy(rosgraph.Master('/test').lookupNode('/' + node)) as proxy:
+        return proxy.getPid('/test')[2]
 
 
 class Bridge:

@@ -1,12 +1,15 @@
 #!/usr/bin/python3
 """/diagnostics: the names, the keys, and a level that follows what happens on the line."""
+import os
+import signal
+import threading
 import unittest
 
 import rospy
 import rostest
 
 from boards import (ERROR, OK, PACKAGE, PATIENCE, WARN, BusBoard, CarBoard, Diagnostics,
-                    SensorBoard, level_imu, ranges, service, settle, until)
+                    SensorBoard, level_imu, pid_of, ranges, service, settle, until)
 from serial_communication.protocols import mcu
 from serial_communication.srv import Lift
 
@@ -14,7 +17,7 @@ LINKS = 'bus', 'arduino', 'mcu'
 KEYS = {'port', 'state', 'frames received', 'frames sent', 'bytes received', 'bytes sent',
         'checksum errors', 'framing errors', 'reconnects', 'last frame age [s]'}
 OWN_KEYS = {'bus': {'timeouts', 'round trip p50 [ms]', 'round trip max [ms]'},
-            'arduino': {'heartbeats sent', 'heartbeat max gap [ms]'},
+            'arduino': {'heartbeats sent', 'heartbeat gap [ms]', 'heartbeat max gap [ms]'},
             'mcu': {'frames lost'}}
 NOISE = {'bus': bytes.fromhex('112233'), 'arduino': bytes.fromhex('ff010200'),
          'mcu': bytes.fromhex('112233')}
@@ -109,10 +112,25 @@ class DiagnosticsTest(unittest.TestCase):
 
     def test_silent_boards_are_a_warning(self):
         self.fresh_of_all(OK)
-        silent = self.fresh_of_all(WARN, ('arduino', 'mcu'), lambda: None)
+        silent = self.diagnostics.fresh_of_all(
+            ('arduino', 'mcu'), lambda s, _link: 'silent' in s.message, 'silent', lambda: None)
         for status in silent.values():
-            self.assertIn('silent', status.message)
+            self.assertEqual(status.level, WARN)
             self.assertGreater(number(status, 'last frame age [s]'), 0.9)
+
+    def test_a_heartbeat_gap_is_a_warning_until_it_is_over(self):
+        self.fresh('arduino', lambda s: s.level == OK, 'OK')
+        pid = pid_of(PACKAGE)
+        os.kill(pid, signal.SIGSTOP)
+        threading.Event().wait(0.25)
+        os.kill(pid, signal.SIGCONT)
+        status = self.fresh('arduino', lambda s: 'heartbeat gap of' in s.message, 'a gap')
+        self.assertEqual(status.level, WARN)
+        self.assertIn('the board stops its motor', status.message)
+        self.assertGreater(number(status, 'heartbeat gap [ms]'), 200.0)
+        after = self.fresh('arduino', lambda s: s.level == OK, 'OK again')
+        self.assertLess(number(after, 'heartbeat gap [ms]'), 30.0)
+        self.assertGreater(number(after, 'heartbeat max gap [ms]'), 200.0, 'since the port opened')
 
     def test_frames_lost_are_counted_and_no_error(self):
         board = BOARDS['mcu']

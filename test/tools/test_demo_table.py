@@ -3,6 +3,7 @@ import io
 import re
 
 import pytest
+from serial_communication.tools.demo import cli
 from serial_communication.tools.demo.state import Commands, State
 from serial_communication.tools.watch import table
 from serial_communication.tools.watch.state import LinkState
@@ -39,7 +40,8 @@ def busy(**options) -> State:
             'bus': LinkState(0, 'ready', dict(COUNTERS, **{
                 'timeouts': '2', 'round trip p50 [ms]': '1.25', 'round trip max [ms]': '9.00'})),
             'arduino': LinkState(1, 'open, the board is silent', dict(COUNTERS, **{
-                'heartbeats sent': '99999', 'heartbeat max gap [ms]': '10.40'})),
+                'heartbeats sent': '99999', 'heartbeat gap [ms]': '10.40',
+                'heartbeat max gap [ms]': '99.52'})),
             'mcu': LinkState(2, 'closed: no such file', dict(COUNTERS, **{
                 'frames lost': '6'}))}.items():
         state.bridge.take_link(name, link._replace(at=NOW))
@@ -204,6 +206,19 @@ def test_what_is_missing():
     assert len(State().missing()) == len(State().bridge.topics) - 1 + 2
     # Real boards that are only looked at need not move.
     assert not any('answer' in each for each in State(moves=False).missing())
+
+
+def test_at_the_end_a_link_that_is_not_ok_is_named(capsys):
+    state = busy()
+    for name in state.bridge.links:
+        state.bridge.take_link(name, LinkState(0, 'open', {}, NOW))
+    assert cli._judge(state) == 0
+    assert 'Every topic carried data' in capsys.readouterr().out and state.trouble() == []
+    state.bridge.take_link('arduino', LinkState(1, 'heartbeat gap of 99.5 ms: ...', {}, NOW))
+    assert cli._judge(state) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said[-2:] == ['But at the end not every link was OK:',
+                         '  arduino WARN: heartbeat gap of 99.5 ms: ...']
 
 
 def test_a_topic_that_the_bridge_does_not_publish_is_missing():

@@ -180,6 +180,10 @@ def _judge(state: State) -> int:
     calls = ', and lift and gimbal answered with success' if state.calls else ''
     boards = f" ({', '.join(optional)} is for ADC boards only)" if optional else ''
     print(f'Every topic carried data{calls}{boards}.')
+    trouble = state.trouble()
+    if trouble:
+        print('But at the end not every link was OK:')
+        print('\n'.join('  ' + each for each in trouble))
     return 0
 
 

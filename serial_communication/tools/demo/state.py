@@ -1,8 +1,8 @@
 """What the demo shows beyond the bridge itself: its boards, its calls and what it sends."""
 from typing import List, NamedTuple, Optional, Sequence
 
-from ..watch.state import ERROR, BridgeState
-from ..watch.table import Frame, Line
+from ..watch.state import ERROR, OK, BridgeState
+from ..watch.table import LEVELS, Frame, Line
 from ..watch.topics import LINKS, NODE, TOPICS
 
 
@@ -57,6 +57,11 @@ class State:
                if not each.count and not each.topic.optional]
         return out + [f'no successful answer from {name}: {call.words}'
                       for name, call in self.calls.items() if not call.succeeded]
+
+    def trouble(self) -> List[str]:
+        """The links that are not OK by their latest status, in words."""
+        return [f'{name} {LEVELS[link.level]}: {link.summary}'
+                for name, link in self.bridge.links.items() if link and link.level != OK]
 
     def frame(self) -> Frame:
         """What stands around the links and topics."""

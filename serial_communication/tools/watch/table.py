@@ -13,7 +13,7 @@ from .topics import one_line
 PERIOD = 1.0            # s from one redraw to the next
 _PLAIN_EVERY = 5        # redraws to one report, where the output is no terminal
 _VALUE_AT = 36          # column of a topic's value
-_LEVELS = ('OK', 'WARN', 'ERROR', 'STALE')
+LEVELS = ('OK', 'WARN', 'ERROR', 'STALE')
 
 # Topics that share a line before any is left out: they follow each other and say one thing.
 _PAIRS = (('/tf', '/tf_static'), ('mcu/range_1', 'mcu/range_2'),
@@ -121,18 +121,18 @@ def _topic_line(each: TopicState, now: float) -> Line:
 def _link_line(name: str, link: Optional[LinkState], now: float, width: int) -> Line:
     if link is None:
         return Line(f'{name:<7} no word from it yet', 'warn')
-    level = min(link.level, len(_LEVELS) - 1)
+    level = min(link.level, len(LEVELS) - 1)
     parts: List[Union[str, Tuple[str, str]]] = [
-        f'{name:<7} {_LEVELS[level]:<5} {link.summary}']
+        f'{name:<7} {LEVELS[level]:<5} {link.summary}']
     if link.stale(now):
-        level = len(_LEVELS) - 1
+        level = len(LEVELS) - 1
         parts = [f'{name:<7} STALE said {ago(now - link.at)} ago: {link.summary}']
     bad = f'bad {sum(link.errors.values())}'
     causes = ', '.join(f'{count} {cause}' for cause, count in link.errors.items() if count)
     parts.append((f'{bad} ({causes})', bad) if causes else bad)
     for key, words in (('frames received', 'in {}'), ('frames sent', 'out {}'),
                        ('timeouts', 'timeouts {}'), ('round trip p50 [ms]', 'round trip {} ms'),
-                       ('heartbeat max gap [ms]', 'heartbeat gap {} ms'),
+                       ('heartbeat gap [ms]', 'heartbeat gap {} ms'),
                        ('frames lost', 'lost {}'), ('reconnects', 'reconnects {}')):
         if key in link.values and (key, link.values[key]) != ('reconnects', '0'):
             parts.append(words.format(link.values[key]))

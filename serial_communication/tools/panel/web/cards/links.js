@@ -4,7 +4,7 @@ import {ago, card, colour, context, h, mark, number, say} from '../dom.js';
 const SHOWN = 300;         // s of the sparkline
 const BIN = 3;             // s of one of its bars
 const MINUTE = 60;
-const LONGEST_GAP = 30;    // ms between heartbeats that the car bears
+const LONGEST_GAP = 30;    // ms without a heartbeat after which the car stops its motor
 const BOARDS = {bus: 'control board', arduino: 'model car', mcu: 'sensor board'};
 const SIGNS = {ok: '✓', warn: '!', error: '✕', none: '?'};
 const WORDS = {ok: 'well', warn: 'trouble', error: 'down', none: 'not known'};
@@ -15,7 +15,7 @@ const MORE = [
   ['round trip', (v) => milliseconds(v['round trip p50 [ms]'])],
   ['slowest', (v) => milliseconds(v['round trip max [ms]'])],
   ['timeouts', (v) => v['timeouts']],
-  ['heartbeat gap', (v) => milliseconds(v['heartbeat max gap [ms]'])],
+  ['heartbeat gap', (v) => milliseconds(v['heartbeat gap [ms]'])],
   ['lost', (v) => v['frames lost']],
   ['reconnects', (v) => v['reconnects']],
 ];
