@@ -8,6 +8,7 @@ from typing import Any, Callable, Deque, Iterable, List, NamedTuple, Optional, T
 
 from ..protocols import arduino
 from ..protocols.framing import Frame
+from .calibration import BACK, LOOK_PERIOD, Calibration
 from .heart import LONGEST_GAP, Heart, clock
 from .link import OK, WARN, Link, Refused, Report
 from .motor import TIMED_OUT, Motor
@@ -16,7 +17,6 @@ from ..transport.port import Port, PortBusy, PortError
 
 _STALLED = 0.05          # s of wire time that wait in the kernel: the port does not flow
 _LOOK_PERIOD = 0.1       # s from one look at what waits there to the next
-_CALIBRATION_ECHO = 1.0  # s after IMU_CALIBRATION in which IMU packets may still be old ones
 _LAST_WORD = 0.1         # s that SPEED 0 has to leave the port at the end
 _SPEED_0 = arduino.SpeedCommand(0)
 _HEARTBEAT = arduino.encode(arduino.Heartbeat())
@@ -54,7 +54,6 @@ class ArduinoLink(Link):
         super().__init__('arduino', port, arduino.Decoder(settings.check_plausibility, messages),
                          **link_arguments)
         self.settings = settings
-        self.calibrating = False
         self._on_message = on_message
         self._on_log = on_log
         self._on_calibrating = on_calibrating
@@ -62,7 +61,7 @@ class ArduinoLink(Link):
         self._motor = Motor(settings.speed_timeout, clock())
         self._cut_off = False                # the latest packet may have left in part
         self._finished = False               # SPEED 0 was the last word
-        self._calibrating_since = 0.0
+        self._calibration: Optional[Calibration] = None
         self._look_at = 0.0                  # when to look again at what waits in the kernel
         self._heart = Heart('arduino heartbeat', settings.heartbeat_rate, self._tend,
                             lambda text: self._say_later('fault', text),
@@ -75,6 +74,11 @@ class ArduinoLink(Link):
     def heartbeats_sent(self) -> int:
         """Since the start."""
         return self._heart.beats
+
+    @property
+    def calibrating(self) -> bool:
+        """Whether the board calibrates its IMU; it then reads nothing for minutes."""
+        return self._calibration is not None
 
     # -- commands -----------------------------------------------------------------------
 
@@ -97,8 +101,8 @@ class ArduinoLink(Link):
     def calibrate_imu(self) -> None:
         """Send IMU_CALIBRATION, after SPEED 0 if the car moves; Refused if it cannot be sent.
 
-        From then on commands are refused until IMU data returns: the board would read them
-        minutes later, all at once.
+        From then on commands are refused until the calibration is over (see `Calibration`): the
+        board would read them minutes later, all at once.
         """
         self.command(arduino.ImuCalibration())
         self.wake()
@@ -131,8 +135,8 @@ class ArduinoLink(Link):
                 raise Refused(f'{message} refused: {error}', 'busy' if busy else 'port') from None
             if calibration:
                 self._motor.repeat_no_more()
-                self._calibrating_since = time.monotonic()
-                self.calibrating = True
+                self._calibration = Calibration(self.settings.calibration_timeout,
+                                                time.monotonic())
 
     def _refuse_if_unfit(self, message: Any, now: float) -> None:
         if self._finished:
@@ -253,6 +257,8 @@ class ArduinoLink(Link):
 
     def opened(self, now: float) -> None:
         self._heart.opened(clock())
+        if self._calibration:
+            self._calibration.port_opened(now)
 
     def closed(self, now: float) -> None:
         # At once, not as it opens again: from then on anybody may be the first to write.
@@ -269,16 +275,18 @@ class ArduinoLink(Link):
         if isinstance(message, arduino.Log):
             self._board_says(message, now)
             return
-        if self.calibrating and isinstance(message, arduino.Imu) \
-                and now > self._calibrating_since + _CALIBRATION_ECHO:
-            self._calibrated('IMU data is back: the calibration is over')
+        if isinstance(message, arduino.Imu) and self._calibration:
+            # What the thread was late to read is no news: look at the time before at the data.
+            self._calibrated(self._calibration.look(now) or self._calibration.imu_data(now))
         if self._on_message:
             self._on_message(message, frame.stamp)
 
     def tick(self, now: float) -> Optional[float]:
-        calibrated_at = self.idle(now)
-        if calibrated_at is not None:
-            return calibrated_at
+        self._say_unsaid()
+        if self._calibration:
+            self._calibrated(self._calibration.look(now))
+        if self._calibration:
+            return now + LOOK_PERIOD
         try:
             return self.check_silence(now, self.settings.network_silence)
         except PortError:
@@ -286,17 +294,15 @@ class ArduinoLink(Link):
             raise
 
     def idle(self, now: float) -> Optional[float]:
+        self._say_unsaid()
+        if self._calibration:
+            self._calibrated(self._calibration.expired(now))
+        return None
+
+    def _say_unsaid(self) -> None:
         while self._unsaid:
             say, cause, text = self._unsaid.popleft()
             say(cause, text)
-        if not self.calibrating:
-            return None
-        due = self._calibrating_since + self.settings.calibration_timeout
-        if now < due:
-            return due
-        self._calibrated(f'no IMU data {self.settings.calibration_timeout:g} s after the '
-                         'calibration began; taking commands again')
-        return None
 
     def _end_with_speed_0(self) -> None:
         """What waits for the board behind a network, out of reach, ends with SPEED 0."""
@@ -307,8 +313,14 @@ class ArduinoLink(Link):
                 pass
 
     def _calibrated(self, why: str) -> None:
-        self.calibrating = False
-        self.log.info('calibrated', why)
+        """The calibration is over, if there is a reason."""
+        if not why:
+            return
+        self._calibration = None
+        if why == BACK:
+            self.log.info('calibrated', why)
+        else:
+            self.log.warn('not calibrated', why)
         if self._on_calibrating:
             self._on_calibrating(False)
 

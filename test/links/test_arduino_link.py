@@ -12,6 +12,7 @@ import pytest
 
 from boards import PATIENCE, CarBoard, Rfc2217Server, until
 from serial_communication.links import arduino as link_module
+from serial_communication.links import calibration as calibration_module
 from serial_communication.links import heart as heart_module
 from serial_communication.links.arduino import ArduinoLink, ArduinoSettings
 from serial_communication.links.link import OK, WARN, Refused
@@ -468,7 +469,10 @@ STOPPED = ("import logging, sys\n"
            "link.start()\n"
            "for command in sys.stdin:\n"
            "    try:\n"
-           "        link.set_speed(int(command))\n"
+           "        if command.strip() == 'calibrate':\n"
+           "            link.calibrate_imu()\n"
+           "        else:\n"
+           "            link.set_speed(int(command))\n"
            "    except Refused as refused:\n"
            "        print(refused, flush=True)\n"
            "link.stop()\n"
@@ -741,7 +745,7 @@ def test_an_rfc2217_server_that_stands_still_delivers_no_drive_afterwards(line, 
 
 def test_a_calibration_stops_the_car_and_refuses_commands_until_imu_data_returns(
         board, line, open_link, monkeypatch):
-    monkeypatch.setattr(link_module, '_CALIBRATION_ECHO', 0.3)
+    monkeypatch.setattr(calibration_module, '_SILENCE', 0.3)
     changes, got = [], []
     link = open_link(on_calibrating=changes.append,
                      on_message=lambda message, stamp: got.append(message))
@@ -760,14 +764,88 @@ def test_a_calibration_stops_the_car_and_refuses_commands_until_imu_data_returns
     line.write(arduino.encode(arduino.Ticks(1)) + arduino.encode(arduino.Voltage(12.0)))
     until(lambda: len(got) >= 2)
     assert link.calibrating, 'only IMU data ends it'
-    board.streaming = True
-    until(lambda: not link.calibrating)
-    assert time.monotonic() - begun >= 0.3, 'packets that were under way do not end it'
+    until(lambda: not link.calibrating, doing=lambda: line.write(CarBoard.IMU), every=0.4)
+    assert time.monotonic() - begun >= 0.3
     until(lambda: changes == [True, False])
     link.set_speed(5)
     until(lambda: board.commands()[-1] == SpeedCommand(5))
     assert len(board.commands()) == 4
+
+
+def after_a_silence(line):
+    """IMU data as a board sends it that has calibrated; to be `doing` until it is over."""
+    return dict(doing=lambda: line.write(CarBoard.IMU), every=2.3)
+
+
+def test_imu_data_that_was_under_way_as_a_calibration_began_does_not_end_it(
+        board, line, open_link, lines):
+    """As over a network that takes 0.6 s each way: data goes on for 1.2 s."""
+    link = open_link()
+    board.streaming = True
+    until(lambda: link.last_frame_at)
+    link.calibrate_imu()
+    threading.Event().wait(1.2)
     board.streaming = False
+    with pytest.raises(Refused, match='the IMU is being calibrated'):
+        link.set_speed(500)
+    until(lambda: not link.calibrating, **after_a_silence(line))
+    assert not lines('does not calibrate')
+    link.set_speed(5)
+    until(lambda: board.commands()[-1:] == [SpeedCommand(5)])
+    assert SpeedCommand(500) not in board.messages()
+
+
+def test_a_board_that_does_not_calibrate_gets_commands_again(board, open_link, lines):
+    """Its IMU data goes on for 5 s: the request was lost on the line, say."""
+    link = open_link()
+    board.streaming = True
+    link.calibrate_imu()
+    until(lambda: not link.calibrating)
+    assert lines('IMU data has gone on for 5 s since the calibration was asked for')
+    link.set_speed(5)
+    until(lambda: board.commands()[-1:] == [SpeedCommand(5)])
+    board.streaming = False
+
+
+def test_a_board_that_was_reset_by_a_reconnect_calibrates_no_more(board, open_link):
+    link = open_link()
+    link.calibrate_imu()
+    with board.unplugged():
+        until(lambda: not link.port.is_open)
+    until(lambda: link.port.is_open and link.reconnects)
+    board.streaming = True
+    until(lambda: not link.calibrating)
+    board.streaming = False
+
+
+def test_the_time_of_a_stall_is_no_silence_that_ends_a_calibration(board, line):
+    """SIGSTOP as the calibration has begun; IMU data that was under way waits in the port."""
+    bridge = subprocess.Popen([sys.executable, '-c', STOPPED, line.path, '0.5'],
+                              stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                              universal_newlines=True)
+
+    def ask(command):
+        bridge.stdin.write(command + '\n')
+        bridge.stdin.flush()
+
+    try:
+        until(lambda: board.heartbeats() > 3)
+        ask('calibrate')
+        until(lambda: board.messages(ImuCalibration))
+        bridge.send_signal(signal.SIGSTOP)
+        os.waitpid(bridge.pid, os.WUNTRACED)
+        line.write(CarBoard.IMU * 20)
+        threading.Event().wait(2.5)
+        bridge.send_signal(signal.SIGCONT)
+        # As it wakes, every command is refused for half a second anyway.
+        before = board.heartbeats()
+        until(lambda: board.heartbeats() > before + 70)
+        ask('321')
+        ask('calibrate')
+        assert 'speed 321 refused: the IMU is being calibrated' in bridge.stdout.readline()
+    finally:
+        bridge.kill()
+        bridge.communicate()
 
 
 def test_heartbeats_go_on_during_a_calibration(board, open_link):

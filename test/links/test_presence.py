@@ -8,6 +8,7 @@ import pytest
 
 from boards import BusBoard, CarBoard, until
 from serial_communication.links.arduino import ArduinoLink
+from serial_communication.links.calibration import Calibration
 from serial_communication.links.bus import BusLink, BusSettings
 from serial_communication.links.link import SILENCE
 from serial_communication.links.mcu import McuLink
@@ -85,7 +86,7 @@ def test_the_car_is_not_silent_while_it_calibrates(line, logger):
     link.last_frame_at = link._opened_at = now
     later = now + 2 * SILENCE
     assert link.talks(later) is False
-    link.calibrating = True
+    link._calibration = Calibration(900.0, later)
     assert link.talks(later) is None
 
 

@@ -242,8 +242,9 @@ class Calibration(ArduinoTest):
         self.board.say(arduino.Voltage(12.0))        # no IMU data: goes on
         self.assertEqual([m.data for m in late.messages], [True])
 
-        late.first(lambda m: not m.data, doing=lambda: self.board.say(level_imu()),
-                   what='says that the calibration is over')
+        # After a silence, that is; data that was under way as it began does not end it.
+        until(lambda: not late.messages[-1].data, 'the calibration is over',
+              doing=lambda: self.board.say(level_imu()), every=2.5)
         self.assertEqual(len(self.board.commands), 3)
         self.steering.publish(value=1234)
         self.assertEqual(self.sent(4)[3], bytes.fromhex('0405d20400'))

@@ -231,7 +231,7 @@ def test_survives_anything(chunks):
 
 @pytest.fixture
 def car(cable):
-    board = ModelCar(calibration_time=0.3)
+    board = ModelCar(calibration_time=3.0)
     messages, calibrating = [], []
     with running(board, cable.b) as notes:
         link = ArduinoLink(Port(cable.a), on_message=lambda message, stamp: messages.append(

@@ -1,0 +1,59 @@
+"""Whether a board still calibrates its IMU, as far as its IMU data can tell.
+
+A board that calibrates sends no IMU data. But data from before may still be under way as the
+calibration begins, and what a stall of the bridge or a closed port kept back says nothing of the
+board. So only IMU data after a silence that was watched ends the calibration.
+
+Pure rules: no port, no thread, no clock. `now` is in seconds of a monotonic clock.
+"""
+
+_SILENCE = 2.0      # s without IMU data: now the board calibrates, and later data is new
+_GOES_ON = 5.0      # s of IMU data without such a silence: the board does not calibrate
+_STALL = 0.3        # s between two looks that make a stall; its time counts as neither
+LOOK_PERIOD = 0.1   # s from one look to the next at most
+
+BACK = 'IMU data is back: the calibration is over'
+GOES_ON = (f'IMU data has gone on for {_GOES_ON:g} s since the calibration was asked for: the '
+           'board does not calibrate; taking commands again')
+
+
+class Calibration:
+    """One calibration, from the packet that asks for it.
+
+    Args:
+        timeout: s after which it is over in any case.
+    """
+
+    def __init__(self, timeout: float, now: float) -> None:
+        self._timeout = timeout
+        self._due = now + timeout
+        self._watched_since = now    # or later, by the time that does not count
+        self._last_data = now        # likewise
+        self._looked_at = now
+
+    def look(self, now: float) -> str:
+        """Why it is over, or nothing; to be asked every `LOOK_PERIOD` while the port is open."""
+        late = now - self._looked_at
+        self._looked_at = now
+        if late > _STALL:
+            self._watched_since += late
+            self._last_data += late
+        return self.expired(now)
+
+    def expired(self, now: float) -> str:
+        """The same while the port is closed."""
+        if now < self._due:
+            return ''
+        return f'no end of the calibration within {self._timeout:g} s; taking commands again'
+
+    def port_opened(self, now: float) -> None:
+        """What the board did while the port was closed is not known."""
+        self._watched_since = self._last_data = self._looked_at = now
+
+    def imu_data(self, now: float) -> str:
+        """IMU data has come, after a `look` of the same time: why it is over now, or nothing."""
+        silence = now - self._last_data
+        self._last_data = now
+        if silence >= _SILENCE:
+            return BACK
+        return GOES_ON if now - self._watched_since >= _GOES_ON else ''
