@@ -11,11 +11,10 @@ from serial_communication.msg import (SpeedPWMCommand, SteeringFeedback, Steerin
                                       Ticks, Voltage)
 
 from ..links.arduino import ArduinoLink, ArduinoSettings
-from ..links.heart import clock
-from ..links.lateness import Lateness
 from ..links.link import Refused
 from ..protocols import arduino
 from ..transport.port import Port
+from .commands import CommandTopic
 from .geometry import OrientationBroadcaster
 from .interface import Common, Interface
 from .parameter import BAUD, MOUNT, PORT, Parameter, frame_id, seconds
@@ -36,6 +35,7 @@ class ArduinoInterface(Interface):
         # The board stops its motor after 30 ms without one.
         'heartbeat_rate': Parameter(100.0, 34.0, 1000.0, unit='Hz'),
         'speed_timeout': seconds(0.5, 0.0, 3600.0),
+        'command_age': seconds(0.5, 0.0, 3600.0),
         'network_silence': seconds(1.0, 0.0, 3600.0),
         'calibration_timeout': seconds(900.0, 1.0, 86400.0),
         'check_plausibility': Parameter(True),
@@ -54,7 +54,7 @@ class ArduinoInterface(Interface):
     def __init__(self, parameters: Dict[str, Any], common: Common) -> None:
         p = parameters
         self._gyro_scale = p['gyro_scale']
-        self._speed_timeout = p['speed_timeout']
+        self._command_age = p['command_age']
         self._imu_message = _imu(p)
         self._temperature_message = Temperature()
         self._temperature_message.header.frame_id = p['imu_frame_id']
@@ -90,40 +90,19 @@ class ArduinoInterface(Interface):
 
     def advertise(self) -> None:
         """Take commands and offer the service."""
-        link = self.link
-        for name, message_class, command in (
-                ('speed', SpeedPWMCommand, lambda message: link.set_speed(message.value)),
-                ('steering', SteeringPWMCommand,
-                 lambda message: link.set_steering(message.value))):
-            # Of those that wait only the newest counts: rospy reads all that its socket has, and
-            # keeps as many as the queue holds.
-            rospy.Subscriber('~' + name, message_class, self._take_newest,
-                             (name, command, Lateness(self._speed_timeout)),
-                             queue_size=1, tcp_nodelay=True)
-        rospy.Subscriber('~led', String, self._take,
-                         ('led', lambda message: link.set_led(message.data)),
-                         queue_size=10, tcp_nodelay=True)
-        take_commands(self._own, '~', link)
+        link, age = self.link, self._command_age
+        # Of speed and steering only the newest that waits counts: rospy reads all that its socket
+        # has, and keeps as many as the queue holds.
+        CommandTopic('~speed', SpeedPWMCommand, lambda message: link.set_speed(message.value),
+                     lambda message: f'speed {message.value}', link.log, age, queue_size=1,
+                     stops=lambda message: message.value == 0)
+        CommandTopic('~steering', SteeringPWMCommand,
+                     lambda message: link.set_steering(message.value),
+                     lambda message: f'steering {message.value}', link.log, age, queue_size=1)
+        CommandTopic('~led', String, lambda message: link.set_led(message.data),
+                     lambda message: f'LED {message.data[:arduino.LED_LIMIT]!r}', link.log, age)
+        take_commands(self._own, '~', link, age)
         rospy.Service('~calibrate_imu', Empty, self._calibrate)
-
-    def _take_newest(self, message, name_command_and_lateness) -> None:
-        name, command, lateness = name_command_and_lateness
-        connection = message._connection_header     # one object for each
-        sender = connection['callerid']
-        late = lateness.of(sender, connection, message.header.stamp.to_sec(), _now())
-        if late:
-            self.link.log.warn(
-                name + ' late', f'{name} {message.value} refused: it is {late:.3g} s late by its '
-                f'stamp, from {sender}; is its network slow, or was its clock set?')
-            return
-        self._take(message, (name, command))
-
-    def _take(self, message, name_and_command) -> None:
-        name, command = name_and_command
-        try:
-            command(message)
-        except Refused as refused:
-            self.link.log.warn(f'{name} refused: {refused.cause}', str(refused))
 
     def _calibrate(self, _request) -> EmptyResponse:
         try:
@@ -159,11 +138,6 @@ class ArduinoInterface(Interface):
     @staticmethod
     def _log(severity: int, text: str) -> None:
         _SAY[severity]('arduino says: %s', text)
-
-
-def _now() -> float:
-    """Seconds to compare stamps with: simulated where stamps are, else of no clock that is set."""
-    return clock() if rospy.rostime.is_wallclock() else rospy.get_time()
 
 
 def _imu(p: Dict[str, Any]) -> Imu:

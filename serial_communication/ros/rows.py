@@ -8,11 +8,11 @@ from typing import Any, Callable, Container, List, NamedTuple, Tuple
 import rospy
 
 from ..links.bus import BusLink
-from ..links.link import Refused
 from ..links.master import NOT_SENT, Outcome
 from ..protocols.layout import message_class
 from ..protocols.own_messages import (OwnFunction, OwnMessage, RowError, arduino_messages,
                                       bus_functions, mcu_messages)
+from .commands import CommandTopic
 from .publishing import publisher, wanted
 from .ros_fields import RosFields, find_type
 
@@ -20,6 +20,7 @@ from .ros_fields import RosFields, find_type
 PRIVATE_NAMES = ('imu', 'voltage', 'ticks', 'steering_angle', 'environment', 'speed', 'steering',
                  'led', 'lift', 'gimbal', 'get_environment', 'bus', 'calibrate_imu',
                  'get_loggers', 'set_logger_level')
+_LABEL = 100     # characters of a command's values in a warning
 MCU_NAMES = ('status', 'adc_status', 'imu', 'range_1', 'range_2')
 _TOLD = {'success': ('bool',), 'status': ('uint8', 'uint16', 'uint32', 'int16', 'int32'),
          'error_code': ('uint16', 'uint32', 'int32'), 'message': ('string',)}
@@ -130,22 +131,20 @@ def own_topics(rows: List[RowMessage], prefix: str, frame_prefix: str) -> dict:
             for row in rows if not row.own.is_command}
 
 
-def take_commands(rows: List[RowMessage], prefix: str, link: Any) -> None:
+def take_commands(rows: List[RowMessage], prefix: str, link: Any, age_limit: float) -> None:
     """Subscribe to one's own commands; what cannot be sent is refused with a warning."""
     for row in rows:
         if row.own.is_command:
-            rospy.Subscriber(prefix + row.own.name, row.message_class, _command, (row, link),
-                             queue_size=10, tcp_nodelay=True)
+            _take_command(row, prefix, link, age_limit)
 
 
-def _command(message: Any, row_and_link: Tuple[RowMessage, Any]) -> None:
-    row, link = row_and_link
-    try:
-        link.command(row.kind(*row.fields.read(message)))
-    except ValueError as error:
-        link.log.warn(f'{row.own.name} refused', f'{row.own.name} refused: {error}')
-    except Refused as refused:
-        link.log.warn(f'{row.own.name} refused: {refused.cause}', str(refused))
+def _take_command(row: RowMessage, prefix: str, link: Any, age_limit: float) -> None:
+    def read(message: Any) -> Any:
+        return row.kind(*row.fields.read(message))
+
+    CommandTopic(prefix + row.own.name, row.message_class,
+                 lambda message: link.command(read(message)),
+                 lambda message: str(read(message))[:_LABEL], link.log, age_limit)
 
 
 def poll_functions(rows: List[RowFunction], link: BusLink, frame_prefix: str) -> None:

@@ -192,22 +192,6 @@ class Commands(ArduinoTest):
     def speed_0_frames(self):
         return [frame for frame in self.board.frames if frame.raw == SPEED_0_PACKET]
 
-    def test_a_command_that_is_late_by_its_stamp_is_refused(self):
-        """Late against the same sender's others: its clock is an hour ahead."""
-        def publish(value, ago):
-            message = SpeedPWMCommand(value=value)
-            message.header.stamp = rospy.Time.now() + rospy.Duration(3600 - ago)
-            self.speed.publish(message)
-        publish(100, 0.0)
-        self.sent(1)
-        publish(700, 5.0)
-        ROSOUT.wait_for(self.node, 'speed 700 refused: it is 5 s late by its stamp', Log.WARN)
-        publish(200, 0.0)
-        until(lambda: 200 in self.board.speeds, 'one in time')
-        self.assertNotIn(700, self.board.speeds)
-        self.speed.publish(value=0)
-        until(lambda: self.board.speeds[-1] == 0, 'the end')
-
     def test_a_speed_that_is_renewed_goes_on(self):
         until(lambda: len(self.board.commands) > 12, 'a dozen commands', every=0.1,
               doing=lambda: self.speed.publish(value=100))

@@ -1,14 +1,17 @@
 #!/usr/bin/python3
-"""With simulated time that never begins, everything that counts seconds counts them still."""
+"""With simulated time that never begins, everything that counts seconds counts them still; where it
+does begin, stamps are compared with it."""
+import threading
 import unittest
 
 import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
 
-from boards import (PACKAGE, TIMEOUT, BusBoard, CarBoard, SensorBoard, Topic, command_topic,
+from boards import (PACKAGE, TIMEOUT, BusBoard, CarBoard, Rosout, SensorBoard, Topic, command_topic,
                     level_imu, ranges, service, settle, until)
 from serial_communication.msg import Environment, McuStatus2, SpeedPWMCommand
 from serial_communication.protocols import robot_ctrl_bus as bus
@@ -71,6 +74,37 @@ class SimulatedTime(unittest.TestCase):
         # the first ones may have come late.
         until(lambda: len(topic.messages) >= 8 * 3, 'eight rounds of three links')
         self.assertGreater(topic.arrivals[23] - topic.arrivals[0], 3.5)
+
+
+class WithAClock(unittest.TestCase):
+    """A /clock that begins, and jumps back, as a bag does that is played again."""
+
+    def test_the_age_of_a_command_is_counted_by_it(self):
+        clock = rospy.Publisher('/clock', Clock, queue_size=1)
+        until(lambda: clock.get_num_connections() >= 2, 'the bridge hears the clock')
+        speed = command_topic('/serial_communication/speed', SpeedPWMCommand)
+        rosout = Rosout()
+
+        def say(value, stamp):
+            message = SpeedPWMCommand(value=value)
+            message.header.stamp = rospy.Time(stamp)
+            speed.publish(message)
+
+        def drive(value, now):
+            until(lambda: value in CAR.speeds, 'speed %d' % value, seconds=4.0, every=0.1,
+                  doing=lambda: (clock.publish(rospy.Time(now)), say(value, now)))
+
+        for turn, now in enumerate((100.0, 50.0, 60.0), 1):
+            CAR.forget()
+            drive(turn, now)
+            for _ in range(10):
+                say(10 * turn, now - 1.0)
+                threading.Event().wait(0.01)
+                say(11 * turn, now + 40.0)
+                threading.Event().wait(0.01)
+            drive(100 + turn, now)
+            self.assertEqual({10 * turn, 11 * turn} & set(CAR.speeds), set())
+        rosout.wait_for(PACKAGE, 'speed 10 refused: its stamp is 1.00 s old')
 
 
 if __name__ == '__main__':

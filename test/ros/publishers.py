@@ -1,0 +1,96 @@
+"""Publishers that do what rospy's never would: latch what they like, hold two connections under one
+name, fall silent and come back. They speak to the master and to subscribers by ROS's protocols."""
+import io
+import socket
+import struct
+import threading
+from xmlrpc.server import SimpleXMLRPCServer
+
+import rosgraph
+
+from boards import until
+
+
+class FakePublisher:
+    """A publisher of one topic, that the master knows from `register` on.
+
+    Args:
+        name: of its node.
+        latching: whether it says that it latches.
+        latched: a message that every connection begins with.
+    """
+
+    def __init__(self, name, topic, message_class, latching=False, latched=None, register=True):
+        self.connections = []       # the oldest one first
+        self._name, self._topic, self._class = name, topic, message_class
+        self._latched = latched
+        self._header = {'callerid': name, 'topic': topic, 'type': message_class._type,
+                        'md5sum': message_class._md5sum, 'latching': '1' if latching else '0',
+                        'message_definition': message_class._full_text}
+        self._listener = socket.create_server(('localhost', 0))
+        self._node = SimpleXMLRPCServer(('localhost', 0), logRequests=False, allow_none=True)
+        self._node.register_function(self._request, 'requestTopic')
+        self._node.register_function(lambda *_: (1, '', 0), 'shutdown')
+        for serve in (self._accept, self._node.serve_forever):
+            threading.Thread(target=serve, name=name, daemon=True).start()
+        self._uri = 'http://localhost:%d' % self._node.server_address[1]
+        self._master = rosgraph.Master(name)
+        if register:
+            self.register()
+
+    def register(self):
+        """The master knows it from now on, and tells the subscribers."""
+        self._master.registerPublisher(self._topic, self._class._type, self._uri)
+
+    def connected(self, number=1):
+        """Wait until so many connections have been made; returns itself."""
+        until(lambda: len(self.connections) >= number, '%s is connected' % self._name)
+        return self
+
+    def say(self, message, connection=-1):
+        """A message on one of its connections."""
+        self.connections[connection].sendall(_packed(message))
+
+    def reconnect(self):
+        """Cut the connection off, and make another one."""
+        number = len(self.connections)
+        self.connections[-1].close()
+        until(lambda: self._register_again(number), '%s is connected again' % self._name, every=0.2)
+
+    def _register_again(self, number):
+        if len(self.connections) == number:
+            self._master.unregisterPublisher(self._topic, self._uri)
+            self.register()
+        return len(self.connections) > number
+
+    def close(self):
+        """The master forgets it, and its connections end."""
+        self._master.unregisterPublisher(self._topic, self._uri)
+        self._listener.close()
+        self._node.shutdown()
+        self._node.server_close()
+        for connection in self.connections:
+            connection.close()
+
+    def _request(self, _caller, _topic, _protocols):
+        return 1, '', ['TCPROS', 'localhost', self._listener.getsockname()[1]]
+
+    def _accept(self):
+        while True:
+            try:
+                connection, _ = self._listener.accept()
+            except OSError:
+                return
+            rosgraph.network.read_ros_handshake_header(connection, io.BytesIO(), 65536)
+            header = b''.join(struct.pack('<I', len(field)) + field for field in (
+                ('%s=%s' % item).encode() for item in self._header.items()))
+            connection.sendall(struct.pack('<I', len(header)) + header)
+            if self._latched is not None:
+                connection.sendall(_packed(self._latched))
+            self.connections.append(connection)
+
+
+def _packed(message):
+    data = io.BytesIO()
+    message.serialize(data)
+    return struct.pack('<I', len(data.getvalue())) + data.getvalue()
