@@ -115,7 +115,9 @@ class ArduinoLink(Link):
             reason = message.implausible()
             if reason:
                 raise ValueError(reason)
-            message.pack()
+            length = 1 + len(message.pack())
+            if length > arduino.MAX_PACKET:
+                raise ValueError(f'it is {length} bytes long, may be at most {arduino.MAX_PACKET}')
         except ValueError as error:
             too_long = len(getattr(message, 'text', '')) > arduino.LED_LIMIT
             raise Refused(f'{message.LABEL} refused: {error}',

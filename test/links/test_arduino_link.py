@@ -93,6 +93,30 @@ def test_a_command_of_ones_own_keeps_the_rules_of_commands(own_board, open_link)
         link.command(GRIPPER(1.0, 2))
 
 
+TEXT = message_class('text', 49, '<s', [Value('data')])
+
+
+def test_a_command_that_no_board_would_take_for_its_length_is_refused_in_few_words(line, open_link,
+                                                                                   running):
+    board = running(CarBoard(line, [TEXT]))
+    link = open_link()
+    for text in ('x' * 256, 'x' * 1000000):
+        with pytest.raises(Refused) as refused:
+            link.command(TEXT(text))
+        assert f'it is {len(text) + 1} bytes long, may be at most 256' in str(refused.value)
+        assert len(str(refused.value)) < 100
+    link.command(TEXT('x' * 255))
+    until(board.commands)
+    assert board.commands() == [TEXT('x' * 255)]
+
+
+def test_a_led_text_of_any_length_is_refused_in_few_words(board, open_link):
+    link = open_link()
+    with pytest.raises(Refused) as refused:
+        link.set_led('x' * 1000000)
+    assert len(str(refused.value)) < 100
+
+
 def test_a_command_of_ones_own_is_never_kept(own_board, open_link):
     link = open_link()
     with own_board.unplugged():
