@@ -111,7 +111,8 @@ class BusLink(Link):
         Args:
             repeatable: it may be sent again after a timeout: it merely reads.
             timeout: s from sending to the reply; None: as the settings have it for its kind.
-            reply_layout: what data its OK must have; None: any.
+            reply_layout: what data its OK must have; None: any. `NO_DATA`: none is expected, but
+                a board may send some.
             on_success: is called in the link's thread with a successful outcome, before or
                 after this returns.
         """
@@ -146,7 +147,7 @@ class BusLink(Link):
             request = build(direction, amount)
         except ValueError as error:
             return Outcome(NOT_SENT, f'{error}; nothing was sent')
-        return self.request(request)
+        return self.request(request, reply_layout=bus.NO_DATA)
 
     def _call(self, request: bus.Request, repeatable: bool, timeout: Optional[float],
               reply_layout: Optional[Layout], on_success: Optional[Callable[[Outcome], None]],

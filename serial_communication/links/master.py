@@ -4,27 +4,33 @@ A state machine without I/O and without a clock: whoever owns the port says what
 time it is, asks `next_request` what to send, and sleeps until `deadline`. The rules it keeps:
 
 1. One request is outstanding, ever. Callers queue; calls go before polls.
-2. After a connect, and after INVALID "not synchronised", SYNC until the board answers.
+2. After a connect, and after INVALID "not synchronised", SYNC until the board answers; nothing
+   else is sent before.
 3. No reply within its timeout: the request's outcome is unknown.
-4. What moves something, and raw requests, are sent again only where a reply said that nothing
-   was executed.
-   A board may also send INVALID for noise, and execute the request behind it: before a move is
-   sent again or given up, an ECHO must return. After an OK that comes before it, nobody knows.
-5. A board may answer a move with data in its OK. Behind a fence such an OK is the move's; from a
-   board that never echoes it is taken for another request's reply.
-6. Replies carry no number, so one that is late or comes twice could be taken for the next
-   request's. Before every move and raw request stands a fence: an ECHO with a fresh nonce has
-   returned since the last byte of any other exchange. A line keeps its order, so what was under
-   way came before that echo. Repeatable requests need no fence: at worst they return what the
-   board said to the same kind of request shortly before.
+4. A move done twice is a fault. What moves something, and raw requests, are sent again only
+   where a reply said that nothing was executed. What merely reads is repeatable: it may be sent
+   again after any try.
+   A board may also send INVALID for noise, and execute the request behind it: before a call is
+   sent again or reported as refused, an ECHO must return. If an OK arrives before that ECHO, the
+   outcome is unknown.
+5. A request for which no data is expected may be answered with data in the OK. Behind a fence it
+   is this request's answer, whatever it carries; from a board that never echoes it is taken for
+   another request's reply.
+   Any other OK with the wrong number of data bytes, or with values that cannot be, is reported
+   as that: at once behind a fence, else a poll is sent once more behind the ECHO.
+6. Replies carry no number, so one that is late or doubled could be taken for the next request's.
+   A line keeps its order: what was under way arrives before the reply to a later ECHO.
+   So before every request stands a fence: an ECHO with a fresh nonce has returned since the last
+   byte of the exchange before. Only SYNC and ECHO need none, nor does a poll where the exchange
+   before it was the same request, byte for byte: then the reply is of the same kind at least.
    After a SYNC, a timeout, a damaged reply, one of a wrong length or one that nobody asked for,
    the link is out of step: nothing at all goes out before such an ECHO, and whatever comes
    before it returns is dropped.
    Where `ECHO_TRIES` ECHOs in a row are not answered, a SYNC and a silence of the reply timeout
    take the place of one. A board that has never echoed gets a silence of `QUIET` as its fence.
-7. An OK with another number of data bytes than its request's, or with values that cannot be, is
-   returned as that, at once behind a fence. Without one, what may be repeated is asked once more
-   behind the ECHO.
+7. What a caller is told is true. Success: executed, exactly once (a repeatable request: by the
+   try that was answered). Refused or not sent: not executed (a repeatable one: not by its last
+   try). Timeout: unknown, executed once or not at all.
 """
 import enum
 import os
@@ -74,7 +80,7 @@ class Call:
         tries: how often it may be sent in all.
         now: the time of the call.
         poll: nobody waits for it: every other call goes first.
-        reply_layout: what data its OK must have; None: any.
+        reply_layout: what data its OK must have; None: any. Of one that is empty see rule 5.
         on_success: is called in the link's thread with a successful outcome.
     """
 
@@ -97,6 +103,12 @@ class Call:
         self._sent = False
         self._lock = threading.Lock()
         self._done = threading.Event()
+
+    @property
+    def always_fenced(self) -> bool:
+        """Whether it needs a fence whatever was exchanged before; see rule 6."""
+        is_probe = self.repeatable and self.request.cmd1 in (bus.SYNC, bus.ECHO)
+        return not (self.poll or is_probe)
 
     def claim(self) -> bool:
         """Before each sending: whether the caller still wants it."""
@@ -128,7 +140,7 @@ class State(enum.Enum):
     CLOSED = 'nothing: the port is closed'
     UNSYNCHRONISED = 'SYNC'
     OUT_OF_STEP = 'ECHO: a reply may still be under way'
-    IN_STEP = 'repeatable requests; an ECHO as a fence before others'
+    IN_STEP = 'SYNC, ECHO and the same poll again; an ECHO as a fence before others'
     FENCED = 'any request: nothing can be under way'
 
 
@@ -180,6 +192,7 @@ class Master:
         self._polls: Deque[Call] = deque()
         self._retry: Optional[Call] = None      # a call that is sent again goes first
         self._exchange: Optional[_Exchange] = None
+        self._latest_request: Optional[bus.Request] = None     # the one sent last
         self._served_until = 0.0                # when the latest call's exchange ended
         self._last_received = 0.0               # when the latest bytes came
         self._unanswered_syncs = 0
@@ -347,14 +360,19 @@ class Master:
         """Whether this board seems to know no ECHO."""
         return not self._has_echoed and self._unanswered_echoes >= ECHO_TRIES
 
+    def _needs_fence(self, call: Call) -> bool:
+        """Whether a reply to the request before it could seem to answer it."""
+        return call.always_fenced or (call.poll and call.request != self._latest_request)
+
     def _needs_echo(self, call: Call) -> bool:
         """Whether an ECHO must return before this call's request goes out."""
-        return not call.repeatable and self.state is State.IN_STEP and not self._never_echoes
+        return (self.state is State.IN_STEP and not self._never_echoes
+                and self._needs_fence(call))
 
     def _quiet_until(self) -> float:
         """When the next call's request may go out to a board that never echoes."""
         call = self._next_call()
-        if call is None or call.repeatable or not self._never_echoes:
+        if call is None or not self._never_echoes or not self._needs_fence(call):
             return 0.0
         return self._last_received + QUIET
 
@@ -367,15 +385,19 @@ class Master:
     # -- sending ------------------------------------------------------------------------
 
     def _send(self, kind: _Kind, request: bus.Request, now: float) -> bus.Request:
-        self._exchange = _Exchange(kind, request, now, now + self._reply_timeout)
-        return request
+        return self._begin(_Exchange(kind, request, now, now + self._reply_timeout))
 
     def _send_call(self, call: Call, now: float) -> bus.Request:
         call.invalid_unconfirmed = False
-        self._exchange = _Exchange(_Kind.CALL, call.request, now, now + call.timeout, call,
-                                   fenced=self.state is State.FENCED)
+        fenced = self.state is State.FENCED
         self.state = State.IN_STEP
-        return call.request
+        return self._begin(_Exchange(_Kind.CALL, call.request, now, now + call.timeout, call,
+                                     fenced))
+
+    def _begin(self, exchange: _Exchange) -> bus.Request:
+        self._exchange = exchange
+        self._latest_request = exchange.request
+        return exchange.request
 
     def _expect_silence(self, now: float) -> None:
         self._send(_Kind.SILENCE, bus.SYNC_REQUEST, now)
@@ -412,7 +434,7 @@ class Master:
 
     def _call_answered(self, exchange: _Exchange, frame: Frame, now: float) -> None:
         reply, request, call = frame.message, exchange.request, exchange.call
-        if not self._answers(reply, request):
+        if not self._answers(reply, call):
             # Somebody else's, or an echo of other bytes. The right one may still come.
             exchange.other_reply = reply
             self._out_of_step(f'{reply} to {request}')
@@ -435,7 +457,7 @@ class Master:
             call.tries = 0
         if code == bus.NOT_SYNCHRONISED:
             self.state = State.UNSYNCHRONISED
-        elif not call.repeatable:
+        elif call.always_fenced:
             call.invalid_unconfirmed = True
             self.state = State.OUT_OF_STEP
             self._send_again(exchange, now, outcome)
@@ -445,17 +467,18 @@ class Master:
         else:
             self._finish(exchange, now, outcome)
 
-    def _answers(self, reply: bus.Reply, request: bus.Request) -> bool:
+    def _answers(self, reply: bus.Reply, call: Call) -> bool:
         """Whether this can be the reply to that."""
+        layout = call.reply_layout
         if (self._never_echoes and reply.cmd1 == bus.OK and reply.data
-                and request.cmd1 == bus.FUNCTION and request.cmd2 in (bus.LIFT, bus.GIMBAL)):
+                and layout is not None and layout.is_empty):
             return False     # without a fence it may be another request's
-        return _may_answer(reply, request)
+        return _may_answer(reply, call.request)
 
     def _objection(self, reply: bus.Reply, call: Call) -> str:
         """What is wrong with the data of an OK, or ''. It is counted."""
         layout, size = call.reply_layout, len(reply.data)
-        if layout is None:
+        if layout is None or layout.is_empty:
             return ''
         if not layout.fits(size):
             self.length_errors += 1
@@ -635,9 +658,12 @@ def _may_answer(reply: bus.Reply, request: bus.Request) -> bool:
 
 
 def _may_be_behind_the_invalid(reply: bus.Reply, call: Call) -> bool:
-    """Whether this may tell that a request which got an INVALID was executed all the same."""
-    return (call.invalid_unconfirmed and reply.cmd1 not in (bus.ERROR, bus.INVALID)
-            and _may_answer(reply, call.request))
+    """Whether this may tell that a request which got an INVALID was executed all the same.
+
+    It does not matter where the call is sent again anyway.
+    """
+    return (call.invalid_unconfirmed and not (call.repeatable and call.tries)
+            and reply.cmd1 not in (bus.ERROR, bus.INVALID) and _may_answer(reply, call.request))
 
 
 def _unknown_after_invalid(invalid: Outcome) -> Outcome:

@@ -62,6 +62,7 @@ class Layout:
         self._struct = struct.Struct(fixed)
         self._step = struct.calcsize(self._order + (self._rest or 'x'))
         self.size = self._struct.size      # bytes of data; the least where more are allowed
+        self.is_empty = not self.size and not self._items
         if len(self._items) != len(self.values):
             raise ValueError(f'it has {len(self._items)} values, not {len(self.values)}')
         self._has_text = any(item.code == 's' for item in self._items)

@@ -24,7 +24,6 @@ _LAYOUT_KEYS = ('layout', 'fields', 'scale', 'offset', 'minimum', 'maximum')
 _MESSAGE_KEYS = ('type', 'direction', 'ros_type', 'frame_id') + _LAYOUT_KEYS
 _FUNCTION_KEYS = ('cmd2', 'srv_type', 'ros_type', 'period', 'frame_id', 'request', 'reply',
                   'timeout', 'repeatable')
-_NO_DATA = Layout('<', ())
 
 
 class RowError(ValueError):
@@ -196,7 +195,7 @@ class _Row:
     def part(self, key: str, only_zeros: bool = False) -> Layout:
         """The layout of a request's or a reply's DATE."""
         if key not in self.given:
-            return _NO_DATA
+            return bus.NO_DATA
         inner = _Row(self.name(key), self.given[key], _LAYOUT_KEYS)
         layout, values = inner.layout()
         if only_zeros and any(value.name for value in values):

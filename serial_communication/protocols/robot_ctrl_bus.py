@@ -53,6 +53,8 @@ ERROR_TEXTS = {
 LIFT_DIRECTIONS = ('up', 'down')
 GIMBAL_DIRECTIONS = ('left', 'right', 'up', 'down')
 
+NO_DATA = Layout('<', ())     # of a DATE that is empty
+
 _MOVES = {
     LIFT: ('lift', LIFT_DIRECTIONS, Value('distance', 'mm')),
     GIMBAL: ('gimbal', GIMBAL_DIRECTIONS, Value('angle', 'degrees')),

@@ -159,7 +159,12 @@ def poll_functions(rows: List[RowFunction], link: BusLink, frame_prefix: str) ->
 
 
 def _publishing(own: OwnFunction, topic: RowTopic) -> Callable[[Outcome], None]:
-    return lambda outcome: topic.publish(own.reply.unpack(outcome.data), outcome.stamp)
+    return lambda outcome: topic.publish(_values(own, outcome), outcome.stamp)
+
+
+def _values(own: OwnFunction, outcome: Outcome) -> Tuple:
+    """Those of an OK. Where no data is expected, the board may have sent some all the same."""
+    return () if own.reply.is_empty else own.reply.unpack(outcome.data)
 
 
 def offer_functions(rows: List[RowFunction], link: BusLink) -> None:
@@ -186,7 +191,7 @@ def _service(row: RowFunction, link: BusLink) -> Callable[[Any], Any]:
         for name in told:
             setattr(response, name, getattr(outcome, name))
         if outcome.success:
-            row.reply.fill(response, own.reply.unpack(outcome.data))
+            row.reply.fill(response, _values(own, outcome))
         return response
 
     return handle

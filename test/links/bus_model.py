@@ -15,6 +15,7 @@ from typing import List, NamedTuple, Optional
 from serial_communication.links.master import NOT_SENT, TIMEOUT, Call, Master
 from serial_communication.links.sparing_log import SparingLog
 from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.protocols.layout import Layout
 
 REPLY_TIMEOUT, MOTION_TIMEOUT = 0.5, 2.0
 _FRAME_TIMEOUT = 0.05
@@ -23,7 +24,13 @@ FAULTS = ('none', 'lose request', 'lose reply', ('late', REPLY_TIMEOUT + 0.2),
           ('late', MOTION_TIMEOUT + 0.9), ('double', 0.0), ('double', 0.005), ('double', 0.1),
           ('double', MOTION_TIMEOUT), 'damage reply', 'damage request', 'damage request, silent',
           'noise', 'noise before', 'cut', 'error', 'too long', 'reset', 'invalid for noise')
-REQUESTS = ('lift', 'gimbal', 'raw', 'air', 'echo', 'sync')
+ONCE = ('lift', 'gimbal', 'raw', 'act')         # never sent again after a timeout
+AGAIN = ('read', 'test')                         # functions that may be
+REQUESTS = ONCE + AGAIN + ('air', 'echo', 'sync')
+POLLS = ('poll air', 'poll one', 'poll two')
+RAW, ACT, READ, TEST, ONE, TWO = 0x30, 0x31, 0x32, 0x33, 0x40, 0x41    # CMD2 of custom functions
+_READ = Layout('<4x', ())      # 'read' returns its request's data reversed
+_VALUE = Layout('<6x', ())     # of both polled functions, and as long as an environment's
 
 
 class Asked(NamedTuple):
@@ -40,9 +47,9 @@ class Board:
 
     def __init__(self, faults, echoes: bool, ok_data: bytes) -> None:
         self.executed: List[bus.Request] = []
+        self.latest = {}               # request -> whether it was executed when it came last
         self.readings = 0
         self.echoed = 0
-        self.has_doubled = False
         self._faults = iter(faults)
         self._echoes = echoes
         self.ok_data = ok_data
@@ -60,6 +67,7 @@ class Board:
             fault, seconds = fault
         if fault in ('lose request', 'damage request, silent'):
             return []
+        self.latest[request] = False
         if fault == 'reset':
             self._synchronised = False
             return self._at(now, b'boot\xa5')
@@ -87,7 +95,6 @@ class Board:
             return came + self._at(now + seconds, wire)
         came += self._at(now + 0.01, wire)
         if fault == 'double':
-            self.has_doubled = True
             came += self._at(now + 0.01 + seconds, wire)
         return came
 
@@ -108,10 +115,14 @@ class Board:
         if failing:
             return bus.Reply(bus.ERROR, b'\2\x80')
         self.executed.append(request)
+        self.latest[request] = True
         if request == bus.ENVIRONMENT_REQUEST:
             self.readings += 1
             return bus.Reply(bus.OK, bus.Environment(self.readings, 20.0, 50.0).pack())
-        return bus.Reply(bus.OK, request.data[::-1] if request.cmd2 == 0x30 else self.ok_data)
+        if request.cmd2 in (ONE, TWO):
+            return bus.Reply(bus.OK, bytes((request.cmd2,)) * 6)
+        return bus.Reply(bus.OK, request.data[::-1] if request.cmd2 in (RAW, READ)
+                         else self.ok_data)
 
 
 class Model:
@@ -154,14 +165,22 @@ class Model:
         request = {
             'lift': bus.lift(number % 2, number // 2 % 256),
             'gimbal': bus.gimbal(number % 4, number // 4 % 256),
-            'raw': bus.Request(bus.FUNCTION, 0x30, b'r' + tag),
+            'raw': bus.Request(bus.FUNCTION, RAW, b'r' + tag),
+            'act': bus.Request(bus.FUNCTION, ACT, b'a' + tag),
+            'read': bus.Request(bus.FUNCTION, READ, b'f' + tag),
+            'test': bus.Request(bus.FUNCTION, TEST, b't' + tag),
             'air': bus.ENVIRONMENT_REQUEST,
             'echo': bus.echo(b'e' + tag),
-            'sync': bus.SYNC_REQUEST}[kind]
+            'sync': bus.SYNC_REQUEST,
+            'poll air': bus.ENVIRONMENT_REQUEST,
+            'poll one': bus.Request(bus.FUNCTION, ONE),
+            'poll two': bus.Request(bus.FUNCTION, TWO)}[kind]
+        layout = {'raw': None, 'echo': None, 'sync': None, 'read': _READ,
+                  'air': bus.Environment.LAYOUT, 'poll air': bus.Environment.LAYOUT,
+                  'poll one': _VALUE, 'poll two': _VALUE}.get(kind, bus.NO_DATA)
         slow = kind in ('lift', 'gimbal')
-        call = Call(request, MOTION_TIMEOUT if slow else REPLY_TIMEOUT,
-                    kind in ('air', 'echo', 'sync'), 3, self.now,
-                    reply_layout=bus.Environment.LAYOUT if kind == 'air' else None)
+        call = Call(request, MOTION_TIMEOUT if slow else REPLY_TIMEOUT, kind not in ONCE, 3,
+                    self.now, kind in POLLS, layout)
         self.asked.append(Asked(call, kind, self.now, self.board.readings))
         self.master.submit(call)
 
@@ -222,28 +241,44 @@ class Model:
             request = asked.call.request
             times = self.board.executed.count(request)
             said = '%s was told %r and executed %d times' % (request, outcome, times)
-            if asked.kind in ('lift', 'gimbal', 'raw'):
+            refused = not outcome.success and outcome.status != TIMEOUT
+            assert not refused or outcome.status in (NOT_SENT, bus.ERROR, bus.INVALID), said
+            if asked.kind in ONCE:
                 if outcome.success:
                     assert times == 1, said
                     assert asked.kind == 'raw' or outcome.data == self.board.ok_data, said
-                elif outcome.status == TIMEOUT:
-                    assert times <= 1, said
-                else:
+                elif refused:
                     assert times == 0, said
+                else:
+                    assert times <= 1, said
+            if asked.kind in AGAIN:
+                # It may be sent again; what its caller is told is what the last one led to.
+                if outcome.success:
+                    assert times >= 1 and self.board.latest[request], said
+                elif refused:
+                    assert not self.board.latest.get(request), said
             if outcome.success:
-                if asked.kind == 'raw':
-                    assert outcome.data == request.data[::-1], said
-                elif asked.kind == 'echo':
-                    assert outcome.data == request.data, said
-                elif asked.kind == 'air':
-                    reading = bus.Environment.unpack(outcome.data).smoke
-                    # No fence stands before what may be repeated: of a reply that comes twice,
-                    # the second may be taken for the answer to the same question asked again.
-                    assert reading > asked.executed_before - self.board.has_doubled, \
-                        'a reading from before the call'
-            else:
-                assert outcome.status in (NOT_SENT, TIMEOUT, bus.ERROR, bus.INVALID), said
-        assert len(set(self.board.executed)) + self.board.readings >= len(self.board.executed)
+                self._check_data(asked, request, outcome.data, said)
+        once = [request for request in self.board.executed
+                if request.cmd2 not in (READ, TEST, ONE, TWO, bus.ENVIRONMENT)]
+        assert len(set(once)) == len(once), 'executed twice'
+
+    @staticmethod
+    def _check_data(asked: Asked, request: bus.Request, data: bytes, said: str) -> None:
+        """The data is this function's own."""
+        if asked.kind in ('raw', 'read'):
+            assert data == request.data[::-1], said
+        elif asked.kind == 'echo':
+            assert data == request.data, said
+        elif asked.kind in ('poll one', 'poll two'):
+            assert data == bytes((request.cmd2,)) * 6, said
+        elif asked.kind in ('air', 'poll air'):
+            reading = bus.Environment.unpack(data)
+            assert (reading.temperature, reading.humidity) == (20.0, 50.0), said
+            # A poll that follows its own kind has no fence, so of a reply that comes twice the
+            # second may be taken for the answer to the same poll sent again.
+            assert asked.kind == 'poll air' or reading.smoke > asked.executed_before, \
+                'a reading from before the call'
 
     def check_all_answered(self) -> None:
         """Nobody waits for ever."""

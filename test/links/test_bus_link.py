@@ -153,6 +153,18 @@ def test_a_refusal_is_told(board, open_link, wire, status, code):
     assert board.moves() == [LIFT]
 
 
+@pytest.mark.parametrize('request_, is_slow', [
+    (LIFT, True), (bus.gimbal(0, 1), True), (bus.Request(bus.FUNCTION, 0x30), False),
+    (bus.ENVIRONMENT_REQUEST, False), (bus.Request(0x0C, bus.LIFT), False)], ids=str)
+def test_only_lift_and_gimbal_have_the_motion_timeout(board, open_link, request_, is_slow):
+    """Whether the service of their own or a raw request asks for them."""
+    board.rule = lambda request: b'' if request == request_ else None
+    settings = PATIENT._replace(reply_timeout=0.11, motion_timeout=0.22)
+    outcome = open_link(settings).request(request_)
+    assert outcome.status == TIMEOUT
+    assert outcome.message.startswith('no reply within %g s:' % (0.22 if is_slow else 0.11))
+
+
 def test_no_reply_is_a_timeout_and_the_move_is_not_sent_again(board, open_link):
     board.rule = lambda request: b'' if is_move(request) else None
     link = open_link(SHORT)
@@ -206,6 +218,46 @@ def test_a_refused_lift_is_not_told_as_done_where_the_ok_before_it_comes_twice(b
         outcome = link.lift(0, 200)
         assert (outcome.status, outcome.error_code) == (bus.ERROR, 0x8002)
     assert board.moves() == [LIFT, refused] * 20
+
+
+def twice(board, reply):
+    """Answer, and answer the same 5 ms later."""
+    wire = bus.encode_reply(reply)
+    board.line.write(wire)
+    threading.Event().wait(0.005)
+    return wire
+
+
+def test_a_refused_repeatable_function_is_not_told_as_done_where_the_ok_before_it_comes_twice(
+        board, open_link):
+    own = bus.Request(bus.FUNCTION, 0x30)
+
+    def rule(request):
+        if request == LIFT:
+            return twice(board, bus.Reply(bus.OK))
+        return bus.Reply(bus.ERROR, b'\2\x80') if request == own else None
+
+    board.rule = rule
+    link = open_link()
+    for _ in range(20):
+        assert link.lift(0, 100).success
+        outcome = link.request(own, repeatable=True, reply_layout=bus.NO_DATA)
+        assert (outcome.status, outcome.error_code) == (bus.ERROR, 0x8002)
+    assert board.moves() == [LIFT, own] * 20
+
+
+def test_two_polled_functions_keep_their_values_apart_where_replies_come_twice(
+        line, board, logger, running):
+    kept = {0x30: [], 0x31: []}
+    board.rule = lambda request: (
+        twice(board, bus.Reply(bus.OK, bytes((request.cmd2,)))) if is_move(request) else None)
+    link = BusLink(Port(line.path), PATIENT, logger=logger)
+    for cmd2 in kept:
+        link.poll(0.001, bus.Request(bus.FUNCTION, cmd2), Layout('<x', ()), kept[cmd2].append)
+    running(link)
+    until(lambda: all(len(outcomes) >= 50 for outcomes in kept.values()))
+    for cmd2, outcomes in kept.items():
+        assert {outcome.data for outcome in outcomes} == {bytes((cmd2,))}
 
 
 def test_before_a_move_a_board_that_never_echoes_is_left_in_silence(board, open_link):

@@ -18,6 +18,12 @@ AIR_REPLY = bus.Reply(bus.OK, bus.Environment(350, 25.63, 48.12).pack())
 LIFT, GIMBAL = bus.lift(0, 100), bus.gimbal(1, 30)
 AIR = bus.ENVIRONMENT_REQUEST
 RAW = bus.Request(bus.FUNCTION, 0x30, b'raw')
+OWN = bus.Request(bus.FUNCTION, 0x40)      # a custom function for which no data is expected
+READ, OTHER = (bus.Request(bus.FUNCTION, cmd2) for cmd2 in (0x41, 0x42))    # … of two bytes each
+TWO_BYTES = Layout('<H', [Value('number')])
+LAYOUTS = {LIFT: bus.NO_DATA, GIMBAL: bus.NO_DATA, OWN: bus.NO_DATA,
+           AIR: bus.Environment.LAYOUT, READ: TWO_BYTES, OTHER: TWO_BYTES}
+ALL_REPEATABLE = (AIR, READ, OTHER)
 MOVING_OR_RAW = pytest.mark.parametrize('request_', [LIFT, GIMBAL, RAW], ids=str)
 REPEATABLE = pytest.mark.parametrize('request_, answer', [
     (AIR, AIR_REPLY), (bus.echo(b'mine'), bus.Reply(bus.ECHO, b'mine')),
@@ -51,9 +57,9 @@ class Session:
     def call(self, request, tries=3, poll=False):
         """Submit a call as `BusLink` makes it."""
         slow = request.cmd2 in (bus.LIFT, bus.GIMBAL)
-        repeatable = request.cmd1 in (bus.SYNC, bus.ECHO) or request == AIR
+        repeatable = request.cmd1 in (bus.SYNC, bus.ECHO) or request in ALL_REPEATABLE
         call = Call(request, self._motion_timeout if slow else REPLY_TIMEOUT, repeatable, tries,
-                    self.now, poll, bus.Environment.LAYOUT if request == AIR else None)
+                    self.now, poll, LAYOUTS.get(request))
         self.master.submit(call)
         return call
 
@@ -723,12 +729,99 @@ def test_before_a_move_or_a_raw_request_a_fresh_echo_returns(session, request_, 
     assert session.ask_next() == request_
 
 
-@REPEATABLE
-def test_what_may_be_repeated_needs_no_fence(session, request_, answer):
-    for _ in range(3):
+@pytest.mark.parametrize('request_, answer', [
+    (bus.SYNC_REQUEST, SYNC_REPLY), (bus.echo(b'mine'), bus.Reply(bus.ECHO, b'mine'))], ids=str)
+def test_sync_and_echo_need_no_fence(session, request_, answer):
+    for before, reply in ((LIFT, OK_REPLY), (request_, answer), (request_, answer)):
+        session.call(before)
+        assert session.ask_next() == before
+        session.reply(reply)
+
+
+@pytest.mark.parametrize('request_', [AIR, READ, OWN, LIFT, RAW], ids=str)
+def test_a_call_has_a_fence_also_behind_the_same_request(session, request_):
+    for number in range(3):
         session.call(request_)
-        assert session.ask_next() == request_
-        session.reply(answer)
+        known = len(session.nonces)
+        assert session.ask() == request_
+        assert len(session.nonces) - known == (number > 0)
+        session.reply(bus.Reply(bus.OK, bytes(LAYOUTS.get(request_, bus.NO_DATA).size)))
+
+
+def test_a_poll_needs_a_fence_unless_it_follows_its_own_kind(session):
+    for request, has_fence in ((READ, False), (READ, False), (OTHER, True), (OTHER, False),
+                               (READ, True), (AIR, True), (AIR, False)):
+        session.call(request, poll=True)
+        known = len(session.nonces)
+        assert session.ask() == request
+        assert len(session.nonces) - known == has_fence
+        session.reply(bus.Reply(bus.OK, bytes(LAYOUTS[request].size)))
+
+
+@pytest.mark.parametrize('between, answer', [
+    (READ, None), (bus.SYNC_REQUEST, SYNC_REPLY), (bus.echo(b'a'), bus.Reply(bus.ECHO, b'a'))],
+    ids=str)
+def test_a_call_between_two_polls_of_a_kind(session, between, answer):
+    """The same request as a call leaves them of a kind, any other exchange does not."""
+    for request, poll in ((READ, True), (between, False), (READ, True)):
+        session.call(request, poll=poll)
+        known = len(session.nonces)
+        assert session.ask() == request
+        session.reply(answer if answer and not poll else bus.Reply(bus.OK, b'\1\2'))
+    assert len(session.nonces) - known == (between != READ)
+
+
+def test_a_value_that_comes_twice_is_not_that_of_another_poll(session):
+    session.call(READ, poll=True)
+    assert session.ask_next() == READ
+    session.reply(bus.Reply(bus.OK, b'\1\1'))
+    other = session.call(OTHER, poll=True)
+    echo = session.ask_next()
+    session.reply(bus.Reply(bus.OK, b'\1\1'))
+    assert other.outcome is None and session.ask_next() is None
+    session.reply(bus.Reply(bus.ECHO, echo.data))
+    assert session.ask_next() == OTHER
+    session.reply(bus.Reply(bus.OK, b'\2\2'))
+    assert other.outcome.data == b'\2\2'
+
+
+def test_the_refusal_of_a_repeatable_call_is_not_hidden_by_an_ok_that_comes_twice(session):
+    session.call(LIFT)
+    session.ask_next()
+    session.reply(OK_REPLY)
+    call = Call(OWN, REPLY_TIMEOUT, True, 3, session.now, reply_layout=bus.NO_DATA)
+    session.master.submit(call)
+    echo = session.ask_next()
+    session.reply(OK_REPLY, bus.Reply(bus.ECHO, echo.data))
+    assert call.outcome is None and session.ask_next() == OWN
+    session.reply(error(0x8002))
+    assert call.outcome.status == bus.ERROR
+
+
+@pytest.mark.parametrize('code', [0x40, 0x20])
+def test_a_repeatable_call_is_refused_only_where_no_ok_follows_the_invalid(session, code):
+    call = Call(OWN, REPLY_TIMEOUT, True, 1, session.now, reply_layout=bus.NO_DATA)
+    session.master.submit(call)
+    assert session.ask_next() == OWN
+    session.reply(invalid(code))
+    assert call.outcome is None
+    echo = session.ask_next()
+    session.reply(OK_REPLY, bus.Reply(bus.ECHO, echo.data))
+    assert (call.outcome.status, call.outcome.error_code) == (TIMEOUT, code)
+
+
+def test_a_repeatable_call_is_sent_again_though_an_ok_follows_the_invalid(session):
+    call = Call(OWN, REPLY_TIMEOUT, True, 2, session.now, reply_layout=bus.NO_DATA)
+    session.master.submit(call)
+    session.ask_next()
+    session.reply(invalid(0x40))
+    echo = session.ask_next()
+    session.reply(OK_REPLY)
+    assert call.outcome is None
+    session.reply(bus.Reply(bus.ECHO, echo.data))
+    assert session.ask_next() == OWN
+    session.reply(OK_REPLY)
+    assert call.outcome.success
 
 
 def test_a_fence_holds_until_something_else_is_exchanged(session):
@@ -748,7 +841,7 @@ def test_a_poll_that_comes_up_waits_behind_the_fence_and_its_move(session):
     session.reply(bus.Reply(bus.ECHO, echo.data))
     assert session.ask_next() == LIFT
     session.reply(OK_REPLY)
-    assert session.ask_next() == AIR
+    assert session.ask() == AIR
 
 
 def test_a_call_that_comes_first_before_a_move_takes_its_fence_away(session):
@@ -882,20 +975,39 @@ def test_a_board_that_never_echoes_gets_a_silence_before_a_move_since_its_last_b
     assert call.outcome.success
 
 
-@REPEATABLE
-def test_a_board_that_never_echoes_gets_no_silence_before_what_may_be_repeated(
-        without_echo, request_, answer):
-    for _ in range(2):
-        without_echo.call(request_)
+@pytest.mark.parametrize('request_, answer, poll', [
+    (bus.echo(b'mine'), bus.Reply(bus.ECHO, b'mine'), False),
+    (bus.SYNC_REQUEST, SYNC_REPLY, False), (AIR, AIR_REPLY, True)],
+    ids=('echo', 'sync', 'the same poll'))
+def test_a_board_that_never_echoes_gets_no_silence_before_what_needs_no_fence(
+        without_echo, request_, answer, poll):
+    for number in range(3):
+        without_echo.call(request_, poll=poll)
+        if poll and not number:
+            without_echo.later(QUIET)
         assert without_echo.ask_next() == request_
         without_echo.reply(answer)
 
 
+@pytest.mark.parametrize('request_, poll', [(AIR, False), (READ, False), (READ, True)])
+def test_a_board_that_never_echoes_gets_a_silence_before_another_reading(without_echo, request_,
+                                                                         poll):
+    session = without_echo
+    session.later(QUIET)
+    session.call(AIR)
+    assert session.ask_next() == AIR
+    session.reply(AIR_REPLY)
+    session.call(request_, poll=poll)
+    assert session.ask_next() is None
+    session.later(QUIET + 0.001)
+    assert session.ask_next() == request_
+
+
 # -- data in an OK --------------------------------------------------------------------------------
 
-@pytest.mark.parametrize('request_', [LIFT, GIMBAL], ids=str)
+@pytest.mark.parametrize('request_', [LIFT, GIMBAL, OWN], ids=str)
 @pytest.mark.parametrize('data', [b'\0', AIR_REPLY.data], ids=('one byte', 'as an environment'))
-def test_an_ok_with_data_is_the_moves_behind_a_fence(session, request_, data):
+def test_an_ok_with_data_answers_what_expects_none_behind_a_fence(session, request_, data):
     for _ in range(2):
         call = session.call(request_)
         assert session.ask() == request_
@@ -904,38 +1016,41 @@ def test_an_ok_with_data_is_the_moves_behind_a_fence(session, request_, data):
     assert session.master.in_step
 
 
-@pytest.mark.parametrize('request_', [LIFT, GIMBAL], ids=str)
-def test_an_ok_with_data_from_a_board_that_never_echoes_is_no_moves(without_echo, request_):
+@pytest.mark.parametrize('request_', [LIFT, GIMBAL, OWN], ids=str)
+def test_an_ok_with_data_without_echo_does_not_answer_what_expects_none(without_echo, request_):
     session = without_echo
     call = session.call(request_)
     assert session.ask_next() == request_
     session.reply(AIR_REPLY)
     assert call.outcome is None and not session.master.in_step
-    session.later(MOTION_TIMEOUT)
+    session.later(call.timeout)
     assert call.outcome.status == TIMEOUT
     assert f'{AIR_REPLY}' in call.outcome.message, 'it says why'
-    assert session.warnings(f'no reply to "{request_}" within 5 s but OK')
+    assert session.warnings(f'no reply to "{request_}" within {call.timeout:g} s but OK')
 
 
 # -- replies of a wrong length --------------------------------------------------------------------
 
 @pytest.mark.parametrize('data', [b'', bytes(4), bytes(7)], ids=len)
-def test_a_reply_of_a_wrong_length_is_told_as_that_and_at_once(session, data):
-    """Without a fence it may be another's: once more behind the ECHO, and then it is known."""
-    session.call(bus.SYNC_REQUEST)
-    session.ask_next()
-    session.reply(SYNC_REPLY)
-    call = session.call(AIR)
+@pytest.mark.parametrize('poll', [False, True], ids=('call', 'poll'))
+def test_a_reply_of_a_wrong_length_is_told_as_that_and_at_once(session, data, poll):
+    """A poll without a fence is sent once more behind the ECHO: it may have been another's."""
+    if poll:
+        session.call(AIR, poll=True)
+        session.ask_next()
+        session.reply(AIR_REPLY)
+    call = session.call(AIR, poll=poll)
     assert session.ask_next() == AIR
     session.reply(bus.Reply(bus.OK, data))
-    assert call.outcome is None
-    session.find_step()
-    assert session.ask_next() == AIR
-    session.reply(bus.Reply(bus.OK, data))
+    if poll:
+        assert call.outcome is None
+        session.find_step()
+        assert session.ask_next() == AIR
+        session.reply(bus.Reply(bus.OK, data))
     outcome = call.outcome
     assert (outcome.success, outcome.status, outcome.data) == (False, bus.OK, data)
     assert f'{len(data)} bytes' in outcome.message and '6 were expected' in outcome.message
-    assert session.master.timeouts == 0 and session.master.length_errors == 2
+    assert session.master.timeouts == 0 and session.master.length_errors == 1 + poll
     assert len(session.warnings()) == 1
     session.call(AIR)
     session.find_step()
@@ -946,9 +1061,8 @@ def test_an_ok_that_came_twice_before_a_reading_costs_no_reading(session):
     session.ask()
     session.reply(OK_REPLY)
     call = session.call(AIR)
-    assert session.ask_next() == AIR
-    session.reply(OK_REPLY, AIR_REPLY)
-    session.find_step()
+    echo = session.ask_next()
+    session.reply(OK_REPLY, bus.Reply(bus.ECHO, echo.data))
     assert session.ask_next() == AIR
     session.reply(AIR_REPLY)
     assert call.outcome.success
@@ -1045,6 +1159,7 @@ def test_invalid_to_what_may_be_repeated(session, request_, answer, code):
     if code == 0x10:
         assert session.ask() == bus.SYNC_REQUEST
         session.reply(SYNC_REPLY)
+    if not session.master.in_step:
         session.find_step()
     assert session.ask() == request_
     session.reply(answer)

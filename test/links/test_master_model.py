@@ -5,13 +5,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from bus_model import FAULTS, MOTION_TIMEOUT, REPLY_TIMEOUT, REQUESTS, Model
+from bus_model import (FAULTS, MOTION_TIMEOUT, POLLS, REPLY_TIMEOUT, REQUESTS, TEST, Model)
 
 from serial_communication.links.master import QUIET, Master, State
 from serial_communication.protocols import robot_ctrl_bus as bus
 
 # Faults on every second exchange or so. A board without ECHO has nothing but silences to tell
-# late replies from others: 20 ms before a move.
+# late replies from others: 20 ms before a request that needs a fence.
 seconds = st.floats(0.0, 3.0)
 any_fault = st.one_of(st.sampled_from(FAULTS), st.tuples(st.just('late'), seconds),
                       st.tuples(st.just('double'), seconds))
@@ -28,7 +28,7 @@ def some(fault):
 boards = st.one_of(st.tuples(some(any_fault), st.just(True)),
                    st.tuples(some(fault_without_echo), st.just(False)))
 pauses = st.sampled_from((0.0, 0.0, 0.005, 0.02, 0.3, 0.51, 1.0, 2.5))
-steps = st.lists(st.tuples(st.sampled_from(REQUESTS + ('lift', 'raw', 'replug')), pauses),
+steps = st.lists(st.tuples(st.sampled_from(REQUESTS + POLLS + ('lift', 'raw', 'replug')), pauses),
                  min_size=1, max_size=20)
 
 
@@ -65,8 +65,28 @@ def test_an_ok_that_comes_twice_does_not_hide_a_refusal():
     assert [asked.call.outcome.status for asked in model.asked] == [bus.OK, bus.ERROR]
 
 
+@pytest.mark.parametrize('fault', ['error', 'too long', 'damage request'])
+def test_an_ok_that_comes_twice_does_not_hide_the_refusal_of_a_repeatable_function(fault):
+    model = Model(['none', 'none', ('double', 0.005), 'none', fault, 'none', fault, 'none', fault])
+    play(model, [('lift', 0.012), ('test', 3.0)])
+    assert model.asked[-1].call.outcome.status in (bus.ERROR, bus.INVALID)
+    assert bus.Request(bus.FUNCTION, TEST, b't\1\0\0') not in model.board.executed
+
+
+@pytest.mark.parametrize('echoes', [True, False], ids=('echoes', 'never echoes'))
+def test_polls_of_equal_length_whose_replies_come_twice_return_their_own_values(echoes):
+    model = Model([('double', 0.005)] * 1000, echoes)
+    model.run(10.0)
+    for _ in range(50):
+        for kind in POLLS:
+            model.submit(kind)
+        model.run(5.0)
+        model.check()
+    assert sum(asked.call.outcome.success for asked in model.asked) == 150
+
+
 def test_the_model_notices_a_missing_fence(monkeypatch):
-    monkeypatch.setattr(Master, '_needs_echo', lambda self, call: False)
+    monkeypatch.setattr(Master, '_needs_fence', lambda self, call: False)
     with pytest.raises(AssertionError, match='executed 0 times'):
         play(Model(['none', 'none', ('double', 0.005), 'error']), TWICE_AND_REFUSED)
 
@@ -80,9 +100,21 @@ def test_the_model_notices_a_missing_silence_before_a_move(monkeypatch):
         play(Model(faults, echoes=False), [('sync', 3.0)] + TWICE_AND_REFUSED)
 
 
+@pytest.mark.parametrize('has_fence, faults, script', [
+    (lambda call: not call.repeatable, ['none', 'none', ('double', 0.005), 'error'],
+     [('lift', 0.012), ('test', 0.5)]),
+    (lambda call: not call.poll, ['none', 'none'] + [('double', 0.005)] * 3,
+     [('poll one', 0.012), ('poll two', 0.5)])], ids=('repeatable', 'poll'))
+def test_the_model_notices_a_fence_that_is_missing_for_some(monkeypatch, has_fence, faults,
+                                                            script):
+    monkeypatch.setattr(Master, '_needs_fence', lambda self, call: has_fence(call))
+    with pytest.raises(AssertionError, match='was told'):
+        play(Model(faults), script)
+
+
 def test_moves_of_a_board_that_puts_data_into_its_ok_succeed():
     model = Model(ok_data=b'\1\2')
-    for kind in ('lift', 'gimbal') * 10:
+    for kind in ('lift', 'gimbal', 'act') * 10:
         model.submit(kind)
         model.run(0.1)
         assert model.asked[-1].call.outcome.success
@@ -112,20 +144,24 @@ def test_without_faults_every_call_succeeds_at_once():
         model.run(0.05)
         assert model.asked[-1].call.outcome.success
     model.check()
-    assert len(model.board.executed) == 80 and model.master.timeouts == 0
+    assert len(model.board.executed) == 140 and model.master.timeouts == 0
 
 
-def test_a_fence_stands_before_moves_and_raw_requests_only():
+def test_a_fence_stands_before_all_but_sync_echo_and_the_poll_that_was_sent_last():
     model = Model()
     model.run(0.1)
     assert model.master.state is State.FENCED
-    for kind, fences in (('lift', 0), ('lift', 1), ('air', 0), ('air', 0), ('raw', 1),
-                         ('echo', 0), ('sync', 0), ('gimbal', 1)):
+    for kind, fences in (('lift', 0), ('lift', 1), ('air', 1), ('air', 1), ('read', 1),
+                         ('test', 1), ('act', 1), ('raw', 1), ('echo', 0), ('sync', 0),
+                         ('gimbal', 1), ('poll air', 1),
+                         ('poll air', 0), ('air', 1), ('poll air', 0), ('poll one', 1),
+                         ('poll one', 0), ('poll two', 1), ('poll one', 1), ('echo', 0),
+                         ('poll one', 1)):
         before = model.board.echoed
         model.submit(kind)
         model.run(0.1)
         assert model.asked[-1].call.outcome.success
-        assert model.board.echoed - before - (kind == 'echo') == fences
+        assert model.board.echoed - before - (kind == 'echo') == fences, kind
 
 
 def test_a_dead_board_answers_nobody_and_everybody_is_told():
@@ -149,7 +185,7 @@ class Session(RuleBasedStateMachine):
         while True:
             yield self._next_faults.pop(0) if self._next_faults else 'none'
 
-    @rule(kind=st.sampled_from(REQUESTS))
+    @rule(kind=st.sampled_from(REQUESTS + POLLS))
     def call(self, kind):
         self.model.submit(kind)
 

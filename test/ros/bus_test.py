@@ -265,7 +265,7 @@ class Air(BusTest):
         began = rospy.Time.now()
         answer = self.get_environment()
         self.assert_answer(answer, True, bus.OK)
-        self.assertEqual(self.board.raws, [ENVIRONMENT])
+        self.assert_wire(ENVIRONMENT)
         reading = answer.environment
         self.assertEqual(reading.smoke, 350)
         self.assertAlmostEqual(reading.temperature, 25.63, 5)
@@ -311,7 +311,7 @@ class Air(BusTest):
         self.assert_answer(self.gimbal(0, 30), True, bus.OK)
 
     def test_a_reading_of_a_wrong_length_is_told_as_that(self):
-        self.board.script += [bus.Reply(bus.OK, bytes(4))] * 2
+        self.board.script += [bus.Reply(bus.OK, bytes(4))]
         answer = self.get_environment()
         self.assert_answer(answer, False, bus.OK)
         self.assertIn('4 bytes', answer.message)

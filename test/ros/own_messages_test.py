@@ -278,8 +278,7 @@ class Functions(unittest.TestCase):
         self.assertIn('the operation failed', answer.message)
         BOARD.answers[0x30] = bus.Reply(bus.OK, b'\1')
         answer = self.call('pump', SetBool, False).result()
-        self.assertFalse(answer.success)
-        self.assertIn('1 bytes of data, 0 were expected', answer.message)
+        self.assertTrue(answer.success, 'a board may send data where none is expected')
 
     def test_outcome_and_values_in_one_response(self):
         BOARD.answers[0x35] = bus.Reply(bus.OK, b'\0')
