@@ -7,7 +7,7 @@ from ..protocols import robot_ctrl_bus as bus
 from ..protocols.framing import Frame
 from ..protocols.layout import Layout
 from .link import ERROR, OK, WARN, Link
-from .master import NOT_SENT, PATIENCE, Call, Master, Outcome
+from .master import NOT_SENT, PATIENCE, Call, Condition, Master, Outcome
 from ..transport.pace import Every
 from ..transport.port import Port, PortBusy, PortError
 
@@ -237,19 +237,20 @@ class BusLink(Link):
         if not self.port.is_open:
             return super().condition(now)
         amiss = self.master.condition()
-        if not amiss:
+        if amiss is Condition.READY:
             return OK, 'ready'
-        return (ERROR if 'does not answer' in amiss else WARN), amiss
+        return ERROR if amiss in (Condition.NO_SYNC, Condition.NO_ECHO) else WARN, amiss.value
 
     def talks(self, now: float) -> Optional[bool]:
         # It talks only when it is asked.
         amiss = self.master.condition()
-        if amiss:       # ECHO is said by the master: there are boards that know none
-            return self.is_silent(now) if 'does not answer SYNC' in amiss else None
-        return True
+        if amiss is Condition.READY:
+            return True
+        # That it answers no ECHO is reported by the master: there are boards that know none.
+        return self.is_silent(now) if amiss is Condition.NO_SYNC else None
 
     def silence(self) -> str:
-        return (f'{self.master.condition()}; asking on: has it power, is it wired, and is '
+        return (f'{self.master.condition().value}; asking on: has it power, is it wired, and is '
                 f'{self.port.baud} baud right?')
 
     def error_count(self) -> int:

@@ -144,6 +144,16 @@ class State(enum.Enum):
     FENCED = 'any request: nothing can be under way'
 
 
+class Condition(enum.Enum):
+    """What is amiss with the board, in a few words."""
+
+    READY = ''
+    SYNCHRONISING = 'synchronising'
+    NO_SYNC = 'the board does not answer SYNC'
+    OUT_OF_STEP = 'out of step'
+    NO_ECHO = 'the board does not answer ECHO'
+
+
 class _Kind(enum.Enum):
     """What is outstanding."""
 
@@ -291,15 +301,13 @@ class Master:
         """Whether a request waits for its reply."""
         return self._exchange is not None
 
-    def condition(self) -> str:
-        """What is amiss with the board, in a few words; empty if nothing is."""
+    def condition(self) -> Condition:
+        """What is amiss with the board."""
         if not self.synchronised:
-            return ('the board does not answer SYNC' if self._unanswered_syncs
-                    else 'synchronising')
+            return Condition.NO_SYNC if self._unanswered_syncs else Condition.SYNCHRONISING
         if not self.in_step:
-            return ('the board does not answer ECHO' if self._unanswered_echoes
-                    else 'out of step')
-        return ''
+            return Condition.NO_ECHO if self._unanswered_echoes else Condition.OUT_OF_STEP
+        return Condition.READY
 
     def deadline(self, now: float) -> Optional[float]:
         """When something is due: `tick` must be called then at the latest."""
@@ -627,7 +635,7 @@ class Master:
             if call.outcome is not None:      # its caller has gone
                 self._remove(call)
             elif now >= self._abandoned_at(call):
-                self._abandon(call, self.condition() or 'the bus is busy with other calls')
+                self._abandon(call, self.condition().value or 'the bus is busy with other calls')
 
     def _abandon(self, call: Call, why: str) -> None:
         """A call that waits is not sent, or not sent again."""

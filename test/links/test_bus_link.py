@@ -7,8 +7,8 @@ import pytest
 from boards import PATIENCE, BusBoard, until
 from serial_communication.links import link as link_module
 from serial_communication.links.bus import BusLink, BusSettings, _Poller
-from serial_communication.links.link import ERROR, OK, RX, TX
-from serial_communication.links.master import NOT_SENT, QUIET, TIMEOUT
+from serial_communication.links.link import ERROR, OK, RX, TX, WARN
+from serial_communication.links.master import NOT_SENT, QUIET, TIMEOUT, Condition
 from serial_communication.transport.port import Port, PortBusy, PortError
 from serial_communication.protocols import robot_ctrl_bus as bus
 from serial_communication.protocols.layout import Layout
@@ -447,6 +447,19 @@ def test_a_board_that_is_silent_is_reported(line, logger, running, lines, monkey
     assert time.monotonic() - begun < SHORT.motion_timeout + PATIENCE / 2
     until(lambda: lines('does not answer SYNC'))      # not at once: it may still start
     assert len(lines('does not answer SYNC')) == 1
+
+
+@pytest.mark.parametrize('condition, level, talks', [
+    (Condition.READY, OK, True), (Condition.SYNCHRONISING, WARN, None),
+    (Condition.OUT_OF_STEP, WARN, None), (Condition.NO_ECHO, ERROR, None),
+    (Condition.NO_SYNC, ERROR, 'as any link')])
+def test_the_condition_is_a_level_and_a_word(board, open_link, monkeypatch, condition, level,
+                                             talks):
+    link = open_link()
+    monkeypatch.setattr(link.master, 'condition', lambda: condition)
+    monkeypatch.setattr(link, 'is_silent', lambda now: 'as any link')
+    assert link.condition(0.0) == (level, condition.value or 'ready')
+    assert link.talks(0.0) == talks
 
 
 def test_a_port_that_takes_no_data_is_not_asked_all_the_time(line, logger, running):

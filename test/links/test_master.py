@@ -5,7 +5,7 @@ import pytest
 
 from serial_communication.links import master as master_module
 from serial_communication.links.master import (ECHO_TRIES, NOT_SENT, PATIENCE, QUIET, TIMEOUT,
-                                               Call, Master, State)
+                                               Call, Condition, Master, State)
 from serial_communication.links.sparing_log import SparingLog
 from serial_communication.protocols import robot_ctrl_bus as bus
 from serial_communication.protocols.framing import CHECKSUM, FRAMING, Frame, bad_frame
@@ -213,7 +213,7 @@ def test_sync_is_asked_until_it_is_answered_and_nothing_else_before(fresh):
     call = fresh.call(LIFT)
     assert fresh.ask() == bus.SYNC_REQUEST
     assert not fresh.master.synchronised
-    assert fresh.master.condition() == 'the board does not answer SYNC'    # as the log has it
+    assert fresh.master.condition() is Condition.NO_SYNC
     fresh.reply(SYNC_REPLY)
     assert fresh.master.synchronised
     while fresh.master.in_step is False:
@@ -1386,16 +1386,16 @@ def test_the_deadline_is_that_of_the_request_or_of_a_waiting_call(session):
 # -- conditions -----------------------------------------------------------------------------------
 
 def test_the_condition_says_what_is_amiss(fresh):
-    assert fresh.master.condition() == 'synchronising'
+    assert fresh.master.condition() is Condition.SYNCHRONISING
     fresh.connect()
-    assert fresh.master.condition() == ''
+    assert fresh.master.condition() is Condition.READY
     fresh.damage(FRAMING)
-    assert fresh.master.condition() == 'out of step'
+    assert fresh.master.condition() is Condition.OUT_OF_STEP
     fresh.ask()
     fresh.later(REPLY_TIMEOUT)
-    assert fresh.master.condition() == 'the board does not answer ECHO'
+    assert fresh.master.condition() is Condition.NO_ECHO
     fresh.find_step()
-    assert fresh.master.condition() == ''
+    assert fresh.master.condition() is Condition.READY
 
 
 def test_a_bad_line_is_reported_sparingly(session):
