@@ -7,7 +7,8 @@ from ..protocols import robot_ctrl_bus as bus
 from ..protocols.framing import Frame
 from ..protocols.layout import Layout
 from .link import ERROR, OK, WARN, Link
-from .master import NOT_SENT, PATIENCE, Call, Condition, Master, Outcome
+from .master import PATIENCE, Call, Condition, Master
+from .outcome import NOT_SENT, Outcome
 from ..transport.pace import Every
 from ..transport.port import Port, PortBusy, PortError
 

@@ -37,37 +37,19 @@ import os
 import threading
 from collections import deque
 from dataclasses import dataclass
-from typing import Any, Callable, Deque, List, NamedTuple, Optional
+from typing import Any, Callable, Deque, List, Optional
 
 from ..protocols import robot_ctrl_bus as bus
 from ..protocols.framing import CHECKSUM, Frame
 from ..protocols.layout import Layout
+from .outcome import LOOK, NOT_SENT, TIMEOUT, Outcome
 from .sparing_log import SparingLog
 
-NOT_SENT = 253     # refused here: nothing left the port
-TIMEOUT = 254      # the outcome is unknown: executed once or not at all
 ECHO_TRIES = 3     # unanswered ECHOs before a SYNC and a silence take their place
 QUIET = 0.02       # s of silence as a fence: a USB adapter hands bytes over up to 16 ms late
 PATIENCE = 0.8     # s that a call waits for a link that serves nobody
 
-_UNKNOWN = 'it is not known whether this was executed; look before you repeat it'
-
-
-class Outcome(NamedTuple):
-    """What became of a call, as it is returned to the caller."""
-
-    status: int              # the reply's CMD1, NOT_SENT or TIMEOUT
-    message: str             # for a person
-    error_code: int = 0
-    data: bytes = b''
-    round_trip: float = 0.0  # s
-    as_expected: bool = True   # whether `data` has the length and the values that it may have
-    stamp: Any = None        # of the read that brought the reply
-
-    @property
-    def success(self) -> bool:
-        """Executed, exactly once, and answered as expected."""
-        return self.status in (bus.SYNC, bus.ECHO, bus.OK) and self.as_expected
+_UNKNOWN = f'it is not known whether this was executed; {LOOK}'
 
 
 class Call:
@@ -128,8 +110,7 @@ class Call:
     def wait(self, seconds: float) -> Outcome:
         """Sleep until it is finished, `seconds` at most; from then on it is never sent."""
         if not self._done.wait(seconds):
-            self.finish(Outcome(TIMEOUT, 'the bridge is stuck; it is not known whether this '
-                                         'was executed') if self._sent else
+            self.finish(Outcome(TIMEOUT, f'the bridge is stuck: {_UNKNOWN}') if self._sent else
                         Outcome(NOT_SENT, 'the bridge is stuck; nothing was sent'))
         return self.outcome
 

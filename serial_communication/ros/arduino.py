@@ -12,8 +12,10 @@ from serial_communication.msg import (SpeedPWMCommand, SteeringFeedback, Steerin
 
 from ..links.arduino import ArduinoLink, ArduinoSettings
 from ..links.link import Refused
+from ..links.outcome import NOT_SENT, Outcome
 from ..protocols import arduino
 from ..transport.port import Port
+from .answers import service_error
 from .commands import CommandTopic
 from .geometry import OrientationBroadcaster
 from .interface import Common, Interface
@@ -108,7 +110,7 @@ class ArduinoInterface(Interface):
         try:
             self.link.calibrate_imu()
         except Refused as refused:
-            raise rospy.ServiceException(str(refused)) from None
+            raise service_error(Outcome(NOT_SENT, f'{refused}')) from None
         return EmptyResponse()
 
     def _received(self, message: Any, stamp: rospy.Time) -> None:

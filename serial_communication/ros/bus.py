@@ -11,9 +11,9 @@ from serial_communication.srv import (BusRequest, BusRequestResponse, GetEnviron
                                       LiftResponse)
 
 from ..links.bus import BusLink, BusSettings
-from ..links.master import Outcome
 from ..protocols import robot_ctrl_bus as bus
 from ..transport.port import Port
+from .answers import tell
 from .interface import Common, Interface
 from .parameter import BAUD, PORT, Parameter, seconds
 from .publishing import publisher, wanted
@@ -66,14 +66,14 @@ class BusInterface(Interface):
         offer_functions(self._own, self.link)
 
     def _lift(self, request) -> LiftResponse:
-        return _answer(LiftResponse, self.link.lift(request.direction, request.distance))
+        return tell(LiftResponse(), self.link.lift(request.direction, request.distance))
 
     def _gimbal(self, request) -> GimbalResponse:
-        return _answer(GimbalResponse, self.link.gimbal(request.direction, request.angle))
+        return tell(GimbalResponse(), self.link.gimbal(request.direction, request.angle))
 
     def _get_environment(self, _request) -> GetEnvironmentResponse:
         outcome, reading = self.link.environment()
-        response = _answer(GetEnvironmentResponse, outcome)
+        response = tell(GetEnvironmentResponse(), outcome)
         if reading:
             response.environment = self._message(reading, rospy.Time.now())
             response.message = f'done: {reading}'
@@ -82,19 +82,23 @@ class BusInterface(Interface):
     def _request(self, request) -> BusRequestResponse:
         outcome = self.link.request(bus.Request(request.cmd1, request.cmd2,
                                                 bytes(request.data)))
-        response = _answer(BusRequestResponse, outcome)
+        response = tell(BusRequestResponse(), outcome)
         response.data = outcome.data
         return response
 
     def _echo(self, _request) -> TriggerResponse:
         outcome = self.link.echo()
-        return TriggerResponse(outcome.success, f'{outcome.round_trip * 1e3:.2f} ms'
-                               if outcome.success else outcome.message)
+        response = tell(TriggerResponse(), outcome)
+        if outcome.success:
+            response.message = f'{outcome.round_trip * 1e3:.2f} ms'
+        return response
 
     def _sync(self, _request) -> TriggerResponse:
         outcome = self.link.sync()
-        return TriggerResponse(outcome.success, 'synchronised' if outcome.success
-                               else outcome.message)
+        response = tell(TriggerResponse(), outcome)
+        if outcome.success:
+            response.message = 'synchronised'
+        return response
 
     def _publish_environment(self, reading: bus.Environment, stamp: rospy.Time) -> None:
         message = self._message(reading, stamp)
@@ -109,11 +113,6 @@ class BusInterface(Interface):
         message.header.stamp = stamp
         message.header.frame_id = self._frame_id
         return message
-
-
-def _answer(response_class, outcome: Outcome):
-    return response_class(success=outcome.success, status=outcome.status,
-                          error_code=outcome.error_code, message=outcome.message)
 
 
 INTERFACE = BusInterface

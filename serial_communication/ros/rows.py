@@ -8,10 +8,11 @@ from typing import Any, Callable, Container, List, NamedTuple, Tuple
 import rospy
 
 from ..links.bus import BusLink
-from ..links.master import NOT_SENT, Outcome
+from ..links.outcome import NOT_SENT, Outcome
 from ..protocols.layout import message_class
 from ..protocols.own_messages import (OwnFunction, OwnMessage, RowError, arduino_messages,
                                       bus_functions, mcu_messages)
+from .answers import tell
 from .commands import CommandTopic
 from .publishing import publisher, wanted
 from .ros_fields import RosFields, find_type
@@ -22,8 +23,6 @@ PRIVATE_NAMES = ('imu', 'voltage', 'ticks', 'steering_angle', 'environment', 'sp
                  'get_loggers', 'set_logger_level')
 _LABEL = 100     # characters of a command's values in a warning
 MCU_NAMES = ('status', 'adc_status', 'imu', 'range_1', 'range_2')
-_TOLD = {'success': ('bool',), 'status': ('uint8', 'uint16', 'uint32', 'int16', 'int32'),
-         'error_code': ('uint16', 'uint32', 'int32'), 'message': ('string',)}
 
 
 class RowMessage(NamedTuple):
@@ -175,21 +174,16 @@ def offer_functions(rows: List[RowFunction], link: BusLink) -> None:
 
 
 def _service(row: RowFunction, link: BusLink) -> Callable[[Any], Any]:
-    own, response_class = row.own, row.ros_class._response_class
-    types = dict(zip(response_class.__slots__, response_class._slot_types))
-    told = [name for name, fitting in _TOLD.items() if types.get(name) in fitting]
+    own = row.own
 
     def handle(request: Any) -> Any:
         try:
-            outcome = link.request(own.ask(row.request.read(request)), own.repeatable,
-                                   own.timeout, own.reply)
+            asked = own.ask(row.request.read(request))
         except ValueError as error:
             outcome = Outcome(NOT_SENT, f'{error}; nothing was sent')
-        if not outcome.success and 'success' not in told:
-            raise rospy.ServiceException(outcome.message)
-        response = row.reply.new()
-        for name in told:
-            setattr(response, name, getattr(outcome, name))
+        else:
+            outcome = link.request(asked, own.repeatable, own.timeout, own.reply)
+        response = tell(row.reply.new(), outcome)
         if outcome.success:
             row.reply.fill(response, _values(own, outcome))
         return response

@@ -93,7 +93,11 @@ class Robot:
         """Start the bridge; its services are there when this returns."""
         self.bridge = Bridge(parameters={
             **{f'{name}/port': line.near for name, line in self.lines.items()},
-            'bus/environment_period': 0.2, 'bus/motion_timeout': 1.0})
+            'bus/environment_period': 0.2, 'bus/motion_timeout': 1.0,
+            # Two whose responses have no status; the first has nothing of an outcome.
+            'bus/functions': {
+                'beep': {'cmd2': 0x30, 'srv_type': 'std_srvs/Empty', 'timeout': 0.3},
+                'dock': {'cmd2': 0x31, 'srv_type': 'std_srvs/Trigger', 'timeout': 0.3}}})
         rospy.wait_for_service(NODE + '/calibrate_imu', PATIENCE)
 
     def end(self):

@@ -16,6 +16,7 @@ from sensor_msgs.msg import Imu, Range
 from std_msgs.msg import Float32, String
 from std_srvs.srv import SetBool, SetBoolResponse
 
+from serial_communication.links.outcome import NOT_SENT, Outcome
 from serial_communication.msg import Environment, SteeringFeedback, Ticks, Voltage, McuStatus2
 from serial_communication.protocols import arduino
 from serial_communication.protocols import robot_ctrl_bus as bus
@@ -394,7 +395,8 @@ def test_own_functions(chromium, core):
 
     def pump(request):
         asked.append(request.data)
-        return SetBoolResponse(request.data, 'the pump runs' if request.data else 'it is empty')
+        return SetBoolResponse(request.data, 'the pump runs' if request.data
+                               else Outcome(NOT_SENT, 'it is empty').text)
     rospy.set_param('~bus/functions/pump', {'cmd2': 48, 'srv_type': 'std_srvs/SetBool'})
     there = rospy.Publisher('~there', String, queue_size=1)
     service = rospy.Service('~pump', SetBool, pump)

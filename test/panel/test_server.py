@@ -4,14 +4,16 @@ import json
 import os
 import signal
 import subprocess
+import threading
 import time
 
 import pytest
 import rosgraph
-from boards import program, ranges, until
+from boards import PATIENCE, program, ranges, until
 from panel_stage import NODE, TOKEN, Page, Panel, publishers_and_subscribers, subscribed
 
 from serial_communication.protocols import arduino
+from serial_communication.protocols import robot_ctrl_bus as bus
 
 LOOKS = ['~imu', '~voltage', '~environment', 'mcu/range_1', '~nothing']
 
@@ -339,6 +341,49 @@ def test_not_known_is_told_as_that(driver, robot):
     driver.until(lambda page: try_lift(page, 'lost'), 'the call is taken')
     driver.until(lambda page: page.calls['lost'].get('outcome'), 'the answer')
     assert driver.calls['lost']['outcome'] == 'not known'
+
+
+def call_own(page, name):
+    """Call a function of the configuration, and wait for its answer."""
+    page.until(lambda page: name in page.known.get('controls', {}).get('services', ()), name)
+    key = f'{name} at {time.monotonic()}'        # a page is told of calls before it, too
+    page.say(call={'key': key, 'name': name, 'arguments': {}})
+    page.until(lambda page: page.calls.get(key, {}).get('outcome'), 'the answer')
+    return page.calls[key]
+
+
+@pytest.mark.parametrize('name', ['~beep', '~dock'])
+def test_what_was_executed_and_answered_too_late_is_told_as_not_known(driver, robot, name):
+    """The response's type has no status."""
+    answered = threading.Event()
+
+    def late(request):
+        answered.wait(PATIENCE)
+        return robot.bus.usual(request)
+    robot.bus.script.append(late)
+    try:
+        call = call_own(driver, name)
+    finally:
+        answered.set()
+    assert call['outcome'] == 'not known'
+    assert call['words'] == ('no reply within 0.3 s: it is not known whether this was executed; '
+                             'look before you repeat it')
+
+
+@pytest.mark.parametrize('name', ['~beep', '~dock'])
+def test_what_the_board_refused_is_told_as_that(driver, robot, name):
+    robot.bus.script.append(bus.Reply(bus.ERROR, b'\2\x80'))
+    call = call_own(driver, name)
+    assert (call['outcome'], call['words']) == (
+        'refused', 'the board refused: 0x8002: the operation failed')
+
+
+def test_a_bridge_that_dies_in_the_middle_of_a_call_leaves_it_not_known(driver, robot):
+    until(lambda: time.monotonic() - driver.now < 1, 'the page is up to date')
+    robot.bus.script.append(lambda request: robot.bridge.process.kill() or b'')
+    call = call_own(driver, '~beep')
+    robot.start_bridge()
+    assert call['outcome'] == 'not known' and 'look before you repeat it' in call['words']
 
 
 def try_lift(page, key):

@@ -14,9 +14,11 @@ from std_srvs.srv import Empty
 
 from boards import (CALIBRATION_PACKET, PACKAGE, SPEED_0_PACKET, CarBoard, Rosout, Topic,
                     command_topic, level_imu, service, stamped, until, values_of)
+from serial_communication.links.outcome import Verdict
 from serial_communication.msg import (SpeedPWMCommand, SteeringFeedback, SteeringPWMCommand,
                                       Ticks, Voltage)
 from serial_communication.protocols import arduino
+from serial_communication.ros.answers import read_error
 
 # A board's packet, byte by byte; its quaternion is far from 1.
 IMU_PACKET = bytes.fromhex('05092d41e00210020801040affec021e0564ff382003faf600')
@@ -237,7 +239,8 @@ class Calibration(ArduinoTest):
     def test_it_is_a_service_error_where_the_port_is_closed(self):
         with self.assertRaises(rospy.ServiceException) as caught:
             service('/closed/calibrate_imu', Empty)()
-        self.assertIn('closed', str(caught.exception))
+        self.assertRegex(str(caught.exception), r'status 253 \(not sent\): .* closed')
+        self.assertIs(read_error(caught.exception)[0], Verdict.REFUSED)
 
 
 class Logs(ArduinoTest):

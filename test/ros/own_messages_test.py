@@ -1,10 +1,15 @@
 #!/usr/bin/python3
 """Messages and functions of one's own: every example of config/own_messages.yaml and odd ones
 more, values on both sides of real ttys; and every mistake that needs ROS to be found."""
+import contextlib
+import io
+import socket
 import struct
+import threading
 import unittest
 
 import rosgraph
+import rosgraph.network
 import rospy
 import rostest
 import yaml
@@ -14,16 +19,20 @@ from sensor_msgs.msg import CameraInfo, FluidPressure, JointState, MagneticField
 from std_msgs.msg import Bool, Float32, Int16MultiArray, String, UInt8MultiArray, UInt16MultiArray
 from std_srvs.srv import SetBool, Trigger
 
-from boards import (NOT_SENT, PACKAGE, TIMEOUT, BusBoard, CarBoard, Diagnostics, Rosout,
+from boards import (NOT_SENT, PACKAGE, PATIENCE, TIMEOUT, BusBoard, CarBoard, Diagnostics, Rosout,
                     SensorBoard, Topic, Waiter, level_imu, until)
+from serial_communication.links.outcome import Verdict
 from serial_communication.msg import SerialMsg
 from serial_communication.protocols import cobs, mcu
 from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.ros.answers import read_error, read_response
 from serial_communication.ros.parameters import PARAMETERS, ParameterError, check
 from serial_communication.ros.rows import MCU_NAMES, PRIVATE_NAMES
 from serial_communication.srv import GetEnvironment, Lift
 
 OWN = '/' + PACKAGE + '/'
+NO_REPLY = ('no reply within %g s: it is not known whether this was executed; '
+            'look before you repeat it')
 EXAMPLES = __file__.rsplit('/', 3)[0] + '/config/own_messages.yaml'
 
 
@@ -37,7 +46,8 @@ class OwnCar(CarBoard):
 
 
 class OwnBoard(BusBoard):
-    """Answers functions of one's own as `answers` has it; others as always. None: no answer."""
+    """Answers functions of one's own as `answers` has it, which may be a function that returns
+    the answer; others as always. None: no answer."""
 
     def __init__(self, path):
         self.answers = {}
@@ -47,7 +57,8 @@ class OwnBoard(BusBoard):
     def take(self, frame):
         self.all.append(frame)
         if frame.type == bus.FUNCTION and frame.command >= 0x30:
-            self.say(self.answers.get(frame.command, bus.Reply(bus.ERROR, b'\0\x80')))
+            answer = self.answers.get(frame.command, bus.Reply(bus.ERROR, b'\0\x80'))
+            self.say(answer() if callable(answer) else answer)
         else:
             super().take(frame)
 
@@ -325,18 +336,71 @@ class Functions(unittest.TestCase):
         BOARD.answers[0x34] = bus.Reply(bus.OK, b'full')
         answer = self.call('level', GetLoggers).result()
         self.assertEqual([logger.name for logger in answer.loggers], ['full'])
+        self.assertEqual(read_response(answer), (Verdict.DONE, 'done'))
         BOARD.answers[0x34] = bus.Reply(bus.ERROR, b'\0\x80')
-        with self.assertRaisesRegex(rospy.ServiceException, 'does not support this command'):
-            self.call('level', GetLoggers).result()
+        self.assert_error('level', Verdict.REFUSED, 'status 3 (ERROR): ',
+                          'the board refused: 0x8000: the board does not support this command')
         BOARD.answers[0x34] = None
-        with self.assertRaisesRegex(rospy.ServiceException, 'no reply within 0.3 s'):
-            self.call('level', GetLoggers).result()
+        self.assert_error('level', Verdict.NOT_KNOWN, 'status 254 (not known): ', NO_REPLY % 0.3)
+
+    def assert_error(self, name, verdict, status, message):
+        """Calling a service whose type has nothing of an outcome raises this."""
+        with self.assertRaises(rospy.ServiceException) as caught:
+            self.call(name, GetLoggers).result()
+        self.assertIn(status + message, str(caught.exception))
+        self.assertEqual(read_error(caught.exception), (verdict, message))
+
+    @contextlib.contextmanager
+    def answering_late(self, cmd2, reply):
+        """The board executes the next request, and answers it as this ends."""
+        called = threading.Event()
+
+        def answer():
+            BOARD.answers[cmd2] = reply
+            called.wait(PATIENCE)
+            return reply
+        BOARD.answers[cmd2] = answer
+        try:
+            yield
+        finally:
+            called.set()
+
+    def test_what_was_executed_and_answered_too_late_is_not_known(self):
+        with self.answering_late(0x34, bus.Reply(bus.OK, b'full')):
+            self.assert_error('level', Verdict.NOT_KNOWN, 'status 254 (not known): ',
+                              NO_REPLY % 0.3)
+        answer = self.call('level', GetLoggers).result()
+        self.assertEqual([logger.name for logger in answer.loggers], ['full'])
+
+    def test_so_it_is_in_the_message_where_the_type_has_success_but_no_status(self):
+        with self.answering_late(0x30, bus.Reply(bus.OK)):
+            answer = self.call('pump', SetBool, True).result()
+        self.assertEqual((answer.success, answer.message),
+                         (False, 'status 254 (not known): ' + NO_REPLY % 2))
+        self.assertEqual(read_response(answer), (Verdict.NOT_KNOWN, NO_REPLY % 2))
+        BOARD.answers[0x30] = bus.Reply(bus.ERROR, b'\2\x80')
+        answer = self.call('pump', SetBool, True).result()
+        self.assertEqual(read_response(answer), (
+            Verdict.REFUSED, 'the board refused: 0x8002: the operation failed'))
+
+    def test_callers_read_the_status_where_there_is_one(self):
+        for reply, verdict in ((bus.Reply(bus.OK, b'\0'), Verdict.DONE),
+                               (bus.Reply(bus.OK, b'\0\0'), Verdict.NOT_KNOWN),
+                               (bus.Reply(bus.ERROR, b'\2\x80'), Verdict.REFUSED),
+                               (None, Verdict.NOT_KNOWN)):
+            BOARD.answers[0x35] = reply
+            answer = self.call('gentle', Lift, 0, 1).result()
+            read, words = read_response(answer)
+            self.assertIs(read, verdict)
+            self.assertIn(answer.message, words)
+            self.assertEqual('look before you repeat it' in words, verdict is Verdict.NOT_KNOWN)
 
     def test_a_function_of_a_closed_port_is_not_sent(self):
         rospy.wait_for_service('/closed/pump', 10)
         answer = rospy.ServiceProxy('/closed/pump', SetBool)(True)
         self.assertFalse(answer.success)
         self.assertIn('nothing was sent', answer.message)
+        self.assertIs(read_response(answer)[0], Verdict.REFUSED)
 
     def test_what_is_polled_is_published(self):
         BOARD.answers[0x32] = bus.Reply(bus.OK, struct.pack('<H', 10132))
@@ -349,6 +413,56 @@ class Functions(unittest.TestCase):
         frames.first(lambda m: m.text == 'tank' and m.direction == SerialMsg.TX)
         frames.first(lambda m: m.text == 'tank OK fluid_pressure=101320')
         self.assertGreater(len(self.asked(0x32)), 0)
+
+
+class OtherEnds(unittest.TestCase):
+    """What a caller reads where it is not the bridge that answers."""
+
+    def verdict(self, uri):
+        """Of a call of a service that is said to be there."""
+        master = rosgraph.Master('/somebody')      # not this node, whose address is another
+        master.registerService('/elsewhere', uri, 'http://127.0.0.1:9/')
+        self.addCleanup(master.unregisterService, '/elsewhere', uri)
+        with self.assertRaises(rospy.ServiceException) as caught:
+            rospy.ServiceProxy('/elsewhere', Trigger)()
+        return read_error(caught.exception)
+
+    def test_nothing_was_sent_where_nobody_listens(self):
+        with socket.socket() as unused:
+            unused.bind(('127.0.0.1', 0))
+            self.assertEqual(self.verdict('rosrpc://127.0.0.1:%d' % unused.getsockname()[1]),
+                             (Verdict.REFUSED, 'nothing was sent: the bridge does not answer'))
+
+    def test_a_connection_that_ends_in_the_middle_of_a_call_leaves_it_not_known(self):
+        verdict, words = self.verdict(self.serve(lambda connection: None))
+        self.assertIs(verdict, Verdict.NOT_KNOWN)
+        self.assertRegex(words, '^no answer came: .*; look before you repeat it$')
+
+    def test_an_error_of_another_form_leaves_it_not_known(self):
+        said = b'error processing request: "\xc3\xbc"'
+        verdict, words = self.verdict(self.serve(lambda connection: connection.sendall(
+            struct.pack('<BI', 0, len(said)) + said)))
+        self.assertIs(verdict, Verdict.NOT_KNOWN)
+        self.assertEqual(words, 'error processing request: "\u00fc"; look before you repeat it')
+
+    def serve(self, answer):
+        """The URI of a service that takes one request and answers it so."""
+        server = socket.socket()
+        self.addCleanup(server.close)
+        server.bind(('127.0.0.1', 0))
+        server.listen(1)
+
+        def run():
+            connection, _ = server.accept()
+            with connection:
+                rosgraph.network.read_ros_handshake_header(connection, io.BytesIO(), 65536)
+                rosgraph.network.write_ros_handshake_header(connection, {
+                    'callerid': '/elsewhere', 'md5sum': Trigger._md5sum,
+                    'type': Trigger._type, 'request_type': '', 'response_type': ''})
+                connection.recv(4, socket.MSG_WAITALL)      # the length of the request, which is 0
+                answer(connection)
+        threading.Thread(target=run, daemon=True).start()
+        return 'rosrpc://127.0.0.1:%d' % server.getsockname()[1]
 
 
 class Names(unittest.TestCase):

@@ -3,8 +3,9 @@ import io
 import re
 
 import pytest
+from serial_communication.links.outcome import Verdict
 from serial_communication.tools.demo import cli
-from serial_communication.tools.demo.state import Commands, State
+from serial_communication.tools.demo.state import Calls, Commands, State
 from serial_communication.tools.watch import table
 from serial_communication.tools.watch.state import LinkState
 from serial_communication.tools.watch.table import Line, Screen
@@ -45,8 +46,8 @@ def busy(**options) -> State:
             'mcu': LinkState(2, 'closed: no such file', dict(COUNTERS, **{
                 'frames lost': '6'}))}.items():
         state.bridge.take_link(name, link._replace(at=NOW))
-    for call in state.calls.values():
-        call.words, call.succeeded = 'up 20 mm: done, after 0.40 s (1 done, 0 not)', 1
+    for calls in state.calls.values():
+        calls.answered('up 20 mm', Verdict.DONE, '', 0.4)
     state.commands = Commands(300, 1500, 'left')
     return state
 
@@ -195,14 +196,27 @@ def test_a_speed_that_is_not_sent_is_not_shown():
     assert 'car     speed refused: port closed' in text(state, 80, 24)
 
 
+def test_a_call_is_shown_with_what_became_of_it():
+    state = idle()
+    state.calls['lift'].answered('up 20 mm', Verdict.NOT_KNOWN, 'no reply; look', 5.0)
+    state.calls['gimbal'].answered('left 15 degrees', Verdict.REFUSED, 'too far', 0.1)
+    assert Line('lift    up 20 mm: not known: no reply; look, after 5.00 s '
+                '(0 done, 1 not known)', 'bad') in lines(state, 120, 50)
+    assert Line('gimbal  left 15 degrees: refused: too far, after 0.10 s '
+                '(0 done, 1 refused)', 'bad') in lines(state, 120, 50)
+    state.calls['lift'].answered('down 20 mm', Verdict.DONE, 'done: lift', 0.4)
+    assert Line('lift    down 20 mm: done, after 0.40 s (1 done, 1 not known)') in lines(
+        state, 120, 50)
+
+
 def test_what_is_missing():
     assert busy().missing() == []
     state = busy()
     state.bridge.topic('~imu').count = 0
-    state.calls['lift'].succeeded = 0
-    state.calls['lift'].words = 'up 20 mm: no answer'
-    assert state.missing() == ['no data on ~imu',
-                               'no successful answer from lift: up 20 mm: no answer']
+    state.calls['lift'] = Calls()
+    state.calls['lift'].answered('up 20 mm', Verdict.NOT_KNOWN, 'no reply', 5.0)
+    assert state.missing() == ['no data on ~imu', 'no successful answer from lift: up 20 mm: '
+                               'not known: no reply, after 5.00 s (0 done, 1 not known)']
     assert len(State().missing()) == len(State().bridge.topics) - 1 + 2
     # Real boards that are only looked at need not move.
     assert not any('answer' in each for each in State(moves=False).missing())

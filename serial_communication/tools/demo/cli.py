@@ -8,7 +8,7 @@ import signal
 import sys
 import threading
 import time
-from typing import List, Optional
+from typing import List, Optional, Tuple
 
 import rosgraph
 import rospy
@@ -17,6 +17,8 @@ from std_msgs.msg import String
 from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 from serial_communication.srv import Gimbal, Lift
 
+from ...links.outcome import LOOK, Verdict
+from ...ros.answers import read_error, read_response
 from ...ros.master import wait_for_master
 from ..watch.table import PERIOD, Screen
 from ..watch.topics import LINKS, NODE
@@ -60,19 +62,11 @@ class Moves:
         turn = 0
         while not self._stopping.is_set():
             name, words, direction, amount, unit = _PLAN[turn % len(_PLAN)]
-            call, asked = self._state.calls[name], time.monotonic()
+            calls, asked = self._state.calls[name], time.monotonic()
             what = f'{words} {amount} {unit}'
-            call.words = f'{what}: ...'
-            try:
-                proxies[name].wait_for_service(_CALL_EVERY)
-                answer = proxies[name](direction, amount)
-                succeeded, said = answer.success, answer.message
-            except (rospy.ROSException, rospy.ServiceException) as error:
-                succeeded, said = False, str(error)
-            call.succeeded += succeeded
-            call.failed += not succeeded
-            call.words = f"{what}: {'done' if succeeded else said}, after " \
-                f'{time.monotonic() - asked:.2f} s ({call.succeeded} done, {call.failed} not)'
+            calls.words = f'{what}: ...'
+            calls.answered(what, *_call(proxies[name], direction, amount),
+                           time.monotonic() - asked)
             turn += 1
             self._stopping.wait(max(0.0, asked + _CALL_EVERY - time.monotonic()))
 
@@ -99,6 +93,20 @@ class Moves:
             speed.publish(value=0)
         except rospy.ROSException:
             pass
+
+
+def _call(proxy: rospy.ServiceProxy, direction: int, amount: int) -> Tuple[Verdict, str]:
+    """Call a service: what became of it, and the words for that."""
+    try:
+        proxy.wait_for_service(_CALL_EVERY)
+    except rospy.ROSException as error:
+        return Verdict.REFUSED, f'nothing was sent: {error}'
+    try:
+        return read_response(proxy(direction, amount))
+    except rospy.ServiceException as error:
+        return read_error(error)
+    except rospy.ROSException as error:
+        return Verdict.NOT_KNOWN, f'{error}; {LOOK}'
 
 
 def _arguments(argv: Optional[List[str]]) -> argparse.Namespace:

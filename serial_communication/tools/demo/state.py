@@ -1,18 +1,36 @@
 """What the demo shows beyond the bridge itself: its boards, its calls and what it sends."""
 from typing import List, NamedTuple, Optional, Sequence
 
+from ...links.outcome import Verdict
 from ..watch.state import ERROR, OK, BridgeState
 from ..watch.table import LEVELS, Frame, Line
 from ..watch.topics import LINKS, NODE, TOPICS
 
 
-class Call:
-    """The latest call of one service."""
+class Calls:
+    """The calls of one service."""
 
     def __init__(self) -> None:
-        self.words = 'not called yet'
-        self.succeeded = 0
-        self.failed = 0
+        self.words = 'not called yet'      # of the latest
+        self._counts = {verdict: 0 for verdict in Verdict}
+
+    def answered(self, what: str, verdict: Verdict, words: str, seconds: float) -> None:
+        """One more has ended: what was asked, what became of it, and after how long."""
+        self._counts[verdict] += 1
+        said = verdict.value if verdict is Verdict.DONE else f'{verdict.value}: {words}'
+        counts = ', '.join(f'{count} {each.value}' for each, count in self._counts.items()
+                           if count or each is Verdict.DONE)
+        self.words = f'{what}: {said}, after {seconds:.2f} s ({counts})'
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether one has."""
+        return self._counts[Verdict.DONE] > 0
+
+    @property
+    def failed(self) -> bool:
+        """Whether none of those that ended has succeeded."""
+        return not self.succeeded and any(self._counts.values())
 
 
 class Commands(NamedTuple):
@@ -35,7 +53,7 @@ class State:
         self.elapsed = 0.0           # s
         self.bridge = BridgeState(NODE, [topic for topic in TOPICS
                                          if set(topic.links) & set(links)], links, master)
-        self.calls = {'lift': Call(), 'gimbal': Call()} if moves and 'bus' in links else {}
+        self.calls = {'lift': Calls(), 'gimbal': Calls()} if moves and 'bus' in links else {}
         self.commands: Optional[Commands] = None
 
     def links_open(self) -> bool:
@@ -55,8 +73,8 @@ class State:
         """What has not been shown to work, in words; empty if everything has."""
         out = [f'no data on {each.topic.name}' for each in self.bridge.topics
                if not each.count and not each.topic.optional]
-        return out + [f'no successful answer from {name}: {call.words}'
-                      for name, call in self.calls.items() if not call.succeeded]
+        return out + [f'no successful answer from {name}: {calls.words}'
+                      for name, calls in self.calls.items() if not calls.succeeded]
 
     def trouble(self) -> List[str]:
         """The links that are not OK by their latest status, in words."""
@@ -65,8 +83,8 @@ class State:
 
     def frame(self) -> Frame:
         """What stands around the links and topics."""
-        commands = [Line(f'{name:<7} {call.words}', 'plain' if call.succeeded or not call.failed
-                         else 'bad') for name, call in self.calls.items()]
+        commands = [Line(f'{name:<7} {calls.words}', 'bad' if calls.failed else 'plain')
+                    for name, calls in self.calls.items()]
         refusal = self.refusal()
         if self.commands and refusal:
             commands.append(Line(f'car     speed refused: {refusal}', 'warn'))

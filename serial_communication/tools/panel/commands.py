@@ -18,8 +18,9 @@ from std_srvs.srv import Empty, Trigger
 from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 from serial_communication.srv import Gimbal, Lift
 
-from ...links.master import TIMEOUT
+from ...links.outcome import LOOK, Verdict
 from ...protocols.arduino import LED_LIMIT, SPEED_LIMIT
+from ...ros.answers import read_error, read_response
 from ..watch.topics import resolve
 from .dead_man import SILENCE, DeadMan, Refused
 
@@ -27,7 +28,7 @@ STEERING = (500, 2500)      # µs that a servo may be told
 _AGAIN = 0.5                # s after a call in which the same is a second click, no second wish
 _MOST_CALLS = 8             # that are under way at once
 _MOST_ANSWERS = 30          # that stay to be read
-_DONE, _REFUSED, _UNKNOWN = 'done', 'refused', 'not known'
+_REFUSED, _UNKNOWN = Verdict.REFUSED, Verdict.NOT_KNOWN
 
 
 class Service(NamedTuple):
@@ -173,9 +174,9 @@ class Commands:
         outcome, words = _call(resolve(service.name, self._node), service, request)
         self._later(self._answered, who, entry, outcome, words)
 
-    def _answered(self, who: Any, entry: Dict[str, Any], outcome: str, words: str) -> None:
+    def _answered(self, who: Any, entry: Dict[str, Any], outcome: Verdict, words: str) -> None:
         now = time.monotonic()
-        entry.update(outcome=outcome, words=words, took=round(now - entry['began'], 3))
+        entry.update(outcome=outcome.value, words=words, took=round(now - entry['began'], 3))
         self._ended[who][entry['name']] = now
         self._changed.append(entry)
 
@@ -260,16 +261,7 @@ def _call(name: str, service: Service, request: Any) -> Any:
     try:
         response = rospy.ServiceProxy(name, service.service_class)(request)
     except rospy.ServiceException as error:
-        text = str(error)
-        if 'unable to connect' in text:
-            return _REFUSED, 'nothing was sent: the bridge does not answer'
-        _, responded, said = text.partition('responded with an error: ')
-        if responded:
-            return _REFUSED, said[2:-1] if said.startswith("b'") else said
-        return _UNKNOWN, f'the bridge went away meanwhile: {text}'
+        return read_error(error)
     except Exception as error:  # pylint: disable=broad-except
-        return _UNKNOWN, f'the call failed: {error}'
-    words = getattr(response, 'message', '')
-    if getattr(response, 'success', True):
-        return _DONE, words or 'done'
-    return (_UNKNOWN if getattr(response, 'status', None) == TIMEOUT else _REFUSED), words
+        return _UNKNOWN, f'the call failed: {error}; {LOOK}'
+    return read_response(response)
