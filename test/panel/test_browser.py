@@ -337,6 +337,7 @@ def test_a_control_is_disabled_until_its_answer_is_there(cockpit, robot):
                  'the outcome is told as not known')
     cockpit.wait(lambda page: page.all(down)[0].is_enabled(), 'the button is enabled again')
     assert 'not known' in cockpit.text('.answers li .outcome')
+    assert 'look before you repeat it' in cockpit.text('.answers li')
     assert len(robot.lifts) == 1
 
 
