@@ -8,6 +8,7 @@ import time
 
 import rospy
 
+from ..output import print_line_by_line
 from ..transport.pace import all_be_quick
 from . import background_logging, direct, handshake, parameters, starting
 from .diagnostics import Diagnostics
@@ -25,6 +26,7 @@ _LOGGER = logging.getLogger('rosout')    # rospy's own, for terminal, file and /
 
 def main() -> None:
     """Run until ROS or a signal ends it, and exit."""
+    print_line_by_line()
     starting.check_arguments(sys.argv[1:])
     sys.setswitchinterval(_SWITCH_INTERVAL)
     background_logging.install()

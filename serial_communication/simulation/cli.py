@@ -10,6 +10,7 @@ from random import SystemRandom
 from typing import Any, List, NoReturn, Optional, Type
 
 from ..boards import BOARDS, board_module
+from ..output import print_line_by_line
 from ..transport.pace import Allowance
 from ..transport.port import Port, check_url
 from . import faults
@@ -38,6 +39,7 @@ It waits for a port that is absent and comes back to one that vanished. Ctrl-C e
 
 def main(arguments: Optional[List[str]] = None) -> int:
     """Run what the command line says; the exit status."""
+    print_line_by_line()
     options = _parse(sys.argv[1:] if arguments is None else arguments)
     say = _Voice(options.board)
     try:

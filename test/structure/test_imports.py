@@ -2,7 +2,8 @@
 
     tools -> ros -> links -> transport, protocols <- simulation
 
-The list of boards (boards.py) imports nothing: it finds modules by name when it is asked."""
+The list of boards (boards.py) imports nothing: it finds modules by name when it is asked. What
+programs do first (output.py) imports nothing of this package either."""
 import ast
 from pathlib import Path
 from typing import Iterator
@@ -15,9 +16,10 @@ ALLOWED = {
     'protocols': (),
     'transport': (),
     'links': ('protocols', 'transport'),
-    'simulation': ('boards', 'protocols', 'transport'),
-    'ros': ('boards', 'links', 'protocols', 'transport', 'msg', 'srv'),
-    'tools': ('boards', 'ros', 'links', 'protocols', 'simulation', 'transport', 'msg', 'srv'),
+    'simulation': ('boards', 'output', 'protocols', 'transport'),
+    'ros': ('boards', 'links', 'output', 'protocols', 'transport', 'msg', 'srv'),
+    'tools': ('boards', 'ros', 'links', 'output', 'protocols', 'simulation', 'transport', 'msg',
+              'srv'),
 }
 KNOWS_ROS = ('ros', 'tools')
 

@@ -10,6 +10,7 @@ import signal
 import sys
 from typing import Any, Dict, List, Optional, Tuple
 
+from ...output import print_line_by_line
 from ..progress import Progress
 from ..stage import StageError
 from .report import judge, plain, plot, render
@@ -19,6 +20,7 @@ from .stage import BenchStage, machine, stolen
 
 def main(arguments: Optional[List[str]] = None) -> int:
     """Run it; returns the exit status."""
+    print_line_by_line()
     options = _parser().parse_args(arguments)
     plan = Plan(options.duration or (1.0 if options.short else 3.5), 2 if options.short else 12,
                 options.short)

@@ -19,6 +19,7 @@ import rospy
 import tornado.ioloop
 
 from ...links.sparing_log import SparingLog
+from ...output import print_line_by_line
 from ...ros.master import full_name, living_node
 from ...ros.master_watch import MasterWatch
 from ..watch.topics import NODE
@@ -124,6 +125,7 @@ class _Ros:
 
 def main(argv: Optional[List[str]] = None) -> int:
     """Serve until a signal; the exit status."""
+    print_line_by_line()
     options = _arguments(rospy.myargv(sys.argv)[1:] if argv is None else argv)
     token = options.token
     if token is None and (options.control or not is_loopback(options.bind)):

@@ -4,6 +4,7 @@ import re
 import sys
 from typing import List, Optional
 
+from ...output import print_line_by_line
 from . import explain, listen, play, stats, tap
 
 PROGRAMS = {'explain': explain, 'listen': listen, 'tap': tap, 'play': play, 'stats': stats}
@@ -24,6 +25,7 @@ below has its own --help.
 
 def main(arguments: Optional[List[str]] = None) -> int:
     """Run what the command line says; the exit status."""
+    print_line_by_line()
     arguments = sys.argv[1:] if arguments is None else arguments
     # What roslaunch adds: __name:=… and remappings.
     arguments = [each for each in arguments if not re.match(r'[\w/~]+:=', each)]

@@ -1,0 +1,71 @@
+"""What a program prints arrives line by line in a file or a pipe, while the program still runs."""
+import os
+import select
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from waiting import PATIENCE
+
+ROOT = Path(__file__).resolve().parents[2]
+PYTHON_PROGRAMS = sorted(path.name for path in (ROOT / 'scripts').iterdir()
+                         if not path.suffix and path.read_text().startswith('#!/usr/bin/python3'))
+_PRINTS = '''
+import sys
+from serial_communication.output import print_line_by_line
+print_line_by_line()
+print('a line', file=sys.{stream})
+sys.stdin.read()
+'''
+_ENDS_AS_IT_IS_CALLED = '''
+import runpy, sys
+from serial_communication import output
+def called():
+    sys.exit('called')
+output.print_line_by_line = called
+sys.argv[:] = sys.argv[1:]
+run = runpy.run_path if '/' in sys.argv[0] else runpy.run_module
+run(sys.argv[0], run_name='__main__')
+'''
+
+
+def python(code, *arguments, **options):
+    """A Python that runs this, in an environment like that of a user's shell."""
+    environment = dict(os.environ)
+    environment.pop('PYTHONUNBUFFERED', None)
+    environment['PYTHONPATH'] = f'{ROOT}:{environment.get("PYTHONPATH", "")}'
+    return subprocess.Popen([sys.executable, '-c', code, *arguments], env=environment,
+                            stderr=subprocess.STDOUT, universal_newlines=True, **options)
+
+
+@pytest.mark.parametrize('stream', ['stdout', 'stderr'])
+def test_a_line_arrives_before_the_program_ends(stream):
+    with python(_PRINTS.format(stream=stream), stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE) as program:
+        try:
+            assert select.select([program.stdout], [], [], PATIENCE)[0], 'nothing has arrived'
+            assert program.stdout.readline() == 'a line\n'
+            assert program.poll() is None
+        finally:
+            program.stdin.close()
+
+
+def test_closed_standard_streams_do_no_harm():
+    done = python('import os; os.close(1); os.close(2)\n'
+                  f'os.execv({sys.executable!r}, ["python3", "-c", """{_PRINTS}"""])'.replace(
+                      "print('a line', file=sys.{stream})", ''), stdin=subprocess.DEVNULL)
+    assert done.wait(60) == 0
+
+
+@pytest.mark.parametrize('program', [
+    *(f'{ROOT}/scripts/{name}' for name in PYTHON_PROGRAMS), 'serial_communication.tools.demo.cli'],
+    ids=os.path.basename)
+def test_every_program_prints_so_from_the_start(program):
+    with python(_ENDS_AS_IT_IS_CALLED, program, stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE) as run:
+        try:
+            said, _ = run.communicate(timeout=60)
+        finally:
+            run.terminate()
+    assert (run.returncode, said) == (1, 'called\n')
