@@ -1,4 +1,5 @@
 """What scripts/test ends with, in a checkout of its own that holds a single part."""
+import json
 import os
 import shutil
 import signal
@@ -23,23 +24,29 @@ def test_long():
     pathlib.Path(__file__).with_name('pid').write_text(str(os.getpid()))
     time.sleep(600)
 """
+TELLS = """
+import json, os, pathlib
+def test_tells():
+    pathlib.Path(__file__).with_name('environment').write_text(json.dumps(dict(os.environ)))
+"""
 
 
 @pytest.fixture(name='suite')
 def fixture_suite(tmp_path):
     """A function that starts it on tests; its output is read and it has ended with the test."""
-    for name in ('scripts/test', 'test/scripts/results.py'):
+    for name in ('.ci/run', 'scripts/test', 'test/scripts/results.py'):
         (tmp_path / name).parent.mkdir(parents=True)
         shutil.copy(str(CHECKOUT / name), str(tmp_path / name))
     (tmp_path / 'scripts/environment.bash').write_text(ENVIRONMENT)
     begun = []
 
-    def start(**tests):
+    def start(program='scripts/test', environment=None, **tests):
         for part, text in tests.items():
             (tmp_path / 'test' / part).mkdir()
             (tmp_path / 'test' / part / 'test_it.py').write_text(text)
-        begun.append(subprocess.Popen([str(tmp_path / 'scripts/test'), *tests], text=True,
-                                      stdout=subprocess.PIPE, stderr=subprocess.STDOUT))
+        begun.append(subprocess.Popen(
+            ['bash', str(tmp_path / program), *tests], env=environment, text=True,
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT))
         return begun[-1]
 
     yield start
@@ -59,6 +66,18 @@ def test_the_status_is_that_of_the_tests(suite, tests, status, last):
     said = process.communicate(timeout=4 * PATIENCE)[0]
     assert said.splitlines()[-1] == last
     assert process.returncode == status
+
+
+@pytest.mark.parametrize('home', [{'HOME': '/home/somebody'}, {}], ids=['home', 'no home'])
+def test_continuous_integration_has_no_variable_of_this_machine(suite, tmp_path, home):
+    process = suite('.ci/run', {'PATH': os.environ['PATH'], 'PYTHONUNBUFFERED': '1',
+                                'ANYTHING': 'else', **home}, protocols=TELLS)
+    said = process.communicate(timeout=4 * PATIENCE)[0]
+    assert said.splitlines()[-1] == '1 passed, 0 failed'
+    seen = json.loads((tmp_path / 'test/protocols/environment').read_text())
+    assert os.path.isabs(seen['HOME']) and seen['HOME'] == home.get('HOME', seen['HOME'])
+    assert seen['TERM'] and seen['LANG'] == 'C.UTF-8' and '/usr/bin' in seen['PATH'].split(':')
+    assert not {'PYTHONUNBUFFERED', 'ANYTHING'} & set(seen)
 
 
 @pytest.mark.parametrize('sent, status', [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
