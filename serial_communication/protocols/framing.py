@@ -8,6 +8,7 @@ which a frame could begin, but none does, is a *false start*. A frame that had t
 keeps the stamp of the read that brought its own last byte.
 """
 import re
+from bisect import bisect_left
 from collections import deque
 from typing import Any, Deque, Dict, List, NamedTuple, Protocol, Tuple
 
@@ -308,9 +309,11 @@ class StreamDecoder:
 
     def _stamp_of(self, end: int) -> Any:
         """The stamp of the read that brought the last byte before `end`."""
-        while self._reads[0][0] < self._offset + end:
-            self._reads.popleft()
-        return self._reads[0][1]
+        reads, end = self._reads, self._offset + end
+        if reads[0][0] >= end:
+            return reads[0][1]
+        # No read is dropped here: a frame that begins inside a false one may end in an earlier one.
+        return reads[bisect_left(reads, (end,))][1]
 
     def _decided(self, start: int, need: int) -> None:
         """All before `start` is decided; the search goes on at `need` bytes from there."""

@@ -10,7 +10,7 @@ from protocol_cases import (ALL, ARDUINO, BOARD_BUS, BUS, CHECKSUMMED, MCU, chec
                             total)
 from serial_communication.protocols import arduino, mcu
 from serial_communication.protocols import robot_ctrl_bus as bus
-from serial_communication.protocols.framing import FRAMING, running_xor
+from serial_communication.protocols.framing import CHECKSUM, FRAMING, running_xor
 
 every_decoder = pytest.mark.parametrize('kind', ALL, ids=name_of)
 every_checksummed = pytest.mark.parametrize('kind', CHECKSUMMED, ids=name_of)
@@ -417,11 +417,34 @@ def test_a_frame_that_waited_behind_a_false_start_keeps_its_own_stamp(kind):
     assert [frame.stamp for frame in decoder.feed(first[-1:], 'third')] == ['third']
 
 
+def false_frame(kind, inside):
+    """What a frame around these bytes would begin and end with; its checksum is wrong."""
+    if kind is MCU:
+        begin, filler, end = bytes((2, len(inside) + 3, 0x63, 0)), b'\x11', b'\3'
+        right = xor_of(begin[2:] + inside + filler)
+    else:
+        begin = bytes((0xA5, len(inside) + 1)) + b'\x09' * (1 if kind is BUS else 2)
+        filler, end = b'\x11', b''
+        right = xor_of(begin + inside + filler)
+    return begin, filler + bytes((right ^ 0x40,)) + end
+
+
 @every_checksummed
-@given(seed=seeds, stream=spiteful)
-def test_stamps_are_those_of_the_last_bytes_in_any_stream(kind, seed, stream):
-    wires = sample_wires(kind)
-    stream = stream + wires[0] + stream[:40] + wires[1]
+def test_a_frame_inside_a_false_one_that_fails_later_keeps_its_own_stamp(kind):
+    for inside in [[wire] for wire in sample_wires(kind)] + [sample_wires(kind)]:
+        begin, end = false_frame(kind, b''.join(inside))
+        decoder = kind.make()
+        assert decoder.feed(begin, 'begin') == []
+        for number, wire in enumerate(inside):
+            assert decoder.feed(wire, number) == []
+        frames = decoder.feed(end, 'end')
+        assert [(frame.raw, frame.stamp) for frame in frames if not frame.cause] == [
+            (wire, number) for number, wire in enumerate(inside)]
+        assert (frames[0].cause, frames[0].stamp) == (CHECKSUM, 'end')
+
+
+def check_stamps(kind, stream, seed):
+    """In random chunks, each good frame has the stamp of the read that brought its last byte."""
     decoder, ends, fed, frames = kind.make(), [], 0, []
     for number, chunk in enumerate(random_chunks(stream, seed)):
         fed += len(chunk)
@@ -439,3 +462,19 @@ def test_stamps_are_those_of_the_last_bytes_in_any_stream(kind, seed, stream):
         at += len(frame.raw)
         assert ends[frame.stamp] >= at
         assert frame.stamp == 0 or ends[frame.stamp - 1] < at
+
+
+@every_checksummed
+@given(seed=seeds, stream=spiteful)
+def test_stamps_are_those_of_the_last_bytes_in_any_stream(kind, seed, stream):
+    wires = sample_wires(kind)
+    check_stamps(kind, stream + wires[0] + stream[:40] + wires[1], seed)
+
+
+@every_checksummed
+@given(seed=seeds, data=st.data())
+def test_stamps_are_those_of_the_last_bytes_inside_false_frames(kind, seed, data):
+    small = any_frame(kind).filter(lambda frame: len(frame) < 60)
+    inside = b''.join(data.draw(st.lists(st.one_of(small, broken(small)), max_size=3)))
+    begin, end = false_frame(kind, inside)
+    check_stamps(kind, begin + inside + end + sample_wires(kind)[0], seed)
