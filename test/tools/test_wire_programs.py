@@ -5,6 +5,7 @@ import os
 import pty
 import select
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -16,12 +17,15 @@ from programs import started
 
 from serial_communication.transport.port import Port
 from serial_communication.protocols import arduino, mcu
+from serial_communication.tools.wire.lines import Settings
+from serial_communication.tools.wire.passing import Passage
 from serial_communication.tools.wire.recording import load
 from wire_lines import PATIENCE, ROOT
 
 PROGRAM = [sys.executable, ROOT + '/scripts/wire']
 HEARTBEAT = arduino.encode(arduino.Heartbeat())
 EVERY_BYTE = bytes(range(256)) * 3
+STOP = b'\0' + arduino.encode(arduino.SpeedCommand(0))     # what follows a loss
 
 
 def wait_for(condition, what):
@@ -244,7 +248,9 @@ def test_tap_outlives_either_end(tapped, gone):
     away.plug()
     program.wait_until_said(': open', 3)
     other.write(HEARTBEAT)
-    assert away.read(3) == HEARTBEAT        # nothing old comes before it
+    # Nothing old comes before it, and what was cut off ends.
+    expected = (STOP if away is tapped[0] else b'\0') + HEARTBEAT
+    assert away.read(len(expected)) == expected
     away.write(b'back')
     assert other.read(4) == b'back'
     assert program.end() == 0
@@ -267,6 +273,277 @@ def test_an_end_that_takes_nothing_holds_up_neither_direction(tapped):
     wait_for(goes_on, 'takes bytes again')
 
 
+def drained(tty):
+    """All that comes, until nothing has come for a while."""
+    data = b''
+    while select.select([tty.fd], [], [], 0.3)[0]:
+        data += os.read(tty.fd, 65536)
+    return data
+
+
+def messages(data, decoder=arduino.BoardDecoder):
+    return [frame.message for frame in decoder().feed(data) if not frame.cause]
+
+
+def test_a_board_that_takes_nothing_gets_no_old_command(tapped):
+    board, computer, program = tapped
+    count = 0
+    while 'not passed on' not in program.said():
+        computer.write(b''.join(arduino.encode(arduino.SteeringCommand(count + each))
+                                for each in range(50)))
+        count += 50
+        assert count < 65000
+    kept = drained(board)
+
+    def goes_on():
+        computer.write(HEARTBEAT)
+        return not board.is_quiet()
+    wait_for(goes_on, 'heartbeats')
+    program.wait_until_said('takes bytes again')
+    came = messages(kept + drained(board))
+    stopped = came.index(arduino.SpeedCommand(0))
+    # What a pseudo terminal had handed to the board's end already is out of reach.
+    assert came[:stopped] == [arduino.SteeringCommand(each) for each in range(stopped)]
+    assert stopped < count and came[-1] == arduino.Heartbeat()
+    assert 'SPEED 0 goes first' in program.said()
+    assert program.end() == 0
+    assert 'bytes could not be passed on' in program.said()
+
+
+def state_of(process):
+    with open(f'/proc/{process.pid}/stat') as file:
+        return file.read().rpartition(')')[2].split()[0]
+
+
+def suspended_for_long(program, meanwhile, ends=1):
+    """Until what came meanwhile, at so many ends, is told as dropped."""
+    program.process.send_signal(signal.SIGSTOP)
+    wait_for(lambda: state_of(program.process) == 'T', 'that it stands')
+    meanwhile()
+    time.sleep(1.0)         # so old is it then
+    program.process.send_signal(signal.SIGCONT)
+    program.wait_until_said('are old and dropped', ends)
+
+
+def test_what_waits_while_the_tap_is_suspended_is_dropped(tapped, tmp_path):
+    board, computer, program = tapped
+    computer.write(HEARTBEAT)
+    assert board.read(3) == HEARTBEAT
+
+    def meanwhile():
+        computer.write(arduino.encode(arduino.SpeedCommand(500)) * 5)
+        board.write(arduino.encode(arduino.Ticks(99)) * 5)
+    suspended_for_long(program, meanwhile, 2)
+
+    def speaks(end, packet):
+        end.write(packet)
+        other = computer if end is board else board
+        return not other.is_quiet()
+    ticks = arduino.encode(arduino.Ticks(7))
+    wait_for(lambda: speaks(computer, HEARTBEAT), 'heartbeats')
+    wait_for(lambda: speaks(board, ticks), 'ticks')
+    to_board, to_computer = drained(board), drained(computer)
+    assert to_board.startswith(STOP + HEARTBEAT)
+    assert set(to_board[len(STOP):].split(HEARTBEAT)) == {b''}
+    assert to_computer.startswith(b'\0' + ticks)
+    assert set(to_computer[1:].split(ticks)) == {b''}
+    said = program.said()
+    assert f'{computer.path}: 25 bytes that waited' in said
+    assert f'{board.path}: 20 bytes that waited' in said
+    assert program.end() == 0
+    kept = b''.join(read.data for read in load(str(tmp_path / 'kept.txt')).reads['arduino'])
+    assert b'\x63' not in kept          # it would have a time at which it did not come
+
+
+def test_what_waits_as_the_tap_starts_is_dropped(ttys, start):
+    board, computer = ttys
+    # As socat does, whose own buffer a flush does not reach: new bytes come as it opens.
+    program = start('tap', 'arduino', board.path, computer.path)
+    while program.said().count(': open') < 2:
+        computer.write(arduino.encode(arduino.SpeedCommand(500)))
+        while not computer.is_quiet():
+            os.read(computer.fd, 4096)
+        time.sleep(0.01)
+    program.wait_until_said(f'{computer.path}: open')
+    wait_for(lambda: computer.write(HEARTBEAT) or not board.is_quiet(), 'heartbeats')
+    first = board.read(len(STOP))
+    assert first == STOP
+
+
+@pytest.mark.parametrize('link, wire', [
+    ('bus', bytes.fromhex('a506025e01030acc1229')), ('mcu', None)])
+def test_what_was_cut_off_does_not_merge_with_what_follows(ttys, start, link, wire):
+    board, computer = ttys
+    wire = wire or status(1)
+    program = start('tap', link, board.path, computer.path)
+    program.wait_until_said('open', 2)
+    board.write(wire[:5])
+    assert computer.read(5) == wire[:5]
+    suspended_for_long(program, lambda: board.write(wire[5:]))
+    wait_for(lambda: board.write(wire) or not computer.is_quiet(), 'frames')
+    data = drained(computer)
+    assert data == wire * (len(data) // len(wire))      # and nothing of the first
+
+
+class Uart(Port):
+    """A pseudo terminal that tells what waits in it, as a UART does."""
+    held = 0
+    dropped = 0
+
+    def backlog(self):
+        return self.held * 10.0 / self.baud
+
+    def write(self, frame):
+        super().write(frame)
+        self.held += len(frame)
+
+    def discard_output(self):
+        self.dropped, self.held = self.held, 0
+        return super().discard_output()
+
+
+@pytest.fixture
+def uart(ttys):
+    port = Uart(ttys[0].path)
+    port.open()
+    yield port
+    port.close()
+
+
+def passage(port, told):
+    return Passage(port, Settings('arduino'), True, told.append)
+
+
+def test_what_waits_in_a_uart_for_long_is_dropped_however_little(uart):
+    told = []
+    tap = passage(uart, told)
+    for beat in range(40):
+        tap.pass_on(HEARTBEAT, 10.0 + beat * 0.01)
+    # 0.3 s in vain, then 0.1 s of pause; the pause ends where the next begins.
+    assert 30 * 3 <= uart.dropped <= 32 * 3 and tap.lost >= uart.dropped
+    assert told == [f'not passed on to {uart.url}: it takes no data; what waited is dropped; '
+                    'SPEED 0 goes first when it goes on']
+
+
+def test_a_uart_that_flows_is_left_alone(uart, ttys):
+    told = []
+    tap = passage(uart, told)
+    for number in range(200):
+        tap.pass_on(HEARTBEAT * 30, 10.0 + number * 0.01)
+        uart.held = min(uart.held, 100)        # never empty
+        ttys[0].read(len(HEARTBEAT) * 30)
+    tap.pass_on(bytes(1030), 12.0)             # the longest frame of all takes its 89 ms
+    tap.pass_on(HEARTBEAT, 12.05)
+    assert told == [] and tap.lost == 0 and uart.dropped == 0
+
+
+def test_50_ms_of_backlog_are_dropped_at_once(uart):
+    told = []
+    tap = passage(uart, told)
+    for number in range(4):
+        tap.pass_on(HEARTBEAT * 100, 10.0 + number * 0.001)
+    assert uart.dropped == 900 and len(told) == 1
+
+
+class Peer:
+    """A board behind a network port."""
+
+    def __init__(self):
+        self._server = socket.socket()
+        self._server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        self._server.bind(('127.0.0.1', 0))
+        self._server.listen()
+        self._server.settimeout(PATIENCE)
+        self.url = 'socket://127.0.0.1:%d' % self._server.getsockname()[1]
+        self.connections = []
+
+    def accept(self):
+        connection, _ = self._server.accept()
+        connection.settimeout(PATIENCE)
+        self.connections.append(connection)
+        return connection
+
+    def close(self):
+        for each in self.connections + [self._server]:
+            each.close()
+
+
+@pytest.fixture
+def peer():
+    made = Peer()
+    yield made
+    made.close()
+
+
+def read_to_the_end(connection):
+    data = b''
+    try:
+        while True:
+            part = connection.recv(65536)
+            if not part:
+                return data
+            data += part
+    except ConnectionResetError:
+        return data
+
+
+def test_a_network_port_that_takes_nothing_is_given_up(ttys, start, peer):
+    computer = ttys[1]
+    program = start('tap', 'arduino', peer.url, computer.path)
+    first = peer.accept()
+    program.wait_until_said('open', 2)
+    count = 0
+    while 'the connection is broken off' not in program.said():
+        try:
+            first.send(arduino.encode(arduino.Ticks(1)))     # it talks, and takes nothing
+        except ConnectionError:
+            pass     # given up
+        computer.write(b''.join(arduino.encode(arduino.SteeringCommand(count + each))
+                                for each in range(50)))
+        while not computer.is_quiet():
+            os.read(computer.fd, 65536)
+        count += 50
+        assert count < 65000, program.said()
+    second = peer.accept()
+    assert len(messages(read_to_the_end(first))) < count
+    wait_for(lambda: computer.write(HEARTBEAT) or select.select([second], [], [], 0)[0],
+             'heartbeats')
+    assert second.recv(len(STOP), socket.MSG_WAITALL) == STOP
+    assert program.end() == 0
+
+
+def test_a_silent_board_behind_a_network_is_connected_anew(ttys, start, peer):
+    """What it does not take may wait in its kernel, where nobody sees it."""
+    computer = ttys[1]
+    program = start('tap', 'arduino', peer.url, computer.path)
+    first = peer.accept()
+    program.wait_until_said('open', 2)
+    while 'the board has not been heard for 1 s' not in program.said():
+        computer.write(HEARTBEAT)
+        time.sleep(0.01)
+    second = peer.accept()
+    wait_for(lambda: computer.write(arduino.encode(arduino.SpeedCommand(400)))
+             or select.select([second], [], [], 0.01)[0], 'commands')
+    assert arduino.SpeedCommand(400) not in messages(read_to_the_end(first))
+    assert second.recv(len(STOP), socket.MSG_WAITALL) == STOP
+    assert program.end() == 0
+
+
+def test_a_calibration_is_not_ended_by_a_silence(ttys, start, peer):
+    computer = ttys[1]
+    program = start('tap', 'arduino', peer.url, computer.path)
+    board = peer.accept()
+    program.wait_until_said('open', 2)
+    computer.write(arduino.encode(arduino.ImuCalibration()))
+    deadline = time.monotonic() + 1.5
+    while time.monotonic() < deadline:
+        computer.write(HEARTBEAT)
+        time.sleep(0.01)
+    assert 'has not been heard' not in program.said()
+    assert board.recv(3, socket.MSG_WAITALL) == arduino.encode(arduino.ImuCalibration())
+    assert program.end() == 0
+
+
 def test_a_terminal_that_stands_still_does_not_hold_up_the_line(ttys):
     board, computer = ttys
     # Nobody reads its output; a pipe holds 64 KiB of it, or as little as we ask for.
@@ -274,8 +551,8 @@ def test_a_terminal_that_stands_still_does_not_hold_up_the_line(ttys):
                                stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     fcntl.fcntl(program.stdout, 1031, 4096)     # F_SETPIPE_SZ
     try:
-        wait_for(lambda: select.select([program.stderr], [], [], 1)[0]
-                 and os.read(program.stderr.fileno(), 4096).count(b'open'), 'open')
+        for _ in ttys:
+            assert b': open' in program.stderr.readline()
         time_out = time.monotonic() + PATIENCE
         for number in range(600):
             packet = arduino.encode(arduino.Ticks(number % 256))

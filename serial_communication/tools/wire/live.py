@@ -10,15 +10,19 @@ import threading
 import time
 from typing import Callable, List, NamedTuple, Optional, Sequence, Union
 
-from ...transport.port import Port, PortBusy, PortError
+from ...transport.port import Port, PortError
 from ...transport.pace import be_quick
 from ...protocols.framing import Frame
 from .lines import Direction, Settings
+from .passing import Passage
 from .recording import Read, Writer
 
 _MOST_WAITING = 10000    # reads that wait for one who looks on; what comes then is left out
 _BACK_OFF = (0.1, 1.0)   # s from one try to open to the next: first, last
 _FLUSH = 0.5             # s that a read waits at most to reach a file
+_TICK = 0.05             # s from one look at a port to the next, at most
+_STOOD_STILL = 0.3       # s from one look to the next after which what waits is old
+_SETTLING = 0.1          # s in which a port hands over what waited in it
 _REALTIME_PRIORITY = 15
 
 
@@ -63,25 +67,36 @@ class Backlog:
 class Reach:
     """Reads one port until `stop`, opening it again whenever it vanishes.
 
+    Of a port that could not be read for a while (this program was suspended, or got no processor
+    time) what waited is old, and would be shown and passed on as new: it is dropped, and told.
+    Likewise what a port of a tap has as it opens.
+
     Args:
         port: opened, read and closed here, nowhere else.
         sent: what comes is sent to the board; False: by the board.
         backlogs: of those who look on.
-        other: what comes is passed on to this port. It is never kept: what that port does not
-            take at once is lost, as on a cable that is pulled out, and told.
     """
 
-    def __init__(self, port: Port, sent: bool, backlogs: Sequence[Backlog],
-                 other: Optional[Port] = None) -> None:
-        self.lost = 0            # bytes that could not be passed on
+    def __init__(self, port: Port, sent: bool, backlogs: Sequence[Backlog]) -> None:
         self._port = port
         self._sent = sent
         self._backlogs = backlogs
-        self._other = other
+        self._onward: Optional[Passage] = None     # what comes is passed on by this …
+        self._back: Optional[Passage] = None       # … and this leads to the port
         self._stopping = threading.Event()
-        self._told_lost = 0
+        self._heard_at = 0.0
         self._thread = threading.Thread(
             target=self._run, name=f'{"computer" if sent else "board"} port', daemon=True)
+
+    @property
+    def lost(self) -> int:
+        """Bytes that were not passed on."""
+        return self._onward.lost if self._onward else 0
+
+    def connect(self, other: 'Reach', line: Settings) -> None:
+        """Pass what comes on to another's port; to be called before `start`."""
+        self._onward = Passage(other._port, line, self._sent, self._tell)
+        other._back = self._onward
 
     def start(self) -> None:
         """Begin."""
@@ -111,7 +126,6 @@ class Reach:
                 pause = min(pause * 2, _BACK_OFF[1])
                 continue
             pause, trouble = _BACK_OFF[0], ''
-            self._tell(f'{self._port.url}: open')
             try:
                 self._serve()
             except PortError as error:
@@ -119,30 +133,52 @@ class Reach:
                 self._tell(f'{self._port.url}: {trouble}; opening it again when it returns',
                            lost=True)
             self._port.close()
+            if self._back:
+                self._back.broken()
 
     def _serve(self) -> None:
+        if self._onward:
+            self._drop_old(b'', 'as it opened')
+        self._tell(f'{self._port.url}: open')
+        looked_at = self._heard_at = time.monotonic()
         while not self._stopping.is_set():
-            data = self._port.read(None)
-            if not data:
+            data = self._port.read(_TICK)
+            now = time.monotonic()
+            stood, looked_at = now - looked_at, now
+            if stood > _STOOD_STILL:
+                looked_at = self._drop_old(
+                    data, f'while this program stood still for {stood:.3g} s')
                 continue
-            at = time.monotonic()
-            if self._other is not None:
-                self._pass_on(self._other, data)
-            read = Read(at, self._sent, data)
-            for backlog in self._backlogs:
-                backlog.put(read)
+            if self._onward:
+                self._onward.pass_on(data, now)
+            if data:
+                read = Read(now, self._sent, data)
+                for backlog in self._backlogs:
+                    backlog.put(read)
+            if self._back:
+                self._look_at_silence(bool(data), now)
 
-    def _pass_on(self, other: Port, data: bytes) -> None:
-        try:
-            other.write(data)
-        except (PortBusy, PortError) as error:
-            if self.lost == self._told_lost:     # once, until it goes on
-                self._tell(f'not passed on to {other.url}: {error}')
-            self.lost += len(data)
-            return
-        if self.lost > self._told_lost:
-            self._tell(f'{other.url} takes bytes again; {self.lost - self._told_lost} were lost')
-            self._told_lost = self.lost
+    def _drop_old(self, data: bytes, when: str) -> float:
+        """Drop what waits in the port, `data` having been read; until when that was done."""
+        count, until = len(data), time.monotonic() + _SETTLING
+        while time.monotonic() < until and not self._stopping.is_set():
+            count += len(self._port.read(until - time.monotonic()))
+        if count:
+            remedy = ''
+            if self._onward:
+                self._onward.interrupted(count, until)
+                remedy = self._onward.remedy
+            self._tell(f'{self._port.url}: {count} bytes that waited {when} are old and dropped'
+                       + remedy, lost=True)
+        return until
+
+    def _look_at_silence(self, heard: bool, now: float) -> None:
+        if heard:
+            self._back.heard(now, self._heard_at)
+            self._heard_at = now
+        elif self._back.is_unanswered(now):
+            self._back.heard(now, now)
+            raise PortError('the board has not been heard for 1 s')
 
     def _tell(self, text: str, lost: bool = False) -> None:
         event = Event(time.monotonic(), self._sent, text, lost)

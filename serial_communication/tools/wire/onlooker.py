@@ -18,12 +18,11 @@ _SWITCH_INTERVAL = 0.0005   # s that decoding and printing may keep the interpre
 
 
 class End:
-    """One end of a line: a port, and the one that gets what comes from it."""
+    """One end of a line. Of two, each gets what comes from the other."""
 
-    def __init__(self, port: Port, sent: bool, other: Optional[Port] = None) -> None:
+    def __init__(self, port: Port, sent: bool) -> None:
         self.port = port
         self.sent = sent      # what comes from it is sent to the board
-        self.other = other
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -118,7 +117,10 @@ def look_on(line: Settings, ends: Sequence[End], options: argparse.Namespace) ->
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.default_int_handler)     # as Ctrl-C
     printer = Printer(options.json, began, start)
-    reaches = [Reach(end.port, end.sent, backlogs, end.other) for end in ends]
+    reaches = [Reach(end.port, end.sent, backlogs) for end in ends]
+    if len(reaches) > 1:
+        for reach, other in (reaches, reaches[::-1]):
+            reach.connect(other, line)
     try:
         for reach in reaches:
             reach.start()

@@ -8,9 +8,12 @@ TX, ground to ground); or on the bridge's own computer with two linked ports and
   roslaunch serial_communication bridge.launch arduino_port:=/tmp/bridge
 
 Bytes pass unchanged, in both directions at once, in threads that do nothing else: a terminal that
-stands still, or a slow disk, never holds up the line. Nothing is kept for later: what an end does
-not take at once is lost, as on a cable that is pulled out, and told; a command to a motor must
-not arrive seconds late. Either end may go and come back.
+stands still, or a slow disk, never holds up the line. Nothing is kept for later, since a command
+to a motor must not arrive seconds late: where an end takes no data, where an end is closed, and
+where this program was suspended, what waited is dropped, and told. After that, each direction
+goes on with a whole frame; on the link arduino with a 0x00 and, to the board, SPEED 0 before it. A
+board of that link behind a network port that is silent for 1 s is connected anew. Either end may
+go and come back.
 
 --measure needs no ports: it tells what a tap adds on this machine, with heartbeats through two
 pseudo terminals and, in turns, through one without a tap.
@@ -50,5 +53,4 @@ def run(options: argparse.Namespace) -> int:
     line = lines.settings(options)
     board, computer = (Port(url, line.baud)
                        for url in (options.board_port, options.computer_port))
-    return onlooker.look_on(line, [End(board, False, computer), End(computer, True, board)],
-                            options)
+    return onlooker.look_on(line, [End(board, False), End(computer, True)], options)
