@@ -147,7 +147,7 @@ class Decoder(StreamDecoder):
         buffer = self.buffer
         left = len(buffer) - at
         if left < 2:
-            return Need(3)
+            return Need(2)
         length = buffer[at + 1]
         if length < MIN_LEN:
             return _LEN_TOO_SMALL

@@ -131,6 +131,14 @@ def test_a_silence_in_a_frame_that_came_slowly_ends_nothing(kind):
 
 
 @every_checksummed
+@pytest.mark.parametrize('begin', [b'\x02\x00', b'\x02\x0c\x01', b'\xa5\xff', b'\x5a\xfe\0'],
+                         ids=bytes.hex)
+def test_a_false_length_is_refused_with_its_last_byte(kind, begin):
+    """However the bytes are cut into reads."""
+    decode(kind, begin, end=False)
+
+
+@every_checksummed
 @given(stream=spiteful)
 def test_any_bytes_give_the_frames_of_the_definition(kind, stream):
     frames, _ = decode(kind, stream)
