@@ -10,6 +10,7 @@ import rospy
 
 from ..output import print_line_by_line
 from ..transport.pace import all_be_quick
+from ..transport.terminal import write_in_background
 from . import background_logging, direct, handshake, parameters, starting
 from .diagnostics import Diagnostics
 from .geometry import publish_mounts
@@ -29,6 +30,7 @@ def main() -> None:
     print_line_by_line()
     starting.check_arguments(sys.argv[1:])
     sys.setswitchinterval(_SWITCH_INTERVAL)
+    write_in_background()
     background_logging.install()
     status = 1
     try:

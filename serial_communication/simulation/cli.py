@@ -13,6 +13,7 @@ from ..boards import BOARDS, board_module
 from ..output import print_line_by_line
 from ..transport.pace import Allowance
 from ..transport.port import Port, check_url
+from ..transport.terminal import write_in_background
 from . import faults
 from .board import Board, Runner, positive
 from .journal import Journal
@@ -41,6 +42,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
     """Run what the command line says; the exit status."""
     print_line_by_line()
     options = _parse(sys.argv[1:] if arguments is None else arguments)
+    write_in_background()
     say = _Voice(options.board)
     try:
         journal = Journal(options.journal) if options.journal else None

@@ -22,6 +22,7 @@ from ...links.sparing_log import SparingLog
 from ...output import print_line_by_line
 from ...ros.master import full_name, living_node
 from ...ros.master_watch import MasterWatch
+from ...transport.terminal import write_in_background
 from ..watch.topics import NODE
 from .commands import Commands
 from .feed import Feed
@@ -137,6 +138,7 @@ def main(argv: Optional[List[str]] = None) -> int:
               'choose others with --bind and --port', file=sys.stderr)
         return 1
 
+    write_in_background()
     loop = tornado.ioloop.IOLoop.current()
     log = SparingLog('panel', logging.getLogger('rosout'))
     node = rospy.names.resolve_name(options.node)

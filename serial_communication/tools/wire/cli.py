@@ -5,6 +5,7 @@ import sys
 from typing import List, Optional
 
 from ...output import print_line_by_line
+from ...transport.terminal import write_in_background
 from . import explain, listen, play, stats, tap
 
 PROGRAMS = {'explain': explain, 'listen': listen, 'tap': tap, 'play': play, 'stats': stats}
@@ -41,6 +42,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
         options.hex += rest     # bytes behind an option: argparse takes no second helping
     elif rest:
         parser.error(f'unrecognized arguments: {" ".join(rest)}')
+    write_in_background()
     return PROGRAMS[options.program].run(options)
 
 
