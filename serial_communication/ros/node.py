@@ -22,6 +22,7 @@ _SWITCH_INTERVAL = 0.0005   # s that a busy thread may keep the interpreter from
 _NAME = 'serial_communication'    # unless the command line gives another one
 _PRIORITY = 1               # real-time, where the system allows it
 _SHUTDOWN = 1.0             # s for the links to end in
+_LAST_RESORT = 1.5          # s until the process ends, whatever keeps the interpreter alive
 _LOGGER = logging.getLogger('rosout')    # rospy's own, for terminal, file and /rosout
 
 
@@ -90,12 +91,14 @@ class Bridge:
             for board, own in boards for name in board.MOUNTS})
         self._traffic = Traffic(self._links, _LOGGER)
         self._diagnostics = Diagnostics(self._links, _LOGGER)
+        self._stopping = threading.Event()
 
     def start(self) -> None:
         """Open the ports and take calls."""
         # Not the heartbeat's thread alone: any other may hold the interpreter's lock while it waits
         # for the processor, and the heartbeat with it.
         all_be_quick(_PRIORITY)
+        threading.Thread(target=self._last_resort, name='last resort', daemon=True).start()
         for link in self._links:
             link.start()
         for interface in self._interfaces:
@@ -104,10 +107,7 @@ class Bridge:
 
     def stop(self) -> None:
         """SPEED 0 first, then everything ends; in 1 s even where a port hangs."""
-        # Whatever then keeps the interpreter alive (a thread in a dead connection, say).
-        last_resort = threading.Timer(1.5, os._exit, (0,))
-        last_resort.daemon = True
-        last_resort.start()
+        self._stopping.set()
         for link in sorted(self._links, key=lambda link: not link.STOPS_FIRST):
             link.stop()
         deadline = time.monotonic() + _SHUTDOWN
@@ -117,3 +117,12 @@ class Bridge:
         # rospy's thread for the calls of others turns in circles once its socket is closed, and
         # would keep a processor from those that it waits for.
         all_be_quick(0)
+
+    def _last_resort(self) -> None:
+        """In a thread of its own: end the process where a thread hangs, in a dead connection, say.
+
+        It is there from the start: where no memory is left, starting one may never return.
+        """
+        self._stopping.wait()
+        time.sleep(_LAST_RESORT)
+        os._exit(0)

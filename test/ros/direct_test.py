@@ -32,7 +32,7 @@ def setUpModule():
 class RawSubscriber:
     """A connection to a publisher of this process, from which nothing is read unasked."""
 
-    def __init__(self, topic):
+    def __init__(self, topic, name='/raw'):
         uri = rosgraph.Master('/raw').lookupNode(rospy.get_name())
         _, _, (_, host, port) = ServerProxy(uri).requestTopic('/raw', topic, [['TCPROS']])
         self.socket = socket.socket()
@@ -40,7 +40,7 @@ class RawSubscriber:
         self.socket.settimeout(PATIENCE)
         self.socket.connect((host, port))
         self.socket.sendall(encode_ros_handshake_header(
-            {'callerid': '/raw', 'topic': topic, 'type': String._type,
+            {'callerid': name, 'topic': topic, 'type': String._type,
              'md5sum': String._md5sum}))
         # One byte at a time: what follows the header is a message's.
         read_ros_handshake_header(self.socket, io.BytesIO(), 1)
@@ -59,11 +59,6 @@ class RawSubscriber:
         return bytes(data)
 
 
-def slow_subscribers():
-    """The threads that serve one each."""
-    return [each for each in threading.enumerate() if each.name == 'slow subscriber']
-
-
 class SlowSubscriber(unittest.TestCase):
     """Each test on a topic of its own."""
 
@@ -74,6 +69,10 @@ class SlowSubscriber(unittest.TestCase):
         self.slow = RawSubscriber(self.topic)
         self.addCleanup(self.slow.socket.close)
         until(lambda: self.publisher.get_num_connections() == 1, 'it is connected')
+
+    def slow_subscribers(self):
+        """The connections whose sockets are full."""
+        return [each for each in self.publisher.impl.connections if each._is_slow]
 
     def listen(self):
         """Another subscriber, which reads."""
@@ -95,35 +94,65 @@ class SlowSubscriber(unittest.TestCase):
             self.publish(sent[-1])
             self.assertEqual(other.first(lambda m: m.data == sent[-1]).data, sent[-1])
 
-        until(slow_subscribers, 'its socket is full', doing=publish, every=0)
-        self.assertEqual(len(slow_subscribers()), 1, 'the other one has no thread')
+        until(self.slow_subscribers, 'its socket is full', doing=publish, every=0)
+        self.assertEqual(len(self.slow_subscribers()), 1, 'the other one is not slow')
         for _ in range(100):
             publish()
         self.assertEqual([m.data for m in other.messages], sent)
         self.assertTrue([self.slow.read() for _ in sent] == sent)
+        until(lambda: not self.slow_subscribers(), 'it is sent to directly again')
         publish()
         self.assertEqual(self.slow.read(), sent[-1])
+        self.assertEqual(self.slow_subscribers(), [])
 
     def test_a_queue_drops_its_oldest_and_never_the_rest_of_a_message(self):
         self.begin(queue_size=2)
         self.publish(_BIG)
-        self.assertEqual(len(slow_subscribers()), 1)
+        self.assertEqual(len(self.slow_subscribers()), 1)
         for number in range(10):
             self.publish(str(number))
         self.assertTrue(self.slow.read() == _BIG)
         self.assertEqual([self.slow.read(), self.slow.read()], ['8', '9'])
 
-    def test_one_that_goes_leaves_no_thread_and_the_others_go_on(self):
+    def test_a_slow_subscriber_does_not_hold_up_another_slow_one(self):
+        self.begin(queue_size=2)
+        other = RawSubscriber(self.topic, '/another')
+        self.addCleanup(other.socket.close)
+        until(lambda: self.publisher.get_num_connections() == 2, 'both are connected')
+        self.publish(_BIG)
+        self.assertEqual(len(self.slow_subscribers()), 2)
+        self.publish('behind it')
+        self.assertTrue(other.read() == _BIG)
+        self.assertEqual(other.read(), 'behind it')
+        self.assertEqual(len(self.slow_subscribers()), 1, 'the first one has not read a byte')
+        self.assertTrue(self.slow.read() == _BIG)
+        self.assertEqual(self.slow.read(), 'behind it')
+
+    def test_no_thread_is_started_for_it(self):
+        """Where no memory is left, Thread.start may never return."""
+        self.begin(queue_size=2)
+
+        def never_returns(thread):
+            raise AssertionError(f'{thread.name} is started')
+
+        with mock.patch.object(threading.Thread, 'start', never_returns):
+            self.publisher.publish(_BIG)
+            self.assertEqual(len(self.slow_subscribers()), 1)
+            self.publisher.publish('behind it')
+            self.assertTrue(self.slow.read() == _BIG)
+            self.assertEqual(self.slow.read(), 'behind it')
+
+    def test_one_that_goes_is_forgotten_and_the_others_go_on(self):
         self.begin(queue_size=2)
         self.publish(_BIG)
         self.slow.socket.close()
-        until(lambda: not slow_subscribers(), 'its thread has ended',
+        until(lambda: not self.publisher.get_num_connections(), 'it is forgotten',
               doing=lambda: self.publish('anybody?'))
         self.listen().first(lambda m: m.data == 'after', doing=lambda: self.publish('after'))
 
     def tearDown(self):
         self.doCleanups()
-        until(lambda: not slow_subscribers(), 'no thread is left')
+        until(lambda: not direct._sender._slow, 'nothing is kept')
 
 
 class Another:
