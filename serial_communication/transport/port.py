@@ -20,19 +20,23 @@ import struct
 import termios
 import threading
 import time
-from typing import Optional
+from typing import Optional, Tuple
 from urllib.parse import urlsplit
 
 import serial
+
+from . import tty_settings
 
 _READ_SIZE = 65536
 _READABLE = select.POLLIN | select.POLLHUP | select.POLLERR
 _SLICE = 0.05      # s
 _STALLED = 0.1     # s of wire time that wait to be sent as the port closes
 _NOT_SENT = 0x894B     # SIOCOUTQNSD, which no module of Python names
-_NETWORK = 'socket:', 'rfc2217:'     # the kinds that name a host
+_NETWORK = 'socket', 'rfc2217'       # the schemes that name a host
 _VANISHED = 4      # s without a sign of life after which a connection's peer has vanished
 _IAC = b'\xff'     # of telnet, which rfc2217 is: doubled where it is data
+_PTMX = os.makedev(5, 2)             # the device that makes a new pseudo terminal at each opening
+_PTY = range(136, 144)               # major numbers of pseudo terminals' ends
 
 
 class PortError(Exception):
@@ -43,16 +47,37 @@ class PortBusy(Exception):
     """The port takes no bytes now; none of this write has left."""
 
 
+def read_url(url: str) -> Tuple[str, str]:
+    """A port's URL with its scheme in small letters, and that scheme; '' where it is a path.
+
+    pyserial takes a scheme in any case, so every decision by scheme has to go by this one.
+    """
+    scheme, found, rest = url.partition('://')
+    return (scheme.lower() + found + rest, scheme.lower()) if found else (url, '')
+
+
 def check_url(url: str) -> None:
-    """Raise ValueError where pyserial cannot make sense of it. Opens nothing."""
+    """Raise ValueError where no port can be behind it. Opens nothing."""
+    url, scheme = read_url(url)
     try:
         port = serial.serial_for_url(url, do_not_open=True)
     except serial.SerialException:
         return    # the kind is known, only the device is not there (hwgrep://)
     except re.error as error:
         raise ValueError(f'hwgrep:// takes a regular expression: {error}') from None
-    if url.startswith(_NETWORK):
+    if scheme in _NETWORK:
         _check_network_url(url, port)
+    _check_device(port.port)
+
+
+def _check_device(path: str) -> None:
+    try:
+        device = os.stat(path).st_rdev
+    except (OSError, TypeError, ValueError):
+        return      # not there, or no path
+    if device == _PTMX:
+        raise ValueError(f'{path} makes a new pseudo terminal at each opening, which nothing '
+                         'else knows; name the pseudo terminal itself, as in /dev/pts/3')
 
 
 def _check_network_url(url: str, port: serial.SerialBase) -> None:
@@ -79,7 +104,7 @@ class Port:
     """
 
     def __init__(self, url: str, baud: int = 115200, reset_on_open: bool = False) -> None:
-        self.url = url
+        self.url, self._scheme = read_url(url)
         self.baud = baud
         self.bytes_received = 0
         self.bytes_sent = 0
@@ -87,6 +112,7 @@ class Port:
         self._serial: Optional[serial.SerialBase] = None
         self._fd = -1                    # to poll and read; -1: closed, or there is none
         self._out = -1                   # to write to; -1: closed, or there is none
+        self._settings = b''             # that the tty is to have; b'': it is none
         self._doomed = ''                # why this connection must be given up
         self._lock = threading.Lock()    # writing, and the port's coming and going
         self._rest = b''                 # of a frame that the kernel took in part
@@ -103,7 +129,7 @@ class Port:
     @property
     def is_network(self) -> bool:
         """Whether it leads to another computer's port, which hides what has not left it."""
-        return self.url.startswith(_NETWORK)
+        return self._scheme in _NETWORK
 
     def open(self) -> None:
         """Open it.
@@ -115,11 +141,12 @@ class Port:
         try:
             opened = serial.serial_for_url(self.url, do_not_open=True)
             path = opened.port or ''
+            _check_device(path)
             opened.baudrate = self.baud
             opened.timeout = _SLICE
-            if not self.url.startswith('rfc2217:'):     # which has none
+            if self._scheme != 'rfc2217':     # which has none
                 opened.write_timeout = _SLICE
-            if not self.url.startswith(_NETWORK + ('loop:',)):
+            if self._scheme not in _NETWORK + ('loop',):
                 opened.exclusive = True
             opened.open()
         except (OSError, ValueError, termios.error) as error:
@@ -129,6 +156,7 @@ class Port:
         except (io.UnsupportedOperation, AttributeError):
             fd = -1
         out = fd
+        settings = b''
         if self.is_network:
             try:
                 out = self._set_up_connection(opened)
@@ -136,7 +164,7 @@ class Port:
                 opened.close()
                 raise PortError(_explain(error)) from None
         elif fd >= 0 and os.isatty(fd):
-            self._set_up_tty(opened, fd)
+            settings = self._set_up_tty(opened, fd)
         self._poll = select.poll()
         self._polls_output = False
         self._poll.register(self._wake_read, select.POLLIN)
@@ -145,6 +173,7 @@ class Port:
         with self._lock:
             self._rest = b''
             self._doomed = ''
+            self._settings = settings
             self._fd = fd
             self._out = out
             self._serial = opened
@@ -169,6 +198,7 @@ class Port:
                 # A tty's close waits for its output to drain, up to half a minute where the
                 # line is held: drop what does not flow.
                 _flush_output(out)
+            _let_others_open(out)
             closing.close()
         except (OSError, termios.error):
             pass
@@ -226,7 +256,8 @@ class Port:
                 if self._rest:
                     with self._lock:
                         self._send_rest()
-                data = port.read(max(port.in_waiting, 1) if port.in_waiting or deadline is None
+                waiting = min(port.in_waiting, _READ_SIZE)
+                data = port.read(max(waiting, 1) if waiting or deadline is None
                                  or deadline > time.monotonic() else 0)
                 woken = bool(self._poll.poll(0))
                 if woken:
@@ -316,6 +347,28 @@ class Port:
         self.wake()
         return False
 
+    def restore_settings(self) -> str:
+        """Put the settings of a tty right that another program has changed. The thread that reads
+        calls this; what waited to be read may have been altered by them, and is dropped.
+
+        Returns:
+            what the other program had changed, for a person; '' if nothing.
+        """
+        wanted, fd = self._settings, self._fd
+        if not wanted or fd < 0:
+            return ''
+        try:
+            found = tty_settings.read(fd)
+            if found == wanted:
+                return ''
+            tty_settings.write(fd, wanted)
+            # A device may refuse some of them: then it is not asked for them again and again.
+            self._settings = tty_settings.read(fd)
+            termios.tcflush(fd, termios.TCIFLUSH)
+        except (OSError, termios.error):
+            return ''       # it goes away, and reading says so
+        return tty_settings.changes(wanted, found)
+
     def wake(self) -> None:
         """Make a `read` that sleeps return."""
         try:
@@ -336,23 +389,47 @@ class Port:
             connection.setsockopt(level, option, value)
         return connection.fileno()
 
-    def _set_up_tty(self, opened: serial.SerialBase, fd: int) -> None:
+    def _set_up_tty(self, opened: serial.SerialBase, fd: int) -> bytes:
+        """What pyserial leaves to others; the settings as they stand then."""
         try:
             opened.set_low_latency_mode(True)   # an FTDI chip sits on data for 16 ms otherwise
         except (AttributeError, OSError, ValueError, NotImplementedError):
             pass
         try:
-            # Without HUPCL, closing leaves DTR alone, so opening again does not reset a board
-            # whose reset hangs on DTR.
-            attributes = termios.tcgetattr(fd)
-            attributes[2] &= ~termios.HUPCL
-            termios.tcsetattr(fd, termios.TCSANOW, attributes)
             if self._reset_on_open:
                 opened.dtr = False
                 time.sleep(0.05)
                 opened.dtr = True
         except (OSError, termios.error):
             pass
+        _keep_others_out(fd)
+        try:
+            return tty_settings.set_raw(fd, self.baud)
+        except (OSError, struct.error):
+            return b''      # as pyserial has set it: a processor with other numbers for this
+
+
+def _keep_others_out(fd: int) -> None:
+    """Refuse the tty to programs that ignore pyserial's lock (root's are not refused).
+
+    Not a pseudo terminal: the kernel keeps this for as long as the other end is open, so after a
+    SIGKILL this user could not open the port again.
+    """
+    try:
+        if os.major(os.fstat(fd).st_rdev) not in _PTY:
+            fcntl.ioctl(fd, termios.TIOCEXCL)
+    except OSError:
+        pass
+
+
+def _let_others_open(fd: int) -> None:
+    """Another program may have the tty open still, and would keep it closed to all others."""
+    if fd < 0:
+        return
+    try:
+        fcntl.ioctl(fd, termios.TIOCNXCL)
+    except OSError:
+        pass    # not a tty, or gone
 
 
 def _socket_of(connection: serial.SerialBase) -> socket.socket:

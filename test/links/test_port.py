@@ -11,7 +11,7 @@ import pytest
 from boards import PATIENCE, Line, Rfc2217Server, until
 from waiting import Waiter
 
-from serial_communication.transport.port import Port, PortBusy, PortError, check_url
+from serial_communication.transport.port import Port, PortBusy, PortError, check_url, read_url
 
 
 @pytest.fixture
@@ -205,6 +205,38 @@ def test_an_unknown_kind_of_port_is_a_value_error(url):
                                  'rfc2217://localhost:1', 'loop://', '/dev/serial/by-id/x'])
 def test_a_known_kind_of_port_need_not_be_there(url):
     check_url(url)
+
+
+@pytest.mark.parametrize('url, small, scheme', [
+    ('SOCKET://Host:1', 'socket://Host:1', 'socket'), ('Rfc2217://h:1', 'rfc2217://h:1', 'rfc2217'),
+    ('Hwgrep://0403:6001', 'hwgrep://0403:6001', 'hwgrep'), ('LOOP://', 'loop://', 'loop'),
+    ('/dev/ttyUSB0', '/dev/ttyUSB0', ''), ('/tmp/SOCKET:x', '/tmp/SOCKET:x', '')])
+def test_a_scheme_is_the_same_in_any_case(url, small, scheme):
+    assert read_url(url) == (small, scheme)
+    assert Port(url).is_network == (scheme in ('socket', 'rfc2217'))
+
+
+def test_a_port_in_capitals_opens():
+    port = Port('LOOP://')
+    port.open()
+    port.write(b'round')
+    until(lambda: port.read(0.1) == b'round')
+    port.close()
+    assert refusal('Hwgrep://no-such-device-is-here') == 'no device matches; waiting for one'
+
+
+@pytest.mark.parametrize('name', ['ptmx', 'link to it'])
+def test_the_device_that_makes_pseudo_terminals_is_refused(tmp_path, name):
+    path = '/dev/ptmx'
+    if name != 'ptmx':
+        path = str(tmp_path / 'ptmx')
+        os.symlink('/dev/ptmx', path)
+    before = set(os.listdir('/dev/pts'))
+    assert 'makes a new pseudo terminal at each opening' in refusal(path)
+    with pytest.raises(ValueError) as refused:
+        check_url(path)
+    assert str(refused.value).startswith(path + ' makes a new pseudo terminal')
+    assert set(os.listdir('/dev/pts')) == before
 
 
 def test_a_closed_port_takes_and_gives_nothing(port):
@@ -444,17 +476,18 @@ def test_an_rfc2217_server_that_stands_still_makes_no_writer_wait(rfc2217, line)
     port.close()
 
 
-@pytest.mark.parametrize('kind', ['socket', 'rfc2217'])
+@pytest.mark.parametrize('kind', ['socket', 'rfc2217', 'SOCKET', 'RFC2217'])
 def test_what_a_connection_has_not_sent_is_never_sent_once_it_is_given_up(
         free_server, line, kind):
-    if kind == 'rfc2217':
+    url = f'{kind}://127.0.0.1:{free_server.getsockname()[1]}'
+    if kind.lower() == 'rfc2217':
         server = Rfc2217Server(free_server, line.path)
-        port = Port(server.url)
+        port = Port(url)
         port.open()
         server.stand_still()
         peer = until(lambda: server.peer)
     else:
-        port = Port('socket://127.0.0.1:%d' % free_server.getsockname()[1])
+        port = Port(url)
         port.open()
         peer, _ = free_server.accept()
     fill(port)
@@ -474,7 +507,7 @@ def test_what_a_connection_has_not_sent_is_never_sent_once_it_is_given_up(
             assert part, 'it was ended, not reset'
             received += len(part)
     assert received < written, 'the kernel went on sending it'
-    if kind == 'rfc2217':
+    if kind.lower() == 'rfc2217':
         server.end()
     peer.close()
 

@@ -1,0 +1,62 @@
+"""The settings of a tty as Linux keeps them: to set, compare, put back and tell apart.
+
+All of them in one call each way, any baud rate included, which the termios module cannot express.
+"""
+import fcntl
+import struct
+import termios
+from typing import Iterator
+
+_GET, _SET = 0x802C542A, 0x402C542B      # TCGETS2, TCSETS2 of x86, ARM and RISC-V
+_FORM = struct.Struct('=4IB19s2I')       # struct termios2: flags, line, characters, two speeds
+_OTHER_BAUD = 0o010000                   # BOTHER: a rate without a constant of its own
+_FLAGS = (
+    'ignbrk brkint ignpar parmrk inpck istrip inlcr igncr icrnl iuclc ixon ixany ixoff imaxbel '
+    'iutf8',
+    'opost olcuc onlcr ocrnl onocr onlret ofill ofdel',
+    'cstopb cread parenb parodd hupcl clocal crtscts',
+    'isig icanon xcase echo echoe echok echonl noflsh tostop echoctl echoprt echoke iexten extproc')
+
+
+def read(fd: int) -> bytes:
+    """The settings of the tty that is open there; OSError where it is none."""
+    return fcntl.ioctl(fd, _GET, bytes(_FORM.size))
+
+
+def write(fd: int, settings: bytes) -> None:
+    """Have them take effect at once."""
+    fcntl.ioctl(fd, _SET, settings)
+
+
+def set_raw(fd: int, baud: int) -> bytes:
+    """Bytes pass unchanged both ways, 8N1 without flow control; the settings as they are then.
+
+    Without HUPCL, closing leaves DTR alone, so opening again does not reset a board whose reset
+    hangs on DTR.
+    """
+    line, characters = _FORM.unpack(read(fd))[4:6]
+    characters = bytearray(characters)
+    characters[termios.VMIN] = characters[termios.VTIME] = 0
+    rate = getattr(termios, f'B{baud}', _OTHER_BAUD)
+    write(fd, _FORM.pack(0, 0, termios.CS8 | termios.CREAD | termios.CLOCAL | rate, 0, line,
+                         bytes(characters), baud, baud))
+    return read(fd)
+
+
+def changes(before: bytes, after: bytes) -> str:
+    """What differs, in stty's words: "icanon, echo, -clocal, 9600 baud"."""
+    return ', '.join(_changes(_FORM.unpack(before), _FORM.unpack(after))) or 'others'
+
+
+def _changes(before: tuple, after: tuple) -> Iterator[str]:
+    for index, names in enumerate(_FLAGS):
+        for name in names.split():
+            flag = getattr(termios, name.upper(), 0)
+            if (before[index] ^ after[index]) & flag:
+                yield name if after[index] & flag else '-' + name
+    if (before[2] ^ after[2]) & termios.CSIZE:
+        yield f'cs{5 + (after[2] & termios.CSIZE) // termios.CS6}'
+    if before[5] != after[5]:
+        yield 'special characters'
+    if before[6:] != after[6:]:
+        yield f'{after[7]} baud'
