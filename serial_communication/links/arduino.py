@@ -178,7 +178,8 @@ class ArduinoLink(Link):
         self.written(packet, message.TYPE, 0, data, message)
 
     def _look_for_standstill(self, now: float) -> None:
-        stood = self._motor.stood_still(now)
+        # The link's thread has the priority of those that receive commands.
+        stood = self._motor.stood_still(now, self.awake_at)
         if stood is not None:
             self._say_later('standstill', f'the bridge stood still for {stood:.3g} s: SPEED 0 goes '
                             'first, what was commanded meanwhile is dropped')
@@ -271,6 +272,11 @@ class ArduinoLink(Link):
             self._motor.expect_any_speed()
             self._cut_off = False
             self._heart.restart()
+
+    def altered(self, now: float) -> None:
+        with self._sending:
+            self._motor.expect_any_speed()
+            self._cut_off = True
 
     def received(self, frame: Frame, now: float) -> None:
         message = frame.message

@@ -192,6 +192,16 @@ class BusLink(Link):
         self._all_read = False
         self.master.damaged(frame, now)
 
+    def stalled(self, seconds: float, now: float) -> None:
+        self._missed('the bridge stalled', now)
+
+    def altered(self, now: float) -> None:
+        self._missed('the settings of the port were changed', now)
+
+    def _missed(self, why: str, now: float) -> None:
+        self._all_read = False
+        self.master.missed(why, now)
+
     def tick(self, now: float) -> Optional[float]:
         master = self.master
         if master.synchronised:
@@ -200,7 +210,7 @@ class BusLink(Link):
         master.tick(now)
         # A request leaves only when everything received before it has been taken in: unless a
         # read has found nothing since the latest frame, the link reads first and comes back.
-        if master.wants_to_send(now) and not self.decoder.pending:
+        if master.wants_to_send(now) and not self.decoder.pending and not self.drops:
             if now < self._blocked_until:
                 return self._blocked_until
             if not self._all_read:

@@ -7,7 +7,10 @@ from typing import Any, Callable, List, NamedTuple, Optional, Tuple
 
 from ..protocols.frame_timer import FrameTimer
 from ..protocols.framing import CHECKSUM, FRAMING, Decoder, Frame
+from ..transport.opener import Opener
 from ..transport.port import Port, PortError
+from . import heart
+from .backlog import LONGEST_SLEEP, STALL, Backlog
 from .presence import FIRST_WORD, LOOK_PERIOD, Presence
 from .sparing_log import SparingLog
 
@@ -16,6 +19,7 @@ RX, TX = 0, 1                  # as SerialMsg has them
 SILENCE = 1.0                  # s without a frame after which a talking board counts as silent
 _ORDERLY = 0.5                 # s in which the bridge may be told to end, too, when a port goes
 _BACK_OFF = (0.1, 1.0)         # s from one try to open to the next: first, last
+_NEVER = float('inf')
 
 Tap = Callable[[str, int, Frame], None]
 
@@ -63,6 +67,9 @@ class Link:
         self.reconnects = 0
         self.last_frame_at: Optional[float] = None   # monotonic
         self.last_byte_at = 0.0                      # monotonic
+        self.stale = 0                     # bytes that waited while the thread stalled: dropped
+        # When the thread was last seen at work, by `heart.clock`; while it serves no port, never.
+        self.awake_at = _NEVER
         self._clock = clock
         self._timer = FrameTimer(decoder, frame_timeout, port.baud)
         self.connections = 0               # how often the port has been opened
@@ -70,11 +77,12 @@ class Link:
         self._lost = ''                    # how it was lost, while that is not said yet …
         self._lost_at = 0.0                # … and when
         self._stopping = threading.Event()
-        self._opening_done = threading.Event()
+        self._opener = Opener(port, name + ' opening', self._port_opened)
         self._thread = threading.Thread(target=self._run, name=name + ' link', daemon=True)
         self._reported_errors = 0
         self._presence = Presence(self.log)
-        self._opened_at = 0.0              # monotonic
+        self._opened_at = self._presence_at = 0.0    # monotonic
+        self._backlog: Optional[Backlog] = None      # while old bytes are dropped
 
     # -- hooks ------------------------------------------------------------------------
 
@@ -89,6 +97,15 @@ class Link:
 
     def damaged(self, frame: Frame, now: float) -> None:
         """Bytes have come that are no good frame; they are counted and logged already."""
+
+    def stalled(self, seconds: float, now: float) -> None:
+        """The thread was not at work for so long (over `STALL`), whatever kept it from that. What
+        the port has is old: it is dropped, and nothing is `received` until it is through."""
+
+    def altered(self, now: float) -> None:
+        """Another program changed the tty's settings for a moment: bytes either way may be others
+        than those that were sent."""
+        self.stalled(0.0, now)
 
     def tick(self, now: float) -> Optional[float]:
         """Do what is due by time; return when to be called next at the latest, or None."""
@@ -121,16 +138,22 @@ class Link:
         return ('the board is silent; has it power, is it wired, and is '
                 f'{self.port.baud} baud right?')
 
+    @property
+    def drops(self) -> bool:
+        """Whether what comes is dropped now, after a stall."""
+        return self._backlog is not None
+
     # -- for users --------------------------------------------------------------------
 
     def start(self) -> None:
-        """Start the thread."""
+        """Start its threads: none is started later."""
+        self._opener.start()
         self._thread.start()
 
     def stop(self) -> None:
         """Begin to end; returns at once."""
         self._stopping.set()
-        self._opening_done.set()
+        self._opener.end()
         self.port.wake()
 
     def join(self, timeout: float = 1.0) -> None:
@@ -192,6 +215,7 @@ class Link:
             ('frames sent', self.frames_sent),
             ('bytes received', self.port.bytes_received),
             ('bytes sent', self.port.bytes_sent),
+            ('stale', self.stale),
             ('checksum errors', checksum),
             ('framing errors', framing),
             ('reconnects', self.reconnects),
@@ -220,13 +244,22 @@ class Link:
     # -- the thread -------------------------------------------------------------------
 
     def _run(self) -> None:
-        """Connection after connection; nothing that a hook or a callback raises ends this."""
+        """Nothing that a hook or a callback raises ends this, nor that no memory is left."""
+        while not self._stopping.is_set():
+            try:
+                self._come_and_go()
+            except BaseException:  # pylint: disable=broad-except
+                time.sleep(_BACK_OFF[0])    # not even enough to log what was raised
+
+    def _come_and_go(self) -> None:
+        """Connection after connection."""
         pause = _BACK_OFF[0]
         while not self._stopping.is_set():
             opened = self._guarded(self._connect)
             if opened:
                 pause = _BACK_OFF[0]
                 self._guarded(self._serve)
+            self.awake_at = _NEVER
             self._guarded(self.port.close)
             if opened:
                 self._guarded(self.closed, time.monotonic())
@@ -271,29 +304,16 @@ class Link:
         return None
 
     def _open_port(self) -> str:
-        """Open the port; why it cannot be opened, or nothing.
+        """Open the port; why it cannot be opened, or nothing. The link lives on meanwhile."""
+        opener = self._opener
+        opener.begin()
+        while not opener.done.is_set() and not self._stopping.is_set():
+            self._pause(opener.done, _BACK_OFF[1])
+        return opener.trouble
 
-        A network port may take seconds, and some devices hang: the link lives on meanwhile.
-        """
-        trouble: List[str] = []
-        done = self._opening_done
-        done.clear()
-
-        def opening() -> None:
-            try:
-                self.port.open()
-            except PortError as error:
-                trouble.append(str(error))
-            except BaseException as error:  # pylint: disable=broad-except
-                trouble.append(f'fault as it was opened: {error!r}')
-            done.set()
-            if self._stopping.is_set():
-                self.port.close()       # nobody waits for it any more
-
-        threading.Thread(target=opening, name=self.name + ' opening', daemon=True).start()
-        while not done.is_set() and not self._stopping.is_set():
-            self._pause(done, _BACK_OFF[1])
-        return trouble[0] if trouble else ''
+    def _port_opened(self) -> None:
+        """In the opener's thread: from now on bytes wait in the port."""
+        self.awake_at = heart.clock()
 
     def _pause(self, until: threading.Event, seconds: float) -> None:
         """Wait; what is due by time meanwhile is done."""
@@ -308,25 +328,72 @@ class Link:
         """Read until the port goes or the link stops."""
         now = time.monotonic()
         self.opened(now)
-        self.last_byte_at = self._opened_at = look_at = now
+        self.last_byte_at = self._opened_at = self._presence_at = look_at = now
+        self._backlog = None
         timer = self._timer
         timer.reset()
         while not self._stopping.is_set():
             due = self.tick(now)
             if now >= look_at:
-                self._presence.see(self.talks(now), self.silence(), now)
-                look_at = now + LOOK_PERIOD
+                look_at = self._look(now)
             due = look_at if due is None else min(due, look_at)
             if self.decoder.pending:
-                give_up = timer.due(self.last_byte_at, now)
-                due = min(due, give_up)
-            data = self.port.read(None if due is None else due - now)
+                due = min(due, timer.due(self.last_byte_at, now))
+            data = self.port.read(due - now)
             stamp = self._clock()
             now = time.monotonic()
-            if data:
+            self._look_for_stall(now)
+            if self._backlog is not None:
+                self._drop(data, now)
+            elif data:
                 self.take(data, stamp, now)
             if self.decoder.pending:
                 self._deliver(timer.overdue(self.last_byte_at, now), now)
+
+    def _look(self, now: float) -> float:
+        """What is looked at every now and then; when to be called again, which is never further
+        off than a stall of the thread takes to be told from its sleep."""
+        changed = self.port.restore_settings()
+        if changed:
+            self.log.warn('settings', f'{self.port.url}: another program changed the settings of '
+                          f'this port ({changed}). They have been put right, and what waited in '
+                          'it was dropped; keep other programs (stty, a serial monitor) off it')
+            self.decoder.reset()
+            self.altered(now)
+        if now >= self._presence_at:
+            self._presence_at = now + LOOK_PERIOD
+            self._presence.see(self.talks(now), self.silence(), now)
+        return now + LONGEST_SLEEP
+
+    def _look_for_stall(self, now: float) -> None:
+        awake_at = heart.clock()
+        seconds = awake_at - self.awake_at
+        if seconds > STALL:
+            if self._backlog is None:
+                self._backlog = Backlog(self.port.baud, seconds, awake_at)
+                self.decoder.reset()
+            else:
+                self._backlog.extend(seconds, awake_at)
+            self.stalled(seconds, now)
+        self.awake_at = awake_at
+
+    def _drop(self, data: bytes, now: float) -> None:
+        """Take what was read as old."""
+        backlog = self._backlog
+        self.stale += len(data)
+        if data:
+            self.last_byte_at = now
+        if not backlog.drop(data, self.awake_at):
+            return
+        self._backlog = None
+        if backlog.size:
+            self.log.warn('stalled', f'the bridge stalled for {backlog.seconds:.3g} s: '
+                          f'{backlog.size} bytes that waited in the port are old and were dropped')
+        # A frame that began among them ends in what comes next: the rest of it alone could be
+        # taken for another frame where frames carry no checksum.
+        errors = dict(self.decoder.errors)
+        self.decoder.feed(backlog.last)
+        self.decoder.errors.update(errors)
 
     def take(self, data: bytes, stamp: Any, now: float) -> None:
         """Decode what was read and pass it on."""

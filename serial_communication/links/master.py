@@ -155,6 +155,7 @@ class _Exchange:
     call: Optional[Call] = None
     fenced: bool = False                      # no reply of before can come any more
     other_reply: Optional[bus.Reply] = None   # the latest that cannot be its own
+    missed: bool = False                      # its reply may have come, and nobody has seen it
 
 
 class Master:
@@ -250,6 +251,20 @@ class Master:
             # reply behind it is good: for that, wait on.
             self._repeat_or_finish(exchange, now, Outcome(
                 TIMEOUT, f'the reply was damaged: {_UNKNOWN}'))
+
+    def missed(self, why: str, now: float) -> None:
+        """Replies may have come that nobody has seen."""
+        self._last_received = now
+        self._out_of_step(why)
+        exchange = self._exchange
+        if exchange is not None:
+            exchange.missed = True
+            if exchange.kind is _Kind.SILENCE:
+                self._expect_silence(now)
+        if self._retry is not None and self._retry.invalid_unconfirmed:
+            # One of them may have told that the INVALID was said of noise.
+            call, self._retry = self._retry, None
+            call.finish(_unknown_after_invalid(call.last_try))
 
     # -- what to do ---------------------------------------------------------------------
 
@@ -440,6 +455,11 @@ class Master:
             self._unanswered_echoes = 0
         if reply.cmd1 != bus.INVALID:
             self._finish(exchange, now, outcome)
+            return
+        if exchange.missed and not call.repeatable:     # then this may be said of noise behind it
+            if _lost_synchronism(reply):
+                self.state = State.UNSYNCHRONISED
+            self._finish(exchange, now, _unknown_after_invalid(outcome))
             return
         code = reply.error_code
         if code not in (bus.NOT_SYNCHRONISED, bus.CHECKSUM_MISMATCH):

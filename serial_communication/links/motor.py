@@ -63,17 +63,24 @@ class Motor:
         repeat_at = self._repeat_at - _EARLY
         return REPEATED if repeat_at <= now and repeat_at <= self._repeat_until else ''
 
-    def stood_still(self, now: float) -> Optional[float]:
-        """The seconds of a standstill that has just ended, or None.
+    def stood_still(self, now: float, receiving_at: float = float('inf')) -> Optional[float]:
+        """The seconds of a standstill that has just been noticed, or None.
 
         To be asked before anything is sent: the board may hold an old speed, and what was
         commanded during the standstill comes now, all at once.
+
+        Args:
+            receiving_at: when the threads that receive were last at work; infinite: there is
+                nothing to receive. Where they stall alone, that is noticed while it lasts.
         """
-        stood = now - self._awake_at
+        stood = now - min(self._awake_at, receiving_at)
         if stood <= _STALL:
             return None
+        noticed_before = self.deaf(now)
         self._awake_at = now
         self._deaf_until = now + _DEAF
+        if noticed_before:
+            return None
         self.expect_any_speed()
         return stood
 

@@ -503,6 +503,118 @@ STOPPED = ("import logging, sys\n"
            "link.join()\n")
 
 
+def test_where_only_receiving_stalls_the_heart_goes_on_and_the_car_stands(
+        board, line, open_link, lines):
+    entered, free = threading.Event(), threading.Event()
+
+    def on_message(_message, _stamp):
+        entered.set()
+        free.wait(PATIENCE)
+
+    link = open_link(on_message=on_message)
+    link.set_speed(500)
+    until(lambda: board.commands() == [SpeedCommand(500)])
+    line.write(arduino.encode(arduino.Ticks(1)))
+    until(entered.is_set)
+    until(lambda: board.commands() == [SpeedCommand(500), SpeedCommand(0)])
+    beats = board.heartbeats()
+    until(lambda: board.heartbeats() > beats + 150)     # as long as a stop is repeated, and longer
+    assert len(board.messages(SpeedCommand)) <= 30, 'a SPEED 0 with every heartbeat'
+    for command in (lambda: link.set_speed(1), lambda: link.set_steering(1500)):
+        with pytest.raises(Refused) as refused:
+            command()
+        assert refused.value.cause == 'standstill'
+    free.set()
+    with pytest.raises(Refused):
+        link.set_speed(1)       # it may have waited as long
+
+    def accepted():
+        try:
+            link.set_speed(2)
+            return True
+        except Refused:
+            return False
+
+    until(accepted)
+    until(lambda: board.commands()[-1] == SpeedCommand(2))
+    assert SpeedCommand(1) not in board.messages()
+    until(lambda: lines('the bridge stood still for'))
+
+
+_PINNED = """\
+import logging, os, sys
+from serial_communication.links.arduino import ArduinoLink, ArduinoSettings
+from serial_communication.links.link import Refused
+from serial_communication.transport.pace import all_be_quick
+from serial_communication.transport.port import Port
+os.sched_setaffinity(0, {int(sys.argv[2])})
+link = ArduinoLink(Port(sys.argv[1]), ArduinoSettings(speed_timeout=0.0))
+all_be_quick(1)     # as the node does; the heart then takes more
+link.start()
+for command in sys.stdin:
+    try:
+        link.set_speed(int(command))
+        print('accepted', flush=True)
+    except Refused as refused:
+        print('refused', refused.cause, flush=True)
+link.stop()
+"""
+_HOG = """\
+import os, sys, time
+os.sched_setaffinity(0, {int(sys.argv[1])})
+os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
+print('begun', flush=True)
+end = time.monotonic() + 1.5
+while time.monotonic() < end:
+    pass
+"""
+
+
+@pytest.fixture
+def a_core():
+    """One that this test keeps away from."""
+    cores = os.sched_getaffinity(0)
+    if len(cores) < 2:
+        pytest.skip('there is one core only')
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    except PermissionError:
+        pytest.skip('this user may not take real-time priority')
+    os.sched_setaffinity(0, cores - {max(cores)})
+    yield str(max(cores))
+    os.sched_setaffinity(0, cores)
+
+
+def test_a_hog_that_keeps_the_bridge_from_receiving_lets_no_old_command_drive(
+        board, line, a_core):
+    """Its priority is between that of the heart and that of the threads that receive."""
+    environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)}
+    bridge = subprocess.Popen([sys.executable, '-c', _PINNED, line.path, a_core],
+                              stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                              universal_newlines=True, env=environment, bufsize=1)
+
+    def command(speed):
+        bridge.stdin.write(f'{speed}\n')
+
+    try:
+        until(board.heartbeats)
+        until(lambda: command(500) or bridge.stdout.readline() == 'accepted\n')
+        until(lambda: SpeedCommand(500) in board.messages())
+        board.forget()
+        hog = subprocess.Popen([sys.executable, '-c', _HOG, a_core], stdout=subprocess.PIPE)
+        assert hog.stdout.readline() == b'begun\n'
+        command(300)
+        assert hog.wait() == 0
+        hog.stdout.close()
+        assert bridge.stdout.readline() == 'refused standstill\n'
+        until(lambda: command(200) or bridge.stdout.readline() == 'accepted\n')
+        until(lambda: SpeedCommand(200) in board.messages())
+        assert board.commands() == [SpeedCommand(0), SpeedCommand(200)]
+    finally:
+        bridge.communicate()
+
+
 @pytest.mark.parametrize('speed_timeout', ['0.5', '0'])
 def test_a_process_that_was_stopped_says_speed_0_first_and_none_of_what_waited(
         board, line, speed_timeout):

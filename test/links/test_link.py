@@ -18,8 +18,9 @@ from serial_communication.protocols import arduino, mcu
 from serial_communication.protocols import robot_ctrl_bus as bus
 
 every_link = pytest.mark.parametrize('kind, names', [
-    (BusLink, {'bus link'}), (ArduinoLink, {'arduino link', 'arduino heartbeat'}),
-    (McuLink, {'mcu link'})], ids=('bus', 'arduino', 'mcu'))
+    (BusLink, {'bus link', 'bus opening'}),
+    (ArduinoLink, {'arduino link', 'arduino opening', 'arduino heartbeat'}),
+    (McuLink, {'mcu link', 'mcu opening'})], ids=('bus', 'arduino', 'mcu'))
 
 # A frame of each link's board that is good at any time.
 GOOD = {BusLink: bus.encode_reply(bus.Reply(bus.SYNC, b'')),
@@ -243,6 +244,48 @@ def test_a_tap_that_raises_takes_nothing_from_the_link(line, logger, running, ki
     until(lambda: link.port.is_open)
     until(lambda: link.frames_received > 3 or line.write(GOOD[kind]))
     assert len(told) > 3 and link.reconnects == 0 and link.port.is_open
+
+
+@every_link
+def test_no_thread_is_started_after_the_beginning(line, logger, running, monkeypatch, kind, names):
+    """Where no memory is left, Thread.start may never return."""
+    link = running(kind(Port(line.path), logger=logger))
+    until(lambda: link.port.is_open)
+    forever = threading.Event()
+    monkeypatch.setattr(threading.Thread, 'start', lambda thread: forever.wait())
+    for count in range(1, 3):
+        line.unplug()
+        until(lambda: not link.port.is_open)
+        line.plug()
+        until(lambda: link.port.is_open and link.reconnects == count)
+    received = link.frames_received
+    until(lambda: link.frames_received > received or line.write(GOOD[kind]))
+    forever.set()
+
+
+def test_a_link_lives_on_where_no_memory_is_left_for_a_while(line, logger, running, monkeypatch):
+    link = running(McuLink(Port(line.path), logger=logger))
+    until(lambda: link.port.is_open)
+    raised = []
+
+    def out_of_memory(*_arguments):
+        raised.append(None)
+        raise MemoryError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Event, 'wait', out_of_memory)
+        patch.setattr(link.log, 'error', out_of_memory)
+        patch.setattr(link.port, 'open', out_of_memory)
+        line.unplug()
+        # Not by waiting for an Event, which is out of order.
+        deadline = time.monotonic() + 8.0
+        while len(raised) < 3:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        line.plug()
+    until(lambda: link.port.is_open)
+    received = link.frames_received
+    until(lambda: link.frames_received > received or line.write(GOOD[McuLink]))
 
 
 def test_a_port_that_hangs_as_it_opens_leaves_the_link_alive(line, logger, running):

@@ -1403,3 +1403,84 @@ def test_a_bad_line_is_reported_sparingly(session):
         session.damage(FRAMING)
         session.find_step()
     assert len(session.warnings('out of step')) == 1
+
+
+# -- replies that nobody has seen -----------------------------------------------------------------
+
+def test_after_a_stall_nothing_goes_out_before_an_echo_has_returned(session):
+    session.master.missed('the bridge stalled', session.now)
+    call = session.call(AIR)
+    session.find_step()
+    assert session.ask_next() == AIR
+    session.reply(AIR_REPLY)
+    assert call.outcome.success
+    assert len(session.warnings('out of step: the bridge stalled')) == 1
+
+
+@MOVING_OR_RAW
+def test_a_call_that_a_stall_came_upon_succeeds_if_its_reply_comes_after_that(session, request_):
+    call = session.call(request_)
+    assert session.ask() == request_
+    session.master.missed('the bridge stalled', session.now)
+    session.reply(OK_REPLY)
+    assert call.outcome.success
+    session.find_step()
+
+
+@MOVING_OR_RAW
+def test_a_call_whose_reply_was_dropped_is_not_known(session, request_):
+    call = session.call(request_)
+    assert session.ask() == request_
+    session.master.missed('the bridge stalled', session.now)
+    session.later(MOTION_TIMEOUT)
+    assert call.outcome.status == TIMEOUT
+    session.find_step()
+    assert session.ask_next() is None, 'it is not sent again'
+
+
+@MOVING_OR_RAW
+@pytest.mark.parametrize('code', [bus.CHECKSUM_MISMATCH, bus.NOT_SYNCHRONISED, bus.TOO_LONG])
+def test_an_invalid_after_a_stall_may_be_of_noise_behind_the_reply_that_was_dropped(
+        session, request_, code):
+    call = session.call(request_)
+    assert session.ask() == request_
+    session.master.missed('the bridge stalled', session.now)
+    session.reply(invalid(code))
+    assert call.outcome.status == TIMEOUT and call.outcome.error_code == code
+    assert session.master.synchronised == (code != bus.NOT_SYNCHRONISED)
+
+
+@MOVING_OR_RAW
+def test_a_stall_before_the_echo_that_would_confirm_an_invalid_leaves_it_unknown(
+        session, request_):
+    call = session.call(request_)
+    assert session.ask() == request_
+    session.reply(invalid(bus.CHECKSUM_MISMATCH))
+    session.master.missed('the bridge stalled', session.now)
+    assert call.outcome.status == TIMEOUT
+    session.find_step()
+    assert session.ask_next() is None, 'it is not sent again'
+
+
+def test_a_reading_that_a_stall_came_upon_is_asked_for_again(session):
+    call = session.call(AIR)
+    assert session.ask() == AIR
+    session.master.missed('the bridge stalled', session.now)
+    session.later(REPLY_TIMEOUT)
+    session.find_step()
+    assert session.ask_next() == AIR
+    session.reply(AIR_REPLY)
+    assert call.outcome.success
+
+
+def test_a_silence_that_a_stall_broke_begins_anew(fresh):
+    fresh.connect_without_echo()
+    fresh.master.missed('the bridge stalled', fresh.now)
+    assert fresh.ask_next() == bus.SYNC_REQUEST
+    fresh.reply(SYNC_REPLY)
+    fresh.later(REPLY_TIMEOUT * 0.6)
+    fresh.master.missed('the bridge stalled', fresh.now)
+    fresh.later(REPLY_TIMEOUT * 0.6)
+    assert not fresh.master.in_step and fresh.ask_next() is None
+    fresh.later(REPLY_TIMEOUT * 0.5)
+    assert fresh.master.in_step

@@ -106,3 +106,28 @@ def test_a_stall_is_longer_than_half_a_second_whatever_the_speed_timeout_is(spee
     motor = Motor(speed_timeout, 100.0)
     assert motor.stood_still(100.49) is None and motor.stood_still(100.51) is not None
     assert motor.due(100.51) == IN_DOUBT and motor.deaf(100.51)
+
+
+def test_threads_that_receive_nothing_are_a_stall_though_the_heart_is_at_work(motor):
+    motor.sent(500, 100.0)
+    motor.awake(100.0)
+    told, told_at, sent = [], [], []
+    for beat in range(1, 401):      # the threads that receive are at work again after 3 s
+        now = 100.0 + beat / 100
+        stood = motor.stood_still(now, 100.0 if now < 103.0 else now)
+        if stood is not None:
+            told.append(stood)
+            told_at.append(now)
+        motor.awake(now)
+        if motor.due(now):
+            motor.sent(0, now)
+            sent.append(now)
+        if abs(now - 100.5) > 0.02 and abs(now - 103.5) > 0.02:
+            assert motor.deaf(now) == (100.5 < now < 103.5)
+    assert told == [pytest.approx(0.51, abs=0.011)]
+    assert told_at[0] in sent and len(sent) <= 23, 'as any stop is repeated'
+
+
+def test_where_there_is_nothing_to_receive_only_the_heart_counts(motor):
+    assert motor.stood_still(100.4, float('inf')) is None
+    assert motor.stood_still(100.6, float('inf')) is not None
