@@ -79,3 +79,14 @@ def test_what_is_no_link_is_not_touched(pair, tmp_path):
     _, said = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1 and 'is not a link' in said
     assert (tmp_path / 'a').read_text() == 'mine'
+
+
+@pytest.mark.parametrize('name', ['a', 'b'])
+def test_a_lock_file_that_is_a_link_to_another_file_is_not_written_through(pair, tmp_path, name):
+    (tmp_path / 'precious').write_text('mine')
+    (tmp_path / f'{name}.lock').symlink_to(tmp_path / 'precious')
+    process = pair('a', 'b')
+    _, said = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 1
+    assert said.startswith(f'socat_pair: {tmp_path / name}.lock is a link')
+    assert (tmp_path / 'precious').read_text() == 'mine'
