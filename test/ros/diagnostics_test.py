@@ -14,7 +14,7 @@ from serial_communication.protocols import mcu
 from serial_communication.srv import Lift
 
 LINKS = 'bus', 'arduino', 'mcu'
-KEYS = {'port', 'state', 'frames received', 'frames sent', 'bytes received', 'bytes sent',
+KEYS = {'port', 'state', 'frames received', 'frames sent', 'bytes received', 'bytes sent', 'stale',
         'checksum errors', 'framing errors', 'reconnects', 'last frame age [s]'}
 OWN_KEYS = {'bus': {'timeouts', 'round trip p50 [ms]', 'round trip max [ms]'},
             'arduino': {'heartbeats sent', 'heartbeat gap [ms]', 'heartbeat max gap [ms]'},
