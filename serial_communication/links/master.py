@@ -456,7 +456,7 @@ class Master:
         if reply.cmd1 != bus.INVALID:
             self._finish(exchange, now, outcome)
             return
-        if exchange.missed and not call.repeatable:     # then this may be said of noise behind it
+        if exchange.missed and call.always_fenced:     # then this may be said of noise behind it
             if _lost_synchronism(reply):
                 self.state = State.UNSYNCHRONISED
             self._finish(exchange, now, _unknown_after_invalid(outcome))
