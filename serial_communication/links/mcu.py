@@ -78,9 +78,6 @@ class McuLink(Link):
     def damaged(self, frame: Frame, now: float) -> None:
         self.checksum_errors += frame.cause == CHECKSUM
 
-    def stalled(self, seconds: float, now: float) -> None:
-        self._last = None       # what was dropped here is not lost on the line
-
     def tick(self, now: float) -> float:
         due = self.idle(now)
         look = self.check_silence(now, self._network_silence)
