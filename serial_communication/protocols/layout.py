@@ -7,7 +7,7 @@ of the three links are made so, and so are those that users add by parameters.
 import re
 import struct
 from collections import namedtuple
-from math import inf
+from math import inf, isfinite
 from typing import Any, List, NamedTuple, Optional, Sequence, Tuple
 from unicodedata import category
 
@@ -30,6 +30,10 @@ class Value(NamedTuple):
     maximum: float = inf
     place: str = ''            # struct's code of where the value goes on: what it cannot hold
     #                            is implausible; '': anywhere
+
+
+class LayoutTooLong(ValueError):
+    """A format with more data than a message can carry."""
 
 
 class _Item(NamedTuple):
@@ -130,7 +134,7 @@ class Layout:
             try:
                 packed = self._packed(given, value, item)
             except (struct.error, OverflowError, TypeError, ValueError, AttributeError):
-                raise ValueError(f'{value.name} is {_short(given)}, which its place '
+                raise ValueError(f'{value.name} is {brief(given, 40)}, which its place '
                                  f'({item.code}) cannot hold') from None
             data[item.start:item.start + len(packed)] = packed
         return bytes(data)
@@ -243,12 +247,16 @@ def _split(layout: str) -> Tuple[str, str]:
     return fixed, rest
 
 
-def _items(fixed: str, rest: str) -> List[_Item]:
-    """Where each value stands."""
+def _size(fixed: str) -> int:
     try:
-        size = struct.calcsize(fixed)
+        return struct.calcsize(fixed)
     except struct.error as error:
         raise ValueError(f'struct refuses it: {error}') from None
+
+
+def _items(fixed: str, rest: str) -> List[_Item]:
+    """Where each value stands."""
+    size = _size(fixed)
     items, at = [], 0
     for number, code in re.findall(r'(\d*)(.)', fixed[1:]):
         count, each = int(number or 1), struct.calcsize(fixed[0] + code)
@@ -263,9 +271,18 @@ def _items(fixed: str, rest: str) -> List[_Item]:
     return items + [_Item(rest, size, -1)] * bool(rest)
 
 
-def count_values(layout: str) -> int:
-    """How many values a format has; ValueError for one that cannot be."""
-    return len(_items(*_split(layout)))
+def count_values(layout: str, longest: int) -> int:
+    """How many values a format has.
+
+    Raises:
+        LayoutTooLong: it has more than `longest` bytes of data; found before memory is taken for
+            them, since a few characters can ask for any number of values.
+        ValueError: a format that cannot be.
+    """
+    fixed, rest = _split(layout)
+    if _size(fixed) > longest:
+        raise LayoutTooLong(f'it has more than {longest} bytes')
+    return len(_items(fixed, rest))
 
 
 def _whole_range(code: str) -> Tuple[int, int]:
@@ -290,6 +307,8 @@ def _raw(number: Any, value: Value, code: str) -> Any:
     if value.scale != 1 or value.offset != 0:
         number = (number - value.offset) / value.scale
     if code == '?':
+        if not isfinite(number):
+            raise ValueError
         return number != 0
     return number if code in FRACTIONS else round(number)
 
@@ -336,9 +355,13 @@ def _words(given: Any, unit: str) -> str:
     return f'{words} {unit}'.rstrip()
 
 
-def _short(given: Any) -> str:
-    words = repr(given)
-    return words if len(words) <= 40 else words[:39] + '…'
+def brief(given: Any, most: int) -> str:
+    """What a value is, in at most so many characters."""
+    try:
+        words = repr(given)
+    except ValueError:      # Python prints no integer of over 4300 digits
+        words = f'{type(given).__name__} with too many digits'
+    return words if len(words) <= most else words[:most - 1] + '…'
 
 
 class Row:
@@ -381,7 +404,8 @@ def message_class(name: str, type_: int, layout: str, values: Sequence[Value] = 
         layout, values: see `Layout`. Values are attributes of a message where their names can be.
         label: what the message is called in a line for people; `name` if empty.
     """
-    fields = namedtuple(name, [value.name for value in values], rename=True)
+    # Not by the message's name, which may be a keyword of Python.
+    fields = namedtuple('Values', [value.name for value in values], rename=True)
     return type(name, (Row, fields), {
         '__slots__': (), '__doc__': doc, 'TYPE': type_, 'LABEL': label or name,
         'LAYOUT': Layout(layout, values)})

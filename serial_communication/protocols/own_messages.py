@@ -11,11 +11,12 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 
 from . import arduino, mcu
 from . import robot_ctrl_bus as bus
-from .layout import Layout, Value, count_values, message_class
+from .layout import (Layout, LayoutTooLong, Value, brief, count_values, message_class,
+                     readable)
 
 FROM_BOARD, TO_BOARD = 'from_board', 'to_board'
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
-_STEP = r'[A-Za-z][A-Za-z0-9_]*(\[\d+\])?'
+_STEP = r'[A-Za-z][A-Za-z0-9_]*(\[[0-9]{1,9}\])?'
 _PATH = re.compile(rf'({_STEP}(\.{_STEP})*)?')
 _ROS_TYPE = re.compile(r'[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*')
 _ARDUINO_TYPES = range(13, 256)
@@ -24,10 +25,11 @@ _LAYOUT_KEYS = ('layout', 'fields', 'scale', 'offset', 'minimum', 'maximum')
 _MESSAGE_KEYS = ('type', 'direction', 'ros_type', 'frame_id') + _LAYOUT_KEYS
 _FUNCTION_KEYS = ('cmd2', 'srv_type', 'ros_type', 'period', 'frame_id', 'request', 'reply',
                   'timeout', 'repeatable')
+_HUGE = 2 ** 64     # no raw number is as big
 
 
 class RowError(ValueError):
-    """An entry that cannot be used.
+    """An entry that cannot be used; the text is one line.
 
     Args:
         key: the parameter, as ``arduino/messages/force/layout``.
@@ -36,8 +38,9 @@ class RowError(ValueError):
     """
 
     def __init__(self, key: str, value: Any, allowed: str) -> None:
-        is_what = 'is missing' if value is None else f'is {value!r} ({type(value).__name__})'
-        super().__init__(f'{key} {is_what}, {allowed}')
+        is_what = 'is missing' if value is None else \
+            f'is {brief(value, 120)} ({type(value).__name__})'
+        super().__init__(readable(f'{key} {is_what}, {allowed}'))
         self.key = key
 
 
@@ -136,10 +139,7 @@ def _messages(entries: Any, key: str, types: Any, longest: int,
         if direction not in directions:
             raise RowError(row.name('direction'), direction, f'may be {" or ".join(directions)}')
         ros_type = row.text('ros_type', _ROS_TYPE, 'a message type, as std_msgs/Float32')
-        layout, values = row.layout()
-        kind = message_class(name, type_, layout, values)
-        if kind.LAYOUT.size > longest:
-            raise RowError(row.name('layout'), layout, f'may have at most {longest} bytes')
+        kind = message_class(name, type_, *row.layout(longest))
         messages.append(OwnMessage(name, row.key, kind, direction == TO_BOARD, ros_type,
                                    row.text('frame_id', None, 'text', '')))
     return messages
@@ -174,9 +174,10 @@ class _Row:
 
     def text(self, key: str, pattern: Any, allowed: str, default: Optional[str] = None) -> str:
         """A text that matches the pattern."""
-        value = self.given.get(key, default)
-        if type(value) is not str or (pattern and value != default
-                                      and not pattern.fullmatch(value)):
+        if default is not None and key not in self.given:
+            return default
+        value = self.given.get(key)
+        if type(value) is not str or (pattern and not pattern.fullmatch(value)):
             raise RowError(self.name(key), value, f'may be {allowed}')
         return value
 
@@ -197,35 +198,34 @@ class _Row:
         if key not in self.given:
             return bus.NO_DATA
         inner = _Row(self.name(key), self.given[key], _LAYOUT_KEYS)
-        layout, values = inner.layout()
+        layout, values = inner.layout(bus.MAX_LENGTH)
         if only_zeros and any(value.name for value in values):
             raise RowError(inner.name('fields'), inner.given['fields'], 'may be empty texts only: '
                            'there is no message to take the values of a polled request from')
-        made = Layout(layout, values)
-        if made.size > bus.MAX_LENGTH:
-            raise RowError(inner.name('layout'), layout,
-                           f'may have at most {bus.MAX_LENGTH} bytes')
-        return made
+        return Layout(layout, values)
 
-    def layout(self) -> Tuple[str, List[Value]]:
-        """The keys that say what the bytes are."""
+    def layout(self, longest: int) -> Tuple[str, List[Value]]:
+        """The keys that say what the bytes are, at most `longest` of them."""
         layout = self.text('layout', None, 'a format of Python\'s struct, as <hB')
         paths = self.given.get('fields')
         if type(paths) is not list or not all(
                 type(path) is str and _PATH.fullmatch(path) for path in paths):
             raise RowError(self.name('fields'), paths, 'may be a list with the path of a field '
                            'for each value, as [vector.x, "", position[2]]')
-        for path in paths:
-            if path and paths.count(path) > 1:
-                raise RowError(self.name('fields'), paths, f'may have {path} once')
         try:
-            count = count_values(layout)
+            count = count_values(layout, longest)
+        except LayoutTooLong:
+            raise RowError(self.name('layout'), layout,
+                           f'may have at most {longest} bytes') from None
         except ValueError as error:
             raise RowError(self.name('layout'), layout,
                            f'may be a format of Python\'s struct, as <hB: {error}') from None
         if len(paths) != count:
             raise RowError(self.name('fields'), paths, f'may be a list of {count}, one for each '
                            f'value of the layout {layout}')
+        for path in paths:
+            if path and paths.count(path) > 1:
+                raise RowError(self.name('fields'), paths, f'may have {path} once')
         scales = self._each('scale', len(paths), 1, lambda n: abs(n) < inf and n != 0,
                             'a number but 0')
         offsets = self._each('offset', len(paths), 0, lambda n: abs(n) < inf, 'a number')
@@ -242,10 +242,10 @@ class _Row:
         given = self.given.get(key, default)
         numbers = given if type(given) is list else [given] * count
         if len(numbers) != count or not all(
-                type(number) in (int, float) and not isnan(number) and may_be(number)
-                for number in numbers):
+                _is_number(number) and may_be(number) for number in numbers):
             raise RowError(self.name(key), given, f'may be {allowed}, or a list of {count}')
-        return numbers
+        # A whole number stays one, but no product of it with a raw one is beyond a float.
+        return [number if abs(number) < _HUGE else float(number) for number in numbers]
 
     def _check_limits(self, layout: Layout) -> None:
         """A limit that its place cannot hold is a mistake, and so is one beyond the other.
@@ -267,6 +267,14 @@ class _Row:
             if value.minimum > value.maximum:
                 raise RowError(self.name('minimum'), self.given['minimum'],
                                f'may be at most the maximum, {value.maximum:g}')
+
+
+def _is_number(value: Any) -> bool:
+    """Whether it is one, not NaN, that a float can be."""
+    try:
+        return type(value) in (int, float) and not isnan(value)
+    except OverflowError:
+        return False
 
 
 def _rows(entries: Any, key: str, keys: Tuple[str, ...]) -> List[Tuple[str, _Row]]:

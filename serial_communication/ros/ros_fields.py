@@ -3,9 +3,8 @@
 Everything that a path can have wrong is found when a `RosFields` is made.
 """
 import difflib
-import importlib
+import glob
 import os
-import pkgutil
 import re
 import sys
 from math import isfinite
@@ -28,20 +27,41 @@ def find_type(key: str, name: str, kind: str = 'msg') -> Any:
     """The class of an installed message (``kind`` 'msg') or service ('srv') type.
 
     Raises:
-        RowError: there is none; the text has the nearest name.
+        RowError: there is none; the text has the nearest type that there is, or the package that
+            is missing.
     """
-    find = roslib.message.get_message_class if kind == 'msg' else roslib.message.get_service_class
-    found = find(name)
+    found = _found(name, kind)
     if found is not None:
         return found
-    package, _, short = name.partition('/')
+    package, short = name.split('/')
+    installed = [each.split('/') for each in _installed(kind)]
+    there = [each for owner, each in installed if owner == package]
+    near = [f'{package}/{each}' for each in difflib.get_close_matches(short, there)]
+    elsewhere = [f'{owner}/{each}' for owner, each in installed if each == short]
+    near += difflib.get_close_matches(name, elsewhere, cutoff=0.0)
+    meant = next((f'; did you mean {each}?' for each in near if _found(each, kind)), '')
+    why = '' if there else \
+        f': a package {package} with such types is not installed, or its workspace not sourced'
+    raise RowError(key, name, f'is no installed type{why}{meant}')
+
+
+def _found(name: str, kind: str) -> Any:
+    """The class of a type, or None."""
+    find = roslib.message.get_message_class if kind == 'msg' else roslib.message.get_service_class
     try:
-        names = [f'{package}/{each}' for each in
-                 dir(importlib.import_module(f'{package}.{kind}')) if each[0].isupper()]
-    except ImportError:
-        names = [f'{each.name}/{short}' for each in pkgutil.iter_modules(sys.path)
-                 if os.path.isdir(os.path.join(each.module_finder.path, each.name, kind))]
-    raise RowError(key, name, 'is no installed type' + _nearest(name, names))
+        found = find(name)
+    except (Exception, SystemExit):  # pylint: disable=broad-except
+        return None     # a module of that name that is no package of messages, say
+    return found if getattr(found, '_type', '') == name and (
+        hasattr(found, '_slot_types') if kind == 'msg' else hasattr(found, '_request_class')
+    ) else None
+
+
+def _installed(kind: str) -> List[str]:
+    """The names of all types, by the modules that are generated for them."""
+    modules = [path.split(os.sep) for folder in sys.path
+               for path in glob.glob(os.path.join(glob.escape(folder), '*', kind, '_[A-Z]*.py'))]
+    return sorted({f'{path[-3]}/{path[-1][1:-3]}' for path in modules})
 
 
 class _Place(NamedTuple):
@@ -70,6 +90,7 @@ class RosFields:
         self._arrays: List[Tuple[Tuple, int, Any]] = []    # to be lengthened in a new message
         self._places = [self._resolve(key, layout, index) if value.name else None
                         for index, value in enumerate(layout.values)]
+        self._refuse_shared(key, [value.name for value in layout.values])
         self._filled = [(index, place.owner, place.last, isinstance(place.last, int), place.to_ros)
                         for index, place in enumerate(self._places) if place]
 
@@ -77,7 +98,7 @@ class RosFields:
         """The same layout, which takes what a field cannot hold for implausible."""
         values: List[Value] = []
         for index, (value, place) in enumerate(zip(layout.values, self._places)):
-            fits = not place or place.code in ('', '?', 'd')
+            fits = not place or place.code in ('', 'd')
             if not fits and (place.code == 'f' or not layout.may_be_nan(index)):
                 fits = all(isfinite(end) and holds(place.code, end) for end in layout.range(index))
             values.append(value if fits else value._replace(place=place.code))
@@ -136,6 +157,17 @@ class RosFields:
                 steps += (int(element),)
                 array = None
         return self._checked(key, layout, index, steps, type_, array, size)
+
+    def _refuse_shared(self, key: str, paths: List[str]) -> None:
+        """A value that another one replaces in the message, as position[0] by position."""
+        taken = {(*place.owner, place.last): path
+                 for place, path in zip(self._places, paths) if place}
+        for place, path in zip(self._places, paths):
+            steps = (*place.owner, place.last) if place else ()
+            for end in range(1, len(steps) + 1):
+                other = taken.get(steps[:end], path)
+                if other != path:
+                    raise RowError(key, path, f'has its place in that of {other}')
 
     def _lengthen(self, key: str, path: str, steps: Tuple, element: int, array: Optional[str],
                   size: Optional[str], default: Any) -> None:

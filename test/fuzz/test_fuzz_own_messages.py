@@ -69,6 +69,8 @@ def expected_of(row, raws):
         values = [each * scale + offset for each in
                   (raw if isinstance(raw, list) else [raw])]
         if path in TRUTHS:
+            if not all(math.isfinite(value) for value in values):
+                return None
             values = [value != 0 for value in values]
         elif path in WHOLE:
             if not all(math.isfinite(value) and 0 <= round(value) < 2 ** 32 for value in values):

@@ -1,5 +1,6 @@
 """Messages of one's own: from a row of parameters to bytes and back, and every mistake in it."""
 import math
+import tracemalloc
 
 import pytest
 from hypothesis import assume, given
@@ -8,6 +9,7 @@ from own_rows import encoded, row_and_raws
 from serial_communication.protocols import arduino, mcu
 from serial_communication.protocols import robot_ctrl_bus as bus
 from serial_communication.protocols.framing import IMPLAUSIBLE, LENGTH
+from serial_communication.protocols.layout import Layout, Value
 from serial_communication.protocols.own_messages import (RowError, arduino_messages,
                                                          bus_functions, mcu_messages)
 
@@ -148,11 +150,43 @@ def test_no_number_is_within_limits():
 @pytest.mark.parametrize('layout, values', [
     ('<h', (32768,)), ('<B', (-1,)), ('<B', (256,)), ('<f', (1e39,)), ('<B', (float('nan'),)),
     ('<q', (float('inf'),)), ('<3s', ('four',)), ('<s', ('nul\0',)), ('<B*', ((1, 256),)),
-    ('<B', ('1',)), ('<s', (1,)), ('<B*', (3,))])
+    ('<B', ('1',)), ('<s', (1,)), ('<B*', (3,)), ('<?', (float('nan'),)),
+    ('<?', (float('inf'),)), ('<?*', ((1, float('nan')),))])
 def test_a_value_that_its_place_cannot_hold_is_not_packed(layout, values):
     with pytest.raises(ValueError) as refusal:
         message(layout, ['data'])(*values).pack()
     assert str(refusal.value).startswith('data is ')
+
+
+def test_a_number_that_is_not_0_is_true():
+    for value, byte in ((0, b'\0'), (0.0, b'\0'), (1, b'\1'), (-0.3, b'\1'), (2**70, b'\1')):
+        assert message('<?', ['data'])(value).pack() == byte
+
+
+@pytest.mark.parametrize('place, least, most', [
+    ('?', 0, 1), ('b', -128, 127), ('B', 0, 255), ('h', -2**15, 2**15 - 1), ('H', 0, 2**16 - 1),
+    ('i', -2**31, 2**31 - 1), ('I', 0, 2**32 - 1), ('q', -2**63, 2**63 - 1), ('Q', 0, 2**64 - 1),
+    ('e', -65504, 65504), ('f', -3.4e38, 3.4e38)])
+def test_what_a_place_in_the_message_cannot_hold_is_implausible(place, least, most):
+    """`place` is what the field of a ROS message can hold, apart from the packet's own limits."""
+    layout = Layout('<d', [Value('data', place=place)])
+    for value in least, most, (least + most) / 2:
+        assert not layout.implausible((value,)), value
+    whole = place not in 'ef'
+    beyond = [] if place == '?' else [least - 1, most + 1] if whole else [2.0 * least, 2.0 * most]
+    for value in beyond + [math.nan, math.inf, -math.inf] * whole:
+        assert layout.implausible((value,)).startswith('data is '), value
+        assert layout.implausible((value,)).endswith('which its place in the message cannot hold')
+
+
+@pytest.mark.parametrize('name', ['class', 'None', 'def', 'print', 'count'])
+def test_any_base_name_of_ros_names_a_message(name):
+    own, = arduino_messages({name: FORCE})
+    got, errors = received(own.kind, b'\x39\x30')
+    assert str(got) == f'{name} data=123.45' and not errors
+    assert repr(got).startswith(f'{name}(')
+    assert arduino_messages({'a': dict(FORCE, fields=[name])})[0].kind(1).pack() == b'\x64\0'
+    assert bus_functions({name: PUMP})[0].ask((1,)).data == b'\1'
 
 
 def test_mcu_frames_of_ones_own():
@@ -234,7 +268,7 @@ def test_functions_of_ones_own_are_explained_by_name():
     (FORCE, {'layout': '<s*'}, 'layout', '*'),
     (FORCE, {'layout': '<*'}, 'layout', '*'),
     (FORCE, {'layout': '<h*B'}, 'layout', 'struct'),
-    (FORCE, {'layout': '<256x'}, 'fields', 'a list of 0'),
+    (FORCE, {'layout': '<255x'}, 'fields', 'a list of 0'),
     (FORCE, {'layout': '<256xh'}, 'layout', 'at most 255 bytes'),
     (FORCE, {'layout': '<hh'}, 'fields', 'a list of 2, one for each value'),
     (FORCE, {'fields': None}, 'fields', 'is missing'),
@@ -256,6 +290,17 @@ def test_functions_of_ones_own_are_explained_by_name():
     (FORCE, {'frame_id': 5}, 'frame_id', 'may be text'),
     (FORCE, {'ros_typ': 'x'}, 'ros_typ', 'did you mean ros_type?'),
     (FORCE, {'whatever': 1}, 'whatever', 'is no key of an entry'),
+    (FORCE, {'fields': ['data[' + '9' * 5000 + ']']}, 'fields', 'may be a list with the path'),
+    (FORCE, {'scale': 10**400}, 'scale', 'may be a number but 0'),
+    (FORCE, {'offset': -10**400}, 'offset', 'may be a number, or a list of 1'),
+    (FORCE, {'minimum': [10**5000]}, 'minimum', '(list), may be a number'),
+    (FORCE, {'maximum': 10**400}, 'maximum', 'may be a number'),
+    (FORCE, {'frame_id': ['x'] * 10**5}, 'frame_id', '… (list), may be text'),
+    (FORCE, {'frame\nid': 'x'}, 'frame\ufffdid', 'did you mean frame_id?'),
+    (PUMP, {'srv_type': ''}, 'srv_type', 'a service type, as std_srvs/Trigger'),
+    (PUMP, {'srv_type': 'std_srvs'}, 'srv_type', 'a service type, as std_srvs/Trigger'),
+    (PUMP, {'srv_type': None, 'ros_type': '', 'period': 1, 'request': None}, 'ros_type',
+     'a message type, as std_msgs/Float32'),
     (PUMP, {'cmd2': 0x21}, 'cmd2', 'from 0 to 255 but 32, 33 and 34'),
     (PUMP, {'cmd2': 300}, 'cmd2', 'from 0 to 255'),
     (PUMP, {'ros_type': 'std_msgs/Bool'}, '', 'either srv_type or ros_type'),
@@ -277,6 +322,7 @@ def test_every_mistake_is_told_in_one_line(entry, changes, key, said):
     what = 'bus/functions' if 'cmd2' in entry else 'arduino/messages'
     assert str(mistake.value).startswith(f'{what}/name/{key}'.rstrip('/') + ' ')
     assert said in str(mistake.value) and '\n' not in str(mistake.value)
+    assert len(str(mistake.value)) < 400
 
 
 @pytest.mark.parametrize('make, entries, key, said', [
@@ -294,6 +340,50 @@ def test_mistakes_of_names_and_numbers(make, entries, key, said):
         make(entries)
     assert f'/{key}'.rstrip('/') + ' ' in str(mistake.value)
     assert said in str(mistake.value)
+
+
+@pytest.mark.parametrize('type_', [
+    '', 5, 'std_msgs', '/x', 'a/b/c', 'std_msgs/', ['std_msgs/Bool']])
+def test_what_is_no_name_of_a_type_is_refused(type_):
+    polled = dict(PUMP, request=None, srv_type=None, period=1)
+    for entry, key in ((FORCE, 'ros_type'), (polled, 'ros_type'), (PUMP, 'srv_type')):
+        with pytest.raises(RowError) as mistake:
+            one(entry, **{key: type_})
+        assert f'/name/{key} is {type_!r} ({type(type_).__name__}), may be a ' in str(
+            mistake.value)
+
+
+@pytest.mark.parametrize('make, entry, longest', [
+    (arduino_messages, FORCE, 255), (mcu_messages, FORCE, 253),
+    (bus_functions, {'cmd2': 1, 'srv_type': 'a/B'}, 1024)])
+@pytest.mark.parametrize('layout', [
+    '<50000000h', '>900000000d', '<50000000x', '<50000000s', '<50000000hs', '<9999999hB*'])
+def test_a_layout_beyond_what_a_frame_carries_takes_no_memory(make, entry, longest, layout):
+    """Its values are not made first: fifty million of them take minutes and gigabytes."""
+    part = {'layout': layout, 'fields': ['data']}
+    entry = dict(entry, reply=part) if make is bus_functions else dict(entry, type=32, **part)
+    tracemalloc.start()
+    try:
+        with pytest.raises(RowError) as mistake:
+            make({'name': entry})
+        _now, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert f"layout is '{layout}' (str), may have at most {longest} bytes" in str(mistake.value)
+    assert most < 10**6
+
+
+def test_a_name_that_cannot_be_is_told_in_one_line():
+    with pytest.raises(RowError) as mistake:
+        arduino_messages({'a\n\x1b\ud800': FORCE})
+    assert str(mistake.value).startswith("arduino/messages/a\ufffd\ufffd\ufffd is 'a\\n")
+
+
+def test_a_scale_that_is_a_great_whole_number_keeps_values_within_a_float():
+    kind = message('<q', ['data'], scale=10**300)
+    value, = kind.unpack(b'\xff' * 7 + b'\x7f')
+    assert math.isinf(value) and str(kind(value)) == 'name data=inf'
+    assert message('<q', ['data'], scale=10**9).unpack(b'\7' + bytes(7)) == (7 * 10**9,)
 
 
 def test_one_limit_for_several_values_has_to_fit_one_of_them():
