@@ -5,24 +5,29 @@ import signal
 import sys
 import threading
 import time
+from contextlib import contextmanager
+from typing import Iterator
 
 import rospy
 
+from ..boards import reason
+from ..links.link import Link
 from ..output import print_line_by_line
 from ..transport.pace import all_be_quick
 from ..transport.terminal import write_in_background
-from . import background_logging, direct, handshake, parameters, starting
+from . import background_logging, direct, handshake, parameters, remapping, starting
 from .diagnostics import Diagnostics
 from .geometry import publish_mounts
 from .interface import Common
 from .master_watch import MasterWatch
+from .parameter import ParameterError
 from .traffic import Traffic
 
 _SWITCH_INTERVAL = 0.0005   # s that a busy thread may keep the interpreter from the heartbeat
 _NAME = 'serial_communication'    # unless the command line gives another one
 _PRIORITY = 1               # real-time, where the system allows it
 _SHUTDOWN = 1.0             # s for the links to end in
-_LAST_RESORT = 1.5          # s until the process ends, whatever keeps the interpreter alive
+_LAST_RESORT = 1.5          # s from a signal until the process ends, whatever hangs
 _LOGGER = logging.getLogger('rosout')    # rospy's own, for terminal, file and /rosout
 
 
@@ -33,15 +38,16 @@ def main() -> None:
     sys.setswitchinterval(_SWITCH_INTERVAL)
     write_in_background()
     background_logging.install()
-    status = 1
+    status, last_resort = 1, _LastResort()
     try:
-        status = _run()
+        status = _run(last_resort)
     finally:
         background_logging.finish(status)
+    last_resort.begin(status)
     sys.exit(status)
 
 
-def _run() -> int:
+def _run(last_resort: '_LastResort') -> int:
     ended = starting.may_start(_NAME)
     if ended is not None:
         return ended
@@ -51,23 +57,67 @@ def _run() -> int:
     except rospy.ROSInitException:      # a signal came before the master had answered
         return 0
     direct.install(_LOGGER)
-    given = rospy.get_param('~', {})
-    try:
-        values, warnings = parameters.check(given, rospy.get_name())
-    except parameters.ParameterError as error:
-        rospy.logfatal(str(error))
-        starting.linger()
-        return 1
-    for warning in warnings:
-        rospy.logwarn(warning)
-    bridge = Bridge(values)
-    rospy.on_shutdown(bridge.stop)
+    remapping.install()
+    # From here on a signal ends the process, though a module of another package, or the master,
+    # hangs before there is a bridge to stop.
+    rospy.on_shutdown(last_resort.begin)
     if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:    # as nohup has it
         signal.signal(signal.SIGHUP, lambda *_: rospy.signal_shutdown('the terminal has gone'))
-    bridge.start()
+    bridge = None
+    try:
+        given = rospy.get_param('~', {})
+        values, warnings = parameters.check(given, rospy.get_name())
+        for warning in warnings:
+            rospy.logwarn(warning)
+        bridge = Bridge(values)
+        rospy.on_shutdown(bridge.stop)
+        bridge.start()
+    except rospy.ROSInterruptException:
+        return 0
+    except (ParameterError, *remapping.NAME_ERRORS) as error:
+        if bridge:
+            bridge.stop()
+        rospy.logfatal(remapping.explained(error))
+        starting.linger()
+        return 1
     MasterWatch(given, _LOGGER).start()
     rospy.spin()
     return 0
+
+
+class _LastResort:
+    """Ends the process soon after its end has begun, whatever keeps it alive: a thread in a dead
+    connection, say. Its thread is there from the start: where no memory is left, starting one may
+    never return."""
+
+    def __init__(self) -> None:
+        self._status = 0
+        self._begun = threading.Event()
+        threading.Thread(target=self._run, name='last resort', daemon=True).start()
+
+    def begin(self, status: int = 0) -> None:
+        """The process ends within `_LAST_RESORT` seconds, with this status."""
+        self._status = status
+        self._begun.set()
+
+    def _run(self) -> None:
+        self._begun.wait()
+        time.sleep(_LAST_RESORT)
+        os._exit(self._status)
+
+
+@contextmanager
+def _code_of(board: type) -> Iterator[None]:
+    """What a board's code raises as the node starts is one line, which names the board."""
+    try:
+        yield
+    except remapping.NAME_ERRORS:
+        raise       # its text is for a person
+    except (Exception, SystemExit) as error:  # pylint: disable=broad-except
+        named_by = '' if board in parameters.BUILT_IN else \
+            f'parameter {rospy.resolve_name("~boards")}: '
+        raise ParameterError(f'{named_by}the board {board.NAME} ({board.__module__}) cannot start: '
+                             f'{reason(error)}') from None
 
 
 class Bridge:
@@ -77,8 +127,14 @@ class Bridge:
         common = Common(p['frame_timeout'], rospy.Time.now, _LOGGER)
         boards = [(board, own) for board, own in (
             (board, parameters.of_board(board, p)) for board in p['boards']) if own['port']]
-        self._interfaces = [board(own, common) for board, own in boards]
-        self._links = [interface.link for interface in self._interfaces]
+        self._interfaces, self._links = [], []
+        for board, own in boards:
+            with _code_of(board):
+                interface = board(own, common)
+                if not isinstance(interface.link, Link):
+                    raise TypeError(f'its link is {interface.link!r}, may be a Link')
+                self._interfaces.append(interface)
+                self._links.append(interface.link)
         if not self._links:
             ports = ', '.join(f'{board.NAME}/port' for board in p['boards'])
             rospy.logwarn(f'no port is set ({ports}): nothing to do')
@@ -91,23 +147,22 @@ class Bridge:
             for board, own in boards for name in board.MOUNTS})
         self._traffic = Traffic(self._links, _LOGGER)
         self._diagnostics = Diagnostics(self._links, _LOGGER)
-        self._stopping = threading.Event()
 
     def start(self) -> None:
         """Open the ports and take calls."""
         # Not the heartbeat's thread alone: any other may hold the interpreter's lock while it waits
         # for the processor, and the heartbeat with it.
         all_be_quick(_PRIORITY)
-        threading.Thread(target=self._last_resort, name='last resort', daemon=True).start()
-        for link in self._links:
-            link.start()
         for interface in self._interfaces:
-            interface.advertise()
+            with _code_of(type(interface)):
+                interface.link.start()
+        for interface in self._interfaces:
+            with _code_of(type(interface)):
+                interface.advertise()
         self._diagnostics.start()
 
     def stop(self) -> None:
         """SPEED 0 first, then everything ends; in 1 s even where a port hangs."""
-        self._stopping.set()
         for link in sorted(self._links, key=lambda link: not link.STOPS_FIRST):
             link.stop()
         deadline = time.monotonic() + _SHUTDOWN
@@ -117,12 +172,3 @@ class Bridge:
         # rospy's thread for the calls of others turns in circles once its socket is closed, and
         # would keep a processor from those that it waits for.
         all_be_quick(0)
-
-    def _last_resort(self) -> None:
-        """In a thread of its own: end the process where a thread hangs, in a dead connection, say.
-
-        It is there from the start: where no memory is left, starting one may never return.
-        """
-        self._stopping.wait()
-        time.sleep(_LAST_RESORT)
-        os._exit(0)

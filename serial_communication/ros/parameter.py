@@ -2,11 +2,15 @@
 from math import inf, isfinite
 from typing import Any, Callable, Dict, NamedTuple, Optional, Tuple
 
+from ..protocols.layout import readable
 from ..transport.port import check_url
 
 
 class ParameterError(ValueError):
     """A parameter that cannot be used; the text is one line for a person."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(readable(text))
 
 
 class Parameter(NamedTuple):

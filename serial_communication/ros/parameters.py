@@ -5,34 +5,30 @@ config/bridge.yaml documents them for users; a test holds the two together.
 import difflib
 from typing import Any, Dict, List, Tuple, Type
 
-from ..boards import BOARDS, board_module
+import rospy
+
+from ..boards import BOARDS, board_module, reason
+from ..protocols.layout import brief, readable
 from ..protocols.own_messages import RowError
+from ..transport.same_port import identity
 from .interface import Interface
+from .other_boards import board_interfaces
 from .parameter import Parameter, ParameterError, Parameters, frame_id, not_empty, seconds
 
 
 def _other_boards(names: Any) -> List[Type[Interface]]:
     """The interfaces of boards of other packages, from the names of their modules."""
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise ValueError('of names of Python modules')
-    return [_interface(name) for name in names]
-
-
-def _interface(name: str) -> Type[Interface]:
-    try:
-        return board_module('ros', name).INTERFACE
-    except (ImportError, AttributeError) as error:
-        raise ValueError(f'of names of Python modules that have an INTERFACE: {error}') from None
+    return board_interfaces(names, {*BOARDS, *NODE_PARAMETERS})
 
 
 NODE_PARAMETERS: Parameters = {
-    'boards': Parameter([], parse=_other_boards),
+    'boards': Parameter([], unit='names of Python modules with an INTERFACE', parse=_other_boards),
     'frame_timeout': seconds(0.05, 0.001, 10.0),
     'publish_tf': Parameter(False),
     'base_frame_id': frame_id('base_link'),
     'frame_prefix': Parameter(''),
 }
-BUILT_IN: List[Type[Interface]] = [_interface(name) for name in BOARDS]
+BUILT_IN: List[Type[Interface]] = [board_module('ros', name).INTERFACE for name in BOARDS]
 
 
 def table(interfaces: List[Type[Interface]]) -> Parameters:
@@ -58,12 +54,13 @@ def check(given: Dict[str, Any], namespace: str) -> Tuple[Dict[str, Any], List[s
     """
     if not isinstance(given, dict):
         raise _not_a_group(namespace, given)
-    interfaces = BUILT_IN + _value('boards', NODE_PARAMETERS['boards'], given.get('boards', []),
+    given = dict(given)
+    interfaces = BUILT_IN + _value('boards', NODE_PARAMETERS['boards'], given.pop('boards', []),
                                    namespace)
     parameters = table(interfaces)
     flat = _flatten(given, {interface.NAME for interface in interfaces}, namespace)
     values = {name: _value(name, parameter, flat.pop(name, parameter.default), namespace)
-              for name, parameter in parameters.items()}
+              for name, parameter in parameters.items() if name != 'boards'}
     values['boards'] = interfaces
     for name, parameter in parameters.items():
         if parameter.parse is not_empty:
@@ -83,25 +80,46 @@ def _value(name: str, parameter: Parameter, value: Any, namespace: str) -> Any:
         return parameter.check(value)
     except RowError as error:
         raise ParameterError(f'parameter {namespace}/{error}') from None
-    except ValueError as error:
-        why = f': {error}' if str(error) else ''
-        raise ParameterError(f'parameter {namespace}/{name} is {value!r} '
-                             f'({type(value).__name__}), {parameter.allowed()}{why}') from None
+    except rospy.ROSInterruptException:
+        raise
+    except (Exception, SystemExit) as error:  # pylint: disable=broad-except
+        # `parse` may be of another package, and raise anything.
+        why = str(error) if isinstance(error, ValueError) else reason(error)
+        raise ParameterError(f'parameter {namespace}/{name} is {brief(value, 120)} '
+                             f'({type(value).__name__}), {parameter.allowed()}'
+                             + (f': {why}' if why else '')) from None
 
 
 def _check_together(interfaces: List[Type[Interface]], values: Dict[str, Any],
                     namespace: str) -> None:
     names: Dict[str, str] = {}
+    ports: Dict[Any, str] = {}
     for interface in interfaces:
         own = of_board(interface, values)
-        problem = interface.problem(own)
+        try:
+            problem = interface.problem(own)
+            own_names = [(name, key) for name, key in interface.own_names(own)]
+        except (Exception, SystemExit) as error:  # pylint: disable=broad-except
+            raise ParameterError(f'parameter {namespace}/boards: the board {interface.NAME} cannot '
+                                 f'check its parameters: {reason(error)}') from None
         if problem:
             raise ParameterError(f'parameter {namespace}/{interface.NAME}/{problem}')
-        for name, key in interface.own_names(own):
+        _refuse_second(f'{namespace}/{interface.NAME}/port', own['port'], ports)
+        for name, key in own_names:
             if name in names:
                 raise ParameterError(f'parameter {namespace}/{key} is named as {names[name]} '
                                      f'is: both make {name}, which may be made once')
             names[name] = key
+
+
+def _refuse_second(key: str, url: str, ports: Dict[Any, str]) -> None:
+    """A port that another link has already: one of them would wait for the other for ever."""
+    port = identity(url) if url and isinstance(url, str) else None
+    if port in ports:
+        raise ParameterError(f'parameter {key} is {url!r}, the port of {ports[port]}, too; a port '
+                             'has one link')
+    if port is not None:
+        ports[port] = f'{key} ({url!r})'
 
 
 def _flatten(given: Dict[str, Any], groups: Any, namespace: str) -> Dict[str, Any]:
@@ -117,10 +135,10 @@ def _flatten(given: Dict[str, Any], groups: Any, namespace: str) -> Dict[str, An
 
 
 def _not_a_group(name: str, value: Any) -> ParameterError:
-    return ParameterError(f'parameter {name} is {value!r}, may be a group of parameters')
+    return ParameterError(f'parameter {name} is {brief(value, 120)}, may be a group of parameters')
 
 
 def _unknown(namespace: str, name: str, parameters: Parameters) -> str:
     near = difflib.get_close_matches(name, parameters, 1)
     meant = f'; did you mean {near[0]}?' if near else ''
-    return f'parameter {namespace}/{name} is not known here and has no effect{meant}'
+    return readable(f'parameter {namespace}/{name} is not known here and has no effect{meant}')

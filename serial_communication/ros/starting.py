@@ -27,6 +27,8 @@ nothing else; its parameters stand in config/bridge.yaml. Some ways to start it:
 
 Exit status 0: it was told to end; 1: a parameter is wrong, or something failed, which it has
 said; {WRONG_ARGUMENTS}: wrong arguments; {NAME_TAKEN}: a node of its name runs already.
+With a wrong parameter and by roslaunch, which would start it again, it waits until it is told to
+end.
 """
 
 
@@ -79,12 +81,12 @@ def _leave_alone(name: str, stopping: threading.Event) -> Optional[int]:
 
 
 def linger() -> None:
-    """To be called before the node ends of a fault that lasts, of which it has told.
+    """Call this before the node ends because of a mistake that it has logged.
 
-    Where roslaunch starts it again at once, it would tell once a second.
+    roslaunch starts a node with respawn again, with the same parameters, and each time the node
+    would log the same mistake: there it waits, doing nothing, until it is told to end.
     """
-    deadline = time.monotonic() + _AGAIN
-    while by_roslaunch() and time.monotonic() < deadline and not rospy.is_shutdown():
+    while by_roslaunch() and not rospy.is_shutdown():
         time.sleep(0.1)
 
 

@@ -22,7 +22,6 @@ from .own_messages import add_option
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _BURST, _RATE = 20, 2.0      # lines for people: in a burst, and a second after that
 _LONGEST = 150               # characters of one
-_AGAIN = 10.0                # s that a wrong argument takes where roslaunch would start it again
 
 _EXAMPLES = """\
 examples (each with  rosrun serial_communication  before it, or in a checkout with  scripts/):
@@ -135,8 +134,8 @@ class _Parser(argparse.ArgumentParser):
         signal.pthread_sigmask(signal.SIG_BLOCK, _STOPS)
         print(f'{self.prog}: {message}. Try: {self.prog} --help', file=sys.stderr, flush=True)
         if any(each.startswith('__log:=') for each in sys.argv):
-            # By roslaunch, which has it again a second after it ends, to say the same.
-            signal.sigtimedwait(_STOPS, _AGAIN)
+            # By roslaunch, which would start it again, with the same arguments and to say the same.
+            signal.sigwait(_STOPS)
         sys.exit(2)
 
 

@@ -2,9 +2,12 @@
 """What the code says in two places is one: config/bridge.yaml and the table of parameters, the
 messages of the car and their topics. Needs no ROS master: run it alone, or with unittest or pytest.
 """
+import itertools
 import logging
 import os
 import re
+import sys
+import tempfile
 import time
 import unittest
 from unittest import mock
@@ -110,6 +113,156 @@ class ParameterTable(unittest.TestCase):
     def test_a_whole_number_does_for_a_number(self):
         values, _warnings = check({'bus': {'reply_timeout': 2}}, '/node')
         self.assertEqual(repr(values['bus/reply_timeout']), '2.0')
+
+
+class OtherBoards(unittest.TestCase):
+    """Modules of other packages that are no boards, or not as they must be."""
+
+    BOARD = """
+from serial_communication.ros.interface import Interface
+from serial_communication.ros.parameter import BAUD, PORT, Parameter
+
+
+class INTERFACE(Interface):
+    NAME = 'wind'
+    PARAMETERS = {'port': PORT, 'baud': BAUD}
+"""
+    NUMBERS = itertools.count()
+
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.folder = folder.name
+        path = mock.patch.object(sys, 'path', [self.folder, *sys.path])
+        path.start()
+        self.addCleanup(path.stop)
+
+    def module(self, text):
+        """The name of a new module with this text, which writes down each time it is imported."""
+        name = f'other_board_{next(self.NUMBERS)}'
+        with open(os.path.join(self.folder, name + '.py'), 'w') as file:
+            file.write(f"open(__file__ + '.imports', 'a').write('x')\n{text}\n")
+        return name
+
+    def assert_refused(self, given, *said):
+        with self.assertRaises(ParameterError) as caught:
+            check(given, '/node')
+        text = str(caught.exception)
+        for words in said:
+            self.assertIn(words, text)
+        self.assertNotIn('\n', text)
+        return text
+
+    def test_what_importing_raises_is_one_line_with_its_place_and_it_is_imported_once(self):
+        for body, said in (
+                ('1 / 0', 'ZeroDivisionError: division by zero (%s, line 2)'),
+                ('raise KeyboardInterrupt', 'KeyboardInterrupt (%s, line 2)'),
+                ('import sys; sys.exit(3)', 'SystemExit: 3 (%s, line 2)'),
+                ('exit()', 'SystemExit: None ('),
+                ('raise BaseException("a\\nb")', 'BaseException: a b (%s, line 2)'),
+                ('raise ValueError("x" * 10**6)', 'ValueError: xxx'),
+                ('import no_such_module', "ModuleNotFoundError: No module named 'no_such_module' "
+                 '(%s, line 2)'),
+                ('import signal; signal.signal(2, signal.SIG_IGN)', 'ValueError: signal only'),
+                ('class Unspeakable(Exception):\n    def __str__(self): return 5\n'
+                 'raise Unspeakable', '')):
+            with self.subTest(body):
+                name = self.module(body)
+                path = os.path.join(self.folder, name + '.py')
+                text = self.assert_refused(
+                    {'boards': [name]}, f"parameter /node/boards is ['{name}'] (list), may be a "
+                    f"list (names of Python modules with an INTERFACE): importing '{name}' failed: "
+                    + (said % path if '%s' in said else said))
+                self.assertLess(len(text), 700)
+                with open(path + '.imports') as file:
+                    self.assertEqual(file.read(), 'x')
+        with open(os.path.join(self.folder, 'unfinished.py'), 'w') as file:
+            file.write('1 +')
+        self.assert_refused({'boards': ['unfinished']}, 'SyntaxError', 'unfinished.py, line 1)')
+
+    def test_names_that_are_none_of_a_module(self):
+        for name in '', '.', '.x', 'no.such', 'a/b', 'a\nb', 'x' * 10**5, '\0':
+            with self.subTest(name[:9]):
+                self.assert_refused({'boards': [name]}, 'parameter /node/boards is [', 'importing')
+        for boards in ['x', 5], {'a': 'b'}, 'x', [['x']]:
+            self.assert_refused({'boards': boards}, 'may be a list (names of Python modules with')
+
+    def test_an_interface_that_is_not_what_it_must_be(self):
+        for text, said in (
+                ('', 'it has no INTERFACE'), ('INTERFACE = None', 'it has no INTERFACE'),
+                ('INTERFACE = 5', 'INTERFACE is 5, may be a class derived from'),
+                ('class INTERFACE: NAME = "wind"', 'may be a class derived from'),
+                (self.BOARD + '    del NAME', 'INTERFACE.NAME is None, may be letters'),
+                (self.BOARD + '    NAME = 5', 'INTERFACE.NAME is 5, may be letters'),
+                (self.BOARD + '    NAME = "a/b"', "INTERFACE.NAME is 'a/b', may be letters"),
+                (self.BOARD + '    NAME = "bus"', "NAME is 'bus', may be a name that no other"),
+                (self.BOARD + '    NAME = "boards"', "NAME is 'boards', may be a name that no"),
+                (self.BOARD + '    del PARAMETERS', 'INTERFACE.PARAMETERS is None, may be a dict'),
+                (self.BOARD + '    PARAMETERS = [PORT]', 'may be a dict of Parameter by name'),
+                (self.BOARD + '    PARAMETERS = {5: PORT}', 'by names of letters'),
+                (self.BOARD + '    PARAMETERS = {"port": "x"}', "['port'] is 'x', may be a Param"),
+                (self.BOARD + '    PARAMETERS = {"baud": BAUD}', "['port'] is None, may be PORT"),
+                (self.BOARD + '    PARAMETERS = {"port": BAUD}', 'may be PORT'),
+                (self.BOARD + '    PARAMETERS["x"] = Parameter(None)', "['x'].default is None,"),
+                (self.BOARD + '    PARAMETERS["x"] = Parameter({})', "['x'].parse is None, may"),
+                (self.BOARD + '    MOUNTS = ("imu",)', 'PARAMETERS has no imu_frame_id'),
+                (self.BOARD + '    MOUNTS = 5', 'INTERFACE.MOUNTS is 5, may be a tuple')):
+            with self.subTest(said, text=text[len(self.BOARD):]):
+                name = self.module(text)
+                self.assert_refused({'boards': [name]}, 'parameter /node/boards is',
+                                    f"the module '{name}': ", said)
+
+    def test_its_own_checks_may_raise_whatever_they_like(self):
+        fault = '(lambda *_: 1 / 0)'
+        for text, said in (
+                ('    problem = staticmethod' + fault, 'parameter /node/boards: the board wind '
+                 'cannot check its parameters: ZeroDivisionError'),
+                ('    own_names = staticmethod' + fault, 'the board wind cannot check its'),
+                ('    own_names = staticmethod(lambda p: 5)', 'the board wind cannot check its'),
+                (f'    PARAMETERS["x"] = Parameter("a", parse={fault})', "parameter /node/wind/x "
+                 "is 'a' (str), may be text: ZeroDivisionError: division by zero (")):
+            with self.subTest(text):
+                self.assert_refused({'boards': [self.module(self.BOARD + text)]}, said)
+
+    def test_a_name_or_a_module_that_is_there_twice(self):
+        one, other = self.module(self.BOARD), self.module(self.BOARD)
+        for boards in [one, one], [one, other]:
+            self.assert_refused({'boards': boards}, "INTERFACE.NAME is 'wind', may be a name that "
+                                'no other board')
+        values, _warnings = check({'boards': [one], 'wind': {'baud': 9600}}, '/node')
+        self.assertEqual((values['wind/baud'], values['boards'][-1].NAME), (9600, 'wind'))
+
+
+class Lines(unittest.TestCase):
+    """What is wrong is one line that can be read, whatever is in it."""
+
+    def test_names_and_values_are_cut_short_and_printable(self):
+        for given, said in (
+                ({'bus': {'baud': 'x' * 10**6}}, "bus/baud is 'xxx"),
+                ({'bus': 'a\nb' * 10**5}, "bus is 'a\\nb"),
+                ({'arduino': {'messages': {'a\nb\x1b[2J': {}}}}, 'messages/a\ufffdb\ufffd[2J is'),
+                ({'frame_timeout': 10**400}, 'frame_timeout is 1000')):
+            with self.subTest(said), self.assertRaises(ParameterError) as caught:
+                check(given, '/node')
+            text = str(caught.exception)
+            self.assertIn(said, text)
+            self.assertTrue(text.isprintable(), text)
+            self.assertLess(len(text), 500)
+        _values, (warning,) = check({'pub\nlish_tf': True}, '/node')
+        self.assertIn('/node/pub\ufffdlish_tf is not known', warning)
+
+    def test_two_links_with_one_port(self):
+        with tempfile.TemporaryDirectory() as folder:
+            link = os.path.join(folder, 'by-id')
+            os.symlink('/dev/null', link)
+            for one, other in (('/dev/null', '/dev/null'), ('/dev/null', link),
+                               ('socket://a:1', 'SOCKET://A:1')):
+                with self.subTest(other), self.assertRaises(ParameterError) as caught:
+                    check({'bus': {'port': one}, 'mcu': {'port': other, 'baud': 9600}}, '/node')
+                self.assertEqual(str(caught.exception), f"parameter /node/mcu/port is '{other}', "
+                                 f"the port of /node/bus/port ('{one}'), too; a port has one link")
+        check({'bus': {'port': 'loop://'}, 'mcu': {'port': 'loop://'}, 'arduino': {'port': ''}},
+              '/node')
 
 
 class Sonar(arduino.Ticks):

@@ -1,0 +1,121 @@
+"""Boards of other packages: their modules are imported, and what they say of a board is checked.
+
+Whatever is wrong there is told in one line: a traceback would hide which parameter is meant.
+"""
+import re
+import threading
+import time
+from typing import Any, Iterable, List, Type
+
+import rospy
+
+from ..boards import BoardError, board_module
+from ..protocols.layout import brief
+from .interface import Interface
+from .parameter import Parameter
+
+_LOOK_EVERY = 0.1     # s; whether it was imported, and whether the node has to end
+_SLOW = 3.0           # s that an import takes before a person is told of it
+_NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
+
+
+def board_interfaces(names: Any, taken: Iterable[str]) -> List[Type[Interface]]:
+    """The interfaces of the modules with these names.
+
+    Args:
+        taken: names that no board may have.
+
+    Raises:
+        ValueError: one of them cannot be used; the text is one line.
+        rospy.ROSInterruptException: the node has to end, and an import goes on.
+    """
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise ValueError
+    interfaces: List[Type[Interface]] = []
+    for name in names:
+        interface = getattr(_module(name), 'INTERFACE', None)
+        wrong = _wrong(interface, {*taken, *(each.NAME for each in interfaces)})
+        if wrong:
+            raise ValueError(f'the module {name!r}: {wrong}')
+        interfaces.append(interface)
+    return interfaces
+
+
+def _module(name: str) -> Any:
+    """Import it in a thread of its own, so that a signal ends the node though an import hangs."""
+    outcome: List[Any] = []
+    thread = threading.Thread(target=_import, args=(name, outcome), name=f'import {name}',
+                              daemon=True)
+    thread.start()
+    began, said = time.monotonic(), False
+    while thread.is_alive():
+        thread.join(_LOOK_EVERY)
+        if rospy.is_shutdown():
+            raise rospy.ROSInterruptException(f'while {name} was imported')
+        if not said and time.monotonic() > began + _SLOW:
+            said = True
+            rospy.logwarn(f'parameter {rospy.resolve_name("~boards")}: the module {name!r} is '
+                          f'still being imported after {_SLOW:g} s; Ctrl-C ends the node')
+    if isinstance(outcome[0], BoardError):
+        raise ValueError(str(outcome[0]))
+    return outcome[0]
+
+
+def _import(name: str, outcome: List[Any]) -> None:
+    try:
+        outcome.append(board_module('ros', name))
+    except BoardError as error:
+        outcome.append(error)
+
+
+def _wrong(interface: Any, taken: Iterable[str]) -> str:
+    """What an INTERFACE is instead of what it must be, or ''."""
+    if interface is None:
+        return 'it has no INTERFACE'
+    if not isinstance(interface, type) or Interface not in interface.__mro__:
+        return _other('', interface, 'a class derived from '
+                      'serial_communication.ros.interface.Interface')
+    name = getattr(interface, 'NAME', None)
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        return _other('.NAME', name, 'letters, digits and _ that begin with a letter')
+    if name in taken:
+        return _other('.NAME', name, 'a name that no other board and no parameter has')
+    parameters = getattr(interface, 'PARAMETERS', None)
+    if not isinstance(parameters, dict):
+        return _other('.PARAMETERS', parameters, 'a dict of Parameter by name')
+    for key, parameter in parameters.items():
+        wrong = _wrong_parameter(key, parameter)
+        if wrong:
+            return wrong
+    if 'port' not in parameters or not isinstance(parameters['port'].default, str):
+        return _other(".PARAMETERS['port']", parameters.get('port'), 'PORT, which it must have')
+    return _wrong_mounts(interface.MOUNTS, parameters)
+
+
+def _wrong_parameter(key: Any, parameter: Any) -> str:
+    if not isinstance(key, str) or not _NAME.fullmatch(key):
+        return _other('.PARAMETERS', key, 'a dict of Parameter by names of letters, digits and _')
+    where = f'.PARAMETERS[{key!r}]'
+    if not isinstance(parameter, Parameter):
+        return _other(where, parameter, 'a Parameter')
+    default = parameter.default
+    if type(default) not in (bool, str, int, float, list, dict):
+        return _other(where + '.default', default, 'true or false, text, a number, a list or a '
+                      'group')
+    if parameter.parse is None and (default == [] or isinstance(default, dict)):
+        return _other(where + '.parse', None, 'a function, where the default is empty or a group')
+    return ''
+
+
+def _wrong_mounts(mounts: Any, parameters: dict) -> str:
+    if not isinstance(mounts, (tuple, list)) or not all(isinstance(each, str) for each in mounts):
+        return _other('.MOUNTS', mounts, 'a tuple of names of sensors')
+    for each in mounts:
+        for key in f'{each}_frame_id', f'{each}_mount':
+            if key not in parameters:
+                return _other('.MOUNTS', mounts, f'names of sensors; PARAMETERS has no {key}')
+    return ''
+
+
+def _other(what: str, given: Any, allowed: str) -> str:
+    return f'INTERFACE{what} is {brief(given, 60)}, may be {allowed}'

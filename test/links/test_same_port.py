@@ -1,0 +1,74 @@
+"""Two names of one port are known to be one."""
+import os
+import pty
+
+import pytest
+
+from serial_communication.transport.same_port import identity
+
+
+@pytest.fixture
+def device():
+    """A device that is there, until the test's end."""
+    near, far = pty.openpty()
+    yield os.ttyname(far)
+    os.close(near)
+    os.close(far)
+
+
+def test_a_device_by_its_links_and_other_paths(device, tmp_path):
+    (tmp_path / 'by-id').symlink_to(device)
+    (tmp_path / 'link').symlink_to(tmp_path / 'by-id')
+    folder, name = os.path.split(device)
+    for url in (device, f'{folder}/../{os.path.basename(folder)}/{name}', f'{folder}//{name}',
+                str(tmp_path / 'by-id'), str(tmp_path / 'link'), os.path.relpath(device),
+                f'spy://{device}?file=/dev/null', f'SPY://{device}',
+                f'alt://{device}?class=PosixPollSerial'):
+        assert identity(url) == identity(device), url
+
+
+def test_a_second_node_of_a_device(tmp_path):
+    """As a container has it that is given a device under a name of its own."""
+    node = str(tmp_path / 'robot')
+    try:
+        os.mknod(node, 0o600 | 0o020000, os.stat('/dev/null').st_rdev)
+    except PermissionError:
+        pytest.skip('only root makes devices')
+    assert identity(node) == identity('/dev/null')
+
+
+def test_a_device_that_is_not_there_by_its_path(tmp_path):
+    absent = str(tmp_path / 'absent')
+    (tmp_path / 'link').symlink_to(absent)
+    assert identity(absent) == identity(f'{tmp_path}/./absent') == identity(str(tmp_path / 'link'))
+    assert identity(absent) != identity(absent + '1')
+
+
+def test_two_devices_are_two(device):
+    near, far = pty.openpty()
+    assert identity(os.ttyname(far)) != identity(device)
+    os.close(near)
+    os.close(far)
+
+
+@pytest.mark.parametrize('one, other, same', [
+    ('socket://robot:4001', 'SOCKET://Robot:4001', True),
+    ('socket://robot:4001', 'rfc2217://robot:4001?logging=debug', True),
+    ('socket://localhost:4001', 'socket://127.0.0.1:4001', True),
+    ('socket://[::1]:4001', 'socket://[::1]:4001', True),
+    ('socket://robot:4001', 'socket://robot:4002', False),
+    ('socket://robot:4001', 'socket://robot2:4001', False),
+    ('hwgrep://0403:6001', 'HWGREP://0403:6001', True),
+    ('hwgrep://0403:6001', 'hwgrep://0403:6001&n=2', False)])
+def test_ports_by_url(one, other, same):
+    assert (identity(one) == identity(other)) is same
+
+
+@pytest.mark.parametrize('url', ['loop://', 'LOOP://', 'hwgrep://0403:6001&skip_busy'])
+def test_what_is_another_port_at_each_opening(url):
+    assert identity(url) is None
+
+
+@pytest.mark.parametrize('url', ['', 'nosuch://x', '\0', 'socket'])
+def test_what_cannot_be_opened_is_compared_all_the_same(url):
+    assert identity(url) == identity(url)

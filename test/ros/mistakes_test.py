@@ -1,0 +1,222 @@
+#!/usr/bin/python3
+"""Mistakes that no single parameter shows: each ends the node with one line and status 1, and
+Ctrl-C ends it while something hangs. parameter_table_test has more of them, without a process."""
+import os
+import shutil
+import signal
+import subprocess
+import time
+import unittest
+from multiprocessing.pool import ThreadPool
+
+import rosgraph
+import rospy
+import rostest
+
+from boards import PACKAGE, PATIENCE, Bridge, CarBoard, Line, own_folder, until
+
+ENDS_IN = 2.0        # s from a signal until the node has ended, whatever hangs
+BOARD = """
+import time
+from serial_communication.links.mcu import McuLink
+from serial_communication.ros.interface import Interface
+from serial_communication.ros.parameter import BAUD, PORT, Parameter
+from serial_communication.transport.port import Port
+
+
+class INTERFACE(Interface):
+    NAME = 'wind'
+    PARAMETERS = {'port': PORT, 'baud': BAUD}
+
+    def __init__(self, parameters, common):
+        self.link = McuLink(Port(parameters['port']), 1.0, on_status=lambda *_: None,
+                            on_silence=lambda *_: None, **common._asdict())
+"""
+HANGS = 'open(__file__ + ".begun", "w").close(); time.sleep(1e6)'
+MODULES = {      # by name: the text, and what is said of it
+    'zero': ('1 / 0', "importing 'zero' failed: ZeroDivisionError: division by zero ("),
+    'unfinished': ('1 +', "importing 'unfinished' failed: SyntaxError: invalid syntax ("),
+    'exits': ('import sys; sys.exit(3)', "importing 'exits' failed: SystemExit: 3 ("),
+    'interrupts': ('raise KeyboardInterrupt', "importing 'interrupts' failed: KeyboardInterrupt"),
+    'leaves_a_thread': ('import threading, time\n'
+                        'threading.Thread(target=time.sleep, args=(1e6,)).start(); 1 / 0',
+                        "importing 'leaves_a_thread' failed: ZeroDivisionError"),
+    'nothing': ('', "the module 'nothing': it has no INTERFACE"),
+    'nameless': (BOARD + '    NAME = 5', "the module 'nameless': INTERFACE.NAME is 5, may be"),
+    'not_made': (BOARD + '        1 / 0', 'the board wind (not_made) cannot start: ZeroDivision'),
+    'exits_as_made': (BOARD + '        raise SystemExit(3)',
+                      'the board wind (exits_as_made) cannot start: SystemExit: 3 ('),
+    'linkless': (BOARD + '        self.link = 5',
+                 'the board wind (linkless) cannot start: TypeError: its link is 5, may be a Link'),
+    'not_advertised': (BOARD + '    def advertise(self): 1 / 0',
+                       'the board wind (not_advertised) cannot start: ZeroDivisionError'),
+}
+HANGING = {
+    'hangs': 'import time\n' + HANGS,
+    'is_deaf': 'import time\n' + HANGS.replace(';', '\nwhile True:\n  try:')
+               + '\n  except BaseException: pass',
+    'spins': HANGS.replace('time.sleep(1e6)', '\nwhile True: pass'),
+    'hangs_as_made': BOARD + '        ' + HANGS,
+    'hangs_as_advertised': BOARD + '    def advertise(self): ' + HANGS,
+}
+# Two names of a node whose links are named here, one remapped to the other, and what is said.
+REMAPPED = (
+    ('bus', '~lift:=~gimbal', 'service [/NODE/gimbal] already registered'),
+    ('bus', '~lift:=~set_logger_level', 'service [/NODE/set_logger_level] already registered'),
+    ('arduino', '~voltage:=~ticks', 'topic [/NODE/ticks] cannot be a serial_communication/Ticks, '
+     'it is a serial_communication/Voltage of this node already'),
+    ('arduino', '~speed:=~steering', 'topic [/NODE/steering] cannot be a serial_communication/'
+     'SteeringPWMCommand, it is a serial_communication/SpeedPWMCommand of this node already'),
+    ('arduino', '~speed:=~voltage', 'topic [/NODE/voltage] cannot be a serial_communication/'
+     'SpeedPWMCommand, it is a serial_communication/Voltage of this node already'),
+    ('mcu', 'serial_msg:=mcu/imu', 'topic [/mcu/imu] cannot be a serial_communication/SerialMsg'),
+)
+
+
+class Mistakes(unittest.TestCase):
+    """One node each."""
+
+    @classmethod
+    def setUpClass(cls):
+        cls.folder = own_folder()
+        for name, text in [*((name, each[0]) for name, each in MODULES.items()),
+                           *HANGING.items()]:
+            with open(os.path.join(cls.folder, name + '.py'), 'w') as file:
+                file.write(text + '\n')
+        cls.path = os.environ['PYTHONPATH']
+        os.environ['PYTHONPATH'] = f'{cls.folder}:{cls.path}'
+
+    @classmethod
+    def tearDownClass(cls):
+        os.environ['PYTHONPATH'] = cls.path
+        shutil.rmtree(cls.folder)
+
+    def absent(self, name):
+        """A port that is not there."""
+        return os.path.join(self.folder, 'absent', name)
+
+    def ended(self, name, parameters, arguments=()):
+        """Status and output of a node with these parameters."""
+        bridge = Bridge(name, parameters, arguments)
+        try:
+            return bridge.process.wait(3 * PATIENCE), bridge.output()
+        except subprocess.TimeoutExpired:
+            return 'it goes on', bridge.output()
+        finally:
+            bridge.process.kill()
+            bridge.process.wait(10)
+
+    def assert_one_line(self, said, status, output):
+        """One line that says it, beside the words of every start."""
+        self.assertEqual(status, 1, output)
+        self.assertNotIn('Traceback', output)
+        lines = [line for line in output.split('\n') if line.strip()
+                 and '[INFO]' not in line and 'waiting for it' not in line]
+        self.assertEqual(len(lines), 1, output)
+        self.assertIn('[FATAL]', lines[0])
+        self.assertIn(said, lines[0])
+
+    def test_modules_of_other_packages(self):
+        with ThreadPool(2) as pool:
+            results = pool.starmap(self.ended, [
+                (name, {'boards': [name], 'wind/port': self.absent(name)}) for name in MODULES])
+        for (name, (_text, said)), result in zip(MODULES.items(), results):
+            with self.subTest(name):
+                self.assert_one_line(f'parameter /{name}/boards', *result)
+                self.assert_one_line(said, *result)
+
+    def test_a_signal_ends_it_while_something_hangs(self):
+        for name in HANGING:
+            for number in signal.SIGINT, signal.SIGTERM:
+                with self.subTest(name, signal=number):
+                    begun = os.path.join(self.folder, name + '.py.begun')
+                    bridge = Bridge(name, {'boards': [name], 'wind/port': self.absent(name)})
+                    until(lambda: os.path.exists(begun), 'it hangs')  # noqa: B023
+                    seconds, status = bridge.end(number)
+                    os.unlink(begun)
+                    self.assertEqual(status, 0, bridge.output())
+                    self.assertLess(seconds, ENDS_IN)
+                    self.assertNotIn('Traceback', bridge.output())
+
+    def test_an_import_that_takes_long_is_said_while_it_lasts(self):
+        bridge = Bridge('slow', {'boards': ['hangs'], 'wind/port': self.absent('slow')})
+        line = bridge.wait_for('still being imported')
+        self.assertIn("parameter /slow/boards: the module 'hangs'", line)
+        self.assertTrue(bridge.alive)
+        bridge.end()
+        os.unlink(os.path.join(self.folder, 'hangs.py.begun'))
+
+    def test_names_that_are_remapped_to_one(self):
+        with ThreadPool(2) as pool:
+            results = pool.starmap(self.ended, [
+                (f'remapped_{number}', {f'{link}/port': self.absent(link)}, [argument])
+                for number, (link, argument, _) in enumerate(REMAPPED)])
+        for number, ((_link, argument, said), result) in enumerate(zip(REMAPPED, results)):
+            with self.subTest(argument):
+                self.assert_one_line(said.replace('NODE', f'remapped_{number}'), *result)
+                self.assert_one_line(f'; remapped are {argument}', *result)
+
+    def test_topics_of_one_type_may_be_remapped_to_one(self):
+        bridge = Bridge('one_topic', {'mcu/port': self.absent('mcu')}, ['mcu/range_1:=mcu/range_2'])
+        bridge.wait_for('waiting for it')
+        self.assertTrue(bridge.alive)
+        self.assertEqual(bridge.end()[1], 0, bridge.output())
+
+    def test_two_links_with_one_port(self):
+        device = os.path.join(self.folder, 'device')
+        os.symlink('/dev/null', device)
+        for number, (one, other) in enumerate((
+                (self.absent('x'), self.absent('./x')), ('/dev/null', device),
+                ('socket://Robot:4001', 'SOCKET://robot:4001'))):
+            with self.subTest(other):
+                name = f'one_port_{number}'
+                result = self.ended(name, {'bus/port': one, 'mcu/port': other, 'mcu/baud': 9600})
+                self.assert_one_line(f"parameter /{name}/mcu/port is '{other}', the port of /{name}"
+                                     f"/bus/port ('{one}'), too; a port has one link", *result)
+
+    def test_a_car_is_left_standing_where_a_later_name_is_wrong(self):
+        line = Line(os.path.join(self.folder, 'car')).plug()
+        car = CarBoard(line.far)
+        try:
+            until(lambda: car.connected, 'the board has its port')
+            result = self.ended('late', {'arduino/port': line.near, 'boards': ['not_advertised'],
+                                         'wind/port': self.absent('wind')})
+            self.assert_one_line('cannot start: ZeroDivisionError', *result)
+            until(lambda: car.raws[-1:] in ([], [bytes.fromhex('0204010100')]),
+                  f'SPEED 0 is the last packet, if any: {car.raws[-3:]}')
+        finally:
+            car.close()
+            line.unplug()
+
+    def test_roslaunch_says_it_once_and_ctrl_c_ends_it(self):
+        config = os.path.join(self.folder, 'wrong.yaml')
+        with open(config, 'w') as file:
+            file.write('bus: {baud: 1}\n')
+        output = os.path.join(self.folder, 'output')
+        with open(output, 'w') as file:
+            launch = subprocess.Popen(
+                ['roslaunch', PACKAGE, 'bridge.launch', 'config:=' + config, 'name:=launched'],
+                stdout=file, stderr=subprocess.STDOUT)
+
+        def text():
+            with open(output) as file:
+                return file.read()
+
+        try:
+            until(lambda: 'bus/baud is 1 (int)' in text(), 'it is said', 3 * PATIENCE)
+            said = time.monotonic()
+            # The node had ended after 10 s, and was started again.
+            until(lambda: time.monotonic() > said + 12.0, 'the time passes', 20.0)
+            self.assertEqual(text().count('bus/baud is 1 (int)'), 1, text())
+            self.assertNotIn('process has died', text())
+            self.assertTrue(rosgraph.Master('/mistakes_test').lookupNode('/launched'))
+        finally:
+            launch.send_signal(signal.SIGINT)
+            self.assertEqual(launch.wait(3 * PATIENCE), 0)
+        self.assertNotIn('escalating', text())
+        self.assertNotIn('Traceback', text())
+
+
+if __name__ == '__main__':
+    rospy.init_node('mistakes_test')
+    rostest.rosrun(PACKAGE, 'mistakes', '__main__')
