@@ -181,10 +181,15 @@ class Browser:
         self._key('keyUp', key)
 
     def _key(self, what, key):
-        name, code = {'\ue012': ('ArrowLeft', 37), '\ue013': ('ArrowUp', 38),
-                      '\ue014': ('ArrowRight', 39)}[key]
+        name, number = {'\ue012': ('ArrowLeft', 37), '\ue013': ('ArrowUp', 38),
+                        '\ue014': ('ArrowRight', 39)}[key]
+        self.key_event(what, name, name, windowsVirtualKeyCode=number)
+
+    def key_event(self, what, key, code, **more):
+        """What a keyboard may do: keyDown or keyUp, the key as text and by its place, and more of
+        Input.dispatchKeyEvent."""
         self._driver.execute_cdp_cmd('Input.dispatchKeyEvent', {
-            'type': what, 'key': name, 'code': name, 'windowsVirtualKeyCode': code})
+            'type': what, 'key': key, 'code': code, **more})
 
     @contextlib.contextmanager
     def other_tab(self):

@@ -4,6 +4,7 @@ import os
 import shutil
 import signal
 import threading
+import time
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
@@ -544,6 +545,122 @@ def test_keys_drive(cockpit, robot):
     until(lambda: arduino.encode(arduino.SteeringCommand(1900)) in robot.car.commands, 'it turns',
           doing=lambda: hold_keys(UP, RIGHT), every=0.3)
     cockpit.key_up(RIGHT)
+    cockpit.key_up(UP)
+    stands(robot, cockpit)
+
+
+SHIFT, META = 8, 4       # as Input.dispatchKeyEvent has them
+
+
+def press_ahead(page, **more):
+    """Press the key that drives ahead, and hold it."""
+    page.key_event('keyDown', 'ArrowUp', 'ArrowUp', **more)
+
+
+def hold_ahead(page, robot):
+    """Have the car drive by the key that drives ahead; as in `hold`."""
+    def press():
+        if page.attribute('#pad', 'data-held') is None:
+            page.key_event('keyUp', 'ArrowUp', 'ArrowUp')
+            press_ahead(page)
+    page.script("document.getElementById('pad').focus()")
+    until(lambda: 200 in robot.car.speeds and page.attribute('#pad', 'data-held') is not None,
+          'the car drives', doing=press, every=0.3)
+
+
+def test_a_keypad_whose_key_is_released_as_another_does_not_drive(cockpit, robot):
+    """NumLock and Shift: the key goes down as an arrow and, Shift being released first, up as 8."""
+    cockpit.script("document.getElementById('pad').focus()")
+    keypad = {'location': 3, 'isKeypad': True}
+    cockpit.key_event('keyDown', 'Shift', 'ShiftLeft', modifiers=SHIFT, location=1)
+    cockpit.key_event('keyDown', 'ArrowUp', 'Numpad8', modifiers=SHIFT, **keypad)
+    cockpit.key_event('keyUp', 'Shift', 'ShiftLeft', location=1)
+    cockpit.key_event('keyUp', '8', 'Numpad8', **keypad)
+    cockpit.wait_for_updates(15)
+    assert not any(robot.car.speeds)
+
+
+@pytest.mark.parametrize('modifier', [META, SHIFT])
+def test_no_key_drives_with_a_modifier(cockpit, robot, modifier):
+    """macOS does not report that a key is released while Cmd is held."""
+    cockpit.script("document.getElementById('pad').focus()")
+    press_ahead(cockpit, modifiers=modifier)
+    cockpit.wait_for_updates(15)
+    assert not any(robot.car.speeds) and cockpit.attribute('#pad', 'data-held') is None
+
+
+def test_any_other_key_stops_as_it_goes_down_or_up(cockpit, robot):
+    for what, key, code, more in (
+            ('keyDown', 'Meta', 'MetaLeft', {'modifiers': META}), ('keyDown', 'x', 'KeyX', {}),
+            ('keyUp', '8', 'Numpad8', {}), ('keyUp', 'ArrowUp', 'Numpad8', {})):
+        robot.car.forget()
+        hold_ahead(cockpit, robot)
+        cockpit.key_event(what, key, code, **more)
+        stands(robot, cockpit)
+        press_ahead(cockpit, autoRepeat=True)       # it is still held, and repeats
+        stands(robot, cockpit)
+        cockpit.key_event('keyUp', 'ArrowUp', 'ArrowUp')
+
+
+def test_pad_and_keys_do_not_drive_together(cockpit, robot):
+    hold(cockpit, robot)
+    press_ahead(cockpit)
+    stands(robot, cockpit)
+    cockpit.key_up(UP)
+    cockpit.release()
+    hold_ahead(cockpit, robot)
+    cockpit.press_at('#pad', 0, 60)
+    stands(robot, cockpit)
+    assert min(robot.car.speeds) == 0
+    cockpit.release()
+    cockpit.key_up(UP)
+
+
+def test_a_key_that_has_ceased_to_repeat_counts_as_released(cockpit, robot):
+    hold_ahead(cockpit, robot)
+    press_ahead(cockpit, autoRepeat=True)
+    stands(robot, cockpit)
+    cockpit.key_event('keyUp', 'ArrowUp', 'ArrowUp')
+    # And since this system repeats keys, one that never begins to has been released, too.
+    hold_ahead(cockpit, robot)
+    stands(robot, cockpit)
+    cockpit.key_event('keyUp', 'ArrowUp', 'ArrowUp')
+
+
+def drives_on(page, robot, hold_keys, seconds=4.0):
+    """Whether the car drives ahead for so long without another event of the keyboard.
+
+    Where the machine stands still for too long meanwhile, the hold ends; then again.
+    """
+    def held():
+        return page.attribute('#pad', 'data-held') is not None
+    for _ in range(10):
+        hold_keys()
+        began = time.monotonic()
+        until(lambda: not held() or time.monotonic() - began > seconds, 'the time has passed')
+        if held():
+            count = len(robot.car.speeds)
+            until(lambda: len(robot.car.speeds) > count, 'another speed comes')
+            return robot.car.speeds[-1] == 200
+        assert 'repeats' not in page.text('#pad-words')
+    return False
+
+
+def test_holding_is_enough_where_the_system_repeats_no_keys(cockpit, robot):
+    assert drives_on(cockpit, robot, lambda: hold_ahead(cockpit, robot))
+    cockpit.key_up(UP)
+    stands(robot, cockpit)
+
+
+def test_a_key_that_is_held_beside_another_need_not_repeat(cockpit, robot):
+    """Systems repeat the key that was pressed last, and none any more after its release."""
+    def ahead_and_once_right():
+        hold_ahead(cockpit, robot)
+        press_ahead(cockpit, autoRepeat=True)
+        cockpit.key_down(RIGHT)
+        cockpit.key_event('keyDown', 'ArrowRight', 'ArrowRight', autoRepeat=True)
+        cockpit.key_up(RIGHT)
+    assert drives_on(cockpit, robot, ahead_and_once_right)
     cockpit.key_up(UP)
     stands(robot, cockpit)
 

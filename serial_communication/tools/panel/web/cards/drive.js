@@ -2,6 +2,9 @@
  * The driving pad, a dead man's switch: it drives while it is held. It stops on release, on a
  * lost or slow connection, on a hidden tab and on blur; and if this page can do none of that any
  * more, its silence stops the car at the panel, and the panel's at the bridge.
+ *
+ * A key's release may never be reported (macOS keeps it back while Cmd is held, a remote desktop may
+ * lose it). So nothing drives with a modifier, and a key that has ceased to repeat counts as released.
  */
 import {card, h, mark, say} from '../dom.js';
 
@@ -11,7 +14,13 @@ const SILENCE = 0.3;        // s without a word from the panel, after which the 
 const MIDDLE = 1500;        // µs of the servo
 const TURN = 400;           // µs to either side
 const SLOW = 200;           // of 1000: how fast the pad goes at first
-const KEYS = {ArrowUp: [0, 1], ArrowDown: [0, -1], ArrowLeft: [-1, 0], ArrowRight: [1, 0]};
+// By `code`, the place of the key: its `key` may be another one as it is released (keypad and Shift).
+const KEYS = new Map([['ArrowUp', [0, 1]], ['ArrowDown', [0, -1]], ['ArrowLeft', [-1, 0]],
+  ['ArrowRight', [1, 0]]]);
+const MODIFIERS = ['Alt', 'AltGraph', 'Control', 'Meta', 'Shift'];
+// Systems repeat the key that was pressed last. Where a release has been lost, the repeats end, too.
+const FIRST_REPEAT = 3000;  // ms from a press to its first repeat at most; Windows and macOS: up to 2 s
+const NEXT_REPEAT = 1000;   // ms from one repeat to the next at most; the slowest setting: 500 ms
 
 export class Drive {
   constructor(connection, announce) {
@@ -20,7 +29,9 @@ export class Drive {
     this._announce = announce;
     this._hold = 0;             // presses so far
     this._timer = null;         // while held
-    this._keys = new Set();
+    this._keys = new Set();     // those that are held: codes
+    this._repeats = false;      // this system repeats keys, as far as is known
+    this._repeatDue = Infinity; // ms of performance.now(): the next repeat comes until then
     this._at = [0, 0];          // right, ahead: -1 … 1
     this._knob = h('span', {class: 'knob', 'aria-hidden': 'true'});
     this._pad = h('div', {class: 'pad', role: 'application', tabindex: '0', id: 'pad',
@@ -57,6 +68,10 @@ export class Drive {
       if (event.button !== 0) return;
       event.preventDefault();
       pad.focus();
+      if (this.held) {
+        this._end('stopped: pressed while a key was held');
+        return;
+      }
       pad.setPointerCapture(event.pointerId);
       this._point(event);
       this._begin();
@@ -68,22 +83,8 @@ export class Drive {
         if (!this._keys.size) this._end('let go: stopped');
       });
     }
-    pad.addEventListener('keydown', (event) => {
-      if (!(event.key in KEYS)) {
-        if (this.held) this._end('stopped');
-        return;
-      }
-      event.preventDefault();
-      if (event.repeat) return;
-      this._keys.add(event.key);
-      this._steer();
-      this._begin();
-    });
-    pad.addEventListener('keyup', (event) => {
-      if (!this._keys.delete(event.key)) return;
-      if (this._keys.size) this._steer();
-      else this._end('let go: stopped');
-    });
+    pad.addEventListener('keydown', (event) => this._keyDown(event));
+    pad.addEventListener('keyup', (event) => this._keyUp(event));
     pad.addEventListener('blur', () => this._end('stopped: the pad is no longer in focus'));
     window.addEventListener('blur', () => this._end('stopped: the window is no longer in front'));
     window.addEventListener('pagehide', () => this._end('stopped'));
@@ -99,13 +100,45 @@ export class Drive {
     this._at = [clip((event.clientX - left) / width * 2 - 1), clip(1 - (event.clientY - top) / height * 2)];
   }
 
+  _keyDown(event) {
+    if (!KEYS.has(event.code) || MODIFIERS.some((name) => event.getModifierState(name))) {
+      this._end('stopped: another key was pressed');
+      return;
+    }
+    event.preventDefault();
+    if (event.repeat) {
+      this._repeats = true;
+      if (this._keys.has(event.code)) this._repeatDue = performance.now() + NEXT_REPEAT;
+      return;
+    }
+    if (this.held && !this._keys.size) {
+      this._end('stopped: a key was pressed while the pad was held');
+      return;
+    }
+    this._keys.add(event.code);
+    this._repeatDue = this._repeats ? performance.now() + FIRST_REPEAT : Infinity;
+    this._steer();
+    this._begin();
+  }
+
+  /** Whatever key is released that is not held: the release of a held one may have been lost. */
+  _keyUp(event) {
+    if (!this._keys.delete(event.code) || !this._keys.size) {
+      this._end('let go: stopped');
+      return;
+    }
+    this._repeatDue = Infinity;     // systems do not repeat the keys that are still held
+    this._steer();
+  }
+
   _steer() {
-    this._at = [...this._keys].reduce(([x, y], key) => [x + KEYS[key][0], y + KEYS[key][1]], [0, 0]);
+    this._at = [...this._keys].reduce(([x, y], code) => [x + KEYS.get(code)[0], y + KEYS.get(code)[1]], [0, 0]);
   }
 
   _begin() {
     if (this.held) return;
     if (!this._connection.alive) {
+      this._keys.clear();
       say(this._words, 'no connection to the panel');
       return;
     }
@@ -117,6 +150,10 @@ export class Drive {
   _tell() {
     if (this._connection.silence() > SILENCE) {
       this._end('stopped: the panel fell silent');
+      return;
+    }
+    if (performance.now() > this._repeatDue) {
+      this._end('stopped: the key no longer repeats; press it again');
       return;
     }
     const [right, ahead] = this._at;
