@@ -1,5 +1,6 @@
 """What the tests of the panel share: a master, a robot, a panel, and a page that is a program."""
 import base64
+import contextlib
 import json
 import os
 import re
@@ -45,6 +46,16 @@ class Core:
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         until(rosgraph.is_master_online, 'the master answers', every=0.1)
         until(lambda: '/rosout' in publishers_and_subscribers()[1], 'roscore is complete')
+
+    @contextlib.contextmanager
+    def hung(self):
+        """It takes connections and answers nothing."""
+        pid = rosgraph.Master('/panel_test').getPid()      # roscore only watches this process
+        os.kill(pid, signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            os.kill(pid, signal.SIGCONT)
 
     def stop(self):
         """Nothing listens there any more when this returns."""
@@ -278,8 +289,8 @@ class Page:
             threading.Thread(target=self._read, daemon=True).start()
 
     def say(self, **what):
-        """Send a message."""
-        self.write(json.dumps(what).encode())
+        """Send a message, and what had been seen by then."""
+        self.write(json.dumps({'seen': self.now, **what}).encode())
 
     def write(self, data):
         """Send these bytes as one message."""
@@ -321,7 +332,7 @@ class Page:
     def _take(self, update):
         self.now = update['now']
         if self.acknowledges:
-            self.say(seen=self.now)
+            self.say()
         self.known.update(update)
         for name, told in update.get('topics', {}).items():
             if 'fields' in told:

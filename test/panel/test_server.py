@@ -1,16 +1,19 @@
 """The server, seen by programs that play the browser: who is let in, what costs what, and what
 moves the robot."""
+import contextlib
 import json
 import os
 import signal
 import subprocess
 import threading
 import time
+import types
 
 import pytest
 import rosgraph
 from boards import PATIENCE, program, ranges, until
-from panel_stage import NODE, TOKEN, Page, Panel, publishers_and_subscribers, subscribed
+from panel_stage import (NODE, TOKEN, Page, Panel, free_port, publishers_and_subscribers,
+                         subscribed)
 
 from serial_communication.protocols import arduino
 from serial_communication.protocols import robot_ctrl_bus as bus
@@ -526,3 +529,154 @@ def test_the_panels_end_stops(robot):
     panel.process.send_signal(signal.SIGTERM)
     until(stands(robot), 'the car stands')
     assert panel.end() == 0
+
+
+# -- a master, a bridge or a panel that hangs -------------------------------------------------
+
+
+def wait(seconds):
+    began = time.monotonic()
+    until(lambda: time.monotonic() - began > seconds, 'the time has passed')
+
+
+def test_a_master_that_hangs_holds_up_neither_pages_nor_the_car(driver, controls, robot, core):
+    other = Page(controls, TOKEN)
+    other.until(lambda page: 'node' in page.known, 'the other page is there')
+    hold = drive_until(driver, drives(robot), 'the car drives')
+    with core.hung():
+        other.say(watch=LOOKS + ['serial_msg'])
+        wait(0.5)
+        seen = other.now
+        other.until(lambda page: page.now > seen + 0.5, 'pages are told what is new')
+        robot.car.forget()
+        hold = drive_until(driver, drives(robot), 'the car drives on')
+        driver.say(release={'hold': hold})
+        until(stands(robot), 'the car stands')
+        robot.car.forget()
+        drive_until(driver, drives(robot), 'the car drives again')
+        until(stands(robot), 'the car stands as its page falls silent')
+    other.until(lambda page: page.known.get('wire', {}).get('frames'), 'frames come after it')
+    other.close()
+
+
+def test_publishers_follow_who_looks_though_the_master_hung_meanwhile(controls, robot, core):
+    def publishes():
+        return controls.node in publishers_and_subscribers()[0].get(NODE + '/speed', ())
+    page = Page(controls, TOKEN)
+    until(publishes, 'somebody looks')
+    with core.hung():
+        page.close()
+        wait(2)
+        page = Page(controls, TOKEN)
+        page.until(lambda page: 'node' in page.known, 'the page is there')
+    robot.car.forget()
+    drive_until(page, drives(robot), 'the car drives')
+    page.close()
+    until(lambda: not publishes(), 'nobody looks')
+
+
+def nothing(_panel):
+    pass
+
+
+def look(panel):
+    """Have it register what the wire needs."""
+    Page(panel, TOKEN, watch=['serial_msg'])
+    wait(0.3)
+
+
+def call(panel):
+    """Have it look a service up."""
+    page = Page(panel, TOKEN)
+    page.until(lambda page: page.now, 'the page is there')
+    lift(page, 'key')
+    page.until(lambda page: 'key' in page.calls, 'the call is under way')
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('what', [nothing, look, call])
+def test_a_signal_ends_it_while_the_master_hangs(robot, core, number, what):
+    panel = Panel('--control', '--token', TOKEN, name='panel_hung')
+    page = Page(panel, TOKEN)
+    page.until(lambda page: page.known.get('trouble') == '', 'it is registered, and looks')
+    with core.hung():
+        what(panel)
+        assert panel.end(number) == 0
+    assert 'Traceback' not in panel.output()
+
+
+def test_a_signal_ends_it_as_it_starts_while_the_master_hangs(core):
+    with core.hung():
+        panel = Panel(name='panel_hung')
+        assert panel.end() == 0
+
+
+def test_a_terminal_that_takes_nothing_holds_up_no_page(robot):
+    reads, writes = os.pipe()
+    port = free_port()
+    panel = subprocess.Popen([program('panel'), '--port', str(port), '__name:=panel_mute'],
+                             stdout=writes, stderr=writes)
+    try:
+        until(lambda: b'http://' in os.read(reads, 1000), 'it listens')
+        place = types.SimpleNamespace(port=port)
+        page = Page(place)
+        page.until(lambda page: page.known.get('trouble') == '', 'it is a node and logs as one')
+        os.set_blocking(writes, False)
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                os.write(writes, bytes(1000))
+        os.set_blocking(writes, True)       # this holds for the panel's end, too
+        assert Page(place, origin='http://evil.example').status == 403     # a line of its log
+        seen = page.now
+        page.until(lambda page: page.now > seen + 0.5, 'the page is told what is new')
+        panel.send_signal(signal.SIGINT)
+        assert panel.wait(PATIENCE) == 0
+    finally:
+        panel.kill()
+        os.close(reads)
+        os.close(writes)
+
+
+def test_what_a_master_that_hung_kept_back_moves_nothing(driver, robot, core):
+    robot.bus.forget()
+    with core.hung():
+        lift(driver, 'late')
+        driver.until(lambda page: 'late' in page.calls, 'the call is under way')
+        wait(2.5)
+        assert not driver.calls['late'].get('outcome')
+    driver.until(lambda page: page.calls['late'].get('outcome'), 'the answer')
+    assert driver.calls['late']['outcome'] == 'refused'
+    assert 'nothing was sent' in driver.calls['late']['words']
+    assert not robot.lifts
+
+
+def test_what_a_bridge_that_hung_kept_back_moves_nothing(driver, robot):
+    robot.bus.forget()
+    os.kill(robot.bridge.process.pid, signal.SIGSTOP)
+    try:
+        lift(driver, 'late')
+        driver.until(lambda page: 'late' in page.calls, 'the call is under way')
+        wait(2.5)
+    finally:
+        os.kill(robot.bridge.process.pid, signal.SIGCONT)
+    driver.until(lambda page: page.calls['late'].get('outcome'), 'the answer')
+    assert driver.calls['late']['outcome'] == 'refused'
+    assert 'nothing was sent' in driver.calls['late']['words']
+    assert not robot.lifts
+
+
+def test_what_a_panel_that_was_suspended_finds_moves_nothing(driver, controls, robot):
+    robot.bus.forget()
+    led = arduino.encode(arduino.LedCommand('old'))
+    os.kill(controls.process.pid, signal.SIGSTOP)
+    try:
+        lift(driver, 'late')
+        driver.say(led={'key': 'old', 'text': 'old'})
+        wait(2.5)
+    finally:
+        os.kill(controls.process.pid, signal.SIGCONT)
+    for key in ('late', 'old'):
+        driver.until(lambda page, key=key: any(
+            update.get('refused', {}).get('key') == key for update in list(page.updates)),
+            f'{key} is refused')
+    assert not robot.lifts and led not in robot.car.commands

@@ -5,6 +5,7 @@ is a master to register with.
 """
 import argparse
 import logging
+import os
 import re
 import secrets
 import signal
@@ -20,18 +21,23 @@ import tornado.ioloop
 
 from ...links.sparing_log import SparingLog
 from ...output import print_line_by_line
+from ...ros import background_logging
 from ...ros.master import full_name, living_node
 from ...ros.master_watch import MasterWatch
 from ...transport.terminal import write_in_background
 from ..watch.topics import NODE
+from ..watch.watcher import leave
 from .commands import Commands
 from .feed import Feed
 from .guard import SHORTEST_TOKEN, Guard, is_loopback
+from .registrar import Registrar
 from .server import Hub, listen, own_names, serve
 
 _MASTER_EVERY = 1.0       # s from one look for a master to the next
 _SAY_EVERY = 10.0         # s from one word about its absence to the next
 _LAST_WORDS = 0.2         # s that a last SPEED 0 has to leave
+_FAREWELL = 1.0           # s for the master to take note of the end
+_LAST_RESORT = 1.8        # s from a signal to the end, whatever hangs
 
 
 def _port(text: str) -> int:
@@ -86,7 +92,7 @@ class _Ros:
     def stop(self) -> None:
         """Begin nothing any more, and leave the master."""
         self._stopping.set()
-        rospy.signal_shutdown('the panel ends')
+        leave(_FAREWELL)
 
     def _begin(self) -> None:
         waited = 0.0
@@ -124,9 +130,26 @@ class _Ros:
             self._end(1)
 
 
+def _end_at_the_latest(signalled: threading.Event, statuses: List[int]) -> None:
+    """Something hangs: a thread of rospy's, a terminal that takes nothing."""
+    signalled.wait()
+    time.sleep(_LAST_RESORT)
+    os._exit(statuses[0] if statuses else 0)
+
+
 def main(argv: Optional[List[str]] = None) -> int:
     """Serve until a signal; the exit status."""
     print_line_by_line()
+    background_logging.install()
+    status = 1
+    try:
+        status = _serve(argv)
+    finally:
+        background_logging.finish(status)
+    return status
+
+
+def _serve(argv: Optional[List[str]]) -> int:
     options = _arguments(rospy.myargv(sys.argv)[1:] if argv is None else argv)
     token = options.token
     if token is None and (options.control or not is_loopback(options.bind)):
@@ -142,19 +165,27 @@ def main(argv: Optional[List[str]] = None) -> int:
     loop = tornado.ioloop.IOLoop.current()
     log = SparingLog('panel', logging.getLogger('rosout'))
     node = rospy.names.resolve_name(options.node)
-    commands = Commands(node, loop.add_callback, loop.call_later) if options.control else None
-    hub = Hub(Feed(node, rosgraph.get_master_uri()), commands, log)
+    registrar = Registrar(log)
+    commands = Commands(node, registrar, loop.add_callback, loop.call_later) \
+        if options.control else None
+    hub = Hub(Feed(node, rosgraph.get_master_uri(), registrar), commands, log)
     server = serve(sockets, hub, Guard([*own_names(), options.bind], token))
+    statuses: List[int] = []
+    ending = threading.Event()
+    threading.Thread(target=_end_at_the_latest, args=(ending, statuses), name='last resort',
+                     daemon=True).start()
+
+    def end(status: int = 0) -> None:
+        first = not statuses        # a second signal may come while the first one sets `ending`
+        statuses.append(status)
+        if first:
+            ending.set()
+            loop.add_callback_from_signal(loop.stop)
+
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, lambda *_: loop.add_callback_from_signal(loop.stop))
+        signal.signal(number, lambda *_: end())
     # Not to the log: whoever may read that shall not learn the token.
     print('panel: ' + _address(options.bind, sockets[0].getsockname()[1], token), flush=True)
-    statuses: List[int] = []
-
-    def end(status: int) -> None:
-        statuses.append(status)
-        loop.add_callback(loop.stop)
-
     ros = _Ros(lambda: loop.add_callback(hub.ros_is_there), end)
     loop.start()
 
@@ -162,4 +193,4 @@ def main(argv: Optional[List[str]] = None) -> int:
     if hub.stop():
         time.sleep(_LAST_WORDS)
     ros.stop()
-    return statuses[0] if statuses else 0
+    return statuses[0]

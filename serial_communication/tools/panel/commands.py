@@ -1,7 +1,7 @@
 """What the page may have the robot do, with --control: calls of services, the LED, driving.
 
-A call is made in a thread of its own, since it may take seconds. Everything else here, the dead
-man's switch too, runs on the IO loop.
+A call is made in a thread of its own, since it may take seconds, and publishers are made in the
+registrar's. Everything else here, the dead man's switch too, runs on the IO loop.
 """
 import threading
 import time
@@ -12,6 +12,8 @@ import genpy
 import rosgraph
 import roslib.message
 import rospy
+from rospy.exceptions import TransportInitError
+from rospy.impl.tcpros_base import TCPROSTransport
 from std_msgs.msg import String
 from std_srvs.srv import Empty, Trigger
 
@@ -23,11 +25,14 @@ from ...protocols.arduino import LED_LIMIT, SPEED_LIMIT
 from ...ros.answers import read_error, read_response
 from ..watch.topics import resolve
 from .dead_man import SILENCE, DeadMan, Refused
+from .registrar import Registrar
 
 STEERING = (500, 2500)      # µs that a servo may be told
 _AGAIN = 0.5                # s after a call in which the same is a second click, no second wish
+_PATIENCE = 2.0             # s after a press in which its request is sent, or never
 _MOST_CALLS = 8             # that are under way at once
 _MOST_ANSWERS = 30          # that stay to be read
+_TOPICS = {'speed': SpeedPWMCommand, 'led': String, 'steering': SteeringPWMCommand}
 _REFUSED, _UNKNOWN = Verdict.REFUSED, Verdict.NOT_KNOWN
 
 
@@ -71,8 +76,10 @@ class Commands:
         call_later: runs one there after so many seconds.
     """
 
-    def __init__(self, node: str, later: Callable, call_later: Callable) -> None:
+    def __init__(self, node: str, registrar: Registrar, later: Callable,
+                 call_later: Callable) -> None:
         self._node = node
+        self._registrar = registrar
         self._later = later
         self._call_later = call_later
         self._services = _BUILT_IN
@@ -82,7 +89,9 @@ class Commands:
         self._ended: Dict[Any, Dict[str, Optional[float]]] = {}
         self._numbers = 0
         self._changed: List[Dict[str, Any]] = []
+        self._wanted = False             # somebody looks
         self._publishers: Dict[str, rospy.Publisher] = {}
+        self._registered: Dict[str, rospy.Publisher] = {}    # the registrar's
         self._dead_man = DeadMan(self._stop_driving)
         self._drive_words = ''
         self._told_drive: Any = None
@@ -91,10 +100,8 @@ class Commands:
 
     def start(self) -> None:
         """Somebody looks: the bridge gets to know our topics, so that no first command is lost."""
-        for name, message_class in (('speed', SpeedPWMCommand), ('led', String),
-                                    ('steering', SteeringPWMCommand)):
-            self._publishers[name] = rospy.Publisher(
-                resolve('~' + name, self._node), message_class, queue_size=1, tcp_nodelay=True)
+        self._wanted = True
+        self._registrar.do(self._register)
 
     def stop_driving(self) -> bool:
         """Whoever drives, drives no longer; whether anybody did."""
@@ -104,9 +111,25 @@ class Commands:
 
     def stop(self) -> None:
         """Nobody looks."""
-        for publisher in self._publishers.values():
-            publisher.unregister()
-        self._publishers.clear()
+        self._wanted = False
+        self._publishers = {}
+        self._registrar.do(self._register)
+
+    def _register(self) -> None:
+        """Have publishers while they are wanted."""
+        if self._wanted and not self._registered:
+            self._registered = {name: rospy.Publisher(
+                resolve('~' + name, self._node), message_class, queue_size=1, tcp_nodelay=True)
+                for name, message_class in _TOPICS.items()}
+        elif not self._wanted:
+            publishers, self._registered = self._registered, {}
+            for publisher in publishers.values():
+                publisher.unregister()
+        self._later(self._take_publishers)
+
+    def _take_publishers(self) -> None:
+        if self._wanted:
+            self._publishers = self._registered
 
     def describe(self) -> Dict[str, Any]:
         """What the page needs to draw its controls."""
@@ -141,12 +164,19 @@ class Commands:
 
     # -- services ------------------------------------------------------------------------------
 
-    def call(self, who: Any, key: str, name: str, arguments: Dict[str, Any]) -> None:
-        """Call a service for a browser; Refused where it is not even tried."""
+    def call(self, who: Any, key: str, seen: float, name: str,
+             arguments: Dict[str, Any]) -> None:
+        """Call a service for a browser; Refused where it is not even tried.
+
+        Args:
+            seen: the latest time of ours that the browser had seen; what a network or a suspended
+                process has kept back moves nothing.
+        """
         service = self._services.get(name)
         if service is None:
             raise Refused(f'no service {name[:40]!r}')
         now = time.monotonic()
+        _check_age(seen, now)
         ended = self._ended.setdefault(who, {})
         last = ended.get(name, 0.0)
         if last is None or now - last < _AGAIN:
@@ -171,7 +201,8 @@ class Commands:
             self._ended.pop(who, None)
 
     def _run(self, who: Any, service: Service, request: Any, entry: Dict[str, Any]) -> None:
-        outcome, words = _call(resolve(service.name, self._node), service, request)
+        outcome, words = _call(resolve(service.name, self._node), service, request,
+                               entry['began'] + _PATIENCE)
         self._later(self._answered, who, entry, outcome, words)
 
     def _answered(self, who: Any, entry: Dict[str, Any], outcome: Verdict, words: str) -> None:
@@ -182,8 +213,9 @@ class Commands:
 
     # -- the car -------------------------------------------------------------------------------
 
-    def led(self, text: str) -> None:
-        """Show this on the car's LEDs."""
+    def led(self, seen: float, text: str) -> None:
+        """Show this on the car's LEDs; `seen` as for a call."""
+        _check_age(seen, time.monotonic())
         if len(text) > LED_LIMIT or not text.isascii() or '\0' in text:
             raise Refused(f'the LED takes at most {LED_LIMIT} characters of ASCII')
         self._publisher('led').publish(text)
@@ -237,6 +269,12 @@ class Commands:
         return publisher
 
 
+def _check_age(seen: float, now: float) -> None:
+    """Refused if the browser sent this before it saw what is due since."""
+    if not 0 <= now - seen <= _PATIENCE:
+        raise Refused(f'it came {now - seen:.1f} s late, nothing was sent: press again')
+
+
 def _request(service: Service, arguments: Dict[str, Any]) -> Any:
     """The request with these fields; Refused where they are not the service's."""
     names = [name for name, _type in service.fields()]
@@ -250,16 +288,44 @@ def _request(service: Service, arguments: Dict[str, Any]) -> Any:
     return request
 
 
-def _call(name: str, service: Service, request: Any) -> Any:
-    """Call it: how it went, and in words."""
+def _connected(name: str, service: Service, deadline: float) -> rospy.ServiceProxy:
+    """A proxy whose request leaves at once.
+
+    rospy's own asks the master and connects as it is called: a request would be sent as soon as
+    they answer, however long they have hung, and the robot move when nobody expects it any more.
+
+    Raises:
+        rosgraph.MasterError: there is no such service.
+        OSError: the master does not answer.
+        rospy.ROSException: the bridge does not answer, or the deadline has passed.
+    """
+    uri = rosgraph.Master(rospy.get_name()).lookupService(name)
+    proxy = rospy.ServiceProxy(name, service.service_class)
+    proxy.transport = TCPROSTransport(proxy.protocol, proxy.resolved_name)
     try:
-        rosgraph.Master(rospy.get_name()).lookupService(name)
+        proxy.transport.connect(*rospy.core.parse_rosrpc_uri(uri), uri, timeout=_PATIENCE)
+    except TransportInitError:
+        proxy.close()
+        raise rospy.ROSException('the bridge does not answer') from None
+    if time.monotonic() > deadline:
+        proxy.close()
+        raise rospy.ROSException(f'master and bridge took more than {_PATIENCE:g} s to answer; '
+                                 'call again')
+    return proxy
+
+
+def _call(name: str, service: Service, request: Any, deadline: float) -> Any:
+    """Call it: how it went, and in words. Nothing is sent after the deadline."""
+    try:
+        proxy = _connected(name, service, deadline)
     except rosgraph.MasterError:
         return _REFUSED, 'nothing was sent: no bridge offers this now'
     except OSError:
         return _REFUSED, 'nothing was sent: the ROS master does not answer'
+    except Exception as error:  # pylint: disable=broad-except
+        return _REFUSED, f'nothing was sent: {error}'
     try:
-        response = rospy.ServiceProxy(name, service.service_class)(request)
+        response = proxy(request)
     except rospy.ServiceException as error:
         return read_error(error)
     except Exception as error:  # pylint: disable=broad-except

@@ -1,7 +1,8 @@
 """What the page is told of the bridge: rows of numbers, words, links and frames.
 
 Messages are taken as they come and unpacked on the IO loop, once a tick, all of them, so that a
-plot shows every one. Everything but `_keep` and `_hear` runs on the IO loop.
+plot shows every one. Everything but `_keep` and `_hear` (rospy's threads) and `_register` (the
+registrar's) runs on the IO loop, which never waits for the master.
 """
 import math
 import time
@@ -14,6 +15,7 @@ from rosgraph_msgs.msg import Log
 from ..watch.state import BridgeState
 from ..watch.topics import DIAGNOSTICS, SERIAL_MSG, TOPICS, Topic, Value
 from ..watch.watcher import Watcher
+from .registrar import Registrar
 from .wire import Wire
 
 HISTORY = 600.0         # s that a topic's rows, and a link's errors, are kept for
@@ -85,10 +87,12 @@ class _Errors(NamedTuple):
 class Feed:
     """Looks at one bridge for as long as anybody looks at the page."""
 
-    def __init__(self, node: str, master: str) -> None:
+    def __init__(self, node: str, master: str, registrar: Registrar) -> None:
         self._state = BridgeState(node, master=master)
-        self._watcher: Optional[Watcher] = None
-        self._log: Optional[rospy.Subscriber] = None
+        self._registrar = registrar
+        self._looking = False
+        self._watcher = self._new_watcher()
+        self._log: Optional[rospy.Subscriber] = None    # while the watcher watches
         self._since = 0.0                        # when it began to look
         self._wanted: Set[str] = set()
         self._waiting: Deque[Tuple[Topic, bytes, float]] = deque(maxlen=_MOST_WAITING)
@@ -103,20 +107,15 @@ class Feed:
 
     def start(self) -> None:
         """Somebody looks; rospy.init_node has been called."""
-        self._watcher = Watcher(self._state, lambda topic: topic.name in self._wanted, self._keep)
-        self._watcher.start()
+        self._looking = True
         self._since = time.monotonic()
-        self._log = rospy.Subscriber('/rosout_agg', Log, self._hear, queue_size=100)
+        self._registrar.do(self._register)
 
     def stop(self) -> None:
-        """Nobody looks: no subscription remains."""
-        if self._watcher:
-            self._watcher.stop()
-            self._watcher = None
-        if self._log:
-            self._log.unregister()
-            self._log = None
+        """Nobody looks: soon no subscription remains."""
+        self._looking = False
         self._waiting.clear()
+        self._registrar.do(self._register)
 
     @property
     def parameters(self) -> Any:
@@ -128,13 +127,34 @@ class Feed:
         names = set(names)
         if names != self._wanted:
             self._wanted = names
-            if self._watcher:
-                self._watcher.want(lambda topic: topic.name in self._wanted)
+            self._registrar.do(self._register)
+
+    def _new_watcher(self) -> Watcher:
+        return Watcher(self._state, self._wants, self._keep)
+
+    def _wants(self, topic: Topic) -> bool:
+        return topic.name in self._wanted
+
+    def _register(self) -> None:
+        """Have the subscriptions that are wanted now."""
+        watches = self._log is not None
+        if self._looking and not watches:
+            self._log = rospy.Subscriber('/rosout_agg', Log, self._hear, queue_size=100)
+            self._watcher = self._new_watcher()
+            self._watcher.start()
+        elif self._looking:
+            self._watcher.want(self._wants)
+        elif watches:
+            self._watcher.stop()
+            self._log.unregister()
+            self._log = None
 
     # -- in rospy's threads --------------------------------------------------------------------
 
     def _keep(self, topic: Topic, packed: bytes, at: float) -> None:
-        if topic.name != DIAGNOSTICS:       # that is what the links are known from
+        # /diagnostics is what the links are known from. After `stop`, messages come for as long
+        # as the master hangs.
+        if topic.name != DIAGNOSTICS and self._looking:
             self._waiting.append((topic, packed, at))
 
     def _hear(self, line: Log) -> None:

@@ -25,7 +25,8 @@ only where there is news:
 
 From the page, any number of keys in one message:
 
-    seen        the `now` of the latest message that it has taken; answers every one
+    seen        the `now` of the latest message that it has taken; answers every one, and stands
+                beside `call` and `led`, too: one that has been kept back for seconds is refused
     watch       [topic]: what it shows; with serial_msg, the wire
     call        {key, name, arguments}: a service
     led         {key, text}
@@ -132,18 +133,18 @@ class Session(Guarded, WebSocketHandler):
             self._hub.watch()
         for name in ('call', 'led', 'drive', 'release'):
             if name in said:
-                self._command(name, said[name])
+                self._command(name, said[name], float(said.get('seen', 0)))
 
-    def _command(self, name: str, what: Dict[str, Any]) -> None:
+    def _command(self, name: str, what: Dict[str, Any], seen: float) -> None:
         commands = self._hub.commands
         key = str(what.get('key', ''))[:40]
         try:
             if commands is None:
                 raise Refused('this panel only looks; start it with --control')
             if name == 'call':
-                commands.call(self, key, str(what['name']), dict(what['arguments']))
+                commands.call(self, key, seen, str(what['name']), dict(what['arguments']))
             elif name == 'led':
-                commands.led(str(what['text']))
+                commands.led(seen, str(what['text']))
             elif name == 'drive':
                 commands.drive(self, int(what['hold']), float(what['seen']),
                                int(what['speed']), int(what['steering']))

@@ -21,11 +21,11 @@ _FAREWELL = 2.0       # s
 _BUFFER = 1 << 18     # bytes; rospy's 64 KiB would delay the latest message behind older ones
 
 
-def leave() -> None:
-    """End this process's part in ROS; in 2 s even where the master's host does not answer."""
+def leave(patience: float = _FAREWELL) -> None:
+    """End this process's part in ROS; in `patience` s even where the master does not answer."""
     ending = threading.Thread(target=rospy.signal_shutdown, args=('it ends',), daemon=True)
     ending.start()
-    ending.join(_FAREWELL)
+    ending.join(patience)
     if ending.is_alive():
         atexit.unregister(rospy.core._ros_atexit)    # which would wait for it
 

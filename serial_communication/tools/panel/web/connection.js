@@ -36,10 +36,10 @@ export class Connection extends EventTarget {
   /** Seconds since it last spoke. */
   silence() { return seconds() - this._heard; }
 
-  /** Say something; whether it could be said. */
+  /** Say something, and what had been seen by then; whether it could be said. */
   send(what) {
     if (this._socket?.readyState !== WebSocket.OPEN) return false;
-    this._socket.send(JSON.stringify(what));
+    this._socket.send(JSON.stringify({seen: this.seen, ...what}));
     return true;
   }
 
@@ -69,7 +69,7 @@ export class Connection extends EventTarget {
     this._heard = at;
     this._again = AGAIN[0];
     this.seen = update.now;
-    this.send({seen: update.now});
+    this.send({});
     this.dispatchEvent(new CustomEvent('update', {detail: update}));
   }
 
