@@ -258,7 +258,8 @@ class Network:
 class Page:
     """The other end of a panel's WebSocket, with nothing between: it may misbehave."""
 
-    def __init__(self, panel, token=None, watch=(), acknowledges=True, origin='', host=''):
+    def __init__(self, panel, token=None, watch=(), acknowledges=True, origin='', host='',
+                 reads=True):
         host = host or f'127.0.0.1:{panel.port}'
         self.updates = deque(maxlen=5000)
         self.status = None          # of the HTTP answer
@@ -267,11 +268,16 @@ class Page:
         self.known = {}             # all that updates have said, the latest of each
         self.rows = {}              # topic -> latest row by field
         self.calls = {}
+        self.pongs = 0
         self.holds = 0              # presses of the driving pad
         self.acknowledges = acknowledges
         self._fields = {}
         self._sending = threading.Lock()
-        self._socket = socket.create_connection(('127.0.0.1', panel.port), PATIENCE)
+        self._socket = socket.socket()
+        self._socket.settimeout(PATIENCE)
+        if not reads:       # and the system takes little in its stead
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+        self._socket.connect(('127.0.0.1', panel.port))
         lines = ['GET /socket HTTP/1.1', f'Host: {host}', 'Upgrade: websocket',
                  'Connection: Upgrade', 'Sec-WebSocket-Version: 13',
                  'Sec-WebSocket-Key: ' + base64.b64encode(os.urandom(16)).decode()]
@@ -286,20 +292,26 @@ class Page:
             pass
         if self.status == 101:
             self.say(watch=list(watch))
-            threading.Thread(target=self._read, daemon=True).start()
+            if reads:
+                threading.Thread(target=self._read, daemon=True).start()
 
     def say(self, **what):
         """Send a message, and what had been seen by then."""
         self.write(json.dumps({'seen': self.now, **what}).encode())
 
-    def write(self, data):
-        """Send these bytes as one message."""
+    def write(self, data, kind=0x81):
+        """Send these bytes as one message, or as one frame of another kind."""
         mask = os.urandom(4)
-        size = struct.pack('>BBH', 0x81, 0x80 | 126, len(data))
+        size = struct.pack('>BB', kind, 0x80 | len(data)) if len(data) < 126 \
+            else struct.pack('>BBH', kind, 0x80 | 126, len(data))
         masked = bytes(byte ^ mask[index % 4] for index, byte in enumerate(data))
+        self.flood(size + mask + masked)
+
+    def flood(self, data):
+        """Send these bytes, whatever they are."""
         with self._sending:
             try:
-                self._socket.sendall(size + mask + masked)
+                self._socket.sendall(data)
             except OSError:
                 pass        # `closed` tells
 
@@ -322,6 +334,9 @@ class Page:
                 if size > 125:
                     size = int.from_bytes(self._stream.read(2 if size == 126 else 8), 'big')
                 data = self._stream.read(size)
+                if first & 15 == 10:
+                    self.pongs += 1
+                    continue
                 if first & 15 == 8:
                     self.closed = data[2:].decode() or 'closed'
                     return

@@ -12,9 +12,10 @@ import rospy
 from boards import Diagnostics, Topic as Heard, ranges, until
 from panel_stage import NODE, TOKEN, Network, Panel, free_port
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Vector3
 from sensor_msgs.msg import Imu, Range
-from std_msgs.msg import Float32, String
+from std_msgs.msg import Float32, Float64, Int64, String
 from std_srvs.srv import SetBool, SetBoolResponse
 
 from serial_communication.links.outcome import NOT_SENT, Outcome
@@ -269,6 +270,55 @@ def test_own_topics_appear_by_themselves(chromium, core):
         wind.unregister()
         words.unregister()
         chromium.open('about:blank')
+        panel.end()
+
+
+def test_odd_numbers_and_names_are_borne(chromium, core):
+    """What a program that calls itself a bridge may publish."""
+    values = {'big': (Int64, 2 ** 43), 'bigger': (Int64, 2 ** 63 - 1),
+              'huge': (Float64, 1.7e308), 'least': (Float64, -1.7e308), 'level': (Float64, 1e300)}
+    publishers = {name: (rospy.Publisher('~' + name, kind, queue_size=1), number)
+                  for name, (kind, number) in values.items()}
+    diagnostics = rospy.Publisher('/diagnostics', DiagnosticArray, queue_size=1)
+    causes = {'constructor': '3', '__proto__': '4', 'x' * 5000: '5', 'square': '\u00b2'}
+    status = DiagnosticStatus(name='odd: constructor link', message='m' * 5000, values=[
+        KeyValue(f'{cause} errors', count) for cause, count in causes.items()]
+        + [KeyValue('port', 'p' * 5000), KeyValue('timeouts', 't' * 5000)])
+    panel = Panel('--node', rospy.get_name(), name='panel_odd')
+    done = threading.Event()
+
+    def publish():
+        while not done.wait(0.05):
+            for publisher, number in publishers.values():
+                publisher.publish(number)
+            for pair in status.values[:2]:
+                pair.value = str(int(pair.value) + 1)
+            diagnostics.publish(DiagnosticArray(status=[status]))
+    threading.Thread(target=publish, daemon=True).start()
+    try:
+        chromium.open(panel.url)
+        chromium.wait_for_text('#connection', 'live')
+        for name, text in (('big', str(2 ** 43)), ('bigger', str(2 ** 63 - 1)),
+                           ('huge', '1.7e+308'), ('least', '\N{MINUS SIGN}1.7e+308')):
+            chromium.wait_for_text(f'[data-reading="~{name}:data"] .number', text)
+        chromium.wait_for_updates(20)       # and all are drawn
+        card = '[data-link="constructor"] '
+        for cause in ('constructor', '__proto__'):
+            chromium.wait(lambda page, cause=cause: int(page.text(
+                f'{card} [data-cause="{cause}"] b') or 0) > 0, f'{cause} is counted')
+        assert 'function' not in chromium.text(card)
+        assert chromium.script('return document.documentElement.scrollWidth <= innerWidth')
+        chromium.resize(390, 844)
+        chromium.wait(lambda page: page.script(
+            'return innerWidth == 390 && document.documentElement.scrollWidth == 390'), 'it fits')
+        assert chromium.errors() == []
+    finally:
+        done.set()
+        chromium.resize(1600, 1000)
+        chromium.open('about:blank')
+        for publisher, _number in publishers.values():
+            publisher.unregister()
+        diagnostics.unregister()
         panel.end()
 
 

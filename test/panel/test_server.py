@@ -3,7 +3,9 @@ moves the robot."""
 import contextlib
 import json
 import os
+import resource
 import signal
+import socket
 import subprocess
 import threading
 import time
@@ -11,9 +13,12 @@ import types
 
 import pytest
 import rosgraph
+import rospy
 from boards import PATIENCE, program, ranges, until
 from panel_stage import (NODE, TOKEN, Page, Panel, free_port, publishers_and_subscribers,
                          subscribed)
+
+from std_msgs.msg import String
 
 from serial_communication.protocols import arduino
 from serial_communication.protocols import robot_ctrl_bus as bus
@@ -212,7 +217,13 @@ def test_what_may_do_harm_gets_a_token_of_its_own(arguments):
 
 def test_a_page_that_asks_too_often_or_talks_nonsense_is_dropped(panel):
     for message, why in ((b'{', 'says what no page says'), (b'[1]', 'says what no page says'),
-                         (b'{"watch": 5}', 'says what no page says'), (b'{"drive": 1}', 'no page')):
+                         (b'{"watch": 5}', 'says what no page says'), (b'{"drive": 1}', 'no page'),
+                         (b'{"seen": NaN}', 'no page'), (b'{"seen": 1e999}', 'no page'),
+                         (b'{"release": {"hold": 1e999}}', 'no page'),
+                         (b'{"release": {"hold": -Infinity}}', 'no page'),
+                         (b'{"seen": 1%s, "led": {"text": ""}}' % bytes(400).replace(
+                             b'\0', b'0'), 'no page'),
+                         (b'[' * 4000, 'no page')):
         page = Page(panel)
         page.write(message)
         until(lambda: why in page.closed, f'{message} is refused')
@@ -223,6 +234,99 @@ def test_a_page_that_asks_too_often_or_talks_nonsense_is_dropped(panel):
     page = Page(panel)
     page.write(json.dumps({'watch': ['x' * 5000]}).encode())
     until(lambda: page.closed, 'a message that is too long ends it')
+
+
+@pytest.fixture
+def bystander(panel):
+    """A page to which nothing of what another one does may happen."""
+    page = Page(panel, watch=LOOKS)
+    page.until(lambda page: '~imu' in page.rows, 'it is told what is new')
+    yield page
+    assert not page.closed
+    seen = page.now
+    page.until(lambda page: page.now > seen + 0.5, 'it is told what is new')
+    page.close()
+
+
+MASK = bytes(4)
+
+
+@pytest.mark.parametrize('frame', [
+    b'\x89\x80' + MASK, b'\x89\xfd' + MASK + bytes(125), b'\x8a\x80' + MASK, b'\x00\x80' + MASK],
+    ids=['pings', 'long pings', 'pongs', 'fragments'])
+@pytest.mark.parametrize('reads', [True, False])
+def test_a_flood_of_frames_that_are_no_messages_is_dropped(panel, bystander, frame, reads):
+    page = Page(panel, reads=reads)
+    if frame[0] == 0:
+        page.flood(b'\x01\x80' + MASK)         # a message begins
+    ended = threading.Event()
+
+    def flood():
+        while not ended.is_set():
+            page.flood(frame * 1000)
+    seen = bystander.now
+    thread = threading.Thread(target=flood, daemon=True)
+    thread.start()
+    try:
+        bystander.until(lambda page: page.now > seen + 1, 'others are told what is new')
+        if reads:
+            until(lambda: page.closed, 'it is dropped')
+            assert 'too much' in page.closed or page.closed == 'gone'
+    finally:
+        ended.set()
+        page.close()
+        thread.join()
+
+
+def test_a_ping_is_answered(page):
+    page.write(b'x', 0x89)
+    page.until(lambda page: page.pongs, 'the answer comes')
+
+
+@pytest.mark.parametrize('says', [
+    {}, {'seen': 1e18}], ids=['nothing', 'that it has seen everything'])
+def test_a_page_that_reads_nothing_is_dropped_whatever_it_says(robot, says):
+    panel = Panel(name='panel_unread')
+    page = Page(panel, watch=[*LOOKS, 'serial_msg'], reads=False)
+    until(lambda: 'dropped a page at 127.0.0.1: it does not take' in panel.output(),
+          'it is dropped', seconds=60,
+          doing=lambda: says and page.say(**says), every=0.1)
+    page.close()
+    assert panel.end() == 0
+
+
+def test_idle_connections_keep_nobody_out(robot):
+    panel = Panel(name='panel_crowded')
+    before = Page(panel, watch=LOOKS)
+    before.until(lambda page: '~imu' in page.rows, 'numbers come')
+    resource.prlimit(panel.process.pid, resource.RLIMIT_NOFILE, (160, 160))
+    idle = [socket.create_connection(('127.0.0.1', panel.port)) for _ in range(300)]
+    later = Page(panel, watch=LOOKS)
+    later.until(lambda page: '~imu' in page.rows, 'another page is served')
+    assert panel.get('/app.js')[0] == 200
+    seen = before.now
+    before.until(lambda page: page.now > seen + 0.5, 'the first is told what is new')
+    assert not before.closed
+    for each in idle:
+        each.close()
+    assert panel.end() == 0
+    assert 'Too many open files' not in panel.output()
+
+
+def another_page(panel, pages):
+    pages.append(Page(panel, reads=False))
+    return pages[-1].status == 101
+
+
+def test_pages_that_are_dropped_and_stay_keep_nobody_out(panel, bystander):
+    pages = []
+    for _ in range(80):
+        until(lambda: another_page(panel, pages), 'there is room')
+        pages[-1].write(b'{')
+    later = Page(panel, watch=LOOKS)
+    later.until(lambda page: '~imu' in page.rows, 'another page is served')
+    for page in [*pages, later]:
+        page.close()
 
 
 def test_a_slow_page_is_dropped_and_the_others_are_not(panel, two_pages):
@@ -407,6 +511,54 @@ def test_calls_that_are_none(driver, robot, name, arguments, words):
     driver.say(call={'key': 'wrong', 'name': name, 'arguments': arguments})
     driver.until(lambda page: page.known.get('refused', {}).get('key') == 'wrong', 'refused')
     assert words in driver.known['refused']['words'] and not robot.lifts
+
+
+_SERVICE = """
+from std_msgs.msg import Float32
+from std_srvs.srv import SetBoolResponse
+
+class Set:
+    _type, _md5sum = 'floats/Set', '0' * 32
+    _request_class, _response_class = Float32, SetBoolResponse
+"""
+
+
+@pytest.fixture
+def floats(core, tmp_path):
+    """A panel of a bridge, which this process plays, with a service that takes a number."""
+    module = tmp_path / 'floats' / 'srv'
+    module.mkdir(parents=True)
+    (tmp_path / 'floats' / '__init__.py').touch()
+    (module / '__init__.py').write_text(_SERVICE)
+    rospy.set_param('~bus/functions/set', {'srv_type': 'floats/Set'})
+    there = rospy.Publisher('~there', String, queue_size=1)
+    panel = Panel('--control', '--token', TOKEN, '--node', rospy.get_name(), name='panel_floats',
+                  environment={'PYTHONPATH': f'{tmp_path}:{os.environ["PYTHONPATH"]}'})
+    yield panel
+    assert panel.end() == 0
+    there.unregister()
+    rospy.delete_param('~bus')
+
+
+@pytest.mark.parametrize('number, is_json', [
+    ('NaN', False), ('1e999', False), ('-Infinity', False), ('1e39', True),
+    ('1' + '0' * 400, True)], ids=['nan', 'overflow', 'infinity', 'beyond float32', 'an integer'])
+def test_a_number_that_is_none_silences_nobody(floats, number, is_json):
+    page, other = Page(floats, TOKEN), Page(floats, TOKEN)
+    page.until(lambda page: '~set' in page.known.get('controls', {}).get('services', ()),
+               'the service is offered')
+    page.write(b'{"seen": %f, "call": {"key": "odd", "name": "~set", "arguments": {"data": %s}}}'
+               % (page.now, number.encode()))
+    if is_json:
+        page.until(lambda page: page.known.get('refused', {}).get('key') == 'odd', 'refused')
+        assert not page.closed
+    else:
+        until(lambda: 'no page says' in page.closed, 'it is dropped')
+    seen = other.now
+    other.until(lambda page: page.now > seen + 0.5, 'others are told what is new')
+    assert not other.closed and 'odd' not in other.calls
+    page.close()
+    other.close()
 
 
 def test_led(driver, robot):

@@ -211,7 +211,8 @@ def test_links_are_those_of_diagnostics_and_those_expected():
 
 def test_errors_by_cause():
     link = LinkState(0, 'open', {'checksum errors': '3', 'framing errors': '4', 'port': 'x',
-                                 'odd errors': 'many'})
+                                 'odd errors': 'many', 'square errors': '\u00b2',
+                                 'arabic errors': '\u0663', 'endless errors': '9' * 5000})
     assert link.errors == {'checksum': 3, 'framing': 4}
 
 

@@ -3,6 +3,7 @@
 A call is made in a thread of its own, since it may take seconds, and publishers are made in the
 registrar's. Everything else here, the dead man's switch too, runs on the IO loop.
 """
+import io
 import threading
 import time
 from collections import deque
@@ -61,7 +62,7 @@ def own_services(parameters: Any) -> Dict[str, Service]:
     found = {}
     for name, row in (functions.items() if isinstance(functions, dict) else ()):
         type_ = row.get('srv_type') if isinstance(row, dict) else None
-        service_class = roslib.message.get_service_class(type_) if type_ else None
+        service_class = roslib.message.get_service_class(type_) if isinstance(type_, str) else None
         if service_class:
             found['~' + name] = Service('~' + name, service_class)
     return found
@@ -87,6 +88,7 @@ class Commands:
         self._answers: Deque[Dict[str, Any]] = deque(maxlen=_MOST_ANSWERS)
         # browser -> service -> when its last call ended; None: it is under way
         self._ended: Dict[Any, Dict[str, Optional[float]]] = {}
+        self._under_way = 0              # calls, also of browsers that have gone
         self._numbers = 0
         self._changed: List[Dict[str, Any]] = []
         self._wanted = False             # somebody looks
@@ -181,11 +183,11 @@ class Commands:
         last = ended.get(name, 0.0)
         if last is None or now - last < _AGAIN:
             raise Refused(f'{name}: one call at a time')
-        if sum(at is None for each in self._ended.values()
-               for at in each.values()) >= _MOST_CALLS:
+        if self._under_way >= _MOST_CALLS:
             raise Refused('too many calls are under way')
         request = _request(service, arguments)
         ended[name] = None
+        self._under_way += 1
         self._numbers += 1
         entry = {'number': self._numbers, 'key': key, 'name': name,
                  'arguments': arguments, 'began': round(now, 3)}
@@ -197,8 +199,7 @@ class Commands:
     def forget(self, who: Any) -> None:
         """The browser has gone; what it called goes on to its end."""
         self._dead_man.forget(who)
-        if None not in self._ended.get(who, {}).values():
-            self._ended.pop(who, None)
+        self._ended.pop(who, None)
 
     def _run(self, who: Any, service: Service, request: Any, entry: Dict[str, Any]) -> None:
         outcome, words = _call(resolve(service.name, self._node), service, request,
@@ -208,7 +209,9 @@ class Commands:
     def _answered(self, who: Any, entry: Dict[str, Any], outcome: Verdict, words: str) -> None:
         now = time.monotonic()
         entry.update(outcome=outcome.value, words=words, took=round(now - entry['began'], 3))
-        self._ended[who][entry['name']] = now
+        self._under_way -= 1
+        if who in self._ended:
+            self._ended[who][entry['name']] = now
         self._changed.append(entry)
 
     # -- the car -------------------------------------------------------------------------------
@@ -218,7 +221,10 @@ class Commands:
         _check_age(seen, time.monotonic())
         if len(text) > LED_LIMIT or not text.isascii() or '\0' in text:
             raise Refused(f'the LED takes at most {LED_LIMIT} characters of ASCII')
-        self._publisher('led').publish(text)
+        try:
+            self._publisher('led').publish(text)
+        except rospy.ROSException as error:
+            raise Refused(f'nothing was sent: {error}') from None     # shutting down
 
     def drive(self, who: Any, hold: int, seen: float, speed: int, steering: int) -> None:
         """Drive, as long as this browser says so again and again."""
@@ -283,7 +289,8 @@ def _request(service: Service, arguments: Dict[str, Any]) -> Any:
     request = service.service_class._request_class(**arguments)
     try:
         request._check_types()
-    except genpy.SerializationError as error:
+        request.serialize(io.BytesIO())     # a float beyond its type, say
+    except (genpy.SerializationError, ArithmeticError) as error:
         raise Refused(f'{service.name}: {error}') from None
     return request
 

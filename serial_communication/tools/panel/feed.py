@@ -7,6 +7,7 @@ registrar's) runs on the IO loop, which never waits for the master.
 import math
 import time
 from collections import deque
+from itertools import islice
 from typing import Any, Deque, Dict, Iterable, List, NamedTuple, Optional, Set, Tuple
 
 import rospy
@@ -24,6 +25,9 @@ _FIRST_WORD = 1.5       # s that master and bridge have to answer, once somebody
 _MOST_WAITING = 2000    # messages that wait for the IO loop; older ones are left out
 _MOST_FRAMES = 100      # that one update carries: 2500 a second
 _MOST_LINES = 100       # of the log that are kept
+_LONGEST = 500          # characters of a text that are shown
+_MOST_KEYS = 200        # of a link's values
+_MOST_DIGITS = 2 ** 53  # beyond it a browser rounds integers
 
 _TABLE = {topic.name for topic in TOPICS}
 
@@ -64,8 +68,10 @@ class _Shown:
 def plain(value: Value) -> Any:
     """As JSON can say it: what is no number as text, the rest without digits nobody sees."""
     number = value.value
+    if isinstance(number, str):
+        return number[:_LONGEST]
     if not isinstance(number, float):
-        return number
+        return number if abs(number) <= _MOST_DIGITS else str(number)
     if math.isfinite(number):
         return float(f'{number:.7g}') if value.digits is None \
             else round(number, value.digits + 2)
@@ -159,7 +165,7 @@ class Feed:
 
     def _hear(self, line: Log) -> None:
         if line.name == self._state.node:
-            self._new_lines.append([round(time.monotonic(), 3), line.level, line.msg[:500]])
+            self._new_lines.append([round(time.monotonic(), 3), line.level, line.msg[:_LONGEST]])
 
     # -- updates -------------------------------------------------------------------------------
 
@@ -213,17 +219,17 @@ class Feed:
         frames, left_out = [], 0
         for _ in range(len(self._waiting)):
             topic, packed, at = self._waiting.popleft()
-            if topic.name == SERIAL_MSG:
-                if len(frames) < _MOST_FRAMES:
-                    frames.append(self._explain(self._watcher.unpack(topic, packed), at))
-                else:
-                    left_out += 1
+            if topic.name == SERIAL_MSG and len(frames) >= _MOST_FRAMES:
+                left_out += 1
                 continue
             shown = self._shown.setdefault(topic.name, _Shown())
             try:
                 message = self._watcher.unpack(topic, packed)
-                shown.add(at, topic.values(message))
-                shown.message, shown.trouble = message, ''
+                if topic.name == SERIAL_MSG:
+                    frames.append(self._explain(message, at))
+                else:
+                    shown.add(at, topic.values(message))
+                    shown.message, shown.trouble = message, ''
             except Exception as error:  # pylint: disable=broad-except
                 # Whatever another version of the type may make of it.
                 shown.trouble = f'not as expected: {error}'
@@ -243,12 +249,16 @@ class Feed:
     def _tell(self, name: str, shown: _Shown, rows: List[Any],
               fields: bool = False) -> Dict[str, Any]:
         state = self._state.topic(name)
-        limit = state.stale_after() if state else None
+        limit = _limit(state.stale_after()) if state else None
         words = shown.trouble
         if state and shown.message is not None and not words:
-            words = state.topic.words(shown.message)
-        told = {'rows': rows, 'words': words, 'limit': None if limit is None else round(limit, 2)}
-        if fields or shown.changed:
+            try:
+                words = state.topic.words(shown.message)
+            except Exception as error:  # pylint: disable=broad-except
+                words = f'not as expected: {error}'
+        told = {'rows': rows, 'words': words[:_LONGEST],
+                'limit': None if limit is None else round(limit, 2)}
+        if shown.shape is not None and (fields or shown.changed):
             told['fields'] = shown.shape
         return told
 
@@ -263,7 +273,7 @@ class Feed:
                 errors = self._errors.setdefault(name, deque())
                 was = before.errors if before else link.errors
                 # A counter that is lower than it was belongs to a bridge that began anew.
-                counts = {cause: count - was.get(cause, 0) if count >= was.get(cause, 0)
+                counts = {cause[:_LONGEST]: count - was.get(cause, 0) if count >= was.get(cause, 0)
                           else count for cause, count in link.errors.items()}
                 row = _Errors(round(link.at, 3), {cause: count for cause, count
                                                   in counts.items() if count})
@@ -277,5 +287,7 @@ class Feed:
     def _tell_link(link: Any, errors: Iterable[_Errors]) -> Dict[str, Any]:
         if link is None:
             return {'at': None}
-        return {'at': round(link.at, 3), 'level': link.level, 'summary': link.summary,
-                'values': link.values, 'errors': list(errors)}
+        values = {key[:_LONGEST]: value[:_LONGEST]
+                  for key, value in islice(link.values.items(), _MOST_KEYS)}
+        return {'at': round(link.at, 3), 'level': link.level, 'summary': link.summary[:_LONGEST],
+                'values': values, 'errors': list(errors)}

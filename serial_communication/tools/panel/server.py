@@ -19,6 +19,7 @@ from .session import LONGEST, Session, encode
 
 PERIOD = 0.04          # s from one update to the next
 _MOST_PAGES = 16
+_MOST_CONNECTIONS = 64     # pages and all others; a browser has up to 6 while it loads a page
 _GRACE = 1.0           # s that all goes on after the last page has gone: it may only be loading
 _HEADERS = 16384       # bytes of a request
 
@@ -39,6 +40,10 @@ class Hub:
         """rospy.init_node has returned."""
         self._ready = True
         self._look()
+
+    def streams(self) -> Set[Any]:
+        """The connections of the pages."""
+        return {page.stream for page in self._pages}
 
     def full(self) -> bool:
         """Whether nobody else may look."""
@@ -96,6 +101,10 @@ class Hub:
         except Exception:  # pylint: disable=broad-except
             # A fault of ours must not leave the pages silent without a word about why.
             self.log.error('fault', traceback.format_exc())
+            now = time.monotonic()
+            text = encode({'now': round(now, 4), 'trouble': 'a fault of the panel; see its log'})
+            for page in list(self._pages):
+                page.send(now, text)
 
     def _update(self) -> None:
         now = time.monotonic()
@@ -115,6 +124,20 @@ class Hub:
     def _first(self, now: float) -> str:
         return encode(self._feed.everything(now),
                       self.commands.everything() if self.commands else None)
+
+
+class Server(tornado.httpserver.HTTPServer):
+    """Has only so many connections; another one takes the place of the oldest that is no page."""
+
+    hub: Hub
+    _open: List[Any] = []
+
+    def handle_stream(self, stream: Any, address: Any) -> None:
+        self._open = [each for each in self._open if not each.closed()] + [stream]
+        if len(self._open) > _MOST_CONNECTIONS:
+            pages = self.hub.streams()
+            next(each for each in self._open if each not in pages).close()
+        super().handle_stream(stream, address)
 
 
 def own_names() -> List[str]:
@@ -140,8 +163,9 @@ def serve(sockets: List[socket.socket], hub: Hub, guard: Guard) -> tornado.https
         (r'/socket', Session, {'hub': hub}),
         (r'/(.*)', Files, {'path': str(WEB), 'default_filename': 'index.html'}),
     ], **settings)
-    server = tornado.httpserver.HTTPServer(
+    server = Server(
         application, max_header_size=_HEADERS, max_body_size=LONGEST, max_buffer_size=1 << 20,
         idle_connection_timeout=60)
+    server.hub = hub
     server.add_sockets(sockets)
     return server

@@ -1,6 +1,7 @@
 """One browser's connection, and all that is said over it.
 
-Every message is one JSON object. Times are seconds of this machine's monotonic clock.
+Every message is one JSON object, strictly: no NaN, no Infinity, no number beyond a double. Times
+are seconds of this machine's monotonic clock.
 
 From the server, 25 times a second, so that its silence is a sign; all but `now` and `trouble`
 only where there is news:
@@ -34,7 +35,9 @@ From the page, any number of keys in one message:
                 held; `hold` counts presses
     release     {hold}
 """
+import asyncio
 import json
+import math
 import time
 from collections import deque
 from typing import Any, Deque, Dict, Optional
@@ -47,8 +50,10 @@ from .pages import Guarded
 
 LONGEST = 4096        # bytes of a message from a page
 _UNSEEN = 125         # updates, 5 s of them, that a page may not have taken before it is dropped
-_RATE = 120.0         # messages a second that a page may send; it sends 25, and 20 as it drives
+_MOST_WAITING = 2 << 20    # bytes that may wait for a page; the first update has the history
+_RATE = 120.0         # frames a second that a page may send; it sends 25, and 20 as it drives
 _BURST = 240.0
+_FAREWELL_RATE = 10.0      # of those a dropped page, whose answer to the close is waited for
 _MOST_TOPICS = 200    # that a page may ask for
 
 
@@ -59,7 +64,10 @@ class Session(Guarded, WebSocketHandler):
         self._hub = hub
         self.fresh = True          # nothing has been sent yet
         self.topics = frozenset()
+        self.stream: Any = None    # once it is open
+        self._dropped = False
         self._unseen: Deque[float] = deque()
+        self._unsent: Deque[int] = deque()     # sizes of what the system has not taken yet
         self._credit = _BURST
         self._credit_at = time.monotonic()
 
@@ -79,7 +87,23 @@ class Session(Guarded, WebSocketHandler):
         """Whether it shows the frames of serial_msg."""
         return SERIAL_MSG in self.topics
 
+    def get_websocket_protocol(self) -> Any:
+        """tornado's, with every frame counted: it tells of no fragment, and answers each ping."""
+        protocol = super().get_websocket_protocol()
+        if protocol is not None:
+            receive = protocol._receive_frame
+
+            async def receive_and_count() -> None:
+                if self._dropped:
+                    await asyncio.sleep(1 / _FAREWELL_RATE)
+                elif not self._may_speak():
+                    self.drop('it says too much')
+                await receive()
+            protocol._receive_frame = receive_and_count
+        return protocol
+
     def open(self) -> None:     # pylint: disable=arguments-differ
+        self.stream = self.ws_connection.stream
         self.set_nodelay(True)
         self._hub.add(self)
 
@@ -87,8 +111,8 @@ class Session(Guarded, WebSocketHandler):
         self._hub.remove(self)
 
     def send(self, now: float, text: str) -> None:
-        """Send an update; drop the page if it does not take them."""
-        if len(self._unseen) >= _UNSEEN:
+        """Send an update; drop the page if it does not take them, whatever it says to have seen."""
+        if max(len(self._unseen), len(self._unsent)) >= _UNSEEN:
             self.drop('it does not take what is sent to it')
             return
         self._unseen.append(now)
@@ -97,25 +121,38 @@ class Session(Guarded, WebSocketHandler):
 
     def drop(self, why: str) -> None:
         """End the connection, and say so once."""
+        self._dropped = True
         self._hub.log.warn(why, f'dropped a page at {self.request.remote_ip}: {why}')
         self.close(1008, why)
         self._hub.remove(self)
 
     def _write(self, text: str) -> None:
+        if sum(self._unsent) > _MOST_WAITING:
+            self.drop('it does not take what is sent to it')
+            return
         try:
-            self.write_message(text).add_done_callback(_look_at)
+            written = self.write_message(text)
         except WebSocketClosedError:
             self._hub.remove(self)
+            return
+        self._unsent.append(len(text))
+        written.add_done_callback(self._written)
+
+    def _written(self, future: Any) -> None:
+        """The oldest has been taken; a page that went meanwhile is no fault to be logged."""
+        self._unsent.popleft()
+        if not future.cancelled():
+            future.exception()
 
     # -- from the page -------------------------------------------------------------------------
 
     def on_message(self, message: Any) -> None:
-        if not self._may_speak():
-            self.drop('it says too much')
+        if self._dropped:
             return
         try:
-            self._take(dict(json.loads(message)))
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+            self._take(decode(message))
+        except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError,
+                ValueError):
             self.drop('it says what no page says')
 
     def _may_speak(self) -> bool:
@@ -157,10 +194,16 @@ class Session(Guarded, WebSocketHandler):
                                 'refused': {'key': key, 'words': str(refused)}}))
 
 
-def _look_at(future: Any) -> None:
-    """A page that went as it was written to is no fault to be logged."""
-    if not future.cancelled():
-        future.exception()
+def decode(message: Any) -> Dict[str, Any]:
+    """A page's message; ValueError or TypeError where it is none, or not strictly JSON."""
+    return dict(json.loads(message, parse_float=_finite, parse_constant=_finite))
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f'{text} is no number of JSON')
+    return number
 
 
 def encode(update: Dict[str, Any], more: Optional[Dict[str, Any]] = None) -> str:

@@ -2,6 +2,7 @@
 
 Times are seconds of any monotonic clock, the same one in every call.
 """
+import re
 from collections import deque
 from typing import Any, Deque, Dict, Iterable, List, NamedTuple, Optional, Tuple
 
@@ -92,7 +93,7 @@ class LinkState(NamedTuple):
     def errors(self) -> Dict[str, int]:
         """How often what has gone wrong on the line, by cause: checksum, framing …"""
         return {key[:-len(' errors')]: int(value) for key, value in self.values.items()
-                if key.endswith(' errors') and value.isdigit()}
+                if key.endswith(' errors') and re.fullmatch('[0-9]{1,15}', value)}
 
     def stale(self, now: float) -> bool:
         """Whether it has not been said again for three periods of /diagnostics."""

@@ -63,7 +63,13 @@ function draw() {
   drawnAt = performance.now();
   const now = connection.now();
   head(now);
-  cards.forEach((each) => each.draw(model, now));
+  for (const each of cards) {
+    try {
+      each.draw(model, now);
+    } catch (error) {       // the other cards go on
+      console.error(error);
+    }
+  }
 }
 
 function drawSoon() {

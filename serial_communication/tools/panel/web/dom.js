@@ -46,7 +46,8 @@ export function number(value, digits = null) {
   if (typeof value === 'string') return value;
   if (value === null || value === undefined || Number.isNaN(value)) return '–';
   if (!Number.isFinite(value)) return value > 0 ? '∞' : '−∞';
-  let text = digits === null ? String(Number(value.toPrecision(6))) : value.toFixed(digits);
+  let text = digits !== null ? value.toFixed(digits)
+    : String(Number.isSafeInteger(value) ? value : Number(value.toPrecision(6)));
   if (Number(text) === 0) text = text.replace('-', '');
   return text.replace('-', '−');
 }

@@ -64,7 +64,7 @@ class Link {
     this.level = null;
     this.summary = '';
     this.values = {};
-    this.errors = [];        // rows of [time, {cause: count}]
+    this.errors = [];        // rows of [time, Map of counts by cause]
     this._counted = [];      // [time, frames received, frames sent]
   }
 
@@ -72,7 +72,9 @@ class Link {
     if (at === null) return;
     Object.assign(this, {at, level, summary, values});
     const last = this.errors.length ? this.errors[this.errors.length - 1][0] : -Infinity;
-    this.errors.push(...errors.filter((row) => row[0] > last));
+    for (const [time, counts] of errors) {
+      if (time > last) this.errors.push([time, new Map(Object.entries(counts))]);
+    }
     this.errors = this.errors.filter((row) => at - row[0] <= KEPT);
     this._counted.push([at, Number(values['frames received']), Number(values['frames sent'])]);
     if (this._counted.length > 4) this._counted.shift();
@@ -86,12 +88,12 @@ class Link {
     return (last[column] - first[column]) / (last[0] - first[0]);
   }
 
-  /** How often what went wrong in the last seconds: {cause: count}. */
+  /** How often what went wrong since then: a Map by cause. A cause may have any name. */
   errorsSince(time) {
-    const sums = {};
+    const sums = new Map();
     for (const [at, counts] of this.errors) {
       if (at <= time) continue;
-      for (const [cause, count] of Object.entries(counts)) sums[cause] = (sums[cause] ?? 0) + count;
+      for (const [cause, count] of counts) sums.set(cause, (sums.get(cause) ?? 0) + count);
     }
     return sums;
   }
@@ -102,7 +104,7 @@ class Link {
   look(now) {
     if (this.stale(now)) return 'none';
     if (this.level >= 2) return 'error';
-    const errors = Object.values(this.errorsSince(now - ERRORS_SHOWN)).some((count) => count);
+    const errors = [...this.errorsSince(now - ERRORS_SHOWN).values()].some((count) => count);
     return this.level === 1 || errors ? 'warn' : 'ok';
   }
 }

@@ -3,6 +3,8 @@ import {colour, context, h, mark, number} from './dom.js';
 
 const DESCRIBED = 5;      // s from one description for a screen reader to the next
 const EDGE = 6;           // px above and below the lines
+const GREATEST = 1e300;   // beyond it, a difference of two numbers may be infinite
+const FINEST = 1e-12;     // of a number: a height that doubles can still divide
 
 export class Plot {
   /**
@@ -48,12 +50,13 @@ export class Plot {
     for (const {topic, at, first} of series) {
       for (let index = first; index < topic.rows.length; index++) {
         const value = Number(topic.rows[index][at]);
-        if (value < low && value > -Infinity) low = value;
-        if (value > high && value < Infinity) high = value;
+        if (value < low && value >= -GREATEST) low = value;
+        if (value > high && value <= GREATEST) high = value;
       }
     }
     if (low > high) [low, high] = [0, this._least];
-    const middle = (low + high) / 2, half = Math.max(high - low, this._least) / 2 * 1.12;
+    const middle = (low + high) / 2;
+    const half = Math.max(high - low, this._least, Math.abs(middle) * FINEST) / 2 * 1.12;
     const want = [middle - half, middle + half];
     if (this._low === null || want[0] < this._low || want[1] > this._high) {
       this._low = Math.min(this._low ?? want[0], want[0]);
@@ -68,7 +71,8 @@ export class Plot {
     ctx.font = '11px system-ui, sans-serif';
     ctx.lineWidth = 1;
     const step = niceStep((high - low) / (height / 30));
-    for (let value = Math.ceil(low / step) * step; value <= high; value += step) {
+    for (let count = Math.ceil(low / step); count * step <= high; count++) {
+      const value = count * step;
       const y = Math.round(EDGE + (high - value) / (high - low) * (height - 2 * EDGE)) + 0.5;
       const zero = Math.abs(value) < step / 2;
       ctx.strokeStyle = colour(zero ? '--axis' : '--grid');
@@ -97,7 +101,7 @@ export class Plot {
     };
     for (let index = Math.max(0, first - 1); index < topic.rows.length; index++) {
       const row = topic.rows[index], value = Number(row[at]);
-      if (!Number.isFinite(value)) { flush(); column = null; before = -Infinity; continue; }
+      if (!(Math.abs(value) <= GREATEST)) { flush(); column = null; before = -Infinity; continue; }
       const px = Math.round(x(row[0]));
       if (row[0] - before > gap || column === null) {
         flush();

@@ -5,7 +5,7 @@ const SHOWN = 300;         // s of the sparkline
 const BIN = 3;             // s of one of its bars
 const MINUTE = 60;
 const LONGEST_GAP = 30;    // ms without a heartbeat after which the car stops its motor
-const BOARDS = {bus: 'control board', arduino: 'model car', mcu: 'sensor board'};
+const BOARDS = new Map([['bus', 'control board'], ['arduino', 'model car'], ['mcu', 'sensor board']]);
 const SIGNS = {ok: '✓', warn: '!', error: '✕', none: '?'};
 const WORDS = {ok: 'well', warn: 'trouble', error: 'down', none: 'not known'};
 const CAUSES = ['--cause-1', '--cause-2', '--cause-3', '--cause-4', '--cause-5'];
@@ -39,7 +39,7 @@ class LinkCard {
     this._details = h('details', {class: 'all'}, h('summary', {}, 'everything it says'),
       h('table', {}, this._all));
     const item = (label, value) => h('div', {}, h('dt', {}, label), value);
-    this.element = card(name, BOARDS[name] ?? '',
+    this.element = card(name, BOARDS.get(name) ?? '',
       h('div', {class: 'now'},
         h('div', {class: 'state'}, this._sign, h('div', {}, this._summary, this._port)),
         h('div', {class: 'errors'},
@@ -94,22 +94,23 @@ class LinkCard {
 
   _errors(link, now) {
     const minute = link.errorsSince(now - MINUTE);
-    const sum = Object.values(minute).reduce((all, each) => all + each, 0);
+    const sum = [...minute.values()].reduce((all, each) => all + each, 0);
     say(this._count, number(sum));
     mark(this._count, 'data-some', sum > 0);
-    const causes = Object.keys(link.errorsSince(now - SHOWN)).sort();
-    const words = causes.map((cause) => `${cause} ${minute[cause] ?? 0}`).join(' ');
+    const shown = link.errorsSince(now - SHOWN);
+    const causes = [...shown.keys()].sort();
+    const words = causes.map((cause) => `${cause} ${minute.get(cause) ?? 0}`).join(' ');
     this._causes.hidden = !causes.length;
     if (this._causes.dataset.words !== words) {
       this._causes.dataset.words = words;
       this._causes.replaceChildren(...causes.map((cause, at) => {
         const item = h('li', {class: 'key', 'data-cause': cause}, `${cause} `,
-          h('b', {}, String(minute[cause] ?? 0)));
+          h('b', {}, String(minute.get(cause) ?? 0)));
         item.style.setProperty('--key', `var(${CAUSES[at % CAUSES.length]})`);
         return item;
       }));
       mark(this._spark, 'aria-label', `errors in the last five minutes: ${causes.map((cause) =>
-        `${cause} ${link.errorsSince(now - SHOWN)[cause]}`).join(', ') || 'none'}`);
+        `${cause} ${shown.get(cause)}`).join(', ') || 'none'}`);
     }
     const area = context(this._spark);
     if (area) this._bars(area, link, now, causes);
@@ -120,7 +121,7 @@ class LinkCard {
     const sums = Array.from({length: bins}, () => causes.map(() => 0));
     for (const [at, counts] of link.errors) {
       const bin = sums[Math.floor((at - begin) / BIN)];
-      if (bin) causes.forEach((cause, index) => { bin[index] += counts[cause] ?? 0; });
+      if (bin) causes.forEach((cause, index) => { bin[index] += counts.get(cause) ?? 0; });
     }
     const most = Math.max(5, ...sums.map((bin) => bin.reduce((all, each) => all + each, 0)));
     const wide = width / bins;
