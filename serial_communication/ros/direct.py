@@ -11,19 +11,20 @@ where no memory is left that may never return.
 This is written against private parts of rospy, as they are in 1.15.15 (Debian 12) and 1.16.0
 (Noetic). `install` looks whether they are the same, and leaves a rospy that differs as it is.
 """
-import inspect
 import logging
 import select
 import socket
 import threading
 import time
 from collections import deque
-from typing import Any, Deque, Dict, Iterable, Set, Union
+from typing import Deque, Dict, Union
 
 import rospy.topics
 from rospy.exceptions import TransportTerminated
 from rospy.impl.tcpros_base import TCPROSTransport
 from rospy.impl.transport import Transport
+
+from .private_parts import names
 
 _PRIVATE = {'_closed_connection_callback', '_cond_data_available', '_connection', '_error',
             '_lock', '_queue', '_queue_size', '_run', '_thread'}    # all of QueuedConnection
@@ -143,18 +144,12 @@ _sender = _Sender()
 
 def install(logger: logging.Logger) -> None:
     """Use it for every subscriber that comes from now on, if rospy is one that it fits."""
-    private = {name for name in _names(vars(rospy.topics.QueuedConnection).values())
+    private = {name for name in names(vars(rospy.topics.QueuedConnection).values())
                if name.startswith('_') and not name.startswith('__')}
     if private == _PRIVATE \
-            and _OF_A_TRANSPORT <= _names([Transport.__init__, TCPROSTransport.__init__]):
+            and _OF_A_TRANSPORT <= names([Transport.__init__, TCPROSTransport.__init__]):
         _sender.start()
         rospy.topics.QueuedConnection = DirectConnection
     else:
         logger.warning('this rospy sends messages in another way than 1.15.15 and 1.16.0: '
                        "they go through rospy's own threads, which takes more CPU")
-
-
-def _names(members: Iterable[Any]) -> Set[str]:
-    """What the functions among these use."""
-    return {name for member in members if inspect.isfunction(member)
-            for name in member.__code__.co_names}

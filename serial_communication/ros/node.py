@@ -12,10 +12,12 @@ import rospy
 
 from ..boards import reason
 from ..links.link import Link
+from ..links.sparing_log import SparingLog
 from ..output import print_line_by_line
 from ..transport.pace import all_be_quick
 from ..transport.terminal import write_in_background
-from . import background_logging, direct, handshake, parameters, remapping, starting
+from . import (background_logging, direct, handshake, parameters, remapping, shortage,
+               starting)
 from .diagnostics import Diagnostics
 from .geometry import publish_mounts
 from .interface import Common
@@ -51,7 +53,9 @@ def _run(last_resort: '_LastResort') -> int:
     ended = starting.may_start(_NAME)
     if ended is not None:
         return ended
-    handshake.install(_LOGGER)
+    log = SparingLog('ROS', _LOGGER)
+    handshake.install(log)
+    shortage.install(log)
     try:
         rospy.init_node(_NAME)
     except rospy.ROSInitException:      # a signal came before the master had answered

@@ -101,7 +101,10 @@ class WhileOneRuns(unittest.TestCase):
         self.assertEqual(header['type'], 'roscpp/GetLoggers')
         caller.close()
         for each in silent, other:
-            self.assertEqual(each.recv(1), b'')
+            try:
+                self.assertEqual(each.recv(1), b'')
+            except ConnectionResetError:
+                pass        # closed, too: what it had sent was not read
             each.close()
         self.assert_unharmed()
 
