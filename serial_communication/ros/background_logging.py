@@ -77,11 +77,12 @@ def _hand_over(handler: logging.Handler, record: logging.LogRecord) -> None:
         pass    # no thread to be had, say: the line is lost, and who logged goes on
 
 
-def finish(status: int) -> None:
+def finish() -> bool:
     """Write what still waits, as the process ends; at most half a second.
 
-    Where a stream is stuck the process ends here with `status`: the interpreter, as it ends,
-    would wait for that stream for ever.
+    Returns:
+        Whether all is written. Otherwise the process has to end by os._exit: the interpreter, as
+        it ends, would wait for a stream that is stuck for ever.
     """
     deadline = time.monotonic() + _LAST
     for writer in list(_writers.values()):
@@ -93,7 +94,8 @@ def finish(status: int) -> None:
             thread.start()      # after the others: it writes what they left in the streams
         thread.join(max(0.0, deadline - time.monotonic()))
         if thread.is_alive():
-            os._exit(status)
+            return False
+    return True
 
 
 def _flush() -> None:

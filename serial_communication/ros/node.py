@@ -6,7 +6,7 @@ import sys
 import threading
 import time
 from contextlib import contextmanager
-from typing import Iterator
+from typing import Callable, Iterator
 
 import rospy
 
@@ -40,17 +40,22 @@ def main() -> None:
     sys.setswitchinterval(_SWITCH_INTERVAL)
     write_in_background()
     background_logging.install()
-    status, last_resort = 1, _LastResort()
+    start = starting.Start(_NAME)
+    last_resort = _LastResort(start.end_at_last)
+    status = 1
     try:
-        status = _run(last_resort)
+        status = _run(start, last_resort)
     finally:
-        background_logging.finish(status)
+        written = background_logging.finish()
+        start.start_again_if_displaced()
+        if not written:
+            os._exit(status)
     last_resort.begin(status)
     sys.exit(status)
 
 
-def _run(last_resort: '_LastResort') -> int:
-    ended = starting.may_start(_NAME)
+def _run(start: starting.Start, last_resort: '_LastResort') -> int:
+    ended = start.may_begin()
     if ended is not None:
         return ended
     log = SparingLog('ROS', _LOGGER)
@@ -60,13 +65,16 @@ def _run(last_resort: '_LastResort') -> int:
         rospy.init_node(_NAME)
     except rospy.ROSInitException:      # a signal came before the master had answered
         return 0
+    finally:
+        start.registered()
     direct.install(_LOGGER)
     remapping.install()
     # From here on a signal ends the process, though a module of another package, or the master,
     # hangs before there is a bridge to stop.
     rospy.on_shutdown(last_resort.begin)
     if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:    # as nohup has it
-        signal.signal(signal.SIGHUP, lambda *_: rospy.signal_shutdown('the terminal has gone'))
+        signal.signal(signal.SIGHUP, lambda *_: (
+            start.stopping.set(), rospy.signal_shutdown('the terminal has gone')))
     bridge = None
     try:
         given = rospy.get_param('~', {})
@@ -75,7 +83,9 @@ def _run(last_resort: '_LastResort') -> int:
             rospy.logwarn(warning)
         bridge = Bridge(values)
         rospy.on_shutdown(bridge.stop)
-        bridge.start()
+        if not rospy.core.is_shutdown_requested():      # or the hook may have come too late
+            bridge.start()
+            MasterWatch(given, _LOGGER).start()
     except rospy.ROSInterruptException:
         return 0
     except (ParameterError, *remapping.NAME_ERRORS) as error:
@@ -84,7 +94,6 @@ def _run(last_resort: '_LastResort') -> int:
         rospy.logfatal(remapping.explained(error))
         starting.linger()
         return 1
-    MasterWatch(given, _LOGGER).start()
     rospy.spin()
     return 0
 
@@ -92,9 +101,14 @@ def _run(last_resort: '_LastResort') -> int:
 class _LastResort:
     """Ends the process soon after its end has begun, whatever keeps it alive: a thread in a dead
     connection, say. Its thread is there from the start: where no memory is left, starting one may
-    never return."""
+    never return.
 
-    def __init__(self) -> None:
+    Args:
+        end: ends the process with a status.
+    """
+
+    def __init__(self, end: Callable[[int], None]) -> None:
+        self._end = end
         self._status = 0
         self._begun = threading.Event()
         threading.Thread(target=self._run, name='last resort', daemon=True).start()
@@ -107,7 +121,7 @@ class _LastResort:
     def _run(self) -> None:
         self._begun.wait()
         time.sleep(_LAST_RESORT)
-        os._exit(self._status)
+        self._end(self._status)
 
 
 @contextmanager
@@ -125,7 +139,11 @@ def _code_of(board: type) -> Iterator[None]:
 
 
 class Bridge:
-    """The links that have a port, and what belongs to all of them."""
+    """The links that have a port, and what belongs to all of them.
+
+    Args:
+        p: the parameters, checked.
+    """
 
     def __init__(self, p: dict) -> None:
         common = Common(p['frame_timeout'], rospy.Time.now, _LOGGER)
@@ -174,5 +192,6 @@ class Bridge:
             link.join(max(0.0, deadline - time.monotonic()))
         self._diagnostics.stop()
         # rospy's thread for the calls of others turns in circles once its socket is closed, and
-        # would keep a processor from those that it waits for.
+        # would keep a processor from those that it waits for. And a process that starts again in
+        # the place of this one would inherit the priority.
         all_be_quick(0)

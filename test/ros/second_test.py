@@ -10,6 +10,7 @@ import subprocess
 import time
 import unittest
 from urllib.parse import urlsplit
+from xmlrpc.client import ServerProxy
 
 import rosgraph
 import rospy
@@ -19,6 +20,7 @@ from rosgraph.network import encode_ros_handshake_header, read_ros_handshake_hea
 from boards import PACKAGE, PATIENCE, Bridge, CarBoard, Line, own_folder, program, until
 
 NAME = '/' + PACKAGE
+ELSEWHERE = os.path.join(os.path.dirname(os.path.abspath(__file__)), 'node_elsewhere.py')
 BEAT_MISSED = 0.030      # s without a heartbeat after which the board stops its motor
 TAKEN = 3                # exit status of one whose name is taken
 
@@ -188,6 +190,122 @@ class WhileOneRuns(unittest.TestCase):
                 if status:
                     self.assertIn(repr(arguments[0]), lines_of(said)[0])
         self.assert_unharmed()
+
+
+class InTheSameMoment(unittest.TestCase):
+    """Two bridges of one name: exactly one lives, and the other one ends with status 3."""
+
+    def setUp(self):
+        self.folder = own_folder()
+        self.master = rosgraph.Master('/second_test')
+        self.pair = []
+
+    def tearDown(self):
+        for bridge in self.pair:
+            if bridge.alive:
+                bridge.process.kill()
+                bridge.process.wait(10)
+        shutil.rmtree(self.folder)
+
+    def start(self, host='', meets=True, arguments=()):
+        """A bridge on that host; one that meets waits where it has found the name free."""
+        settings = ['HOST=' + host] + ['MEETING=' + self.folder] * meets
+        self.pair.append(Bridge('twin', {'bus/port': os.path.join(self.folder, 'bus')}, arguments,
+                                before=['env', *settings, ELSEWHERE]))
+        return self.pair[-1]
+
+    def have_met(self):
+        """How many have found the name free."""
+        return len(os.listdir(self.folder))
+
+    def go(self):
+        """Those that have met go on."""
+        open(os.path.join(self.folder, 'go'), 'w').close()
+
+    def owner(self):
+        """The process that has the name, if it answers."""
+        try:
+            with ServerProxy(self.master.lookupNode('/twin')) as node:
+                return node.getPid('/second_test')[2]
+        except (rosgraph.MasterError, OSError):
+            return None
+
+    def assert_one_lives(self):
+        until(lambda: len([each for each in self.pair if each.alive]) == 1, 'one of them has ended',
+              4 * PATIENCE)
+        lives, = [each for each in self.pair if each.alive]
+        ended, = [each for each in self.pair if not each.alive]
+        said = lines_of(ended.output())
+        self.assertEqual(ended.process.returncode, TAKEN, said)
+        self.assertEqual([line for line in said if 'runs already' in line], said[-1:])
+        until(lambda: self.owner() == lives.process.pid, 'the other one has the name',
+              4 * PATIENCE)
+        self.assertNotIn('Traceback', ended.output() + lives.output())
+        _seconds, status = lives.end()
+        self.assertEqual(status, 0, lives.output())
+        return lives, ended
+
+    def test_on_one_host_the_second_one_waits_until_it_can_see_the_first(self):
+        first = self.start()
+        until(lambda: self.have_met() == 1, 'the first one has found the name free')
+        second = self.start()
+        second.wait_for('another /twin is starting on this host; waiting for it')
+        self.assertEqual(self.have_met(), 1)
+        self.go()
+        lives, ended = self.assert_one_lives()
+        self.assertIs(lives, first)
+        self.assertEqual(len(lines_of(ended.output())), 2, ended.output())
+
+    def test_on_two_hosts_who_was_displaced_looks_again(self):
+        self.start('one')
+        self.start('two')
+        until(lambda: self.have_met() == 2, 'both have found the name free')
+        self.go()
+        lives, ended = self.assert_one_lives()
+        self.assertIn('another node has registered as /twin', lives.output() + ended.output())
+
+    def test_however_they_start(self):
+        for hosts in ('', ''), ('one', 'two'):
+            for turn in range(3):
+                with self.subTest(hosts=hosts, turn=turn):
+                    self.pair = []
+                    for host in hosts:
+                        self.start(host, meets=False)
+                    self.assert_one_lives()
+
+    def test_one_that_hangs_as_it_starts_is_waited_for_no_longer_than_10_s(self):
+        hangs = self.start()
+        until(lambda: self.have_met() == 1, 'the first one has found the name free')
+        second = self.start(meets=False)
+        until(lambda: self.owner() == second.process.pid, 'the second one has the name',
+              2 * PATIENCE)
+        self.assertTrue(hangs.alive)
+
+    def test_one_that_nobody_else_lives_beside_starts_again(self):
+        bridge = self.start(meets=False)
+        until(lambda: self.owner() == bridge.process.pid, 'it has the name')
+        rosgraph.Master('/twin').registerSubscriber('/any', 'std_msgs/Empty',
+                                                    'http://localhost:1/')
+        bridge.wait_for('another node has registered as /twin')
+        until(lambda: self.owner() == bridge.process.pid, 'it has the name again', 2 * PATIENCE)
+
+    def test_ctrl_c_ends_one_that_was_displaced(self):
+        bridge = Bridge('twin')
+        self.pair.append(bridge)
+        until(lambda: self.owner() == bridge.process.pid, 'it has the name')
+        rosgraph.Master('/twin').registerSubscriber('/any', 'std_msgs/Empty',
+                                                    'http://localhost:1/')
+        bridge.wait_for('another node has registered as /twin')
+        _seconds, status = bridge.end(signal.SIGINT)
+        self.assertIn(status, (0, -signal.SIGINT))      # the latter: before its first line
+        self.assertNotIn('Traceback', bridge.output())
+
+    def test_one_that_is_displaced_again_and_again_gives_up(self):
+        bridge = Bridge('twin', before=['env', 'SERIAL_COMMUNICATION_DISPLACEMENTS=6'])
+        self.pair.append(bridge)
+        self.assertEqual(bridge.process.wait(PATIENCE), TAKEN)
+        said, = lines_of(bridge.output())
+        self.assertIn('another node has registered as /twin 6 times', said)
 
 
 class WithoutAMaster(unittest.TestCase):
