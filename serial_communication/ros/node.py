@@ -16,7 +16,7 @@ from ..links.sparing_log import SparingLog
 from ..output import print_line_by_line
 from ..transport.pace import all_be_quick
 from ..transport.terminal import write_in_background
-from . import (background_logging, direct, handshake, parameters, remapping, shortage,
+from . import (background_logging, direct, handshake, log_file, parameters, remapping, shortage,
                starting)
 from .diagnostics import Diagnostics
 from .geometry import publish_mounts
@@ -62,7 +62,7 @@ def _run(start: starting.Start, last_resort: '_LastResort') -> int:
     handshake.install(log)
     shortage.install(log)
     try:
-        rospy.init_node(_NAME)
+        log_file.init_node(_NAME)
     except rospy.ROSInitException:      # a signal came before the master had answered
         return 0
     finally:

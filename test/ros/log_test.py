@@ -2,16 +2,25 @@
 """A bridge whose log cannot be written: its links go on as if nothing were."""
 import os
 import shutil
+import subprocess
 import unittest
+from unittest import mock
 
+import rosgraph.roslogging
 import rospy
 import rostest
+from roscpp.srv import GetLoggers
 
-from boards import (NOT_SENT, PACKAGE, SPEED_0_PACKET, TIMEOUT, Bridge, BusBoard, CarBoard, Line,
-                    Topic, command_topic, own_folder, service, settle, until)
+from boards import (NOT_SENT, PACKAGE, PATIENCE, SPEED_0_PACKET, TIMEOUT, Bridge, BusBoard,
+                    CarBoard, Line, Topic, command_topic, own_folder, program, service, settle,
+                    until)
 from serial_communication.msg import SpeedPWMCommand, Voltage
 from serial_communication.protocols import arduino
+from serial_communication.ros import log_file
 from serial_communication.srv import Lift
+
+
+NOBODY = 65534
 
 
 class Unwritable:
@@ -126,6 +135,120 @@ class FullDisk(Unwritable, unittest.TestCase):
     def output(self):
         self.descriptors.append(os.open('/dev/full', os.O_WRONLY))
         return self.descriptors[-1]
+
+
+class NoLogFile(unittest.TestCase):
+    """A bridge whose log file cannot be made: it runs, and says where its log goes.
+
+    As root it is started without root's right to write everywhere.
+    """
+
+    def setUp(self):
+        self.folder, self.temporary = own_folder(), own_folder()
+        for folder in self.folder, self.temporary:
+            self.addCleanup(shutil.rmtree, folder)
+        self.home = os.path.join(self.folder, 'home')
+        os.makedirs(os.path.join(self.home, 'log'))
+        self.before = ['env', '-u', 'ROS_LOG_DIR', f'ROS_HOME={self.home}',
+                       f'TMPDIR={self.temporary}']
+
+    def lock(self, path):
+        """From now on it is not the bridge's to write."""
+        if os.getuid():
+            os.chmod(path, 0o500)
+            self.addCleanup(os.chmod, path, 0o700)
+        else:
+            os.chown(path, NOBODY, NOBODY)
+            os.chmod(path, 0o755)
+            self.before += [] if 'setpriv' in self.before else ['setpriv', '--bounding-set=-all']
+
+    def start(self, *arguments):
+        """It runs; what it says of its log."""
+        self.bridge = Bridge('no_log', arguments=arguments, before=self.before)
+        self.addCleanup(self.bridge.end)
+        service('/no_log/get_loggers', GetLoggers)()
+        self.bridge.wait_for('no port is set')
+        line = self.bridge.wait_for('the log cannot be written to ')
+        self.assertNotIn('Traceback', self.bridge.output())
+        self.assertEqual(self.bridge.output().count('the log cannot be written'), 1)
+        self.assertNotIn('WARNING: ', self.bridge.output())
+        return line
+
+    def assert_in_a_new_folder(self, line, name):
+        """The log is where the line says."""
+        folder, = os.listdir(self.temporary)
+        path = os.path.join(self.temporary, folder, name)
+        self.assertIn(f'it goes to {path}. ', line)
+        self.assertEqual(os.stat(os.path.dirname(path)).st_mode & 0o777, 0o700)
+
+        def written():
+            with open(path) as log:
+                return 'no port is set' in log.read()
+        until(written, 'the log is written there')
+        self.assertEqual(self.bridge.end()[1], 0)
+
+    def test_a_file_that_belongs_to_somebody_else(self):
+        path = os.path.join(self.home, 'log', 'no_log.log')
+        open(path, 'w').close()
+        self.lock(path)
+        line = self.start()
+        self.assertIn(f'the log cannot be written to {path} (Permission denied)', line)
+        self.assert_in_a_new_folder(line, 'no_log.log')
+
+    def test_a_file_as_roslaunch_names_it(self):
+        run = os.path.join(self.home, 'log', 'run')
+        os.mkdir(run)
+        self.lock(run)
+        line = self.start(f'__log:={run}/no_log-2.log')
+        self.assert_in_a_new_folder(line, 'no_log-2.log')
+
+    def test_a_home_that_cannot_be_written(self):
+        os.rmdir(os.path.join(self.home, 'log'))
+        self.lock(self.home)
+        self.assert_in_a_new_folder(self.start(), 'no_log.log')
+
+    def test_no_inode_left(self):
+        mounts = ['unshare', '--mount', 'sh', '-c',
+                  'mount -t tmpfs -o nr_inodes=1 tmpfs "$0" && exec "$@"', self.home]
+        if subprocess.run(mounts + ['true'], stderr=subprocess.DEVNULL).returncode:
+            self.skipTest('no file system can be mounted here: that takes root')
+        self.before += mounts
+        line = self.start()
+        self.assertIn('(No space left on device)', line)
+        self.assert_in_a_new_folder(line, 'no_log.log')
+
+    def test_logging_that_is_set_up_to_fail(self):
+        mine = os.path.join(self.folder, 'python_logging.conf')
+        with open(mine, 'w') as file:
+            file.write('[loggers]\nkeys=none\n')
+        self.before.append(f'ROS_PYTHON_LOG_CONFIG_FILE={mine}')
+        line = self.start()
+        self.assertIn('it goes to the terminal alone', line)
+        self.assertEqual(self.bridge.end()[1], 0)
+
+    def test_the_monitor_likewise(self):
+        self.lock(os.path.join(self.home, 'log'))
+        self.start()
+        done = subprocess.run(self.before + [program('monitor'), '--once', '--node', 'no_log'],
+                              stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+                              timeout=4 * PATIENCE)
+        self.assertIn('monitor: ', done.stderr)     # which has looked for the links' statuses
+        self.assertIn('the log cannot be written to ', done.stderr)
+        self.assertNotIn('Traceback', done.stderr)
+
+
+class AnotherRosgraph(unittest.TestCase):
+    """What it was not written against stays as it is, and a line says so."""
+
+    def test_it_is_left_alone(self):
+        before = rosgraph.roslogging.configure_logging
+        with mock.patch.object(log_file, '_configure', lambda name: None), \
+                mock.patch.object(rospy, 'init_node') as begun, \
+                self.assertLogs('rosout', 'WARNING') as log:
+            log_file.init_node('any', anonymous=True)
+        begun.assert_called_once_with('any', anonymous=True)
+        self.assertIs(rosgraph.roslogging.configure_logging, before)
+        self.assertIn('in another way than 1.15.15 and 1.16.0', log.output[0])
 
 
 if __name__ == '__main__':

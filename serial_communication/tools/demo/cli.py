@@ -20,6 +20,7 @@ from serial_communication.srv import Gimbal, Lift
 from ...links.outcome import LOOK, Verdict
 from ...output import print_line_by_line
 from ...ros.answers import read_error, read_response
+from ...ros.log_file import init_node
 from ...ros.master import wait_for_master
 from ..watch.table import PERIOD, Screen
 from ..watch.topics import LINKS, NODE
@@ -138,7 +139,7 @@ def main(argv: Optional[List[str]] = None) -> int:
         print('table: there is no ROS master', file=sys.stderr)
         return 1
 
-    rospy.init_node('live_table', anonymous=True, disable_signals=True)
+    init_node('live_table', anonymous=True, disable_signals=True)
     watcher = Watcher(state.bridge)
     watcher.start()
     deadline = time.monotonic() + _START

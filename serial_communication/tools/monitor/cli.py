@@ -15,6 +15,7 @@ import rosgraph
 import rospy
 
 from ...output import print_line_by_line
+from ...ros.log_file import init_node
 from ...ros.master import wait_for_master
 from ..watch.state import BridgeState, ago
 from ..watch.table import PERIOD, Frame, Line, Screen, plain
@@ -39,7 +40,7 @@ def main(argv: Optional[List[str]] = None) -> int:
             return 1
     elif not wait_for_master(stopping, lambda text: print(f'monitor: {text}', flush=True)):
         return 0
-    rospy.init_node('monitor', anonymous=True, disable_signals=True)
+    init_node('monitor', anonymous=True, disable_signals=True)
     watcher = Watcher(bridge)
     watcher.start()
     try:

@@ -22,6 +22,7 @@ import tornado.ioloop
 from ...links.sparing_log import SparingLog
 from ...output import print_line_by_line
 from ...ros import background_logging
+from ...ros.log_file import init_node
 from ...ros.master import full_name, living_node
 from ...ros.master_watch import MasterWatch
 from ...transport.terminal import write_in_background
@@ -110,7 +111,7 @@ class _Ros:
             self._end(3)
             return
         try:
-            rospy.init_node('panel', disable_signals=True)
+            init_node('panel', disable_signals=True)
         except rospy.ROSInitException:      # somebody took the name meanwhile
             self._over()
             return
