@@ -146,7 +146,8 @@ def main(argv: Optional[List[str]] = None) -> int:
     try:
         status = _serve(argv)
     finally:
-        background_logging.finish(status)
+        if not background_logging.finish():
+            os._exit(status)
     return status
 
 
