@@ -7,6 +7,7 @@ instead of a few seconds with one that no busy machine reaches by itself.
 import io
 import json
 import os
+import random
 import shutil
 import subprocess
 import unittest
@@ -15,10 +16,11 @@ import rosbag
 import rospy
 import rostest
 from sensor_msgs.msg import Imu, Range, Temperature
+from std_msgs.msg import String
 
 from boards import PACKAGE, PATIENCE, RX, Bridge, Diagnostics, Line, Topic, own_folder, program
 from serial_communication.msg import (McuStatus2, SerialMsg, SteeringFeedback, Ticks, Voltage)
-from serial_communication.tools.wire.recording import load
+from serial_communication.tools.wire.recording import RecordingError, load
 
 LONG = float(os.environ.get('SERIAL_COMMUNICATION_WIRE_SECONDS', '0'))
 SECONDS = LONG or 6.0
@@ -132,6 +134,49 @@ class WireTest(unittest.TestCase):
     @classmethod
     def tearDownClass(cls):
         shutil.rmtree(cls.folder)
+
+    def test_a_damaged_bag_is_one_line(self):
+        """Wherever it is damaged, however, and by whomever."""
+        path = os.path.join(self.folder, 'damaged.bag')
+        with rosbag.Bag(path, 'w') as bag:
+            for message in self.robot.frames.messages[:40]:
+                bag.write('/serial_msg', message, message.header.stamp)
+        with open(path, 'rb') as file:
+            whole = file.read()
+        chance, refused = random.Random(1), 0
+        for _ in range(400):
+            damaged = bytearray(whole)
+            for _ in range(chance.choice((1, 3, 10))):
+                damaged[chance.randrange(len(damaged))] = chance.randrange(256)
+            cut = chance.choice((len(whole), chance.randrange(len(whole))))
+            with open(path, 'wb') as file:
+                file.write(damaged[:cut])
+            try:
+                load(path)
+            except RecordingError as error:
+                self.assertEqual(len(str(error).splitlines()), 1)
+                refused += 1
+        self.assertGreater(refused, 100)
+
+    def test_a_type_of_that_name_with_other_fields_is_one_line(self):
+        path = os.path.join(self.folder, 'other.bag')
+        with rosbag.Bag(path, 'w') as bag:
+            bag.write('/serial_msg', ('serial_communication/SerialMsg', b'\2\0\0\0hi',
+                                      String._md5sum, String), raw=True)
+        done = run('stats', path)
+        self.assertEqual((done.returncode, len(done.stderr.splitlines())), (1, 1), done.stderr)
+        self.assertIn('not readable', done.stderr)
+
+    def test_a_board_of_another_package_is_no_sensor_board(self):
+        path = os.path.join(self.folder, 'wind.bag')
+        with rosbag.Bag(path, 'w') as bag:
+            for number in (1, 2, 9):
+                bag.write('/serial_msg', SerialMsg(link='wind', type=0x10, command=number * 7),
+                          rospy.Time(number))
+        done = run('stats', path)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertIn('type 0x10', done.stdout)
+        self.assertNotIn('lost', done.stdout)
 
     def test_a_bridge_on_the_desk_sees_what_the_one_on_the_robot_saw(self):
         for link, faulty in (('arduino', 'framing errors'), ('mcu', 'checksum errors'),

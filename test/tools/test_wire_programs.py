@@ -25,6 +25,7 @@ from wire_lines import PATIENCE, ROOT
 PROGRAM = [sys.executable, ROOT + '/scripts/wire']
 HEARTBEAT = arduino.encode(arduino.Heartbeat())
 EVERY_BYTE = bytes(range(256)) * 3
+PLAIN = {key: value for key, value in os.environ.items() if key != 'PYTHONUNBUFFERED'}
 STOP = b'\0' + arduino.encode(arduino.SpeedCommand(0))     # what follows a loss
 
 
@@ -641,14 +642,74 @@ def test_play_to_nobody_is_told(kept, ttys):
 
 @pytest.mark.parametrize('line, words', [
     ('0.1 rx 0', 'is not SECONDS'), ('x rx 00', 'is not SECONDS'), ('0.1 up 00', 'is not SECONDS'),
-    ('0.1 rx', 'is not SECONDS'), ('-5 rx 00', 'goes back')])
+    ('0.1 rx', 'is not SECONDS'), ('-5 rx 00', 'goes back'), ('nan rx 00', 'is not SECONDS'),
+    ('inf rx 00', 'is not SECONDS'), ('1e17 rx 00', 'is not SECONDS')])
 def test_recordings_that_cannot_be_read(kept, line, words):
     kept.write_text(kept.read_text() + line + '\n')
-    for program in (['play', kept, 'mcu', '/dev/null'], ['stats', kept]):
+    for program in (['play', kept, 'mcu', '/dev/null'], ['stats', kept], ['listen', 'mcu', kept]):
         done = run(*program)
         assert done.returncode == 1
         assert words in done.stderr and f'{kept}:26' in done.stderr
         assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize('heading', ['# began nan', '# began inf', '# began -5', '# began 1e300',
+                                     '# baud 0', '# baud 1e300', '# baud nan'])
+def test_recordings_that_began_at_no_time(kept, heading):
+    word = heading.split()[1]
+    kept.write_text('\n'.join(heading if line.startswith(f'# {word} ') else line
+                              for line in kept.read_text().splitlines()))
+    for program in (['play', kept, 'mcu', '/dev/null'], ['stats', kept], ['listen', 'mcu', kept]):
+        done = run(*program)
+        assert done.returncode == 1 and 'is no number that it can be' in done.stderr
+        assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize('arguments', [
+    ['listen', 'mcu', 'kept.txt'], ['listen', 'mcu', 'kept.txt', '--json'], ['stats', 'kept.txt'],
+    ['explain', 'mcu', '02 0c'], ['--help']], ids=' '.join)
+def test_a_full_disk_costs_one_line(kept, arguments):
+    with open('/dev/full', 'w') as full:
+        done = subprocess.run(PROGRAM + arguments, stdout=full, stderr=subprocess.PIPE, text=True,
+                              cwd=str(kept.parent), timeout=PATIENCE, env=PLAIN)
+    assert done.returncode == 1
+    assert done.stderr == 'wire: its output cannot be written: No space left on device\n'
+
+
+def test_a_full_disk_behind_standard_error_costs_nothing(kept):
+    with open('/dev/full', 'w') as full:
+        done = subprocess.run(PROGRAM + ['listen', 'mcu', str(kept)], stdout=subprocess.PIPE,
+                              stderr=full, text=True, timeout=PATIENCE)
+    assert done.returncode == 0 and len(done.stdout.splitlines()) == 11
+
+
+def test_listen_ends_where_the_disk_is_full(ttys):
+    with open('/dev/full', 'w') as full:
+        program = subprocess.Popen(PROGRAM + ['listen', 'mcu', ttys[0].path], stdout=full,
+                                   stderr=subprocess.PIPE, text=True)
+    assert ': open' in program.stderr.readline()
+    ttys[0].write(status(1))
+    _, said = program.communicate(timeout=PATIENCE)
+    assert program.returncode == 1
+    assert said == 'wire: its output cannot be written: No space left on device\n'
+
+
+def test_a_tap_goes_on_where_the_disk_is_full(ttys):
+    board, computer = ttys
+    with open('/dev/full', 'w') as full:
+        program = subprocess.Popen(PROGRAM + ['tap', 'arduino', board.path, computer.path],
+                                   stdout=full, stderr=subprocess.PIPE, text=True)
+    for _ in ttys:
+        assert ': open' in program.stderr.readline()
+    for _ in range(20):
+        computer.write(HEARTBEAT)
+        assert board.read(3) == HEARTBEAT
+    program.send_signal(signal.SIGINT)
+    _, said = program.communicate(timeout=PATIENCE)
+    assert program.returncode == 1
+    assert said.splitlines()[0] == ('the output cannot be written: No space left on device; '
+                                    'nothing more is printed')
+    assert len(said.splitlines()) == 2
 
 
 def test_what_is_no_recording(tmp_path):
@@ -736,6 +797,9 @@ def test_help(program):
     [], ['dance'], ['listen'], ['listen', 'mcu'], ['listen', 'ferry', '/dev/null'],
     ['listen', 'mcu', 'nonsense://x'], ['play', 'a', 'mcu', 'b', '--rate', '0'],
     ['play', 'a', 'mcu', 'b', '--from', 'x'], ['stats'], ['stats', 'a', '--dance'],
+    ['listen', 'mcu', '/dev/null', '--duration', 'nan'],
+    ['listen', 'mcu', '/dev/null', '--baud', '0'], ['stats', 'a', '--baud', '-1'],
+    ['tap', 'mcu', '/dev/null', '/dev/zero', '--frame-timeout', 'nan'],
     ['explain', 'mcu', '02', '--dance']])
 def test_wrong_arguments(arguments):
     done = run(*arguments)

@@ -7,6 +7,7 @@ from typing import List, Optional
 from ...output import print_line_by_line
 from ...transport.terminal import write_in_background
 from . import explain, listen, play, stats, tap
+from .show import complain, no_more_output
 
 PROGRAMS = {'explain': explain, 'listen': listen, 'tap': tap, 'play': play, 'stats': stats}
 
@@ -25,8 +26,26 @@ below has its own --help.
 
 
 def main(arguments: Optional[List[str]] = None) -> int:
-    """Run what the command line says; the exit status."""
+    """Run what the command line says; the exit status.
+
+    A disk that is full, or a reader that has gone, costs one line at most.
+    """
     print_line_by_line()
+    try:
+        try:
+            return _run(arguments)
+        finally:
+            sys.stdout.flush()     # else the interpreter does, and says more than a line
+    except BrokenPipeError:
+        no_more_output()
+        return 0
+    except OSError as error:
+        no_more_output()
+        complain(f'wire: {error.filename or "its output cannot be written"}: {error.strerror}')
+        return 1
+
+
+def _run(arguments: Optional[List[str]]) -> int:
     arguments = sys.argv[1:] if arguments is None else arguments
     # What roslaunch adds: __name:=… and remappings.
     arguments = [each for each in arguments if not re.match(r'[\w/~]+:=', each)]

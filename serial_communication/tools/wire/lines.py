@@ -11,6 +11,7 @@ from ...protocols.framing import Frame
 from ...simulation.own_messages import read
 
 BAUD = 115200
+MAX_BAUD = 10 ** 8
 FRAME_TIMEOUT = 0.05     # s; the default of the bridge's parameter frame_timeout
 UNKNOWN_TYPE = 'not known here'      # what `explain` says of one
 _TYPES = ('type', 'TYPE', 'CMD1', 'CMD2')    # fields that say what a frame is
@@ -24,6 +25,22 @@ class Settings(NamedTuple):
     frame_timeout: float = FRAME_TIMEOUT     # s
     reply_has_cmd2: bool = False
     own: Tuple[Any, ...] = ()                # messages or functions of one's own
+
+
+def positive(text: str) -> float:
+    """For argparse: a number above 0."""
+    value = float(text)
+    if not 0 < value < float('inf'):
+        raise argparse.ArgumentTypeError(f'{text} is not above 0')
+    return value
+
+
+def baud(text: str) -> int:
+    """For argparse, and of a recording: a baud rate."""
+    value = int(text)
+    if not 0 < value <= MAX_BAUD:
+        raise argparse.ArgumentTypeError(f'{text} is none of 1 to {MAX_BAUD}')
+    return value
 
 
 def add_link_options(parser: argparse.ArgumentParser) -> None:
@@ -46,8 +63,8 @@ def add_config_option(parser: argparse.ArgumentParser) -> None:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """The options that `settings` reads, LINK among them."""
     add_link_options(parser)
-    parser.add_argument('--baud', type=int, default=BAUD, metavar='N', help='(%(default)d)')
-    parser.add_argument('--frame-timeout', type=float, default=FRAME_TIMEOUT, metavar='S',
+    parser.add_argument('--baud', type=baud, default=BAUD, metavar='N', help='(%(default)d)')
+    parser.add_argument('--frame-timeout', type=positive, default=FRAME_TIMEOUT, metavar='S',
                         help='an incomplete frame is given up after so long without a byte, as '
                              "by the bridge's parameter of that name (%(default)g)")
 
@@ -65,7 +82,7 @@ _OWN = {'bus': ('functions', own_messages.bus_functions),
 
 def own(config: str, link: str) -> Tuple[Any, ...]:
     """What a file of the bridge's parameters has of one's own; nothing where there is no file."""
-    if not config:
+    if not config or link not in _OWN:
         return ()
     rows, parse = _OWN[link]
     try:
@@ -89,6 +106,8 @@ def decoder(line: Settings, sent: bool) -> Any:
 
 def type_name(line: Settings, sent: bool, frame: Frame) -> str:
     """What a good frame is, in the protocol's words."""
+    if line.link not in BOARDS:      # of another package
+        return f'type 0x{frame.type:02x}'
     parts = decoder(line, sent).explain(frame.raw)
     words = [part.meaning for part in parts if part.name in _TYPES and part.meaning
              and part.meaning != UNKNOWN_TYPE]

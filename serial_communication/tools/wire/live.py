@@ -5,7 +5,6 @@ and never make it wait. Whoever decodes, prints or keeps it does so in a thread 
 """
 import os
 import queue
-import sys
 import threading
 import time
 from typing import Callable, List, NamedTuple, Optional, Sequence, Union
@@ -16,6 +15,7 @@ from ...protocols.framing import Frame
 from .lines import Direction, Settings
 from .passing import Passage
 from .recording import Read, Writer
+from .show import complain
 
 _MOST_WAITING = 10000    # reads that wait for one who looks on; what comes then is left out
 _BACK_OFF = (0.1, 1.0)   # s from one try to open to the next: first, last
@@ -225,7 +225,7 @@ class Keeper:
             self._writer.close()
         except OSError as error:
             self.trouble = f'{self._path}: {error.strerror}; no more of it is written'
-            print(self.trouble, file=sys.stderr)
+            complain(self.trouble)
 
 
 def watch(backlog: Backlog, directions: Sequence[Direction], until: Optional[float],

@@ -9,10 +9,11 @@ from typing import List, Optional, Sequence
 
 from ...transport.port import Port, check_url
 from ...protocols.framing import Frame
+from . import lines
 from .lines import Direction, Settings
 from .live import Backlog, Event, Keeper, Reach, claim, watch
 from .recording import Seen
-from .show import Paint, frame_line, no_more_output, seconds
+from .show import Paint, complain, frame_line, no_more_output, seconds
 
 _SWITCH_INTERVAL = 0.0005   # s that decoding and printing may keep the interpreter from the line
 
@@ -29,7 +30,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """The options of `look_on`."""
     parser.add_argument('--raw', metavar='FILE',
                         help='keep the bytes with their times there, for wire play and wire stats')
-    parser.add_argument('--duration', type=float, metavar='S', help='end after that')
+    parser.add_argument('--duration', type=lines.positive, metavar='S', help='end after that')
     parser.add_argument('--json', action='store_true',
                         help='a JSON object a line: time (s since 1970), gap (s), from (board or '
                              'computer), type, command, data, frame, text, error')
@@ -49,9 +50,13 @@ class Printer:
 
     Args:
         began: seconds since 1970 at the time `start` of the frames' clock.
+        goes_on: where a line cannot be written (a full disk), say so and print no more, instead
+            of raising OSError.
     """
 
-    def __init__(self, as_json: bool, began: float, start: float) -> None:
+    def __init__(self, as_json: bool, began: float, start: float, goes_on: bool = False) -> None:
+        self.trouble = ''       # why nothing more is printed
+        self._goes_on = goes_on
         self.frames = 0
         self.bad = 0
         self._as_json = as_json
@@ -68,19 +73,32 @@ class Printer:
         self.bad += bool(frame.cause)
         at = frame.stamp + self._offset
         if self._as_json:
-            print(json.dumps({
+            self._print(json.dumps({
                 'time': round(at, 6), 'gap': None if gap is None else round(gap, 6),
                 'from': speaker, 'type': frame.type, 'command': frame.command,
                 'data': frame.data.hex(), 'frame': frame.raw.hex(), 'text': frame.text,
-                'error': frame.trouble}), flush=True)
+                'error': frame.trouble}))
         else:
-            print(frame_line(frame, speaker, '' if gap is None else '+' + seconds(gap),
-                             datetime.fromtimestamp(at).strftime('%H:%M:%S.%f'), self._paint),
-                  flush=True)
+            self._print(frame_line(
+                frame, speaker, '' if gap is None else '+' + seconds(gap),
+                datetime.fromtimestamp(at).strftime('%H:%M:%S.%f'), self._paint))
+
+    def _print(self, text: str) -> None:
+        if self.trouble:
+            return
+        try:
+            print(text, flush=True)
+        except OSError as error:
+            if not self._goes_on or isinstance(error, BrokenPipeError):
+                raise
+            no_more_output()
+            self.trouble = (f'the output cannot be written: {error.strerror}; nothing more is '
+                            'printed')
+            complain(self.trouble)
 
     def event(self, event: Event) -> None:
         """A word about a port; apart from the frames, so that they can be taken by a program."""
-        print(event.text, file=sys.stderr, flush=True)
+        complain(event.text)
 
 
 def show(seen: Sequence[Seen], began: float, options: argparse.Namespace) -> int:
@@ -91,7 +109,7 @@ def show(seen: Sequence[Seen], began: float, options: argparse.Namespace) -> int
             printer.frame(each.sent, each.frame)
     except BrokenPipeError:
         no_more_output()
-    print(f'{printer.frames} frames, {printer.bad} of them bad', file=sys.stderr)
+    complain(f'{printer.frames} frames, {printer.bad} of them bad')
     return 0
 
 
@@ -100,7 +118,7 @@ def look_on(line: Settings, ends: Sequence[End], options: argparse.Namespace) ->
     for end in ends:
         refused = claim(end.port)
         if refused:
-            print(refused, file=sys.stderr)
+            complain(refused)
             return 1
     sys.setswitchinterval(_SWITCH_INTERVAL)
     began, start = time.time(), time.monotonic()
@@ -110,13 +128,14 @@ def look_on(line: Settings, ends: Sequence[End], options: argparse.Namespace) ->
         try:
             keeper = Keeper(options.raw, line, began, start)
         except OSError as error:
-            print(f'{options.raw}: {error.strerror}', file=sys.stderr)
+            complain(f'{options.raw}: {error.strerror}')
             return 1
         keeper.start()
         backlogs.append(keeper.backlog)
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.default_int_handler)     # as Ctrl-C
-    printer = Printer(options.json, began, start)
+    # A tap is part of the line, which must not be cut for a full disk.
+    printer = Printer(options.json, began, start, goes_on=len(ends) > 1 or bool(keeper))
     reaches = [Reach(end.port, end.sent, backlogs) for end in ends]
     if len(reaches) > 1:
         for reach, other in (reaches, reaches[::-1]):
@@ -139,9 +158,8 @@ def look_on(line: Settings, ends: Sequence[End], options: argparse.Namespace) ->
         if keeper:
             keeper.stop()
     lost = sum(reach.lost for reach in reaches)
-    print(f'{printer.frames} frames, {printer.bad} of them bad, in '
-          f'{time.monotonic() - start:.1f} s'
-          + (f'; {lost} bytes could not be passed on' if lost else '')
-          + (f'; kept in {options.raw}' if keeper and not keeper.trouble else ''),
-          file=sys.stderr)
-    return 1 if keeper and keeper.trouble else 0
+    complain(f'{printer.frames} frames, {printer.bad} of them bad, in '
+             f'{time.monotonic() - start:.1f} s'
+             + (f'; {lost} bytes could not be passed on' if lost else '')
+             + (f'; kept in {options.raw}' if keeper and not keeper.trouble else ''))
+    return 1 if printer.trouble or keeper and keeper.trouble else 0

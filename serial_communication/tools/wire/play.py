@@ -53,7 +53,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
                         help='from the start of the recording: s, or m:s')
     parser.add_argument('--to', dest='end', type=clock, default=float('inf'), metavar='TIME',
                         help='likewise')
-    parser.add_argument('--rate', type=_rate, default=1.0, metavar='FACTOR',
+    parser.add_argument('--rate', type=lines.positive, default=1.0, metavar='FACTOR',
                         help='2 is twice as fast (%(default)g)')
     parser.add_argument('--loop', action='store_true', help='again and again, until Ctrl-C')
     parser.add_argument('--json', action='store_true',
@@ -73,13 +73,6 @@ def clock(text: str) -> float:
         value = -1.0
     if not 0 <= value < float('inf'):
         raise argparse.ArgumentTypeError(f'{text} is no time such as 12.5 or 1:12.5')
-    return value
-
-
-def _rate(text: str) -> float:
-    value = float(text)
-    if not 0 < value < float('inf'):
-        raise argparse.ArgumentTypeError(f'{text} is not above 0')
     return value
 
 

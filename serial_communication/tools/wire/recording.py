@@ -16,11 +16,13 @@ from typing import Any, Dict, Iterable, List, NamedTuple, Optional, TextIO, Tupl
 
 from ...boards import BOARDS
 from ...protocols.framing import Frame
-from .lines import BAUD, Direction, Settings
+from .lines import BAUD, MAX_BAUD, Direction, Settings
 
 _FIRST_LINE = '# serial_communication wire recording'
 _TYPE = 'serial_communication/SerialMsg'
 _TX = 1                # as SerialMsg has it
+_LONGEST = 1e9         # s that a recording may take …
+_LATEST = 1e11         # … and since 1970 when it began: what a date can say
 _DIRECTIONS = {'rx': False, 'tx': True}
 
 
@@ -111,7 +113,8 @@ def _load_text(path: str, file: TextIO) -> Recording:
             continue
         try:
             at, direction, data = words
-            read = Read(float(at), _DIRECTIONS[direction], bytes.fromhex(data))
+            read = Read(_number(at, -_LONGEST, _LONGEST), _DIRECTIONS[direction],
+                        bytes.fromhex(data))
         except (ValueError, KeyError):
             raise RecordingError(f'{path}:{number}: {line.strip()[:40]!r} is not SECONDS rx|tx '
                                  'HEX') from None
@@ -124,10 +127,18 @@ def _load_text(path: str, file: TextIO) -> Recording:
     if heading['link'] not in BOARDS:
         raise RecordingError(f'{path}: no line "# link" with one of {", ".join(BOARDS)}')
     try:
-        return Recording(float(heading['began']), {heading['link']: reads}, [],
-                         max(int(heading['baud']), 1))
+        return Recording(_number(heading['began'], 0, _LATEST), {heading['link']: reads}, [],
+                         int(_number(heading['baud'], 1, MAX_BAUD)))
     except ValueError:
-        raise RecordingError(f'{path}: "# began" or "# baud" is no number') from None
+        raise RecordingError(f'{path}: "# began" or "# baud" is no number that it can be') from None
+
+
+def _number(text: str, least: float, most: float) -> float:
+    """ValueError where it is none, or out of range; NaN is both."""
+    value = float(text)
+    if not least <= value <= most:
+        raise ValueError(text)
+    return value
 
 
 # -- bags -----------------------------------------------------------------------------------
@@ -142,14 +153,22 @@ def _load_bag(path: str, topic: str) -> Recording:
                              'or source its setup.bash') from None
     try:
         with rosbag.Bag(path, skip_index=False) as bag:
-            topic = _choose_topic(path, bag, topic)
-            stamped = [(message, (message.header.stamp or time).to_sec(), time.to_sec())
-                       for _, message, time in bag.read_messages([topic])]
+            return _from_bag(path, bag, topic)
     except rosbag.ROSBagUnindexedException:
         raise RecordingError(f'{path} was not closed in order; mend it: rosbag reindex '
                              f'{path}') from None
-    except (rosbag.ROSBagException, OSError, ValueError) as error:
-        raise RecordingError(f'{path}: {error}') from None
+    except RecordingError:
+        raise
+    except Exception as error:  # pylint: disable=broad-except
+        # Of a damaged bag, or a type of that name with other fields, rosbag raises anything.
+        words = (str(error).strip() or type(error).__name__).splitlines()[0]
+        raise RecordingError(f'{path}: not readable, damaged perhaps: {words}') from None
+
+
+def _from_bag(path: str, bag: Any, topic: str) -> Recording:
+    topic = _choose_topic(path, bag, topic)
+    stamped = [(message, (message.header.stamp or time).to_sec(), time.to_sec())
+               for _, message, time in bag.read_messages([topic])]
     if not stamped:
         raise RecordingError(f'{path}: nothing was recorded on {topic}')
     began = min(at for _, at, _ in stamped)

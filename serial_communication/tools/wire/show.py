@@ -47,6 +47,14 @@ def seconds(value: float) -> str:
     return f'{value * 1e3:.2f} ms' if value < 1 else f'{value:.3f} s'
 
 
-def no_more_output() -> None:
-    """Who read our output has gone: leave nothing that the interpreter would fail to flush."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+def no_more_output(descriptor: int = 1) -> None:
+    """It cannot be written to: leave nothing that the interpreter would fail to flush."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), descriptor)
+
+
+def complain(text: str) -> None:
+    """One line on standard error; where that cannot be written to, nobody is left to be told."""
+    try:
+        print(text, file=sys.stderr, flush=True)
+    except OSError:
+        no_more_output(2)

@@ -32,7 +32,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """What the command line may say."""
     parser.add_argument('recording', metavar='RECORDING', help='a bag, or a file of --raw')
     parser.add_argument('--topic', default='', help='of the bag, where several have frames')
-    parser.add_argument('--baud', type=int, default=0, metavar='N',
+    parser.add_argument('--baud', type=lines.baud, default=0, metavar='N',
                         help=f'of the lines (a file of --raw says it; else {lines.BAUD})')
     lines.add_config_option(parser)
     parser.add_argument('--plot', metavar='FILE.png', help='a timeline with the errors marked')
@@ -143,6 +143,8 @@ def _own_figures(link: str, seen: Sequence[Seen]) -> Dict[str, Any]:
                       if each.sent and each.frame.type == arduino.Heartbeat.TYPE])
         return {'heartbeats': dict(spread(beats), count=len(beats) + 1, too_long=sum(
             gap > _MOTOR_STOPS for gap in beats))} if beats else {}
+    if link != 'mcu':
+        return {}
     numbers = [(each.frame.command, each.frame.raw) for each in good if not each.sent]
     return {'lost by SEQ': sum((after[0] - before[0] - 1) % 256
                                for before, after in zip(numbers, numbers[1:])
