@@ -81,12 +81,21 @@ def test_what_is_no_link_is_not_touched(pair, tmp_path):
     assert (tmp_path / 'a').read_text() == 'mine'
 
 
-@pytest.mark.parametrize('name', ['a', 'b'])
-def test_a_lock_file_that_is_a_link_to_another_file_is_not_written_through(pair, tmp_path, name):
-    (tmp_path / 'precious').write_text('mine')
-    (tmp_path / f'{name}.lock').symlink_to(tmp_path / 'precious')
+@pytest.mark.parametrize('plant', ['symlink', 'dangling', 'hard link', 'fifo'])
+def test_a_planted_lock_file_is_not_opened(pair, tmp_path, plant):
+    victim, lock = tmp_path / 'victim', tmp_path / 'b.lock'
+    victim.write_text('mine')
+    if plant == 'symlink':
+        lock.symlink_to(victim)
+    elif plant == 'dangling':
+        lock.symlink_to(tmp_path / 'new')
+    elif plant == 'hard link':
+        os.link(str(victim), str(lock))
+    else:
+        os.mkfifo(str(lock))
     process = pair('a', 'b')
     _, said = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1
-    assert said.startswith(f'socat_pair: {tmp_path / name}.lock is a link')
-    assert (tmp_path / 'precious').read_text() == 'mine'
+    assert said == f'socat_pair: {lock} is a link or no plain file, which somebody else may have ' \
+        'put there; remove it, or choose another path\n'
+    assert victim.read_text() == 'mine' and not (tmp_path / 'new').exists()
