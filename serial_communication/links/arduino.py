@@ -115,9 +115,7 @@ class ArduinoLink(Link):
             reason = message.implausible()
             if reason:
                 raise ValueError(reason)
-            length = 1 + len(message.pack())
-            if length > arduino.MAX_PACKET:
-                raise ValueError(f'it is {length} bytes long, may be at most {arduino.MAX_PACKET}')
+            arduino.encode(message)     # or it is too long, and would fill a log line, too
         except ValueError as error:
             too_long = len(getattr(message, 'text', '')) > arduino.LED_LIMIT
             raise Refused(f'{message.LABEL} refused: {error}',
