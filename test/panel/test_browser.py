@@ -382,8 +382,11 @@ def test_a_control_is_disabled_until_its_answer_is_there(cockpit, robot):
     robot.bus.script.append(b'')        # no answer, until it is given up
     down = '[data-service="~lift"] button:last-of-type'
     cockpit.click(down)
-    cockpit.wait(lambda page: 'under way' in page.text('.answers'), 'it is under way')
-    assert not any(button.is_enabled() for button in cockpit.all('[data-service="~lift"] button'))
+    # Both are looked at in the same moment: the call is under way for a second.
+    cockpit.wait(lambda page: page.script(
+        "return document.querySelector('.answers').innerText.includes('under way') &&"
+        "[...document.querySelectorAll('[data-service=\"~lift\"] button')]"
+        ".every(button => button.disabled)"), 'it is under way, and every button is disabled')
     cockpit.wait(lambda page: page.attribute('.answers li', 'data-outcome') == 'not known',
                  'the outcome is told as not known')
     cockpit.wait(lambda page: page.all(down)[0].is_enabled(), 'the button is enabled again')
