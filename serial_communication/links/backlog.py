@@ -7,7 +7,8 @@ no more comes than the board itself can send.
 
 STALL = 0.3            # s from one read to the next that make a stall …
 LONGEST_SLEEP = 0.1    # … of which so many may be planned
-_WINDOW = 0.1          # s over which the rate of what comes is looked at
+_WINDOW = 0.1, 1.0     # s over which the rate of what comes is looked at: at least, at most …
+_OF_STALL = 0.25       # … and so much of the stall: on a busy computer long queues move unevenly
 _FASTER = 1.5          # times the line's own rate: that waited somewhere
 _LONGEST = 10.0        # s after which even such a line is believed
 
@@ -31,6 +32,7 @@ class Backlog:
     def extend(self, seconds: float, now: float) -> None:
         """There was another stall meanwhile."""
         self.seconds += seconds
+        self._window = min(max(_WINDOW[0], self.seconds * _OF_STALL), _WINDOW[1])
         self._end = now + _LONGEST
         self._begin_window(now)
 
@@ -40,7 +42,7 @@ class Backlog:
         self._in_window += len(data)
         self.last = data or self.last
         passed = now - self._since
-        if passed < _WINDOW:
+        if passed < self._window:
             return False
         if self._in_window <= self._limit * passed or now >= self._end:
             return True

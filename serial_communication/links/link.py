@@ -253,19 +253,26 @@ class Link:
 
     def _come_and_go(self) -> None:
         """Connection after connection."""
+        if self.port.is_open:       # where this has ended of a fault
+            self._leave()
         pause = _BACK_OFF[0]
         while not self._stopping.is_set():
             opened = self._guarded(self._connect)
             if opened:
                 pause = _BACK_OFF[0]
                 self._guarded(self._serve)
-            self.awake_at = _NEVER
-            self._guarded(self.port.close)
-            if opened:
-                self._guarded(self.closed, time.monotonic())
+                self._leave()
+            else:
+                self.awake_at = _NEVER
+                self._guarded(self.port.close)
             self._pause(self._stopping, pause)
             if not opened:
                 pause = min(pause * 2, _BACK_OFF[1])
+
+    def _leave(self) -> None:
+        self.awake_at = _NEVER
+        self._guarded(self.port.close)
+        self._guarded(self.closed, time.monotonic())
 
     def _connect(self) -> bool:
         """Open the port; whether it is open now."""

@@ -288,6 +288,21 @@ def test_a_link_lives_on_where_no_memory_is_left_for_a_while(line, logger, runni
     until(lambda: link.frames_received > received or line.write(GOOD[McuLink]))
 
 
+@every_link
+def test_a_fault_that_cannot_even_be_logged_closes_the_port_and_opens_it_anew(
+        line, logger, running, monkeypatch, kind, names):
+    link = kind(Port(line.path), logger=logger)
+    raise_once, closed = raising(MemoryError), []
+    rest = link.closed
+    monkeypatch.setattr(link, 'received', lambda *_arguments: 1 / 0)
+    monkeypatch.setattr(link.log, 'error', raise_once)
+    monkeypatch.setattr(link, 'closed', lambda now: closed.append(now) or rest(now))
+    running(link)
+    until(lambda: link.port.is_open)
+    until(lambda: closed or line.write(GOOD[kind]))
+    until(lambda: link.port.is_open and link.reconnects)
+
+
 def test_a_port_that_hangs_as_it_opens_leaves_the_link_alive(line, logger, running):
     free = threading.Event()
     silences = []
