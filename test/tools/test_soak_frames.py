@@ -36,3 +36,14 @@ class TestPublished:
                                               Intervals([(0.05, 5.0)]))
         assert row.violations == []
         assert published(came, sent)[0].violations
+
+    def test_what_waited_while_the_bridge_was_stopped_is_not_published(self):
+        sent = [Sent(index / 10, index, False, 'ok', index) for index in range(40)]
+        stopped = Intervals([(0.95, 3.0)])
+        fresh = [(index / 10, index) for index in range(40) if not 9 < index < 31]
+        row, _blind, _maybe = check_published('g', 's', {'topic': (sent, fresh)}, stopped=stopped)
+        assert row.violations == []
+        came = sorted(fresh + [(3.01, 15)])
+        row, _blind, _maybe = check_published('g', 's', {'topic': (sent, came)}, stopped=stopped)
+        assert len(row.violations) == 1 and 'frame 15 was published 1.51 s later' in \
+            row.violations[0][1]

@@ -2,6 +2,7 @@
 from bisect import bisect_right
 from typing import Dict, List, NamedTuple, Tuple
 
+from ...links.outcome import Verdict, verdict_of_failure
 from ...protocols import robot_ctrl_bus as bus
 from .records import Intervals
 from .table import Row
@@ -117,7 +118,7 @@ def _group(call: Dict) -> str:
         return 'lost'
     if call['success']:
         return 'success'
-    return 'timeout' if call['status'] == TIMEOUT else 'refused'
+    return 'refused' if verdict_of_failure(call['status']) is Verdict.REFUSED else 'timeout'
 
 
 def _wrong_replies(succeeded: List[_Fate], violations_of) -> Row:

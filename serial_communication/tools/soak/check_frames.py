@@ -5,9 +5,11 @@ from .align import Sent, align
 from .records import Intervals
 from .table import Row
 
+_OLD = 0.5       # s that a frame may have waited when it is published: a stall is 0.3 s
+
 
 def check_published(group: str, says: str, topics: Dict[str, Tuple[List[Sent], List]],
-                    held_up: Intervals = Intervals(),
+                    held_up: Intervals = Intervals(), stopped: Intervals = Intervals(),
                     late: float = 3.0) -> Tuple[Row, int, int]:
     """Every frame that has to be published was: once, in order, with its own values.
 
@@ -15,6 +17,7 @@ def check_published(group: str, says: str, topics: Dict[str, Tuple[List[Sent], L
         topics: by name, what was sent and the (stamp, key, time of arrival) of what was
             published.
         held_up: when the bridge, or the line, was stopped: what came late then is no figure.
+        stopped: when the bridge was. What waited in its ports meanwhile is old, and not published.
         late: seconds after which a message can no more be of a frame, stops aside.
 
     Returns:
@@ -35,6 +38,10 @@ def check_published(group: str, says: str, topics: Dict[str, Tuple[List[Sent], L
         held = max([held] + [one[2] - one[0] for one in published
                              if len(one) > 2 and not held_up.touches(one[0], one[2])])
         for i, j in found.pairs:
+            if _waited(sent[i].t, published[j][0], stopped) and not _sent_again(
+                    sent, i, published[j][0]):
+                violations.append((published[j][0], f'{name}: frame {sent[i].n} was published '
+                                   f'{published[j][0] - sent[i].t:.2f} s later, after a stall'))
             if sent[i].must and _lonely(sent, i) and not held_up.holds(sent[i].t):
                 worst = max(worst, published[j][0] - sent[i].t)
             blind += sent[i].kind == 'blind'
@@ -42,6 +49,22 @@ def check_published(group: str, says: str, topics: Dict[str, Tuple[List[Sent], L
     return Row(group, says, tries, sorted(violations),
                f'{worst * 1e3:.0f} ms from the board to the stamp, '
                f'{held * 1e3:.0f} ms on to a subscriber'), blind, maybe
+
+
+def _waited(sent: float, published: float, stopped: Intervals) -> bool:
+    """Whether a frame waited in the port of a bridge that was stopped."""
+    return published - sent > _OLD and any(
+        start <= sent <= over <= published for start, over in stopped.pairs)
+
+
+def _sent_again(sent: List[Sent], i: int, published: float) -> bool:
+    """Whether the same value was sent once more before it was published."""
+    for one in sent[i + 1:]:
+        if one.t > published:
+            return False
+        if one.key == sent[i].key:
+            return True
+    return False
 
 
 def _lonely(sent: List[Sent], i: int) -> bool:

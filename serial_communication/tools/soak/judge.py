@@ -33,6 +33,7 @@ ENDING = 2.0             # s that the node may take to end
 _SETTLING = 60.0         # s after which memory is level; a third of a shorter campaign
 _BEFORE_A_CUT = 0.15     # s of data that may be lost with a port
 _AFTER_DATA = 0.05       # s after the first data behind a port's return: all must come again
+_DROPS = 1.2             # s after SIGCONT in which the bridge may still drop what waited
 _THAWS = 0.1             # s in which a line that thaws passes on what it held
 _BEHIND_NOISE = 0.15     # s in which noise on a line without a checksum may swallow packets
 
@@ -66,11 +67,12 @@ def judge(folder: str) -> List[Row]:
     calls = read_lines(path('calls.jsonl'))
     commands = read_lines(path('commands.jsonl'))
     metronome = read_lines(path('metronome.jsonl'))
-    exempt = {link: _exempt(link, events, journals[link], published, start, end)
-              for link in LINKS}
     blind_replies = [frame.t for frame in frames['bus'] for made in frame.made
                      if made != frame.own]
     stopped, no_master = excuses_of_calls(events, end)
+    dropped = Intervals([(began - _BEFORE_A_CUT, over + _DROPS) for began, over in stopped.pairs])
+    exempt = {link: _exempt(link, events, journals[link], published, start, end) + dropped
+              for link in LINKS}
     absent = {link: stretches(events, 'unplugged', 'plugged', end, link) for link in LINKS}
     frozen = stretches(events, 'frozen', 'thawed', end, 'arduino')
     held_up = stopped + frozen
@@ -79,9 +81,9 @@ def judge(folder: str) -> List[Row]:
     rows[0] = rows[0]._replace(
         note=f'of {number} lift, gimbal, raw and own calls: {outcomes(calls)}')
     rows += _of_link('bus', 'every reading of the air is one that the board measured', frames,
-                     published, exempt, held_up)
+                     published, exempt, held_up, stopped)
     rows += _of_link('arduino', 'every undamaged packet published once, in order', frames,
-                     published, exempt, held_up)
+                     published, exempt, held_up, stopped)
     drive = prepare(
         journals['arduino'], commands, absent['arduino'],
         _bridge_calibrates(commands, published), published.beats,
@@ -101,9 +103,9 @@ def judge(folder: str) -> List[Row]:
         unclear + frozen)
     rows += check_heartbeat(journals['arduino'], metronome, published.beats, end, held_up)
     rows += _of_link('mcu', 'every undamaged frame published once, in order', frames, published,
-                     exempt, held_up)
+                     exempt, held_up, stopped)
     rows += check_lost_frames(heard_of(journals['mcu'], published.taken), published.lost)
-    rows += _traffic(frames, published, exempt, held_up)
+    rows += _traffic(frames, published, exempt, held_up, stopped)
     rows += [_returns(link, events, journals[link], published, held_up, end) for link in LINKS]
     settled = start + min(_SETTLING, (end - start) / 3)
     rows += check_level(read_lines(path('usage.jsonl')), start, settled, end)
@@ -274,7 +276,7 @@ _BLIND = {
 
 
 def _of_link(link: str, says: str, frames: Dict[str, List[Arrival]], published: _Published,
-             exempt: Dict[str, Intervals], held_up: Intervals) -> List[Row]:
+             exempt: Dict[str, Intervals], held_up: Intervals, stopped: Intervals) -> List[Row]:
     topics = {}
     for topic in TOPICS:
         if topic.link == link:
@@ -282,7 +284,7 @@ def _of_link(link: str, says: str, frames: Dict[str, List[Arrival]], published: 
             if link == 'bus':       # a reply may be one to get_environment that came too late
                 sent = [one._replace(must=False) for one in sent]
             topics[topic.name] = (sent, published.values[topic.name])
-    row, blind, maybe = check_published(link, says, topics, held_up)
+    row, blind, maybe = check_published(link, says, topics, held_up, stopped)
     if link == 'bus':
         row = row._replace(tries=sum(len(found) for _sent, found in topics.values()))
     rows = [row]
@@ -302,7 +304,7 @@ def _of_link(link: str, says: str, frames: Dict[str, List[Arrival]], published: 
 
 
 def _traffic(frames: Dict[str, List[Arrival]], published: _Published,
-             exempt: Dict[str, Intervals], held_up: Intervals) -> List[Row]:
+             exempt: Dict[str, Intervals], held_up: Intervals, stopped: Intervals) -> List[Row]:
     """serial_msg has every good frame that came in, once and in order."""
     topics: Dict[str, Tuple[List[Sent], List]] = {}
     for link in LINKS:
@@ -314,7 +316,7 @@ def _traffic(frames: Dict[str, List[Arrival]], published: _Published,
     if not topics:
         return []
     row, _blind, _maybe = check_published('serial_msg', 'every undamaged frame in, once, in order',
-                                          topics, held_up)
+                                          topics, held_up, stopped)
     return [row]
 
 

@@ -15,7 +15,8 @@ NETWORK_FROZEN = 4.0     # s
 QUIET = 2.5              # s at the end of a cycle, and of all, in which every port stays
 CUTS = 0.15, 0.5, 1.2    # s of the arduino's absences, each up to `LONGER` times that
 LONGER = 1.2
-_CALIBRATED = 1.0        # s that the bridge takes at most to see that a calibration is over
+_CALIBRATED = 1.0        # s that the bridge takes at most to see that a calibration is over …
+_NOT_SEEN = 6.0          # … and where it saw too little of it, since the port was gone meanwhile
 _NETWORK_RETURN = 3.0    # s that it may take for a network's return
 _APART = 0.5             # s from the end of one fault to the next at least
 
@@ -36,7 +37,7 @@ IN_TURN: Dict[str, Tuple[Turn, ...]] = {
         Turn(0.515, STOPPED, 'stop'),
         Turn(0.58, _CUT[0], 'cut'), Turn(0.63, _CUT[1], 'cut'), Turn(0.68, _CUT[2], 'cut'),
         Turn(0.73, FROZEN, 'freeze'),
-        Turn(0.79, CALIBRATION + _CALIBRATED, 'calibrate and cut')),
+        Turn(0.79, CALIBRATION + _NOT_SEEN, 'calibrate and cut')),
     'network': (
         Turn(0.15, NETWORK_FROZEN + _NETWORK_RETURN, 'freeze'),
         Turn(0.45, _NETWORK_RETURN, 'vanish'),
