@@ -3,10 +3,9 @@ import logging
 import os
 import signal
 import sys
-import threading
 import time
 from contextlib import contextmanager
-from typing import Callable, Iterator
+from typing import Iterator
 
 import rospy
 
@@ -21,6 +20,7 @@ from . import (background_logging, direct, handshake, log_file, parameters, rema
 from .diagnostics import Diagnostics
 from .geometry import publish_mounts
 from .interface import Common
+from .last_resort import LastResort
 from .master_watch import MasterWatch
 from .parameter import ParameterError
 from .traffic import Traffic
@@ -41,7 +41,7 @@ def main() -> None:
     write_in_background()
     background_logging.install()
     start = starting.Start(_NAME)
-    last_resort = _LastResort(start.end_at_last)
+    last_resort = LastResort(_LAST_RESORT, start.end_at_last)
     status = 1
     try:
         status = _run(start, last_resort)
@@ -54,7 +54,7 @@ def main() -> None:
     sys.exit(status)
 
 
-def _run(start: starting.Start, last_resort: '_LastResort') -> int:
+def _run(start: starting.Start, last_resort: LastResort) -> int:
     ended = start.may_begin()
     if ended is not None:
         return ended
@@ -96,32 +96,6 @@ def _run(start: starting.Start, last_resort: '_LastResort') -> int:
         return 1
     rospy.spin()
     return 0
-
-
-class _LastResort:
-    """Ends the process soon after its end has begun, whatever keeps it alive: a thread in a dead
-    connection, say. Its thread is there from the start: where no memory is left, starting one may
-    never return.
-
-    Args:
-        end: ends the process with a status.
-    """
-
-    def __init__(self, end: Callable[[int], None]) -> None:
-        self._end = end
-        self._status = 0
-        self._begun = threading.Event()
-        threading.Thread(target=self._run, name='last resort', daemon=True).start()
-
-    def begin(self, status: int = 0) -> None:
-        """The process ends within `_LAST_RESORT` seconds, with this status."""
-        self._status = status
-        self._begun.set()
-
-    def _run(self) -> None:
-        self._begun.wait()
-        time.sleep(_LAST_RESORT)
-        self._end(self._status)
 
 
 @contextmanager

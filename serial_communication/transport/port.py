@@ -32,7 +32,7 @@ _READABLE = select.POLLIN | select.POLLHUP | select.POLLERR
 _SLICE = 0.05      # s
 _STALLED = 0.1     # s of wire time that wait to be sent as the port closes
 _NOT_SENT = 0x894B     # SIOCOUTQNSD, which no module of Python names
-_NETWORK = 'socket', 'rfc2217'       # the schemes that name a host
+NETWORK = 'socket', 'rfc2217'       # the schemes that name a host
 _VANISHED = 4      # s without a sign of life after which a connection's peer has vanished
 _IAC = b'\xff'     # of telnet, which rfc2217 is: doubled where it is data
 _PTMX = os.makedev(5, 2)             # the device that makes a new pseudo terminal at each opening
@@ -65,7 +65,7 @@ def check_url(url: str) -> None:
         return    # the kind is known, only the device is not there (hwgrep://)
     except re.error as error:
         raise ValueError(f'hwgrep:// takes a regular expression: {error}') from None
-    if scheme in _NETWORK:
+    if scheme in NETWORK:
         _check_network_url(url, port)
     _check_device(port.port)
 
@@ -129,7 +129,7 @@ class Port:
     @property
     def is_network(self) -> bool:
         """Whether it leads to another computer's port, which hides what has not left it."""
-        return self._scheme in _NETWORK
+        return self._scheme in NETWORK
 
     def open(self) -> None:
         """Open it.
@@ -146,7 +146,7 @@ class Port:
             opened.timeout = _SLICE
             if self._scheme != 'rfc2217':     # which has none
                 opened.write_timeout = _SLICE
-            if self._scheme not in _NETWORK + ('loop',):
+            if self._scheme not in NETWORK + ('loop',):
                 opened.exclusive = True
             opened.open()
         except (OSError, ValueError, termios.error) as error:

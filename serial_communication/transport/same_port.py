@@ -6,17 +6,19 @@ from urllib.parse import urlsplit
 
 import serial
 
+from .port import NETWORK, read_url
+
 
 def identity(url: str) -> Any:
     """Equal for two URLs that lead to one port; None where each opening has a port of its own.
 
     A device that is not there now is known by its path alone.
     """
-    scheme, found, rest = url.partition('://')
-    scheme = scheme.lower() if found else ''
+    url, scheme = read_url(url)
+    rest = url.partition('://')[2]
     if scheme == 'loop' or scheme == 'hwgrep' and 'skip_busy' in rest:
         return None
-    if scheme in ('socket', 'rfc2217'):
+    if scheme in NETWORK:
         host = urlsplit(url)
         return ('127.0.0.1' if host.hostname == 'localhost' else host.hostname), host.port
     if scheme == 'hwgrep':

@@ -22,6 +22,7 @@ import tornado.ioloop
 from ...links.sparing_log import SparingLog
 from ...output import print_line_by_line
 from ...ros import background_logging
+from ...ros.last_resort import LastResort
 from ...ros.log_file import init_node
 from ...ros.master import full_name, living_node
 from ...ros.master_watch import MasterWatch
@@ -131,13 +132,6 @@ class _Ros:
             self._end(1)
 
 
-def _end_at_the_latest(signalled: threading.Event, statuses: List[int]) -> None:
-    """Something hangs: a thread of rospy's, a terminal that takes nothing."""
-    signalled.wait()
-    time.sleep(_LAST_RESORT)
-    os._exit(statuses[0] if statuses else 0)
-
-
 def main(argv: Optional[List[str]] = None) -> int:
     """Serve until a signal; the exit status."""
     print_line_by_line()
@@ -173,15 +167,13 @@ def _serve(argv: Optional[List[str]]) -> int:
     hub = Hub(Feed(node, rosgraph.get_master_uri(), registrar), commands, log)
     server = serve(sockets, hub, Guard([*own_names(), options.bind], token))
     statuses: List[int] = []
-    ending = threading.Event()
-    threading.Thread(target=_end_at_the_latest, args=(ending, statuses), name='last resort',
-                     daemon=True).start()
+    last_resort = LastResort(_LAST_RESORT)
 
     def end(status: int = 0) -> None:
-        first = not statuses        # a second signal may come while the first one sets `ending`
+        first = not statuses        # a second signal may come while the first one is taken in
         statuses.append(status)
         if first:
-            ending.set()
+            last_resort.begin(status)
             loop.add_callback_from_signal(loop.stop)
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
