@@ -226,6 +226,8 @@ class Master:
         """A valid reply has come."""
         self._last_received = now
         exchange, reply = self._exchange, frame.message
+        if reply.cmd1 == bus.ECHO:      # however late it comes
+            self._has_echoed = True
         if self._retry is not None and _may_be_behind_the_invalid(reply, self._retry):
             # Either the INVALID was for noise and this is the reply, or this is another's.
             call, self._retry = self._retry, None
@@ -423,7 +425,6 @@ class Master:
         reply = frame.message
         if reply.cmd1 == bus.ECHO and reply.data == exchange.request.data:
             self._exchange = None
-            self._has_echoed = True
             self._unanswered_echoes = 0
             self.state = State.FENCED
         elif _lost_synchronism(reply):
@@ -451,7 +452,6 @@ class Master:
         self.round_trips.append(round_trip)
         outcome = _outcome_of(reply, request, round_trip, frame.stamp)
         if reply.cmd1 == bus.ECHO:
-            self._has_echoed = True
             self._unanswered_echoes = 0
         if reply.cmd1 != bus.INVALID:
             self._finish(exchange, now, outcome)

@@ -54,6 +54,14 @@ def test_what_callers_are_told_is_true(board, script, ok_data):
     play(Model(faults, echoes, ok_data), script)
 
 
+def test_a_board_whose_first_echoes_return_late_is_one_that_echoes():
+    """The first ECHO is lost, and the others return after all three were given up. A lift's OK that
+    comes twice then does not answer the next lift, which is lost."""
+    faults = ['none', 'lose request', ('late', 2 * REPLY_TIMEOUT + 0.2), 'none', 'none',
+              ('double', QUIET + 0.001), 'lose request']
+    play(Model(faults, True, b''), [('lift', 0.3), ('lift', 0.0), ('lift', 0.0)])
+
+
 # The board says OK twice, the second time just after the next request has come.
 TWICE_AND_REFUSED = [('lift', 0.012), ('lift', 3.0)]
 
