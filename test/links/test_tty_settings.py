@@ -192,8 +192,9 @@ def test_a_pseudo_terminal_is_not_kept_for_one_program(port, line):
 
 _HOLDER = '''
 import os, sys, time
-if os.geteuid() == 0: os.setgid({0}); os.setuid({0})
 from serial_communication.transport.port import Port
+# Not before the imports: such a user may not read a checkout in root's home.
+if os.geteuid() == 0: os.setgid({0}); os.setuid({0})
 port = Port(sys.argv[1])
 port.open()
 print('open', flush=True)

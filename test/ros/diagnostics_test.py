@@ -29,7 +29,8 @@ def setUpModule():
     """The three boards, and a record of all that comes while the tests run."""
     global LINE, BOARDS, RECORD
     LINE = rospy.get_param('~line')
-    BOARDS = {'bus': BusBoard(LINE + '_bus_board'), 'arduino': CarBoard(LINE + '_arduino_board'),
+    BOARDS = {'bus': BusBoard(LINE + '_bus_board', polled=True),
+              'arduino': CarBoard(LINE + '_arduino_board'),
               'mcu': SensorBoard(LINE + '_mcu_board')}
     RECORD = Diagnostics()
 

@@ -1,0 +1,91 @@
+"""The versions of Ubuntu 20.04 run the tests: Python 3.8, pyserial 3.4, pytest 4.6.9, hypothesis
+4.36.2. What they lack is named in test_python_version, too, as far as it is known.
+
+For these tests a Python 3.8 is looked for in SERIAL_COMMUNICATION_PYTHON38, on the PATH and with
+pyenv, and the packages come from the package index. Without these they are skipped.
+"""
+import importlib.util
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from sources import ROOT
+
+VERSIONS = {'pyserial': '3.4', 'pytest': '4.6.9', 'hypothesis': '4.36.2'}
+# The tests without a ROS node: all are collected, and these run (not all, which take minutes).
+COLLECTED = ('links', 'simulation', 'tools', 'protocols', 'fuzz/test_fuzz_decoders.py')
+RUN = {'links': ('links/test_port.py', 'links/test_port_messages.py', 'links/test_link.py'),
+       'protocols': ('protocols/test_stream_decoders.py', 'protocols/test_own_messages.py')}
+_LONGEST = 600      # s; only a test that hangs takes as long
+
+
+def is_python_3_8(program):
+    """Whether this is one, and can make virtual environments."""
+    try:
+        said = subprocess.run(
+            [program, '-c', 'import ensurepip, sys, venv; print(*sys.version_info[:2])'],
+            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, check=False).stdout
+        return said == '3 8\n'
+    except OSError:
+        return False
+
+
+def python_3_8():
+    """The path of one, or None."""
+    pyenv = Path(os.environ.get('PYENV_ROOT') or '~/.pyenv').expanduser()
+    found = [os.environ.get('SERIAL_COMMUNICATION_PYTHON38'), shutil.which('python3.8'),
+             *map(str, sorted(pyenv.glob('versions/3.8.*/bin/python3.8')))]
+    return next((each for each in found if each and is_python_3_8(each)), None)
+
+
+@pytest.fixture(scope='module', name='old_python')
+def fixture_old_python(tmp_path_factory):
+    """A Python 3.8 that has these versions, and behind them whatever ROS consists of here."""
+    program = python_3_8()
+    if not program:
+        pytest.skip('no Python 3.8 with venv; SERIAL_COMMUNICATION_PYTHON38 may name one')
+    folder = tmp_path_factory.mktemp('python3.8')
+    python = str(folder / 'bin' / 'python')
+    for command in ([program, '-m', 'venv', str(folder)],
+                    [python, '-m', 'pip', 'install', '--quiet', '--disable-pip-version-check',
+                     '--retries', '0', *('=='.join(each) for each in VERSIONS.items())]):
+        done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+                              stdin=subprocess.DEVNULL, check=False,
+                              env={**os.environ, 'PYTHONPATH': ''})
+        if done.returncode:
+            pytest.skip('a Python 3.8 with %s cannot be had: %s' % (
+                ', '.join(VERSIONS), done.stdout.strip().rpartition('\n')[2]))
+    behind = {str(Path(importlib.util.find_spec(name).origin).parents[1])
+              for name in ('rosgraph', 'yaml')}
+    site, = folder.glob('lib/python3.8/site-packages')
+    (site / 'ros.pth').write_text('\n'.join(sorted(behind)) + '\n')
+    return python
+
+
+def run(python, *arguments):
+    """What pytest of that Python says; it has to pass."""
+    done = subprocess.run([python, '-m', 'pytest', '-q', '--tb=short', '-p', 'no:cacheprovider',
+                           *arguments], cwd=str(ROOT), stdout=subprocess.PIPE, text=True,
+                          stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, timeout=_LONGEST,
+                          check=False)
+    assert done.returncode == 0, done.stdout
+
+
+def test_the_versions_are_these(old_python):
+    said = subprocess.check_output(
+        [old_python, '-c', 'import hypothesis, pytest, serial\n'
+         'print(serial.__version__, pytest.__version__, hypothesis.__version__)'], text=True)
+    assert said.split() == list(VERSIONS.values())
+
+
+def test_every_test_is_collected(old_python):
+    for part in COLLECTED:      # a process each, as in scripts/test
+        run(old_python, '--collect-only', f'test/{part}')
+
+
+@pytest.mark.parametrize('files', RUN.values(), ids=RUN)
+def test_they_pass(old_python, files):
+    for file in files:
+        run(old_python, f'test/{file}')
