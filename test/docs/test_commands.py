@@ -15,12 +15,16 @@ A comment right before a block of commands says how it is run:
     <!-- needs a board -->     by nobody, likewise `needs a screen`
 """
 import re
+import sys
 import urllib.request
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from pages import PAGES, ROOT, blocks
 from stage import Stage, until
+
+sys.path.insert(0, str(ROOT / 'test' / 'firmware'))
+from emulated_board import build_firmware  # noqa: E402
 
 BLOCKS = [block for page in PAGES for block in blocks(page)]
 PYTHON = [block for block in BLOCKS if block.language == 'python' and not block.mark]
@@ -142,6 +146,7 @@ def test_with_a_recording(block, master, bridge):
 
 @marked('run: avr')
 def test_with_emulated_boards(block, master):
+    build_firmware()    # on a busy machine it takes longer than a launch is waited for
     folder = master.folder / 'avr'
     master.environment['SIM_DIR'] = str(folder)
     with master.background([

@@ -1,4 +1,5 @@
 """What the times at which heartbeats were read say of when they were sent."""
+import glob
 
 
 def longest_gap(stamps, rate):
@@ -20,3 +21,19 @@ def longest_gap(stamps, rate):
         longest = max(longest, sent - before)
         sent -= 1.0 / rate
     return longest
+
+
+def processor_wait(pid):
+    """For how long a process's threads have waited for a processor so far, in s.
+
+    A user who may not have real-time priority shares the processor with whatever else runs: what a
+    heartbeat waited for it is none of the bridge's doing. With that priority it is next to nothing.
+    """
+    waited = 0
+    for path in glob.glob('/proc/%d/task/*/schedstat' % pid):
+        try:
+            with open(path) as file:
+                waited += int(file.read().split()[1])
+        except OSError:
+            pass        # the thread has ended
+    return waited / 1e9

@@ -50,7 +50,7 @@ def fixture_old_python(tmp_path_factory):
     python = str(folder / 'bin' / 'python')
     for command in ([program, '-m', 'venv', str(folder)],
                     [python, '-m', 'pip', 'install', '--quiet', '--disable-pip-version-check',
-                     '--retries', '0', *('=='.join(each) for each in VERSIONS.items())]):
+                     '--retries', '1', *('=='.join(each) for each in VERSIONS.items())]):
         done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
                               stdin=subprocess.DEVNULL, check=False,
                               env={**os.environ, 'PYTHONPATH': ''})
