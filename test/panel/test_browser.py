@@ -444,9 +444,19 @@ def test_led_echo_and_sync(cockpit, robot):
             '.answers li')), word)
 
 
+def came_late(page):
+    """Whether the latest press was refused for its age, as may be on a busy machine."""
+    return 'press again' in (page.text('.answers li') if page.all('.answers li') else '')
+
+
 def test_own_functions(chromium, core):
     """This process plays a bridge with a function of the configuration."""
     asked = []
+
+    def press_again():
+        button = chromium.all(form + 'button')[0]
+        if came_late(chromium) and button.is_enabled():
+            button.click()
 
     def pump(request):
         asked.append(request.data)
@@ -463,8 +473,8 @@ def test_own_functions(chromium, core):
         for outcome in ('refused', 'done'):
             chromium.wait(lambda page: page.all(form + 'button')[0].is_enabled(), 'it is free')
             chromium.click(form + 'button')
-            chromium.wait(lambda page: page.attribute('.answers li', 'data-outcome') == outcome,
-                          outcome)
+            chromium.wait(lambda page: page.attribute('.answers li', 'data-outcome') == outcome
+                          and not came_late(page), outcome, doing=press_again)
             chromium.click(form + 'input')
         assert asked == [False, True]
         answers = chromium.text('.answers')
