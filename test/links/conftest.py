@@ -10,6 +10,8 @@ import pytest
 
 from boards import Line
 
+from serial_communication.transport.port import Port
+
 _LIMIT = 20.0      # s for one test
 
 
@@ -48,6 +50,15 @@ def line(tmp_path):
     made = Line(tmp_path / 'port').plug()
     yield made
     made.unplug()
+
+
+@pytest.fixture
+def port(line):
+    """A port that is open on it."""
+    made = Port(line.path)
+    made.open()
+    yield made
+    made.close()
 
 
 @pytest.fixture

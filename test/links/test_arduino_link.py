@@ -452,6 +452,15 @@ def test_after_a_standstill_speed_0_is_first_whoever_wakes_first(board, open_lin
     until(lambda: lines('the bridge stood still for'))
 
 
+def takes_speed(link, value):
+    """Whether it is sent; False where it is refused."""
+    try:
+        link.set_speed(value)
+        return True
+    except Refused:
+        return False
+
+
 def test_nothing_commanded_during_a_standstill_is_sent_and_what_comes_later_is(
         board, open_link, standstill):
     link = open_link(ArduinoSettings(speed_timeout=0.5), port=Noted)
@@ -462,14 +471,7 @@ def test_nothing_commanded_during_a_standstill_is_sent_and_what_comes_later_is(
             command()
     assert not link.calibrating
 
-    def accepted():
-        try:
-            link.set_speed(2)
-            return True
-        except Refused:
-            return False
-
-    until(accepted)
+    until(lambda: takes_speed(link, 2))
     until(board.commands)
     assert board.commands()[0] == SpeedCommand(2)
 
@@ -528,14 +530,7 @@ def test_where_only_receiving_stalls_the_heart_goes_on_and_the_car_stands(
     with pytest.raises(Refused):
         link.set_speed(1)       # it may have waited as long
 
-    def accepted():
-        try:
-            link.set_speed(2)
-            return True
-        except Refused:
-            return False
-
-    until(accepted)
+    until(lambda: takes_speed(link, 2))
     until(lambda: board.commands()[-1] == SpeedCommand(2))
     assert SpeedCommand(1) not in board.messages()
     until(lambda: lines('the bridge stood still for'))

@@ -14,14 +14,6 @@ from waiting import Waiter
 from serial_communication.transport.port import Port, PortBusy, PortError, check_url, read_url
 
 
-@pytest.fixture
-def port(line):
-    made = Port(line.path)
-    made.open()
-    yield made
-    made.close()
-
-
 class Reader:
     """A thread in `Port.read`, as every link has one."""
 

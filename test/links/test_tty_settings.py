@@ -31,14 +31,6 @@ def stty(path, *arguments):
                           universal_newlines=True).stdout
 
 
-@pytest.fixture
-def port(line):
-    made = Port(line.path)
-    made.open()
-    yield made
-    made.close()
-
-
 def passed(port, size):
     """So many bytes as the port reads them."""
     data = b''
