@@ -246,7 +246,7 @@ class Stamps(CommandsTest):
         self.assert_said('speed 1 refused: its stamp is ', ' s old', 'allows 0.5 s', '/driver',
                          'chrony')
         self.assert_drives(self.driver, 300, ago=0.0)
-        self.assertEqual(self.car.speeds, [300])
+        self.assertEqual(set(self.car.speeds) - {0}, {300})     # said until it is there
 
     def test_a_publisher_earns_nothing_by_being_in_time_nor_by_being_idle(self):
         self.assert_drives(self.driver, 100, ago=0.0)
