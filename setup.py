@@ -2,9 +2,9 @@
 from catkin_pkg.python_setup import generate_distutils_setup
 from setuptools import setup
 
-FOLDERS = ('protocols', 'transport', 'links', 'ros', 'simulation',
-           'tools', 'tools.bench', 'tools.demo', 'tools.monitor', 'tools.panel', 'tools.soak',
-           'tools.watch', 'tools.wire')
+FOLDERS = ('transport', 'framing', 'link', 'simulation', 'ros', 'ros.rospy_mends',
+           'boards', 'boards.arduino', 'boards.bus', 'boards.mcu',
+           'tools', 'tools.demo', 'tools.monitor', 'tools.panel', 'tools.watch', 'tools.wire')
 
 setup(**generate_distutils_setup(
     packages=['serial_communication'] + ['serial_communication.' + name for name in FOLDERS],

@@ -10,7 +10,7 @@ from typing import Any, List, Tuple
 import rospy
 from rospy.exceptions import TransportInitError
 
-from ..links.outcome import LOOK, TIMEOUT, Outcome, Verdict, read_text, verdict_of_failure
+from ..link.outcome import LOOK, TIMEOUT, Outcome, Verdict, read_text, verdict_of_failure
 
 _TOLD = {'success': ('bool',), 'status': ('uint8', 'uint16', 'uint32', 'int16', 'int32'),
          'error_code': ('uint16', 'uint32', 'int32'), 'message': ('string',)}

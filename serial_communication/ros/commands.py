@@ -10,8 +10,8 @@ from typing import Any, Callable, Dict, Optional, Set
 import rosgraph
 import rospy
 
-from ..links.link import Refused
-from ..links.sparing_log import SparingLog
+from ..link.link import Refused
+from ..link.sparing_log import SparingLog
 
 _REMEMBERED = 1000    # names of publishers; each call of rostopic has one of its own
 

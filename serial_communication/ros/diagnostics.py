@@ -7,8 +7,8 @@ from typing import Iterable
 import rospy
 from diagnostic_updater import Updater
 
-from ..links.link import Link
-from ..links.sparing_log import SparingLog
+from ..link.link import Link
+from ..link.sparing_log import SparingLog
 
 _PERIOD = 1.0   # s
 

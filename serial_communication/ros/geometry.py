@@ -6,7 +6,7 @@ import rospy
 import tf2_ros
 from geometry_msgs.msg import TransformStamped
 
-from ..protocols.rotation import quaternion
+from ..framing.rotation import quaternion
 
 
 def transform(parent: str, child: str, translation: Sequence[float],

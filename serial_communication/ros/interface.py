@@ -2,7 +2,7 @@
 import logging
 from typing import Any, Callable, Dict, List, NamedTuple, Protocol, Tuple
 
-from ..links.link import Link
+from ..link.link import Link
 from .parameter import Parameters
 
 

@@ -10,19 +10,19 @@ from typing import Iterator
 import rospy
 
 from ..boards import reason
-from ..links.link import Link
-from ..links.sparing_log import SparingLog
+from ..link.link import Link
+from ..link.sparing_log import SparingLog
 from ..output import print_line_by_line
 from ..transport.pace import all_be_quick
 from ..transport.terminal import write_in_background
-from . import (background_logging, direct, handshake, log_file, parameters, remapping, shortage,
-               starting)
+from . import parameters, starting
 from .diagnostics import Diagnostics
 from .geometry import publish_mounts
 from .interface import Common
 from .last_resort import LastResort
-from .master_watch import MasterWatch
 from .parameter import ParameterError
+from .rospy_mends import background_logging, direct, handshake, log_file, remapping, shortage
+from .rospy_mends.master_watch import MasterWatch
 from .traffic import Traffic
 
 _SWITCH_INTERVAL = 0.0005   # s that a busy thread may keep the interpreter from the heartbeat

@@ -9,8 +9,8 @@ from typing import Any, Iterable, List, Type
 
 import rospy
 
-from ..boards import BoardError, board_module
-from ..protocols.layout import brief
+from ..boards import BoardError, description, load
+from ..framing.layout import brief
 from .interface import Interface
 from .parameter import Parameter
 
@@ -33,7 +33,7 @@ def board_interfaces(names: Any, taken: Iterable[str]) -> List[Type[Interface]]:
         raise ValueError
     interfaces: List[Type[Interface]] = []
     for name in names:
-        interface = getattr(_module(name), 'INTERFACE', None)
+        interface = _interface(name)
         wrong = _wrong(interface, {*taken, *(each.NAME for each in interfaces)})
         if wrong:
             raise ValueError(f'the module {name!r}: {wrong}')
@@ -41,7 +41,7 @@ def board_interfaces(names: Any, taken: Iterable[str]) -> List[Type[Interface]]:
     return interfaces
 
 
-def _module(name: str) -> Any:
+def _interface(name: str) -> Any:
     """Import it in a thread of its own, so that a signal ends the node though an import hangs."""
     outcome: List[Any] = []
     thread = threading.Thread(target=_import, args=(name, outcome), name=f'import {name}',
@@ -63,7 +63,10 @@ def _module(name: str) -> Any:
 
 def _import(name: str, outcome: List[Any]) -> None:
     try:
-        outcome.append(board_module('ros', name))
+        module = load(name)
+        if hasattr(module, 'DESCRIPTION'):
+            module = load(description(name).package + '.ros')
+        outcome.append(getattr(module, 'INTERFACE', None))      # as up to 1.1 in the module itself
     except BoardError as error:
         outcome.append(error)
 
@@ -71,7 +74,7 @@ def _import(name: str, outcome: List[Any]) -> None:
 def _wrong(interface: Any, taken: Iterable[str]) -> str:
     """What an INTERFACE is instead of what it must be, or ''."""
     if interface is None:
-        return 'it has no INTERFACE'
+        return 'it has neither a DESCRIPTION of a board nor an INTERFACE'
     if not isinstance(interface, type) or Interface not in interface.__mro__:
         return _other('', interface, 'a class derived from '
                       'serial_communication.ros.interface.Interface')

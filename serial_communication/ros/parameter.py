@@ -2,7 +2,7 @@
 from math import inf, isfinite
 from typing import Any, Callable, Dict, NamedTuple, Optional, Tuple
 
-from ..protocols.layout import readable
+from ..framing.layout import readable
 from ..transport.port import check_url
 
 

@@ -7,9 +7,9 @@ from typing import Any, Dict, List, Tuple, Type
 
 import rospy
 
-from ..boards import BOARDS, board_module, reason
-from ..protocols.layout import brief, readable
-from ..protocols.own_messages import RowError
+from ..boards import BOARDS, description, reason
+from ..framing.custom_messages import RowError
+from ..framing.layout import brief, readable
 from ..transport.same_port import identity
 from .interface import Interface
 from .other_boards import board_interfaces
@@ -22,13 +22,13 @@ def _other_boards(names: Any) -> List[Type[Interface]]:
 
 
 NODE_PARAMETERS: Parameters = {
-    'boards': Parameter([], unit='names of Python modules with an INTERFACE', parse=_other_boards),
+    'boards': Parameter([], unit='names of Python packages with a board', parse=_other_boards),
     'frame_timeout': seconds(0.05, 0.001, 10.0),
     'publish_tf': Parameter(False),
     'base_frame_id': frame_id('base_link'),
     'frame_prefix': Parameter(''),
 }
-BUILT_IN: List[Type[Interface]] = [board_module('ros', name).INTERFACE for name in BOARDS]
+BUILT_IN: List[Type[Interface]] = [description(name).interface for name in BOARDS]
 
 
 def table(interfaces: List[Type[Interface]]) -> Parameters:

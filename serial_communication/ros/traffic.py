@@ -8,9 +8,9 @@ import rospy
 
 from serial_communication.msg import SerialMsg
 
-from ..links.link import Link
-from ..links.sparing_log import SparingLog
-from ..protocols.framing import Frame
+from ..framing.stream import Frame
+from ..link.link import Link
+from ..link.sparing_log import SparingLog
 from .publishing import publisher
 
 _QUEUED = 2000   # frames that wait for this thread at most; newer ones are left out

@@ -2,12 +2,12 @@
 import argparse
 import threading
 import time
-from typing import Any, Callable, List, Optional, Tuple
+from typing import Any, Callable, Optional
 
+from ..framing.frame_timer import FrameTimer
+from ..framing.stream import Frame
 from ..transport.pace import be_quick
 from ..transport.port import Port, PortError
-from ..protocols.frame_timer import FrameTimer
-from ..protocols.framing import Frame
 from .line import Line
 
 FRAME_TIMEOUT = 0.05     # s without a byte after which an incomplete frame is given up
@@ -45,8 +45,6 @@ class Board:
     MEASURES_PACE = False                # it has to be woken in time: a heartbeat, say
     CHATTER = b''                        # what it babbles at a reset
     DELIMITER: Optional[bytes] = None    # what has to stand before a frame for it to be found
-    # Messages of one's own: their name among the board's parameters, and what reads the rows.
-    OWN_ROWS: Optional[Tuple[str, Callable[[Any], List[Any]]]] = None
 
     @classmethod
     def add_options(cls, parser: argparse.ArgumentParser) -> None:
@@ -54,8 +52,8 @@ class Board:
 
     @classmethod
     def from_options(cls, options: argparse.Namespace) -> 'Board':
-        """The board that these options describe; `options.seed` is a number, and with `OWN_ROWS`
-        `options.config` is what has been read of them."""
+        """The board that these options describe; `options.seed` is a number, and
+        `options.config` are the custom messages, where the board may have some."""
         return cls()
 
     def __init__(self, decoder: Any = None) -> None:

@@ -9,15 +9,16 @@ import time
 from random import SystemRandom
 from typing import Any, List, NoReturn, Optional, Type
 
-from ..boards import BOARDS, board_module
+from ..boards import BOARDS, BoardError, description, load
+from ..boards.description import Description
 from ..output import print_line_by_line
 from ..transport.pace import Allowance
 from ..transport.port import Port, check_url
 from ..transport.terminal import write_in_background
 from . import faults
 from .board import Board, Runner, positive
+from .custom_messages import add_option
 from .journal import Journal
-from .own_messages import add_option
 
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _BURST, _RATE = 20, 2.0      # lines for people: in a burst, and a second after that
@@ -31,7 +32,7 @@ examples (each with  rosrun serial_communication  before it, or in a checkout wi
   simulator arduino --port /tmp/ttyV3 --calibration-time 60
   simulator mcu --port /tmp/ttyV5 --adc --rate 50 --journal mcu.jsonl
   simulator arduino --port /tmp/ttyV3 --fault all --seed 7
-  simulator my_package.my_board --port /tmp/ttyV7     another package's: its module with `BOARD`
+  simulator my_package --port /tmp/ttyV7              another package's: see doc/developing.md
 
 It waits for a port that is absent and comes back to one that vanished. Ctrl-C ends it.
 """
@@ -149,13 +150,11 @@ def _parse(arguments: List[str]) -> argparse.Namespace:
     boards = parser.add_subparsers(dest='board', metavar='BOARD', required=True)
     for name in (*BOARDS, *_of_another_package(arguments)):
         try:
-            module = board_module('simulation', name)
-        except ImportError as error:
-            parser.error(f'there is no board {name}, only {", ".join(BOARDS)}; and as the module '
-                         f'of another package: {error}')
-        if not hasattr(module, 'BOARD'):
-            parser.error(f'the module {name} has no BOARD, so it is none of a simulated board')
-        _add(boards, name, module.BOARD, module.__doc__)
+            board = description(name)
+            _add(boards, name, board, load(board.simulator.__module__).__doc__)
+        except BoardError as error:
+            parser.error(f'there is no board {name}, only {", ".join(BOARDS)}; and as a package '
+                         f'with a board: {error}')
     options = parser.parse_args(arguments)
     try:
         options.rates = faults.parse(
@@ -174,7 +173,8 @@ def _of_another_package(arguments: List[str]) -> List[str]:
             and name not in BOARDS]
 
 
-def _add(boards: Any, name: str, board: Type[Board], page: str) -> None:
+def _add(boards: Any, name: str, described: Description, page: str) -> None:
+    board = described.simulator
     parser = boards.add_parser(
         name, help=board.SUMMARY, formatter_class=argparse.RawDescriptionHelpFormatter,
         description=page, epilog=_fault_help(board))
@@ -196,7 +196,7 @@ def _add(boards: Any, name: str, board: Type[Board], page: str) -> None:
                              'serial_communication/simulation/journal.py)')
     parser.add_argument('--duration', type=positive, metavar='S', help='end after that')
     board.add_options(parser)
-    add_option(parser, board.NAME, board.OWN_ROWS)
+    add_option(parser, described)
 
 
 def _fault_help(board: Type[Board]) -> str:

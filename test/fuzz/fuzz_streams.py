@@ -1,8 +1,9 @@
 """What the fuzz tests share: bytes that are made to hurt."""
 from hypothesis import strategies as st
 
-from serial_communication.protocols import arduino, mcu
-from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.mcu import wire as mcu
+from serial_communication.boards.bus import wire as bus
 
 # Bytes that mean something to one of the protocols, and their neighbours.
 TELLING = sorted({bus.STANDARD_FLAG, bus.LONG_FLAG, mcu.STX, mcu.ETX, 0, 1, 2, 3, 4, 7, 8, 9, 10,

@@ -12,8 +12,9 @@ from fuzz_streams import TELLING, garbage
 from hypothesis import given
 from hypothesis import strategies as st
 
-from serial_communication.protocols import arduino, mcu
-from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.mcu import wire as mcu
+from serial_communication.boards.bus import wire as bus
 
 # Hypothesis 4, which Ubuntu 20.04 has, cannot be guided: it looks at random there.
 _PREFER = getattr(hypothesis, 'target', None)

@@ -15,11 +15,12 @@ from hypothesis import given
 
 rospy = pytest.importorskip('rospy')
 from serial_communication.msg import McuStatus2, SerialMsg, Ticks  # noqa: E402
-from serial_communication.protocols import arduino, mcu  # noqa: E402
-from serial_communication.protocols import robot_ctrl_bus as bus  # noqa: E402
+from serial_communication.boards.arduino import wire as arduino  # noqa: E402
+from serial_communication.boards.mcu import wire as mcu  # noqa: E402
+from serial_communication.boards.bus import wire as bus  # noqa: E402
 from serial_communication.srv import BusRequest  # noqa: E402
-from serial_communication.tools.soak.run import usage_of  # noqa: E402
-from serial_communication.tools.soak.stage import CampaignStage  # noqa: E402
+from campaign.run import usage_of  # noqa: E402
+from campaign.stage import CampaignStage  # noqa: E402
 
 NODE = '/serial_communication'
 PATIENCE = 10.0          # s; only a test that fails waits as long

@@ -19,9 +19,9 @@ from own_rows import encoded, numbers
 pytest.importorskip('rospy')
 from sensor_msgs.msg import CameraInfo  # noqa: E402
 
-from serial_communication.links.arduino import ArduinoLink  # noqa: E402
-from serial_communication.links.link import Refused  # noqa: E402
-from serial_communication.protocols import cobs  # noqa: E402
+from serial_communication.boards.arduino.link import ArduinoLink  # noqa: E402
+from serial_communication.link.link import Refused  # noqa: E402
+from serial_communication.framing import cobs  # noqa: E402
 from serial_communication.ros.parameters import check  # noqa: E402
 from serial_communication.transport.port import Port  # noqa: E402
 

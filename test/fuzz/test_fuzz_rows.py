@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 pytest.importorskip('rospy')
-from serial_communication.protocols.layout import readable  # noqa: E402
+from serial_communication.framing.layout import readable  # noqa: E402
 from serial_communication.ros.parameters import ParameterError, check  # noqa: E402
 
 NUMBERS = st.one_of(

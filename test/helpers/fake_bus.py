@@ -4,7 +4,7 @@ It is not that of the simulation: it is as simple as can be, so that a test show
 """
 from collections import deque
 
-from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.boards.bus import wire as bus
 
 AIR = bus.Environment(350, 25.63, 48.12)
 

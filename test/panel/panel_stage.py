@@ -19,7 +19,7 @@ import rospy
 from boards import (AIR, PATIENCE, BusBoard, CarBoard, Bridge, Line, SensorBoard, level_imu,
                     program, ranges, until)
 
-from serial_communication.protocols import arduino
+from serial_communication.boards.arduino import wire as arduino
 
 NODE = '/serial_communication'
 TOKEN = 'a-token-of-the-tests'

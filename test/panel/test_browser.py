@@ -18,10 +18,10 @@ from sensor_msgs.msg import Imu, Range
 from std_msgs.msg import Float32, Float64, Int64, String
 from std_srvs.srv import SetBool, SetBoolResponse
 
-from serial_communication.links.outcome import NOT_SENT, Outcome
+from serial_communication.link.outcome import NOT_SENT, Outcome
 from serial_communication.msg import Environment, SteeringFeedback, Ticks, Voltage, McuStatus2
-from serial_communication.protocols import arduino
-from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.bus import wire as bus
 from serial_communication.tools.watch.topics import TOPICS
 
 if not shutil.which('chromedriver') and os.path.isdir('/opt/ros/noetic'):

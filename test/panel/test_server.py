@@ -20,8 +20,8 @@ from panel_stage import (NODE, TOKEN, Page, Panel, free_port, publishers_and_sub
 
 from std_msgs.msg import String
 
-from serial_communication.protocols import arduino
-from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.bus import wire as bus
 
 LOOKS = ['~imu', '~voltage', '~environment', 'mcu/range_1', '~nothing']
 

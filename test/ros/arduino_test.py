@@ -14,10 +14,10 @@ from std_srvs.srv import Empty
 
 from boards import (CALIBRATION_PACKET, PACKAGE, SPEED_0_PACKET, CarBoard, Rosout, Topic,
                     command_topic, level_imu, service, stamped, until, values_of)
-from serial_communication.links.outcome import Verdict
+from serial_communication.link.outcome import Verdict
 from serial_communication.msg import (SpeedPWMCommand, SteeringFeedback, SteeringPWMCommand,
                                       Ticks, Voltage)
-from serial_communication.protocols import arduino
+from serial_communication.boards.arduino import wire as arduino
 from serial_communication.ros.answers import read_error
 
 # A board's packet, byte by byte; its quaternion is far from 1.

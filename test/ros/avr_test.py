@@ -28,7 +28,7 @@ from boards import (NOT_SENT, OK, PACKAGE, PATIENCE, RX, TIMEOUT, TX, Diagnostic
 from launch_test import SIMULATED_TOPICS
 from serial_communication.msg import (Environment, McuStatus2, SerialMsg, SpeedPWMCommand,
                                       SteeringFeedback, SteeringPWMCommand, Ticks, Voltage)
-from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.boards.bus import wire as bus
 from serial_communication.srv import (BusRequest, GetEnvironment, Gimbal, GimbalRequest, Lift,
                                       LiftRequest)
 

@@ -23,8 +23,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rosgraph_msgs.msg import Log
 from std_srvs.srv import Trigger
 
-from serial_communication.protocols import arduino, mcu
-from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.mcu import wire as mcu
+from serial_communication.boards.bus import wire as bus
 
 sys.path.insert(0, os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(__file__))),
                                 'helpers'))

@@ -12,7 +12,7 @@ from std_srvs.srv import Trigger
 from boards import (AIR, AIR_DATA, NOT_SENT, PACKAGE, SYNC_FRAME, TIMEOUT, BusBoard, Topic,
                     Waiter, service, settle, until, values_of)
 from serial_communication.msg import Environment
-from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.boards.bus import wire as bus
 from serial_communication.srv import (BusRequest, GetEnvironment, Gimbal,
                                       GimbalRequest, Lift, LiftRequest)
 

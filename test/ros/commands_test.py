@@ -15,9 +15,9 @@ from std_msgs.msg import String, UInt8
 
 from boards import PACKAGE, PATIENCE, SPEED_0_PACKET, Bridge, CarBoard, Line, own_folder, until
 from publishers import FakePublisher
-from serial_communication.links.sparing_log import SparingLog
+from serial_communication.link.sparing_log import SparingLog
 from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
-from serial_communication.protocols import arduino
+from serial_communication.boards.arduino import wire as arduino
 from serial_communication.ros import commands
 
 NODE = '/' + PACKAGE

@@ -10,7 +10,7 @@ import rostest
 
 from boards import (ERROR, OK, PACKAGE, PATIENCE, WARN, BusBoard, CarBoard, Diagnostics,
                     SensorBoard, level_imu, pid_of, ranges, service, settle, until)
-from serial_communication.protocols import mcu
+from serial_communication.boards.mcu import wire as mcu
 from serial_communication.srv import Lift
 
 LINKS = 'bus', 'arduino', 'mcu'

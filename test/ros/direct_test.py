@@ -16,7 +16,7 @@ from rosgraph.network import encode_ros_handshake_header, read_ros_handshake_hea
 from std_msgs.msg import String
 
 from boards import PACKAGE, PATIENCE, Topic, Waiter, until
-from serial_communication.ros import direct
+from serial_communication.ros.rospy_mends import direct
 
 _BIG = 'x' * (32 << 20)      # more than the kernel holds for one connection
 

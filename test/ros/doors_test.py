@@ -23,10 +23,10 @@ from rospy.impl import registration, tcpros_base, tcpros_pubsub
 
 from boards import (PACKAGE, PATIENCE, Bridge, CarBoard, Line, command_topic, own_folder, service,
                     until)
-from serial_communication.links.sparing_log import SparingLog
+from serial_communication.link.sparing_log import SparingLog
 from serial_communication.msg import SpeedPWMCommand, Voltage
-from serial_communication.protocols import arduino
-from serial_communication.ros import handshake, shortage
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.ros.rospy_mends import handshake, shortage
 
 NAME = '/' + PACKAGE
 MASTER = rosgraph.Master('/doors_test')

@@ -16,8 +16,8 @@ from boards import (PACKAGE, PATIENCE, BusBoard, CarBoard, Diagnostics, Line, Se
                     command_topic, level_imu, own_folder, ranges, service, settle, until)
 from serial_communication.msg import (Environment, McuStatus2, SerialMsg, SpeedPWMCommand, Ticks,
                                       Voltage)
-from serial_communication.protocols import arduino
-from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.bus import wire as bus
 from serial_communication.srv import GetEnvironment, Lift
 
 LINKS = 'bus', 'arduino', 'mcu'

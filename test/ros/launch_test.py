@@ -19,7 +19,7 @@ from boards import (OK, PACKAGE, PATIENCE, BusBoard, CarBoard, Diagnostics, Line
                     command_topic, own_folder, service, until)
 from serial_communication.msg import (Environment, McuStatus2, SerialMsg, SpeedPWMCommand,
                                       SteeringFeedback, Ticks, Voltage)
-from serial_communication.protocols import arduino
+from serial_communication.boards.arduino import wire as arduino
 from serial_communication.srv import GetEnvironment, Gimbal, Lift
 
 SIMULATED_TOPICS = (

@@ -15,8 +15,8 @@ from boards import (NOT_SENT, PACKAGE, PATIENCE, SPEED_0_PACKET, TIMEOUT, Bridge
                     CarBoard, Line, Topic, command_topic, own_folder, program, service, settle,
                     until)
 from serial_communication.msg import SpeedPWMCommand, Voltage
-from serial_communication.protocols import arduino
-from serial_communication.ros import log_file
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.ros.rospy_mends import log_file
 from serial_communication.srv import Lift
 
 

@@ -12,7 +12,7 @@ import rostest
 
 from boards import (PACKAGE, PATIENCE, Bridge, BusBoard, CarBoard, Line, own_folder, until)
 from heartbeats import processor_wait
-from serial_communication.protocols import arduino
+from serial_communication.boards.arduino import wire as arduino
 
 NAME = '/' + PACKAGE
 WITHIN = 10.0         # s in which the bridge is to be known to a new master

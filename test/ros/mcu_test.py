@@ -9,7 +9,7 @@ from sensor_msgs.msg import Imu, Range
 
 from boards import PACKAGE, SensorBoard, Topic, ranges, stamped, until, values_of
 from serial_communication.msg import McuStatus, McuStatus2
-from serial_communication.protocols import mcu
+from serial_communication.boards.mcu import wire as mcu
 
 HALF = sqrt(0.5)
 SENSOR_FRAME = bytes.fromhex('020c109c2f003a0000000dfff3009803')     # SEQ 156

@@ -18,7 +18,7 @@ from boards import PACKAGE, PATIENCE, Bridge, CarBoard, Line, own_folder, until
 ENDS_IN = 2.0        # s from a signal until the node has ended, whatever hangs
 BOARD = """
 import time
-from serial_communication.links.mcu import McuLink
+from serial_communication.boards.mcu.link import McuLink
 from serial_communication.ros.interface import Interface
 from serial_communication.ros.parameter import BAUD, PORT, Parameter
 from serial_communication.transport.port import Port

@@ -16,7 +16,7 @@ import rostest
 
 from boards import (PATIENCE, Bridge, BusBoard, CarBoard, Line, Waiter, level_imu, own_folder,
                     program, settle, until)
-from serial_communication.protocols import arduino
+from serial_communication.boards.arduino import wire as arduino
 
 NAME = 'watched'
 

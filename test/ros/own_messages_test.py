@@ -25,13 +25,14 @@ from std_srvs.srv import SetBool, Trigger
 
 from boards import (NOT_SENT, PACKAGE, PATIENCE, TIMEOUT, BusBoard, CarBoard, Diagnostics, Rosout,
                     SensorBoard, Topic, Waiter, level_imu, until)
-from serial_communication.links.outcome import Verdict
+from serial_communication.link.outcome import Verdict
 from serial_communication.msg import SerialMsg
-from serial_communication.protocols import cobs, mcu
-from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.framing import cobs
+from serial_communication.boards.mcu import wire as mcu
+from serial_communication.boards.bus import wire as bus
 from serial_communication.ros.answers import read_error, read_response
 from serial_communication.ros.parameters import PARAMETERS, ParameterError, check
-from serial_communication.ros.rows import MCU_NAMES, PRIVATE_NAMES
+from serial_communication.ros.custom_topics import taken_names
 from serial_communication.srv import GetEnvironment, Lift
 
 OWN = '/' + PACKAGE + '/'
@@ -498,9 +499,9 @@ class Names(unittest.TestCase):
         names = {name.split('/')[2] for kind in (published, subscribed, services)
                  for name, nodes in kind if '/closed' in nodes and name.startswith('/closed/')}
         self.assertTrue(own <= names)
-        self.assertTrue(names - own <= set(PRIVATE_NAMES), names - own - set(PRIVATE_NAMES))
+        self.assertTrue(names - own <= taken_names('~'), names - own - taken_names('~'))
         names = {name.split('/')[2] for name, nodes in published if name.startswith('/mcu/')}
-        self.assertEqual(names - set(rows['mcu']['messages']), set(MCU_NAMES))
+        self.assertEqual(names - set(rows['mcu']['messages']), taken_names('mcu/'))
 
 
 FORCE = {'type': 32, 'ros_type': 'std_msgs/Float32', 'layout': '<h', 'fields': ['data']}

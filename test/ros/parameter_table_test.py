@@ -15,8 +15,8 @@ from unittest import mock
 import rosunit
 import yaml
 
-from serial_communication.protocols import arduino
-from serial_communication.ros import arduino as interface
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.arduino import ros as interface
 from serial_communication.ros.interface import Common
 from serial_communication.ros.parameters import PARAMETERS, ParameterError, check
 

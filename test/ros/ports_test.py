@@ -18,8 +18,8 @@ from boards import (ERROR, NOT_SENT, PACKAGE, SPEED_0_PACKET, SYNC_FRAME, TIMEOU
                     command_topic, own_folder, ranges, service, until)
 from serial_communication.msg import (McuStatus2, SerialMsg, SpeedPWMCommand, SteeringPWMCommand,
                                       Voltage)
-from serial_communication.protocols import arduino
-from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.bus import wire as bus
 from serial_communication.srv import Lift
 
 LINKS = 'bus', 'arduino', 'mcu'

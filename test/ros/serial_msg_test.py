@@ -9,7 +9,7 @@ from boards import (HEARTBEAT_PACKET, PACKAGE, RX, TX, BusBoard, CarBoard, Senso
                     command_topic, ranges, service, settle, stamped, until,
                     values_of)
 from serial_communication.msg import SerialMsg, SpeedPWMCommand
-from serial_communication.protocols import mcu
+from serial_communication.boards.mcu import wire as mcu
 from serial_communication.srv import BusRequest, Lift
 
 FIELDS = 'type', 'command', 'data', 'frame', 'error'

@@ -14,7 +14,7 @@ from std_srvs.srv import Trigger
 from boards import (PACKAGE, TIMEOUT, BusBoard, CarBoard, Rosout, SensorBoard, Topic, command_topic,
                     level_imu, ranges, service, settle, until)
 from serial_communication.msg import Environment, McuStatus2, SpeedPWMCommand
-from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.boards.bus import wire as bus
 from serial_communication.srv import GetEnvironment, Lift
 
 

@@ -9,7 +9,7 @@ from sensor_msgs.msg import Imu, Range, Temperature
 from tf2_msgs.msg import TFMessage
 
 from boards import PACKAGE, CarBoard, SensorBoard, Topic, ranges, stamped, until, values_of
-from serial_communication.protocols import arduino
+from serial_communication.boards.arduino import wire as arduino
 
 HALF = sqrt(0.5)
 

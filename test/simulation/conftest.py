@@ -1,11 +1,2 @@
-"""The fixture of the tests that cross a real tty."""
-import pytest
-from simulation_bench import Cable
-
-
-@pytest.fixture
-def cable(tmp_path):
-    one = Cable(tmp_path)
-    one.plug()
-    yield one
-    one.unplug()
+"""The fixture of these tests."""
+from simulation_fixtures import cable  # noqa: F401

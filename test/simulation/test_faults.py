@@ -4,15 +4,16 @@ import json
 import pytest
 from simulation_bench import Bench, running, until
 
-from serial_communication.links.mcu import McuLink
+from serial_communication.boards.mcu.link import McuLink
 from serial_communication.transport.port import Port, PortBusy
-from serial_communication.protocols import arduino, mcu
-from serial_communication.protocols import robot_ctrl_bus as bus
-from serial_communication.simulation.arduino import ModelCar
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.mcu import wire as mcu
+from serial_communication.boards.bus import wire as bus
+from serial_communication.boards.arduino.simulator import ModelCar
 from serial_communication.simulation.board import FRAME_TIMEOUT
-from serial_communication.simulation.bus import ControlBoard
+from serial_communication.boards.bus.simulator import ControlBoard
 from serial_communication.simulation.faults import KINDS, EveryBoard, Faults, for_every_board, parse
-from serial_communication.simulation.mcu import SensorBoard
+from serial_communication.boards.mcu.simulator import SensorBoard
 
 SYNC = bus.encode_request(bus.SYNC_REQUEST)
 HEARTBEAT = arduino.encode(arduino.Heartbeat())

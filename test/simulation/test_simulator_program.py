@@ -12,7 +12,7 @@ from programs import started
 from simulation_bench import PATIENCE, ROOT, until
 
 from serial_communication.transport.port import Port
-from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.boards.bus import wire as bus
 from serial_communication.simulation.journal import Journal
 
 SIMULATOR = os.path.join(ROOT, 'scripts', 'simulator')

@@ -3,7 +3,7 @@ import io
 import re
 
 import pytest
-from serial_communication.links.outcome import Verdict
+from serial_communication.link.outcome import Verdict
 from serial_communication.tools.demo import cli
 from serial_communication.tools.demo.state import Calls, Commands, State
 from serial_communication.tools.watch import table

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from serial_communication.protocols import cobs
+from serial_communication.framing import cobs
 from serial_communication.simulation.faults import Faults, parse
 from serial_communication.tools.wire import explain
 from serial_communication.tools.wire.explain import NoHex

@@ -1,9 +1,10 @@
 """From a recording to bytes and times again: a link makes the same of them as it did."""
 import pytest
 
-from serial_communication.protocols import arduino, mcu
-from serial_communication.protocols import robot_ctrl_bus as bus
-from serial_communication.protocols.framing import FRAMING
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.mcu import wire as mcu
+from serial_communication.boards.bus import wire as bus
+from serial_communication.framing.stream import FRAMING
 from serial_communication.tools.wire import playback
 from serial_communication.tools.wire.playback import Piece
 from serial_communication.tools.wire.recording import Read, Recording

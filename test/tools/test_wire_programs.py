@@ -16,7 +16,9 @@ import pytest
 from programs import started
 
 from serial_communication.transport.port import Port
-from serial_communication.protocols import arduino, mcu
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.mcu import wire as mcu
+from serial_communication.boards import description
 from serial_communication.tools.wire.lines import Settings
 from serial_communication.tools.wire.passing import Passage
 from serial_communication.tools.wire.recording import load
@@ -412,7 +414,7 @@ def uart(ttys):
 
 
 def passage(port, told):
-    return Passage(port, Settings('arduino'), True, told.append)
+    return Passage(port, Settings(description('arduino')), True, told.append)
 
 
 def test_what_waits_in_a_uart_for_long_is_dropped_however_little(uart):

@@ -3,8 +3,10 @@ import json
 import os
 import random
 
-from serial_communication.protocols import arduino, mcu
-from serial_communication.protocols import robot_ctrl_bus as bus
+from serial_communication.boards import description
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.mcu import wire as mcu
+from serial_communication.boards.bus import wire as bus
 from serial_communication.simulation.faults import Faults, parse
 from serial_communication.tools.wire.lines import Direction, Settings
 from serial_communication.tools.wire.recording import Read, Recording, Seen
@@ -22,7 +24,7 @@ class Target:
 
 def vectors(protocol):
     """The byte-exact examples of one protocol."""
-    path = os.path.join(ROOT, 'test', 'protocols', 'vectors', protocol + '.json')
+    path = os.path.join(ROOT, 'test', 'boards', 'vectors', protocol + '.json')
     with open(path, encoding='utf-8') as file:
         return json.load(file)
 
@@ -101,4 +103,4 @@ def as_bag(reads, line):
 
 def settings(link):
     """With everything as the bridge has it by default."""
-    return Settings(link)
+    return Settings(description(link))

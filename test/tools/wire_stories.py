@@ -17,14 +17,14 @@ from contextlib import contextmanager
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 sys.path.insert(0, ROOT)
 
-from serial_communication.links.arduino import ArduinoLink          # noqa: E402
-from serial_communication.links.bus import BusLink, BusSettings     # noqa: E402
-from serial_communication.transport.port import Port                    # noqa: E402
-from serial_communication.simulation.arduino import ModelCar        # noqa: E402
-from serial_communication.simulation.board import Runner            # noqa: E402
-from serial_communication.simulation.bus import ControlBoard        # noqa: E402
-from serial_communication.simulation.faults import Faults           # noqa: E402
-from serial_communication.simulation.mcu import SensorBoard         # noqa: E402
+from serial_communication.boards.arduino.link import ArduinoLink  # noqa: E402
+from serial_communication.boards.bus.link import BusLink, BusSettings  # noqa: E402
+from serial_communication.transport.port import Port  # noqa: E402
+from serial_communication.boards.arduino.simulator import ModelCar  # noqa: E402
+from serial_communication.simulation.board import Runner  # noqa: E402
+from serial_communication.boards.bus.simulator import ControlBoard  # noqa: E402
+from serial_communication.simulation.faults import Faults  # noqa: E402
+from serial_communication.boards.mcu.simulator import SensorBoard  # noqa: E402
 
 WIRE = [sys.executable, os.path.join(ROOT, 'scripts', 'wire')]
 SOCAT_PAIR = os.path.join(ROOT, 'scripts', 'socat_pair')

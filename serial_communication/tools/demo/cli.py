@@ -17,11 +17,11 @@ from std_msgs.msg import String
 from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 from serial_communication.srv import Gimbal, Lift
 
-from ...links.outcome import LOOK, Verdict
+from ...link.outcome import LOOK, Verdict
 from ...output import print_line_by_line
 from ...ros.answers import read_error, read_response
-from ...ros.log_file import init_node
 from ...ros.master import wait_for_master
+from ...ros.rospy_mends.log_file import init_node
 from ..watch.table import PERIOD, Screen
 from ..watch.topics import LINKS, NODE
 from ..watch.watcher import Watcher, leave

@@ -1,7 +1,7 @@
 """What the demo shows beyond the bridge itself: its boards, its calls and what it sends."""
 from typing import List, NamedTuple, Optional, Sequence
 
-from ...links.outcome import Verdict
+from ...link.outcome import Verdict
 from ..watch.state import ERROR, OK, BridgeState
 from ..watch.table import LEVELS, Frame, Line
 from ..watch.topics import LINKS, NODE, TOPICS

@@ -15,8 +15,8 @@ import rosgraph
 import rospy
 
 from ...output import print_line_by_line
-from ...ros.log_file import init_node
 from ...ros.master import wait_for_master
+from ...ros.rospy_mends.log_file import init_node
 from ..watch.state import BridgeState, ago
 from ..watch.table import PERIOD, Frame, Line, Screen, plain
 from ..watch.topics import NODE

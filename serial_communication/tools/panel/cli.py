@@ -19,13 +19,13 @@ import rosgraph
 import rospy
 import tornado.ioloop
 
-from ...links.sparing_log import SparingLog
+from ...link.sparing_log import SparingLog
 from ...output import print_line_by_line
-from ...ros import background_logging
 from ...ros.last_resort import LastResort
-from ...ros.log_file import init_node
 from ...ros.master import full_name, living_node
-from ...ros.master_watch import MasterWatch
+from ...ros.rospy_mends import background_logging
+from ...ros.rospy_mends.log_file import init_node
+from ...ros.rospy_mends.master_watch import MasterWatch
 from ...transport.terminal import write_in_background
 from ..watch.topics import NODE
 from ..watch.watcher import leave

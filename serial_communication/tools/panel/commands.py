@@ -21,8 +21,8 @@ from std_srvs.srv import Empty, Trigger
 from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 from serial_communication.srv import Gimbal, Lift
 
-from ...links.outcome import LOOK, Verdict
-from ...protocols.arduino import LED_LIMIT, SPEED_LIMIT
+from ...boards.arduino.wire import LED_LIMIT, SPEED_LIMIT
+from ...link.outcome import LOOK, Verdict
 from ...ros.answers import read_error, read_response
 from ..watch.topics import resolve
 from .dead_man import SILENCE, DeadMan, Refused

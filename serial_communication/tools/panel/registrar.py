@@ -4,7 +4,7 @@ import time
 import traceback
 from typing import Callable, Dict
 
-from ...links.sparing_log import SparingLog
+from ...link.sparing_log import SparingLog
 
 _PAUSE = 0.1      # s from one round to the next: pages may change their mind 100 times a second
 

@@ -10,7 +10,7 @@ import tornado.ioloop
 import tornado.netutil
 import tornado.web
 
-from ...links.sparing_log import SparingLog
+from ...link.sparing_log import SparingLog
 from .commands import Commands
 from .feed import Feed
 from .guard import Guard

@@ -1,17 +1,11 @@
 """Frames of serial_msg as the page shows them: words, bytes, and which byte is what."""
 from typing import Any, Dict, List, Tuple
 
-from ...protocols import arduino, mcu
-from ...protocols import robot_ctrl_bus as bus
-from ...protocols.own_messages import RowError, arduino_messages, mcu_messages
-from ...protocols.parts import Part
+from ...boards.config_file import of_board
+from ...framing.parts import Part
+from ..watch.topics import boards_of
 
 _MOST_BYTES = 300       # of a frame that are shown; the longest good one of a board is shorter
-
-
-def _given(parameters: Any, link: str, key: str) -> Any:
-    group = parameters.get(link) if isinstance(parameters, dict) else None
-    return group.get(key) if isinstance(group, dict) else None
 
 
 class Wire:
@@ -22,21 +16,14 @@ class Wire:
     """
 
     def __init__(self, parameters: Any) -> None:
-        own: List[Any] = []
-        for read, link in ((arduino_messages, 'arduino'), (mcu_messages, 'mcu')):
-            try:
-                own.append(read(_given(parameters, link, 'messages') or {}))
-            except RowError:
-                own.append([])      # such a bridge does not start
-        cars, sensors = own
-        self._decoders: Dict[Tuple[str, bool], Any] = {
-            ('bus', False): bus.ReplyDecoder(bool(_given(parameters, 'bus', 'reply_has_cmd2'))),
-            ('bus', True): bus.RequestDecoder(),
-            ('arduino', False): arduino.Decoder(
-                messages=[each.kind for each in cars if not each.is_command]),
-            ('arduino', True): arduino.BoardDecoder(
-                messages=[each.kind for each in cars if each.is_command]),
-            ('mcu', False): mcu.Decoder([each.kind for each in sensors])}
+        self._decoders: Dict[Tuple[str, bool], Any] = {}
+        for board in boards_of(parameters):
+            for sent in (False, True):
+                try:
+                    decoder = board.decoder(sent, of_board(parameters, board.name))
+                except ValueError:
+                    decoder = board.decoder(sent, {})       # such a bridge does not start
+                self._decoders[board.name, sent] = decoder
 
     def describe(self, message: Any, at: float) -> List[Any]:
         """[time, link, sent, type, words, error, bytes in hex, parts] of one SerialMsg.

@@ -8,7 +8,9 @@ import math
 import re
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tuple, Union
 
-from ...boards import BOARDS
+from ...boards import BOARDS, BoardError, description
+from ...boards.config_file import of_board
+from ...boards.description import Description
 
 NODE = '/serial_communication'           # the bridge's name where nothing else is said
 LINKS = BOARDS                           # in this order, before those of other packages
@@ -79,34 +81,25 @@ class Topic(NamedTuple):
         return one_line(', '.join(f'{value.name} {value.text()}' for value in values))
 
 
-_IMU, _STATUS = 0.01, 1.0     # s; a status comes once a second while the board is silent
+def of_description(board: Description, parameters: Any = None) -> List[Topic]:
+    """A board's own topics, with the periods that its parameters say."""
+    found = []
+    for topic in board.topics:
+        period = of_board(parameters, board.name).get(topic.period_parameter)
+        is_period = isinstance(period, (int, float)) and period > 0
+        found.append(Topic(topic.name, topic.type, (board.name,),
+                           float(period) if is_period else topic.period, topic.ages,
+                           topic.optional))
+    return found
 
-TOPICS = (
-    Topic(SERIAL_MSG, 'serial_communication/SerialMsg', LINKS),
-    Topic('~imu', 'sensor_msgs/Imu', ('arduino',), _IMU),
-    Topic('~imu/temperature', 'sensor_msgs/Temperature', ('arduino',), _IMU),
-    Topic('~imu/calibrating', 'std_msgs/Bool', ('arduino',), ages=False),
-    Topic('~voltage', 'serial_communication/Voltage', ('arduino',), 1.0),
-    Topic('~ticks', 'serial_communication/Ticks', ('arduino',), 0.01),
-    Topic('~steering_angle', 'serial_communication/SteeringFeedback', ('arduino',), 0.01),
-    Topic('~environment', 'serial_communication/Environment', ('bus',)),
-    Topic('~environment/temperature', 'sensor_msgs/Temperature', ('bus',)),
-    Topic('~environment/humidity', 'sensor_msgs/RelativeHumidity', ('bus',)),
-    Topic('mcu/status', 'serial_communication/McuStatus2', ('mcu',), _STATUS),
-    Topic('mcu/adc_status', 'serial_communication/McuStatus', ('mcu',), _STATUS, optional=True),
-    Topic('mcu/imu', 'sensor_msgs/Imu', ('mcu',)),
-    Topic('mcu/range_1', 'sensor_msgs/Range', ('mcu',)),
-    Topic('mcu/range_2', 'sensor_msgs/Range', ('mcu',)),
-    Topic('/tf', 'tf2_msgs/TFMessage', ('arduino', 'mcu')),
-    Topic('/tf_static', 'tf2_msgs/TFMessage', ('arduino', 'mcu'), ages=False),
-    Topic(DIAGNOSTICS, 'diagnostic_msgs/DiagnosticArray', LINKS, 1.0),
-)
 
+_AROUND = (Topic(SERIAL_MSG, 'serial_communication/SerialMsg', LINKS),
+           Topic('/tf', 'tf2_msgs/TFMessage', LINKS),
+           Topic('/tf_static', 'tf2_msgs/TFMessage', LINKS, ages=False),
+           Topic(DIAGNOSTICS, 'diagnostic_msgs/DiagnosticArray', LINKS, 1.0))
+TOPICS = (_AROUND[0], *(topic for name in BOARDS for topic in of_description(description(name))),
+          *_AROUND[1:])
 _TABLE = {topic.name: topic for topic in TOPICS}
-
-# Where a period is a parameter of the node's.
-_PERIODS = {name: 'bus/environment_period' for name in (
-    '~environment', '~environment/temperature', '~environment/humidity')}
 
 
 # -- names ---------------------------------------------------------------------------------------
@@ -148,17 +141,15 @@ def known(node: str, published: Dict[str, str], parameters: Dict[str, Any]) -> L
         published: the type of each topic that it publishes, by full name.
         parameters: its private parameters, nested as the parameter server holds them.
     """
-    own = {topic.name: topic for topic in own_topics(parameters)}
+    boards = [topic for board in boards_of(parameters)
+              for topic in (*of_description(board, parameters), *custom_topics(board, parameters))]
+    topics = {**_TABLE, **{topic.name: topic for topic in boards}}
     found = []
     for full_name, type_ in published.items():
         if full_name in ('/rosout', '/clock'):
             continue
         name = relative(full_name, node)
-        topic = own.get(name) or _TABLE.get(name) or Topic(name, type_)
-        period = _parameter(parameters, _PERIODS.get(name, ''))
-        if isinstance(period, (int, float)) and period > 0:
-            topic = topic._replace(period=float(period))
-        found.append(topic._replace(type=type_))
+        found.append(topics.get(name, Topic(name, type_))._replace(type=type_))
     return in_table_order(found)
 
 
@@ -182,21 +173,32 @@ def in_order(links: Iterable[str]) -> List[str]:
     return [name for name in LINKS if name in given] + sorted(given - set(LINKS))
 
 
-def own_topics(parameters: Dict[str, Any]) -> List[Topic]:
-    """The topics that arduino/messages, mcu/messages and bus/functions make (see INTERFACE)."""
+def boards_of(parameters: Any) -> List[Description]:
+    """Ours, and those of other packages that the parameters name, where they can be imported."""
+    found = [description(name) for name in BOARDS]
+    packages = parameters.get('boards') if isinstance(parameters, dict) else None
+    for package in packages if isinstance(packages, list) else ():
+        try:
+            found.append(description(str(package)))
+        except BoardError:
+            pass        # it is not installed here, or has no description: shown as what it is
+    return found
+
+
+def custom_topics(board: Description, parameters: Any) -> List[Topic]:
+    """The topics that a board's custom messages make."""
+    custom = board.custom
+    rows = of_board(parameters, board.name).get(custom.parameter) if custom else None
     found = []
-    for link, group, prefix in (('arduino', 'messages', '~'), ('mcu', 'messages', 'mcu/'),
-                                ('bus', 'functions', '~')):
-        rows = _parameter(parameters, f'{link}/{group}')
-        for name, row in (rows.items() if isinstance(rows, dict) else ()):
-            if not isinstance(row, dict) or 'ros_type' not in row \
-                    or row.get('direction') == 'to_board':
-                continue
-            period = row.get('period')
-            found.append(Topic(
-                prefix + name, str(row['ros_type']), (link,),
-                float(period) if isinstance(period, (int, float)) else None,
-                fields=_fields(row.get('reply', {}) if link == 'bus' else row)))
+    for name, row in (rows.items() if isinstance(rows, dict) else ()):
+        if not isinstance(row, dict) or 'ros_type' not in row \
+                or row.get('direction') == 'to_board':
+            continue
+        period = row.get('period')
+        found.append(Topic(
+            custom.prefix + name, str(row['ros_type']), (board.name,),
+            float(period) if isinstance(period, (int, float)) else None,
+            fields=_fields(row.get('reply', row))))
     return found
 
 
@@ -212,13 +214,6 @@ def _each(limit: Any, count: int) -> List[Optional[float]]:
     if not isinstance(limit, list):
         limit = [limit] * count
     return [float(each) if isinstance(each, (int, float)) else None for each in limit]
-
-
-def _parameter(parameters: Any, name: str) -> Any:
-    """The parameter GROUP/NAME of nested ones; None if there is none."""
-    for part in name.split('/'):
-        parameters = parameters.get(part) if isinstance(parameters, dict) else None
-    return parameters
 
 
 # -- any message ---------------------------------------------------------------------------------

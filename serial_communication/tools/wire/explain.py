@@ -19,9 +19,9 @@ import re
 import sys
 from typing import Any, Iterable, List, NamedTuple, Optional, Sequence, Tuple
 
-from ...protocols import robot_ctrl_bus as bus
-from ...protocols.framing import FRAMING, Frame
-from ...protocols.parts import Part
+from ...boards.description import Command
+from ...framing.parts import Part
+from ...framing.stream import FRAMING, Frame
 from . import lines
 from .lines import Settings
 from .show import Paint, hexed
@@ -174,7 +174,7 @@ def _split(data: bytes, line: Settings, sent: bool) -> List[Tuple[int, Explained
     while decoder.pending:
         frames += decoder.give_up()
     found: List[Tuple[int, Explained]] = []
-    nothing = b'\0' if line.link == 'arduino' else b''     # what may stand between packets
+    nothing = line.board.between
     end = at = 0
 
     def add(start: int, frame: Frame) -> None:
@@ -211,10 +211,10 @@ def _soundness(found: Sequence[Explained]) -> Any:
 
 def _in_turn(found: Sequence[Explained], line: Settings) -> List[Explained]:
     """A reply behind its request: then it is known what its DATE is."""
-    if line.link != 'bus':
+    if line.board.command is not Command.FUNCTION:
         return list(found)
     told: List[Explained] = []
-    request: Optional[bus.Request] = None
+    request: Any = None
     for each in found:
         if each.sent:
             request = each.frame.message

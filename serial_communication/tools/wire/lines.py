@@ -1,14 +1,13 @@
 """The lines that are known here, and one direction of one, decoded as a link decodes it."""
 import argparse
 import sys
-from typing import Any, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, List, Mapping, NamedTuple, NoReturn, Optional
 
-from ...boards import BOARDS
-from ...protocols import arduino, mcu, own_messages
-from ...protocols import robot_ctrl_bus as bus
-from ...protocols.frame_timer import FrameTimer
-from ...protocols.framing import Frame
-from ...simulation.own_messages import read
+from ...boards import BOARDS, BoardError, find
+from ...boards.config_file import of_board, read_parameters
+from ...boards.description import Description
+from ...framing.frame_timer import FrameTimer
+from ...framing.stream import Frame
 
 BAUD = 115200
 MAX_BAUD = 10 ** 8
@@ -18,13 +17,17 @@ _TYPES = ('type', 'TYPE', 'CMD1', 'CMD2')    # fields that say what a frame is
 
 
 class Settings(NamedTuple):
-    """What has to be known of a line to decode it, as the bridge's parameters have it."""
+    """What has to be known of a line to decode it."""
 
-    link: str
+    board: Description
     baud: int = BAUD
     frame_timeout: float = FRAME_TIMEOUT     # s
-    reply_has_cmd2: bool = False
-    own: Tuple[Any, ...] = ()                # messages or functions of one's own
+    parameters: Mapping[str, Any] = {}       # the board's own, as the bridge has them
+
+    @property
+    def link(self) -> str:
+        """The name of the link."""
+        return self.board.name
 
 
 def positive(text: str) -> float:
@@ -45,19 +48,23 @@ def baud(text: str) -> int:
 
 def add_link_options(parser: argparse.ArgumentParser) -> None:
     """LINK, and what changes how its bytes are read."""
-    parser.add_argument('link', metavar='LINK', choices=BOARDS,
-                        help='whose protocol it is: ' + ', '.join(BOARDS))
-    parser.add_argument('--reply-has-cmd2', action='store_true',
-                        help="bus: replies carry their request's CMD2")
+    parser.add_argument('link', metavar='LINK',
+                        help='whose protocol it is: ' + ', '.join(BOARDS) + ', a link that the '
+                             'boards of --config have, or a package with a board')
+    for board in map(find, BOARDS):
+        for flag, meaning in board.wire_flags.items():
+            parser.add_argument('--' + flag.replace('_', '-'), action='append_const',
+                                dest='flags', const=flag, default=[],
+                                help=f'{board.name}: {meaning}')
     add_config_option(parser)
     parser.set_defaults(baud=BAUD, frame_timeout=FRAME_TIMEOUT)
 
 
 def add_config_option(parser: argparse.ArgumentParser) -> None:
-    """What `own` reads."""
+    """What `known_lines` reads."""
     parser.add_argument('--config', default='', metavar='FILE',
-                        help="parameters of the bridge: its messages and functions of one's own "
-                             'are known, too')
+                        help='parameters of the bridge: its custom messages and functions, and '
+                             'its boards of other packages, are known, too')
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -70,44 +77,50 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def settings(options: argparse.Namespace) -> Settings:
-    """From the command line; a configuration that cannot be used ends the program."""
-    return Settings(options.link, options.baud, options.frame_timeout, options.reply_has_cmd2,
-                    own(options.config, options.link))
+    """From the command line; what cannot be used ends the program."""
+    line = known_lines(options.config)(options.link, options.baud)
+    flags = {flag: True for flag in options.flags if flag in line.board.wire_flags}
+    return line._replace(frame_timeout=options.frame_timeout,
+                         parameters={**line.parameters, **flags})
 
 
-_OWN = {'bus': ('functions', own_messages.bus_functions),
-        'arduino': ('messages', own_messages.arduino_messages),
-        'mcu': ('messages', own_messages.mcu_messages)}
-
-
-def own(config: str, link: str) -> Tuple[Any, ...]:
-    """What a file of the bridge's parameters has of one's own; nothing where there is no file."""
-    if not config or link not in _OWN:
-        return ()
-    rows, parse = _OWN[link]
+def known_lines(config: str) -> Callable[[str, int], Settings]:
+    """What makes the settings of a link, by its name and baud rate, with a file of the bridge's
+    parameters or, for '', without; what cannot be used ends the program."""
     try:
-        return tuple(read(config, link, rows, parse))
+        parameters = read_parameters(config) if config else {}
     except (OSError, ValueError) as error:
-        print(f'wire: {config}: {error}', file=sys.stderr)
-        raise SystemExit(2) from None
+        _fail(f'{config}: {error}')
+    packages = parameters.get('boards')
+
+    def known(link: str, baud_rate: int = BAUD) -> Settings:
+        try:
+            board = find(link, packages if isinstance(packages, list) else ())
+        except BoardError as error:
+            _fail(f'there is no board {link}, only {", ".join(BOARDS)}; one of another package is '
+                  f'known by --config with its `boards`, or by the name of the package: {error}')
+        line = Settings(board, baud_rate, parameters=of_board(parameters, board.name))
+        try:
+            decoder(line, False)
+        except ValueError as error:      # of a custom message
+            _fail(f'{config}: {error}')
+        return line
+
+    return known
+
+
+def _fail(text: str) -> NoReturn:
+    print(f'wire: {text}', file=sys.stderr)
+    raise SystemExit(2)
 
 
 def decoder(line: Settings, sent: bool) -> Any:
     """A decoder of what the board sends, or of what is `sent` to it."""
-    if line.link == 'bus':
-        return (bus.RequestDecoder(functions=line.own) if sent
-                else bus.ReplyDecoder(line.reply_has_cmd2, functions=line.own))
-    if line.link == 'arduino':
-        kinds = [each.kind for each in line.own if each.is_command == sent]
-        return (arduino.BoardDecoder if sent else arduino.Decoder)(messages=kinds)
-    # Nobody talks to that board: whatever is sent shows as what it is.
-    return mcu.Decoder([each.kind for each in line.own])
+    return line.board.decoder(sent, line.parameters)
 
 
 def type_name(line: Settings, sent: bool, frame: Frame) -> str:
     """What a good frame is, in the protocol's words."""
-    if line.link not in BOARDS:      # of another package
-        return f'type 0x{frame.type:02x}'
     parts = decoder(line, sent).explain(frame.raw)
     words = [part.meaning for part in parts if part.name in _TYPES and part.meaning
              and part.meaning != UNKNOWN_TYPE]

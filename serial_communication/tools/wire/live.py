@@ -9,9 +9,9 @@ import threading
 import time
 from typing import Callable, List, NamedTuple, Optional, Sequence, Union
 
-from ...transport.port import Port, PortError
+from ...framing.stream import Frame
 from ...transport.pace import be_quick
-from ...protocols.framing import Frame
+from ...transport.port import Port, PortError
 from .lines import Direction, Settings
 from .passing import Passage
 from .recording import Read, Writer

@@ -11,9 +11,9 @@ import time
 import tty
 from typing import Dict, List
 
+from ...boards.arduino import wire as arduino
 from ...transport.pace import be_quick
-from ...protocols import arduino
-from ..bench.report import percentile
+from .figures import percentile
 
 _FRAME = arduino.encode(arduino.Heartbeat())
 _PERIOD = 0.01             # s from one frame to the next

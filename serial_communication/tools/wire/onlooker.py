@@ -7,8 +7,8 @@ import time
 from datetime import datetime
 from typing import List, Optional, Sequence
 
+from ...framing.stream import Frame
 from ...transport.port import Port, check_url
-from ...protocols.framing import Frame
 from . import lines
 from .lines import Direction, Settings
 from .live import Backlog, Event, Keeper, Reach, claim, watch

@@ -1,7 +1,7 @@
 """One direction through a tap: bytes are passed on at once or not at all."""
 from typing import Callable
 
-from ...protocols import arduino
+from ...boards.arduino import wire as arduino
 from ...transport.port import Port, PortBusy, PortError
 from .lines import Settings
 

@@ -26,9 +26,9 @@ import threading
 import time
 from typing import List, Sequence
 
-from ...transport.port import Port, PortBusy, PortError
 from ...transport.pace import be_quick
-from ..bench.report import percentile
+from ...transport.port import Port, PortBusy, PortError
+from .figures import percentile
 from . import lines, onlooker
 from .playback import Piece, cut_off, differences, frames_of, pieces_of, spaced
 from .recording import RecordingError, Seen, load

@@ -18,7 +18,7 @@ from collections import Counter
 from math import inf
 from typing import Any, Iterable, List, NamedTuple, Sequence, Tuple
 
-from ...protocols.framing import CHECKSUM, FRAMING, MAX_REPORTED, OVERSIZE, Frame
+from ...framing.stream import CHECKSUM, FRAMING, MAX_REPORTED, OVERSIZE, Frame
 from .lines import Direction, Settings, decoder
 from .recording import Read, Recording, Seen, decoded
 

@@ -3,7 +3,7 @@ import os
 import sys
 from typing import Any
 
-from ...protocols.framing import Frame
+from ...framing.stream import Frame
 
 _MOST_BYTES = 32       # of a frame on a line
 _COLOURS = {'board': '36', 'computer': '33', 'bad': '31', 'good': '32', 'dim': '2'}

@@ -14,8 +14,8 @@ import json
 import sys
 from typing import Any, Dict, List, Optional, Sequence
 
-from ...protocols import arduino
-from ..bench.report import percentile
+from ...boards.description import Command, Description
+from .figures import percentile
 from . import lines
 from .lines import Settings
 from .recording import Recording, RecordingError, Seen, decoded, load
@@ -25,7 +25,6 @@ SUMMARY = 'of a recording: counts, gaps, errors, load, round trips; a plot'
 
 _MATPLOTLIB = ('the plot needs matplotlib; install it: sudo apt-get install python3-matplotlib')
 _BITS_A_BYTE = 10        # start, eight, stop
-_MOTOR_STOPS = 0.03      # s without a heartbeat
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -46,8 +45,8 @@ def run(options: argparse.Namespace) -> int:
     except RecordingError as error:
         print(error, file=sys.stderr)
         return 1
-    known = {link: Settings(link, options.baud or recording.baud,
-                            own=lines.own(options.config, link)) for link in recording.links()}
+    line_of = lines.known_lines(options.config)
+    known = {link: line_of(link, options.baud or recording.baud) for link in recording.links()}
     seen = all_frames(recording, known)
     if not seen:
         print(f'{options.recording}: there is no frame in it', file=sys.stderr)
@@ -86,10 +85,11 @@ class Names:
 
     def __call__(self, seen: Seen) -> str:
         frame = seen.frame
-        # The command of a request says what it asks; of an mcu frame it is the SEQ.
-        key = (seen.link, seen.sent, frame.type, seen.link == 'bus' and frame.command)
+        line = self._lines[seen.link]
+        asked = frame.command if line.board.command is Command.FUNCTION else 0
+        key = (seen.link, seen.sent, frame.type, asked)
         if key not in self._names:
-            self._names[key] = lines.type_name(self._lines[seen.link], seen.sent, frame)
+            self._names[key] = lines.type_name(line, seen.sent, frame)
         return self._names[key]
 
 
@@ -108,7 +108,7 @@ def measure(seen: Sequence[Seen], known: Dict[str, Settings]) -> Dict[str, Any]:
             if frames:
                 about['to the board' if sent else 'from the board'] = _direction(
                     frames, length, baud, names)
-        about.update(_own_figures(link, of_link))
+        about.update(_own_figures(known[link].board, of_link))
         links[link] = about
     return {'seconds': length, 'baud': baud, 'links': links}
 
@@ -131,19 +131,19 @@ def _direction(seen: Sequence[Seen], length: float, baud: int, names: Names) -> 
                              **spread(gaps(stamps))) for name, stamps in sorted(by_type.items())}}
 
 
-def _own_figures(link: str, seen: Sequence[Seen]) -> Dict[str, Any]:
+def _own_figures(board: Description, seen: Sequence[Seen]) -> Dict[str, Any]:
     """What only this kind of link has."""
     good = [each for each in seen if not each.frame.cause]
-    if link == 'bus':
+    if board.command is Command.FUNCTION:
         answered, unanswered = round_trips(good)
         return {'round trips': dict(spread(answered, 'round trip'), answered=len(answered),
                                     unanswered=unanswered)} if answered or unanswered else {}
-    if link == 'arduino':
+    if board.heartbeat:
         beats = gaps([each.frame.stamp for each in good
-                      if each.sent and each.frame.type == arduino.Heartbeat.TYPE])
+                      if each.sent and each.frame.type == board.heartbeat.type])
         return {'heartbeats': dict(spread(beats), count=len(beats) + 1, too_long=sum(
-            gap > _MOTOR_STOPS for gap in beats))} if beats else {}
-    if link != 'mcu':
+            gap > board.heartbeat.longest_gap for gap in beats))} if beats else {}
+    if board.command is not Command.SEQUENCE:
         return {}
     numbers = [(each.frame.command, each.frame.raw) for each in good if not each.sent]
     return {'lost by SEQ': sum((after[0] - before[0] - 1) % 256

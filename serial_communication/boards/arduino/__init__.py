@@ -1,0 +1,34 @@
+"""The model car's Arduino Nano: COBS packets, a heartbeat that keeps the motor alive."""
+from typing import Any, List, Mapping
+
+from ...framing.custom_messages import FROM_BOARD, TO_BOARD, CustomMessage, read_messages
+from ..description import CustomRows, Description, Heartbeat, Topic
+from . import wire
+
+
+def custom_messages(entries: Any) -> List[CustomMessage]:
+    """The messages of ``arduino/messages``; RowError for the first mistake in them."""
+    return read_messages(entries, 'arduino/messages', range(13, 256), wire.MAX_PACKET - 1,
+                         (FROM_BOARD, TO_BOARD))
+
+
+def _decoder(sent: bool, parameters: Mapping[str, Any]) -> Any:
+    kinds = [each.kind for each in custom_messages(parameters.get('messages') or {})
+             if each.is_command == sent]
+    return wire.BoardDecoder(messages=kinds) if sent else wire.Decoder(messages=kinds)
+
+
+DESCRIPTION = Description(
+    'arduino', __name__, _decoder,
+    topics=(
+        Topic('~imu', 'sensor_msgs/Imu', 0.01),
+        Topic('~imu/temperature', 'sensor_msgs/Temperature', 0.01),
+        Topic('~imu/calibrating', 'std_msgs/Bool', ages=False),
+        Topic('~voltage', 'serial_communication/Voltage', 1.0),
+        Topic('~ticks', 'serial_communication/Ticks', 0.01),
+        Topic('~steering_angle', 'serial_communication/SteeringFeedback', 0.01)),
+    other_names=('~speed', '~steering', '~led', '~calibrate_imu'),
+    custom=CustomRows('messages', custom_messages, '~'),
+    heartbeat=Heartbeat(wire.Heartbeat.TYPE, longest_gap=0.03),
+    between=b'\0',
+    first_after_loss=b'\0' + wire.encode(wire.SpeedCommand(0)))

@@ -1,0 +1,159 @@
+"""The arduino link in ROS: its parameters, its topics and its service."""
+from functools import partial
+from math import pi, radians
+from typing import Any, Dict, List, Optional, Tuple
+
+import rospy
+from sensor_msgs.msg import Imu, Temperature
+from std_msgs.msg import Bool, String
+from std_srvs.srv import Empty, EmptyResponse
+
+from serial_communication.msg import (SpeedPWMCommand, SteeringFeedback, SteeringPWMCommand,
+                                      Ticks, Voltage)
+
+from ...link.link import Refused
+from ...link.outcome import NOT_SENT, Outcome
+from ...ros.answers import service_error
+from ...ros.commands import CommandTopic
+from ...ros.custom_topics import (built_in_topic, message_rows, names_of, own_topics,
+                                  take_commands)
+from ...ros.geometry import OrientationBroadcaster
+from ...ros.interface import Common, Interface
+from ...ros.parameter import BAUD, MOUNT, PORT, Parameter, frame_id, seconds
+from ...ros.publishing import diagonal, publisher, wanted
+from ...transport.port import Port
+from . import DESCRIPTION, wire
+from .link import ArduinoLink, ArduinoSettings
+
+_SAY = (rospy.logdebug, rospy.loginfo, rospy.logwarn, rospy.logerr)
+
+
+class ArduinoInterface(Interface):
+    """Commands in, measurements out."""
+
+    NAME = DESCRIPTION.name
+    PARAMETERS = {
+        'port': PORT,
+        'baud': BAUD,
+        'reset_on_open': Parameter(False),
+        # The board stops its motor after 30 ms without one.
+        'heartbeat_rate': Parameter(100.0, 34.0, 1000.0, unit='Hz'),
+        'speed_timeout': seconds(0.5, 0.0, 3600.0),
+        'command_age': seconds(0.5, 0.0, 3600.0),
+        'network_silence': seconds(1.0, 0.0, 3600.0),
+        'calibration_timeout': seconds(900.0, 1.0, 86400.0),
+        'check_plausibility': Parameter(True),
+        'messages': Parameter({}, parse=partial(message_rows, DESCRIPTION)),
+        'gyro_scale': Parameter(wire.GYRO_SCALE, -1.0, 1.0, unit='rad/s per LSB'),
+        'linear_acceleration_stdev': Parameter(400e-6 * 9.807, 0.0, 1e3, unit='m/s^2'),
+        'angular_velocity_stdev': Parameter(radians(0.05), 0.0, 1e3, unit='rad/s'),
+        'roll_pitch_stdev': Parameter(radians(1.0), 0.0, pi, unit='rad'),
+        'yaw_stdev': Parameter(radians(5.0), 0.0, pi, unit='rad'),
+        'imu_frame_id': frame_id('imu'),
+        'imu_orientation_frame_id': frame_id('imu_orientation'),
+        'imu_mount': MOUNT,
+    }
+    MOUNTS = ('imu',)
+
+    def __init__(self, parameters: Dict[str, Any], common: Common) -> None:
+        p = parameters
+        self._gyro_scale = p['gyro_scale']
+        self._command_age = p['command_age']
+        self._imu_message = _imu(p)
+        self._temperature_message = Temperature()
+        self._temperature_message.header.frame_id = p['imu_frame_id']
+        self._orientation: Optional[OrientationBroadcaster] = None
+        if p['publish_tf']:
+            self._orientation = OrientationBroadcaster(p['imu_frame_id'],
+                                                       p['imu_orientation_frame_id'])
+        self._imu = publisher('~imu', Imu)
+        self._temperature = publisher('~imu/temperature', Temperature)
+        self._calibrating = publisher('~imu/calibrating', Bool, latch=True)
+        self._calibrating.publish(False)
+        # Each message that is a row on one topic: a line here is all it takes.
+        self._rows = {kind: built_in_topic(name, ros_class, kind) for kind, name, ros_class in (
+            (wire.Voltage, '~voltage', Voltage), (wire.Ticks, '~ticks', Ticks),
+            (wire.SteeringAngle, '~steering_angle', SteeringFeedback))}
+        without = set(wire.FROM_BOARD) - set(self._rows) - {wire.Imu}
+        if without:
+            raise TypeError(f'messages without a topic: {without}')
+        self._own = p['messages']
+        self._rows.update(own_topics(self._own, '~', p['frame_prefix']))
+        self.link = ArduinoLink(
+            Port(p['port'], p['baud'], p['reset_on_open']),
+            ArduinoSettings(p['heartbeat_rate'], p['speed_timeout'],
+                            p['calibration_timeout'], p['check_plausibility'],
+                            p['network_silence']),
+            messages=[kind for kind in self._rows if kind not in wire.FROM_BOARD],
+            on_message=self._received, on_log=self._log,
+            on_calibrating=lambda on: self._calibrating.publish(on), **common._asdict())
+
+    @staticmethod
+    def own_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
+        return names_of(parameters['messages'], '~')
+
+    def advertise(self) -> None:
+        """Take commands and offer the service."""
+        link, age = self.link, self._command_age
+        # Of speed and steering only the newest that waits counts: rospy reads all that its socket
+        # has, and keeps as many as the queue holds.
+        CommandTopic('~speed', SpeedPWMCommand, lambda message: link.set_speed(message.value),
+                     lambda message: f'speed {message.value}', link.log, age, queue_size=1,
+                     stops=lambda message: message.value == 0)
+        CommandTopic('~steering', SteeringPWMCommand,
+                     lambda message: link.set_steering(message.value),
+                     lambda message: f'steering {message.value}', link.log, age, queue_size=1)
+        CommandTopic('~led', String, lambda message: link.set_led(message.data),
+                     lambda message: f'LED {message.data[:wire.LED_LIMIT]!r}', link.log, age)
+        take_commands(self._own, '~', link, age)
+        rospy.Service('~calibrate_imu', Empty, self._calibrate)
+
+    def _calibrate(self, _request) -> EmptyResponse:
+        try:
+            self.link.calibrate_imu()
+        except Refused as refused:
+            raise service_error(Outcome(NOT_SENT, f'{refused}')) from None
+        return EmptyResponse()
+
+    def _received(self, message: Any, stamp: rospy.Time) -> None:
+        if type(message) is wire.Imu:
+            self._publish_imu(message, stamp)
+            return
+        self._rows[type(message)].publish(message, stamp)
+
+    def _publish_imu(self, message: wire.Imu, stamp: rospy.Time) -> None:
+        if wanted(self._imu):
+            out = self._imu_message
+            out.header.stamp = stamp
+            (out.orientation.x, out.orientation.y, out.orientation.z,
+             out.orientation.w) = message.orientation()
+            (out.angular_velocity.x, out.angular_velocity.y,
+             out.angular_velocity.z) = message.angular_velocity(self._gyro_scale)
+            (out.linear_acceleration.x, out.linear_acceleration.y,
+             out.linear_acceleration.z) = message.linear_acceleration()
+            self._imu.publish(out)
+        if wanted(self._temperature):
+            self._temperature_message.header.stamp = stamp
+            self._temperature_message.temperature = message.temperature()
+            self._temperature.publish(self._temperature_message)
+        if self._orientation:
+            self._orientation.send(message.orientation(), stamp)
+
+    @staticmethod
+    def _log(severity: int, text: str) -> None:
+        _SAY[severity]('arduino says: %s', text)
+
+
+def _imu(p: Dict[str, Any]) -> Imu:
+    message = Imu()
+    message.header.frame_id = p['imu_frame_id']
+    level, yaw = p['roll_pitch_stdev'] ** 2, p['yaw_stdev'] ** 2
+    rate = p['angular_velocity_stdev'] ** 2
+    acceleration = p['linear_acceleration_stdev'] ** 2
+    message.orientation_covariance = diagonal(level, level, yaw)
+    message.angular_velocity_covariance = diagonal(rate, rate, rate)
+    message.linear_acceleration_covariance = diagonal(acceleration, acceleration, acceleration)
+    return message
+
+
+INTERFACE = ArduinoInterface

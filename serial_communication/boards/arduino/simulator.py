@@ -1,0 +1,313 @@
+"""The simulated model car: motor, servo, LEDs, encoder, motion sensor and battery of one Nano.
+
+    motor      SPEED ±1000 is ±2.5 m/s at full charge, reached with a time constant of 0.25 s;
+               off when no heartbeat came for 30 ms, and then off until the next SPEED that finds
+               a heartbeat not older than that; off, the car rolls out
+    encoder    400 ticks a metre, either way; TICKS every 10 ms
+    servo      1000 … 2000 µs, 1500 is straight on, more is left; 0.3 s from end to end; feedback
+               512 ± 300; STEERING_ANGLE every 10 ms
+    car        wheelbase 0.26 m, wheels turn by up to 25°
+    IMU        every 10 ms: orientation, rates and accelerations (gravity in them) of the motion
+    battery    8.2 V, sags by up to 0.6 V under load; VOLTAGE every second, averaged over 3 s
+    LEDs       left, right, brake, hazard, disable
+
+IMU_CALIBRATION: the board is deaf and sends no IMU data for `calibration_time` (10 s here, so that
+one can watch it; the real one takes over five minutes). What comes meanwhile waits in a receive
+buffer of 64 bytes, the rest is lost, and is read afterwards all at once, as on a real Nano.
+"""
+import argparse
+import math
+from collections import deque
+from random import Random
+from typing import Any, Deque, Optional, Sequence
+
+from ...framing.custom_messages import CustomMessage
+from ...framing.layout import Row
+from ...framing.rotation import quaternion
+from ...framing.stream import Frame
+from ...simulation.board import Board, positive
+from ...simulation.custom_messages import Player
+from ...transport.pace import Every
+from . import DESCRIPTION, wire
+
+HEARTBEAT_TIMEOUT = 0.03   # s
+BEAT = 0.01                # s
+RECEIVE_BUFFER = 64        # bytes
+TOP_SPEED = 2.5            # m/s
+MOTOR_LAG = 0.25           # s
+TICKS_PER_METRE = 400
+SERVO_MIN, SERVO_CENTRE, SERVO_MAX = 1000, 1500, 2000   # µs
+SERVO_RATE = 1000 / 0.3    # µs/s
+FEEDBACK_CENTRE, FEEDBACK_SPAN = 512, 300               # raw, at the centre and from there
+WHEELBASE = 0.26           # m
+STEERING_LOCK = math.radians(25)
+BATTERY, SAG, DISCHARGE = 8.2, 0.6, 0.0005   # V; V at full load; V/s at full load
+G = 9.81
+
+_QUOTED = 64               # bytes that the journal has of what is no good packet
+_INFO, _WARN = 1, 2        # severities
+_LEDS = ('left', 'right', 'brake', 'hazard', 'disable')
+
+
+class ModelCar(Board):
+    """See the module. Positive is forward, left, and counter-clockwise.
+
+    Args:
+        calibration_time: s.
+        seed: of the sensors' noise.
+        own: messages of one's own: sent beside these, and told as they come.
+        lose_stops: the line loses the first SPEED 0 of each stop, as damage may.
+    """
+
+    NAME = DESCRIPTION.name
+    SUMMARY = 'model car: motor, servo, encoder, IMU, battery'
+    FAULTS = ('drop=0.001 cut=0.001 lose=0.001 flip=0.001 insert=0.001 double=0.001 '
+              'delay=6/min late=0.5/min '
+              'rx-drop=0.001 rx-lose=0.001 rx-flip=0.001 rx-insert=0.001 '
+              'silence=0.5/min stall=0.5/min reset=0.5/min')
+    MEASURES_PACE = True
+    CHATTER = b'\x14\x10avrboot\r\n\xff\x1c\xe0'
+    DELIMITER = b'\0'
+
+    @classmethod
+    def add_options(cls, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument('--calibration-time', type=positive, default=10.0, metavar='S',
+                            help='how long an IMU calibration takes (%(default)g; the real one: '
+                                 'over 300)')
+        parser.add_argument('--lose-stops', action='store_true',
+                            help='the first SPEED 0 of each stop is lost on the line')
+
+    @classmethod
+    def from_options(cls, options: argparse.Namespace) -> 'ModelCar':
+        return cls(options.calibration_time, options.seed, options.config,
+                   options.lose_stops)
+
+    def __init__(self, calibration_time: float = 10.0, seed: int = 0,
+                 own: Sequence[CustomMessage] = (), lose_stops: bool = False) -> None:
+        super().__init__(wire.BoardDecoder(
+            messages=[message.kind for message in own if message.is_command]))
+        self._own = Player(own)
+        self.motor_on = False
+        self.command = 0           # the SPEED that the motor runs with, 0 if it is off
+        self.velocity = 0.0        # m/s
+        self.distance = 0.0        # m that the wheels have turned, either way
+        self.steering = float(SERVO_CENTRE)   # µs, where the servo is
+        self.yaw = 0.0             # rad
+        self.led = 'disable'
+        self.calibrating = False
+        self._calibration_time = calibration_time
+        self._calibrated_at = 0.0
+        self._lose_stops = lose_stops
+        self._lost_stop = False    # since the motor was told to run
+        self._kept = b''           # in the receive buffer while calibrating
+        self._heartbeat: Optional[float] = None   # the latest
+        self._servo_target = float(SERVO_CENTRE)
+        self._now = 0.0            # up to when the motion is worked out
+        self._acceleration = 0.0   # m/s², along the car
+        self._counted = 0          # ticks sent so far
+        self._charge = BATTERY
+        self._volts: Deque[float] = deque(maxlen=300)   # of the last 3 s
+        self._random = Random(f'{seed} car')
+        self._beat = Every(BEAT, 0.0)
+        self._second = Every(1.0, 0.0)
+
+    # -- hooks ----------------------------------------------------------------------------
+
+    def power_on(self, now: float) -> None:
+        self._move(now)
+        self.decoder.reset()
+        self._heartbeat = None
+        self.calibrating = False
+        self._kept = b''
+        self.led = 'disable'
+        self._servo_target = float(SERVO_CENTRE)
+        self._counted = int(self.distance * TICKS_PER_METRE)
+        self._volts.clear()
+        self._beat = Every(BEAT, now)
+        self._second = Every(1.0, now)
+        self._own.power_on(now)
+        # An empty packet ends what the boot loader babbled.
+        self.line.send_raw(b'\0')
+        self._log(_INFO, 'IMU ready')
+
+    def power_off(self, now: float) -> None:
+        self._move(now)
+        self._motor_off('reset')
+
+    def receive(self, data: bytes, now: float) -> None:
+        self._move(now)
+        if self.calibrating:
+            room = RECEIVE_BUFFER - len(self._kept)
+            self._kept += data[:room]
+            if data[room:]:
+                self.note('rx-lost', data=data[room:].hex(), why='calibrating')
+            return
+        super().receive(data, now)
+
+    def frame(self, frame: Frame, now: float) -> None:
+        if frame.cause:
+            self.note('rx', raw=frame.raw[:_QUOTED].hex(), cause=frame.cause, error=frame.error)
+            return
+        message = frame.message
+        if self._lose_stops and self.motor_on and not self._lost_stop \
+                and message == wire.SpeedCommand(0):
+            self._lost_stop = True
+            self.note('rx-lost', data=wire.encode(message).hex(), why='lose-stops')
+            return
+        self.note('rx', type=frame.type, data=frame.data.hex())
+        if isinstance(message, wire.Heartbeat):
+            self._heartbeat = now
+        elif isinstance(message, wire.SpeedCommand):
+            self._set_speed(message.value, now)
+        elif isinstance(message, wire.SteeringCommand):
+            self._servo_target = float(min(max(message.value, SERVO_MIN), SERVO_MAX))
+        elif isinstance(message, wire.LedCommand):
+            self._set_led(message.text)
+        elif isinstance(message, wire.ImuCalibration):
+            self._calibrate(now)
+        elif isinstance(message, Row):      # of one's own
+            self.say(str(message))
+
+    def advance(self, now: float) -> Optional[float]:
+        self._move(now)
+        if self.calibrating and now >= self._calibrated_at:
+            self._calibration_over(now)
+        if self._beat.passed(now):
+            self._measure(now)
+        if self._second.passed(now):
+            self._send(wire.Voltage(sum(self._volts) / len(self._volts)))
+        for message in self._own.messages(now):
+            self._send(message)
+        due = min(self._beat.due, self._own.due() or math.inf)
+        if self.motor_on:
+            due = min(due, self._heartbeat + HEARTBEAT_TIMEOUT)
+        if self.calibrating:
+            due = min(due, self._calibrated_at)
+        return due
+
+    def fields(self, frame: bytes, message: Any) -> dict:
+        return {'type': message.TYPE, 'data': message.pack().hex()}
+
+    # -- commands -------------------------------------------------------------------------
+
+    def _set_speed(self, value: int, now: float) -> None:
+        value = min(max(value, -wire.SPEED_LIMIT), wire.SPEED_LIMIT)
+        if value == 0:
+            self._motor_off('SPEED 0')
+        elif self._heartbeat is None or now >= self._heartbeat + HEARTBEAT_TIMEOUT:
+            self.note('motor', on=False, speed=0, why=f'SPEED {value} without a heartbeat')
+        else:
+            if not self.motor_on or self.command * value < 0:
+                self.say(f'motor on: speed {value}')
+            self.motor_on = True
+            self._lost_stop = False
+            self.command = value
+            self.note('motor', on=True, speed=value, why=f'SPEED {value}')
+
+    def _motor_off(self, why: str) -> None:
+        if self.motor_on:
+            self.motor_on = False
+            self.command = 0
+            self.note('motor', on=False, speed=0, why=why)
+            self.say(f'motor stopped: {why}')
+
+    def _set_led(self, text: str) -> None:
+        if text not in _LEDS:
+            self._log(_WARN, 'unknown LED command')
+            self.say(f'LED {text!r}: there is no such')
+        elif text != self.led:
+            self.led = text
+            self.say(f'LED: {text}')
+
+    def _calibrate(self, now: float) -> None:
+        self._motor_off('calibration')
+        self._log(_INFO, 'IMU calibration: do not move the car')
+        self.say(f'IMU calibration: deaf for {self._calibration_time:g} s')
+        self.note('calibrate', on=True)
+        self.calibrating = True
+        self._calibrated_at = now + self._calibration_time
+
+    def _calibration_over(self, now: float) -> None:
+        kept, self._kept = self._kept, b''
+        self.calibrating = False
+        self.yaw = 0.0
+        self.note('calibrate', on=False, kept=kept.hex())
+        self.say(f'IMU calibrated; {len(kept)} bytes that came meanwhile are read now')
+        self._log(_INFO, 'IMU calibrated, IMU ready')
+        if kept:
+            super().receive(kept, now)
+
+    # -- the car ----------------------------------------------------------------------------
+
+    def _move(self, now: float) -> None:
+        """Work out the motion up to `now`; the motor stops on time in between."""
+        if self.motor_on:
+            stop = self._heartbeat + HEARTBEAT_TIMEOUT
+            if now >= stop:
+                self._integrate(stop)
+                self._motor_off('no heartbeat for 30 ms')
+                self._log(_WARN, 'heartbeat lost, motor stopped')
+        self._integrate(now)
+
+    def _integrate(self, now: float) -> None:
+        step = now - self._now
+        if step <= 0:
+            return
+        self._now = now
+        load = abs(self.command) / wire.SPEED_LIMIT
+        target = TOP_SPEED * self.command / wire.SPEED_LIMIT
+        before = self.velocity
+        decay = math.exp(-step / MOTOR_LAG)
+        self.velocity = target + (before - target) * decay
+        if not self.motor_on and abs(self.velocity) < 0.002:
+            self.velocity = 0.0     # friction has the last word
+        way = target * step + (before - target) * MOTOR_LAG * (1 - decay)
+        self.distance += abs(way)
+        self._acceleration = (self.velocity - before) / step
+        self.yaw += way * math.tan(self._wheel_angle()) / WHEELBASE
+        self._charge -= DISCHARGE * load * step
+        limit = SERVO_RATE * step
+        self.steering += min(max(self._servo_target - self.steering, -limit), limit)
+
+    def _wheel_angle(self) -> float:
+        return (self.steering - SERVO_CENTRE) / (SERVO_MAX - SERVO_CENTRE) * STEERING_LOCK
+
+    # -- measurements -------------------------------------------------------------------------
+
+    def _measure(self, now: float) -> None:
+        gauss = self._random.gauss
+        ticks = int(self.distance * TICKS_PER_METRE)
+        self._send(wire.Ticks(min(ticks - self._counted, 255)))
+        self._counted = ticks
+        turned = (self.steering - SERVO_CENTRE) / (SERVO_MAX - SERVO_CENTRE)
+        self._send(wire.SteeringAngle(round(
+            FEEDBACK_CENTRE + FEEDBACK_SPAN * turned + min(max(gauss(0, 0.6), -2), 2))))
+        load = abs(self.command) / wire.SPEED_LIMIT
+        self._volts.append(self._charge - SAG * load + gauss(0, 0.01))
+        if not self.calibrating:
+            self._send(self._imu(now))
+
+    def _imu(self, now: float) -> wire.Imu:
+        gauss = self._random.gauss
+        yaw_rate = self.velocity * math.tan(self._wheel_angle()) / WHEELBASE
+        sideways = self.velocity * yaw_rate
+        # The body leans out of a curve and back when it speeds up.
+        roll = 0.008 * sideways + gauss(0, 0.0005)
+        pitch = -0.008 * self._acceleration + gauss(0, 0.0005)
+        yaw = self.yaw + gauss(0, 0.0005)
+        return wire.Imu.from_si(
+            quaternion(roll, pitch, yaw),
+            (gauss(0, 0.02), gauss(0, 0.02), yaw_rate + gauss(0, 0.02)),
+            (self._acceleration - G * math.sin(pitch) + gauss(0, 0.04),
+             sideways + G * math.sin(roll) + gauss(0, 0.04),
+             G * math.cos(roll) * math.cos(pitch) + gauss(0, 0.04)),
+            31 + 2 * math.sin(now / 60) + gauss(0, 0.02))
+
+    def _log(self, severity: int, text: str) -> None:
+        self._send(wire.Log(severity, text))
+
+    def _send(self, message: Any) -> None:
+        self.send(wire.encode(message), message)
+
+
+BOARD = ModelCar

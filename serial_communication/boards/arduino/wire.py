@@ -1,0 +1,391 @@
+"""The model car's packets: one message type byte and its data, COBS-encoded, ended by 0x00.
+
+    +-------------------- COBS --------------------+
+    | message type (1 byte) | data (0 … 255 bytes) |   0x00
+    +----------------------------------------------+
+
+Both sides talk at any time. There is no checksum, so values that cannot be are refused too.
+Little-endian but for the IMU, which is big-endian. A message is one class here: its type, its
+layout, its limits. Decisions where the source is silent: see "Protocols" in README.md.
+"""
+from math import pi
+from typing import Any, Dict, Iterable, List, NamedTuple, Tuple
+
+from ...framing import cobs
+from ...framing.layout import Layout, Value, message_class, readable
+from ...framing.parts import Part, Parts
+from ...framing.stream import FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN, Frame, bad_frame
+
+MAX_PACKET = 256                        # type and data, decoded
+_MAX_ENCODED = MAX_PACKET + 2           # the same in COBS
+SPEED_LIMIT = 1000                      # PWM, either direction
+LED_LIMIT = 30                          # characters
+GYRO_SCALE = 4000 / 65536 * pi / 180 * 25   # rad/s per LSB, found by experiment
+_QUATERNION = 1 / 16384
+_ACCELERATION = 8 / 65536 * 9.81        # m/s² per LSB
+_UNIT_SQUARED = 16384 ** 2
+_LEAST_SQUARED = 0.95 ** 2 * _UNIT_SQUARED    # of a quaternion that can be
+_MOST_SQUARED = 1.05 ** 2 * _UNIT_SQUARED
+
+Vector = Tuple[float, float, float]
+
+
+class Log(NamedTuple):
+    """DEBUG, INFO, WARN, ERROR (0 … 3), board -> us: a line for people."""
+
+    TYPES = (0, 1, 2, 3)
+    LABEL = 'log'
+    LABELS = ('DEBUG', 'INFO', 'WARN', 'ERROR')
+    LAYOUT = Layout('<s', [Value('text')])
+
+    severity: int
+    text: str      # control characters and bad UTF-8 replaced
+
+    @classmethod
+    def unpack(cls, severity: int, data: bytes) -> 'Log':
+        """From the data, usually ended by 0x00."""
+        text = data.split(b'\0', 1)[0].decode('utf-8', 'replace')
+        return cls(severity, readable(text.rstrip('\r\n')))
+
+    @classmethod
+    def parts(cls, data: bytes) -> List[Part]:
+        """Which bytes of the data are which value."""
+        return cls.LAYOUT.parts(data)
+
+    def implausible(self) -> str:
+        """Why it cannot be, or '': a damaged packet may begin with 0 … 3, too, but hardly says
+        anything that can be read."""
+        unreadable = self.text.count('\N{REPLACEMENT CHARACTER}')
+        if 2 * unreadable <= len(self.text):
+            return ''
+        return f'{unreadable} of {len(self.text)} characters cannot be read'
+
+    @property
+    def TYPE(self) -> int:  # noqa: N802 - the type is the severity
+        return self.severity
+
+    def pack(self) -> bytes:
+        return self.text.encode() + b'\0'
+
+    def __str__(self) -> str:
+        return f'{self.LABELS[self.severity]}: {self.text}'
+
+
+SpeedCommand = message_class(
+    'SpeedCommand', 4, '<h', [Value('value')], 'speed',
+    'SPEED_CMD, us -> board: PWM of the drive motor, -1000 … 1000.')
+SteeringCommand = message_class(
+    'SteeringCommand', 5, '<H', [Value('value')], 'steering',
+    'STEERING_CMD, us -> board: PWM of the steering servo, µs.')
+
+
+class LedCommand(NamedTuple):
+    """LED_CMD, us -> board: left, right, brake, disable …: at most 30 characters of ASCII."""
+
+    TYPE = 6
+    LABEL = 'LED'
+    LAYOUT = Layout('<s', [Value('text')])
+
+    text: str
+
+    @classmethod
+    def unpack(cls, data: bytes) -> 'LedCommand':
+        """From the data, a text and a 0x00."""
+        return cls(data.split(b'\0', 1)[0].decode('ascii', 'replace'))
+
+    def pack(self) -> bytes:
+        """The data.
+
+        Raises:
+            ValueError: too long, not ASCII, or with the NUL that would end it early.
+        """
+        if len(self.text) > LED_LIMIT:
+            raise ValueError(f'LED text is {len(self.text)} characters long, may be at most '
+                             f'{LED_LIMIT}')
+        if not self.text.isascii() or '\0' in self.text:
+            raise ValueError(f'LED text {self.text!r} must be ASCII, without a NUL')
+        return self.text.encode('ascii') + b'\0'
+
+    @classmethod
+    def parts(cls, data: bytes) -> List[Part]:
+        """Which bytes of the data are which value."""
+        return cls.LAYOUT.parts(data)
+
+    def implausible(self) -> str:
+        """Why it cannot be: there is no such text."""
+        return ''
+
+    def __str__(self) -> str:
+        return f'LED {readable(self.text)}'
+
+
+SteeringAngle = message_class(
+    'SteeringAngle', 7, '<H', [Value('value', minimum=0, maximum=1024)], 'steering angle',
+    'STEERING_ANGLE, board -> us: raw servo feedback, 0 … 1024.')
+Ticks = message_class(
+    'Ticks', 8, '<B', [Value('value')], 'ticks',
+    'TICKS, board -> us: encoder ticks in the last 0.01 s.')
+Voltage = message_class(
+    'Voltage', 10, '<f', [Value('value', 'V', minimum=0, maximum=100)], 'voltage',
+    'VOLTAGE, board -> us: battery volts, averaged over 3 s.')
+Heartbeat = message_class(
+    'Heartbeat', 11, '<', (), 'heartbeat',
+    'HEARTBEAT, us -> board. The board stops the motor when none comes for 30 ms.')
+ImuCalibration = message_class(
+    'ImuCalibration', 12, '<', (), 'calibrate the IMU',
+    'IMU_CALIBRATION, us -> board: it calibrates for over 5 minutes, deaf meanwhile.')
+
+
+class Imu(NamedTuple):
+    """IMU, board -> us: the motion processor's numbers, in its own axes and units.
+
+    The methods give SI units in ROS's axes: x = board y, y = -board x, z = board z.
+    """
+
+    TYPE = 9
+    LABEL = 'IMU'
+    LAYOUT = Layout('>11h', [    # in the board's own axes, and with the default gyro_scale
+        *[Value(f'quaternion {axis}', '', _QUATERNION) for axis in 'wxyz'],
+        *[Value(f'angular rate {axis}', 'rad/s', GYRO_SCALE) for axis in 'xyz'],
+        *[Value(f'acceleration {axis}', 'm/s²', _ACCELERATION) for axis in 'xyz'],
+        Value('temperature', '°C', 1 / 340, 36.53)])
+
+    qw: int
+    qx: int
+    qy: int
+    qz: int
+    gx: int
+    gy: int
+    gz: int
+    ax: int
+    ay: int
+    az: int
+    raw_temperature: int
+
+    @classmethod
+    def from_si(cls, orientation, angular_velocity: Vector, linear_acceleration: Vector,
+                temperature: float, gyro_scale: float = GYRO_SCALE) -> 'Imu':
+        """What a board sends for these values; the methods' inverse, saturated to int16."""
+        x, y, z, w = orientation
+        gx, gy, gz = angular_velocity
+        ax, ay, az = linear_acceleration
+        scaled = [part / scale for scale, parts in (
+            (_QUATERNION, (w, -y, x, z)), (gyro_scale, (-gy, gx, gz)),
+            (_ACCELERATION, (-ay, ax, az)), (1 / 340, (temperature - 36.53,))) for part in parts]
+        return cls(*(min(max(round(value), -0x8000), 0x7FFF) for value in scaled))
+
+    @classmethod
+    def unpack(cls, data: bytes) -> 'Imu':
+        """From 22 bytes; struct.error with any other number."""
+        return cls(*cls.LAYOUT.raw(data))
+
+    def pack(self) -> bytes:
+        """The 22 bytes; struct.error where a number is no int16."""
+        return self.LAYOUT.pack_raw(self)
+
+    @classmethod
+    def parts(cls, data: bytes) -> List[Part]:
+        """Which bytes of the data are which value."""
+        parts = cls.LAYOUT.parts(data)
+        if cls.LAYOUT.fits(len(data)):
+            parts[0] = parts[0]._replace(error=cls.unpack(data).implausible())
+        return parts
+
+    def orientation(self) -> Tuple[float, float, float, float]:
+        """Quaternion x, y, z, w."""
+        return (self.qy * _QUATERNION, -self.qx * _QUATERNION, self.qz * _QUATERNION,
+                self.qw * _QUATERNION)
+
+    def angular_velocity(self, gyro_scale: float = GYRO_SCALE) -> Vector:
+        """x, y, z in rad/s."""
+        return self.gy * gyro_scale, -self.gx * gyro_scale, self.gz * gyro_scale
+
+    def linear_acceleration(self) -> Vector:
+        """x, y, z in m/s²."""
+        return self.ay * _ACCELERATION, -self.ax * _ACCELERATION, self.az * _ACCELERATION
+
+    def temperature(self) -> float:
+        """In °C."""
+        return self.raw_temperature / 340 + 36.53
+
+    def implausible(self) -> str:
+        """Why these values cannot be, or ''."""
+        qw, qx, qy, qz = self[:4]
+        square = qw * qw + qx * qx + qy * qy + qz * qz
+        if _LEAST_SQUARED <= square <= _MOST_SQUARED:
+            return ''
+        return f'norm of the quaternion is {(square / _UNIT_SQUARED) ** 0.5:.3f}'
+
+    def __str__(self) -> str:
+        return 'IMU q ({:.3f} {:.3f} {:.3f} {:.3f}) a ({:.2f} {:.2f} {:.2f}) m/s^2'.format(
+            *self.orientation(), *self.linear_acceleration())
+
+
+FROM_BOARD = (SteeringAngle, Ticks, Imu, Voltage)
+TO_BOARD = (SpeedCommand, SteeringCommand, LedCommand, Heartbeat, ImuCalibration)
+
+
+def encode(message: Any) -> bytes:
+    """The packet on the wire, its ending 0x00 included.
+
+    Raises:
+        ValueError: a value that the message does not allow, or too long a packet.
+        struct.error: a raw number of the IMU outside its int16.
+    """
+    return encode_raw(message.TYPE, message.pack())
+
+
+def encode_raw(type_: int, data: bytes) -> bytes:
+    """A packet of any type; ValueError where it is over `MAX_PACKET` bytes."""
+    if len(data) >= MAX_PACKET:
+        raise ValueError(f'a packet holds at most {MAX_PACKET - 1} bytes of data')
+    return cobs.encode(bytes((type_,)) + data) + b'\0'
+
+
+class _Decoder:
+    """Packets ended by 0x00. The next packet after a bad one begins behind its 0x00.
+
+    Where that very 0x00 is lost or changed, two packets are one bad packet: this framing cannot
+    save the second one.
+
+    Args:
+        check_plausibility: refuse packets whose values cannot be.
+        messages: classes of messages of one's own, see `message_class`; what their rows do not
+            allow is always refused.
+    """
+
+    front = needed = 0     # for `skip_false_start`, which this framing never needs
+    _messages: Dict[int, Any] = {}
+
+    def __init__(self, check_plausibility: bool = True, messages: Iterable[Any] = ()) -> None:
+        self.errors = dict.fromkeys((FRAMING, OVERSIZE, LENGTH, UNKNOWN, IMPLAUSIBLE), 0)
+        self._unchecked = frozenset(() if check_plausibility else self._messages)
+        self._messages = dict(self._messages)
+        self._messages.update((message.TYPE, message) for message in messages)
+        self.reset()
+
+    @property
+    def pending(self) -> bool:
+        """Whether a packet has begun and has not ended."""
+        return bool(self._begun) or self._dropping
+
+    def reset(self) -> None:
+        """Forget what is pending, as after a reconnect; the counts stay."""
+        self._begun = b''
+        self._dropping = False     # the rest of a packet that is too long already
+        self._stamp: Any = None    # of the read that brought the latest byte of it
+
+    def feed(self, data: bytes, stamp: Any = None) -> List[Frame]:
+        """Take bytes as they were read; return the packets, good and bad, now complete."""
+        frames: List[Frame] = []
+        packets = (self._begun + data).split(b'\0')
+        self._begun = packets.pop()
+        for packet in packets:
+            if self._dropping:
+                self._dropping = False
+            elif len(packet) > _MAX_ENCODED:
+                self._oversize(packet, frames, stamp)
+            elif packet:
+                frames.append(self._packet(packet, stamp))
+        self._stamp = stamp
+        if len(self._begun) > _MAX_ENCODED or self._dropping:
+            if not self._dropping:
+                self._oversize(self._begun, frames, stamp)
+                self._dropping = True
+            self._begun = b''
+        return frames
+
+    def give_up(self) -> List[Frame]:
+        """The packet that has begun stays incomplete: drop it."""
+        frames: List[Frame] = []
+        if self._begun:
+            self.errors[FRAMING] += 1
+            frames.append(bad_frame(self._begun, FRAMING, 'a packet cut short', self._stamp))
+        self.reset()
+        return frames
+
+    def silence(self) -> None:
+        """Nothing to do: each packet, valid or not, ends with its own 0x00."""
+
+    def skip_false_start(self) -> List[Frame]:
+        """Never needed: a packet announces no length, so it cannot delay the next."""
+        return []
+
+    def _oversize(self, packet: bytes, frames: List[Frame], stamp: Any) -> None:
+        frames.append(self._bad(packet, OVERSIZE, f'a packet of over {MAX_PACKET} bytes', stamp))
+
+    def _packet(self, encoded: bytes, stamp: Any) -> Frame:
+        raw = encoded + b'\0'
+        packet = cobs.undo(encoded)
+        if packet is None:
+            return self._bad(raw, FRAMING, 'a code runs past the end', stamp)
+        if not packet:
+            return self._bad(raw, FRAMING, 'a packet without a type', stamp)
+        if len(packet) > MAX_PACKET:
+            return self._bad(raw, OVERSIZE, f'a packet of {len(packet)} bytes', stamp)
+        type_, data = packet[0], packet[1:]
+        kind = self._messages.get(type_)
+        if kind is None:
+            return self._bad(raw, UNKNOWN, f'message type {type_} is not known here', stamp,
+                             type_, data)
+        if not kind.LAYOUT.fits(len(data)):
+            return self._bad(raw, LENGTH, f'{kind.LABEL} packet with {len(data)} bytes of data '
+                             f'where {kind.LAYOUT.sizes()} is right', stamp, type_, data)
+        message = kind.unpack(data) if kind is not Log else Log.unpack(type_, data)
+        reason = type_ not in self._unchecked and message.implausible()
+        if reason:
+            return self._bad(raw, IMPLAUSIBLE, f'{kind.LABEL}: {reason}', stamp, type_, data)
+        return Frame(raw, type_, 0, data, message, stamp)
+
+    def _bad(self, raw, cause, error, stamp, type_=0, data=b'') -> Frame:
+        self.errors[cause] += 1
+        return bad_frame(raw, cause, error, stamp, type_, data)
+
+    # -- for people -------------------------------------------------------------------------
+
+    def explain(self, frame: bytes) -> List[Part]:
+        """The bytes of one packet, good, bad or incomplete, by name; an empty one before it.
+
+        A COBS code that stands for a zero belongs to the value that has the zero; any other is
+        a part of its own.
+        """
+        parts = Parts(frame)
+        begin = len(frame) - len(frame.lstrip(b'\0'))
+        if begin:
+            parts.take_bytes(begin, 'empty packet')
+        end = frame.find(b'\0', begin)
+        decoded, places, past = cobs.trace(frame[begin:] if end < 0 else frame[begin:end])
+        inner = Parts(decoded)
+        kind = self._messages.get(decoded[0]) if decoded else None
+        if decoded:
+            if kind is None:
+                inner.take(1, 'type', error='not known here')
+                inner.take_bytes(len(decoded) - 1, 'data')
+            else:
+                inner.take(1, 'type', Log.LABELS[decoded[0]] if kind is Log else kind.LABEL)
+                inner.take_data(len(decoded) - 1, kind.parts)
+        for part in inner.found:
+            place = begin + places[part.start] if part.end > part.start else parts.at
+            if place > parts.at:
+                parts.take(place - parts.at, 'COBS code', 'the packet without zeros')
+            last = begin + places[part.end - 1] + 1 if part.end > part.start else parts.at
+            parts.add(part._replace(start=parts.at, end=last))
+        rest = len(frame) if end < 0 else end
+        if rest > parts.at:
+            parts.take(rest - parts.at, 'COBS code')
+        parts.take(1, 'end', error=f'a COBS code runs {past} bytes past it' if past else ''
+                   if decoded or end < 0 else 'a packet without a type')
+        return parts.take_rest('noise', 'bytes behind the packet')
+
+
+class Decoder(_Decoder):
+    """Board -> us."""
+
+    _messages = {**{message.TYPE: message for message in FROM_BOARD},
+                 **dict.fromkeys(Log.TYPES, Log)}
+
+
+class BoardDecoder(_Decoder):
+    """Us -> board, for simulated boards."""
+
+    _messages = {message.TYPE: message for message in TO_BOARD}

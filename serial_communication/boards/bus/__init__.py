@@ -1,0 +1,28 @@
+"""The control board on robot-ctrl-bus: lift, gimbal, and readings of the air."""
+from typing import Any, Mapping
+
+from ..description import Command, CustomRows, Description, Topic
+from . import wire
+from .functions import read_functions
+
+
+def _decoder(sent: bool, parameters: Mapping[str, Any]) -> Any:
+    functions = read_functions(parameters.get('functions') or {})
+    return wire.RequestDecoder(functions=functions) if sent else wire.ReplyDecoder(
+        bool(parameters.get('reply_has_cmd2')), functions=functions)
+
+
+DESCRIPTION = Description(
+    'bus', __name__, _decoder,
+    topics=(
+        Topic('~environment', 'serial_communication/Environment',
+              period_parameter='environment_period'),
+        Topic('~environment/temperature', 'sensor_msgs/Temperature',
+              period_parameter='environment_period'),
+        Topic('~environment/humidity', 'sensor_msgs/RelativeHumidity',
+              period_parameter='environment_period')),
+    other_names=('~lift', '~gimbal', '~get_environment', '~bus/request', '~bus/echo',
+                 '~bus/sync'),
+    custom=CustomRows('functions', read_functions, '~'),
+    wire_flags={'reply_has_cmd2': "replies carry their request's CMD2"},
+    command=Command.FUNCTION)

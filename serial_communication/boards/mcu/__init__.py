@@ -1,0 +1,31 @@
+"""The ESP32 with two range sensors and an IMU, or with ADC channels."""
+from typing import Any, List, Mapping
+
+from ...framing.custom_messages import CustomMessage, read_messages
+from ..description import Command, CustomRows, Description, Topic
+from . import wire
+
+_STATUS = 1.0     # s; a status comes once a second while the board is silent
+
+
+def custom_messages(entries: Any) -> List[CustomMessage]:
+    """The messages of ``mcu/messages``; RowError for the first mistake in them."""
+    types = [type_ for type_ in range(256) if type_ not in wire.MESSAGES]
+    return read_messages(entries, 'mcu/messages', types, wire.MAX_PAYLOAD)
+
+
+def _decoder(_sent: bool, parameters: Mapping[str, Any]) -> Any:
+    # Nobody talks to this board: whatever is sent shows as what it is.
+    return wire.Decoder([each.kind for each in custom_messages(parameters.get('messages') or {})])
+
+
+DESCRIPTION = Description(
+    'mcu', __name__, _decoder,
+    topics=(
+        Topic('mcu/status', 'serial_communication/McuStatus2', _STATUS),
+        Topic('mcu/adc_status', 'serial_communication/McuStatus', _STATUS, optional=True),
+        Topic('mcu/imu', 'sensor_msgs/Imu'),
+        Topic('mcu/range_1', 'sensor_msgs/Range'),
+        Topic('mcu/range_2', 'sensor_msgs/Range')),
+    custom=CustomRows('messages', custom_messages, 'mcu/'),
+    command=Command.SEQUENCE)

@@ -1,0 +1,143 @@
+"""The mcu link in ROS: its parameters and its topics."""
+import time
+from functools import partial
+from math import inf, nan, pi, radians
+from typing import Any, Dict, List, Optional, Tuple
+
+import rospy
+from sensor_msgs.msg import Imu, Range
+
+from serial_communication.msg import McuStatus, McuStatus2
+
+from ...ros.custom_topics import message_rows, names_of, own_topics
+from ...ros.geometry import OrientationBroadcaster, quaternion
+from ...ros.interface import Common, Interface
+from ...ros.parameter import BAUD, MOUNT, PORT, Parameter, frame_id, seconds
+from ...ros.publishing import diagonal, publisher, wanted
+from ...transport.port import Port
+from . import DESCRIPTION, wire
+from .link import McuLink
+
+_NOT_CONNECTED = 0xFFFF   # what no sensor reads
+
+
+class McuInterface(Interface):
+    """Measurements out, and word of the board's silence."""
+
+    NAME = DESCRIPTION.name
+    PARAMETERS = {
+        'port': PORT,
+        'baud': BAUD,
+        'timeout': seconds(1.0, 0.01, 3600.0),
+        'network_silence': seconds(5.0, 0.0, 3600.0),
+        'yaw_clockwise': Parameter(True),
+        'messages': Parameter({}, parse=partial(message_rows, DESCRIPTION)),
+        'roll_pitch_stdev': Parameter(radians(1.0), 0.0, pi, unit='rad'),
+        'yaw_stdev': Parameter(radians(5.0), 0.0, pi, unit='rad'),
+        'min_range': Parameter(0.03, 0.0, 65.0, unit='m'),
+        'max_range': Parameter(2.0, 0.0, 65.0, unit='m'),
+        'field_of_view': Parameter(radians(25.0), 0.0, pi, unit='rad'),
+        'imu_frame_id': frame_id('mcu_imu'),
+        'imu_orientation_frame_id': frame_id('mcu_imu_orientation'),
+        'range_1_frame_id': frame_id('range_1'),
+        'range_2_frame_id': frame_id('range_2'),
+        'imu_mount': MOUNT,
+        'range_1_mount': MOUNT,
+        'range_2_mount': MOUNT,
+    }
+    MOUNTS = ('imu', 'range_1', 'range_2')
+
+    def __init__(self, parameters: Dict[str, Any], common: Common) -> None:
+        p = parameters
+        self._turn = -1.0 if p['yaw_clockwise'] else 1.0
+        self._imu_message = _imu(p)
+        self._ranges = [(publisher(f'mcu/range_{number}', Range), _range(p, number))
+                        for number in (1, 2)]
+        self._status = publisher('mcu/status', McuStatus2)
+        self._adc_status = publisher('mcu/adc_status', McuStatus)
+        self._imu = publisher('mcu/imu', Imu)
+        self._orientation: Optional[OrientationBroadcaster] = None
+        if p['publish_tf']:
+            self._orientation = OrientationBroadcaster(p['imu_frame_id'],
+                                                       p['imu_orientation_frame_id'])
+        self._rows = own_topics(p['messages'], 'mcu/', p['frame_prefix'])
+        self.link = McuLink(Port(p['port'], p['baud']), p['timeout'],
+                            on_status=self._received, on_silence=self._silent,
+                            network_silence=p['network_silence'], messages=list(self._rows),
+                            **common._asdict())
+
+    @staticmethod
+    def problem(parameters: Dict[str, Any]) -> str:
+        low, high = parameters['min_range'], parameters['max_range']
+        return '' if low < high else \
+            f'min_range is {low:g}, may be less than mcu/max_range, which is {high:g}'
+
+    @staticmethod
+    def own_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
+        return names_of(parameters['messages'], 'mcu/')
+
+    def _received(self, message: Any, seq: int, stamp: rospy.Time) -> None:
+        own = self._rows.get(type(message))
+        if own:
+            own.publish(message, stamp)
+            return
+        age = time.monotonic() - self.link.last_frame_at
+        if type(message) is wire.AdcStatus:
+            if wanted(self._adc_status):
+                self._adc_status.publish(stamp, seq, True, True, self.link.checksum_errors, age,
+                                         *message)
+            return
+        if wanted(self._status):
+            self._status.publish(stamp, seq, True, message.valid, self.link.checksum_errors, age,
+                                 *message)
+        for (topic, out), millimetres in zip(self._ranges, message[:2]):
+            if wanted(topic):
+                out.header.stamp = stamp
+                out.range = _metres(millimetres, out.min_range, out.max_range)
+                topic.publish(out)
+        if self._orientation or wanted(self._imu):
+            turned = quaternion(radians(message.roll), radians(message.pitch),
+                                radians(message.yaw) * self._turn)
+            out = self._imu_message
+            out.header.stamp = stamp
+            out.orientation.x, out.orientation.y, out.orientation.z, out.orientation.w = turned
+            self._imu.publish(out)
+            if self._orientation:
+                self._orientation.send(turned, stamp)
+
+    def _silent(self, kind: Optional[type], seq: int, age: float) -> None:
+        if kind in self._rows:
+            return      # such a topic falls silent with its board
+        head = (rospy.Time.now(), seq, False, False, self.link.checksum_errors, age)
+        if kind is wire.AdcStatus:
+            self._adc_status.publish(*head, *[_NOT_CONNECTED] * 6)
+        else:
+            self._status.publish(*head, _NOT_CONNECTED, _NOT_CONNECTED, nan, nan, nan)
+
+
+def _metres(millimetres: int, low: float, high: float) -> float:
+    """As REP 117 has it: NaN for no reading, an infinity for one beyond the limits."""
+    if millimetres == wire.RANGE_TIMED_OUT:
+        return nan
+    metres = millimetres / 1000
+    return -inf if metres < low else inf if metres > high else metres
+
+
+def _range(p: Dict[str, Any], number: int) -> Range:
+    message = Range(radiation_type=Range.INFRARED, field_of_view=p['field_of_view'],
+                    min_range=p['min_range'], max_range=p['max_range'])
+    message.header.frame_id = p[f'range_{number}_frame_id']
+    return message
+
+
+def _imu(p: Dict[str, Any]) -> Imu:
+    message = Imu()
+    message.header.frame_id = p['imu_frame_id']
+    level, yaw = p['roll_pitch_stdev'] ** 2, p['yaw_stdev'] ** 2
+    message.orientation_covariance = diagonal(level, level, yaw)
+    message.angular_velocity_covariance = diagonal(-1.0, 0.0, 0.0)    # -1: not measured
+    message.linear_acceleration_covariance = diagonal(-1.0, 0.0, 0.0)
+    return message
+
+
+INTERFACE = McuInterface

@@ -1,0 +1,119 @@
+"""The simulated sensor board: two range sensors and an IMU, or six ADC channels. It only talks.
+
+    ranges    something moves to and fro before each sensor, up to 2.4 m away; beyond 2 m the
+              sensor says 8190, as a VL53L0X does; now and then one times out (0xFFFF)
+    heading   turns clockwise by 20 °/s, so it passes 360 every 18 s
+    pitch, roll  sway by a few degrees
+    ADC       12 bits: sines of different periods, with noise
+
+The source's board sends every 50 ms (20 Hz); SEQ counts every frame and starts at 0.
+"""
+import argparse
+import math
+from random import Random
+from typing import Any, Iterable, Optional
+
+from ...framing.custom_messages import CustomMessage
+from ...simulation.board import Board, positive
+from ...simulation.custom_messages import Player
+from ...transport.pace import Every
+from . import DESCRIPTION, wire
+
+RATE = 20.0              # Hz
+OUT_OF_RANGE = 8190      # mm, what the sensor says where nothing is near enough
+FARTHEST = 2000          # mm
+TURN_RATE = 20.0         # degrees/s, clockwise
+TIME_OUT_SHARE = 0.005   # of a sensor's readings
+
+
+class SensorBoard(Board):
+    """See the module.
+
+    Args:
+        rate: frames a second.
+        adc: send the six ADC channels, and nothing else.
+        seed: of the noise and the timeouts.
+        own: messages of one's own, sent beside these.
+    """
+
+    NAME = DESCRIPTION.name
+    SUMMARY = 'sensor board: two ranges and orientation, or six ADC channels'
+    FAULTS = ('drop=0.005 cut=0.005 lose=0.005 flip=0.01 insert=0.005 double=0.005 '
+              'delay=6/min late=0.5/min silence=0.5/min reset=0.5/min')
+    READS = False
+    CHATTER = (b'ets Jun  8 2016 00:22:57\r\n\r\nrst:0x1 (POWERON_RESET),boot:0x13 '
+               b'(SPI_FAST_FLASH_BOOT)\r\nconfigsip: 0, SPIWP:0xee\r\nload:0x3fff0030,len:1184\r\n'
+               b'entry 0x400805f0\r\n')
+
+    @classmethod
+    def add_options(cls, parser: argparse.ArgumentParser) -> None:
+        parser.add_argument('--rate', type=positive, default=RATE, metavar='HZ',
+                            help='frames a second (%(default)g)')
+        parser.add_argument('--adc', action='store_true',
+                            help='be the board with six ADC channels')
+
+    @classmethod
+    def from_options(cls, options: argparse.Namespace) -> 'SensorBoard':
+        return cls(options.rate, options.adc, options.seed, options.config)
+
+    def __init__(self, rate: float = RATE, adc: bool = False, seed: int = 0,
+                 own: Iterable[CustomMessage] = ()) -> None:
+        super().__init__()
+        self.seq = 0        # of the next frame
+        self._adc = adc
+        self._period = 1 / rate
+        self._random = Random(f'{seed} sensors')
+        self._beat = Every(self._period, 0.0)
+        self._on_since = 0.0
+        self._own = Player(own)
+
+    # -- hooks ----------------------------------------------------------------------------
+
+    def power_on(self, now: float) -> None:
+        self.seq = 0
+        self._on_since = now
+        self._beat = Every(self._period, now)
+        self._own.power_on(now)
+
+    def advance(self, now: float) -> Optional[float]:
+        if self._beat.passed(now):
+            self._send(self.channels(now) if self._adc else self.status(now))
+        for message in self._own.messages(now):
+            self._send(message)
+        return min(self._beat.due, self._own.due() or math.inf)
+
+    def _send(self, message: Any) -> None:
+        self.send(wire.encode(message, self.seq), message)
+        self.seq = (self.seq + 1) % 256
+
+    def fields(self, frame: bytes, message: Any) -> dict:
+        return {'type': message.TYPE, 'seq': self.seq, 'raw': frame.hex()}
+
+    # -- measurements -----------------------------------------------------------------------
+
+    def status(self, now: float) -> wire.SensorStatus:
+        """What the sensors measure."""
+        gauss = self._random.gauss
+        return wire.SensorStatus(
+            self._range(1250 + 1150 * math.sin(now / 3)),
+            self._range(700 + 450 * math.sin(now / 1.7 + 2)),
+            (now - self._on_since) * TURN_RATE % 360,
+            4 * math.sin(now / 2.3) + gauss(0, 0.05),
+            6 * math.sin(now / 3.1) + gauss(0, 0.05))
+
+    def channels(self, now: float) -> wire.AdcStatus:
+        """What the ADC measures."""
+        return wire.AdcStatus(*(
+            min(max(round(2048 + 1500 * math.sin(now / (1 + channel) + channel)
+                          + self._random.gauss(0, 4)), 0), 4095)
+            for channel in range(6)))
+
+    def _range(self, distance: float) -> int:
+        if self._random.random() < TIME_OUT_SHARE:
+            return wire.RANGE_TIMED_OUT
+        if distance > FARTHEST:
+            return OUT_OF_RANGE
+        return max(round(distance + self._random.gauss(0, distance / 200)), 20)
+
+
+BOARD = SensorBoard

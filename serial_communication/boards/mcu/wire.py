@@ -1,0 +1,178 @@
+"""The sensor board's frames: STX ... ETX, from an ESP32 with range sensors and an IMU.
+
+    +------+-----+------+-----+-----------+-----+------+
+    | 0x02 | LEN | TYPE | SEQ | PAYLOAD … | CRC | 0x03 |
+    +------+-----+------+-----+-----------+-----+------+
+     STX                                         ETX
+
+LEN counts TYPE, SEQ and PAYLOAD; CRC is the XOR of TYPE, SEQ and PAYLOAD; SEQ counts up by one
+a frame, modulo 256. Little-endian. Only the board talks.
+"""
+from typing import Any, Iterable, List, NamedTuple
+
+from ...framing.layout import Layout, Value, message_class
+from ...framing.parts import Part, Parts
+from ...framing.stream import (CHECKSUM, FRAMING, IMPLAUSIBLE, LENGTH, UNKNOWN, Bad, Good, Need,
+                               StreamDecoder, running_xor)
+
+STX = 0x02
+ETX = 0x03
+MIN_LEN = 2            # TYPE and SEQ
+MAX_PAYLOAD = 253      # bytes
+RANGE_TIMED_OUT = 0xFFFF  # what a range sensor that did not answer reads
+
+_WRAP = 655.36         # degrees by which a heading over 327.67 wraps in the int16
+
+
+class SensorStatus(NamedTuple):
+    """TYPE 0x10: two range sensors and the orientation as Euler angles."""
+
+    TYPE = 0x10
+    LABEL = 'sensor status'
+    LAYOUT = Layout('<HHhhh', [
+        Value('range_1', 'mm'), Value('range_2', 'mm'), Value('yaw', 'degrees', 0.01),
+        Value('pitch', 'degrees', 0.01), Value('roll', 'degrees', 0.01)])
+
+    range_1: int   # mm; 0xFFFF: the sensor timed out
+    range_2: int   # mm; 0xFFFF: the sensor timed out
+    yaw: float     # degrees, heading 0 … 360, clockwise
+    pitch: float   # degrees
+    roll: float    # degrees
+
+    @classmethod
+    def unpack(cls, data: bytes) -> 'SensorStatus':
+        """From the payload. A yaw under -180° is a heading that wrapped: restored."""
+        range_1, range_2, yaw, pitch, roll = cls.LAYOUT.raw(data)
+        yaw /= 100
+        return cls(range_1, range_2, yaw if yaw >= -180 else round(yaw + _WRAP, 2), pitch / 100,
+                   roll / 100)
+
+    def pack(self) -> bytes:
+        """The payload. Angles are rounded to 0.01° and wrap as the board's int16 does."""
+        wrapped = [(round(angle * 100) + 0x8000) % 0x10000 - 0x8000
+                   for angle in (self.yaw, self.pitch, self.roll)]
+        return self.LAYOUT.pack_raw((self.range_1, self.range_2, *wrapped))
+
+    @classmethod
+    def parts(cls, payload: bytes) -> List[Part]:
+        """Which bytes of the payload are which value."""
+        parts = cls.LAYOUT.parts(payload)
+        if cls.LAYOUT.fits(len(payload)):
+            parts = [part._replace(value=value) for part, value in zip(parts, cls.unpack(payload))]
+        for index, part in enumerate(parts):
+            if part.unit == 'mm' and part.raw == RANGE_TIMED_OUT:
+                parts[index] = part._replace(meaning='the sensor timed out')
+            elif part.name == 'yaw' and part.raw is not None and part.raw < -18000:
+                parts[index] = part._replace(meaning='a heading that wrapped')
+        return parts
+
+    def implausible(self) -> str:
+        """Why these values cannot be: there are no such."""
+        return ''
+
+    @property
+    def valid(self) -> bool:
+        """Whether both range sensors answered."""
+        return self.range_1 != RANGE_TIMED_OUT and self.range_2 != RANGE_TIMED_OUT
+
+    def __str__(self) -> str:
+        ranges = ' '.join('timed out' if value == RANGE_TIMED_OUT else f'{value} mm'
+                          for value in (self.range_1, self.range_2))
+        return (f'sensor status: {ranges}, yaw {self.yaw:.2f} pitch {self.pitch:.2f} '
+                f'roll {self.roll:.2f}')
+
+
+AdcStatus = message_class(
+    'AdcStatus', 0x01, '<6H', [Value(f'adc{channel}') for channel in range(6)], 'ADC status',
+    'TYPE 0x01: six ADC channels, raw.')
+
+MESSAGES = {message.TYPE: message for message in (SensorStatus, AdcStatus)}
+
+_LEN_TOO_SMALL = Bad(2, FRAMING, 'LEN')
+_LEN_OF_ANOTHER = Bad(3, FRAMING, 'LEN')
+
+
+def encode(message: Any, seq: int) -> bytes:
+    """The frame that carries `message` as the board's frame number `seq` (0 … 255)."""
+    return encode_raw(message.TYPE, seq, message.pack())
+
+
+def encode_raw(type_: int, seq: int, payload: bytes) -> bytes:
+    """A frame of any TYPE; `payload` up to 253 bytes."""
+    body = bytes((type_, seq)) + payload
+    return bytes((STX, len(body))) + body + bytes((running_xor(body, 0)[-1], ETX))
+
+
+class Decoder(StreamDecoder):
+    """Board -> us. A frame's `message` is None where its TYPE is not known.
+
+    Args:
+        messages: classes of messages of one's own, see `message_class`.
+    """
+
+    STARTS = bytes((STX,))
+
+    def __init__(self, messages: Iterable[Any] = ()) -> None:
+        super().__init__()
+        self.errors.update({UNKNOWN: 0, LENGTH: 0, IMPLAUSIBLE: 0})
+        self._messages = dict(MESSAGES)
+        self._messages.update((message.TYPE, message) for message in messages)
+
+    def explain(self, frame: bytes) -> List[Part]:
+        """The bytes of one frame, good, bad, incomplete or noise, by name."""
+        parts = Parts(frame)
+        if frame[:1] != bytes((STX,)):
+            return parts.take_rest('noise', 'no frame begins so')
+        parts.take(1, 'STX')
+        kind = self._messages.get(frame[2]) if len(frame) > 2 else None
+        length = frame[1] if len(frame) > 1 else MIN_LEN
+        false = '' if length >= MIN_LEN else f'should be {MIN_LEN} at least'
+        if kind and length >= MIN_LEN and not kind.LAYOUT.fits(length - MIN_LEN):
+            false = f'should be {MIN_LEN} more than {kind.LAYOUT.sizes()}'
+        parts.take(1, 'LEN', 'bytes of TYPE, SEQ and PAYLOAD', false)
+        if length < MIN_LEN:
+            return parts.take_rest('noise', 'bytes behind a false LEN')
+        parts.take(1, 'TYPE', kind.LABEL if kind else 'not known here')
+        parts.take(1, 'SEQ')
+        if kind:
+            parts.take_data(length - MIN_LEN, kind.parts)
+        else:
+            parts.take_bytes(length - MIN_LEN, 'PAYLOAD')
+        parts.take_checksum('CRC', frame[2:2 + length])
+        parts.take(1, 'ETX', error='' if frame[length + 3:length + 4] in (b'', b'\3')
+                   else 'should be 0x03')
+        return parts.take_rest('noise', 'bytes behind the frame')
+
+    def frame_at(self, at: int) -> Any:
+        buffer = self.buffer
+        left = len(buffer) - at
+        if left < 2:
+            return Need(2)
+        length = buffer[at + 1]
+        if length < MIN_LEN:
+            return _LEN_TOO_SMALL
+        if left < 3:
+            return Need(3)
+        type_ = buffer[at + 2]
+        if type_ in MESSAGES and length != MIN_LEN + MESSAGES[type_].LAYOUT.size:
+            return _LEN_OF_ANOTHER
+        size = length + 4
+        if left < size:
+            return Need(size)
+        end = at + size
+        if buffer[end - 1] != ETX:
+            return Bad(size, FRAMING, 'ETX')
+        if self.xor(at + 2, end - 1):    # of TYPE … CRC: 0 in a valid frame
+            return Bad(size, CHECKSUM, 'CRC does not match')
+        data = buffer[at + 4:end - 2]
+        seq, kind = buffer[at + 3], self._messages.get(type_)
+        if kind is None:
+            return Good(size, type_, seq, data, None)
+        if not kind.LAYOUT.fits(len(data)):
+            return Good(size, type_, seq, data, None, LENGTH, f'{kind.LABEL} frame with '
+                        f'{len(data)} bytes of data where {kind.LAYOUT.sizes()} is right')
+        message = kind.unpack(data)
+        reason = message.implausible()
+        if reason:
+            return Good(size, type_, seq, data, None, IMPLAUSIBLE, f'{kind.LABEL}: {reason}')
+        return Good(size, type_, seq, data, message)

@@ -1,0 +1,209 @@
+"""Rows of parameters -> custom messages.
+
+A board's ``messages`` hold one entry each by name, with the keys that config/own_messages.yaml
+shows. Here they become message classes and layouts; whatever they have of ROS (types, topics) is
+text here, for others to resolve.
+"""
+import difflib
+import re
+from math import inf, isnan
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
+
+from .layout import Layout, LayoutTooLong, Value, brief, count_values, message_class, readable
+
+FROM_BOARD, TO_BOARD = 'from_board', 'to_board'
+_NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
+_STEP = r'[A-Za-z][A-Za-z0-9_]*(\[[0-9]{1,9}\])?'
+_PATH = re.compile(rf'({_STEP}(\.{_STEP})*)?')
+ROS_TYPE = re.compile(r'[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*')
+LAYOUT_KEYS = ('layout', 'fields', 'scale', 'offset', 'minimum', 'maximum')
+_MESSAGE_KEYS = ('type', 'direction', 'ros_type', 'frame_id') + LAYOUT_KEYS
+_HUGE = 2 ** 64     # no raw number is as big
+
+
+class RowError(ValueError):
+    """An entry that cannot be used; the text is one line.
+
+    Args:
+        key: the parameter, as ``arduino/messages/force/layout``.
+        value: what it is; None: it is missing.
+        allowed: what it may be, in words.
+    """
+
+    def __init__(self, key: str, value: Any, allowed: str) -> None:
+        is_what = 'is missing' if value is None else \
+            f'is {brief(value, 120)} ({type(value).__name__})'
+        super().__init__(readable(f'{key} {is_what}, {allowed}'))
+        self.key = key
+
+
+class CustomMessage(NamedTuple):
+    """An entry of ``messages``."""
+
+    name: str
+    key: str               # of the entry, as arduino/messages/force
+    kind: Any              # the class of the message; its values are named by their fields
+    is_command: bool       # to the board
+    ros_type: str
+    frame_id: str
+
+
+def read_messages(entries: Any, key: str, types: Sequence[int], longest: int,
+                  directions: Tuple[str, ...] = (FROM_BOARD,)) -> List[CustomMessage]:
+    """The custom messages of a board.
+
+    Args:
+        entries: by their names.
+        key: of all of them among the parameters, as ``arduino/messages``.
+        types: that they may have, sorted.
+        longest: bytes of data.
+        directions: that they may have.
+
+    Raises:
+        RowError: for the first mistake.
+    """
+    messages: List[CustomMessage] = []
+    for name, row in rows(entries, key, _MESSAGE_KEYS):
+        type_ = row.number('type', lambda n: n in types, f'a whole number from {types[0]} to '
+                           f'{types[-1]} that no message of the board has', whole=True)
+        row.refuse_second('type', type_, {other.kind.TYPE: other.name for other in messages})
+        direction = row.given.get('direction', FROM_BOARD)
+        if direction not in directions:
+            raise RowError(row.name('direction'), direction, f'may be {" or ".join(directions)}')
+        ros_type = row.text('ros_type', ROS_TYPE, 'a message type, as std_msgs/Float32')
+        kind = message_class(name, type_, *row.layout(longest))
+        messages.append(CustomMessage(name, row.key, kind, direction == TO_BOARD, ros_type,
+                                      row.text('frame_id', None, 'text', '')))
+    return messages
+
+
+class Row:
+    """One entry's keys and what they may be."""
+
+    def __init__(self, key: str, given: Any, keys: Tuple[str, ...]) -> None:
+        self.key = key
+        self.given: Dict[str, Any] = given
+        if not isinstance(given, dict):
+            raise RowError(key, given, f'may be a group with the keys {", ".join(keys)}')
+        for unknown in given:
+            if unknown not in keys:
+                near = difflib.get_close_matches(str(unknown), keys, 1)
+                raise RowError(self.name(unknown), given[unknown], 'is no key of an entry; '
+                               + (f'did you mean {near[0]}?' if near else ', '.join(keys)))
+
+    def name(self, key: str) -> str:
+        """The whole name of a key."""
+        return f'{self.key}/{key}'
+
+    def number(self, key: str, may_be: Callable[[float], bool], allowed: str,
+               default: Optional[float] = None, whole: bool = False) -> Any:
+        """A number that `may_be`."""
+        value = self.given.get(key, default)
+        is_number = type(value) in ((int,) if whole else (int, float))
+        if not is_number or (key in self.given and not may_be(value)):
+            raise RowError(self.name(key), value, f'may be {allowed}')
+        return value
+
+    def text(self, key: str, pattern: Any, allowed: str, default: Optional[str] = None) -> str:
+        """A text that matches the pattern."""
+        if default is not None and key not in self.given:
+            return default
+        value = self.given.get(key)
+        if type(value) is not str or (pattern and not pattern.fullmatch(value)):
+            raise RowError(self.name(key), value, f'may be {allowed}')
+        return value
+
+    def flag(self, key: str) -> bool:
+        """True or false, false by default."""
+        value = self.given.get(key, False)
+        if type(value) is not bool:
+            raise RowError(self.name(key), value, 'may be true or false')
+        return value
+
+    def refuse_second(self, key: str, value: int, names: Dict[int, str]) -> None:
+        """A number that another entry has already."""
+        if value in names:
+            raise RowError(self.name(key), value, f'is that of {names[value]}, too')
+
+    def layout(self, longest: int) -> Tuple[str, List[Value]]:
+        """The keys that say what the bytes are, at most `longest` of them."""
+        layout = self.text('layout', None, 'a format of Python\'s struct, as <hB')
+        paths = self.given.get('fields')
+        if type(paths) is not list or not all(
+                type(path) is str and _PATH.fullmatch(path) for path in paths):
+            raise RowError(self.name('fields'), paths, 'may be a list with the path of a field '
+                           'for each value, as [vector.x, "", position[2]]')
+        try:
+            count = count_values(layout, longest)
+        except LayoutTooLong:
+            raise RowError(self.name('layout'), layout,
+                           f'may have at most {longest} bytes') from None
+        except ValueError as error:
+            raise RowError(self.name('layout'), layout,
+                           f'may be a format of Python\'s struct, as <hB: {error}') from None
+        if len(paths) != count:
+            raise RowError(self.name('fields'), paths, f'may be a list of {count}, one for each '
+                           f'value of the layout {layout}')
+        for path in paths:
+            if path and paths.count(path) > 1:
+                raise RowError(self.name('fields'), paths, f'may have {path} once')
+        scales = self._each('scale', len(paths), 1, lambda n: abs(n) < inf and n != 0,
+                            'a number but 0')
+        offsets = self._each('offset', len(paths), 0, lambda n: abs(n) < inf, 'a number')
+        minima = self._each('minimum', len(paths), -inf, lambda n: True, 'a number')
+        maxima = self._each('maximum', len(paths), inf, lambda n: True, 'a number')
+        values = [Value(path, '', *numbers) for path, *numbers in zip(
+            paths, scales, offsets, minima, maxima)]
+        self._check_limits(Layout(layout, values))
+        return layout, values
+
+    def _each(self, key: str, count: int, default: float, may_be: Callable[[float], bool],
+              allowed: str) -> List[float]:
+        """A number for each value: one for all, or a list."""
+        given = self.given.get(key, default)
+        numbers = given if type(given) is list else [given] * count
+        if len(numbers) != count or not all(
+                _is_number(number) and may_be(number) for number in numbers):
+            raise RowError(self.name(key), given, f'may be {allowed}, or a list of {count}')
+        # A whole number stays one, but no product of it with a raw one is beyond a float.
+        return [number if abs(number) < _HUGE else float(number) for number in numbers]
+
+    def _check_limits(self, layout: Layout) -> None:
+        """A limit that its place cannot hold is a mistake, and so is one beyond the other.
+
+        One number for all values has to fit one of them.
+        """
+        limited = [(value, layout.range(index)) for index, value in enumerate(layout.values)
+                   if value.name and layout.kind(index) != 'text']
+        for key in ('minimum', 'maximum'):
+            given = self.given.get(key)
+            fits = [low <= getattr(value, key) <= high or abs(getattr(value, key)) == inf
+                    for value, (low, high) in limited]
+            if given is not None and limited and not (
+                    all(fits) if type(given) is list else any(fits)):
+                low, high = limited[fits.index(False)][1]
+                raise RowError(self.name(key), given, f'may be from {low:.10g} to {high:.10g}, '
+                               'which is what its place holds')
+        for value, _ in limited:
+            if value.minimum > value.maximum:
+                raise RowError(self.name('minimum'), self.given['minimum'],
+                               f'may be at most the maximum, {value.maximum:g}')
+
+
+def _is_number(value: Any) -> bool:
+    """Whether it is one, not NaN, that a float can be."""
+    try:
+        return type(value) in (int, float) and not isnan(value)
+    except OverflowError:
+        return False
+
+
+def rows(entries: Any, key: str, keys: Tuple[str, ...]) -> List[Tuple[str, Row]]:
+    """Each entry by its name; RowError where there are none, or one is no group."""
+    if not isinstance(entries, dict):
+        raise RowError(key, entries, 'may be a group of entries, one a name')
+    for name in entries:
+        if type(name) is not str or not _NAME.fullmatch(name):
+            raise RowError(f'{key}/{name}', name, 'may have a name of letters, digits and _ that '
+                           'begins with a letter')
+    return [(name, Row(f'{key}/{name}', entries[name], keys)) for name in sorted(entries)]

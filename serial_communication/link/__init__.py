@@ -1,0 +1,1 @@
+"""What every link has: its port's thread, reconnecting, counters, presence. No rospy."""

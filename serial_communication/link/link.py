@@ -1,0 +1,423 @@
+"""What every link has: one port, one thread that opens and reads it, and its counters."""
+import logging
+import threading
+import time
+import traceback
+from typing import Any, Callable, List, NamedTuple, Optional, Tuple
+
+from ..framing.frame_timer import FrameTimer
+from ..framing.stream import CHECKSUM, FRAMING, Decoder, Frame
+from ..transport import pace
+from ..transport.opener import Opener
+from ..transport.port import Port, PortError
+from .backlog import LONGEST_SLEEP, STALL, Backlog
+from .presence import FIRST_WORD, LOOK_PERIOD, Presence
+from .sparing_log import SparingLog
+
+OK, WARN, ERROR = 0, 1, 2      # as diagnostic_msgs/DiagnosticStatus has them
+RX, TX = 0, 1                  # as SerialMsg has them
+SILENCE = 1.0                  # s without a frame after which a talking board counts as silent
+_ORDERLY = 0.5                 # s in which the bridge may be told to end, too, when a port goes
+_BACK_OFF = (0.1, 1.0)         # s from one try to open to the next: first, last
+_NEVER = float('inf')
+
+Tap = Callable[[str, int, Frame], None]
+
+
+class Refused(Exception):
+    """A command was not sent; the text says why, for a person, and `cause` in a word or two."""
+
+    def __init__(self, text: str, cause: str) -> None:
+        super().__init__(text)
+        self.cause = cause
+
+
+class Report(NamedTuple):
+    """How a link is, for /diagnostics."""
+
+    level: int
+    summary: str
+    values: List[Tuple[str, Any]]
+
+
+class Link:
+    """Base of the three links. A subclass overrides the hooks below; all run in the thread.
+
+    Args:
+        name: bus, arduino or mcu; in logs, `SerialMsg` and diagnostics.
+        port: opened and closed here, nowhere else.
+        decoder: of what the board sends.
+        frame_timeout: seconds without a byte after which an incomplete frame is given up.
+        clock: what stamps a read; not used for anything else.
+        logger: where lines for people go.
+    """
+
+    STOPS_FIRST = False     # True: what it says last must not wait for other links
+
+    def __init__(self, name: str, port: Port, decoder: Decoder, frame_timeout: float = 0.05,
+                 clock: Callable[[], Any] = time.time,
+                 logger: Optional[logging.Logger] = None) -> None:
+        self.name = name
+        self.port = port
+        self.decoder = decoder
+        self.log = SparingLog(name, logger or logging.getLogger(__name__))
+        self.tap: Optional[Tap] = None     # is given every frame in and out; None: nobody listens
+        self.frames_received = 0
+        self.frames_sent = 0
+        self.reconnects = 0
+        self.last_frame_at: Optional[float] = None   # monotonic
+        self.last_byte_at = 0.0                      # monotonic
+        self.stale = 0                     # bytes that waited while the thread stalled: dropped
+        # When the thread was last seen at work, by `pace.clock`; while it serves no port, never.
+        self.awake_at = _NEVER
+        self._clock = clock
+        self._timer = FrameTimer(decoder, frame_timeout, port.baud)
+        self.connections = 0               # how often the port has been opened
+        self._trouble = ''                 # why the port is closed
+        self._lost = ''                    # how it was lost, while that is not said yet …
+        self._lost_at = 0.0                # … and when
+        self._stopping = threading.Event()
+        self._opener = Opener(port, name + ' opening', self._port_opened)
+        self._thread = threading.Thread(target=self._run, name=name + ' link', daemon=True)
+        self._reported_errors = 0
+        self._presence = Presence(self.log)
+        self._opened_at = self._presence_at = 0.0    # monotonic
+        self._backlog: Optional[Backlog] = None      # while old bytes are dropped
+
+    # -- hooks ------------------------------------------------------------------------
+
+    def opened(self, now: float) -> None:
+        """The port is open."""
+
+    def closed(self, now: float) -> None:
+        """The port has been closed."""
+
+    def received(self, frame: Frame, now: float) -> None:
+        """A good frame has come."""
+
+    def damaged(self, frame: Frame, now: float) -> None:
+        """Bytes have come that are no good frame; they are counted and logged already."""
+
+    def stalled(self, seconds: float, now: float) -> None:
+        """The thread was not at work for so long (over `STALL`), whatever kept it from that. What
+        the port has is old: it is dropped, and nothing is `received` until it is through."""
+
+    def altered(self, now: float) -> None:
+        """Another program changed the tty's settings for a moment: bytes either way may be others
+        than those that were sent."""
+        self.stalled(0.0, now)
+
+    def tick(self, now: float) -> Optional[float]:
+        """Do what is due by time; return when to be called next at the latest, or None."""
+        return None
+
+    def idle(self, now: float) -> Optional[float]:
+        """`tick` while the port is closed; asked at least once a second."""
+        return None
+
+    def shown(self, frame: Frame) -> Frame:
+        """A frame that has come, as listeners see it, before it is `received`."""
+        return frame
+
+    def talks(self, now: float) -> Optional[bool]:
+        """Whether the board talks; None where that cannot be told yet. Looked at while the port
+        is open, and said in the log when it changes."""
+        last = self.last_frame_at
+        if last is not None and now - last <= SILENCE:
+            return True
+        return self.is_silent(now)
+
+    def is_silent(self, now: float) -> Optional[bool]:
+        """The same of a board that does not talk now: if it has not since the port opened, it may
+        still start."""
+        has_talked = self.last_frame_at is not None and self.last_frame_at >= self._opened_at
+        return False if has_talked or now >= self._opened_at + FIRST_WORD else None
+
+    def silence(self) -> str:
+        """How the log tells of a board that does not talk."""
+        return ('the board is silent; has it power, is it wired, and is '
+                f'{self.port.baud} baud right?')
+
+    @property
+    def drops(self) -> bool:
+        """Whether what comes is dropped now, after a stall."""
+        return self._backlog is not None
+
+    # -- for users --------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Start its threads: none is started later."""
+        self._opener.start()
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Begin to end; returns at once."""
+        self._stopping.set()
+        self._opener.end()
+        self.port.wake()
+
+    def join(self, timeout: float = 1.0) -> None:
+        """After `stop`: wait for the thread, which closes the port as it ends."""
+        if self._thread.is_alive():
+            self._thread.join(timeout)
+
+    def wake(self) -> None:
+        """Have `tick` called soon."""
+        self.port.wake()
+
+    def send(self, frame: bytes, type_: int, command: int, data: bytes, message: Any) -> None:
+        """Write one frame; PortError or PortBusy where it cannot be."""
+        self.port.write(frame)
+        self.written(frame, type_, command, data, message)
+
+    def written(self, frame: bytes, type_: int, command: int, data: bytes, message: Any) -> None:
+        """Count a frame that the port has taken, and show it to who listens."""
+        self.frames_sent += 1
+        tap = self.tap      # another thread may take it away meanwhile
+        if tap:
+            # Guarded, since whoever sends must not take a sent frame for one that was not.
+            self._guarded(lambda: tap(self.name, TX, Frame(frame, type_, command, data, message,
+                                                           self._clock())))
+
+    def check_silence(self, now: float, limit: float) -> Optional[float]:
+        """For `tick`: when to look again whether a network port has been silent for `limit` s.
+
+        The network and the peer's kernel hide what has not arrived, so a connection on which
+        nothing comes is given up. None: it may be silent (another kind of port, or a limit of 0).
+
+        Raises:
+            PortError: nothing has come for so long.
+        """
+        if not limit or not self.port.is_network:
+            return None
+        due = self.last_byte_at + limit
+        if now >= due:
+            raise PortError(f'the board has not been heard for {limit:g} s')
+        return due
+
+    # -- diagnostics ------------------------------------------------------------------
+
+    def report(self, now: float) -> Report:
+        """How the link is; to be asked once a second, since errors count from the last time."""
+        errors = self.error_count()
+        new_errors, self._reported_errors = errors - self._reported_errors, errors
+        level, summary = self.condition(now)
+        if level == OK and new_errors:
+            level, summary = WARN, (f'{new_errors} error{"s" if new_errors > 1 else ""} '
+                                    'in the last second')
+        counted = dict(self.decoder.errors)
+        checksum = counted.pop(CHECKSUM, 0)
+        framing = counted.pop(FRAMING)
+        values = [
+            ('port', self.port.url),
+            ('state', summary),
+            ('frames received', self.frames_received),
+            ('frames sent', self.frames_sent),
+            ('bytes received', self.port.bytes_received),
+            ('bytes sent', self.port.bytes_sent),
+            ('stale', self.stale),
+            ('checksum errors', checksum),
+            ('framing errors', framing),
+            ('reconnects', self.reconnects),
+            ('last frame age [s]', f'{now - self.last_frame_at:.3f}'
+             if self.last_frame_at is not None else 'never'),
+        ]
+        values += sorted((cause + ' errors', count) for cause, count in counted.items())
+        return Report(level, summary, values + self.own_values())
+
+    def condition(self, now: float) -> Tuple[int, str]:
+        """Level and a few words, new errors aside."""
+        if not self.port.is_open:
+            return ERROR, f'closed: {self._trouble or "not opened yet"}'
+        if self.last_frame_at is None or now - self.last_frame_at > SILENCE:
+            return WARN, 'open, the board is silent'
+        return OK, 'open'
+
+    def error_count(self) -> int:
+        """All that went wrong on the line so far."""
+        return sum(self.decoder.errors.values())
+
+    def own_values(self) -> List[Tuple[str, Any]]:
+        """Key-value pairs that only this kind of link has."""
+        return []
+
+    # -- the thread -------------------------------------------------------------------
+
+    def _run(self) -> None:
+        """Nothing that a hook or a callback raises ends this, nor that no memory is left."""
+        while not self._stopping.is_set():
+            try:
+                self._come_and_go()
+            except BaseException:  # pylint: disable=broad-except
+                time.sleep(_BACK_OFF[0])    # not even enough to log what was raised
+
+    def _come_and_go(self) -> None:
+        """Connection after connection."""
+        if self.port.is_open:       # where this has ended of a fault
+            self._leave()
+        pause = _BACK_OFF[0]
+        while not self._stopping.is_set():
+            opened = self._guarded(self._connect)
+            if opened:
+                pause = _BACK_OFF[0]
+                self._guarded(self._serve)
+                self._leave()
+            else:
+                self.awake_at = _NEVER
+                self._guarded(self.port.close)
+            self._pause(self._stopping, pause)
+            if not opened:
+                pause = min(pause * 2, _BACK_OFF[1])
+
+    def _leave(self) -> None:
+        self.awake_at = _NEVER
+        self._guarded(self.port.close)
+        self._guarded(self.closed, time.monotonic())
+
+    def _connect(self) -> bool:
+        """Open the port; whether it is open now."""
+        trouble = self._open_port()
+        if self._stopping.is_set():
+            return False
+        # Where all ends together, a simulated board's port goes first: that is nobody's trouble.
+        if self._lost and (not trouble or time.monotonic() >= self._lost_at + _ORDERLY):
+            self.log.warn('lost', self._lost)
+            self._lost = ''
+        if trouble:
+            self._trouble = trouble
+            if not self._lost:
+                self.log.warn('closed', f'{self.port.url}: {trouble}')
+            return False
+        self.connections += 1
+        if self.connections > 1:
+            self.reconnects += 1
+        self.log.info('opened', f'{self.port.url}: open')
+        self.decoder.reset()
+        return True
+
+    def _guarded(self, function: Callable, *arguments: Any) -> Any:
+        """Call it; what it raises is logged and kept as the link's trouble, and None returned."""
+        try:
+            return function(*arguments)
+        except PortError as error:
+            self._trouble = str(error)
+            self._lost = f'{self.port.url}: {error}; opening it again when it returns'
+            self._lost_at = time.monotonic()
+        except BaseException as error:  # pylint: disable=broad-except
+            # Also what would end this thread alone, as SystemExit does.
+            self._trouble = f'fault in the bridge: {error!r}'
+            if not self._stopping.is_set():
+                self.log.error('fault', traceback.format_exc())
+        return None
+
+    def _open_port(self) -> str:
+        """Open the port; why it cannot be opened, or nothing. The link lives on meanwhile."""
+        opener = self._opener
+        opener.begin()
+        while not opener.done.is_set() and not self._stopping.is_set():
+            self._pause(opener.done, _BACK_OFF[1])
+        return opener.trouble
+
+    def _port_opened(self) -> None:
+        """In the opener's thread: from now on bytes wait in the port."""
+        self.awake_at = pace.clock()
+
+    def _pause(self, until: threading.Event, seconds: float) -> None:
+        """Wait; what is due by time meanwhile is done."""
+        now = time.monotonic()
+        end = now + seconds
+        while now < end and not until.is_set() and not self._stopping.is_set():
+            due = self._guarded(self.idle, now)
+            until.wait(max((end if due is None else min(due, end)) - now, 0.0))
+            now = time.monotonic()
+
+    def _serve(self) -> None:
+        """Read until the port goes or the link stops."""
+        now = time.monotonic()
+        self.opened(now)
+        self.last_byte_at = self._opened_at = self._presence_at = look_at = now
+        self._backlog = None
+        timer = self._timer
+        timer.reset()
+        while not self._stopping.is_set():
+            due = self.tick(now)
+            if now >= look_at:
+                look_at = self._look(now)
+            due = look_at if due is None else min(due, look_at)
+            if self.decoder.pending:
+                due = min(due, timer.due(self.last_byte_at, now))
+            data = self.port.read(due - now)
+            stamp = self._clock()
+            now = time.monotonic()
+            self._look_for_stall(now)
+            if self._backlog is not None:
+                self._drop(data, now)
+            elif data:
+                self.take(data, stamp, now)
+            if self.decoder.pending:
+                self._deliver(timer.overdue(self.last_byte_at, now), now)
+
+    def _look(self, now: float) -> float:
+        """What is looked at every now and then; when to be called again, which is never further
+        off than a stall of the thread takes to be told from its sleep."""
+        changed = self.port.restore_settings()
+        if changed:
+            self.log.warn('settings', f'{self.port.url}: another program changed the settings of '
+                          f'this port ({changed}). They have been put right, and what waited in '
+                          'it was dropped; keep other programs (stty, a serial monitor) off it')
+            self.decoder.reset()
+            self.altered(now)
+        if now >= self._presence_at:
+            self._presence_at = now + LOOK_PERIOD
+            self._presence.see(self.talks(now), self.silence(), now)
+        return now + LONGEST_SLEEP
+
+    def _look_for_stall(self, now: float) -> None:
+        awake_at = pace.clock()
+        seconds = awake_at - self.awake_at
+        if seconds > STALL:
+            if self._backlog is None:
+                self._backlog = Backlog(self.port.baud, seconds, awake_at)
+                self.decoder.reset()
+            else:
+                self._backlog.extend(seconds, awake_at)
+            self.stalled(seconds, now)
+        self.awake_at = awake_at
+
+    def _drop(self, data: bytes, now: float) -> None:
+        """Take what was read as old."""
+        backlog = self._backlog
+        self.stale += len(data)
+        if data:
+            self.last_byte_at = now
+        if not backlog.drop(data, self.awake_at):
+            return
+        self._backlog = None
+        if backlog.size:
+            self.log.warn('stalled', f'the bridge stalled for {backlog.seconds:.3g} s: '
+                          f'{backlog.size} bytes that waited in the port are old and were dropped')
+        # A frame that began among them ends in what comes next: the rest of it alone could be
+        # taken for another frame where frames carry no checksum.
+        errors = dict(self.decoder.errors)
+        self.decoder.feed(backlog.last)
+        self.decoder.errors.update(errors)
+
+    def take(self, data: bytes, stamp: Any, now: float) -> None:
+        """Decode what was read and pass it on."""
+        self._timer.bytes_came(self.last_byte_at, now)
+        self.last_byte_at = now
+        self._deliver(self.decoder.feed(data, stamp), now)
+
+    def _deliver(self, frames: List[Frame], now: float) -> None:
+        tap = self.tap
+        for frame in frames:
+            shown = self.shown(frame) if tap else frame
+            if frame.cause:
+                self.log.warn(frame.cause, f'{frame.cause}: {frame.error}: {frame.raw[:24].hex()}')
+                self.damaged(frame, now)
+            else:
+                self.frames_received += 1
+                self.last_frame_at = now
+                self.received(frame, now)
+            if tap:
+                self._guarded(tap, self.name, RX, shown)

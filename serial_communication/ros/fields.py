@@ -1,0 +1,220 @@
+"""Values <-> the fields of any ROS message, by paths such as ``data`` and ``position[2]``.
+
+Everything that a path can have wrong is found when a `RosFields` is made.
+"""
+import difflib
+import glob
+import os
+import re
+import sys
+from math import isfinite
+from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple, Union
+
+import roslib.message
+
+from ..framing.custom_messages import RowError
+from ..framing.layout import Layout, Value, holds
+
+_CODES = {'bool': '?', 'int8': 'b', 'byte': 'b', 'uint8': 'B', 'char': 'B', 'int16': 'h',
+          'uint16': 'H', 'int32': 'i', 'uint32': 'I', 'int64': 'q', 'uint64': 'Q',
+          'float32': 'f', 'float64': 'd'}      # struct's, of ROS's numbers
+_MOST_ELEMENTS = 1000     # of an array whose elements are named one by one
+_STEP = re.compile(r'([A-Za-z]\w*)(?:\[(\d+)\])?')
+_TYPE = re.compile(r'([\w/]+)(\[(\d*)\])?')
+
+
+def find_type(key: str, name: str, kind: str = 'msg') -> Any:
+    """The class of an installed message (``kind`` 'msg') or service ('srv') type.
+
+    Raises:
+        RowError: there is none; the text has the nearest type that there is, or the package that
+            is missing.
+    """
+    found = _found(name, kind)
+    if found is not None:
+        return found
+    package, short = name.split('/')
+    installed = [each.split('/') for each in _installed(kind)]
+    there = [each for owner, each in installed if owner == package]
+    near = [f'{package}/{each}' for each in difflib.get_close_matches(short, there)]
+    elsewhere = [f'{owner}/{each}' for owner, each in installed if each == short]
+    near += difflib.get_close_matches(name, elsewhere, cutoff=0.0)
+    meant = next((f'; did you mean {each}?' for each in near if _found(each, kind)), '')
+    why = '' if there else \
+        f': a package {package} with such types is not installed, or its workspace not sourced'
+    raise RowError(key, name, f'is no installed type{why}{meant}')
+
+
+def _found(name: str, kind: str) -> Any:
+    """The class of a type, or None."""
+    find = roslib.message.get_message_class if kind == 'msg' else roslib.message.get_service_class
+    try:
+        found = find(name)
+    except (Exception, SystemExit):  # pylint: disable=broad-except
+        return None     # a module of that name that is no package of messages, say
+    return found if getattr(found, '_type', '') == name and (
+        hasattr(found, '_slot_types') if kind == 'msg' else hasattr(found, '_request_class')
+    ) else None
+
+
+def _installed(kind: str) -> List[str]:
+    """The names of all types, by the modules that are generated for them."""
+    modules = [path.split(os.sep) for folder in sys.path
+               for path in glob.glob(os.path.join(glob.escape(folder), '*', kind, '_[A-Z]*.py'))]
+    return sorted({f'{path[-3]}/{path[-1][1:-3]}' for path in modules})
+
+
+class _Place(NamedTuple):
+    """Where one value goes."""
+
+    owner: Tuple[Union[str, int], ...]     # names of fields and indexes of elements on the way
+    last: Union[str, int]                  # … and the last one
+    to_ros: Optional[Callable[[Any], Any]]
+    code: str                              # struct's code of its number; '' for a text
+
+
+class RosFields:
+    """Where the values of a layout stand in messages of one type.
+
+    Args:
+        message_class: of ROS.
+        layout: its values are named by their paths; one without a name is left out.
+        key: the parameter that named them.
+
+    Raises:
+        RowError: a path that leads nowhere, or to what cannot hold such a value.
+    """
+
+    def __init__(self, message_class: Any, layout: Layout, key: str) -> None:
+        self._class = message_class
+        self._arrays: List[Tuple[Tuple, int, Any]] = []    # to be lengthened in a new message
+        self._places = [self._resolve(key, layout, index) if value.name else None
+                        for index, value in enumerate(layout.values)]
+        self._refuse_shared(key, [value.name for value in layout.values])
+        self._filled = [(index, place.owner, place.last, isinstance(place.last, int), place.to_ros)
+                        for index, place in enumerate(self._places) if place]
+
+    def narrowed(self, layout: Layout) -> Layout:
+        """The same layout, which takes what a field cannot hold for implausible."""
+        values: List[Value] = []
+        for index, (value, place) in enumerate(zip(layout.values, self._places)):
+            fits = not place or place.code in ('', 'd')
+            if not fits and (place.code == 'f' or not layout.may_be_nan(index)):
+                fits = all(isfinite(end) and holds(place.code, end) for end in layout.range(index))
+            values.append(value if fits else value._replace(place=place.code))
+        return Layout(layout.layout, values)
+
+    def new(self) -> Any:
+        """A message with room for every value."""
+        message = self._class()
+        for steps, size, element in self._arrays:
+            owner = _walk(message, steps[:-1])
+            items = list(getattr(owner, steps[-1]))
+            items += [element() for _ in range(size - len(items))]
+            setattr(owner, steps[-1], items)
+        return message
+
+    def fill(self, message: Any, values: Sequence) -> Any:
+        """Put the values into a message that `new` made; return it."""
+        for index, owner, last, is_element, to_ros in self._filled:
+            value = to_ros(values[index]) if to_ros else values[index]
+            holder = _walk(message, owner) if owner else message
+            if is_element:
+                holder[last] = value
+            else:
+                setattr(holder, last, value)
+        return message
+
+    def read(self, message: Any) -> Tuple:
+        """The values in a message; ValueError where it has not as many elements as are named."""
+        values = []
+        for place in self._places:
+            try:
+                value = _walk(message, (*place.owner, place.last)) if place else 0
+            except IndexError:
+                raise ValueError(f'{place.owner[-1]} has no element {place.last}') from None
+            values.append(tuple(value) if isinstance(value, (list, bytes)) else value)
+        return tuple(values)
+
+    def _resolve(self, key: str, layout: Layout, index: int) -> _Place:
+        path = layout.values[index].name
+        message_class, steps, type_, size = self._class, (), '', None
+        for name, element in _STEP.findall(path):
+            if message_class is None:
+                raise RowError(key, path, f'may not go on behind {steps[-1]}, which is {type_}')
+            fields = dict(zip(message_class.__slots__, message_class._slot_types))
+            if name not in fields:
+                raise RowError(key, path, f'{message_class._type} has no field {name}'
+                               + _nearest(name, list(fields)))
+            type_, array, size = _TYPE.fullmatch(fields[name]).groups()
+            message_class = None if type_ in _CODES or type_ in ('string', 'time', 'duration') \
+                else roslib.message.get_message_class(
+                    'std_msgs/Header' if type_ == 'Header' else type_)
+            steps += (name,)
+            if element:
+                self._lengthen(key, path, steps, int(element), array, size,
+                               message_class or _default_of(type_))
+                steps += (int(element),)
+                array = None
+        return self._checked(key, layout, index, steps, type_, array, size)
+
+    def _refuse_shared(self, key: str, paths: List[str]) -> None:
+        """A value that another one replaces in the message, as position[0] by position."""
+        taken = {(*place.owner, place.last): path
+                 for place, path in zip(self._places, paths) if place}
+        for place, path in zip(self._places, paths):
+            steps = (*place.owner, place.last) if place else ()
+            for end in range(1, len(steps) + 1):
+                other = taken.get(steps[:end], path)
+                if other != path:
+                    raise RowError(key, path, f'has its place in that of {other}')
+
+    def _lengthen(self, key: str, path: str, steps: Tuple, element: int, array: Optional[str],
+                  size: Optional[str], default: Any) -> None:
+        most = int(size) if size else _MOST_ELEMENTS
+        if array is None:
+            raise RowError(key, path, f'{steps[-1]} is no array')
+        if element >= most:
+            raise RowError(key, path, f'{steps[-1]} has elements 0 to {most - 1}')
+        self._arrays.append((steps, element + 1, default))
+
+    @staticmethod
+    def _checked(key: str, layout: Layout, index: int, steps: Tuple, type_: str,
+                 array: Optional[str], size: Optional[str]) -> _Place:
+        """The place, if what the layout has fits what stands there."""
+        path, has = layout.values[index].name, layout.kind(index)
+        is_array, is_fixed = array is not None, bool(size)
+        there = type_ + (array or '')
+        if has == 'text' and (type_ != 'string' or is_array):
+            raise RowError(key, path, f'is {there}; a text needs a string')
+        if has != 'text' and type_ not in _CODES:
+            raise RowError(key, path, f'is {there}, which holds no number')
+        if has == 'array' and (not is_array or is_fixed):
+            raise RowError(key, path, f'is {there}; a * needs an array of any length')
+        if has == 'number' and is_array:
+            raise RowError(key, path, f'is {there}; one number needs one element, as {path}[0]')
+        convert = None
+        if type_ == 'bool':
+            convert = bool
+        elif has != 'text' and type_ not in ('float32', 'float64') and not layout.is_whole(index):
+            convert = round
+        if convert and has == 'array':
+            one, convert = convert, lambda numbers: [one(number) for number in numbers]
+        return _Place(steps[:-1], steps[-1], convert, _CODES.get(type_, ''))
+
+
+def _walk(message: Any, steps: Sequence) -> Any:
+    for step in steps:
+        message = message[step] if isinstance(step, int) else getattr(message, step)
+    return message
+
+
+def _default_of(type_: str) -> Callable[[], Any]:
+    return str if type_ == 'string' else bool if type_ == 'bool' else int
+
+
+def _nearest(name: str, names: List[str]) -> str:
+    near = difflib.get_close_matches(name, names, 1)
+    if near:
+        return f'; did you mean {near[0]}?'
+    return f'; it has {", ".join(names)}' if 0 < len(names) <= 10 else ''

@@ -1,0 +1,1 @@
+"""What rospy does not do well enough for a bridge, mended from outside."""

@@ -1,0 +1,293 @@
+"""The simulated model car."""
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from simulation_bench import Bench, running, until
+
+from serial_communication.boards.arduino.link import ArduinoLink
+from serial_communication.transport.port import Port
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.arduino.simulator import TICKS_PER_METRE, ModelCar
+
+HEARTBEAT = arduino.encode(arduino.Heartbeat())
+
+
+def make(**arguments):
+    return Bench(ModelCar(**arguments), arduino.Decoder())
+
+
+def drive(bench, seconds, speed=None, steering=None):
+    """Send heartbeats for so long, and the commands at the beginning."""
+    bench.feed(HEARTBEAT)
+    for command in (arduino.SpeedCommand(speed) if speed is not None else None,
+                    arduino.SteeringCommand(steering) if steering is not None else None):
+        if command is not None:
+            bench.feed(arduino.encode(command))
+    for _ in range(round(seconds * 100)):
+        bench.feed(HEARTBEAT)
+        bench.run(0.01)
+
+
+def motor(bench):
+    return [(fields['on'], fields['why']) for fields in bench.notes.of('motor')]
+
+
+def counts(messages):
+    return {kind: sum(isinstance(message, kind) for message in messages)
+            for kind in (arduino.Ticks, arduino.SteeringAngle, arduino.Imu, arduino.Voltage)}
+
+
+def test_rates():
+    bench = make()
+    bench.run(30.0001)
+    assert counts(bench.messages()) == {arduino.Ticks: 3000, arduino.SteeringAngle: 3000,
+                                        arduino.Imu: 3000, arduino.Voltage: 30}
+
+
+def test_the_first_speed_0_of_each_stop_may_be_lost():
+    bench = make(lose_stops=True)
+    zero = arduino.encode(arduino.SpeedCommand(0))
+    for _ in range(2):
+        drive(bench, 0.05, 300)
+        bench.feed(zero)
+        assert bench.board.motor_on
+        bench.feed(zero)
+        assert not bench.board.motor_on
+        bench.feed(zero)
+    assert [(fields['data'], fields['why']) for fields in bench.notes.of('rx-lost')] == [
+        (zero.hex(), 'lose-stops')] * 2
+
+
+def test_rates_do_not_drift_when_it_is_woken_late():
+    bench = make()
+    start = bench.now
+    for step in range(4000):     # every 7.5 ms, so never on time
+        bench.now = start + step * 0.0075
+        bench.line.tick(bench.now)
+    assert 2995 <= counts(bench.messages())[arduino.Imu] <= 3000
+
+
+def test_no_burst_after_a_stall():
+    bench = make()
+    bench.run(1)
+    bench.messages()
+    bench.now += 5
+    bench.run(0.1001)
+    assert 10 <= counts(bench.messages())[arduino.Imu] <= 11
+
+
+def test_says_that_it_is_ready():
+    assert make().messages(arduino.Log) == [arduino.Log(1, 'IMU ready')]
+
+
+def test_motor_stops_30_ms_after_the_last_heartbeat():
+    bench = make()
+    drive(bench, 1, speed=500)
+    assert bench.board.motor_on and bench.board.velocity > 1
+    bench.feed(HEARTBEAT)
+    last = bench.now
+    assert bench.run(1, until=lambda: not bench.board.motor_on)
+    assert bench.now == pytest.approx(last + 0.03)
+    assert motor(bench)[-1] == (False, 'no heartbeat for 30 ms')
+    assert bench.said[-1] == 'motor stopped: no heartbeat for 30 ms'
+    bench.run(3)
+    assert bench.board.velocity == 0
+
+
+def test_motor_stays_stopped_until_a_new_command():
+    bench = make()
+    drive(bench, 0.2, speed=500)
+    bench.run(0.05)
+    drive(bench, 0.2)
+    assert not bench.board.motor_on
+    drive(bench, 0.2, speed=-500)
+    assert bench.board.motor_on and bench.board.command == -500
+
+
+def test_speed_without_heartbeat_moves_nothing():
+    bench = make()
+    bench.feed(arduino.encode(arduino.SpeedCommand(300)))
+    bench.feed(HEARTBEAT)
+    assert not bench.board.motor_on
+    assert bench.run(1) and bench.board.distance == 0
+
+
+def test_speed_follows_with_a_lag_and_saturates():
+    bench = make()
+    drive(bench, 0.25, speed=2000)
+    assert bench.board.command == 1000
+    assert 0.5 < bench.board.velocity / 2.5 < 0.75
+    drive(bench, 2)
+    assert bench.board.velocity == pytest.approx(2.5, rel=0.01)
+    drive(bench, 3, speed=0)
+    assert bench.board.velocity == 0
+
+
+def test_ticks_match_the_wheel():
+    bench = make()
+    drive(bench, 2, speed=700)
+    drive(bench, 2, speed=-300)
+    drive(bench, 3, speed=0)
+    ticks = sum(message.value for message in bench.messages(arduino.Ticks))
+    assert ticks == int(bench.board.distance * TICKS_PER_METRE) > 1000
+
+
+def test_imu_follows_the_motion():
+    bench = make()
+    drive(bench, 1)
+    still = bench.messages(arduino.Imu)[-1]
+    assert still.linear_acceleration() == pytest.approx((0, 0, 9.81), abs=0.3)
+    drive(bench, 0.2, speed=800, steering=1800)
+    assert bench.messages(arduino.Imu)[-1].linear_acceleration()[0] > 1     # it speeds up
+    drive(bench, 3, speed=800, steering=1800)
+    turning = bench.messages(arduino.Imu)
+    rate = sum(message.angular_velocity()[2] for message in turning[-100:]) / 100
+    assert rate == pytest.approx(2.0 * math.tan(math.radians(25) * 0.6) / 0.26, rel=0.05)
+    assert turning[-1].linear_acceleration()[1] == pytest.approx(2.0 * rate, rel=0.1)
+    assert all(not message.implausible() for message in turning)
+
+    def yaw(message):
+        x, y, z, w = message.orientation()
+        return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+    turned = (yaw(turning[-1]) - yaw(turning[-101])) % (2 * math.pi)
+    assert turned == pytest.approx(rate % (2 * math.pi), abs=0.1)
+
+
+def test_steering_is_fed_back():
+    bench = make()
+    drive(bench, 0.1)
+    assert abs(bench.messages(arduino.SteeringAngle)[-1].value - 512) < 5
+    drive(bench, 0.1, steering=2000)
+    assert 560 < bench.messages(arduino.SteeringAngle)[-1].value < 720    # on its way
+    drive(bench, 0.5)
+    assert abs(bench.messages(arduino.SteeringAngle)[-1].value - 812) < 5
+    drive(bench, 0.5, steering=60000)
+    assert bench.board.steering == 2000
+
+
+def test_battery_sags_under_load():
+    bench = make()
+    drive(bench, 5)
+    rested = bench.messages(arduino.Voltage)[-1].value
+    drive(bench, 5, speed=1000)
+    assert 0.4 < rested - bench.messages(arduino.Voltage)[-1].value < 0.8
+
+
+def test_leds():
+    bench = make()
+    bench.feed(arduino.encode(arduino.LedCommand('left')))
+    assert bench.board.led == 'left' and bench.said[-1] == 'LED: left'
+    bench.messages()
+    bench.feed(arduino.encode(arduino.LedCommand('purple')))
+    assert bench.board.led == 'left'
+    assert bench.messages(arduino.Log) == [arduino.Log(2, 'unknown LED command')]
+
+
+def test_calibration_is_deaf_and_reads_what_it_kept_all_at_once():
+    bench = make(calibration_time=20)
+    drive(bench, 0.5, speed=200)
+    bench.feed(arduino.encode(arduino.ImuCalibration()))
+    assert not bench.board.motor_on
+    bench.messages()
+    led = arduino.encode(arduino.LedCommand('brake'))
+    speed = arduino.encode(arduino.SpeedCommand(400))
+    bench.feed(led + HEARTBEAT + speed)
+    drive(bench, 19.9)
+    assert bench.board.led == 'disable'
+    seen = counts(bench.messages())
+    assert seen[arduino.Imu] == 0 and seen[arduino.Ticks] == 1990
+    bench.run(0.2)
+    assert counts(bench.messages())[arduino.Imu] > 5
+    assert bench.board.led == 'brake'
+    kept = bytes.fromhex(bench.notes.of('calibrate')[-1]['kept'])
+    assert kept == (led + HEARTBEAT + speed + HEARTBEAT * 64)[:64]
+    assert (True, 'SPEED 400') in motor(bench)      # the hazard that a bridge has to avoid
+
+
+def test_reset_stops_the_motor():
+    bench = make()
+    drive(bench, 1, speed=500)
+    bench.board.power_off(bench.now)
+    bench.board.power_on(bench.now)
+    assert motor(bench)[-1] == (False, 'reset')
+
+
+@given(st.lists(st.tuples(st.binary(max_size=80), st.floats(0, 0.1))))
+def test_survives_anything(chunks):
+    bench = make(calibration_time=0.2)
+    for data, pause in chunks:
+        bench.feed(data)
+        bench.run(pause)
+    bench.run(0.5)
+    drive(bench, 0.1, speed=100)
+    assert bench.board.motor_on and bench.messages(arduino.Imu)
+
+
+# -- with the real link over a real tty ---------------------------------------------------------
+
+
+@pytest.fixture
+def car(cable):
+    board = ModelCar(calibration_time=3.0)
+    messages, calibrating = [], []
+    with running(board, cable.b) as notes:
+        link = ArduinoLink(Port(cable.a), on_message=lambda message, stamp: messages.append(
+            message), on_calibrating=calibrating.append)
+        link.board, link.notes, link.messages = board, notes, messages
+        link.calibrations = calibrating
+        link.start()
+        until(lambda: link.heartbeats_sent > 3 and messages, 'the car')
+        yield link
+        link.stop()
+        link.join(10.0)
+
+
+def test_link_drives_the_car(car):
+    def driven():
+        car.set_speed(300)      # again and again, as a driver does
+        return sum(message.value for message in list(car.messages)
+                   if isinstance(message, arduino.Ticks)) > 20
+
+    until(driven, 'ticks')
+    car.set_steering(1200)
+    until(lambda: car.board.steering == 1200, 'the servo')
+    car.set_led('brake')
+    until(lambda: car.board.led == 'brake', 'the LED')
+    car.set_speed(0)
+    until(lambda: not car.board.motor_on, 'the stop')
+
+
+def test_link_calibrates(car):
+    car.calibrate_imu()
+    until(lambda: car.calibrations == [True, False], 'the end of the calibration')
+    assert [fields['on'] for fields in car.notes.of('calibrate')] == [True, False]
+
+
+def test_motor_stops_when_the_cable_is_pulled_and_heartbeats_alone_do_not_wake_it(car, cable):
+    def moves():
+        car.set_speed(500)
+        return car.board.motor_on
+
+    until(moves, 'the motor')
+    cable.unplug()
+    until(lambda: not car.board.motor_on, 'the stop')
+    cable.plug()
+    until(lambda: car.port.is_open, 'the link')
+    seen = len(car.messages)
+    until(lambda: len(car.messages) > seen + 30, 'data')
+    assert not car.board.motor_on
+
+
+def test_is_not_late_for_what_was_due_before_it_was_known(cable):
+    """As a frame that waits in the receive buffer during a calibration."""
+    class Behind(ModelCar):
+        def advance(self, now):
+            super().advance(now)
+            return now - 1000.0
+
+    with running(Behind(), cable.b) as notes:
+        until(lambda: len(notes.of('tx')) > 3, 'measurements')
+    assert not [fields for fields in notes.of('late') if fields['by'] > 900]

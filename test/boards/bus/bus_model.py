@@ -1,0 +1,285 @@
+"""A board on a robot-ctrl-bus, its line and its callers, in time that only the model knows.
+
+The board loses, delays, doubles and damages, as a list of faults says. The Master under test is
+driven as `BusLink` drives it, and a real decoder stands between. A line keeps its order: what
+is late, or comes twice, is there before anything that the board says afterwards.
+
+A fault is a name of `FAULTS`, or ('late', s) for a reply that comes so late, or ('double', s)
+for one that comes again so much later.
+"""
+import heapq
+import itertools
+import logging
+from typing import List, NamedTuple, Optional
+
+from serial_communication.boards.bus.master import NOT_SENT, TIMEOUT, Call, Master
+from serial_communication.link.sparing_log import SparingLog
+from serial_communication.boards.bus import wire as bus
+from serial_communication.framing.layout import Layout
+
+REPLY_TIMEOUT, MOTION_TIMEOUT = 0.5, 2.0
+_FRAME_TIMEOUT = 0.05
+
+FAULTS = ('none', 'lose request', 'lose reply', ('late', REPLY_TIMEOUT + 0.2),
+          ('late', MOTION_TIMEOUT + 0.9), ('double', 0.0), ('double', 0.005), ('double', 0.1),
+          ('double', MOTION_TIMEOUT), 'damage reply', 'damage request', 'damage request, silent',
+          'noise', 'noise before', 'cut', 'error', 'too long', 'reset', 'invalid for noise')
+ONCE = ('lift', 'gimbal', 'raw', 'act')         # never sent again after a timeout
+AGAIN = ('read', 'test')                         # functions that may be
+REQUESTS = ONCE + AGAIN + ('air', 'echo', 'sync')
+POLLS = ('poll air', 'poll one', 'poll two')
+RAW, ACT, READ, TEST, ONE, TWO = 0x30, 0x31, 0x32, 0x33, 0x40, 0x41    # CMD2 of custom functions
+_READ = Layout('<4x', ())      # 'read' returns its request's data reversed
+_VALUE = Layout('<6x', ())     # of both polled functions, and as long as an environment's
+
+
+class Asked(NamedTuple):
+    """One call and what the model must know to judge it."""
+
+    call: Call
+    kind: str
+    at: float
+    executed_before: int      # what the board had executed by then
+
+
+class Board:
+    """Executes, and answers through a line that has faults."""
+
+    def __init__(self, faults, echoes: bool, ok_data: bytes) -> None:
+        self.executed: List[bus.Request] = []
+        self.latest = {}               # request -> whether it was executed when it came last
+        self.readings = 0
+        self.echoed = 0
+        self._faults = iter(faults)
+        self._echoes = echoes
+        self.ok_data = ok_data
+        self._synchronised = False
+        self._line_free = 0.0
+
+    def heal(self) -> None:
+        """No more faults."""
+        self._faults = iter(())
+
+    def take(self, request: bus.Request, now: float) -> List[tuple]:
+        """What the request leads to: (time, bytes) for the Master's end of the line."""
+        fault, seconds = next(self._faults, 'none'), 0.0
+        if isinstance(fault, tuple):
+            fault, seconds = fault
+        if fault in ('lose request', 'damage request, silent'):
+            return []
+        self.latest[request] = False
+        if fault == 'reset':
+            self._synchronised = False
+            return self._at(now, b'boot\xa5')
+        if fault == 'damage request':
+            return self._at(now, bus.encode_reply(bus.Reply(bus.INVALID, b'\x40')))
+        if fault == 'too long':
+            return self._at(now, bus.encode_reply(bus.Reply(bus.INVALID, b'\x20')))
+        before = b''
+        if fault == 'invalid for noise':
+            before = bus.encode_reply(bus.Reply(bus.INVALID, b'\x40'))
+        reply = self._execute(request, fault == 'error')
+        if reply is None or fault == 'lose reply':
+            return self._at(now, before) if before else []
+        wire = bus.encode_reply(reply)
+        if fault == 'damage reply':
+            wire = wire[:-1] + bytes((wire[-1] ^ 4,))
+        elif fault == 'noise':
+            wire = b'\x11\x22' + wire
+        elif fault == 'noise before':
+            return self._at(now, b'\xa5\x03') + self._at(now + 0.2, wire)
+        elif fault == 'cut':
+            wire = wire[:-1]
+        came = self._at(now, before) if before else []
+        if fault == 'late':
+            return came + self._at(now + seconds, wire)
+        came += self._at(now + 0.01, wire)
+        if fault == 'double':
+            came += self._at(now + 0.01 + seconds, wire)
+        return came
+
+    def _at(self, when: float, wire: bytes) -> List[tuple]:
+        """A line keeps its order."""
+        self._line_free = max(self._line_free, when)
+        return [(self._line_free, wire)]
+
+    def _execute(self, request: bus.Request, failing: bool) -> Optional[bus.Reply]:
+        if request.cmd1 == bus.SYNC:
+            self._synchronised = True
+            return bus.Reply(bus.SYNC)
+        if not self._synchronised:
+            return bus.Reply(bus.INVALID, b'\x10')
+        if request.cmd1 == bus.ECHO:
+            self.echoed += self._echoes
+            return bus.Reply(bus.ECHO, request.data) if self._echoes else None
+        if failing:
+            return bus.Reply(bus.ERROR, b'\2\x80')
+        self.executed.append(request)
+        self.latest[request] = True
+        if request == bus.ENVIRONMENT_REQUEST:
+            self.readings += 1
+            return bus.Reply(bus.OK, bus.Environment(self.readings, 20.0, 50.0).pack())
+        if request.cmd2 in (ONE, TWO):
+            return bus.Reply(bus.OK, bytes((request.cmd2,)) * 6)
+        return bus.Reply(bus.OK, request.data[::-1] if request.cmd2 in (RAW, READ)
+                         else self.ok_data)
+
+
+class Model:
+    """Callers, Master, line and board together."""
+
+    def __init__(self, faults=(), echoes: bool = True, ok_data: bytes = b'') -> None:
+        self.now = 10.0
+        self.board = Board(faults, echoes, ok_data)
+        self.asked: List[Asked] = []
+        logger = logging.getLogger('bus model')
+        logger.propagate = False
+        nonces = itertools.count()
+        self.master = Master(REPLY_TIMEOUT, MOTION_TIMEOUT, SparingLog('bus', logger),
+                             lambda: b'N%03d' % next(nonces))
+        self._decoder = bus.ReplyDecoder()
+        self._line: List[tuple] = []        # (time, number, bytes) on their way to the Master
+        self._number = itertools.count()
+        self._last_byte = 0.0
+        self._connected = False
+        self.connect()
+
+    def connect(self) -> None:
+        """The port opens; nothing of before is in it."""
+        if not self._connected:
+            self._connected = True
+            self._decoder.reset()
+            self._line.clear()
+            self.master.connected(self.now)
+
+    def disconnect(self) -> None:
+        """The port closes."""
+        if self._connected:
+            self._connected = False
+            self.master.disconnected(self.now, 'unplugged')
+
+    def submit(self, kind: str) -> None:
+        """A caller asks; each request can be told from every other."""
+        number = len(self.asked)
+        tag = number.to_bytes(3, 'little')
+        request = {
+            'lift': bus.lift(number % 2, number // 2 % 256),
+            'gimbal': bus.gimbal(number % 4, number // 4 % 256),
+            'raw': bus.Request(bus.FUNCTION, RAW, b'r' + tag),
+            'act': bus.Request(bus.FUNCTION, ACT, b'a' + tag),
+            'read': bus.Request(bus.FUNCTION, READ, b'f' + tag),
+            'test': bus.Request(bus.FUNCTION, TEST, b't' + tag),
+            'air': bus.ENVIRONMENT_REQUEST,
+            'echo': bus.echo(b'e' + tag),
+            'sync': bus.SYNC_REQUEST,
+            'poll air': bus.ENVIRONMENT_REQUEST,
+            'poll one': bus.Request(bus.FUNCTION, ONE),
+            'poll two': bus.Request(bus.FUNCTION, TWO)}[kind]
+        layout = {'raw': None, 'echo': None, 'sync': None, 'read': _READ,
+                  'air': bus.Environment.LAYOUT, 'poll air': bus.Environment.LAYOUT,
+                  'poll one': _VALUE, 'poll two': _VALUE}.get(kind, bus.NO_DATA)
+        slow = kind in ('lift', 'gimbal')
+        call = Call(request, MOTION_TIMEOUT if slow else REPLY_TIMEOUT, kind not in ONCE, 3,
+                    self.now, kind in POLLS, layout)
+        self.asked.append(Asked(call, kind, self.now, self.board.readings))
+        self.master.submit(call)
+
+    def run(self, seconds: float) -> None:
+        """Let time pass."""
+        end = self.now + seconds
+        while True:
+            self._step()
+            due = [end]
+            if self._line:
+                due.append(self._line[0][0])
+            if self._decoder.pending:
+                due.append(self._last_byte + _FRAME_TIMEOUT)
+            deadline = self.master.deadline(self.now)
+            if deadline is not None:
+                due.append(deadline)
+            following = min(due)
+            if following >= end:
+                self.now = end
+                return
+            self.now = max(following, self.now + 1e-4)
+
+    def _step(self) -> None:
+        """As `BusLink.tick`: all that has come is taken in before anything leaves."""
+        while True:
+            while self._line and self._line[0][0] <= self.now:
+                _, _, wire = heapq.heappop(self._line)
+                self._last_byte = self.now
+                self._deliver(self._decoder.feed(wire))
+            while self._decoder.pending and self.now >= self._last_byte + _FRAME_TIMEOUT:
+                self._deliver(self._decoder.give_up())
+            self.master.tick(self.now)
+            if self._decoder.pending or not self.master.wants_to_send(self.now):
+                return
+            request = self.master.next_request(self.now)
+            if request is None:
+                return
+            for when, wire in self.board.take(request, self.now):
+                heapq.heappush(self._line, (when, next(self._number), wire))
+
+    def _deliver(self, frames) -> None:
+        if not self._connected:
+            return
+        for frame in frames:
+            if frame.cause:
+                self.master.damaged(frame, self.now)
+            else:
+                self.master.received(frame, self.now)
+
+    # -- the invariants ---------------------------------------------------------------------
+
+    def check(self) -> None:
+        """What callers were told is true."""
+        for asked in self.asked:
+            outcome = asked.call.outcome
+            if outcome is None:
+                continue
+            request = asked.call.request
+            times = self.board.executed.count(request)
+            said = '%s was told %r and executed %d times' % (request, outcome, times)
+            refused = not outcome.success and outcome.status != TIMEOUT
+            assert not refused or outcome.status in (NOT_SENT, bus.ERROR, bus.INVALID), said
+            if asked.kind in ONCE:
+                if outcome.success:
+                    assert times == 1, said
+                    assert asked.kind == 'raw' or outcome.data == self.board.ok_data, said
+                elif refused:
+                    assert times == 0, said
+                else:
+                    assert times <= 1, said
+            if asked.kind in AGAIN:
+                # It may be sent again; what its caller is told is what the last one led to.
+                if outcome.success:
+                    assert times >= 1 and self.board.latest[request], said
+                elif refused:
+                    assert not self.board.latest.get(request), said
+            if outcome.success:
+                self._check_data(asked, request, outcome.data, said)
+        once = [request for request in self.board.executed
+                if request.cmd2 not in (READ, TEST, ONE, TWO, bus.ENVIRONMENT)]
+        assert len(set(once)) == len(once), 'executed twice'
+
+    @staticmethod
+    def _check_data(asked: Asked, request: bus.Request, data: bytes, said: str) -> None:
+        """The data is this function's own."""
+        if asked.kind in ('raw', 'read'):
+            assert data == request.data[::-1], said
+        elif asked.kind == 'echo':
+            assert data == request.data, said
+        elif asked.kind in ('poll one', 'poll two'):
+            assert data == bytes((request.cmd2,)) * 6, said
+        elif asked.kind in ('air', 'poll air'):
+            reading = bus.Environment.unpack(data)
+            assert (reading.temperature, reading.humidity) == (20.0, 50.0), said
+            # A poll that follows its own kind has no fence, so of a reply that comes twice the
+            # second may be taken for the answer to the same poll sent again.
+            assert asked.kind == 'poll air' or reading.smoke > asked.executed_before, \
+                'a reading from before the call'
+
+    def check_all_answered(self) -> None:
+        """Nobody waits for ever."""
+        assert all(asked.call.outcome is not None for asked in self.asked)

@@ -1,0 +1,280 @@
+"""robot-ctrl-bus: frames and messages of both directions."""
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol_cases import (BOARD_BUS, BUS, BUS_CMD2, DecoderKind, check_case, check_rejected,
+                            decode, give_up, hexed, no_errors, vectors)
+from serial_communication.boards.bus import wire as bus
+from serial_communication.framing.stream import CHECKSUM, FRAMING
+
+VECTORS = vectors('robot_ctrl_bus')
+
+contents = st.one_of(st.binary(max_size=12), st.binary(min_size=250, max_size=260),
+                     st.binary(min_size=1020, max_size=1024),
+                     st.sampled_from((b'\xa5', b'\x5a\xa5', b'\xa5\2\x55\x22\xd0')))
+byte = st.integers(0, 255)
+
+
+def by_name(cases):
+    return pytest.mark.parametrize('case', cases, ids=lambda case: case['name'])
+
+
+def xored(frame):
+    """With its checksum, computed as the definition says it."""
+    checksum = 0
+    for value in frame:
+        checksum ^= value
+    return frame + bytes((checksum,))
+
+
+@by_name(VECTORS['requests'])
+def test_request_vectors_both_ways(case):
+    frame, data = hexed(case['frame']), hexed(case['data'])
+    request = bus.Request(case['cmd1'], case['cmd2'], data)
+    datelen = 0 if case['name'].endswith('Datelen 0x00') else 2
+    assert bus.encode_request(request, datelen) == frame
+    check_case(BOARD_BUS, frame, request, case['cmd1'], case['cmd2'], data)
+
+
+@by_name(VECTORS['replies'])
+def test_reply_vectors_both_ways(case):
+    frame, data = hexed(case['frame']), hexed(case['data'])
+    reply = bus.Reply(case['cmd1'], data)
+    assert bus.encode_reply(reply) == frame
+    assert reply.error_code == case.get('error', 0)
+    check_case(BUS, frame, reply, case['cmd1'], 0, data)
+
+
+@by_name(VECTORS['rejected'])
+def test_rejected_vectors(case):
+    wire = hexed(case['frame'])
+    # The seed's example is longer than the reply that it announces: noise behind it.
+    rest = {FRAMING: 1} if len(wire) > 4 else {}
+    check_rejected(BUS, wire, CHECKSUM, **rest)
+
+
+@by_name(VECTORS['rejected'])
+def test_a_reply_behind_a_rejected_one_is_found(case):
+    reply = bus.Reply(bus.ECHO, b'good')
+    frames, _ = decode(BUS, hexed(case['frame']) + bus.encode_reply(reply))
+    assert [frame.message for frame in frames] == [reply]
+
+
+def test_default_request_helpers_make_the_documented_frames():
+    assert bus.encode_request(bus.lift(0, 100)) == hexed('a5 02 55 20 00 64 b6')
+    assert bus.encode_request(bus.gimbal(3, 90)) == hexed('a5 02 55 21 03 5a 8a')
+    assert bus.encode_request(bus.ENVIRONMENT_REQUEST) == hexed('a5 02 55 22 d0')
+    assert bus.encode_request(bus.SYNC_REQUEST) == hexed('a5 00 00 00 a5')
+    assert bus.encode_request(bus.echo(b'\xde\xad\xbe\xef')) == hexed(
+        'a5 04 01 00 de ad be ef 82')
+
+
+@pytest.mark.parametrize('build, direction, amount, said', [
+    (bus.lift, 2, 10, 'direction is 2, may be 0 (up), 1 (down)'),
+    (bus.lift, -1, 10, 'direction is -1'),
+    (bus.lift, 0, 256, 'distance is 256, may be 0 to 255 mm'),
+    (bus.lift, 0, -1, 'distance is -1'),
+    (bus.gimbal, 4, 10, 'direction is 4, may be 0 (left), 1 (right), 2 (up), 3 (down)'),
+    (bus.gimbal, 3, 256, 'angle is 256, may be 0 to 255 degrees'),
+])
+def test_moves_out_of_range_are_refused_in_words(build, direction, amount, said):
+    with pytest.raises(ValueError) as refusal:
+        build(direction, amount)
+    assert said in str(refusal.value)
+
+
+# -- lengths ------------------------------------------------------------------------------
+
+@pytest.mark.parametrize('size, start', [
+    (0, 'a5 00'), (254, 'a5 fe'), (255, '5a ff 00'), (256, '5a 00 01'), (1024, '5a 00 04')])
+def test_the_flag_follows_the_length(size, start):
+    data = bytes(value % 251 for value in range(size))
+    request, reply = bus.Request(0x77, 0x12, data), bus.Reply(bus.OK, data)
+    wire = bus.encode_request(request)
+    assert wire == xored(hexed(start) + b'\x77\x12' + data)
+    check_case(BOARD_BUS, wire, request, 0x77, 0x12, data)
+    wire = bus.encode_reply(reply)
+    assert wire == xored(hexed(start) + b'\x02' + data)
+    check_case(BUS, wire, reply, bus.OK, 0, data)
+
+
+def test_more_than_the_longest_data_is_not_encoded():
+    for encode, message in ((bus.encode_request, bus.Request(1, 0, bytes(1025))),
+                            (bus.encode_reply, bus.Reply(1, bytes(1025)))):
+        with pytest.raises(ValueError) as refusal:
+            encode(message)
+        assert '1025' in str(refusal.value) and '1024' in str(refusal.value)
+
+
+@pytest.mark.parametrize('kind, commands', [(BUS, b'\2'), (BOARD_BUS, b'\1\0')],
+                         ids=('reply', 'request'))
+@pytest.mark.parametrize('start, size', [
+    ('a5 ff', 255),          # a standard frame ends at 254
+    ('5a fe 00', 254),       # a long one begins at 255
+    ('5a 00 00', 0),
+    ('5a 01 04', 1025),      # longer than is accepted
+    ('5a ff ff', 2000),
+])
+def test_a_length_of_the_wrong_class_is_a_framing_error(kind, commands, start, size):
+    frames, errors = decode(kind, xored(hexed(start) + commands + bytes(size)))
+    assert frames == []
+    assert errors[CHECKSUM] == 0 and errors[FRAMING] >= 1
+
+
+@pytest.mark.parametrize('start', ['a5 ff', '5a fe 00', '5a 01 04', '5a ff ff'])
+def test_a_false_length_is_noticed_at_once_and_what_follows_is_found(start):
+    decoder = bus.ReplyDecoder()
+    assert not [frame for frame in decoder.feed(hexed(start)) if not frame.cause]
+    assert decoder.errors[FRAMING] == 1
+    frames = decoder.feed(bus.encode_reply(bus.Reply(bus.OK)))
+    assert [frame.message for frame in frames if not frame.cause] == [bus.Reply(bus.OK)]
+    assert not decoder.pending
+
+
+@pytest.mark.parametrize('make', [bus.ReplyDecoder, bus.RequestDecoder])
+def test_max_length_is_a_limit_of_both_kinds_of_frame(make):
+    kind = DecoderKind('', lambda: make(max_length=300), 0, b'', b'', True)
+    small = DecoderKind('', lambda: make(max_length=100), 0, b'', b'', True)
+
+    def wire(size):
+        if make is bus.ReplyDecoder:
+            return bus.encode_reply(bus.Reply(bus.OK, bytes(size)))
+        return bus.encode_request(bus.Request(bus.ECHO, 0, bytes(size)))
+
+    assert len(decode(kind, wire(300))[0]) == 1
+    assert decode(kind, wire(301))[0] == []
+    assert len(decode(small, wire(100))[0]) == 1
+    frames, errors = decode(small, wire(101))
+    assert frames == [], 'a standard frame longer than max_length was accepted'
+    assert errors[FRAMING] >= 1 and errors[CHECKSUM] == 0
+
+
+# -- replies with CMD2, environment requests, error codes -------------------------------------
+
+def test_a_reply_may_carry_cmd2():
+    reply = bus.Reply(bus.OK, b'\1\2\3', 0x20)
+    wire = bus.encode_reply(reply, has_cmd2=True)
+    assert wire == xored(hexed('a5 03 02 20 01 02 03'))
+    check_case(BUS_CMD2, wire, reply, bus.OK, 0, b'\1\2\3')
+    assert decode(BUS, wire)[0] == []
+
+
+@given(byte, byte, contents)
+def test_request_round_trip(cmd1, cmd2, data):
+    request = bus.Request(cmd1, cmd2, data)
+    frames, errors = decode(BOARD_BUS, bus.encode_request(request), end=False)
+    assert [frame.message for frame in frames[:1]] == [request] or (
+        # The one request whose first bytes are a whole environment request.
+        (cmd1, cmd2, data[:1]) == (0x55, 0x22, b'\xd0'))
+    assert errors == no_errors(BOARD_BUS)
+    str(request)
+
+
+@given(byte, contents, byte, st.booleans())
+def test_reply_round_trip(cmd1, data, cmd2, has_cmd2):
+    reply = bus.Reply(cmd1, data, cmd2 if has_cmd2 else 0)
+    wire = bus.encode_reply(reply, has_cmd2)
+    assert wire == xored(wire[:-1])
+    frames, errors = decode(BUS_CMD2 if has_cmd2 else BUS, wire, end=False)
+    assert [frame.message for frame in frames] == [reply]
+    assert errors == no_errors(BUS)
+    str(reply)
+
+
+def test_the_board_takes_environment_requests_with_datelen_2_and_0():
+    expected = bus.ENVIRONMENT_REQUEST
+    for datelen in (2, 0):
+        wire = bus.encode_request(expected, datelen)
+        assert wire[1] == datelen and len(wire) == 5
+        # Between others, which must not be taken for its two bytes of DATE.
+        stream = bus.encode_request(bus.lift(0, 7)) + wire * 2 + bus.encode_request(
+            bus.gimbal(1, 9)) + wire
+        frames, errors = decode(BOARD_BUS, stream, end=False)
+        assert [frame.message for frame in frames] == [
+            bus.lift(0, 7), expected, expected, bus.gimbal(1, 9), expected]
+        assert errors == no_errors(BOARD_BUS)
+
+
+def test_an_environment_request_is_answered_without_waiting_for_more_bytes():
+    decoder = bus.RequestDecoder()
+    wire = bus.encode_request(bus.ENVIRONMENT_REQUEST)
+    assert [decoder.feed(wire[at:at + 1]) for at in range(4)] == [[]] * 4
+    assert [frame.message for frame in decoder.feed(wire[4:])] == [bus.ENVIRONMENT_REQUEST]
+
+
+def test_an_environment_request_with_a_wrong_checksum_is_refused():
+    frames, errors = decode(BOARD_BUS, hexed('a5 02 55 22 d1 00 00'))
+    assert frames == [] and errors[CHECKSUM] == 1
+
+
+@pytest.mark.parametrize('cmd1', [bus.ERROR, bus.INVALID])
+@pytest.mark.parametrize('data, code', [
+    ('', 0), ('40', 0x40), ('40 00', 0x40), ('00 80', 0x8000), ('02', 2), ('02 80', 0x8002),
+    ('10', 0x10), ('10 00', 0x10)])
+def test_error_codes_are_one_or_two_bytes_in_either_reply(cmd1, data, code):
+    reply = bus.Reply(cmd1, hexed(data))
+    assert reply.error_code == code
+    assert bus.Reply(bus.OK, hexed(data)).error_code == 0
+    assert '0x%02x' % code in str(reply)
+
+
+@pytest.mark.parametrize('code', sorted(bus.ERROR_TEXTS))
+def test_every_known_error_code_has_words(code):
+    assert bus.describe_error(code) == '0x%02x: %s' % (code, bus.ERROR_TEXTS[code])
+    assert 'not a code' in bus.describe_error(0x1234)
+
+
+# -- the environment -----------------------------------------------------------------------------
+
+def test_environment_values():
+    assert bus.Environment.unpack(hexed('5e 01 03 0a cc 12')) == (350, 25.63, 48.12)
+    assert bus.Environment.unpack(hexed('ff ff 1e fb 10 27')) == (65535, -12.5, 100.0)
+    for size in (0, 5, 7):
+        with pytest.raises(struct.error):
+            bus.Environment.unpack(bytes(size))
+
+
+@given(st.integers(0, 65535), st.integers(-32768, 32767), st.integers(0, 65535))
+def test_environment_round_trip(smoke, centidegrees, centipercent):
+    packed = struct.pack('<HhH', smoke, centidegrees, centipercent)
+    reading = bus.Environment.unpack(packed)
+    assert reading.temperature == pytest.approx(centidegrees / 100)
+    assert reading.humidity == pytest.approx(centipercent / 100)
+    assert reading.pack() == packed
+
+
+# -- damage ---------------------------------------------------------------------------------------
+
+def test_every_single_bit_flip_is_noticed():
+    wire = bus.encode_reply(bus.Reply(bus.OK, bytes(range(40, 60))))
+    for bit in range(len(wire) * 8):
+        damaged = bytearray(wire)
+        damaged[bit // 8] ^= 1 << bit % 8
+        decoder = bus.ReplyDecoder()
+        frames = decoder.feed(bytes(damaged)) + give_up(decoder)
+        assert not [frame for frame in frames if frame.raw == wire]
+        assert not [frame for frame in frames if not frame.cause and len(frame.raw) > 10]
+        assert sum(decoder.errors.values()) >= 1
+
+
+def test_a_reply_is_found_behind_a_reply_cut_short():
+    cut = bus.encode_reply(bus.Reply(bus.OK, bytes(100)))[:50]
+    reply = bus.Reply(bus.ECHO, b'here')
+    frames, errors = decode(BUS, cut + bus.encode_reply(reply))
+    assert [frame.message for frame in frames] == [reply]
+    assert errors == dict(no_errors(BUS), **{FRAMING: 1})
+
+
+@pytest.mark.parametrize('message, said', [
+    (bus.lift(0, 100), 'lift up 100 mm'), (bus.lift(1, 1), 'lift down 1 mm'),
+    (bus.gimbal(2, 30), 'gimbal up 30 degrees'), (bus.ENVIRONMENT_REQUEST, 'environment?'),
+    (bus.SYNC_REQUEST, 'SYNC'), (bus.echo(b'\xab'), 'ECHO ab'),
+    (bus.Request(0x55, 0x20, b'\7\7'), 'request 0x55 0x20 0707'),
+    (bus.Reply(bus.ERROR, b'\2\x80'), 'ERROR 0x8002: the operation failed'),
+    (bus.Reply(bus.INVALID, b'\x40'), 'INVALID 0x40: the checksum did not match'),
+    (bus.Reply(bus.OK), 'OK'), (bus.Reply(0x77, b'\1'), 'reply 0x77 01')])
+def test_messages_read_as_a_person_would_say_them(message, said):
+    assert str(message) == said

@@ -1,0 +1,517 @@
+"""The bus link and a board, over a real tty."""
+import threading
+import time
+
+import pytest
+
+from fake_boards import PATIENCE, BusBoard, until
+from serial_communication.link import link as link_module
+from serial_communication.boards.bus.link import BusLink, BusSettings, _Poller
+from serial_communication.link.link import ERROR, OK, RX, TX, WARN
+from serial_communication.boards.bus.master import NOT_SENT, QUIET, TIMEOUT, Condition
+from serial_communication.transport.port import Port, PortBusy, PortError
+from serial_communication.boards.bus import wire as bus
+from serial_communication.framing.layout import Layout
+
+SHORT = BusSettings(reply_timeout=0.15, motion_timeout=0.3, environment_period=0.0)
+PATIENT = BusSettings(reply_timeout=PATIENCE, motion_timeout=PATIENCE, environment_period=0.0)
+LIFT = bus.lift(0, 100)
+OK_WIRE = bus.encode_reply(bus.Reply(bus.OK))
+
+
+def is_move(request):
+    return request.cmd1 == bus.FUNCTION and request != bus.ENVIRONMENT_REQUEST
+
+
+@pytest.fixture
+def board(line, running):
+    return running(BusBoard(line))
+
+
+@pytest.fixture
+def open_link(line, logger, running):
+    """A function that starts a link with these settings, and waits until it is ready."""
+    def start(settings=PATIENT, ready=True, **arguments):
+        link = running(BusLink(Port(line.path), settings, logger=logger, **arguments))
+        if ready:
+            until(lambda: link.master.synchronised and link.master.in_step)
+        return link
+    return start
+
+
+def in_background(function, *arguments):
+    """Its outcome, in a list that fills as it returns."""
+    outcomes = []
+    thread = threading.Thread(target=lambda: outcomes.append(function(*arguments)),
+                              name='caller', daemon=True)
+    thread.start()
+    return outcomes
+
+
+def test_every_function_is_answered(board, open_link):
+    link = open_link()
+    assert link.lift(0, 100).success and link.gimbal(3, 45).success
+    outcome, reading = link.environment()
+    assert outcome.success and reading == (350, 25.63, 48.12)
+    assert link.echo().success and link.sync().success
+    assert link.request(bus.Request(bus.FUNCTION, 0x30, b'\xa5\x5a')).success
+    assert board.executed == [LIFT, bus.gimbal(3, 45), bus.ENVIRONMENT_REQUEST,
+                              bus.Request(bus.FUNCTION, 0x30, b'\xa5\x5a')]
+    assert board.requests()[0] == bus.SYNC_REQUEST
+    values = dict(link.report(time.monotonic()).values)
+    assert values['timeouts'] == 0 and float(values['round trip p50 [ms]']) >= 0
+    assert link.report(time.monotonic())[:2] == (OK, 'ready')
+
+
+def test_the_environment_is_polled_and_published(board, open_link):
+    readings = []
+    open_link(PATIENT._replace(environment_period=0.01), clock=lambda: 'stamp',
+              on_environment=lambda reading, stamp: readings.append((reading, stamp)))
+    until(lambda: len(readings) >= 5)
+    assert set(readings) == {((350, 25.63, 48.12), 'stamp')}
+    assert set(board.executed) == {bus.ENVIRONMENT_REQUEST}
+
+
+def test_a_poll_comes_once_a_period(board, open_link):
+    readings = []
+    link = open_link(PATIENT._replace(environment_period=60.0),
+                     on_environment=lambda reading, stamp: readings.append(reading))
+    until(lambda: readings)
+    for _ in range(5):
+        assert link.echo().success      # the link has looked five times whether a poll is due
+    assert len(readings) == board.executed.count(bus.ENVIRONMENT_REQUEST) == 1
+
+
+def test_a_poller_keeps_its_pace_and_does_not_make_up_for_what_it_missed():
+    class Asked:
+        outcome = 'answered'
+
+    asked, now = [], [0.0]
+    poller = _Poller(1.0, lambda: asked.append(now[0]) or Asked())
+    poller.start(10.0)
+    for now[0] in (10.0, 10.5, 11.25, 11.75, 12.0, 17.5, 18.0, 18.5, 19.0, 19.5):
+        poller.tick(now[0])
+    assert asked == [10.0, 11.25, 12.0, 17.5, 18.5, 19.5]
+    Asked.outcome = None        # it does not ask again before it is answered
+    for now[0] in (20.5, 21.5, 22.5):
+        poller.tick(now[0])
+    assert len(asked) == 6
+
+
+def test_several_things_are_polled_each_to_its_own(line, board, logger, running):
+    kept = {0x30: [], 0x31: []}
+    board.rule = lambda request: (
+        bus.encode_reply(bus.Reply(bus.OK, bytes((request.cmd2,)))) if is_move(request) else None)
+    link = BusLink(Port(line.path), PATIENT, logger=logger)
+    for cmd2 in kept:
+        link.poll(0.01, bus.Request(bus.FUNCTION, cmd2), Layout('<x', ()), kept[cmd2].append)
+    running(link)
+    until(lambda: all(len(outcomes) >= 3 for outcomes in kept.values()))
+    for cmd2, outcomes in kept.items():
+        assert {outcome.data for outcome in outcomes} == {bytes((cmd2,))}
+
+
+def test_settings_reach_the_wire(line, running, logger):
+    board = running(BusBoard(line, has_cmd2=True))
+    link = running(BusLink(Port(line.path), PATIENT._replace(
+        reply_has_cmd2=True, environment_datelen=0), logger=logger))
+    until(lambda: link.master.synchronised)
+    assert link.environment()[0].success
+    assert bus.encode_request(bus.ENVIRONMENT_REQUEST, 0) in [frame.raw for frame in board.seen]
+
+
+def test_callers_of_many_threads_each_get_their_own_reply(board, open_link):
+    board.rule = lambda request: (
+        bus.encode_reply(bus.Reply(bus.OK, request.data[::-1])) if is_move(request) else None)
+    link = open_link()
+    wrong = []
+
+    def call(base):
+        for number in range(base, base + 20):
+            data = b'%d' % number
+            outcome = link.request(bus.Request(bus.FUNCTION, 0x30, data))
+            if not outcome.success or outcome.data != data[::-1]:
+                wrong.append((data, outcome))
+
+    callers = [threading.Thread(target=call, args=(base,), name='caller %d' % base)
+               for base in (1000, 2000, 3000)]
+    for caller in callers:
+        caller.start()
+    for caller in callers:
+        caller.join(PATIENCE)
+        assert not caller.is_alive()
+    assert wrong == [] and len(board.moves()) == len(set(board.moves())) == 60
+
+
+@pytest.mark.parametrize('wire, status, code', [
+    (bus.encode_reply(bus.Reply(bus.ERROR, b'\2\x80')), bus.ERROR, 0x8002),
+    (bus.encode_reply(bus.Reply(bus.INVALID, b'\x20')), bus.INVALID, 0x20)])
+def test_a_refusal_is_told(board, open_link, wire, status, code):
+    board.rule = lambda request: wire if is_move(request) else None
+    outcome = open_link().lift(0, 100)
+    assert (outcome.status, outcome.error_code, outcome.success) == (status, code, False)
+    assert board.moves() == [LIFT]
+
+
+@pytest.mark.parametrize('request_, is_slow', [
+    (LIFT, True), (bus.gimbal(0, 1), True), (bus.Request(bus.FUNCTION, 0x30), False),
+    (bus.ENVIRONMENT_REQUEST, False), (bus.Request(0x0C, bus.LIFT), False)], ids=str)
+def test_only_lift_and_gimbal_have_the_motion_timeout(board, open_link, request_, is_slow):
+    """Whether the service of their own or a raw request asks for them."""
+    board.rule = lambda request: b'' if request == request_ else None
+    settings = PATIENT._replace(reply_timeout=0.11, motion_timeout=0.22)
+    outcome = open_link(settings).request(request_)
+    assert outcome.status == TIMEOUT
+    assert outcome.message.startswith('no reply within %g s:' % (0.22 if is_slow else 0.11))
+
+
+def test_no_reply_is_a_timeout_and_the_move_is_not_sent_again(board, open_link):
+    board.rule = lambda request: b'' if is_move(request) else None
+    link = open_link(SHORT)
+    outcome = link.lift(0, 100)
+    assert outcome.status == TIMEOUT and 'not known' in outcome.message
+    until(lambda: link.master.in_step)
+    board.rule = lambda request: None
+    assert link.gimbal(0, 1).success
+    assert board.moves() == [LIFT, bus.gimbal(0, 1)]
+    assert dict(link.own_values())['timeouts'] == 1
+
+
+def test_a_late_reply_is_not_taken_for_the_next_requests(board, open_link):
+    """The lift's OK comes just before the echo; the gimbal, asked meanwhile, gets its own."""
+    late = []
+
+    def rule(request):
+        if request.cmd1 == bus.ECHO and late:
+            return late.pop() + bus.encode_reply(board.usual(request))
+        if request == LIFT:
+            late.append(OK_WIRE)
+            return b''
+        if is_move(request):
+            return bus.encode_reply(bus.Reply(bus.ERROR, b'\2\x80'))
+        return None
+
+    link = open_link(SHORT)
+    board.rule = rule
+    assert link.lift(0, 100).status == TIMEOUT
+    outcome = link.gimbal(0, 1)
+    assert outcome.status == bus.ERROR and not late
+
+
+def test_a_refused_lift_is_not_told_as_done_where_the_ok_before_it_comes_twice(board, open_link):
+    """The OK's copy is on its way for 5 ms, so the next lift is asked before it is there."""
+    refused = bus.lift(0, 200)
+
+    def rule(request):
+        if request == LIFT:
+            board.line.write(OK_WIRE)
+            threading.Event().wait(0.005)
+            return OK_WIRE
+        if request == refused:
+            return bus.encode_reply(bus.Reply(bus.ERROR, b'\2\x80'))
+        return None
+
+    board.rule = rule
+    link = open_link()
+    for _ in range(20):
+        assert link.lift(0, 100).success
+        outcome = link.lift(0, 200)
+        assert (outcome.status, outcome.error_code) == (bus.ERROR, 0x8002)
+    assert board.moves() == [LIFT, refused] * 20
+
+
+def twice(board, reply):
+    """Answer, and answer the same 5 ms later."""
+    wire = bus.encode_reply(reply)
+    board.line.write(wire)
+    threading.Event().wait(0.005)
+    return wire
+
+
+def test_a_refused_repeatable_function_is_not_told_as_done_where_the_ok_before_it_comes_twice(
+        board, open_link):
+    own = bus.Request(bus.FUNCTION, 0x30)
+
+    def rule(request):
+        if request == LIFT:
+            return twice(board, bus.Reply(bus.OK))
+        return bus.Reply(bus.ERROR, b'\2\x80') if request == own else None
+
+    board.rule = rule
+    link = open_link()
+    for _ in range(20):
+        assert link.lift(0, 100).success
+        outcome = link.request(own, repeatable=True, reply_layout=bus.NO_DATA)
+        assert (outcome.status, outcome.error_code) == (bus.ERROR, 0x8002)
+    assert board.moves() == [LIFT, own] * 20
+
+
+def test_two_polled_functions_keep_their_values_apart_where_replies_come_twice(
+        line, board, logger, running):
+    kept = {0x30: [], 0x31: []}
+    board.rule = lambda request: (
+        twice(board, bus.Reply(bus.OK, bytes((request.cmd2,)))) if is_move(request) else None)
+    link = BusLink(Port(line.path), PATIENT, logger=logger)
+    for cmd2 in kept:
+        link.poll(0.001, bus.Request(bus.FUNCTION, cmd2), Layout('<x', ()), kept[cmd2].append)
+    running(link)
+    until(lambda: all(len(outcomes) >= 50 for outcomes in kept.values()))
+    for cmd2, outcomes in kept.items():
+        assert {outcome.data for outcome in outcomes} == {bytes((cmd2,))}
+
+
+def test_before_a_move_a_board_that_never_echoes_is_left_in_silence(board, open_link):
+    answered = []       # when the board began to answer
+
+    def rule(request):
+        answered.append(time.monotonic())
+        return b'' if request.cmd1 == bus.ECHO else None
+
+    board.rule = rule
+    link = open_link(SHORT)
+    for _ in range(5):
+        assert link.sync().success
+        before = answered[-1]
+        assert link.lift(0, 100).success
+        assert board.seen[-1].message == LIFT
+        assert board.seen[-1].stamp - before >= QUIET
+
+
+@pytest.mark.parametrize('data', [b'\0', bytes(6)], ids=len)
+def test_a_board_may_answer_moves_with_data(board, open_link, data):
+    board.rule = lambda request: (
+        bus.encode_reply(bus.Reply(bus.OK, data)) if is_move(request) else None)
+    link = open_link()
+    for _ in range(3):
+        for outcome in (link.lift(0, 100), link.gimbal(3, 45)):
+            assert outcome.success and outcome.data == data
+
+
+def test_a_reading_of_a_wrong_length_is_told_as_that_and_holds_nobody_up(board, open_link, lines):
+    """The timeouts are longer than this test may take."""
+    board.rule = lambda request: (
+        bus.encode_reply(bus.Reply(bus.OK, bytes(4))) if request == bus.ENVIRONMENT_REQUEST
+        else None)
+    readings = []
+    link = open_link(PATIENT._replace(environment_period=0.01, reply_timeout=60.0),
+                     on_environment=lambda reading, stamp: readings.append(reading))
+    outcome, reading = link.environment()
+    assert (outcome.success, outcome.status, reading) == (False, bus.OK, None)
+    assert '4 bytes' in outcome.message and '6 were expected' in outcome.message
+    for _ in range(10):
+        assert link.lift(0, 100).success
+    assert not readings and len(lines('6 were expected')) == 1
+    assert not lines('no reply')
+    assert link.error_count() >= 2 and dict(link.own_values())['timeouts'] == 0
+
+
+def test_a_damaged_reply_is_a_timeout_told_at_once(board, open_link):
+    board.rule = lambda request: b'\xa5\0\2\0' if is_move(request) else None
+    link = open_link()       # its timeouts are longer than this test may take
+    outcome = link.lift(0, 100)
+    assert outcome.status == TIMEOUT and 'damaged' in outcome.message
+    assert board.moves() == [LIFT]
+    until(lambda: link.master.in_step)
+    assert dict(link.report(0).values)['checksum errors'] == 1
+
+
+def test_a_damaged_reading_is_asked_for_again(board, open_link):
+    answers = [b'\xa5\0\2\0']
+    board.rule = lambda request: (
+        answers.pop() if request == bus.ENVIRONMENT_REQUEST and answers else None)
+    assert open_link().environment()[0].success and not answers
+
+
+@pytest.mark.parametrize('noise', [b'\x11\x22\x33', b'\xa5\xff', b'\x00' * 200])
+def test_noise_during_a_motion_does_not_cost_the_good_reply_behind_it(board, open_link, noise):
+    board.rule = lambda request: noise + OK_WIRE if is_move(request) else None
+    link = open_link()
+    assert link.lift(0, 100).success
+    assert board.moves() == [LIFT]
+    assert link.gimbal(0, 1).success
+    assert bus.ECHO in [request.cmd1 for request in board.requests()]
+
+
+def test_a_frame_that_stays_incomplete_is_given_up(board, open_link):
+    """A false start whose length swallows the reply holds it for `frame_timeout`, no longer."""
+    board.rule = lambda request: b'\xa5\xc8' + OK_WIRE if is_move(request) else None
+    link = open_link(frame_timeout=0.1)
+    assert link.lift(0, 100).success
+    assert link.decoder.errors['framing'] == 1
+
+
+def test_frame_timeout_is_as_long_as_it_says(board, open_link):
+    """Within it, a reply in two pieces is one reply."""
+    board.rule = lambda request: OK_WIRE[:2] if is_move(request) else None
+    link = open_link(frame_timeout=PATIENCE * 2)
+    outcomes = in_background(link.lift, 0, 100)
+    until(board.moves)
+    until(lambda: link.decoder.pending)
+    board.line.write(OK_WIRE[2:])
+    assert until(lambda: outcomes)[0].success
+    assert not any(link.decoder.errors.values())
+
+
+def test_no_request_leaves_while_a_reply_is_coming_in(board, open_link):
+    """It would be taken for the request's. It is nobody's, so an ECHO goes before the request."""
+    link = open_link(frame_timeout=PATIENCE * 2)
+    board.line.write(OK_WIRE[:2])
+    until(lambda: link.decoder.pending)
+    known = len(board.seen)
+    outcomes = in_background(link.lift, 0, 100)
+    until(lambda: link.master.wants_to_send(time.monotonic()))
+    threading.Event().wait(0.1)
+    assert len(board.seen) == known and not outcomes
+    board.line.write(OK_WIRE[2:])
+    assert until(lambda: outcomes)[0].success
+    assert [request.cmd1 for request in board.requests()][known:] == [bus.ECHO, bus.FUNCTION]
+
+
+def test_a_reset_board_is_synchronised_and_the_move_is_executed_once(board, open_link):
+    link = open_link()
+    answers = [bus.encode_reply(bus.Reply(bus.INVALID, b'\x10'))]
+    board.rule = lambda request: answers.pop() if answers and is_move(request) else None
+    assert link.lift(0, 100).success
+    assert board.executed == [LIFT]
+    assert [request.cmd1 for request in board.requests()][-3:] == [
+        bus.SYNC, bus.ECHO, bus.FUNCTION]
+
+
+def test_arguments_that_cannot_be_are_refused_here(board, open_link):
+    link = open_link()
+    for outcome, said in ((link.lift(2, 10), 'direction is 2'),
+                          (link.gimbal(0, 256), 'angle is 256'),
+                          (link.request(bus.Request(1, 0, bytes(1025))), '1025')):
+        assert outcome.status == NOT_SENT and said in outcome.message
+        assert 'nothing was sent' in outcome.message
+    assert board.executed == []
+
+
+# -- the port goes and comes ----------------------------------------------------------------------
+
+def test_a_closed_port_refuses_at_once(line, logger, running):
+    link = running(BusLink(Port(line.path + '.absent'), PATIENT, logger=logger))
+    for outcome in (link.lift(0, 1), link.echo(), link.environment()[0]):
+        assert outcome.status == NOT_SENT and 'closed' in outcome.message
+    assert link.report(time.monotonic()).level == ERROR
+
+
+def test_a_port_that_closes_during_a_motion_leaves_its_outcome_unknown(board, open_link):
+    board.rule = lambda request: b'' if is_move(request) else None
+    link = open_link()
+    moving = in_background(link.lift, 0, 100)
+    until(board.moves)
+    waiting = in_background(link.gimbal, 0, 1)
+    until(lambda: link.master._waiting())
+    with board.unplugged():
+        assert until(lambda: moving)[0].status == TIMEOUT
+        assert until(lambda: waiting)[0].status == NOT_SENT
+        assert link.lift(0, 100).status == NOT_SENT
+    board.rule = lambda request: None
+    until(lambda: link.master.synchronised and link.master.in_step)
+    assert link.reconnects == 1
+    assert link.echo().success
+    assert board.moves() == [LIFT], 'something of before went out after the reconnect'
+    assert link.lift(0, 100).success
+
+
+def test_a_port_that_is_absent_at_start_is_waited_for(line, logger, running, lines):
+    line.unplug()
+    link = running(BusLink(Port(line.path), PATIENT, logger=logger))
+    until(lambda: lines('there is no such device'))
+    line.plug()
+    running(BusBoard(line))
+    until(lambda: link.master.synchronised)
+    assert link.lift(0, 100).success and link.reconnects == 0
+
+
+def test_stopping_answers_those_who_wait(board, open_link):
+    board.rule = lambda request: b'' if is_move(request) else None
+    link = open_link()
+    moving = in_background(link.lift, 0, 100)
+    until(board.moves)
+    link.stop()
+    link.join()
+    assert until(lambda: moving)[0].status == TIMEOUT
+    assert not link.port.is_open
+    assert link.lift(0, 1).status == NOT_SENT
+
+
+def test_a_board_that_is_silent_is_reported(line, logger, running, lines, monkeypatch):
+    monkeypatch.setattr(link_module, 'FIRST_WORD', 0.5)
+    link = running(BusLink(Port(line.path), SHORT, logger=logger))
+    until(lambda: link.report(time.monotonic()).level == ERROR
+          and link.report(time.monotonic()).summary == 'the board does not answer SYNC')
+    begun = time.monotonic()
+    assert link.lift(0, 1).status == NOT_SENT
+    assert time.monotonic() - begun < SHORT.motion_timeout + PATIENCE / 2
+    until(lambda: lines('does not answer SYNC'))      # not at once: it may still start
+    assert len(lines('does not answer SYNC')) == 1
+
+
+@pytest.mark.parametrize('condition, level, talks', [
+    (Condition.READY, OK, True), (Condition.SYNCHRONISING, WARN, None),
+    (Condition.OUT_OF_STEP, WARN, None), (Condition.NO_ECHO, ERROR, None),
+    (Condition.NO_SYNC, ERROR, 'as any link')])
+def test_the_condition_is_a_level_and_a_word(board, open_link, monkeypatch, condition, level,
+                                             talks):
+    link = open_link()
+    monkeypatch.setattr(link.master, 'condition', lambda: condition)
+    monkeypatch.setattr(link, 'is_silent', lambda now: 'as any link')
+    assert link.condition(0.0) == (level, condition.value or 'ready')
+    assert link.talks(0.0) == talks
+
+
+def test_a_port_that_takes_no_data_is_not_asked_all_the_time(line, logger, running):
+    """What cannot leave now is tried again after a while, not ten thousand times a second."""
+    class Stuck(Port):
+        tries = 0
+
+        def write(self, frame):
+            if not self.is_open:
+                raise PortError('closed')
+            self.tries += 1
+            raise PortBusy('the port takes no data')
+
+    port = Stuck(line.path)
+    link = running(BusLink(port, SHORT, logger=logger))
+    until(lambda: port.tries)
+    before = port.tries
+    ended = threading.Event()
+    ended.wait(0.3)
+    tries = port.tries - before
+    link.stop()
+    link.join()
+    closed = not port.is_open
+    port.close()          # so that a thread that spins comes to its end
+    assert tries < 100
+    assert closed, 'the link did not end within a second'
+
+
+def test_the_tap_sees_every_frame_both_ways(board, open_link):
+    link = open_link()
+    tapped = []
+    link.tap = lambda name, direction, frame: tapped.append((name, direction, frame))
+    board.rule = lambda request: b'\x11\x22' + OK_WIRE if is_move(request) else None
+    link.lift(0, 100)
+    until(lambda: link.master.in_step)
+    until(lambda: len(tapped) >= 5)
+    assert [(name, direction, str(frame.message or frame.cause))
+            for name, direction, frame in tapped[:3]] == [
+                ('bus', TX, 'lift up 100 mm'), ('bus', RX, 'framing'), ('bus', RX, 'OK')]
+    assert tapped[0][2].raw == bus.encode_request(LIFT)
+
+
+def test_a_fault_in_a_callback_does_not_leave_the_link_dead(board, open_link, lines):
+    broken = [True]
+
+    def on_environment(reading, stamp):
+        if broken:
+            broken.pop()
+            raise RuntimeError('a fault of the callback')
+
+    link = open_link(PATIENT._replace(environment_period=0.02), on_environment=on_environment)
+    until(lambda: not broken and link.reconnects)
+    until(lambda: link.master.synchronised and link.master.in_step)
+    assert link.lift(0, 100).success
+    assert lines('a fault of the callback')

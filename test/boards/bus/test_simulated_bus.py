@@ -1,0 +1,350 @@
+"""The simulated main control board."""
+import contextlib
+import threading
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from simulation_bench import Bench, running, until
+
+from serial_communication.boards.bus.link import BusLink, BusSettings
+from serial_communication.transport.port import Port
+from serial_communication.boards.bus import wire as bus
+from serial_communication.boards.bus.simulator import MEMORY, ControlBoard
+from serial_communication.simulation.faults import Faults, parse
+
+SYNC = bus.encode_request(bus.SYNC_REQUEST)
+LIFT_10 = bus.encode_request(bus.lift(0, 10))
+
+
+def make(synchronised=True, **arguments):
+    bench = Bench(ControlBoard(**arguments),
+                  bus.ReplyDecoder(arguments.get('reply_has_cmd2', False)))
+    if synchronised:
+        bench.feed(SYNC)
+        assert bench.messages() == [bus.Reply(bus.SYNC)]
+    return bench
+
+
+def ask(bench, request, seconds=4.0):
+    """The replies within `seconds`."""
+    bench.feed(request if isinstance(request, bytes) else bus.encode_request(request))
+    bench.run(seconds)
+    return bench.messages()
+
+
+def damaged(frame):
+    return frame[:-1] + bytes((frame[-1] ^ 1,))
+
+
+def test_needs_sync_first():
+    bench = make(synchronised=False)
+    assert ask(bench, bus.lift(0, 10)) == [bus.Reply(bus.INVALID, b'\x10')]
+    assert bench.board.lift.at(bench.now) == 500
+    assert ask(bench, bus.SYNC_REQUEST) == [bus.Reply(bus.SYNC)]
+    assert ask(bench, bus.lift(0, 10)) == [bus.Reply(bus.OK)]
+
+
+@pytest.mark.parametrize('size', [0, 4, 254, 255, 1024])
+def test_echo(size):
+    data = bytes(range(256)) * 4
+    assert ask(make(), bus.echo(data[:size])) == [bus.Reply(bus.ECHO, data[:size])]
+
+
+def test_lift_takes_its_time_and_moves_by_what_was_asked():
+    bench = make()
+    bench.feed(bus.encode_request(bus.lift(1, 200)))
+    bench.run(1.0)
+    assert bench.board.lift.at(bench.now) == pytest.approx(400)
+    assert bench.messages() == []
+    bench.run(1.01)
+    assert bench.messages() == [bus.Reply(bus.OK)]
+    assert bench.board.lift.at(bench.now) == 300
+    assert bench.said[-1] == 'lift: down 200 mm: 500 -> 300 mm'
+
+
+def test_longest_motions_end_before_a_master_gives_up():
+    for request in (bus.lift(0, 255), bus.gimbal(0, 180), bus.gimbal(2, 90)):
+        assert ask(make(), request, BusSettings().motion_timeout * 0.7) == [bus.Reply(bus.OK)]
+
+
+def test_lift_refuses_to_leave_its_range():
+    bench = make()
+    assert [ask(bench, bus.lift(0, 250)) for _ in range(2)] == 2 * [[bus.Reply(bus.OK)]]
+    assert ask(bench, bus.lift(0, 1)) == [bus.Reply(bus.ERROR, b'\x02\x80')]
+    assert bench.board.lift.at(bench.now) == 1000
+    assert ask(bench, bus.lift(1, 255)) == [bus.Reply(bus.OK)]
+    assert len(bench.notes.of('executed')) == 4     # SYNC and three moves
+
+
+@pytest.mark.parametrize('direction, angle, pan, tilt', [
+    (0, 30, 30, 0), (1, 30, -30, 0), (2, 90, 0, 90), (3, 45, 0, -45)])
+def test_gimbal(direction, angle, pan, tilt):
+    bench = make()
+    assert ask(bench, bus.gimbal(direction, angle)) == [bus.Reply(bus.OK)]
+    assert (bench.board.pan.at(bench.now), bench.board.tilt.at(bench.now)) == (pan, tilt)
+
+
+@pytest.mark.parametrize('direction, angle', [(0, 181), (1, 181), (2, 91), (3, 46)])
+def test_gimbal_limits(direction, angle):
+    bench = make()
+    assert ask(bench, bus.gimbal(direction, angle)) == [bus.Reply(bus.ERROR, b'\x02\x80')]
+    assert (bench.board.pan.at(bench.now), bench.board.tilt.at(bench.now)) == (0, 0)
+
+
+@pytest.mark.parametrize('request_, code', [
+    (bus.Request(0x55, 0x20, b'\x02\x10'), 0x8001),
+    (bus.Request(0x55, 0x20, b'\x00'), 0x8001),
+    (bus.Request(0x55, 0x20, b'\x00\x10\x00'), 0x8001),
+    (bus.Request(0x55, 0x21, b'\x04\x10'), 0x8001),
+    (bus.Request(0x55, 0x22, b'\x04\x10\x10'), 0x8001),
+    (bus.Request(0x55, 0x23), 0x8000),
+    (bus.Request(0x02), 0x8000),
+    (bus.Request(0xFF), 0x8000)])
+def test_refusals(request_, code):
+    bench = make()
+    reply, = ask(bench, request_)
+    assert reply.cmd1 == bus.ERROR and reply.error_code == code
+    assert len(bench.notes.of('executed')) == 1     # the SYNC
+
+
+@pytest.mark.parametrize('datelen', [0, 2])
+def test_environment(datelen):
+    bench = make()
+    replies = ask(bench, bus.encode_request(bus.ENVIRONMENT_REQUEST, datelen))
+    first, = [bus.Environment.unpack(reply.data) for reply in replies]
+    assert 50 < first.smoke < 250 and 15 < first.temperature < 30 and 30 < first.humidity < 60
+    bench.run(60)
+    second = bus.Environment.unpack(ask(bench, bus.ENVIRONMENT_REQUEST)[0].data)
+    assert second != first
+
+
+def test_function_that_no_bridge_knows():
+    bench = make()
+    assert ask(bench, bus.Request(0x55, MEMORY, b'abc')) == [bus.Reply(bus.OK, b'abc')]
+    assert bench.board.memory == b'abc'
+
+
+def test_replies_with_cmd2():
+    assert ask(make(reply_has_cmd2=True), bus.lift(0, 1)) == [bus.Reply(bus.OK, b'', 0x20)]
+
+
+def test_too_long():
+    bench = make(max_length=300)
+    assert ask(bench, bus.echo(bytes(301))) == [bus.Reply(bus.INVALID, b'\x20')]
+    assert ask(bench, bus.echo(bytes(300))) == [bus.Reply(bus.ECHO, bytes(300))]
+
+
+@pytest.mark.parametrize('start', ['5affff', '5a0104', '5a0004', 'a5fe'])
+def test_a_false_length_holds_no_request_for_long_though_others_follow(start):
+    bench = make()
+    bench.feed(bytes.fromhex(start))
+    for _ in range(10):
+        bench.run(0.03)
+        bench.feed(bus.encode_request(bus.echo(b'hello')))
+    assert bench.messages()[:3] == [bus.Reply(bus.ECHO, b'hello')] * 3
+
+
+def test_damaged_request_is_answered_once_after_quiet():
+    bench = make()
+    bench.feed(damaged(LIFT_10))
+    bench.run(0.045)
+    assert bench.messages() == []
+    bench.run(4)
+    assert bench.messages() == [bus.Reply(bus.INVALID, b'\x40')]
+    assert ask(bench, LIFT_10) == [bus.Reply(bus.OK)]
+    assert bench.board.lift.at(bench.now) == 510
+
+
+@pytest.mark.parametrize('noise', [b'\x00', b'\xa5', b'\xa5\x00\x01', b'\x5a', damaged(LIFT_10),
+                                   b'\xa5\x00\x00\x00\x11'])
+def test_noise_around_a_request_gets_no_answer_of_its_own(noise):
+    """An INVALID here would make a Master send the request again: two moves."""
+    for data in (noise + LIFT_10, LIFT_10 + noise, noise + LIFT_10 + noise):
+        bench = make()
+        assert ask(bench, data) == [bus.Reply(bus.OK)]
+        assert bench.board.lift.at(bench.now) == 510
+    bench = make()
+    bench.feed(noise)
+    bench.run(0.03)
+    assert ask(bench, LIFT_10) == [bus.Reply(bus.OK)]
+
+
+@pytest.mark.parametrize('data', [b'\x01\x02\x03', LIFT_10[:-1], LIFT_10[1:], b'\xa5', b'\x5a\xff'])
+def test_noise_and_cut_requests_get_no_answer(data):
+    bench = make()
+    assert ask(bench, data) == []
+    assert ask(bench, LIFT_10) == [bus.Reply(bus.OK)]
+
+
+def test_partial_request_is_given_up_after_50_ms():
+    bench = make()
+    bench.feed(LIFT_10[:4])
+    bench.run(0.06)
+    assert ask(bench, LIFT_10[4:]) == []
+    assert bench.board.lift.at(bench.now) == 500
+
+
+def test_requests_during_a_motion_are_answered_after_it():
+    bench = make()
+    bench.feed(LIFT_10 + bus.encode_request(bus.echo(b'1')) + bus.encode_request(bus.echo(b'2')))
+    assert bench.messages() == []
+    bench.run(1)
+    assert bench.messages() == [bus.Reply(bus.OK), bus.Reply(bus.ECHO, b'1'),
+                                bus.Reply(bus.ECHO, b'2')]
+
+
+def test_reset_forgets_the_sync_and_leaves_the_lift_where_it_is():
+    bench = make()
+    bench.feed(bus.encode_request(bus.lift(0, 100)))
+    bench.run(0.5)
+    bench.board.power_off(bench.now)
+    bench.board.power_on(bench.now)
+    assert bench.board.lift.at(bench.now + 9) == pytest.approx(550)
+    assert ask(bench, LIFT_10) == [bus.Reply(bus.INVALID, b'\x10')]
+
+
+@given(st.lists(st.tuples(st.binary(max_size=40) | st.sampled_from(
+    [SYNC, LIFT_10, damaged(LIFT_10), b'\xa5', b'\x5a\x00\x04']), st.floats(0, 0.2))))
+def test_survives_anything_and_never_answers_more_than_it_was_asked(chunks):
+    bench = make()
+    before = len(bench.notes.of('request'))
+    for data, pause in chunks:
+        bench.feed(data)
+        bench.run(pause)
+    bench.run(3)
+    assert len(bench.notes.of('tx')) - 1 <= len(bench.notes.of('request')) - before
+    bench.feed(SYNC)
+    assert bench.messages()[-1] == bus.Reply(bus.SYNC)
+
+
+def test_journal_of_a_request():
+    bench = make()
+    ask(bench, LIFT_10)
+    request, executed = bench.notes.of('request')[-1], bench.notes.of('executed')[-1]
+    done, reply = bench.notes.of('done')[-1], bench.notes.of('tx')[-1]
+    assert request == {'k': 2, 'raw': LIFT_10.hex(), 'sound': True, 'text': 'lift up 10 mm'}
+    assert executed == {'n': 2, 'k': 2, 'raw': LIFT_10.hex(), 'cmd1': 0x55, 'cmd2': 0x20,
+                        'data': '000a', 'text': 'lift up 10 mm'}
+    assert done['k'] == 2 and done['lift'] == 510
+    assert reply['k'] == 2 and reply['ok'] and reply['raw'] == 'a50002a7'
+
+
+def test_what_a_fault_made_of_a_request_is_not_called_genuine():
+    """Insert faults until one makes a sound request of another: the checksum cannot tell."""
+    bench = Bench(ControlBoard(), bus.ReplyDecoder(),
+                  faults=Faults(parse(['rx-insert=1'], ControlBoard), 5))
+    bench.board.synchronised = True
+    request = bus.encode_request(bus.lift(0, 0xD2))
+    for _ in range(4000):
+        bench.feed(request)
+        bench.run(0.2)
+        bench.board.power_off(bench.now)
+        bench.board.power_on(bench.now)
+        bench.board.synchronised = True
+    sound = [fields for fields in bench.notes.of('request') if fields['sound']]
+    odd = [fields for fields in sound if fields['raw'] != request.hex()]
+    assert sound and odd
+    assert all(('genuine' in fields) == (fields['raw'] != request.hex()) for fields in sound)
+
+
+# -- with the real Master over a real tty -------------------------------------------------------
+
+
+@pytest.fixture
+def master(cable):
+    board = ControlBoard(lift_speed=2000, gimbal_speed=2000)
+    with running(board, cable.b) as notes:
+        link = BusLink(Port(cable.a), BusSettings(environment_period=0.05))
+        link.board, link.notes = board, notes
+        link.start()
+        until(lambda: link.master.synchronised, 'SYNC')
+        yield link
+        link.stop()
+        link.join(10.0)
+
+
+def test_link_moves_the_lift_once(master):
+    assert master.lift(0, 100).success
+    assert master.board.lift.at(1e9) == 600
+    assert master.lift(1, 50).success
+    assert master.board.lift.at(1e9) == 550
+    lifts = [fields for fields in master.notes.of('executed') if fields['cmd2'] == bus.LIFT]
+    assert [fields['data'] for fields in lifts] == ['0064', '0132']
+
+
+def test_link_is_told_of_refusals(master):
+    for _ in range(2):
+        assert master.lift(0, 250).success
+    outcome = master.lift(0, 1)
+    assert (outcome.status, outcome.error_code) == (bus.ERROR, bus.OPERATION_FAILED)
+    outcome = master.request(bus.Request(0x55, 0x77))
+    assert (outcome.status, outcome.error_code) == (bus.ERROR, bus.UNSUPPORTED)
+
+
+def test_link_turns_the_gimbal_and_reads_the_air(master):
+    assert master.gimbal(1, 40).success and master.gimbal(2, 20).success
+    assert (master.board.pan.at(1e9), master.board.tilt.at(1e9)) == (-40, 20)
+    outcome, air = master.environment()
+    assert outcome.success and 50 < air.smoke < 250
+    assert master.echo().success
+
+
+@pytest.fixture
+def odd_board(cable):
+    """A function that starts a board of these arguments and a link to it."""
+    links, boards = [], contextlib.ExitStack()
+
+    def start(**arguments):
+        boards.enter_context(running(ControlBoard(
+            lift_speed=2000, gimbal_speed=2000, **arguments), cable.b))
+        links.append(BusLink(Port(cable.a), BusSettings(reply_timeout=0.1,
+                                                        environment_period=0.0)))
+        links[0].start()
+        until(lambda: links[0].master.in_step, 'the board is found')
+        return links[0]
+
+    yield start
+    links[0].stop()
+    boards.close()
+
+
+def test_link_takes_data_in_the_ok_to_a_move(odd_board):
+    link = odd_board(ok_data=b'\1\2')
+    for _ in range(3):
+        outcome = link.lift(0, 10)
+        assert outcome.success and outcome.data == b'\1\2'
+
+
+def test_link_serves_a_board_that_never_echoes(odd_board):
+    link = odd_board(echoes=False)
+    assert link.lift(0, 10).success and link.gimbal(0, 5).success
+    assert not link.echo().success
+
+
+def test_link_serves_many_callers_each_its_own_reply(master):
+    outcomes = {}
+
+    def call(number):
+        data = b'%d' % number
+        outcomes[data] = [master.request(bus.Request(0x55, MEMORY, data)) for _ in range(10)]
+
+    callers = [threading.Thread(target=call, args=(number,)) for number in range(5)]
+    for caller in callers:
+        caller.start()
+    for caller in callers:
+        caller.join(10)
+    assert all(outcome.success and outcome.data == data
+               for data, row in outcomes.items() for outcome in row)
+
+
+def test_recovers_from_a_pulled_cable(master, cable):
+    cable.unplug()
+    until(lambda: not master.port.is_open, 'the loss')
+    assert not master.lift(0, 10).success
+    cable.plug()
+    until(lambda: master.port.is_open and master.master.synchronised, 'the return')
+    before = master.board.lift.at(1e9)
+    assert master.lift(0, 10).success
+    assert master.board.lift.at(1e9) == before + 10
+    assert [fields['open'] for fields in master.notes.of('port')][-3:] == [True, False, True]

@@ -1,0 +1,170 @@
+"""The sensor board's frames."""
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol_cases import (MCU, check_case, check_rejected, decode, give_up, good, hexed,
+                            no_errors, vectors)
+from serial_communication.boards.mcu import wire as mcu
+from serial_communication.framing.stream import CHECKSUM, FRAMING, UNKNOWN
+
+VECTORS = vectors('mcu')
+
+uint16 = st.integers(0, 0xFFFF)
+hundredths = st.integers(-0x8000, 0x7FFF)
+seqs = st.integers(0, 255)
+
+
+def sealed(type_, seq, payload, length=None):
+    """A frame by the definition; `length` where its LEN is to be another."""
+    body = bytes((type_, seq)) + payload
+    crc = 0
+    for value in body:
+        crc ^= value
+    return bytes((2, len(body) if length is None else length)) + body + bytes((crc, 3))
+
+
+def status(raw_yaw=0, raw_pitch=0, raw_roll=0, range_1=100, range_2=200, seq=0):
+    return sealed(0x10, seq, struct.pack('<HHhhh', range_1, range_2, raw_yaw, raw_pitch,
+                                         raw_roll))
+
+
+def message_of(frame):
+    value = frame['value']
+    if frame['type'] == 0x01:
+        return mcu.AdcStatus(*value['adc'])
+    return mcu.SensorStatus(value['vl53_1'], value['vl53_2'], value['yaw'], value['pitch'],
+                            value['roll'])
+
+
+@pytest.mark.parametrize('frame', VECTORS['frames'], ids=lambda frame: frame['frame'][:20])
+def test_vectors_both_ways(frame):
+    wire, message = hexed(frame['frame']), message_of(frame)
+    assert mcu.encode(message, frame['seq']) == wire
+    assert sealed(frame['type'], frame['seq'], wire[4:-2]) == wire
+    check_case(MCU, wire, message, frame['type'], frame['seq'], wire[4:-2])
+
+
+@pytest.mark.parametrize('case, cause', zip(VECTORS['rejected'], (CHECKSUM, FRAMING)),
+                         ids=lambda case: case['name'] if isinstance(case, dict) else case)
+def test_rejected_vectors(case, cause):
+    check_rejected(MCU, hexed(case['frame']), cause)
+
+
+# -- LEN and TYPE ---------------------------------------------------------------------------------
+
+@pytest.mark.parametrize('length', [0, 1])
+def test_a_len_under_2_is_a_framing_error(length):
+    check_rejected(MCU, bytes((2, length)), FRAMING)
+    good_one = status()
+    frames, errors = decode(MCU, bytes((2, length)) + good_one, end=False)
+    assert [frame.raw for frame in frames] == [good_one]
+    assert errors == dict(no_errors(MCU), **{FRAMING: 1})
+
+
+def test_a_len_under_2_is_noticed_at_once():
+    decoder = mcu.Decoder()
+    decoder.feed(b'\x02\x01')
+    assert decoder.errors[FRAMING] == 1 and not decoder.pending
+
+
+@pytest.mark.parametrize('type_, own', [(0x10, 12), (0x01, 14)])
+def test_a_known_type_has_one_len(type_, own):
+    for length in range(2, 256):
+        wire = sealed(type_, 7, bytes(length - 2))
+        frames, errors = decode(MCU, wire, end=False)
+        if length == own:
+            assert len(frames) == 1 and errors == no_errors(MCU)
+        else:
+            assert frames == [] and errors[FRAMING] >= 1 and errors[CHECKSUM] == 0
+
+
+def test_a_wrong_len_of_a_known_type_is_noticed_at_once():
+    decoder = mcu.Decoder()
+    decoder.feed(bytes((2, 200, 0x10)))
+    assert decoder.errors[FRAMING] == 1 and not decoder.pending
+    assert len(good(decoder.feed(status()))) == 1
+
+
+@pytest.mark.parametrize('type_', [0, 2, 3, 0x11, 0xFF])
+@pytest.mark.parametrize('size', [0, 1, 253])
+def test_a_sound_frame_of_an_unknown_type_is_given_and_counted(type_, size):
+    payload = bytes(value % 200 + 4 for value in range(size))
+    wire = sealed(type_, 5, payload)
+    assert mcu.encode_raw(type_, 5, payload) == wire
+    frames, errors = decode(MCU, wire, end=False)
+    assert [(frame.type, frame.command, frame.data, frame.message) for frame in frames] == [
+        (type_, 5, payload, None)]
+    assert errors == dict(no_errors(MCU), **{UNKNOWN: 1})
+
+
+def test_every_single_bit_flip_is_noticed():
+    """But of an unknown TYPE's SEQ or so: XOR sees any one bit, LEN and ETX their own."""
+    wire = status(1234, -567, 890, 400, 500, 77)
+    for bit in range(len(wire) * 8):
+        damaged = bytearray(wire)
+        damaged[bit // 8] ^= 1 << bit % 8
+        decoder = mcu.Decoder()
+        frames = decoder.feed(bytes(damaged)) + give_up(decoder)
+        assert good(frames) == []
+        assert sum(decoder.errors.values()) >= 1
+
+
+# -- values ---------------------------------------------------------------------------------------
+
+def test_yaw_over_the_whole_int16_range():
+    """Under -180° it is a heading that wrapped; everything else is as it stands."""
+    for raw in range(-0x8000, 0x8000):
+        message = mcu.SensorStatus.unpack(struct.pack('<HHhhh', 1, 2, raw, 3, 4))
+        heading = raw + 65536 if raw < -18000 else raw
+        assert message.yaw == heading / 100
+        assert message.pack()[4:6] == struct.pack('<h', raw)
+
+
+@pytest.mark.parametrize('heading', [0.0, 179.99, 180.0, 327.67, 327.68, 350.0, 359.99])
+def test_every_heading_of_the_board_survives_its_int16(heading):
+    sent = mcu.SensorStatus(1, 2, heading, 0.0, 0.0)
+    (frame,), _ = decode(MCU, mcu.encode(sent, 0))
+    assert frame.message == sent
+
+
+@pytest.mark.parametrize('raw, yaw', [(-18000, -180.0), (-18001, 475.35), (-30536, 350.0),
+                                      (32767, 327.67), (-32768, 327.68)])
+def test_the_edges_of_the_wrap(raw, yaw):
+    (frame,), _ = decode(MCU, status(raw))
+    assert frame.message.yaw == yaw
+
+
+def test_pitch_and_roll_do_not_wrap():
+    (frame,), _ = decode(MCU, status(0, -20000, -30000))
+    assert (frame.message.pitch, frame.message.roll) == (-200.0, -300.0)
+
+
+@pytest.mark.parametrize('ranges, valid', [
+    ((0, 0), True), ((0xFFFE, 8190), True), ((0xFFFF, 8190), False), ((1, 0xFFFF), False)])
+def test_a_status_is_valid_unless_a_range_sensor_timed_out(ranges, valid):
+    (frame,), _ = decode(MCU, status(range_1=ranges[0], range_2=ranges[1]))
+    assert frame.message.valid == valid
+    assert ('timed out' in str(frame.message)) != valid
+
+
+@given(uint16, uint16, hundredths, hundredths, hundredths, seqs)
+def test_sensor_status_round_trip(range_1, range_2, yaw, pitch, roll, seq):
+    wire = status(yaw, pitch, roll, range_1, range_2, seq)
+    frames, errors = decode(MCU, wire, end=False)
+    assert [(frame.type, frame.command) for frame in frames] == [(0x10, seq)]
+    assert mcu.encode(frames[0].message, seq) == wire
+    assert errors == no_errors(MCU)
+
+
+@given(st.tuples(*[uint16] * 6), seqs)
+def test_adc_status_round_trip(channels, seq):
+    message = mcu.AdcStatus(*channels)
+    wire = mcu.encode(message, seq)
+    assert wire == sealed(0x01, seq, struct.pack('<6H', *channels))
+    frames, errors = decode(MCU, wire, end=False)
+    assert [(frame.message, frame.command) for frame in frames] == [(message, seq)]
+    assert errors == no_errors(MCU)
+    str(message)

@@ -1,0 +1,99 @@
+"""The simulated sensor board."""
+from simulation_bench import Bench, running, until
+
+from serial_communication.boards.mcu.link import McuLink
+from serial_communication.transport.port import Port
+from serial_communication.boards.mcu import wire as mcu
+from serial_communication.boards.mcu.simulator import OUT_OF_RANGE, SensorBoard
+
+
+def frames(bench):
+    return bench.decoder.feed(bench.output())
+
+
+def test_rate_and_sequence():
+    bench = Bench(SensorBoard(), mcu.Decoder())
+    bench.run(60.0001)
+    seqs = [frame.command for frame in frames(bench)]
+    assert seqs == [number % 256 for number in range(1200)]
+
+
+def test_other_rate():
+    bench = Bench(SensorBoard(rate=50), mcu.Decoder())
+    bench.run(10.0001)
+    assert len(frames(bench)) == 500
+
+
+def test_heading_turns_past_the_wrap():
+    bench = Bench(SensorBoard(), mcu.Decoder())
+    bench.run(40)
+    yaws = [frame.message.yaw for frame in frames(bench)]
+    assert all(0 <= yaw <= 360 for yaw in yaws)
+    assert max(yaws) > 358 and any(327.67 < yaw < 340 for yaw in yaws)
+    assert sum(after < before for before, after in zip(yaws, yaws[1:])) == 2
+
+
+def test_ranges_move_and_fail_now_and_then():
+    bench = Bench(SensorBoard(seed=1), mcu.Decoder())
+    bench.run(120)
+    ranges = [frame.message.range_1 for frame in frames(bench)]
+    assert mcu.RANGE_TIMED_OUT in ranges and OUT_OF_RANGE in ranges
+    measured = [value for value in ranges if value <= 2100]
+    assert min(measured) < 300 and max(measured) > 1800
+    assert ranges.count(mcu.RANGE_TIMED_OUT) < len(ranges) / 50
+
+
+def test_adc():
+    bench = Bench(SensorBoard(adc=True), mcu.Decoder())
+    bench.run(10)
+    statuses = [frame.message for frame in frames(bench)]
+    assert all(isinstance(status, mcu.AdcStatus) for status in statuses)
+    assert all(0 <= value <= 4095 for status in statuses for value in status)
+    assert len(set(statuses)) > 100
+
+
+def test_reset_restarts_the_sequence():
+    bench = Bench(SensorBoard(), mcu.Decoder())
+    bench.run(1)
+    bench.board.power_off(bench.now)
+    bench.board.power_on(bench.now)
+    frames(bench)
+    bench.run(0.06)
+    assert [frame.command for frame in frames(bench)] == [0]
+
+
+def test_input_is_ignored():
+    bench = Bench(SensorBoard(), mcu.Decoder())
+    bench.feed(bytes(range(256)) * 10)
+    bench.run(1)
+    assert len(frames(bench)) >= 19
+
+
+def test_journal_has_every_frame():
+    bench = Bench(SensorBoard(), mcu.Decoder())
+    bench.run(2)
+    notes = bench.notes.of('tx')
+    assert [bytes.fromhex(fields['raw']) for fields in notes] == [
+        frame.raw for frame in frames(bench)]
+    assert [fields['seq'] for fields in notes] == list(range(len(notes)))
+    assert all(fields['ok'] for fields in notes)
+
+
+def test_link_receives_it_and_finds_it_again(cable):
+    seqs = []
+    with running(SensorBoard(rate=100), cable.b) as notes:
+        link = McuLink(Port(cable.a), on_status=lambda message, seq, stamp: seqs.append(seq))
+        link.start()
+        try:
+            until(lambda: len(seqs) > 20, 'frames')
+            assert link.frames_lost == 0 and sum(link.decoder.errors.values()) <= 1  # a first, cut
+            cable.unplug()
+            until(lambda: not link.port.is_open, 'the loss')
+            until(lambda: [note['open'] for note in notes.of('port')] == [True, False],
+                  "the board's loss")
+            seen = len(seqs)
+            cable.plug()
+            until(lambda: len(seqs) > seen + 20, 'frames again')
+        finally:
+            link.stop()
+            link.join(10.0)

@@ -1,0 +1,489 @@
+"""What holds for every decoder, whatever the line carries."""
+import random
+
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from protocol_cases import (ALL, ARDUINO, BOARD_BUS, BUS, CHECKSUMMED, MCU, check_counted,
+                            chunkings, decode, feed, give_up, good, held, name_of, random_chunks,
+                            total)
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.mcu import wire as mcu
+from serial_communication.boards.bus import wire as bus
+from serial_communication.framing.stream import CHECKSUM, FRAMING, running_xor
+
+every_decoder = pytest.mark.parametrize('kind', ALL, ids=name_of)
+every_checksummed = pytest.mark.parametrize('kind', CHECKSUMMED, ids=name_of)
+seeds = st.integers(0, 1 << 30)
+
+# Bytes that mean something on one of the wires are far more common than others.
+spiteful = st.one_of(
+    st.binary(max_size=300),
+    st.lists(st.sampled_from((0, 1, 2, 3, 4, 9, 12, 14, 0x10, 0x55, 0x22, 0xA5, 0x5A, 0xD0, 254,
+                              255)), max_size=400).map(bytes),
+    st.lists(st.sampled_from((b'\xa5\xfe', b'\x5a\0\4', b'\x5a\xff\0', b'\2\xff', b'\2\2',
+                              b'\2\x0c\x10', b'\xa5\2\x55\x22', b'\xff', b'\1', b'\0',
+                              b'\3' * 9, b'\xa5\0\2\xa7', b'\1' * 200)),
+             max_size=60).map(b''.join))
+
+
+# -- an oracle: a decoder that has the whole stream and all the time in the world -----------------
+
+def sound_at(kind, stream, at):
+    """Where a sound frame that begins at `at` ends; 0 where none does."""
+    rest = stream[at:at + 1100]
+    if kind is MCU:
+        if len(rest) < 6 or rest[0] != 2 or rest[1] < 2:
+            return 0
+        size = rest[1] + 4
+        own = {0x10: 12, 0x01: 14}.get(rest[2], rest[1])
+        if rest[1] != own or size > len(rest) or rest[size - 1] != 3:
+            return 0
+        return at + size if not xor_of(rest[2:size - 1]) else 0
+    commands = 1 if kind is BUS else 2
+    if kind is BOARD_BUS and rest[:5] == b'\xa5\x02\x55\x22\xd0':
+        return at + 5
+    if rest[:1] == b'\xa5' and len(rest) > 1 and rest[1] < 255:
+        size = 3 + commands + rest[1]
+    elif rest[:1] == b'\x5a' and len(rest) > 2 and 255 <= rest[1] + 256 * rest[2] <= 1024:
+        size = 4 + commands + rest[1] + 256 * rest[2]
+    else:
+        return 0
+    return at + size if size <= len(rest) and not xor_of(rest[:size]) else 0
+
+
+def xor_of(data):
+    value = 0
+    for byte in data:
+        value ^= byte
+    return value
+
+
+def frames_by_definition(kind, stream):
+    """The bytes of every frame: after a failed check the search goes on one byte later."""
+    found, at = [], 0
+    while at < len(stream):
+        end = sound_at(kind, stream, at)
+        if end:
+            found.append(stream[at:end])
+        at = end or at + 1
+    return found
+
+
+def packets_by_definition(stream):
+    return [packet + b'\0' for packet in stream.split(b'\0')[:-1] if packet]
+
+
+@given(st.binary(max_size=400), st.integers(0, 255))
+def test_running_xor(data, before):
+    value, expected = before, bytearray()
+    for byte in data:
+        value ^= byte
+        expected.append(value)
+    # The number before stands in front of the first byte.
+    assert running_xor(data, before) == bytes(expected)
+
+
+# -- arbitrary bytes ------------------------------------------------------------------------------
+
+@every_decoder
+@given(stream=spiteful)
+def test_any_bytes_give_the_same_in_any_chunks(kind, stream):
+    """No exception, and frames and counts that do not depend on the chunks; see `decode`."""
+    decode(kind, stream)
+    decode(kind, stream, end=False)
+
+
+@every_decoder
+@given(stream=spiteful, seed=seeds)
+def test_one_bad_frame_is_shown_for_each_error_that_is_counted(kind, stream, seed):
+    """At all times, whatever happens between two reads."""
+    decoder, chance, frames = kind.make(), random.Random(seed), []
+    for chunk in random_chunks(stream, seed):
+        frames += decoder.feed(chunk)
+        frames += chance.choice((list, list, decoder.give_up,
+                                 decoder.skip_false_start))()
+        chance.choice((list, decoder.silence))()
+        check_counted(kind, frames, decoder.errors)
+
+
+@every_checksummed
+def test_noise_is_one_damage_until_a_good_frame_or_a_silence_ends_it(kind):
+    wire = sample_wires(kind)[0]
+    for chunks in chunkings(kind.quiet * 9):
+        decoder = kind.make()
+        assert [frame.cause for frame in feed(decoder, chunks)] == [FRAMING]
+        # Its next bytes belong to it, those behind a good frame and behind a silence do not.
+        assert feed(decoder, chunks) == []
+        assert [frame.cause for frame in feed(decoder, [wire] + chunks)] == ['', FRAMING]
+        decoder.silence()
+        assert [frame.raw for frame in decoder.feed(kind.quiet)] == [kind.quiet]
+        assert decoder.errors[FRAMING] == 3
+
+
+@every_checksummed
+def test_a_silence_in_a_frame_that_came_slowly_ends_nothing(kind):
+    wire = sample_wires(kind)[0]
+    decoder = kind.make()
+    decoder.feed(wire[:3])
+    decoder.silence()
+    assert [frame.raw for frame in decoder.feed(wire[3:])] == [wire]
+
+
+@every_checksummed
+@pytest.mark.parametrize('begin', [b'\x02\x00', b'\x02\x0c\x01', b'\xa5\xff', b'\x5a\xfe\0'],
+                         ids=bytes.hex)
+def test_a_false_length_is_refused_with_its_last_byte(kind, begin):
+    """However the bytes are cut into reads."""
+    decode(kind, begin, end=False)
+
+
+@every_checksummed
+@given(stream=spiteful)
+def test_any_bytes_give_the_frames_of_the_definition(kind, stream):
+    frames, _ = decode(kind, stream)
+    assert [frame.raw for frame in frames] == frames_by_definition(kind, stream)
+
+
+@every_decoder
+@given(stream=spiteful, seed=seeds)
+def test_what_is_held_never_grows_past_one_frame(kind, stream, seed):
+    decoder = kind.make()
+    for chunk in random_chunks(stream * 8, seed):
+        decoder.feed(chunk)
+        assert held(decoder) <= kind.longest
+        assert decoder.pending or not held_bytes(decoder)
+
+
+def held_bytes(decoder):
+    return [value for value in vars(decoder).values()
+            if isinstance(value, bytes) and len(value) > 1]     # one: the XOR of what came
+
+
+@every_decoder
+def test_a_hundred_thousand_reads_of_a_byte_leave_nothing_behind(kind):
+    for unit in (kind.quiet, b'\xa5\x05\x5a', b'\2\5', b'\1'):
+        decoder = kind.make()
+        for value in unit * (100000 // 4 // len(unit)):
+            decoder.feed(bytes((value,)))
+        assert held(decoder) <= kind.longest
+
+
+@every_decoder
+@given(stream=spiteful)
+def test_giving_up_comes_to_an_end_and_leaves_a_fresh_decoder(kind, stream):
+    decoder = kind.make()
+    decoder.feed(stream)
+    before = total(decoder.errors)
+    was_pending = decoder.pending
+    give_up(decoder)
+    assert not decoder.pending and decoder.give_up() == []
+    if was_pending and before == 0:
+        assert total(decoder.errors) >= 1 or good(kind.make().feed(stream))
+    for wire in sample_wires(kind):
+        assert [frame.raw for frame in good(decoder.feed(wire))] == [wire]
+
+
+@every_decoder
+@given(stream=spiteful)
+def test_reset_forgets_the_pending_bytes_alone(kind, stream):
+    decoder = kind.make()
+    decoder.feed(stream)
+    errors = dict(decoder.errors)
+    decoder.reset()
+    assert not decoder.pending and decoder.errors == errors
+    for wire in sample_wires(kind):
+        assert [frame.raw for frame in good(decoder.feed(wire))] == [wire]
+    assert decoder.errors == errors
+
+
+# -- a bad frame never takes a good one with it ---------------------------------------------------
+
+def sample_wires(kind):
+    """Two good frames of each kind of decoder."""
+    if kind is MCU:
+        return [mcu.encode(mcu.SensorStatus(47, 58, 0.0, -2.43, 2.43), 156),
+                mcu.encode(mcu.AdcStatus(0, 0, 15, 0, 543, 144), 2)]
+    if kind is BOARD_BUS:
+        return [bus.encode_request(bus.lift(0, 100)), bus.encode_request(bus.ENVIRONMENT_REQUEST)]
+    if kind in CHECKSUMMED:
+        two = kind is not BUS
+        return [bus.encode_reply(bus.Reply(bus.OK, b'\x5e\1\3\x0a\xcc\x12'), two),
+                bus.encode_reply(bus.Reply(bus.OK), two)]
+    if kind.name.startswith('board'):
+        return [arduino.encode(arduino.SpeedCommand(400)), arduino.encode(arduino.Heartbeat())]
+    return [arduino.encode(arduino.Ticks(7)), arduino.encode(arduino.Imu(16384, *[0] * 10))]
+
+
+contents = st.one_of(st.binary(max_size=20), st.binary(min_size=240, max_size=250),
+                     st.sampled_from((b'\xa5\xa5\xa5', b'\2\3\2\3', b'\x5a\0\4', b'\xa5\2')))
+
+
+def any_frame(kind):
+    """A good frame's bytes."""
+    byte = st.integers(0, 255)
+    if kind is MCU:
+        return st.one_of(
+            st.builds(mcu.encode, st.builds(mcu.AdcStatus, *[st.integers(0, 999)] * 6),
+                      byte),
+            st.builds(mcu.encode_raw, st.integers(0x20, 0x40), byte, contents))
+    if kind is BOARD_BUS:
+        return st.one_of(st.just(bus.encode_request(bus.ENVIRONMENT_REQUEST)),
+                         st.builds(bus.encode_request,
+                                   st.builds(bus.Request, st.integers(0, 9), byte, contents)))
+    return st.builds(lambda cmd1, data: bus.encode_reply(bus.Reply(cmd1, data), kind is not BUS),
+                     byte, contents)
+
+
+@st.composite
+def broken(draw, frames):
+    """A frame that is damaged, one that is cut, or noise."""
+    what = draw(st.sampled_from(('damaged', 'cut', 'noise')))
+    if what == 'noise':
+        return draw(st.one_of(st.binary(min_size=1, max_size=12),
+                              st.sampled_from((b'\xa5\xfe', b'\x5a\0\4', b'\2\xc8\x63', b'\xa5',
+                                               b'\2', b'\x5a', b'\x03'))))
+    frame = bytearray(draw(frames))
+    if what == 'cut':
+        at = draw(st.integers(1, len(frame) - 1))
+        return bytes(frame[:at] if draw(st.booleans()) else frame[at:])
+    frame[draw(st.integers(0, len(frame) - 1))] ^= 1 << draw(st.integers(0, 7))
+    return bytes(frame)
+
+
+@every_checksummed
+@given(data=st.data())
+def test_every_undamaged_frame_is_found_between_damaged_ones(kind, data):
+    frames = any_frame(kind)
+    pieces = data.draw(st.lists(st.one_of(
+        st.tuples(st.just(True), frames), st.tuples(st.just(False), broken(frames))),
+        min_size=1, max_size=8))
+    stream, planted = b'', {}
+    for is_good, piece in pieces:
+        if is_good:
+            planted[len(stream)] = piece
+        stream += piece
+    # An XOR of 8 bits lets some damage pass: streams with a sound frame that nobody sent,
+    # across one that somebody did, say nothing here.
+    covered = {place for at, frame in planted.items() for place in range(at, at + len(frame))}
+    for at in range(len(stream)):
+        end = sound_at(kind, stream, at)
+        if end and at not in planted:
+            inside = [start for start, frame in planted.items()
+                      if start < at and end <= start + len(frame)]
+            assume(inside or not covered & set(range(at, end)))
+    found, _ = decode(kind, stream)
+    wanted = iter([frame.raw for frame in found])
+    for frame in planted.values():
+        assert frame in wanted, 'an undamaged frame was not found'
+
+
+packet_bodies = st.binary(min_size=1, max_size=40)
+
+
+@given(st.lists(st.one_of(
+    st.tuples(st.just(True), st.integers(0, 1024)),
+    st.tuples(st.just(False), st.one_of(st.binary(max_size=30), st.just(b'\1' * 300)))),
+    min_size=1, max_size=12))
+def test_every_packet_that_follows_a_zero_is_found(pieces):
+    """Its neighbours may be what they like."""
+    stream, angles = b'', []
+    for is_good, piece in pieces:
+        if is_good:
+            # No other stretch of the stream can give such an angle by accident: see below.
+            stream += b'\0' + arduino.encode(arduino.SteeringAngle(piece))
+            angles.append(piece)
+        else:
+            stream += piece
+    expected = [packet for packet in packets_by_definition(stream)
+                if packet in [arduino.encode(arduino.SteeringAngle(angle)) for angle in angles]]
+    frames, _ = decode(ARDUINO, stream)
+    assert [frame.raw for frame in frames if frame.type == 7
+            and frame.raw in expected] == expected
+    assert len(expected) >= len(angles)
+
+
+@every_checksummed
+def test_a_frame_inside_a_false_one_that_fails_is_found_at_once(kind):
+    """Not after a timeout, where the false one is complete."""
+    wire = sample_wires(kind)[0]
+    false_start = {'mcu': bytes((2, 2 + 20, 0x63, 0))}.get(kind.name, b'\xa5\x14')
+    # Of this one, nothing but the checksum is wrong.
+    outer = {'mcu': lambda: mcu.encode_raw(0x63, 0, wire)[:-2] + b'\xff\x03'}.get(
+        kind.name, lambda: bytes((0xA5, len(wire), 9, 9)) + wire + b'\xff\xff')()
+    for stream in (false_start + wire + b'\x11' * 30, outer):
+        decoder = kind.make()
+        frames = decoder.feed(stream)
+        assert wire in [frame.raw for frame in good(frames)]
+
+
+@every_checksummed
+def test_a_false_start_holds_until_it_is_given_up(kind):
+    """The frames behind it wait, all of them come out of one `give_up`, in order."""
+    wires = sample_wires(kind)
+    for chunks in chunkings(kind.false_start + b''.join(wires)):
+        decoder = kind.make()
+        assert good(feed(decoder, chunks)) == [] and decoder.pending
+        assert [frame.raw for frame in good(decoder.give_up())] == wires
+        assert not decoder.pending
+        assert decoder.errors[FRAMING] == 1 and total(decoder.errors) == 1
+
+
+@every_checksummed
+def test_false_starts_inside_a_false_start_are_given_up_one_by_one(kind):
+    decoder = kind.make()
+    decoder.feed(kind.false_start * 3 + sample_wires(kind)[0])
+    rounds = []
+    while decoder.pending:
+        rounds.append([frame.raw for frame in good(decoder.give_up())])
+    assert rounds == [[], [], [sample_wires(kind)[0]]]
+
+
+@every_checksummed
+def test_the_frames_behind_a_false_start_are_found(kind):
+    wires = sample_wires(kind)
+    for starts in (1, 3):
+        decoder = kind.make()
+        assert good(decoder.feed(kind.false_start * starts + b''.join(wires))) == []
+        assert [frame.raw for frame in good(decoder.skip_false_start())] == wires
+        assert not decoder.pending and decoder.errors[FRAMING] >= 1
+
+
+@every_checksummed
+def test_a_frame_that_is_only_slow_is_no_false_start(kind):
+    wire = sample_wires(kind)[0]
+    for size in range(1, len(wire)):
+        decoder = kind.make()
+        decoder.feed(wire[:size])
+        before = dict(decoder.errors), decoder.front, decoder.needed
+        assert decoder.skip_false_start() == [] and decoder.pending
+        assert (decoder.errors, decoder.front, decoder.needed) == before
+        assert [frame.raw for frame in decoder.feed(wire[size:])] == [wire]
+
+
+@every_checksummed
+def test_nothing_is_no_false_start(kind):
+    decoder = kind.make()
+    assert decoder.skip_false_start() == []
+    decoder.feed(sample_wires(kind)[0])
+    assert decoder.skip_false_start() == []
+
+
+@every_checksummed
+def test_the_front_moves_only_as_frames_are_decided(kind):
+    wire = sample_wires(kind)[0]
+    decoder = kind.make()
+    decoder.feed(wire + wire[:3])
+    assert decoder.front == len(wire)
+    decoder.feed(wire[3:4])
+    assert decoder.front == len(wire) and decoder.needed <= len(wire)
+    decoder.feed(wire[4:] + wire[:2])
+    assert decoder.front == 2 * len(wire)
+
+
+@pytest.mark.parametrize('kind, wire', [
+    (BUS, bus.encode_reply(bus.Reply(bus.OK, b'\xa5\x5a\x11' * 20))),
+    (BOARD_BUS, bus.encode_request(bus.Request(bus.ECHO, 0, b'\xa5\x5a\x11' * 20))),
+    (MCU, mcu.encode_raw(0x63, 0, b'\2\3\2\x10\2' * 12))], ids=('bus', 'board side', 'mcu'))
+def test_damage_counts_once_however_many_false_starts_it_holds(kind, wire):
+    damaged = bytearray(wire)
+    damaged[-1 if kind is not MCU else -2] ^= 0x80
+    frames, errors = decode(kind, bytes(damaged) + sample_wires(kind)[0])
+    assert [frame.raw for frame in frames] == [sample_wires(kind)[0]]
+    assert errors == dict(kind.make().errors, checksum=1)
+
+
+# -- stamps ---------------------------------------------------------------------------------------
+
+@every_decoder
+def test_a_frame_carries_the_stamp_of_the_read_that_brought_its_last_byte(kind):
+    first, second = sample_wires(kind)
+    decoder = kind.make()
+    stream = first + second
+    got = []
+    for at in range(len(stream)):
+        got += decoder.feed(stream[at:at + 1], stamp=at)
+    assert [(frame.raw, frame.stamp) for frame in got] == [
+        (first, len(first) - 1), (second, len(stream) - 1)]
+    got = decoder.feed(stream, stamp='both') + decoder.feed(first[:1], stamp='begun')
+    got += decoder.feed(first[1:] + second[:1], stamp='ended') + decoder.feed(second[1:], 'last')
+    assert [frame.stamp for frame in got] == ['both', 'both', 'ended', 'last']
+
+
+@every_checksummed
+def test_a_frame_that_waited_behind_a_false_start_keeps_its_own_stamp(kind):
+    first, second = sample_wires(kind)
+    decoder = kind.make()
+    decoder.feed(kind.false_start, 'false')
+    decoder.feed(first[:2], 'begun')
+    decoder.feed(first[2:], 'first')
+    decoder.feed(second[:-1], 'begun again')
+    decoder.feed(second[-1:], 'second')
+    decoder.feed(first[:-1], 'unfinished')
+    assert [(frame.raw, frame.stamp) for frame in decoder.give_up() if not frame.cause] == [
+        (first, 'first'), (second, 'second')]
+    assert [frame.stamp for frame in decoder.feed(first[-1:], 'third')] == ['third']
+
+
+def false_frame(kind, inside):
+    """What a frame around these bytes would begin and end with; its checksum is wrong."""
+    if kind is MCU:
+        begin, filler, end = bytes((2, len(inside) + 3, 0x63, 0)), b'\x11', b'\3'
+        right = xor_of(begin[2:] + inside + filler)
+    else:
+        begin = bytes((0xA5, len(inside) + 1)) + b'\x09' * (1 if kind is BUS else 2)
+        filler, end = b'\x11', b''
+        right = xor_of(begin + inside + filler)
+    return begin, filler + bytes((right ^ 0x40,)) + end
+
+
+@every_checksummed
+def test_a_frame_inside_a_false_one_that_fails_later_keeps_its_own_stamp(kind):
+    for inside in [[wire] for wire in sample_wires(kind)] + [sample_wires(kind)]:
+        begin, end = false_frame(kind, b''.join(inside))
+        decoder = kind.make()
+        assert decoder.feed(begin, 'begin') == []
+        for number, wire in enumerate(inside):
+            assert decoder.feed(wire, number) == []
+        frames = decoder.feed(end, 'end')
+        assert [(frame.raw, frame.stamp) for frame in frames if not frame.cause] == [
+            (wire, number) for number, wire in enumerate(inside)]
+        assert (frames[0].cause, frames[0].stamp) == (CHECKSUM, 'end')
+
+
+def check_stamps(kind, stream, seed):
+    """In random chunks, each good frame has the stamp of the read that brought its last byte."""
+    decoder, ends, fed, frames = kind.make(), [], 0, []
+    for number, chunk in enumerate(random_chunks(stream, seed)):
+        fed += len(chunk)
+        ends.append(fed)
+        frames += decoder.feed(chunk, number)
+    frames += give_up(decoder)
+    at = 0
+    for frame in frames:
+        if frame.cause:
+            continue
+        # Where it stands in the stream: the search of the definition finds the same frames.
+        while sound_at(kind, stream, at) != at + len(frame.raw) or not stream.startswith(
+                frame.raw, at):
+            at += 1
+        at += len(frame.raw)
+        assert ends[frame.stamp] >= at
+        assert frame.stamp == 0 or ends[frame.stamp - 1] < at
+
+
+@every_checksummed
+@given(seed=seeds, stream=spiteful)
+def test_stamps_are_those_of_the_last_bytes_in_any_stream(kind, seed, stream):
+    wires = sample_wires(kind)
+    check_stamps(kind, stream + wires[0] + stream[:40] + wires[1], seed)
+
+
+@every_checksummed
+@given(seed=seeds, data=st.data())
+def test_stamps_are_those_of_the_last_bytes_inside_false_frames(kind, seed, data):
+    small = any_frame(kind).filter(lambda frame: len(frame) < 60)
+    inside = b''.join(data.draw(st.lists(st.one_of(small, broken(small)), max_size=3)))
+    begin, end = false_frame(kind, inside)
+    check_stamps(kind, begin + inside + end + sample_wires(kind)[0], seed)

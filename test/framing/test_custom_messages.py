@@ -1,0 +1,400 @@
+"""Messages of one's own: from a row of parameters to bytes and back, and every mistake in it."""
+import math
+import tracemalloc
+
+import pytest
+from hypothesis import assume, given
+
+from own_rows import encoded, row_and_raws
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.mcu import wire as mcu
+from serial_communication.boards.bus import wire as bus
+from serial_communication.framing.stream import IMPLAUSIBLE, LENGTH
+from serial_communication.framing.layout import Layout, Value
+from serial_communication.boards.arduino import custom_messages as arduino_messages
+from serial_communication.boards.bus.functions import read_functions as bus_functions
+from serial_communication.boards.mcu import custom_messages as mcu_messages
+from serial_communication.framing.custom_messages import RowError
+
+FORCE = {'type': 32, 'ros_type': 'std_msgs/Float32', 'layout': '<h', 'fields': ['data'],
+         'scale': 0.01, 'minimum': 0, 'maximum': 300}
+PUMP = {'cmd2': 48, 'srv_type': 'std_srvs/SetBool',
+        'request': {'layout': '<?', 'fields': ['data']}}
+
+
+def one(entry, **changes):
+    """The message of an entry with some keys changed; None takes one away."""
+    entry = {key: value for key, value in dict(entry, **changes).items() if value is not None}
+    make = bus_functions if 'cmd2' in changes or 'cmd2' in entry else arduino_messages
+    return make({'name': entry})[0]
+
+
+def message(layout, fields, **changes):
+    return one(FORCE, layout=layout, fields=fields, **dict(
+        {'scale': None, 'minimum': None, 'maximum': None}, **changes)).kind
+
+
+def wire(kind, data):
+    return arduino.encode_raw(kind.TYPE, data)
+
+
+def received(kind, data):
+    """The message that a decoder makes of a packet's data, and its errors."""
+    decoder = arduino.Decoder(messages=[kind])
+    frame, = decoder.feed(wire(kind, data))
+    return frame.message, {cause: count for cause, count in decoder.errors.items() if count}
+
+
+# -- values ---------------------------------------------------------------------------------------
+
+def test_a_row_as_the_tutorial_has_it():
+    own = one(FORCE)
+    assert (own.name, own.ros_type, own.is_command, own.frame_id) == (
+        'name', 'std_msgs/Float32', False, '')
+    got, errors = received(own.kind, b'\x39\x30')
+    assert got == (pytest.approx(123.45),) and not errors
+    assert str(got) == 'name data=123.45'
+    assert got.pack() == b'\x39\x30'
+
+
+@pytest.mark.parametrize('layout, data, values', [
+    ('<bBhH', 'ff ff feff feff', (-1, 255, -2, 65534)),
+    ('>bBhH', 'ff ff fffe fffe', (-1, 255, -2, 65534)),
+    ('<iIqQ', '00000080 000000ff ffffffffffffff7f ffffffffffffffff',
+     (-2**31, 0xff000000, 2**63 - 1, 2**64 - 1)),
+    ('>i I', '80000000 00000001', (-2**31, 1)),
+    ('<f', '0000c03f', (1.5,)), ('>d', 'bff8000000000000', (-1.5,)), ('<e', '003e', (1.5,)),
+    ('<??', '00 05', (False, True)),
+    ('<2xB3x', '0000 07 000000', (7,)),
+    ('<3B', '01 02 03', (1, 2, 3)),
+    ('<5s', '68c3a9 00 78', ('hé',)),
+    ('<BH*', '01', (1, ())), ('<BH*', '01 0200 0300', (1, (2, 3))), ('>h*', 'fffe', ((-2,),)),
+    ('<Bs', '01', (1, '')), ('<Bs', '01 616263', (1, 'abc')), ('<s', '6100 6263', ('a',)),
+    ('<s', 'ff61', ('\ufffda',)),
+])
+def test_values_of_every_kind(layout, data, values):
+    data = bytes.fromhex(data)
+    kind = message(layout, [f'f{index}' for index in range(len(values))])
+    assert received(kind, data) == (values, {})
+
+
+@given(row_and_raws())
+def test_any_row_and_any_numbers_survive_the_wire(case):
+    row, raws = case
+    kind = arduino_messages({'any': row})[0].kind
+    data = encoded(row['layout'], raws)
+    assume(len(data) < arduino.MAX_PACKET)
+    got, errors = received(kind, data)
+    assert errors == {}
+    expected = [raw if isinstance(raw, str) else
+                [each * row['scale'] + row['offset'] for each in raw] if isinstance(raw, list) else
+                raw * row['scale'] + row['offset'] for raw in raws]
+    for value, right in zip(got, expected):
+        right = tuple(right) if isinstance(right, list) else right
+        assert value == right or math.isnan(value) and math.isnan(right)
+    str(got)
+    # And the other way, as far as a float has the digits.
+    if row['scale'] == 1 and row['offset'] == 0 and '' not in row['fields']:
+        assert got.pack() == data
+    parts = kind.parts(data)
+    assert [part.value for part in parts if part.name not in ('padding', 'left out')] == [
+        value for value, path in zip(got, row['fields']) if path]
+    assert b''.join(part.data for part in parts) == data
+
+
+def test_scale_and_offset_are_one_number_or_one_for_each_value():
+    assert message('<bb', ['a', 'b'], scale=-0.5, offset=[1, -1]).unpack(b'\2\4') == (0.0, -3.0)
+    assert message('<bb', ['a', 'b'], scale=[2, 1]).unpack(b'\2\4') == (4, 4)
+    assert message('<h*', ['a'], scale=0.5, offset=1).unpack(b'\2\0\4\0') == ((2.0, 3.0),)
+
+
+def test_an_empty_field_leaves_a_value_out():
+    kind = message('<Bh', ['', 'data'])
+    got, _ = received(kind, b'\7\1\0')
+    assert str(got) == 'name data=1'
+    assert kind(99, 5).pack() == b'\0\5\0'
+
+
+# -- what is refused ------------------------------------------------------------------------------
+
+@pytest.mark.parametrize('layout, data', [
+    ('<h', '01'), ('<h', '010000'), ('<BH*', ''), ('<BH*', '0102'), ('<4s', '6162'), ('<', '00')])
+def test_another_length_is_a_length_error(layout, data):
+    kind = message(layout, ['a', 'b'][:len(layout.replace('4', '').replace('*', '')) - 1])
+    assert received(kind, bytes.fromhex(data)) == (None, {LENGTH: 1})
+
+
+@pytest.mark.parametrize('limits, raw, plausible', [
+    ({'minimum': 0, 'maximum': 3}, 0, True), ({'minimum': 0, 'maximum': 3}, 3, True),
+    ({'minimum': 0, 'maximum': 3}, 4, False), ({'minimum': 0}, -1, False),
+    ({'minimum': 0}, 32767, True), ({'maximum': -5}, -4, False), ({'maximum': -5}, -5, True)])
+def test_a_value_beyond_its_limits_is_implausible(limits, raw, plausible):
+    kind = message('<h', ['data'], **limits)
+    data = raw.to_bytes(2, 'little', signed=True)
+    assert received(kind, data)[1] == ({} if plausible else {IMPLAUSIBLE: 1})
+    assert bool(kind(raw).implausible()) != plausible
+    # The check is the row's own: check_plausibility is about what this package knows.
+    decoder = arduino.Decoder(check_plausibility=False, messages=[kind])
+    frame, = decoder.feed(arduino.encode_raw(kind.TYPE, data))
+    assert (not frame.cause) == plausible
+
+
+def test_each_number_of_an_array_has_the_limits():
+    kind = message('<B*', ['ranges'], maximum=9)
+    assert received(kind, b'\1\x09')[1] == {}
+    assert received(kind, b'\1\x0a')[1] == {IMPLAUSIBLE: 1}
+
+
+def test_no_number_is_within_limits():
+    assert received(message('<f', ['data'], minimum=0), b'\0\0\xc0\x7f')[1] == {IMPLAUSIBLE: 1}
+    assert received(message('<f', ['data']), b'\0\0\xc0\x7f')[1] == {}
+
+
+@pytest.mark.parametrize('layout, values', [
+    ('<h', (32768,)), ('<B', (-1,)), ('<B', (256,)), ('<f', (1e39,)), ('<B', (float('nan'),)),
+    ('<q', (float('inf'),)), ('<3s', ('four',)), ('<s', ('nul\0',)), ('<B*', ((1, 256),)),
+    ('<B', ('1',)), ('<s', (1,)), ('<B*', (3,)), ('<?', (float('nan'),)),
+    ('<?', (float('inf'),)), ('<?*', ((1, float('nan')),))])
+def test_a_value_that_its_place_cannot_hold_is_not_packed(layout, values):
+    with pytest.raises(ValueError) as refusal:
+        message(layout, ['data'])(*values).pack()
+    assert str(refusal.value).startswith('data is ')
+
+
+def test_a_number_that_is_not_0_is_true():
+    for value, byte in ((0, b'\0'), (0.0, b'\0'), (1, b'\1'), (-0.3, b'\1'), (2**70, b'\1')):
+        assert message('<?', ['data'])(value).pack() == byte
+
+
+@pytest.mark.parametrize('place, least, most', [
+    ('?', 0, 1), ('b', -128, 127), ('B', 0, 255), ('h', -2**15, 2**15 - 1), ('H', 0, 2**16 - 1),
+    ('i', -2**31, 2**31 - 1), ('I', 0, 2**32 - 1), ('q', -2**63, 2**63 - 1), ('Q', 0, 2**64 - 1),
+    ('e', -65504, 65504), ('f', -3.4e38, 3.4e38)])
+def test_what_a_place_in_the_message_cannot_hold_is_implausible(place, least, most):
+    """`place` is what the field of a ROS message can hold, apart from the packet's own limits."""
+    layout = Layout('<d', [Value('data', place=place)])
+    for value in least, most, (least + most) / 2:
+        assert not layout.implausible((value,)), value
+    whole = place not in 'ef'
+    beyond = [] if place == '?' else [least - 1, most + 1] if whole else [2.0 * least, 2.0 * most]
+    for value in beyond + [math.nan, math.inf, -math.inf] * whole:
+        assert layout.implausible((value,)).startswith('data is '), value
+        assert layout.implausible((value,)).endswith('which its place in the message cannot hold')
+
+
+@pytest.mark.parametrize('name', ['class', 'None', 'def', 'print', 'count'])
+def test_any_base_name_of_ros_names_a_message(name):
+    own, = arduino_messages({name: FORCE})
+    got, errors = received(own.kind, b'\x39\x30')
+    assert str(got) == f'{name} data=123.45' and not errors
+    assert repr(got).startswith(f'{name}(')
+    assert arduino_messages({'a': dict(FORCE, fields=[name])})[0].kind(1).pack() == b'\x64\0'
+    assert bus_functions({name: PUMP})[0].ask((1,)).data == b'\1'
+
+
+def test_mcu_frames_of_ones_own():
+    own, = mcu_messages({'line': dict(FORCE, type=0x20)})
+    decoder = mcu.Decoder([own.kind])
+    frame, = decoder.feed(mcu.encode(own.kind(12.5), 7))
+    assert (frame.message, frame.type, frame.command) == ((12.5,), 0x20, 7)
+    frames = decoder.feed(mcu.encode_raw(0x20, 8, b'\1') + mcu.encode_raw(0x20, 9, b'\xff\xff'))
+    assert [frame.cause for frame in frames] == [LENGTH, IMPLAUSIBLE]
+    assert decoder.errors[LENGTH] == decoder.errors[IMPLAUSIBLE] == 1
+    assert sum(decoder.errors.values()) == 2
+
+
+@pytest.mark.parametrize('read', [40, 16, 1], ids='{} bytes a read'.format)
+def test_a_false_len_that_the_checksum_fits_costs_no_frame_behind_it(read):
+    """One bit of LEN makes one frame of three: two alike cancel out of an XOR."""
+    own, = mcu_messages({'line': dict(FORCE, type=0x20)})
+    decoder = mcu.Decoder([own.kind])
+    wire = bytearray(mcu.encode(own.kind(12.5), 7))
+    wire[1] ^= 0x20
+    statuses = [mcu.SensorStatus(470, 580, 0.0, 0.0, roll) for roll in (1.0, 2.0)]
+    wire += mcu.encode(statuses[0], 8) + mcu.encode(statuses[1], 9)
+    assert len(wire) == 40 == wire[1] + 4
+    frames = []
+    for at in range(0, 40, read):
+        frames += decoder.feed(bytes(wire[at:at + read]))
+    assert [(frame.cause, frame.message) for frame in frames] == [
+        (LENGTH, None), ('', statuses[0]), ('', statuses[1])]
+    assert decoder.errors[LENGTH] == sum(decoder.errors.values()) == 1
+    assert not decoder.pending
+
+
+def test_a_function_of_ones_own():
+    pump = one(PUMP)
+    assert pump.ask((True,)) == bus.Request(bus.FUNCTION, 48, b'\1')
+    assert str(pump.ask((True,))) == 'name data=true'
+    assert (pump.timeout, pump.repeatable, pump.reply.size) == (None, False, 0)
+    polled, = bus_functions({'level': {
+        'cmd2': 49, 'ros_type': 'std_msgs/Float32', 'period': 2, 'timeout': 0.2,
+        'reply': {'layout': '<H', 'fields': ['data'], 'scale': 0.1}}})
+    assert (polled.repeatable, polled.period, polled.timeout) == (True, 2, 0.2)
+    assert polled.reply.unpack(b'\x0a\0') == (1.0,)
+    assert polled.ask(()) == bus.Request(bus.FUNCTION, 49)
+    assert str(polled.answer(bus.Reply(bus.OK, b'\x0a\0'))) == 'level OK data=1'
+    for other in bus.Reply(bus.OK, b'\x0a'), bus.Reply(bus.ERROR, b'\2\x80'):
+        assert str(polled.answer(other)) == str(other)
+
+
+def test_functions_of_ones_own_are_explained_by_name():
+    pump = one(PUMP, reply={'layout': '<H', 'fields': ['message'], 'scale': 0.1})
+    request = pump.ask((True,))
+    told = bus.RequestDecoder(functions=[pump]).explain(bus.encode_request(request))
+    assert [(part.name, part.value, part.meaning) for part in told[3:5]] == [
+        ('CMD2', 48, 'name'), ('data', True, '')]
+    told = bus.ReplyDecoder(functions=[pump]).explain(
+        bus.encode_reply(bus.Reply(bus.OK, b'\x0a\0')), request)
+    assert [(part.name, part.value) for part in told[3:4]] == [('message', 1.0)]
+
+
+# -- mistakes -------------------------------------------------------------------------------------
+
+@pytest.mark.parametrize('entry, changes, key, said', [
+    (FORCE, {'type': None}, 'type', 'is missing, may be a whole number from 13 to 255'),
+    (FORCE, {'type': 12}, 'type', 'is 12 (int), may be'),
+    (FORCE, {'type': 256}, 'type', 'may be a whole number from 13'),
+    (FORCE, {'type': '32'}, 'type', "is '32' (str)"),
+    (FORCE, {'type': True}, 'type', 'is True (bool)'),
+    (FORCE, {'direction': 'up'}, 'direction', 'may be from_board or to_board'),
+    (FORCE, {'ros_type': None}, 'ros_type', 'is missing'),
+    (FORCE, {'ros_type': 'Float32'}, 'ros_type', 'as std_msgs/Float32'),
+    (FORCE, {'ros_type': ''}, 'ros_type', 'as std_msgs/Float32'),
+    (FORCE, {'layout': None}, 'layout', 'is missing'),
+    (FORCE, {'layout': 'h'}, 'layout', 'begin with < or >'),
+    (FORCE, {'layout': '@h'}, 'layout', 'begin with < or >'),
+    (FORCE, {'layout': '<y'}, 'layout', 'struct'),
+    (FORCE, {'layout': '<c'}, 'layout', 'c holds no number'),
+    (FORCE, {'layout': '<P'}, 'layout', 'struct'),
+    (FORCE, {'layout': '<3H*'}, 'layout', 'no number before it'),
+    (FORCE, {'layout': '<s*'}, 'layout', '*'),
+    (FORCE, {'layout': '<*'}, 'layout', '*'),
+    (FORCE, {'layout': '<h*B'}, 'layout', 'struct'),
+    (FORCE, {'layout': '<255x'}, 'fields', 'a list of 0'),
+    (FORCE, {'layout': '<256xh'}, 'layout', 'at most 255 bytes'),
+    (FORCE, {'layout': '<hh'}, 'fields', 'a list of 2, one for each value'),
+    (FORCE, {'fields': None}, 'fields', 'is missing'),
+    (FORCE, {'fields': 'data'}, 'fields', 'may be a list'),
+    (FORCE, {'fields': ['vector..x']}, 'fields', 'may be a list with the path'),
+    (FORCE, {'fields': ['a[x]']}, 'fields', 'may be a list with the path'),
+    (FORCE, {'layout': '<hh', 'fields': ['data', 'data']}, 'fields', 'may have data once'),
+    (FORCE, {'scale': 0}, 'scale', 'may be a number but 0'),
+    (FORCE, {'scale': 'x'}, 'scale', 'may be a number but 0'),
+    (FORCE, {'scale': [1, 2]}, 'scale', 'or a list of 1'),
+    (FORCE, {'offset': float('inf')}, 'offset', 'may be a number'),
+    (FORCE, {'minimum': float('nan')}, 'minimum', 'may be a number'),
+    (FORCE, {'maximum': 400}, 'maximum', 'from -327.68 to 327.67'),
+    (FORCE, {'layout': '<Bh', 'fields': ['a', 'b'], 'scale': 1, 'maximum': [300, 300]}, 'maximum',
+     'from 0 to 255'),
+    (FORCE, {'layout': '<Bh', 'fields': ['a', 'b'], 'scale': 1, 'maximum': 33000}, 'maximum',
+     'from 0 to 255'),
+    (FORCE, {'minimum': 200, 'maximum': 100}, 'minimum', 'at most the maximum, 100'),
+    (FORCE, {'frame_id': 5}, 'frame_id', 'may be text'),
+    (FORCE, {'ros_typ': 'x'}, 'ros_typ', 'did you mean ros_type?'),
+    (FORCE, {'whatever': 1}, 'whatever', 'is no key of an entry'),
+    (FORCE, {'fields': ['data[' + '9' * 5000 + ']']}, 'fields', 'may be a list with the path'),
+    (FORCE, {'scale': 10**400}, 'scale', 'may be a number but 0'),
+    (FORCE, {'offset': -10**400}, 'offset', 'may be a number, or a list of 1'),
+    (FORCE, {'minimum': [10**5000]}, 'minimum', '(list), may be a number'),
+    (FORCE, {'maximum': 10**400}, 'maximum', 'may be a number'),
+    (FORCE, {'frame_id': ['x'] * 10**5}, 'frame_id', '… (list), may be text'),
+    (FORCE, {'frame\nid': 'x'}, 'frame\ufffdid', 'did you mean frame_id?'),
+    (PUMP, {'srv_type': ''}, 'srv_type', 'a service type, as std_srvs/Trigger'),
+    (PUMP, {'srv_type': 'std_srvs'}, 'srv_type', 'a service type, as std_srvs/Trigger'),
+    (PUMP, {'srv_type': None, 'ros_type': '', 'period': 1, 'request': None}, 'ros_type',
+     'a message type, as std_msgs/Float32'),
+    (PUMP, {'cmd2': 0x21}, 'cmd2', 'from 0 to 255 but 32, 33 and 34'),
+    (PUMP, {'cmd2': 300}, 'cmd2', 'from 0 to 255'),
+    (PUMP, {'ros_type': 'std_msgs/Bool'}, '', 'either srv_type or ros_type'),
+    (PUMP, {'srv_type': None}, '', 'either srv_type or ros_type'),
+    (PUMP, {'period': 1}, 'period', 'has no meaning beside srv_type'),
+    (PUMP, {'timeout': 0}, 'timeout', 'from 0.01 to 600'),
+    (PUMP, {'repeatable': 1}, 'repeatable', 'true or false'),
+    (PUMP, {'request': 5}, 'request', 'a group'),
+    (PUMP, {'request': {'layout': '<?'}}, 'request/fields', 'is missing'),
+    (PUMP, {'reply': {'layout': '<1025B', 'fields': [''] * 1025}}, 'reply/layout', '1024'),
+    (PUMP, {'srv_type': None, 'ros_type': 'std_msgs/Bool', 'request': None}, 'period',
+     'is missing'),
+    (PUMP, {'srv_type': None, 'ros_type': 'std_msgs/Bool', 'period': 1}, 'request/fields',
+     'empty texts only'),
+])
+def test_every_mistake_is_told_in_one_line(entry, changes, key, said):
+    with pytest.raises(RowError) as mistake:
+        one(entry, **changes)
+    what = 'bus/functions' if 'cmd2' in entry else 'arduino/messages'
+    assert str(mistake.value).startswith(f'{what}/name/{key}'.rstrip('/') + ' ')
+    assert said in str(mistake.value) and '\n' not in str(mistake.value)
+    assert len(str(mistake.value)) < 400
+
+
+@pytest.mark.parametrize('make, entries, key, said', [
+    (arduino_messages, {'a': FORCE, 'b': FORCE}, 'b/type', 'is that of a, too'),
+    (bus_functions, {'a': PUMP, 'b': PUMP}, 'b/cmd2', 'is that of a, too'),
+    (mcu_messages, {'a': dict(FORCE, type=0x10)}, 'a/type', '0 to 255'),
+    (mcu_messages, {'a': dict(FORCE, direction='to_board')}, 'a/direction', 'may be from_board'),
+    (mcu_messages, {'a': dict(FORCE, layout='<254xh')}, 'a/layout', '253'),
+    (arduino_messages, {'2nd': FORCE}, '2nd', 'letter'),
+    (arduino_messages, {'a/b': FORCE}, 'a/b', 'letter'),
+    (arduino_messages, {'a': 5}, 'a', 'a group with the keys type'),
+    (arduino_messages, [FORCE], '', 'a group of entries')])
+def test_mistakes_of_names_and_numbers(make, entries, key, said):
+    with pytest.raises(RowError) as mistake:
+        make(entries)
+    assert f'/{key}'.rstrip('/') + ' ' in str(mistake.value)
+    assert said in str(mistake.value)
+
+
+@pytest.mark.parametrize('type_', [
+    '', 5, 'std_msgs', '/x', 'a/b/c', 'std_msgs/', ['std_msgs/Bool']])
+def test_what_is_no_name_of_a_type_is_refused(type_):
+    polled = dict(PUMP, request=None, srv_type=None, period=1)
+    for entry, key in ((FORCE, 'ros_type'), (polled, 'ros_type'), (PUMP, 'srv_type')):
+        with pytest.raises(RowError) as mistake:
+            one(entry, **{key: type_})
+        assert f'/name/{key} is {type_!r} ({type(type_).__name__}), may be a ' in str(
+            mistake.value)
+
+
+@pytest.mark.parametrize('make, entry, longest', [
+    (arduino_messages, FORCE, 255), (mcu_messages, FORCE, 253),
+    (bus_functions, {'cmd2': 1, 'srv_type': 'a/B'}, 1024)])
+@pytest.mark.parametrize('layout', [
+    '<50000000h', '>900000000d', '<50000000x', '<50000000s', '<50000000hs', '<9999999hB*'])
+def test_a_layout_beyond_what_a_frame_carries_takes_no_memory(make, entry, longest, layout):
+    """Its values are not made first: fifty million of them take minutes and gigabytes."""
+    part = {'layout': layout, 'fields': ['data']}
+    entry = dict(entry, reply=part) if make is bus_functions else dict(entry, type=32, **part)
+    tracemalloc.start()
+    try:
+        with pytest.raises(RowError) as mistake:
+            make({'name': entry})
+        _now, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert f"layout is '{layout}' (str), may have at most {longest} bytes" in str(mistake.value)
+    assert most < 10**6
+
+
+def test_a_name_that_cannot_be_is_told_in_one_line():
+    with pytest.raises(RowError) as mistake:
+        arduino_messages({'a\n\x1b\ud800': FORCE})
+    assert str(mistake.value).startswith("arduino/messages/a\ufffd\ufffd\ufffd is 'a\\n")
+
+
+def test_a_scale_that_is_a_great_whole_number_keeps_values_within_a_float():
+    kind = message('<q', ['data'], scale=10**300)
+    value, = kind.unpack(b'\xff' * 7 + b'\x7f')
+    assert math.isinf(value) and str(kind(value)) == 'name data=inf'
+    assert message('<q', ['data'], scale=10**9).unpack(b'\7' + bytes(7)) == (7 * 10**9,)
+
+
+def test_one_limit_for_several_values_has_to_fit_one_of_them():
+    kind = message('<BBh', ['', 'a', 'b'], maximum=1000)
+    assert received(kind, b'\xff\xff\xe8\3')[1] == {}
+    assert received(kind, b'\xff\xff\xe9\3')[1] == {IMPLAUSIBLE: 1}
+    message('<Bh', ['', 'a'], maximum=[1000, 5])
+
+
+def test_no_entries_are_no_messages():
+    assert arduino_messages({}) == mcu_messages({}) == bus_functions({}) == []

@@ -1,0 +1,11 @@
+"""The fixture of the tests of simulated boards that cross a real tty."""
+import pytest
+from simulation_bench import Cable
+
+
+@pytest.fixture
+def cable(tmp_path):
+    one = Cable(tmp_path)
+    one.plug()
+    yield one
+    one.unplug()

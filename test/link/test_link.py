@@ -1,0 +1,420 @@
+"""What every link has: a log that is sparing, counters, threads with names that end."""
+import logging
+import os
+import re
+import threading
+import time
+
+import pytest
+
+import serial_communication.link
+from fake_boards import until
+from serial_communication.boards.arduino.link import ArduinoLink
+from serial_communication.boards.bus.link import BusLink
+from serial_communication.boards.mcu.link import McuLink
+from serial_communication.transport.port import Port
+from serial_communication.link.sparing_log import SparingLog
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.mcu import wire as mcu
+from serial_communication.boards.bus import wire as bus
+
+every_link = pytest.mark.parametrize('kind, names', [
+    (BusLink, {'bus link', 'bus opening'}),
+    (ArduinoLink, {'arduino link', 'arduino opening', 'arduino heartbeat'}),
+    (McuLink, {'mcu link', 'mcu opening'})], ids=('bus', 'arduino', 'mcu'))
+
+# A frame of each link's board that is good at any time.
+GOOD = {BusLink: bus.encode_reply(bus.Reply(bus.SYNC, b'')),
+        ArduinoLink: arduino.encode(arduino.Ticks(1)),
+        McuLink: mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 1)}
+
+
+# -- the log --------------------------------------------------------------------------------------
+
+@pytest.fixture
+def log(logger):
+    clock = [0.0]
+    made = SparingLog('bus', logger, 10.0, lambda: clock[0])
+    made.clock = clock
+    return made
+
+
+def test_a_cause_is_said_once_in_ten_seconds_with_the_number_held_back(log, lines):
+    for tenth in range(0, 205):
+        log.clock[0] = tenth / 10
+        log.warn('noise', 'noise again')
+    assert lines() == ['bus: noise again', 'bus: noise again (and 99 more like it)',
+                       'bus: noise again (and 99 more like it)']
+
+
+def test_causes_do_not_hold_each_other_back(log, lines):
+    log.warn('one', 'first')
+    log.error('two', 'second')
+    log.info('three', 'third')
+    log.warn('one', 'first')
+    assert lines(level=logging.INFO) == ['bus: first', 'bus: second', 'bus: third']
+
+
+def test_a_cause_that_rests_long_enough_is_said_without_a_number(log, lines):
+    log.warn('one', 'first')
+    log.clock[0] = 10.0
+    log.warn('one', 'second')
+    assert lines() == ['bus: first', 'bus: second']
+
+
+def test_levels_are_those_of_the_names(log, caplog):
+    for name, level in (('info', logging.INFO), ('warn', logging.WARNING),
+                        ('error', logging.ERROR)):
+        getattr(log, name)(name, 'text')
+        assert caplog.records[-1].levelno == level
+
+
+class _Broken(logging.Logger):
+    """What rospy's logger is where the terminal has gone."""
+
+    def log(self, *_arguments, **_options):
+        raise OSError(5, 'Input/output error')
+
+
+def test_a_logger_that_raises_reaches_nobody():
+    log = SparingLog('bus', _Broken('broken'))
+    for say in log.info, log.warn, log.error:
+        say(say.__name__, 'text')
+
+
+# -- every link -----------------------------------------------------------------------------------
+
+def threads():
+    return {thread.name for thread in threading.enumerate()}
+
+
+@every_link
+@pytest.mark.parametrize('present', [True, False], ids=('port open', 'port absent'))
+def test_threads_have_names_and_end_within_a_second_of_stop(line, logger, kind, names, present):
+    link = kind(Port(line.path if present else line.path + '.absent'), logger=logger)
+    assert not names & threads()
+    link.start()
+    until(lambda: link.port.is_open == present and names <= threads())
+    begun = time.monotonic()
+    link.stop()
+    link.join()
+    until(lambda: not names & threads(), seconds=1.0)
+    assert time.monotonic() - begun < 1.5
+    assert not link.port.is_open
+
+
+@every_link
+def test_an_absent_port_is_warned_of_once(line, logger, running, lines, kind, names):
+    link = running(kind(Port(line.path + '.absent'), logger=logger))
+    assert link.report(time.monotonic()).summary.startswith('closed: ')
+    until(lambda: lines())
+    threading.Event().wait(0.5)
+    assert len(lines('no such device')) == 1
+    report = link.report(time.monotonic())
+    assert report.level == 2 and 'no such device' in report.summary
+
+
+@every_link
+def test_a_port_that_flaps_is_opened_each_time_and_logged_sparingly(line, logger, running, lines,
+                                                                    kind, names):
+    link = running(kind(Port(line.path), logger=logger))
+    for count in range(3):
+        until(lambda: link.port.is_open and link.reconnects == count)
+        line.unplug()
+        until(lambda: not link.port.is_open)
+        line.plug()
+    until(lambda: link.port.is_open and link.reconnects == 3)
+    assert len(lines('the device has gone')) <= 1
+    assert len(lines('permission')) == 0
+
+
+def test_a_port_is_found_within_a_second_and_a_half_of_its_return(line, logger, running):
+    """However long it was away: the pauses between tries do not grow without end."""
+    link = running(McuLink(Port(line.path), logger=logger))
+    until(lambda: link.port.is_open)
+    line.unplug()
+    until(lambda: not link.port.is_open)
+    threading.Event().wait(2.3)
+    line.plug()
+    back = time.monotonic()
+    until(lambda: link.port.is_open)
+    assert time.monotonic() - back < 1.5
+
+
+class _Odd(Port):
+    """A port whose opening does as the test says."""
+
+    def __init__(self, url, opening):
+        super().__init__(url)
+        self.opening = opening
+
+    def open(self):
+        self.opening()
+        super().open()
+
+
+def test_whatever_an_opening_raises_is_said_and_it_is_tried_again(line, logger, running, lines):
+    troubles = [NotImplementedError('odd'), KeyError('odder')]
+
+    def opening():
+        if troubles:
+            raise troubles.pop()
+
+    link = running(McuLink(_Odd(line.path, opening), logger=logger))
+    until(lambda: link.port.is_open)
+    assert lines('odder')
+
+
+@every_link
+def test_a_log_that_raises_ends_no_link(line, running, kind, names):
+    link = running(kind(Port(line.path), logger=_Broken('broken')))
+    for count in range(2):
+        until(lambda: link.port.is_open and link.reconnects == count)
+        line.write(b'\x03\x55noise\x00')
+        line.unplug()
+        until(lambda: not link.port.is_open)
+        line.plug()
+    until(lambda: link.port.is_open)
+    assert names <= threads()
+
+
+def raising(kind):
+    """A function that raises this once, and then does nothing."""
+    troubles = [kind]
+
+    def function(*_arguments):
+        if troubles:
+            raise troubles.pop()('of a test')
+    return function
+
+
+@every_link
+@pytest.mark.parametrize('hook', ['opened', 'closed', 'received', 'damaged', 'tick', 'idle'])
+@pytest.mark.parametrize('trouble', [RuntimeError, SystemExit])
+def test_whatever_a_hook_raises_ends_no_link(line, logger, running, monkeypatch, kind, names,
+                                             hook, trouble):
+    link = kind(Port(line.path), logger=logger)
+    trap, rest = raising(trouble), getattr(link, hook)
+    raised = threading.Event()
+
+    def trapped(*arguments):
+        try:
+            trap()
+        except BaseException:
+            raised.set()
+            raise
+        return rest(*arguments)
+
+    monkeypatch.setattr(link, hook, trapped)
+    running(link)
+    until(lambda: link.port.is_open or raised.is_set())
+    until_raised = {'received': GOOD[kind], 'damaged': b'noise\0noise\0'}.get(hook)
+    if until_raised:
+        until(lambda: raised.is_set() or line.write(until_raised))
+    elif hook in ('closed', 'idle'):
+        line.unplug()
+        until(raised.is_set)
+        line.plug()
+    until(raised.is_set)
+    until(lambda: link.port.is_open)
+    received = link.frames_received
+    until(lambda: link.frames_received > received or line.write(GOOD[kind]))
+    assert names <= threads()
+
+
+def test_a_heartbeat_that_raises_is_followed_by_others(line, logger, running, monkeypatch, lines):
+    link = ArduinoLink(Port(line.path), logger=logger)
+    rest, trap = link._heart._work, raising(RuntimeError)
+    monkeypatch.setattr(link._heart, '_work', lambda beat: trap() or rest(beat))
+    running(link)
+    until(lambda: link.heartbeats_sent > 20)
+    assert lines('of a test')
+
+
+@every_link
+def test_a_tap_that_raises_takes_nothing_from_the_link(line, logger, running, kind, names):
+    link = kind(Port(line.path), logger=logger)
+    told = []
+
+    def tap(*arguments):
+        told.append(arguments)
+        raise RuntimeError('of a test')
+
+    link.tap = tap
+    running(link)
+    until(lambda: link.port.is_open)
+    until(lambda: link.frames_received > 3 or line.write(GOOD[kind]))
+    assert len(told) > 3 and link.reconnects == 0 and link.port.is_open
+
+
+@every_link
+def test_no_thread_is_started_after_the_beginning(line, logger, running, monkeypatch, kind, names):
+    """Where no memory is left, Thread.start may never return."""
+    link = running(kind(Port(line.path), logger=logger))
+    until(lambda: link.port.is_open)
+    forever = threading.Event()
+    monkeypatch.setattr(threading.Thread, 'start', lambda thread: forever.wait())
+    for count in range(1, 3):
+        line.unplug()
+        until(lambda: not link.port.is_open)
+        line.plug()
+        until(lambda: link.port.is_open and link.reconnects == count)
+    received = link.frames_received
+    until(lambda: link.frames_received > received or line.write(GOOD[kind]))
+    forever.set()
+
+
+def test_a_link_lives_on_where_no_memory_is_left_for_a_while(line, logger, running, monkeypatch):
+    link = running(McuLink(Port(line.path), logger=logger))
+    until(lambda: link.port.is_open)
+    raised = []
+
+    def out_of_memory(*_arguments):
+        raised.append(None)
+        raise MemoryError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Event, 'wait', out_of_memory)
+        patch.setattr(link.log, 'error', out_of_memory)
+        patch.setattr(link.port, 'open', out_of_memory)
+        line.unplug()
+        # Not by waiting for an Event, which is out of order.
+        deadline = time.monotonic() + 8.0
+        while len(raised) < 3:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        line.plug()
+    until(lambda: link.port.is_open)
+    received = link.frames_received
+    until(lambda: link.frames_received > received or line.write(GOOD[McuLink]))
+
+
+@every_link
+def test_a_fault_that_cannot_even_be_logged_closes_the_port_and_opens_it_anew(
+        line, logger, running, monkeypatch, kind, names):
+    link = kind(Port(line.path), logger=logger)
+    raise_once, closed = raising(MemoryError), []
+    rest = link.closed
+    monkeypatch.setattr(link, 'received', lambda *_arguments: 1 / 0)
+    monkeypatch.setattr(link.log, 'error', raise_once)
+    monkeypatch.setattr(link, 'closed', lambda now: closed.append(now) or rest(now))
+    running(link)
+    until(lambda: link.port.is_open)
+    until(lambda: closed or line.write(GOOD[kind]))
+    until(lambda: link.port.is_open and link.reconnects)
+
+
+def test_a_port_that_hangs_as_it_opens_leaves_the_link_alive(line, logger, running):
+    free = threading.Event()
+    silences = []
+    link = running(McuLink(_Odd(line.path, free.wait), timeout=0.1, logger=logger,
+                           on_silence=lambda *told: silences.append(told)))
+    until(lambda: len(silences) >= 2)
+    free.set()
+    until(lambda: link.port.is_open)
+
+
+def test_a_port_that_hangs_as_it_opens_does_not_hold_up_the_end(line, logger):
+    free, entered = threading.Event(), threading.Event()
+
+    def opening():
+        entered.set()
+        free.wait()
+
+    link = McuLink(_Odd(line.path, opening), logger=logger)
+    link.start()
+    until(entered.is_set)
+    begun = time.monotonic()
+    link.stop()
+    link.join()
+    assert time.monotonic() - begun < 1.0 and 'mcu link' not in threads()
+    free.set()
+    until(lambda: 'mcu opening' not in threads())
+    assert not link.port.is_open, 'it opened for nobody, and stays closed'
+
+
+def test_noise_is_counted_reported_and_logged_sparingly(line, logger, running, lines):
+    link = running(McuLink(Port(line.path), timeout=20.0, logger=logger))
+    until(lambda: link.port.is_open)
+    good = mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 1)
+    bad = good[:-2] + bytes((good[-2] ^ 1, 3))
+    for _ in range(50):
+        line.write(bad + b'noise')
+    line.write(good)
+    until(lambda: link.frames_received)
+    report = link.report(time.monotonic())
+    values = dict(report.values)
+    assert (values['checksum errors'], values['framing errors']) == (50, 50)
+    assert (report.level, report.summary) == (1, '100 errors in the last second')
+    assert link.report(time.monotonic()).level == 0
+    assert len(lines('checksum: ')) == len(lines('framing: ')) == 1
+    assert values['bytes received'] == 50 * (len(bad) + 5) + len(good)
+    assert values['port'] == line.path and float(values['last frame age [s]']) < 20
+
+
+def test_a_silent_board_is_reported(line, logger, running):
+    link = running(ArduinoLink(Port(line.path), logger=logger))
+    until(lambda: link.port.is_open)
+    assert link.condition(time.monotonic()) == (1, 'open, the board is silent')
+    line.write(arduino.encode(arduino.Ticks(1)))
+    until(lambda: link.frames_received)
+    assert link.condition(time.monotonic()) == (0, 'open')
+    assert link.condition(time.monotonic() + 1.1)[0] == 1
+
+
+def test_a_link_leaves_no_file_open(line, logger):
+    def descriptors():
+        return len(os.listdir('/proc/self/fd'))
+
+    before = None
+    for _ in range(3):
+        link = McuLink(Port(line.path), logger=logger)
+        own = descriptors()          # the port's pipe, for waking, is as old as the port
+        link.start()
+        until(lambda: link.port.is_open)
+        link.stop()
+        link.join()
+        until(lambda: descriptors() <= own)
+        before = before or own
+    assert descriptors() <= before + 4
+
+
+def test_links_and_protocols_know_nothing_of_ros():
+    root = os.path.dirname(os.path.dirname(serial_communication.link.__file__))
+    imports = re.compile(r'^\s*(from|import)\s+(rospy|\w+_msgs|tf2?_ros|\.\.ros|.*\.ros\b)',
+                         re.MULTILINE)
+    for folder in ('links', 'protocols'):
+        for name in os.listdir(os.path.join(root, folder)):
+            if name.endswith('.py'):
+                with open(os.path.join(root, folder, name), encoding='utf-8') as file:
+                    assert not imports.search(file.read()), name
+
+
+def test_a_false_start_holds_nothing_back_though_frames_keep_coming(line, logger, running):
+    """A length of 255 would take sixteen of these frames, and no pause between them ends it."""
+    taken = []
+    link = running(McuLink(Port(line.path), timeout=20.0, logger=logger,
+                           on_status=lambda message, seq, stamp: taken.append(seq)))
+    until(lambda: link.port.is_open)
+    line.write(bytes((mcu.STX, 255)))
+    for seq in range(10):
+        if taken:
+            break
+        threading.Event().wait(0.04)     # under frame_timeout
+        line.write(mcu.encode(mcu.SensorStatus(400, 500, 1.0, 2.0, 3.0), seq))
+    until(lambda: taken)
+    assert taken[0] == 0 and len(taken) < 10
+
+
+def test_a_frame_that_is_only_slow_is_waited_for(line, logger, running):
+    """It takes longer than frame_timeout in all, with never as long a pause."""
+    taken = []
+    link = running(McuLink(Port(line.path), timeout=20.0, logger=logger, frame_timeout=1.0,
+                           on_status=lambda message, seq, stamp: taken.append(seq)))
+    until(lambda: link.port.is_open)
+    wire = mcu.encode(mcu.SensorStatus(400, 500, 1.0, 2.0, 3.0), 7)
+    for start in range(0, len(wire), 2):
+        threading.Event().wait(0.2)
+        line.write(wire[start:start + 2])
+    until(lambda: taken)
+    assert taken == [7] and link.error_count() == 0

@@ -1,0 +1,156 @@
+"""What the log says of a board that talks, falls silent and is back: once each, and on every link
+alike; and of the heartbeat's priority."""
+import logging
+import os
+import time
+
+import pytest
+
+from fake_boards import BusBoard, CarBoard, until
+from serial_communication.boards.arduino.link import ArduinoLink
+from serial_communication.boards.arduino.calibration import Calibration
+from serial_communication.boards.bus.link import BusLink, BusSettings
+from serial_communication.link.link import SILENCE
+from serial_communication.boards.mcu.link import McuLink
+from serial_communication.link.presence import FIRST_WORD, LOOK_PERIOD, Presence
+from serial_communication.link.sparing_log import SparingLog
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.mcu import wire as mcu
+from serial_communication.boards.bus import wire as bus
+from serial_communication.transport.port import Port
+
+QUICK = BusSettings(reply_timeout=0.15, motion_timeout=0.3, environment_period=0.1)
+
+
+@pytest.fixture
+def said(lines):
+    """The lines so far that hold one of the words, without the link's name."""
+    def find():
+        return [line.split(': ', 1)[1] for line in lines('', logging.INFO)
+                if 'the board' in line]
+    return find
+
+
+@pytest.fixture
+def presence(logger):
+    return Presence(SparingLog('mcu', logger))
+
+
+def test_each_change_is_said_once(presence, said):
+    for at, talks in enumerate((None, True, True, False, False, None, True)):
+        presence.see(talks, 'the board is silent', float(at))
+    assert said() == ['ready: the board talks', 'the board is silent',
+                      'the board is back, after 3 s']
+
+
+def test_a_board_that_talks_late_is_ready_then(presence, said):
+    presence.see(False, 'the board is silent', 0.0)
+    presence.see(True, '', 60.0)
+    assert said() == ['the board is silent', 'ready: the board talks']
+
+
+def test_of_a_board_that_comes_and_goes_it_says_little_and_in_the_end_the_truth(presence, said):
+    changes = 1000
+    for at in range(changes):
+        presence.see(at % 2 == 0, 'the board is silent', at * LOOK_PERIOD)
+    # One line in 10 s that it is silent, and one that it is back.
+    assert 10 < len(said()) <= 5 + 2 * changes * LOOK_PERIOD / 10
+    end = changes * LOOK_PERIOD
+    for late in range(0, 40):
+        presence.see(False, 'the board is silent', end + late * LOOK_PERIOD)
+    assert said()[-1] == 'the board is silent'
+
+
+def test_the_car(line, running, logger, said):
+    talking = [True]
+
+    class Car(CarBoard):
+        def idle(self):
+            if talking[0]:
+                self.line.write(arduino.encode(arduino.Voltage(12.0)))
+
+    running(Car(line))
+    running(ArduinoLink(Port(line.path), logger=logger))
+    until(lambda: said() == ['ready: the board talks'])
+    talking[0] = False
+    until(lambda: len(said()) == 2)
+    assert said()[1] == ('the board is silent; has it power, is it wired, and is 115200 baud '
+                         'right?')
+    talking[0] = True
+    until(lambda: len(said()) == 3)
+    assert said()[2].startswith('the board is back, after ')
+
+
+def test_the_car_is_not_silent_while_it_calibrates(line, logger):
+    link = ArduinoLink(Port(line.path), logger=logger)
+    now = time.monotonic()
+    link.last_frame_at = link._opened_at = now
+    later = now + 2 * SILENCE
+    assert link.talks(later) is False
+    link._calibration = Calibration(900.0, later)
+    assert link.talks(later) is None
+
+
+def test_a_board_that_never_spoke(line, running, logger, said):
+    began = time.monotonic()
+    running(McuLink(Port(line.path), timeout=0.1, logger=logger))
+    until(said)
+    assert time.monotonic() >= began + FIRST_WORD
+    assert said()[0].startswith('the board is silent')
+    talk = mcu.encode(mcu.SensorStatus(1, 2, 0.0, 0.0, 0.0), 0)
+    until(lambda: line.write(talk) or len(said()) >= 2)
+    assert said()[1] == 'ready: the board talks'
+
+
+def test_the_bus_when_sync_is_answered_after_it_was_not(line, running, logger, said):
+    mute = [False]
+
+    board = running(BusBoard(line))
+    board.rule = lambda request: b'' if mute[0] else None
+    running(BusLink(Port(line.path), QUICK, logger=logger))
+    until(lambda: 'ready: the board talks' in said())
+    mute[0] = True
+    until(lambda: any('does not answer SYNC' in words for words in said()))
+    mute[0] = False
+    until(lambda: any('the board is back' in words for words in said()))
+    assert board.requests(bus.SYNC)
+
+
+@pytest.mark.parametrize('granted', [True, False])
+def test_whether_the_heartbeat_has_real_time_priority_is_said_once(
+        line, running, logger, lines, monkeypatch, granted):
+    def schedule(*_arguments):
+        if not granted:
+            raise PermissionError
+    monkeypatch.setattr(os, 'sched_setscheduler', schedule)
+    running(ArduinoLink(Port(line.path), logger=logger))
+    until(lambda: lines('real-time', logging.INFO))
+    said, = lines('real-time', logging.INFO)
+    assert said.startswith('arduino: the heartbeat has real-time priority' if granted else
+                           'arduino: no real-time priority for the heartbeat')
+    assert ('rtprio' in said) == (not granted)
+
+
+def test_a_port_that_goes_as_the_bridge_is_ended_is_not_told(line, running, logger, lines):
+    link = running(McuLink(Port(line.path), logger=logger))
+    until(lambda: link.port.is_open)
+    line.unplug()
+    until(lambda: not link.port.is_open)
+    link.stop()
+    link.join()
+    assert not lines()
+
+
+def test_a_port_that_goes_otherwise_is_told_in_order(line, running, logger, lines):
+    link = running(McuLink(Port(line.path), logger=logger))
+    until(lambda: link.port.is_open)
+    line.unplug()
+    until(lambda: len(lines()) == 2)
+    assert 'opening it again when it returns' in lines()[0] and 'waiting for it' in lines()[1]
+    line.plug()
+    until(lambda: link.reconnects)
+    before = len(lines())
+    line.unplug()
+    line.plug()
+    until(lambda: link.reconnects == 2)
+    assert len(lines()) == before       # the same again within 10 s

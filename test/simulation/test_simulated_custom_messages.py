@@ -1,0 +1,92 @@
+"""Messages and functions of one's own, as simulated boards play and answer them."""
+import os
+
+import pytest
+from simulation_bench import ROOT, Bench
+
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.mcu import wire as mcu
+from serial_communication.boards.bus import wire as bus
+from serial_communication.boards.arduino import custom_messages as arduino_messages
+from serial_communication.boards.bus.functions import read_functions as bus_functions
+from serial_communication.boards.mcu import custom_messages as mcu_messages
+from serial_communication.boards.arduino.simulator import ModelCar
+from serial_communication.boards.bus.simulator import ControlBoard
+from serial_communication.boards.mcu.simulator import SensorBoard
+from serial_communication.simulation.custom_messages import read, wandering
+
+EXAMPLES = os.path.join(ROOT, 'config', 'own_messages.yaml')
+CAR = read(EXAMPLES, 'arduino', 'messages', arduino_messages)
+SENSORS = read(EXAMPLES, 'mcu', 'messages', mcu_messages)
+FUNCTIONS = read(EXAMPLES, 'bus', 'functions', bus_functions)
+
+
+@pytest.mark.parametrize('own, board, decoder', [
+    (CAR, ModelCar(own=CAR), arduino.Decoder), (SENSORS, SensorBoard(own=SENSORS), mcu.Decoder)],
+    ids=('arduino', 'mcu'))
+def test_every_message_of_the_examples_is_played_within_its_limits(own, board, decoder):
+    kinds = [message.kind for message in own if not message.is_command]
+    bench = Bench(board, decoder(messages=kinds))
+    bench.run(20.0001)
+    frames = bench.decoder.feed(bench.output())
+    assert not any(frame.cause for frame in frames) and sum(bench.decoder.errors.values()) == 0
+    for kind in kinds:
+        played = [frame.message for frame in frames if type(frame.message) is kind]
+        assert len(played) == 200
+        assert len({message.pack() for message in played}) > 1, 'they do not wander'
+
+
+def test_a_command_of_the_examples_is_told():
+    bench = Bench(ModelCar(own=CAR), arduino.Decoder())
+    gripper, = [message.kind for message in CAR if message.is_command]
+    bench.feed(arduino.encode(gripper(12.5, 0.5)))
+    assert [text for text in bench.said if 'gripper' in text] == ['gripper x=12.5 z=0.501961']
+
+
+@pytest.mark.parametrize('values, range_of', [
+    ({'layout': '<b'}, (-100, 100)), ({'layout': '<B'}, (0, 100)),
+    ({'layout': '<f', 'minimum': 1e6}, (1e6, 1e6 + 200)),
+    ({'layout': '<h', 'maximum': -5000}, (-5200, -5000)),
+    ({'layout': '<B', 'scale': -2, 'minimum': -7, 'maximum': -3}, (-6, -4)),
+    ({'layout': '<?'}, (0, 1)), ({'layout': '<d', 'minimum': 3, 'maximum': 3}, (3, 3))])
+def test_values_wander_within_what_they_may_be(values, range_of):
+    own, = arduino_messages({'any': dict(values, type=99, ros_type='a/B', fields=['data'])})
+    layout = own.kind.LAYOUT
+    numbers = [layout.unpack(layout.pack(wandering(layout, tick / 7)))[0] for tick in range(500)]
+    assert min(numbers) >= range_of[0] and max(numbers) <= range_of[1]
+    assert max(numbers) - min(numbers) >= 0.9 * (range_of[1] - range_of[0])
+
+
+def test_texts_fit_their_room():
+    own, = arduino_messages({'any': dict(type=99, ros_type='a/B', layout='<3s2xs',
+                                         fields=['a', 'b'])})
+    assert wandering(own.kind.LAYOUT, 5.0) == ('sim', 'simulated 5')
+
+
+def asked(bench, request):
+    """The reply to one request."""
+    bench.feed(bus.encode_request(bus.SYNC_REQUEST) + bus.encode_request(request))
+    bench.run(0.01)
+    return [frame.message for frame in bench.decoder.feed(bench.output())][-1]
+
+
+def test_functions_are_answered():
+    bench = Bench(ControlBoard(own=FUNCTIONS), bus.ReplyDecoder())
+    by_name = {function.name: function for function in FUNCTIONS}
+    assert asked(bench, by_name['pump'].ask((True,))) == bus.Reply(bus.OK)
+    assert bench.said[-1] == 'pump data=true'
+    level = asked(bench, by_name['read_level'].ask(()))
+    assert by_name['read_level'].reply.unpack(level.data)[0].startswith('simulated')
+    tank = asked(bench, by_name['tank'].ask(()))
+    assert 0 <= by_name['tank'].reply.unpack(tank.data)[0] <= 655350
+    assert asked(bench, bus.Request(bus.FUNCTION, 0x30)).error_code == bus.MALFORMED
+    assert asked(bench, bus.Request(bus.FUNCTION, 0x33)).error_code == bus.UNSUPPORTED
+
+
+def test_a_function_refuses_what_is_beyond_its_limits():
+    own = bus_functions({'speed': {
+        'cmd2': 0x40, 'srv_type': 'a/B',
+        'request': {'layout': '<B', 'fields': ['speed'], 'maximum': 10}}})
+    bench = Bench(ControlBoard(own=own), bus.ReplyDecoder())
+    for speed, cmd1 in ((10, bus.OK), (11, bus.ERROR)):
+        assert asked(bench, bus.Request(bus.FUNCTION, 0x40, bytes((speed,)))).cmd1 == cmd1

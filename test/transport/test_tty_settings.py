@@ -1,0 +1,256 @@
+"""A tty that another program changes while it is in use, and who may open one."""
+import errno
+import fcntl
+import os
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import time
+
+import pytest
+from fake_boards import PATIENCE, BusBoard, CarBoard, until
+
+from serial_communication.boards.arduino.link import ArduinoLink
+from serial_communication.boards.bus.link import BusLink, BusSettings
+from serial_communication.boards.mcu.link import McuLink
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.mcu import wire as mcu
+from serial_communication.transport import port as port_module
+from serial_communication.transport import tty_settings
+from serial_communication.transport.port import Port
+
+EVERY_BYTE = bytes(range(256))
+_IS_EXCLUSIVE = 0x80045440      # TIOCGEXCL, which termios does not name
+_NOBODY = 65534
+
+
+def stty(path, *arguments):
+    """As a person types it in another terminal."""
+    return subprocess.run(['stty', '-F', path, *arguments], check=True, stdout=subprocess.PIPE,
+                          universal_newlines=True).stdout
+
+
+def passed(port, size):
+    """So many bytes as the port reads them."""
+    data = b''
+    deadline = time.monotonic() + PATIENCE
+    while len(data) < size:
+        assert time.monotonic() < deadline, data
+        data += port.read(0.1)
+    return data
+
+
+@pytest.mark.parametrize('arguments, words', [
+    (['sane'], ['icrnl', 'icanon', 'echo', 'opost', 'isig']),
+    (['echo'], ['echo']), (['icanon'], ['icanon']), (['icrnl'], ['icrnl']), (['ixon'], ['ixon']),
+    (['istrip'], ['istrip']), (['cstopb'], ['cstopb']), (['crtscts'], ['crtscts']),
+    (['9600'], ['9600 baud']), (['min', '200'], ['special characters'])],
+    ids=' '.join)
+def test_what_another_program_has_changed_is_named_and_put_right(port, line, arguments, words):
+    before = stty(line.path, '-g')
+    assert port.restore_settings() == ''
+    stty(line.path, *arguments)
+    if stty(line.path, '-g') == before:
+        pytest.skip('a pseudo terminal has no such setting')
+    changed = port.restore_settings().split(', ')
+    assert set(words) <= set(changed)
+    assert stty(line.path, '-g') == before
+    assert port.restore_settings() == '', 'it is told once'
+    line.write(EVERY_BYTE)
+    assert passed(port, 256) == EVERY_BYTE
+    port.write(EVERY_BYTE)
+    assert line.read_all() == EVERY_BYTE, 'unchanged, and no echo beside it'
+
+
+def test_a_baud_rate_without_a_name_is_put_right(line):
+    port = Port(line.path, 31250)
+    port.open()
+    stty(line.path, '115200')
+    assert port.restore_settings() == '115200 baud'
+    assert struct.unpack('=I', tty_settings.read(port._fd)[-4:]) == (31250,)
+    port.close()
+
+
+def test_what_waited_under_other_settings_is_dropped(port, line):
+    stty(line.path, 'sane')
+    line.write(b'\r\x08\x15')
+    assert port.restore_settings()
+    line.read_all()
+    line.write(b'later')
+    assert passed(port, 5) == b'later'
+
+
+def test_a_port_that_is_no_tty_has_no_settings():
+    port = Port('loop://')
+    assert port.restore_settings() == ''
+    port.open()
+    assert port.restore_settings() == ''
+    port.close()
+
+
+# -- the links ------------------------------------------------------------------------------------
+
+def test_stty_sane_on_a_port_in_use_changes_no_value_for_long(line, logger, running, lines):
+    got = []
+    link = running(ArduinoLink(Port(line.path), logger=logger,
+                               on_message=lambda message, stamp: got.append(message)))
+    board = running(CarBoard(line))
+    until(lambda: board.heartbeats() > 3)
+    stty(line.path, 'sane')
+    warning, = until(lambda: lines('another program changed the settings'))
+    assert line.path in warning and 'icanon' in warning and 'icrnl' in warning
+    board.forget()
+    del got[:]
+    # 13 is a carriage return, 10 a newline, 3 an interrupt, 4 an end, 17 and 19 flow control.
+    sent = [arduino.Ticks(value) for value in (13, 10, 3, 4, 17, 19, 127, 21)] * 10
+    line.write(b''.join(map(arduino.encode, sent)))
+    until(lambda: len(got) >= len(sent))
+    assert got == sent
+    count = board.heartbeats()
+    until(lambda: board.heartbeats() > count + 20)
+    assert set(map(type, board.messages())) <= {arduino.Heartbeat, arduino.SpeedCommand}, \
+        'what the board said is echoed to it'
+    assert link.reconnects == 0
+
+
+def test_after_another_baud_rate_speed_0_goes_first(line, logger, running, lines):
+    link = running(ArduinoLink(Port(line.path), logger=logger))
+    board = running(CarBoard(line))
+    until(lambda: board.heartbeats() > 3)
+    link.set_speed(300)
+    until(lambda: arduino.SpeedCommand(300) in board.commands())
+    stty(line.path, '9600')
+    until(lambda: lines('9600 baud'))
+    until(lambda: board.commands()[-1] == arduino.SpeedCommand(0))
+
+
+def test_on_the_bus_the_echo_comes_first(line, logger, running, lines):
+    link = running(BusLink(Port(line.path), BusSettings(environment_period=0), logger=logger))
+    board = running(BusBoard(line))
+    until(lambda: link.master.in_step)
+    assert link.lift(0, 1).success and link.lift(0, 1).success
+    echoes = len(board.requests(0x01))
+    stty(line.path, 'sane')
+    until(lambda: lines('out of step: the settings of the port were changed'))
+    until(lambda: len(board.requests(0x01)) > echoes)
+
+
+def test_settings_are_put_right_on_a_silent_line_too(line, logger, running, lines):
+    link = running(McuLink(Port(line.path), logger=logger))
+    until(lambda: link.port.is_open)
+    before = stty(line.path, '-g')
+    stty(line.path, 'sane')
+    until(lambda: stty(line.path, '-g') == before)
+    until(lambda: lines('another program changed the settings'))
+
+
+# -- who may open it ------------------------------------------------------------------------------
+
+def is_exclusive(fd):
+    return struct.unpack('i', fcntl.ioctl(fd, _IS_EXCLUSIVE, bytes(4)))[0]
+
+
+def open_as_ordinary_user(path):
+    """The errno with which a user without privileges cannot open it, or 0."""
+    code = ('import os, sys\nif os.geteuid() == 0: os.setgid({0}); os.setuid({0})\n'
+            'try: os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)\n'
+            'except OSError as error: sys.exit(error.errno)').format(_NOBODY)
+    return subprocess.run([sys.executable, '-c', code, path]).returncode
+
+
+def test_a_tty_is_kept_for_one_program_and_free_again_as_it_closes(line, monkeypatch):
+    """A pseudo terminal in the place of a device: for the kernel both are ttys."""
+    monkeypatch.setattr(port_module, '_PTY', ())
+    device = os.path.realpath(line.path)
+    os.chmod(device, 0o666)
+    other = os.open(device, os.O_RDWR | os.O_NOCTTY)
+    port = Port(line.path)
+    for _ in range(2):
+        port.open()
+        assert is_exclusive(other)
+        assert open_as_ordinary_user(device) == errno.EBUSY
+        port.close()
+        assert not is_exclusive(other)
+        assert open_as_ordinary_user(device) == 0
+    os.close(other)
+
+
+def test_a_pseudo_terminal_is_not_kept_for_one_program(port, line):
+    other = os.open(line.path, os.O_RDWR | os.O_NOCTTY)
+    assert not is_exclusive(other)
+    os.close(other)
+
+
+_HOLDER = '''
+import os, sys, time
+from serial_communication.transport.port import Port
+# Not before the imports: such a user may not read a checkout in root's home.
+if os.geteuid() == 0: os.setgid({0}); os.setuid({0})
+port = Port(sys.argv[1])
+port.open()
+print('open', flush=True)
+time.sleep({1})
+'''
+
+
+def holder(path, seconds):
+    """A program of an ordinary user that opens the port."""
+    return subprocess.Popen([sys.executable, '-c', _HOLDER.format(_NOBODY, seconds), path],
+                            stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+                            env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)})
+
+
+def test_after_a_sigkill_an_ordinary_user_opens_a_socat_port_again(tmp_path):
+    path = str(tmp_path / 'tty')
+    os.chmod(str(tmp_path), 0o755)
+    for folder in tmp_path.parents:
+        if os.stat(str(folder)).st_uid == os.geteuid() and str(folder) != '/':
+            os.chmod(str(folder), os.stat(str(folder)).st_mode | 0o055)
+    socat = subprocess.Popen(['socat', f'pty,raw,echo=0,mode=666,link={path}',
+                              f'pty,raw,echo=0,link={path}.other'])
+    try:
+        until(lambda: os.path.exists(path) and os.path.exists(path + '.other'))
+        first = holder(path, 100)
+        assert first.stdout.readline() == b'open\n'
+        first.send_signal(signal.SIGKILL)
+        first.wait()
+        again = holder(path, 0)
+        assert again.communicate(timeout=PATIENCE)[0] == b'open\n'
+    finally:
+        socat.terminate()
+        socat.wait()
+
+
+def test_settings_on_a_tty_that_goes_away_are_no_fault(port, line):
+    line.unplug()
+    assert port.restore_settings() == ''
+    with pytest.raises(port_module.PortError):
+        port.read(PATIENCE)
+
+
+@pytest.mark.parametrize('before', [['sane'], ['parmrk', 'ignpar', 'cstopb'], ['9600', 'ixany']])
+def test_a_port_is_raw_whatever_it_was_before(line, before):
+    stty(line.path, *before)
+    port = Port(line.path)
+    port.open()
+    iflag, oflag, cflag, lflag, speed = termios.tcgetattr(port._fd)[:5]
+    assert (iflag, oflag, lflag, speed) == (0, 0, 0, termios.B115200)
+    assert cflag & ~termios.B115200 == termios.CS8 | termios.CREAD | termios.CLOCAL
+    port.close()
+
+
+def test_frames_pass_after_stty_sane(line, logger, running, lines):
+    """The sensor board's checksum does not save a line that waits for a newline."""
+    got = []
+    running(McuLink(Port(line.path), logger=logger, timeout=20.0,
+                    on_status=lambda message, seq, stamp: got.append(seq)))
+    until(lambda: got or line.write(mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 1)))
+    stty(line.path, 'sane')
+    until(lambda: lines('another program changed the settings'))
+    del got[:]
+    for seq in range(100):
+        line.write(mcu.encode(mcu.AdcStatus(13, 10, 3, 4, 17, 19), seq))
+    until(lambda: len(got) >= 100)
+    assert got == list(range(100))
