@@ -20,6 +20,7 @@ SILENCE = 1.0                  # s without a frame after which a talking board c
 _ORDERLY = 0.5                 # s in which the bridge may be told to end, too, when a port goes
 _BACK_OFF = (0.1, 1.0)         # s from one try to open to the next: first, last
 _NEVER = float('inf')
+_OLD = object()                # in the place of a stamp: what has waited during a stall
 
 Tap = Callable[[str, int, Frame], None]
 
@@ -399,7 +400,7 @@ class Link:
         # A frame that began among them ends in what comes next: the rest of it alone could be
         # taken for another frame where frames carry no checksum.
         errors = dict(self.decoder.errors)
-        self.decoder.feed(backlog.last)
+        self.decoder.feed(backlog.last, _OLD)
         self.decoder.errors.update(errors)
 
     def take(self, data: bytes, stamp: Any, now: float) -> None:
@@ -411,6 +412,8 @@ class Link:
     def _deliver(self, frames: List[Frame], now: float) -> None:
         tap = self.tap
         for frame in frames:
+            if frame.stamp is _OLD:
+                continue
             shown = self.shown(frame) if tap else frame
             if frame.cause:
                 self.log.warn(frame.cause, f'{frame.cause}: {frame.error}: {frame.raw[:24].hex()}')

@@ -314,6 +314,26 @@ def test_the_rest_of_a_packet_that_began_among_old_bytes_is_no_packet(
     assert got == [arduino.Ticks(5)]
 
 
+def test_an_old_frame_behind_a_false_start_is_not_received_when_that_is_given_up(
+        line, logger, running, clock):
+    """It is found after the stall, but has waited during it."""
+    got = []
+    link = running(McuLink(Port(line.path), timeout=60.0, logger=logger,
+                           on_status=lambda message, seq, stamp: got.append(seq)))
+
+    def frame(seq):
+        return mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), seq)
+
+    until(lambda: got or line.write(frame(1)))
+    clock.begin_stall(link, 2.0)
+    before, old = link.stale, b'\x02\x40' + frame(2)     # it would be 67 bytes long
+    line.write(old)
+    until(lambda: link.stale == before + len(old))
+    clock.end(link)
+    until(lambda: got[-1] == 3 or line.write(frame(3)))
+    assert set(got) == {1, 3}
+
+
 def test_the_hook_is_called_before_anything_is_received(line, logger, running, clock, monkeypatch):
     told = []
     link = McuLink(Port(line.path), timeout=60.0, logger=logger,
