@@ -1,4 +1,4 @@
-"""How fast, how even and how cheap the bridge is on this machine. Takes about ten minutes.
+"""How fast, how even and how cheap the bridge is on this machine. Takes about six minutes.
 
 It starts all it needs: a roscore of its own, the bridge, boards behind ptys, and what the bridge is
 compared with: a node that polls its port, one that only publishes (the floor), and with --against
