@@ -1,4 +1,4 @@
-# What scripts/demo and scripts/test have in common: from a machine without ROS to a built and
+# What the programs of a checkout have in common: from a machine without ROS to a built and
 # sourced package. To be sourced by them; then call  set_up run  or  set_up run test avr.
 #
 # Where nothing is missing and nothing has changed it takes a fraction of a second: no network,

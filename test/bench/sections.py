@@ -5,6 +5,7 @@ figure the best round counts, so that the machine's other work does not decide. 
 better the less it is.
 """
 import time
+from math import inf
 from pathlib import Path
 from statistics import median, pstdev
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Sequence, Tuple
@@ -52,6 +53,11 @@ def _cost(children: Sequence[Child], work: Callable[[], Any]) -> Tuple[float, An
     return 100 * spent / (time.monotonic() - start) / len(children), result
 
 
+def _figure(function: Callable[[List[float]], float], seconds: List[float]) -> float:
+    """In ms; infinite where nothing came."""
+    return 1e3 * function(seconds) if seconds else inf
+
+
 # -- one board, IMU and steering subscribed -------------------------------------------------------
 
 def latency(stage: BenchStage, plan: Plan, busy: int = 0) -> Results:
@@ -77,11 +83,12 @@ def _latency(side: Side, subscriber: Servant, seconds: float) -> Figures:
     beats = side.others['listener'].ask('take')
     time.sleep(_SETTLE)
     found = latencies(sent, subscriber.ask('take', node=side.node))
-    gaps = [1e3 * (after - then) for then, after in zip(beats, beats[1:])]
-    return {'p50, ms': 1e3 * median(found), 'p99, ms': 1e3 * percentile(found, 99),
+    gaps = [after - then for then, after in zip(beats, beats[1:])]
+    return {'p50, ms': _figure(median, found),
+            'p99, ms': _figure(lambda values: percentile(values, 99), found),
             'lost': 2 * len(sent) - len(found), 'CPU, % of a core': cpu,
-            'heartbeat: deviation, ms': pstdev(gaps),
-            'heartbeat: p99.9, ms': percentile(gaps, 99.9),
+            'heartbeat: deviation, ms': _figure(pstdev, gaps),
+            'heartbeat: p99.9, ms': _figure(lambda values: percentile(values, 99.9), gaps),
             **{f'{name}, ms in 10 s': spent for name, spent in threads.items()}}
 
 
@@ -222,8 +229,8 @@ def bus(stage: BenchStage, plan: Plan) -> Results:
             calls = caller.ask('call', service=f'{side.node}/{service}', seconds=plan.seconds / 2)
             gaps = gaps_in_queue(side.others['bus'].ask('take'), calls, _IN_QUEUE)
             trips = [end - start for start, end, _ in calls]
-            figures.update({f'{service}: gap p50, ms': 1e3 * median(gaps),
-                            f'{service}: call p50, ms': 1e3 * median(trips),
+            figures.update({f'{service}: gap p50, ms': _figure(median, gaps),
+                            f'{service}: call p50, ms': _figure(median, trips),
                             f'{service}: failed': sum(not success for *_, success in calls)})
         return figures
 

@@ -61,12 +61,14 @@ def test_catkin_lint():
         SERIAL_COMMUNICATION_VIEW='yes')     # the dependencies of view.launch count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('arguments', LAUNCH_ARGUMENTS, ids=lambda given: ' '.join(given) or '-')
 def test_launch_file(arguments):
     nodes = run('roslaunch', '--nodes', 'serial_communication', 'bridge.launch', *arguments)
     assert '/serial_communication' in nodes.split()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('arguments, bridge', [([], False), (['sim:=off'], False),
                                                (['sim:=true'], True), (['sim:=avr'], True)])
 def test_view_starts_a_bridge_only_with_simulated_boards(arguments, bridge):
@@ -75,6 +77,7 @@ def test_view_starts_a_bridge_only_with_simulated_boards(arguments, bridge):
     assert ('/serial_communication' in nodes) == bridge
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('arguments', [['faults:=all'], ['sim:=avr', 'faults:=all'],
                                        ['sim:=maybe']])
 def test_launch_arguments_that_make_no_sense_end_it(arguments):
@@ -83,6 +86,7 @@ def test_launch_arguments_that_make_no_sense_end_it(arguments):
     assert arguments[-1] in str(failure.value) and 'Traceback' not in str(failure.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('launch', sorted(path.name for path in ROOT.glob('launch/*.launch')))
 def test_no_argument_of_a_launch_file_looks_required_or_is_undocumented(launch):
     said = run('roslaunch', '--ros-args', 'serial_communication', launch)

@@ -19,6 +19,7 @@ COLLECTED = ('boards', 'framing', 'link', 'simulation', 'tools', 'transport',
              'fuzz/test_fuzz_decoders.py')
 RUN = ('transport/test_port.py', 'transport/test_port_messages.py', 'link/test_link.py',
        'boards/test_stream_decoders.py', 'framing/test_custom_messages.py')
+pytestmark = pytest.mark.slow
 _LONGEST = 600      # s; only a test that hangs takes as long
 
 
@@ -70,7 +71,8 @@ def run(python, *arguments):
     done = subprocess.run([python, '-m', 'pytest', '-q', '--tb=short', '-p', 'no:cacheprovider',
                            *arguments], cwd=str(ROOT), stdout=subprocess.PIPE, text=True,
                           stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, timeout=_LONGEST,
-                          check=False)
+                          check=False, env={**os.environ,
+                                            'SERIAL_COMMUNICATION_FUZZ_EXAMPLES': '5'})
     assert done.returncode == 0, done.stdout
 
 
