@@ -37,7 +37,8 @@ def fixture_stage(tmp_path):
         children.append(Child(name, command, str(tmp_path), dict(os.environ), priority))
         return children[-1]
 
-    yield SimpleNamespace(folder=str(tmp_path), child=child, end=lambda one, number: one.end(number),
+    yield SimpleNamespace(folder=str(tmp_path), child=child,
+                          end=lambda one, number: one.end(number),
                           events=SimpleNamespace(write=lambda **_: None))
     for each in children:
         each.end(signal.SIGKILL)
