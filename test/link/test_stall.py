@@ -23,6 +23,7 @@ from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
 from serial_communication.transport.port import Port
 
+pytestmark = pytest.mark.slow
 PROGRAM = Path(__file__).with_name('one_link.py')
 
 

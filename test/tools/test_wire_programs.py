@@ -24,6 +24,7 @@ from serial_communication.tools.wire.passing import Passage
 from serial_communication.tools.wire.recording import load
 from wire_lines import PATIENCE, ROOT
 
+pytestmark = pytest.mark.slow
 PROGRAM = [sys.executable, ROOT + '/scripts/wire']
 HEARTBEAT = arduino.encode(arduino.Heartbeat())
 EVERY_BYTE = bytes(range(256)) * 3
