@@ -83,6 +83,8 @@ class Link:
         self._presence = Presence(self.log)
         self._opened_at = self._presence_at = 0.0    # monotonic
         self._backlog: Optional[Backlog] = None      # while old bytes are dropped
+        # Whether the latest read found nothing, and nothing has been delivered since.
+        self.drained = False
 
     # -- hooks ------------------------------------------------------------------------
 
@@ -337,6 +339,7 @@ class Link:
         self.opened(now)
         self.last_byte_at = self._opened_at = self._presence_at = look_at = now
         self._backlog = None
+        self.drained = False
         timer = self._timer
         timer.reset()
         while not self._stopping.is_set():
@@ -349,6 +352,7 @@ class Link:
             data = self.port.read(due - now)
             stamp = self._clock()
             now = time.monotonic()
+            self.drained = not data
             self._look_for_stall(now)
             if self._backlog is not None:
                 self._drop(data, now)
@@ -411,6 +415,7 @@ class Link:
     def _deliver(self, frames: List[Frame], now: float) -> None:
         tap = self.tap
         for frame in frames:
+            self.drained = False
             shown = self.shown(frame) if tap else frame
             if frame.cause:
                 self.log.warn(frame.cause, f'{frame.cause}: {frame.error}: {frame.raw[:24].hex()}')

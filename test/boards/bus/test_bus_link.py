@@ -359,7 +359,7 @@ def test_no_request_leaves_while_a_reply_is_coming_in(board, open_link):
     until(lambda: link.decoder.pending)
     known = len(board.seen)
     outcomes = in_background(link.lift, 0, 100)
-    until(lambda: link.master.wants_to_send(time.monotonic()))
+    until(lambda: link.master._waiting())
     threading.Event().wait(0.1)
     assert len(board.seen) == known and not outcomes
     board.line.write(OK_WIRE[2:])

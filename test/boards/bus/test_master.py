@@ -65,9 +65,11 @@ class Session:
 
     def ask_next(self):
         """What goes out now; None for nothing."""
-        self.master.tick(self.now)
-        assert self.master.wants_to_send(self.now) or self.master.next_request(self.now) is None
-        return self.master.next_request(self.now)
+        return self.master.step(self.now)[0]
+
+    def wake_at(self):
+        """When the Master is to be called again at the latest; nothing goes out."""
+        return self.master.step(self.now, may_send=False)[1]
 
     def ask(self):
         """The same; where it is the fence before a request, that comes back: what is behind it."""
@@ -89,7 +91,7 @@ class Session:
 
     def later(self, seconds):
         self.now += seconds
-        self.master.tick(self.now)
+        self.master.step(self.now, may_send=False)
 
     def connect(self):
         """A board that answers SYNC, and the ECHO behind it, at once."""
@@ -155,7 +157,7 @@ def without_echo(fresh):
 def test_nothing_is_sent_while_a_request_is_outstanding(session):
     calls = [session.call(LIFT), session.call(GIMBAL)]
     assert session.ask() == LIFT
-    assert session.ask() is None and session.master.outstanding
+    assert session.ask() is None and session.master.asked == LIFT
     session.later(1.0)
     assert session.ask() is None
     session.reply(OK_REPLY)
@@ -163,8 +165,7 @@ def test_nothing_is_sent_while_a_request_is_outstanding(session):
     assert session.ask() == GIMBAL
     session.reply(OK_REPLY)
     assert calls[1].outcome.success and session.ask() is None
-    assert not session.master.wants_to_send(session.now)
-    assert session.master.deadline(session.now) is None
+    assert session.wake_at() is None
 
 
 def test_calls_go_in_their_order_and_before_polls(session):
@@ -199,7 +200,7 @@ def test_an_outcome_tells_what_the_board_said(session):
 
 def test_nothing_is_sent_before_a_connection(fresh):
     call = fresh.call(LIFT)
-    assert fresh.ask() is None and not fresh.master.wants_to_send(fresh.now)
+    assert fresh.ask() is None
     fresh.later(PATIENCE)
     assert call.outcome.status == NOT_SENT and 'closed' in call.outcome.message
 
@@ -247,7 +248,7 @@ def test_a_new_connection_begins_with_sync(session):
 def test_no_reply_within_its_timeout_means_unknown_and_never_again(session, request_, timeout):
     call = session.call(request_)
     assert session.ask() == request_
-    assert session.master.deadline(session.now) == pytest.approx(session.now + timeout)
+    assert session.wake_at() == pytest.approx(session.now + timeout)
     session.later(timeout - 0.001)
     assert call.outcome is None
     session.later(0.002)
@@ -487,10 +488,10 @@ def test_nonces_are_four_random_bytes_by_default(caplog):
     seen = set()
     for _ in range(20):
         machine.connected(0.0)
-        machine.next_request(0.0)
+        machine.step(0.0)
         machine.received(Frame(b'', 0, 0, b'', SYNC_REPLY), 0.0)
         machine.damaged(bad_frame(b'x', FRAMING, 'noise'), 0.0)
-        seen.add(machine.next_request(0.0).data)
+        seen.add(machine.step(0.0)[0].data)
         machine.disconnected(0.0, '')
     assert len(seen) == 20 and {len(nonce) for nonce in seen} == {4}
 
@@ -618,7 +619,7 @@ def test_a_reply_that_cannot_be_this_requests_is_not_given_to_its_caller(session
     call = session.call(request_)
     session.ask()
     session.reply(foreign)
-    assert call.outcome is None and session.master.outstanding
+    assert call.outcome is None and session.master.asked == request_
     assert not session.master.in_step
 
 
@@ -923,7 +924,7 @@ def test_a_fence_that_nobody_answers_ends_within_the_calls_timeout_and_a_second(
     while call.outcome is None:
         asked = session.ask_next()
         assert asked is None or asked.cmd1 in (bus.ECHO, bus.SYNC)
-        session.now = session.master.deadline(session.now)
+        session.now = session.wake_at()
         session.later(0.0)
     assert call.outcome.status == NOT_SENT and 'nothing was sent' in call.outcome.message
     assert session.now - submitted <= call.timeout + 1.0
@@ -934,9 +935,8 @@ def test_no_fence_goes_out_for_a_caller_that_has_gone(session):
     session.ask_next()
     call = session.call(LIFT)
     session.reply(AIR_REPLY)
-    session.master.tick(session.now)
+    session.later(0.0)
     call.wait(0.0)
-    assert session.master.next_request(session.now) is None
     assert session.ask_next() is None and call.outcome.status == NOT_SENT
 
 
@@ -965,8 +965,8 @@ def test_a_board_that_never_echoes_gets_a_silence_before_a_move_since_its_last_b
     session.later(0.1)
     session.reply(AIR_REPLY)
     call = session.call(request_)
-    assert session.ask_next() is None and not session.master.wants_to_send(session.now)
-    assert session.master.deadline(session.now) == pytest.approx(session.now + QUIET)
+    request, wake_at = session.master.step(session.now)
+    assert request is None and wake_at == pytest.approx(session.now + QUIET)
     session.later(QUIET - 0.001)
     assert session.ask_next() is None
     session.later(0.002)
@@ -1245,7 +1245,7 @@ def test_a_request_that_did_not_leave_the_port_is_not_sent(session):
     session.ask()
     session.master.not_sent('the port takes no data')
     assert call.outcome.status == NOT_SENT and 'takes no data' in call.outcome.message
-    assert not session.master.outstanding
+    assert session.master.asked is None
 
 
 def test_a_repeated_request_that_did_not_leave_this_time_was_sent_before(session):
@@ -1302,7 +1302,7 @@ def test_a_call_to_a_board_that_never_synchronises_expires_soon(fresh):
     fresh.ask()
     call = fresh.call(LIFT)
     fresh.later(0.0)
-    assert fresh.master.deadline(fresh.now) <= fresh.now + PATIENCE
+    assert fresh.wake_at() <= fresh.now + PATIENCE
     fresh.later(REPLY_TIMEOUT)
     fresh.ask()
     fresh.later(PATIENCE)
@@ -1337,7 +1337,7 @@ def test_a_doubt_that_comes_late_ends_within_the_timeout_and_a_second(caplog):
     while call.outcome is None:
         asked = session.ask()
         assert asked is None or asked.cmd1 == bus.ECHO
-        session.now = session.master.deadline(session.now)
+        session.now = session.wake_at()
         session.later(0.0)
     assert call.outcome.status == TIMEOUT
     assert session.now - submitted <= REPLY_TIMEOUT + 1.0
@@ -1351,7 +1351,7 @@ def test_a_caller_that_has_given_up_is_never_sent(session, request_):
     outcome = call.wait(0.0)
     assert outcome.status == NOT_SENT
     session.reply(OK_REPLY)
-    assert session.ask() is None and not session.master.wants_to_send(session.now)
+    assert session.ask() is None
     assert call.outcome is outcome
 
 
@@ -1379,8 +1379,7 @@ def test_the_deadline_is_that_of_the_request_or_of_a_waiting_call(session):
     session.call(RAW)
     session.ask()
     session.call(LIFT)
-    session.master.tick(session.now)
-    assert session.master.deadline(session.now) == pytest.approx(session.now + REPLY_TIMEOUT)
+    assert session.wake_at() == pytest.approx(session.now + REPLY_TIMEOUT)
 
 
 # -- conditions -----------------------------------------------------------------------------------
