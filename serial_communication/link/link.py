@@ -121,18 +121,9 @@ class Link:
         return frame
 
     def talks(self, now: float) -> Optional[bool]:
-        """Whether the board talks; None where that cannot be told yet. Looked at while the port
-        is open, and said in the log when it changes."""
-        last = self.last_frame_at
-        if last is not None and now - last <= SILENCE:
-            return True
-        return self.is_silent(now)
-
-    def is_silent(self, now: float) -> Optional[bool]:
-        """The same of a board that does not talk now: if it has not since the port opened, it may
-        still start."""
-        has_talked = self.last_frame_at is not None and self.last_frame_at >= self._opened_at
-        return False if has_talked or now >= self._opened_at + FIRST_WORD else None
+        """Whether the board talks; None where that cannot be told. Looked at while the port is
+        open, and said in the log when it changes; silence not while the board may still start."""
+        return self.last_frame_at is not None and now - self.last_frame_at <= SILENCE
 
     def silence(self) -> str:
         """How the log tells of a board that does not talk."""
@@ -345,7 +336,10 @@ class Link:
             self.altered(now)
         if now >= self._presence_at:
             self._presence_at = now + LOOK_PERIOD
-            self._presence.see(self.talks(now), self.silence(), now)
+            talks = self.talks(now)
+            has_talked = self.last_frame_at is not None and self.last_frame_at >= self._opened_at
+            if talks or has_talked or now >= self._opened_at + FIRST_WORD:
+                self._presence.see(talks, self.silence(), now)
         return now + LONGEST_SLEEP
 
     def _look_for_stall(self, now: float) -> None:

@@ -239,11 +239,8 @@ class BusLink(Link):
 
     def talks(self, now: float) -> Optional[bool]:
         # It talks only when it is asked.
-        amiss = self.master.condition()
-        if amiss is Condition.READY:
-            return True
         # That it answers no ECHO is reported by the master: there are boards that know none.
-        return self.is_silent(now) if amiss is Condition.NO_SYNC else None
+        return {Condition.READY: True, Condition.NO_SYNC: False}.get(self.master.condition())
 
     def silence(self) -> str:
         return (f'{self.master.condition().value}; asking on: has it power, is it wired, and is '
