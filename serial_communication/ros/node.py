@@ -13,7 +13,7 @@ from ..boards import reason
 from ..link.link import Link
 from ..link.sparing_log import SparingLog
 from ..output import print_line_by_line
-from ..transport.pace import all_be_quick
+from ..transport.pace import set_priority_of_all
 from ..transport.terminal import write_in_background
 from . import parameters, starting
 from .diagnostics import Diagnostics
@@ -148,7 +148,7 @@ class Bridge:
         """Open the ports and take calls."""
         # Not the heartbeat's thread alone: any other may hold the interpreter's lock while it waits
         # for the processor, and the heartbeat with it.
-        all_be_quick(_PRIORITY)
+        set_priority_of_all(_PRIORITY)
         for interface in self._interfaces:
             with _code_of(type(interface)):
                 interface.link.start()
@@ -168,4 +168,4 @@ class Bridge:
         # rospy's thread for the calls of others turns in circles once its socket is closed, and
         # would keep a processor from those that it waits for. And a process that starts again in
         # the place of this one would inherit the priority.
-        all_be_quick(0)
+        set_priority_of_all(0)

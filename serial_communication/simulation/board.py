@@ -6,7 +6,7 @@ from typing import Any, Callable, Optional
 from ..framing.frame_timer import FrameTimer
 from ..framing.stream import Frame
 from ..transport.opener import Opener
-from ..transport.pace import be_quick
+from ..transport.pace import set_priority
 from ..transport.port import Port, PortError
 from .line import Line
 
@@ -147,7 +147,7 @@ class Runner:
     def run(self) -> None:
         """Run the board in this thread."""
         if self._realtime:
-            be_quick(_REALTIME_PRIORITY)
+            set_priority(_REALTIME_PRIORITY)
         self._opener.start()
         while self._opener.open(self._not_open, self._idle):
             self._trouble = ''
