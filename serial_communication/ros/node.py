@@ -12,9 +12,8 @@ import rospy
 from ..boards import reason
 from ..link.link import Link
 from ..link.sparing_log import SparingLog
-from ..output import print_line_by_line
+from ..output import prepare_output
 from ..transport.pace import set_priority_of_all
-from ..transport.terminal import write_in_background
 from . import parameters, starting
 from .diagnostics import Diagnostics
 from .geometry import publish_mounts
@@ -35,10 +34,9 @@ _LOGGER = logging.getLogger('rosout')    # rospy's own, for terminal, file and /
 
 def main() -> None:
     """Run until ROS or a signal ends it, and exit."""
-    print_line_by_line()
+    prepare_output()
     starting.check_arguments(sys.argv[1:])
     sys.setswitchinterval(_SWITCH_INTERVAL)
-    write_in_background()
     background_logging.install()
     start = starting.Start(_NAME)
     last_resort = LastResort(_LAST_RESORT, start.end_at_last)

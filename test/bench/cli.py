@@ -10,7 +10,7 @@ import signal
 import sys
 from typing import Any, Dict, List, Optional, Tuple
 
-from serial_communication.output import print_line_by_line
+from serial_communication.output import prepare_output
 from progress import Progress
 from processes import StageError
 from .report import judge, plain, plot, render
@@ -20,7 +20,7 @@ from .stage import BenchStage, machine, stolen
 
 def main(arguments: Optional[List[str]] = None) -> int:
     """Run it; returns the exit status."""
-    print_line_by_line()
+    prepare_output()
     options = _parser().parse_args(arguments)
     plan = Plan(options.duration or (1.0 if options.short else 3.5), 2 if options.short else 12,
                 options.short)
