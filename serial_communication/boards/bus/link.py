@@ -5,6 +5,7 @@ from typing import Any, Callable, List, NamedTuple, Optional, Tuple
 
 from ...framing.layout import Layout
 from ...framing.stream import Frame
+from ...link.backlog import LONGEST_SLEEP
 from ...link.link import ERROR, OK, WARN, Link
 from ...link.outcome import NOT_SENT, Outcome
 from ...transport.pace import Every
@@ -71,6 +72,7 @@ class BusLink(Link):
         self._on_environment = on_environment
         self._pollers: List[_Poller] = []
         self._blocked_until = 0.0
+        self._due = 0.0         # when something is due by time, at the latest
         if settings.environment_period:
             self.poll(settings.environment_period, wire.ENVIRONMENT_REQUEST,
                       wire.Environment.LAYOUT, self._environment_came)
@@ -169,6 +171,7 @@ class BusLink(Link):
         for poller in self._pollers:
             poller.start(now)
         self.master.connected(now)
+        self._due = now
 
     def closed(self, now: float) -> None:
         self.master.disconnected(now, self._trouble or 'the bridge is stopping')
@@ -195,7 +198,9 @@ class BusLink(Link):
         self.master.missed('the settings of the port were changed', now)
 
     def tick(self, now: float) -> Optional[float]:
-        times = []
+        if not self.drained and now < self._due:
+            return now      # nothing may be sent before the port has been read empty
+        times = [now + LONGEST_SLEEP]
         if self.master.synchronised:
             for poller in self._pollers:
                 poller.tick(now)
@@ -208,11 +213,10 @@ class BusLink(Link):
             self._send_request(request, now)
         if wake_at is not None:
             times.append(wake_at)
-        if not self.drained:
-            times.append(now)
-        elif now < self._blocked_until:
+        if now < self._blocked_until:
             times.append(self._blocked_until)
-        return min(times, default=None)
+        self._due = min(times)
+        return self._due if self.drained else now
 
     def _send_request(self, request: wire.Request, now: float) -> None:
         frame = wire.encode_request(request, self.settings.environment_datelen)
