@@ -457,19 +457,6 @@ def test_after_a_timeout_nothing_goes_out_before_the_echo_is_back(session):
     assert second_submitted_late.outcome is None or second.outcome is None
 
 
-def test_a_late_reply_is_never_taken_for_the_next_requests(session):
-    first = session.call(LIFT)
-    session.ask()
-    session.later(MOTION_TIMEOUT)
-    second = session.call(GIMBAL)
-    echo = session.ask()
-    session.reply(OK_REPLY, bus.Reply(bus.ECHO, echo.data))
-    assert session.ask() == GIMBAL
-    assert second.outcome is None and first.outcome.status == TIMEOUT
-    session.reply(error(0x8002))
-    assert second.outcome.status == bus.ERROR
-
-
 def test_every_nonce_is_fresh(session):
     session.call(RAW)
     session.ask()
@@ -772,33 +759,6 @@ def test_a_call_between_two_polls_of_a_kind(session, between, answer):
     assert len(session.nonces) - known == (between != READ)
 
 
-def test_a_value_that_comes_twice_is_not_that_of_another_poll(session):
-    session.call(READ, poll=True)
-    assert session.ask_next() == READ
-    session.reply(bus.Reply(bus.OK, b'\1\1'))
-    other = session.call(OTHER, poll=True)
-    echo = session.ask_next()
-    session.reply(bus.Reply(bus.OK, b'\1\1'))
-    assert other.outcome is None and session.ask_next() is None
-    session.reply(bus.Reply(bus.ECHO, echo.data))
-    assert session.ask_next() == OTHER
-    session.reply(bus.Reply(bus.OK, b'\2\2'))
-    assert other.outcome.data == b'\2\2'
-
-
-def test_the_refusal_of_a_repeatable_call_is_not_hidden_by_an_ok_that_comes_twice(session):
-    session.call(LIFT)
-    session.ask_next()
-    session.reply(OK_REPLY)
-    call = Call(OWN, REPLY_TIMEOUT, True, 3, session.now, reply_layout=bus.NO_DATA)
-    session.master.submit(call)
-    echo = session.ask_next()
-    session.reply(OK_REPLY, bus.Reply(bus.ECHO, echo.data))
-    assert call.outcome is None and session.ask_next() == OWN
-    session.reply(error(0x8002))
-    assert call.outcome.status == bus.ERROR
-
-
 @pytest.mark.parametrize('code', [0x40, 0x20])
 def test_a_repeatable_call_is_refused_only_where_no_ok_follows_the_invalid(session, code):
     call = Call(OWN, REPLY_TIMEOUT, True, 1, session.now, reply_layout=bus.NO_DATA)
@@ -1056,18 +1016,6 @@ def test_a_reply_of_a_wrong_length_is_told_as_that_and_at_once(session, data, po
     session.find_step()
 
 
-def test_an_ok_that_came_twice_before_a_reading_costs_no_reading(session):
-    session.call(LIFT)
-    session.ask()
-    session.reply(OK_REPLY)
-    call = session.call(AIR)
-    echo = session.ask_next()
-    session.reply(OK_REPLY, bus.Reply(bus.ECHO, echo.data))
-    assert session.ask_next() == AIR
-    session.reply(AIR_REPLY)
-    assert call.outcome.success
-
-
 def test_what_may_not_be_repeated_is_told_of_a_wrong_length_at_once_and_goes_never_again(session):
     call = Call(RAW, REPLY_TIMEOUT, False, 3, session.now, reply_layout=Layout('<2x', ()))
     session.master.submit(call)
@@ -1117,23 +1065,6 @@ def test_on_success_is_called_with_a_valid_reading_only(session, reply, told):
 
 
 # -- INVALID in every state -----------------------------------------------------------------------
-
-@pytest.mark.parametrize('code', [0x40, 0x20])
-def test_invalid_while_nothing_is_outstanding(session, code):
-    session.reply(invalid(code))
-    assert not session.master.in_step
-    session.find_step()
-
-
-@pytest.mark.parametrize('code', [0x40, 0x20, 0x10])
-def test_invalid_to_a_sync_asks_on(fresh, code):
-    fresh.master.connected(fresh.now)
-    fresh.ask()
-    fresh.reply(invalid(code))
-    fresh.later(REPLY_TIMEOUT)
-    assert fresh.ask() == bus.SYNC_REQUEST
-    fresh.reply(SYNC_REPLY)
-    assert fresh.master.synchronised
 
 
 @pytest.mark.parametrize('code', [0x40, 0x20, 0x10])
@@ -1229,15 +1160,6 @@ def test_a_call_submitted_in_the_instant_of_the_closing_is_refused_with_the_othe
     call = session.call(LIFT)
     session.master.disconnected(session.now, 'unplugged')
     assert call.outcome is not None and call.outcome.status == NOT_SENT
-
-
-def test_a_call_to_a_closed_port_does_not_wait_long(session):
-    session.master.disconnected(session.now, 'unplugged')
-    call = session.call(RAW)
-    session.later(0.0)
-    session.later(PATIENCE + 0.01)
-    assert call.outcome is not None, 'a port that is closed serves nobody'
-    assert call.outcome.status == NOT_SENT
 
 
 def test_a_request_that_did_not_leave_the_port_is_not_sent(session):
