@@ -15,7 +15,7 @@ from typing import Dict, List, Optional
 
 import psutil
 
-from serial_communication.output import print_line_by_line
+from serial_communication.output import prepare_output
 from processes import StageError
 from .report import Results, judge, render
 from .sections import SECTIONS, Plan
@@ -24,7 +24,7 @@ from .stage import BenchStage
 
 def main(arguments: Optional[List[str]] = None) -> int:
     """Run it; returns the exit status."""
-    print_line_by_line()
+    prepare_output()
     options = _parser().parse_args(arguments)
     plan = Plan(1.0, 2, 2) if options.short else Plan(6.0, 4, 10)
     signal.signal(signal.SIGTERM, signal.default_int_handler)    # as Ctrl-C: end the children

@@ -13,7 +13,7 @@ import sys
 from random import SystemRandom
 from typing import List, Optional
 
-from serial_communication.output import print_line_by_line
+from serial_communication.output import prepare_output
 from processes import StageError
 from .hostile import decoder_costs, node_costs, render_costs, rows_of
 from .judge import judge
@@ -26,7 +26,7 @@ from .table import as_dict, render
 
 def main(arguments: Optional[List[str]] = None) -> int:
     """Run what the command line says; the exit status."""
-    print_line_by_line()
+    prepare_output()
     options = _parse(sys.argv[1:] if arguments is None else arguments)
     signal.signal(signal.SIGTERM, signal.default_int_handler)    # as Ctrl-C: end the children
     signal.signal(signal.SIGHUP, signal.default_int_handler)

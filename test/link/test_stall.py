@@ -13,7 +13,6 @@ import pytest
 from fake_boards import PATIENCE, BusBoard, Rfc2217Server, until
 from waiting import Waiter
 
-from serial_communication.boards.arduino import heart
 from serial_communication.boards.arduino.link import ArduinoLink
 from serial_communication.link.backlog import STALL, Backlog
 from serial_communication.boards.bus.link import BusLink, BusSettings
@@ -21,6 +20,7 @@ from serial_communication.boards.mcu.link import McuLink
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
+from serial_communication.transport import pace
 from serial_communication.transport.port import Port
 
 pytestmark = pytest.mark.slow
@@ -242,7 +242,7 @@ class Clock:
     """In the place of the links' clock: it can jump, and stand still."""
 
     def __init__(self):
-        self._real = heart.clock
+        self._real = pace.clock
         self._ahead = 0.0
         self._stands_at = None
 
@@ -264,7 +264,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch):
     made = Clock()
-    monkeypatch.setattr(heart, 'clock', made)
+    monkeypatch.setattr(pace, 'clock', made)
     return made
 
 
