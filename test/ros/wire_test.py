@@ -146,6 +146,8 @@ class WireTest(unittest.TestCase):
 
     def test_a_damaged_bag_is_one_line(self):
         """Wherever it is damaged, however, and by whomever."""
+        # rosbag keeps a type that a damaged definition gave, for all later bags of this process.
+        self.addCleanup(rosbag.bag._message_types.clear)
         path = os.path.join(self.folder, 'damaged.bag')
         with rosbag.Bag(path, 'w') as bag:
             for message in self.robot.frames.messages[:40]:
@@ -185,7 +187,7 @@ class WireTest(unittest.TestCase):
                     frame=scale.encode(scale.Load(number / 10), number)), rospy.Time(number))
         done = run('stats', path)
         self.assertEqual(done.returncode, 0, done.stderr)
-        self.assertIn('type 0x10                      3', done.stdout)
+        self.assertRegex(done.stdout, 'type 0x10 +3 ')
         self.assertNotIn('lost', done.stdout)
         self.assertIn('there is no board scale', done.stderr)
         self.assertEqual(len(done.stderr.splitlines()), 1)
