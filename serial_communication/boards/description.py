@@ -34,7 +34,8 @@ class Command(enum.Enum):
     """What the `command` of a frame is."""
 
     NOTHING = 'nothing'
-    FUNCTION = 'function'    # what is asked; the board sends replies alone, one a request
+    FUNCTION = 'function'    # what is asked; the board sends replies alone, one a request, and
+    #                          the decoder of them has explain(frame, request)
     SEQUENCE = 'sequence'    # a running number, modulo 256
 
 
@@ -62,8 +63,14 @@ class Description:
     wire_flags: Mapping[str, str] = field(default_factory=dict)
     command: Command = Command.NOTHING
     heartbeat: Optional[Heartbeat] = None
-    between: bytes = b''             # bytes that may stand between frames
+    baud: int = 115200               # of its line, unless somebody says otherwise
+    # Bytes that end a frame, stand nowhere inside one, and may also stand between two.
+    between: bytes = b''
     first_after_loss: bytes = b''    # is sent first after a part of what was sent has been dropped
+    # s; behind a network, a board that is silent for so long after it was sent something is
+    # connected anew: what it was sent may wait where nobody sees it. 0: never.
+    network_silence: float = 0.0
+    silent_after: bytes = b''        # a frame, behind which it is silent for long all the same
 
     @property
     def interface(self) -> Any:

@@ -210,8 +210,8 @@ class Layout:
             name, missing = value.name or 'left out', item.end - len(data)
             if missing > 0:
                 missing = min(missing, item.end - item.start)
-                parts.append(Part(start, end, name, data[start:end], unit=value.unit,
-                                  error=f'missing, {missing} byte{"s" * (missing > 1)}'))
+                parts.append(Part(start, end, name, data[start:end],
+                                  unit=value.unit).cut_short(missing))
             else:
                 given = _value(raw, value)
                 parts.append(Part(start, end, name, data[start:end], raw, given, value.unit,

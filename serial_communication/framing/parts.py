@@ -3,7 +3,7 @@
 Every decoder has ``explain(frame)``, which gives the parts of one frame as it knows them, be the
 frame good, bad, incomplete or noise.
 """
-from typing import Any, Callable, List, NamedTuple
+from typing import Any, Callable, List, Mapping, NamedTuple, Optional
 
 
 class Part(NamedTuple):
@@ -22,6 +22,13 @@ class Part(NamedTuple):
     unit: str = ''
     meaning: str = ''      # in words, where there is more to say
     error: str = ''        # what is wrong with it, '' where nothing is
+    missing: int = 0       # so many of its bytes are missing; then `error` says so
+    kind: Optional[str] = None     # what it makes the frame, in words; '': that is not known
+
+    def cut_short(self, missing: int) -> 'Part':
+        """The same part, of which so many bytes are missing."""
+        return self._replace(missing=missing,
+                             error=f'missing, {missing} byte{"s" * (missing > 1)}')
 
     def moved(self, by: int) -> 'Part':
         """The same part `by` bytes further on."""
@@ -58,11 +65,20 @@ class Parts:
                    number: Any = None) -> None:
         """The next `size` bytes are one part; where some are missing, it says so."""
         data = self._frame[self.at:self.at + size]
-        missing = size - len(data)
-        if missing > 0:
-            number, error = None, f'missing, {missing} byte{"s" * (missing > 1)}'
-        self.add(Part(self.at, self.at + len(data), name, data, number, number, '', meaning,
-                      error))
+        part = Part(self.at, self.at + len(data), name, data, number, number, '', meaning, error)
+        if len(data) < size:
+            part = part._replace(raw=None, value=None).cut_short(size - len(data))
+        self.add(part)
+
+    def take_kind(self, name: str, kinds: Mapping[int, str], must_be: bool = False) -> int:
+        """The next byte says of which kind the frame is: return it. It is an error to be none of
+        these where it `must_be` one."""
+        kind = kinds.get(self._frame[self.at], '') if self.left else None
+        unknown = 'not known here' if kind == '' else ''
+        number = self.take(1, name, kind or '', unknown) if must_be else \
+            self.take(1, name, kind or unknown)
+        self.found[-1] = self.found[-1]._replace(kind=kind)
+        return number
 
     def take_data(self, size: int, parts_of: Callable[[bytes], List[Part]]) -> None:
         """The next `size` bytes, or as many as there are, have parts of their own."""
@@ -75,7 +91,7 @@ class Parts:
 
     def take_checksum(self, name: str, checked: bytes) -> None:
         """The next byte is the XOR of `checked`, or should be."""
-        is_known = not any(part.error.startswith('missing') for part in self.found)
+        is_known = not any(part.missing for part in self.found)
         should_be = 0
         for byte in checked:
             should_be ^= byte

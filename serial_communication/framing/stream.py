@@ -12,6 +12,8 @@ from bisect import bisect_left
 from collections import deque
 from typing import Any, Deque, Dict, List, NamedTuple, Protocol, Tuple
 
+from .parts import Part
+
 CHECKSUM = 'checksum'        # a whole frame whose checksum does not match
 FRAMING = 'framing'          # bytes that are no frame: noise, a false length, a frame cut short
 LENGTH = 'length'            # a known type with a length that is not its own
@@ -218,6 +220,10 @@ class StreamDecoder:
         self.errors = errors
 
     # -- for subclasses ---------------------------------------------------------------
+
+    def explain(self, frame: bytes) -> List[Part]:
+        """The bytes of one frame by name; all of them are one part, unless a subclass says more."""
+        return [Part(0, len(frame), 'frame', frame)]
 
     def frame_at(self, at: int) -> Any:
         """What begins at this index, where one of `STARTS` is: `Good`, `Bad` or `Need`."""

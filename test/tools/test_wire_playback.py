@@ -4,11 +4,12 @@ import pytest
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
+from serial_communication.framing import cobs
 from serial_communication.framing.stream import FRAMING
 from serial_communication.tools.wire import playback
 from serial_communication.tools.wire.playback import Piece
 from serial_communication.tools.wire.recording import Read, Recording
-from wire_lines import LINKS, as_bag, damaged_reads, heard, settings
+from wire_lines import LINKS, as_bag, damaged_reads, from_board, heard, settings
 
 SEEDS = range(40)
 
@@ -23,7 +24,8 @@ def outcome(reads, line):
 
 
 def play(recording, line, rate=1.0):
-    return playback.spaced(playback.pieces_of(recording, line), line, rate)
+    frames = from_board(recording, line)
+    return playback.spaced(playback.pieces_of(recording, frames, line), line, rate)
 
 
 def played(pieces):
@@ -40,7 +42,7 @@ def test_a_bag_of_a_damaged_line_gives_the_same_frames_and_errors_again(link):
         wanted = outcome(reads, line)
         pieces = play(bag, line)
         assert outcome(played(pieces), line) == wanted, seed
-        assert playback.differences(bag.seen, pieces, line) == 0
+        assert playback.differences(from_board(bag, line), pieces, line) == 0
         damaged += sum(wanted[1].values())
     assert damaged > 10 * len(SEEDS)      # or the test would show nothing
 
@@ -112,21 +114,21 @@ def test_a_frame_behind_a_false_start_that_waited_is_sent_when_it_came():
     assert outcome(played(pieces), line) == outcome(reads, line)
 
 
-def test_a_packet_that_was_too_long_does_not_take_the_next():
+def test_a_packet_of_which_a_bag_has_a_part_is_left_out_and_the_next_is_not():
     line = settings('arduino')
     reads = [Read(0.0, False, b'\x11' * 400), Read(0.005, False, b'\x11' * 400 + b'\0'),
              Read(0.01, False, arduino.encode(arduino.Ticks(5)))]
-    again = played(play(as_bag(reads, line), line))
-    assert heard(again, line)[1] == heard(reads, line)[1]
-    assert heard(again, line)[0][-1].message == arduino.Ticks(5)
+    bag = as_bag(reads, line)
+    assert [playback.is_whole(frame, line) for frame in from_board(bag, line)] == [False, True]
+    assert play(bag, line) == [Piece(0.01, arduino.encode(arduino.Ticks(5)), True)]
+    whole = cobs.encode(bytes(arduino.MAX_PACKET + 1)) + b'\0'
+    assert play(as_bag([Read(0.0, False, whole)], line), line) == [Piece(0.0, whole, True)]
 
 
 def test_what_will_differ_is_told():
     line = settings('mcu')
     frame = mcu.encode_raw(0x20, 1, b'x')
-    bag = as_bag([Read(0.0, False, frame)], line)
-    assert playback.differences(bag.seen, [Piece(0.0, frame, True)], line) == 0
-    assert playback.differences(bag.seen, [Piece(0.0, frame * 2, True)], line) == 1
-    assert playback.differences(bag.seen, [Piece(0.0, b'\x11', True)], line) == 1
-    noise = as_bag([Read(0.0, False, b'\x11' * 2000)], line)
-    assert playback.cut_off(noise.seen) == 1
+    frames = from_board(as_bag([Read(0.0, False, frame)], line), line)
+    assert playback.differences(frames, [Piece(0.0, frame, True)], line) == 0
+    assert playback.differences(frames, [Piece(0.0, frame * 2, True)], line) == 1
+    assert playback.differences(frames, [Piece(0.0, b'\x11', True)], line) == 1

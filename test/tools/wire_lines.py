@@ -9,7 +9,7 @@ from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
 from serial_communication.simulation.faults import Faults, parse
 from serial_communication.tools.wire.lines import Direction, Settings
-from serial_communication.tools.wire.recording import Read, Recording, Seen
+from serial_communication.tools.wire.recording import Read, Recording, Seen, frames_of
 
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 LINKS = ('bus', 'arduino', 'mcu')
@@ -74,33 +74,25 @@ def damaged_reads(link, seed, count=150):
 
 def heard(reads, line):
     """The frames that a link makes of it, and its counts of errors."""
-    seen, errors = told(reads, line)
-    return [each.frame for each in seen], errors
-
-
-def told(reads, line):
-    """The same, with when each was told."""
     direction = Direction(line, False)
-    seen = []
-
-    def take(frames, now):
-        seen.extend(Seen(line.link, False, frame, now - frame.stamp) for frame in frames)
-
-    for read in reads + [Read(float('inf'), False, b'')]:
-        while direction.due() is not None and direction.due() < read.at:
-            now = direction.due()
-            take(direction.silent_until(now), now)
-        if read.data:
-            take(direction.hear(read.data, read.at), read.at)
-    return seen, dict(direction.decoder.errors)
+    frames = []
+    for read in reads:
+        frames += direction.hear(read.data, read.at)
+    return frames + direction.silent_until(float('inf')), dict(direction.decoder.errors)
 
 
 def as_bag(reads, line):
-    """What a bag has of these reads: frames without their messages, and when they were told."""
-    return Recording(0.0, {}, [each._replace(frame=each.frame._replace(message=None))
-                               for each in told(reads, line)[0]])
+    """What a bag has of these reads: frames without their messages."""
+    return Recording(0.0, {}, [Seen(line.link, False, frame._replace(message=None))
+                               for frame in heard(reads, line)[0]])
+
+
+def from_board(recording, line):
+    """The frames of a recording that the board sent."""
+    return [each.frame for each in frames_of(recording, line) if not each.sent]
 
 
 def settings(link):
     """With everything as the bridge has it by default."""
-    return Settings(description(link))
+    board = description(link)
+    return Settings(board, board.baud)

@@ -31,4 +31,6 @@ DESCRIPTION = Description(
     custom=CustomRows('messages', custom_messages, '~'),
     heartbeat=Heartbeat(wire.Heartbeat.TYPE, longest_gap=0.03),
     between=b'\0',
-    first_after_loss=b'\0' + wire.encode(wire.SpeedCommand(0)))
+    first_after_loss=b'\0' + wire.encode(wire.SpeedCommand(0)),
+    network_silence=1.0,
+    silent_after=wire.encode(wire.ImuCalibration()))

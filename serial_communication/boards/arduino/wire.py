@@ -358,11 +358,11 @@ class _Decoder:
         inner = Parts(decoded)
         kind = self._messages.get(decoded[0]) if decoded else None
         if decoded:
+            inner.take_kind('type', {type_: Log.LABELS[type_] if each is Log else each.LABEL
+                                     for type_, each in self._messages.items()}, must_be=True)
             if kind is None:
-                inner.take(1, 'type', error='not known here')
                 inner.take_bytes(len(decoded) - 1, 'data')
             else:
-                inner.take(1, 'type', Log.LABELS[decoded[0]] if kind is Log else kind.LABEL)
                 inner.take_data(len(decoded) - 1, kind.parts)
         for part in inner.found:
             place = begin + places[part.start] if part.end > part.start else parts.at

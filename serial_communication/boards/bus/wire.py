@@ -287,13 +287,12 @@ class _Decoder(StreamDecoder):
             return parts.take_rest('noise', 'bytes behind a false Datelen')
         if is_short:
             length = 0
-        cmd1 = parts.take(1, 'CMD1', self._NAMES.get(frame[header], 'not known here')
-                          if parts.left else '')
-        cmd2 = 0
-        if self._commands > 1:
-            names = {**_FUNCTION_NAMES, **{n: f.name for n, f in self._functions.items()}}
-            cmd2 = parts.take(1, 'CMD2', names.get(frame[header + 1], '')
-                              if parts.left and cmd1 == FUNCTION else '')
+        cmd1, cmd2 = parts.take_kind('CMD1', self._NAMES), 0
+        if self._commands > 1 and cmd1 == FUNCTION:
+            cmd2 = parts.take_kind('CMD2', {
+                **_FUNCTION_NAMES, **{n: f.name for n, f in self._functions.items()}})
+        elif self._commands > 1:
+            cmd2 = parts.take(1, 'CMD2')
         parts.take_data(length, lambda data: self._explain_data(cmd1, cmd2, data, request))
         parts.take_checksum('Checksum', frame[:parts.at])
         return parts.take_rest('noise', 'bytes behind the frame')

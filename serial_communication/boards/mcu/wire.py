@@ -132,7 +132,7 @@ class Decoder(StreamDecoder):
         parts.take(1, 'LEN', 'bytes of TYPE, SEQ and PAYLOAD', false)
         if length < MIN_LEN:
             return parts.take_rest('noise', 'bytes behind a false LEN')
-        parts.take(1, 'TYPE', kind.LABEL if kind else 'not known here')
+        parts.take_kind('TYPE', {type_: each.LABEL for type_, each in self._messages.items()})
         parts.take(1, 'SEQ')
         if kind:
             parts.take_data(length - MIN_LEN, kind.parts)

@@ -1,12 +1,13 @@
 """The program `wire`: finds the module that is asked for. See `wire --help`."""
 import argparse
 import re
+import signal
 import sys
 from typing import List, Optional
 
 from ...output import prepare_output
 from . import explain, listen, play, stats, tap
-from .show import complain, no_more_output
+from .show import Trouble, complain, no_more_output
 
 PROGRAMS = {'explain': explain, 'listen': listen, 'tap': tap, 'play': play, 'stats': stats}
 
@@ -30,11 +31,18 @@ def main(arguments: Optional[List[str]] = None) -> int:
     A disk that is full, or a reader that has gone, costs one line at most.
     """
     prepare_output()
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.default_int_handler)     # as Ctrl-C
     try:
         try:
             return _run(arguments)
         finally:
             sys.stdout.flush()     # else the interpreter does, and says more than a line
+    except KeyboardInterrupt:
+        return 130
+    except Trouble as error:
+        complain(f'wire: {error}')
+        return error.status
     except BrokenPipeError:
         no_more_output()
         return 0

@@ -32,7 +32,7 @@ _FORMS = r"bytes are written A5 02 55, a50255, 0xA5,0x02, \xa5\x02, b'\xa5\x02' 
 _MOST_BYTES = 8         # of a field on a line; a longer one goes on on the next
 
 
-class NoHex(ValueError):
+class NoHex(lines.Unusable):
     """The text says what is no hex."""
 
 
@@ -46,16 +46,14 @@ class Explained(NamedTuple):
     @property
     def missing(self) -> int:
         """Fields of which bytes are missing."""
-        return sum(part.error.startswith('missing') for part in self.parts)
+        return sum(bool(part.missing) for part in self.parts)
 
     @property
     def trouble(self) -> str:
         """What is wrong with it, in a line; '' where nothing is."""
         if self.frame.cause == FRAMING and self.missing:
             return 'incomplete'
-        return self.frame.trouble or '; '.join(
-            part.error if part.error.startswith(part.name) else f'{part.name} {part.error}'
-            for part in self.parts if part.error)
+        return self.frame.trouble or '; '.join(part.error for part in self.parts if part.error)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -74,12 +72,7 @@ def run(options: argparse.Namespace) -> int:
     """Explain; the exit status."""
     words = options.hex
     text = ' '.join(words) if words and words != ['-'] else sys.stdin.read()
-    try:
-        data = parse(text)
-    except NoHex as error:
-        print(f'wire explain: {error}', file=sys.stderr)
-        return 2
-    found = explain(data, lines.settings(options), options.sent)
+    found = explain(parse(text), lines.settings(options), options.sent)
     if options.json:
         print(json.dumps({'sound': not any(each.trouble for each in found),
                           'frames': [as_dict(each) for each in found]}, indent=1))
@@ -147,18 +140,13 @@ def explain(data: bytes, line: Settings, sent: Optional[bool] = None) -> List[Ex
     speakers = (False, True) if sent is None else (sent,)
     found: List[Explained] = []
     end = 0
-    for start, each in sorted((placed for speaker in speakers
-                               for placed in _sound_frames(data, line, speaker)),
-                              key=lambda placed: (placed[0], -len(placed[1].frame.raw))):
+    sound = [(start, each) for speaker in speakers for start, each in _split(data, line, speaker)
+             if not each.frame.cause]
+    for start, each in sorted(sound, key=lambda placed: (placed[0], -len(placed[1].frame.raw))):
         if start >= end:
             found += _between(data[end:start], line, speakers) + [each]
             end = start + len(each.frame.raw)
     return _in_turn(found + _between(data[end:], line, speakers), line)
-
-
-def _sound_frames(data: bytes, line: Settings, sent: bool) -> List[Tuple[int, Explained]]:
-    """Each good frame, and where it begins."""
-    return [(start, each) for start, each in _split(data, line, sent) if not each.frame.cause]
 
 
 def _between(data: bytes, line: Settings, speakers: Iterable[bool]) -> List[Explained]:
@@ -205,7 +193,7 @@ def _soundness(found: Sequence[Explained]) -> Any:
     """The more of it is sound, and the fewer fields are wrong, the likelier is the speaker."""
     parts = [part for each in found for part in each.parts]
     return (sum(len(each.frame.raw) for each in found if not each.trouble),
-            -sum(bool(part.error) + (part.meaning == lines.UNKNOWN_TYPE) for part in parts),
+            -sum(bool(part.error or part.kind == '') for part in parts),
             -sum(each.missing for each in found))
 
 

@@ -1,26 +1,34 @@
 """The lines that are known here, and one direction of one, decoded as a link decodes it."""
 import argparse
-import sys
-from typing import Any, Callable, List, Mapping, NamedTuple, NoReturn, Optional
+from typing import Any, Callable, List, Mapping, NamedTuple, Optional
 
 from ...boards import BOARDS, BoardError, find
 from ...boards.config_file import of_board, read_parameters
 from ...boards.description import Description
 from ...framing.frame_timer import FrameTimer
 from ...framing.stream import Frame
+from ...transport.port import check_url
+from .show import Trouble
 
-BAUD = 115200
 MAX_BAUD = 10 ** 8
 FRAME_TIMEOUT = 0.05     # s; the default of the bridge's parameter frame_timeout
-UNKNOWN_TYPE = 'not known here'      # what `explain` says of one
-_TYPES = ('type', 'TYPE', 'CMD1', 'CMD2')    # fields that say what a frame is
+
+
+class Unusable(Trouble):
+    """What the command line says cannot be used."""
+
+    status = 2
+
+
+class UnknownBoard(Unusable):
+    """No board has a link of that name."""
 
 
 class Settings(NamedTuple):
     """What has to be known of a line to decode it."""
 
     board: Description
-    baud: int = BAUD
+    baud: int
     frame_timeout: float = FRAME_TIMEOUT     # s
     parameters: Mapping[str, Any] = {}       # the board's own, as the bridge has them
 
@@ -38,8 +46,17 @@ def positive(text: str) -> float:
     return value
 
 
+def port(text: str) -> str:
+    """For argparse: whatever pyserial may be able to open."""
+    try:
+        check_url(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f'{text}: {error}') from None
+    return text
+
+
 def baud(text: str) -> int:
-    """For argparse, and of a recording: a baud rate."""
+    """For argparse: a baud rate."""
     value = int(text)
     if not 0 < value <= MAX_BAUD:
         raise argparse.ArgumentTypeError(f'{text} is none of 1 to {MAX_BAUD}')
@@ -57,7 +74,7 @@ def add_link_options(parser: argparse.ArgumentParser) -> None:
                                 dest='flags', const=flag, default=[],
                                 help=f'{board.name}: {meaning}')
     add_config_option(parser)
-    parser.set_defaults(baud=BAUD, frame_timeout=FRAME_TIMEOUT)
+    parser.set_defaults(baud=0, frame_timeout=FRAME_TIMEOUT)
 
 
 def add_config_option(parser: argparse.ArgumentParser) -> None:
@@ -70,14 +87,14 @@ def add_config_option(parser: argparse.ArgumentParser) -> None:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """The options that `settings` reads, LINK among them."""
     add_link_options(parser)
-    parser.add_argument('--baud', type=baud, default=BAUD, metavar='N', help='(%(default)d)')
+    parser.add_argument('--baud', type=baud, default=0, metavar='N', help="(the board's own)")
     parser.add_argument('--frame-timeout', type=positive, default=FRAME_TIMEOUT, metavar='S',
                         help='an incomplete frame is given up after so long without a byte, as '
                              "by the bridge's parameter of that name (%(default)g)")
 
 
 def settings(options: argparse.Namespace) -> Settings:
-    """From the command line; what cannot be used ends the program."""
+    """From the command line; `Unusable` where it is."""
     line = known_lines(options.config)(options.link, options.baud)
     flags = {flag: True for flag in options.flags if flag in line.board.wire_flags}
     return line._replace(frame_timeout=options.frame_timeout,
@@ -86,32 +103,33 @@ def settings(options: argparse.Namespace) -> Settings:
 
 def known_lines(config: str) -> Callable[[str, int], Settings]:
     """What makes the settings of a link, by its name and baud rate, with a file of the bridge's
-    parameters or, for '', without; what cannot be used ends the program."""
+    parameters or, for '', without.
+
+    Both raise `Unusable`, the one that is returned for a name also `UnknownBoard`.
+    """
     try:
         parameters = read_parameters(config) if config else {}
     except (OSError, ValueError) as error:
-        _fail(f'{config}: {error}')
+        raise Unusable(f'{config}: {error}') from None
     packages = parameters.get('boards')
 
-    def known(link: str, baud_rate: int = BAUD) -> Settings:
+    def known(link: str, baud_rate: int = 0) -> Settings:
         try:
             board = find(link, packages if isinstance(packages, list) else ())
         except BoardError as error:
-            _fail(f'there is no board {link}, only {", ".join(BOARDS)}; one of another package is '
-                  f'known by --config with its `boards`, or by the name of the package: {error}')
-        line = Settings(board, baud_rate, parameters=of_board(parameters, board.name))
+            raise UnknownBoard(
+                f'there is no board {link}, only {", ".join(BOARDS)}; one of another package is '
+                'known by --config with its `boards`, or by the name of its package: '
+                f'{error}') from None
+        line = Settings(board, baud_rate or board.baud,
+                        parameters=of_board(parameters, board.name))
         try:
             decoder(line, False)
         except ValueError as error:      # of a custom message
-            _fail(f'{config}: {error}')
+            raise Unusable(f'{config}: {error}') from None
         return line
 
     return known
-
-
-def _fail(text: str) -> NoReturn:
-    print(f'wire: {text}', file=sys.stderr)
-    raise SystemExit(2)
 
 
 def decoder(line: Settings, sent: bool) -> Any:
@@ -121,12 +139,11 @@ def decoder(line: Settings, sent: bool) -> Any:
 
 def type_name(line: Settings, sent: bool, frame: Frame) -> str:
     """What a good frame is, in the protocol's words."""
-    parts = decoder(line, sent).explain(frame.raw)
-    words = [part.meaning for part in parts if part.name in _TYPES and part.meaning
-             and part.meaning != UNKNOWN_TYPE]
-    if not words:
-        return f'type 0x{frame.type:02x}'
-    return words[-1] if words != ['function'] else f'function 0x{frame.command:02x}'
+    name = ''
+    for part in decoder(line, sent).explain(frame.raw):
+        if part.kind is not None:
+            name = part.kind or f'{name or "type"} 0x{part.raw:02x}'
+    return name or f'type 0x{frame.type:02x}'
 
 
 class Direction:

@@ -16,12 +16,9 @@ examples:
 """
 import argparse
 import os
-import sys
 
-from ...transport.port import Port
 from . import lines, onlooker
-from .onlooker import End
-from .recording import RecordingError, decoded, load
+from .recording import frames_of, load
 
 SUMMARY = 'every frame that a board sends, as it comes; writes nothing to the port'
 
@@ -29,7 +26,7 @@ SUMMARY = 'every frame that a board sends, as it comes; writes nothing to the po
 def add_options(parser: argparse.ArgumentParser) -> None:
     """What the command line may say."""
     lines.add_options(parser)
-    parser.add_argument('port', metavar='PORT', type=onlooker.port_name,
+    parser.add_argument('port', metavar='PORT', type=lines.port,
                         help='a device, or whatever pyserial opens; or a recording')
     parser.add_argument('--topic', default='', help='of a bag, where several have frames')
     onlooker.add_options(parser)
@@ -39,12 +36,6 @@ def run(options: argparse.Namespace) -> int:
     """Listen; the exit status."""
     line = lines.settings(options)
     if os.path.isfile(options.port):
-        try:
-            recording = load(options.port, options.topic)
-        except RecordingError as error:
-            print(error, file=sys.stderr)
-            return 1
-        seen = [each for each in recording.seen if each.link == line.link]
-        seen += decoded(recording.reads.get(line.link, []), line)
-        return onlooker.show(seen, recording.began, options)
-    return onlooker.look_on(line, [End(Port(options.port, line.baud), False)], options)
+        recording = load(options.port, options.topic)
+        return onlooker.show(frames_of(recording, line), recording.began, options)
+    return onlooker.look_on(line, [options.port], options)

@@ -10,19 +10,19 @@ import time
 from typing import Callable, List, NamedTuple, Optional, Sequence, Union
 
 from ...framing.stream import Frame
-from ...transport.pace import be_quick
+from ...link.backlog import STALL, Backlog
+from ...transport import pace
 from ...transport.port import Port, PortError
+from . import recording
 from .lines import Direction, Settings
 from .passing import Passage
-from .recording import Read, Writer
-from .show import complain
+from .recording import Read
+from .show import Trouble, complain
 
 _MOST_WAITING = 10000    # reads that wait for one who looks on; what comes then is left out
 _BACK_OFF = (0.1, 1.0)   # s from one try to open to the next: first, last
 _FLUSH = 0.5             # s that a read waits at most to reach a file
 _TICK = 0.05             # s from one look at a port to the next, at most
-_STOOD_STILL = 0.3       # s from one look to the next after which what waits is old
-_SETTLING = 0.1          # s in which a port hands over what waited in it
 _REALTIME_PRIORITY = 15
 
 
@@ -38,8 +38,8 @@ class Event(NamedTuple):
 Item = Union[Read, Event]
 
 
-class Backlog:
-    """What waits for one who looks on. To put never waits, and it never grows beyond its end."""
+class Inbox:
+    """What waits for one who looks on. Bounded; `put` never waits."""
 
     def __init__(self) -> None:
         self._queue: 'queue.SimpleQueue[Item]' = queue.SimpleQueue()
@@ -64,23 +64,23 @@ class Backlog:
             return None
 
 
-class Reach:
+class PortReader:
     """Reads one port until `stop`, opening it again whenever it vanishes.
 
-    Of a port that could not be read for a while (this program was suspended, or got no processor
-    time) what waited is old, and would be shown and passed on as new: it is dropped, and told.
-    Likewise what a port of a tap has as it opens.
+    What waited in a port during a stall (this program was suspended, or got no processor time) is
+    old, and would be shown and passed on as new: it is dropped, and reported. Likewise what a port
+    of a tap has as it opens.
 
     Args:
         port: opened, read and closed here, nowhere else.
         sent: what comes is sent to the board; False: by the board.
-        backlogs: of those who look on.
+        inboxes: of those who look on.
     """
 
-    def __init__(self, port: Port, sent: bool, backlogs: Sequence[Backlog]) -> None:
+    def __init__(self, port: Port, sent: bool, inboxes: Sequence[Inbox]) -> None:
         self._port = port
         self._sent = sent
-        self._backlogs = backlogs
+        self._inboxes = inboxes
         self._onward: Optional[Passage] = None     # what comes is passed on by this …
         self._back: Optional[Passage] = None       # … and this leads to the port
         self._stopping = threading.Event()
@@ -93,7 +93,7 @@ class Reach:
         """Bytes that were not passed on."""
         return self._onward.lost if self._onward else 0
 
-    def connect(self, other: 'Reach', line: Settings) -> None:
+    def connect(self, other: 'PortReader', line: Settings) -> None:
         """Pass what comes on to another's port; to be called before `start`."""
         self._onward = Passage(other._port, line, self._sent, self._tell)
         other._back = self._onward
@@ -112,7 +112,7 @@ class Reach:
         self._thread.join(1.0)
 
     def _run(self) -> None:
-        be_quick(_REALTIME_PRIORITY)
+        pace.be_quick(_REALTIME_PRIORITY)
         pause, trouble = _BACK_OFF[0], ''
         while not self._stopping.is_set():
             try:
@@ -121,7 +121,7 @@ class Reach:
             except PortError as error:
                 if str(error) != trouble:
                     trouble = str(error)
-                    self._tell(f'{self._port.url}: {trouble}')
+                    self._tell(trouble)
                 self._stopping.wait(pause)
                 pause = min(pause * 2, _BACK_OFF[1])
                 continue
@@ -130,79 +130,90 @@ class Reach:
                 self._serve()
             except PortError as error:
                 trouble = str(error)
-                self._tell(f'{self._port.url}: {trouble}; opening it again when it returns',
-                           lost=True)
+                self._tell(f'{trouble}; opening it again when it returns', lost=True)
             self._port.close()
             if self._back:
                 self._back.broken()
 
     def _serve(self) -> None:
         if self._onward:
-            self._drop_old(b'', 'as it opened')
-        self._tell(f'{self._port.url}: open')
-        looked_at = self._heard_at = time.monotonic()
+            self._drop_old(b'', 0.0)
+        self._tell('open')
+        awake_at, self._heard_at = pace.clock(), time.monotonic()
         while not self._stopping.is_set():
             data = self._port.read(_TICK)
-            now = time.monotonic()
-            stood, looked_at = now - looked_at, now
-            if stood > _STOOD_STILL:
-                looked_at = self._drop_old(
-                    data, f'while this program stood still for {stood:.3g} s')
+            stall = pace.clock() - awake_at
+            if stall > STALL:
+                self._drop_old(data, stall)
+            awake_at, now = pace.clock(), time.monotonic()
+            if stall > STALL:
+                if self._back:
+                    self._back.heard(now, now)     # nobody listened: that was no silence
+                self._heard_at = now
                 continue
             if self._onward:
                 self._onward.pass_on(data, now)
             if data:
-                read = Read(now, self._sent, data)
-                for backlog in self._backlogs:
-                    backlog.put(read)
+                self._put(Read(now, self._sent, data))
             if self._back:
                 self._look_at_silence(bool(data), now)
 
-    def _drop_old(self, data: bytes, when: str) -> float:
-        """Drop what waits in the port, `data` having been read; until when that was done."""
-        count, until = len(data), time.monotonic() + _SETTLING
-        while time.monotonic() < until and not self._stopping.is_set():
-            count += len(self._port.read(until - time.monotonic()))
-        if count:
-            remedy = ''
-            if self._onward:
-                self._onward.interrupted(count, until)
-                remedy = self._onward.remedy
-            self._tell(f'{self._port.url}: {count} bytes that waited {when} are old and dropped'
-                       + remedy, lost=True)
-        return until
+    def _drop_old(self, data: bytes, stall: float) -> None:
+        """Drop what waits in the port after a stall of so many s, or after it opened; `data` has
+        been read."""
+        awake_at = pace.clock()
+        backlog = Backlog(self._port.baud, stall, awake_at)
+        while not backlog.drop(data, awake_at) and not self._stopping.is_set():
+            data = self._port.read(_TICK)
+            stall, awake_at = pace.clock() - awake_at, pace.clock()
+            if stall > STALL:
+                backlog.extend(stall, awake_at)
+        if not backlog.size:
+            return
+        remedy = ''
+        if self._onward:
+            self._onward.interrupted(backlog.size, time.monotonic())
+            remedy = self._onward.remedy
+        when = f'while this program stalled for {backlog.seconds:.3g} s' if backlog.seconds else \
+            'as it opened'
+        self._tell(f'{backlog.size} bytes that waited {when} are old and dropped{remedy}',
+                   lost=True)
 
     def _look_at_silence(self, heard: bool, now: float) -> None:
         if heard:
             self._back.heard(now, self._heard_at)
             self._heard_at = now
-        elif self._back.is_unanswered(now):
-            self._back.heard(now, now)
-            raise PortError('the board has not been heard for 1 s')
+        else:
+            self._back.check_silence(now)
 
     def _tell(self, text: str, lost: bool = False) -> None:
-        event = Event(time.monotonic(), self._sent, text, lost)
-        for backlog in self._backlogs:
-            backlog.put(event)
+        self._put(Event(time.monotonic(), self._sent, f'{self._port.url}: {text}', lost))
+
+    def _put(self, item: Item) -> None:
+        for inbox in self._inboxes:
+            inbox.put(item)
 
 
-class Keeper:
-    """Writes what a backlog gets to a file, in a thread of its own.
+class Recorder:
+    """Writes what an inbox gets to a file, in a thread of its own.
+
+    Args:
+        began: seconds since 1970 at the time `start` of the items' clock.
 
     Raises:
         OSError: the file cannot be written.
     """
 
     def __init__(self, path: str, line: Settings, began: float, start: float) -> None:
-        self.backlog = Backlog()
+        self.inbox = Inbox()
         self.trouble = ''       # why nothing more is written
         self._path = path
-        self._writer = Writer(path, line, began, start)
+        self._start = start
+        self._file = open(path, 'w', encoding='utf-8')
+        self._file.write(recording.heading(line, began))
+        self._file.flush()
         self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name='keeper', daemon=True)
-
-    def start(self) -> None:
-        """Begin."""
+        self._thread = threading.Thread(target=self._run, name='recorder', daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
@@ -212,65 +223,65 @@ class Keeper:
 
     def _run(self) -> None:
         try:
-            while True:
-                item = self.backlog.get(0.0 if self._stopping.is_set() else _FLUSH)
-                if item is None:
-                    if self._stopping.is_set():
+            with self._file as file:
+                while True:
+                    item = self.inbox.get(0.0 if self._stopping.is_set() else _FLUSH)
+                    if isinstance(item, Read):
+                        file.write(recording.read_line(item, self._start))
+                    elif item:
+                        file.write(f'# {item.at - self._start:.6f} {item.text}\n')
+                    elif self._stopping.is_set():
                         break
-                    self._writer.flush()
-                elif isinstance(item, Read):
-                    self._writer.read(item)
-                else:
-                    self._writer.remark(item.at, item.text)
-            self._writer.close()
+                    else:
+                        file.flush()
         except OSError as error:
             self.trouble = f'{self._path}: {error.strerror}; no more of it is written'
             complain(self.trouble)
 
 
-def watch(backlog: Backlog, directions: Sequence[Direction], until: Optional[float],
-          on_frame: Callable[[Direction, Frame], None],
-          on_event: Callable[[Event], None]) -> None:
-    """Decode what a backlog gets, in this thread, until that time of the monotonic clock."""
-    by_end = {direction.sent: direction for direction in directions}
+def watch(inbox: Inbox, line: Settings, until: Optional[float],
+          on_frame: Callable[[bool, Frame], None], on_event: Callable[[Event], None]) -> None:
+    """Decode what an inbox gets, in this thread, until that time of the monotonic clock."""
+    directions = [Direction(line, sent) for sent in (False, True)]
     while True:
-        due = [direction.due() for direction in directions] + [until]
-        times = [time_ for time_ in due if time_ is not None]
-        item = backlog.get(min(times) - time.monotonic() if times else None)
+        times = [time_ for time_ in [until] + [direction.due() for direction in directions]
+                 if time_ is not None]
+        item = inbox.get(min(times) - time.monotonic() if times else None)
         now = time.monotonic() if item is None else item.at
         if isinstance(item, Read):
-            speaker = by_end[item.sent]
-            for frame in speaker.hear(item.data, item.at):
-                on_frame(speaker, frame)
+            for frame in directions[item.sent].hear(item.data, item.at):
+                on_frame(item.sent, frame)
         for direction in directions:
             for frame in direction.silent_until(now):
-                on_frame(direction, frame)
+                on_frame(direction.sent, frame)
         if isinstance(item, Event):
             if item.lost:
-                by_end[item.sent].reset()
+                directions[item.sent].reset()
             on_event(item)
         if until is not None and now >= until:
             return
 
 
-def claim(port: Port) -> str:
-    """Open a port that is there; why that cannot be, in a line, or ''. An absent one is left.
+def claim(port: Port) -> None:
+    """Open a port that is there; an absent one is left.
 
     To be called before a program begins: what is not there yet is waited for, but a port that
     another program has does not become free by waiting.
+
+    Raises:
+        Trouble: it cannot be opened.
     """
     if not os.path.exists(port.url):
-        return ''
+        return
     try:
         port.open()
     except PortError as error:
         holders = users_of(port.url)
         if not holders:
-            return f'{port.url}: {error}'
-        return (f'{port.url} is open in {" and ".join(holders)}, and two readers of a port take '
-                'bytes from each other. End it first; or, if it is the bridge, look at what it '
-                'sees: rostopic echo /serial_msg')
-    return ''
+            raise Trouble(f'{port.url}: {error}') from None
+        raise Trouble(f'{port.url} is open in {" and ".join(holders)}, and two readers of a port '
+                      'take bytes from each other. End it first; or, if it is the bridge, look at '
+                      'what it sees: rostopic echo /serial_msg') from None
 
 
 def users_of(path: str) -> List[str]:

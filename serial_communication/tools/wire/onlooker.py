@@ -1,29 +1,20 @@
 """Shows every frame that one or two ports bring, as it comes, and keeps the bytes if asked to."""
 import argparse
 import json
-import signal
 import sys
 import time
 from datetime import datetime
-from typing import List, Optional, Sequence
+from typing import Iterable, List, Optional, Sequence
 
 from ...framing.stream import Frame
-from ...transport.port import Port, check_url
+from ...transport.port import Port
 from . import lines
-from .lines import Direction, Settings
-from .live import Backlog, Event, Keeper, Reach, claim, watch
+from .lines import Settings
+from .live import Inbox, PortReader, Recorder, claim, watch
 from .recording import Seen
 from .show import Paint, complain, frame_line, no_more_output, seconds
 
 _SWITCH_INTERVAL = 0.0005   # s that decoding and printing may keep the interpreter from the line
-
-
-class End:
-    """One end of a line. Of two, each gets what comes from the other."""
-
-    def __init__(self, port: Port, sent: bool) -> None:
-        self.port = port
-        self.sent = sent      # what comes from it is sent to the board
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -34,15 +25,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--json', action='store_true',
                         help='a JSON object a line: time (s since 1970), gap (s), from (board or '
                              'computer), type, command, data, frame, text, error')
-
-
-def port_name(text: str) -> str:
-    """For argparse: whatever pyserial may be able to open."""
-    try:
-        check_url(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f'{text}: {error}') from None
-    return text
 
 
 class Printer:
@@ -96,70 +78,61 @@ class Printer:
                             'printed')
             complain(self.trouble)
 
-    def event(self, event: Event) -> None:
-        """A word about a port; apart from the frames, so that they can be taken by a program."""
-        complain(event.text)
+    def summary(self) -> str:
+        """How much there was."""
+        return f'{self.frames} frames, {self.bad} of them bad'
 
 
-def show(seen: Sequence[Seen], began: float, options: argparse.Namespace) -> int:
+def show(seen: Iterable[Seen], began: float, options: argparse.Namespace) -> int:
     """What was kept; times are in seconds since 1970 at `began`. The exit status."""
     printer = Printer(options.json, began, 0.0)
     try:
-        for each in seen:
+        for each in sorted(seen, key=lambda each: each.frame.stamp):
             printer.frame(each.sent, each.frame)
     except BrokenPipeError:
         no_more_output()
-    complain(f'{printer.frames} frames, {printer.bad} of them bad')
+    complain(printer.summary())
     return 0
 
 
-def look_on(line: Settings, ends: Sequence[End], options: argparse.Namespace) -> int:
-    """Until Ctrl-C, or the end of --duration; the exit status."""
-    for end in ends:
-        refused = claim(end.port)
-        if refused:
-            complain(refused)
-            return 1
+def look_on(line: Settings, urls: Sequence[str], options: argparse.Namespace) -> int:
+    """At the board's port, or at the board's and the computer's, each of which gets what comes
+    from the other; until Ctrl-C, or the end of --duration. The exit status."""
+    ports = [Port(url, line.baud) for url in urls]
+    for port in ports:
+        claim(port)
     sys.setswitchinterval(_SWITCH_INTERVAL)
     began, start = time.time(), time.monotonic()
-    backlogs: List[Backlog] = [Backlog()]
-    keeper = None
+    inboxes: List[Inbox] = [Inbox()]
+    recorder = None
     if options.raw:
-        try:
-            keeper = Keeper(options.raw, line, began, start)
-        except OSError as error:
-            complain(f'{options.raw}: {error.strerror}')
-            return 1
-        keeper.start()
-        backlogs.append(keeper.backlog)
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.default_int_handler)     # as Ctrl-C
+        recorder = Recorder(options.raw, line, began, start)
+        inboxes.append(recorder.inbox)
     # A tap is part of the line, which must not be cut for a full disk.
-    printer = Printer(options.json, began, start, goes_on=len(ends) > 1 or bool(keeper))
-    reaches = [Reach(end.port, end.sent, backlogs) for end in ends]
-    if len(reaches) > 1:
-        for reach, other in (reaches, reaches[::-1]):
-            reach.connect(other, line)
+    printer = Printer(options.json, began, start, goes_on=len(ports) > 1 or bool(recorder))
+    readers = [PortReader(port, sent, inboxes) for port, sent in zip(ports, (False, True))]
+    if len(readers) > 1:
+        for reader, other in (readers, readers[::-1]):
+            reader.connect(other, line)
     try:
-        for reach in reaches:
-            reach.start()
-        watch(backlogs[0], [Direction(line, end.sent) for end in ends],
-              start + options.duration if options.duration else None,
-              lambda direction, frame: printer.frame(direction.sent, frame), printer.event)
+        for reader in readers:
+            reader.start()
+        # Events are kept apart from the frames, so that a program can take those.
+        watch(inboxes[0], line, start + options.duration if options.duration else None,
+              printer.frame, lambda event: complain(event.text))
     except KeyboardInterrupt:
         pass
     except BrokenPipeError:
         no_more_output()
     finally:
-        for reach in reaches:
-            reach.stop()
-        for reach in reaches:
-            reach.join()
-        if keeper:
-            keeper.stop()
-    lost = sum(reach.lost for reach in reaches)
-    complain(f'{printer.frames} frames, {printer.bad} of them bad, in '
-             f'{time.monotonic() - start:.1f} s'
+        for reader in readers:
+            reader.stop()
+        for reader in readers:
+            reader.join()
+        if recorder:
+            recorder.stop()
+    lost = sum(reader.lost for reader in readers)
+    complain(f'{printer.summary()}, in {time.monotonic() - start:.1f} s'
              + (f'; {lost} bytes could not be passed on' if lost else '')
-             + (f'; kept in {options.raw}' if keeper and not keeper.trouble else ''))
-    return 1 if printer.trouble or keeper and keeper.trouble else 0
+             + (f'; kept in {options.raw}' if recorder and not recorder.trouble else ''))
+    return 1 if printer.trouble or recorder and recorder.trouble else 0

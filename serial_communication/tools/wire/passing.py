@@ -1,20 +1,15 @@
 """One direction through a tap: bytes are passed on at once or not at all."""
 from typing import Callable
 
-from ...boards.arduino import wire as arduino
 from ...transport.port import Port, PortBusy, PortError
-from .lines import Settings
+from .lines import Settings, decoder
 
 _STALLED = 0.05   # s of wire time that wait in a port beside what was handed over last
 _OLD = 0.3        # s that any byte may wait there
 _PAUSE = 2.0      # of frame_timeout: how long nothing is passed on after bytes were lost
 _QUIET = 0.02     # s without a byte after which a frame begins; an adapter holds bytes for 16 ms
 _LONGEST = 1030   # bytes of the longest frame of any link
-_SILENCE = 1.0    # s; as the bridge's arduino/network_silence
-_CALIBRATED = 2.0    # s of silence that end with a calibration, as a link has it
-_END = b'\0'      # of a packet
-_CALIBRATION = _END + arduino.encode(arduino.ImuCalibration())
-_SPEED_0 = arduino.encode(arduino.SpeedCommand(0))
+_LONG_SILENCE = 2.0     # s that a silence takes at least which the board was told to keep
 
 
 class Passage:
@@ -25,9 +20,9 @@ class Passage:
     bytes likewise after 0.3 s. After any loss:
 
     - Nothing is passed on for twice the frame timeout: the receiver gives up what was cut off.
-    - It goes on where a frame begins: behind the 0x00 that ends a packet, or behind a silence.
-    - On the link arduino a 0x00 goes first, which ends what was cut off, and to the board SPEED 0
-      behind it: the board may still hold a speed whose stop was lost.
+    - It goes on where a frame begins: behind a byte that ends one, or behind a silence.
+    - What ends a frame goes first, for what was cut off; to the board what its description has for
+      this: it may still hold a speed whose stop was lost.
 
     Args:
         port: of the other end; opened, read and closed elsewhere.
@@ -38,10 +33,12 @@ class Passage:
     def __init__(self, port: Port, line: Settings, sent: bool, tell: Callable[[str], None]) -> None:
         self.lost = 0               # bytes that did not reach the other end
         self._port = port
-        self._is_cobs = line.link == 'arduino'
-        self._lead = (_END + _SPEED_0 if sent else _END) if self._is_cobs else b''
+        self._board = line.board
+        self._other_end = 'board' if sent else 'computer'
+        self._lead = line.board.first_after_loss if sent else line.board.between
         self._pause = line.frame_timeout * _PAUSE
-        self.remedy = '; SPEED 0 goes first when it goes on' if sent and self._is_cobs else ''
+        first = [frame.text for frame in decoder(line, True).feed(self._lead)] if sent else []
+        self.remedy = f'; {" and ".join(first)} goes first when it goes on' if first else ''
         self._tell = tell
         self._handed = 0            # bytes, to the port
         self._latest = 0.0          # s of wire time that were handed over last
@@ -53,10 +50,10 @@ class Passage:
         self._skipped = 0           # … and so many bytes were in the search for a frame
         self._told_lost = -1        # `lost` as a loss was told; -1: nothing is to be told
         self._lost_from = 0         # `_handed` at the latest loss
-        self._last_byte = _END      # of this direction …
+        self._has_ended = True      # the last byte of this direction ended a frame …
         self._last_at = float('-inf')       # … and when it came
         self._unanswered_since = 0.0        # of what was handed over, until the board is heard
-        self._calibrating = False
+        self._may_be_silent = False         # it was told something that makes it so
 
     def pass_on(self, data: bytes, now: float) -> None:
         """Hand over what was read just now; to be called without bytes, too, every 50 ms."""
@@ -67,7 +64,7 @@ class Passage:
         if not data:
             return
         begin = self._begin(data, now)
-        self._last_byte, self._last_at = data[-1:], now
+        self._has_ended, self._last_at = data[-1] in self._board.between, now
         self.lost += begin
         data = data[begin:]
         if data:
@@ -76,7 +73,7 @@ class Passage:
     def interrupted(self, count: int, now: float) -> None:
         """So many bytes of this direction were dropped before they came here."""
         self._lose(count, now)
-        self._last_byte, self._last_at = b'', now
+        self._has_ended, self._last_at = False, now
 
     def broken(self) -> None:
         """The port has been closed, and what was handed to it may not have left."""
@@ -85,14 +82,20 @@ class Passage:
     def heard(self, now: float, before: float) -> None:
         """The other end has said something now, and `before` that."""
         self._unanswered_since = 0.0
-        if now - before >= _CALIBRATED:
-            self._calibrating = False
+        if now - before >= _LONG_SILENCE:
+            self._may_be_silent = False
 
-    def is_unanswered(self, now: float) -> bool:
-        """Whether a board behind a network has been silent for so long since it was sent something
-        that this may wait on the way, where nobody sees it."""
-        return (self._is_cobs and self._port.is_network and not self._calibrating
-                and 0.0 < self._unanswered_since <= now - _SILENCE)
+    def check_silence(self, now: float) -> None:
+        """Where the other end is behind a network, what it was sent may wait where nobody sees it.
+
+        Raises:
+            PortError: it has been silent for too long since it was sent something.
+        """
+        limit = self._board.network_silence
+        if (limit and self._port.is_network and not self._may_be_silent
+                and 0.0 < self._unanswered_since <= now - limit):
+            self._unanswered_since = 0.0
+            raise PortError(f'the {self._other_end} has not been heard for {limit:g} s')
 
     # -- handing over -----------------------------------------------------------------------
 
@@ -111,7 +114,9 @@ class Passage:
         self._latest = len(data) * 10.0 / self._port.baud
         self._cut_off = False
         self._unanswered_since = self._unanswered_since or now
-        self._calibrating = self._calibrating or _CALIBRATION in _END + data
+        between, silencing = self._board.between, self._board.silent_after
+        if silencing and between + silencing in between + data:
+            self._may_be_silent = True
 
     def _look_after(self, now: float) -> None:
         """Has what was handed over left the port in time?"""
@@ -162,7 +167,8 @@ class Passage:
         if now < self._resume_at:
             return len(data)
         self._skipped += len(data)
-        if (now - self._last_at >= _QUIET or (self._is_cobs and self._last_byte == _END)
+        if (now - self._last_at >= _QUIET or self._has_ended
                 or self._skipped > _LONGEST):     # no such line: any place is as good
             return 0
-        return data.find(_END) + 1 or len(data) if self._is_cobs else len(data)
+        return next((at for at, byte in enumerate(data, 1) if byte in self._board.between),
+                    len(data))

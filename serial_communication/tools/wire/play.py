@@ -20,19 +20,18 @@ bridge sees silences of another length than the board's.
 """
 import argparse
 import json
-import signal
 import sys
 import threading
 import time
-from typing import List, Sequence
+from typing import Any, Dict, List, Sequence
 
 from ...transport.pace import be_quick
 from ...transport.port import Port, PortBusy, PortError
+from . import lines
 from .figures import percentile
-from . import lines, onlooker
-from .playback import Piece, cut_off, differences, frames_of, pieces_of, spaced
-from .recording import RecordingError, Seen, load
-from .show import is_terminal, seconds
+from .playback import Piece, differences, is_whole, pieces_of, spaced
+from .recording import frames_of, load
+from .show import Trouble, complain, is_terminal, seconds
 
 SUMMARY = 'what a board sent, out of a recording, onto a port at the recorded times'
 
@@ -40,13 +39,14 @@ _REALTIME_PRIORITY = 15
 _PROGRESS = 0.2           # s from one progress line to the next on a terminal …
 _PROGRESS_PLAIN = 10.0    # … and elsewhere
 _PAUSE = 2.0              # of frame_timeout, from the end to the start with --loop
+_MOVED = 1e-6             # s from its time at which a piece counts as moved
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """What the command line may say."""
     parser.add_argument('recording', metavar='RECORDING', help='a bag, or a file of --raw')
     lines.add_options(parser)
-    parser.add_argument('port', metavar='PORT', type=onlooker.port_name,
+    parser.add_argument('port', metavar='PORT', type=lines.port,
                         help='a device, or whatever pyserial opens')
     parser.add_argument('--topic', default='', help='of the bag, where several have frames')
     parser.add_argument('--from', dest='begin', type=clock, default=0.0, metavar='TIME',
@@ -57,7 +57,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
                         help='2 is twice as fast (%(default)g)')
     parser.add_argument('--loop', action='store_true', help='again and again, until Ctrl-C')
     parser.add_argument('--json', action='store_true',
-                        help='at the end an object: frames, bad, bytes, lost, moved, timing error')
+                        help='at the end an object: frames, bad, left_out, moved, rounds, lost, '
+                             'late (s)')
 
 
 def clock(text: str) -> float:
@@ -151,49 +152,28 @@ class Player:
             self.ended.set()
 
 
-class _Progress:
-    """How far it is: a line that is rewritten on a terminal, now and then one elsewhere."""
-
-    def __init__(self) -> None:
-        self._rewrites = is_terminal(sys.stderr)
-        self.period = _PROGRESS if self._rewrites else _PROGRESS_PLAIN
-
-    def show(self, text: str, last: bool = False) -> None:
-        """One line."""
-        if self._rewrites:
-            sys.stderr.write(f'\r{text}\033[K' + ('\n' if last else ''))
-        else:
-            sys.stderr.write(text + '\n')
-        sys.stderr.flush()
-
-
 def run(options: argparse.Namespace) -> int:
     """Play; the exit status."""
     line = lines.settings(options)
-    try:
-        recording = load(options.recording, options.topic)
-    except RecordingError as error:
-        print(error, file=sys.stderr)
-        return 1
-    seen = frames_of(recording, line)
-    original = [piece for piece in pieces_of(recording, line)
+    recording = load(options.recording, options.topic)
+    frames = [each.frame for each in frames_of(recording, line) if not each.sent]
+    original = [piece for piece in pieces_of(recording, frames, line)
                 if options.begin <= piece.at < options.end]
     if not original:
-        print(f'{options.recording}: nothing of a board on the link {line.link} in this time; '
-              f'links in it: {", ".join(recording.links()) or "none"}', file=sys.stderr)
-        return 1
+        raise Trouble(f'{options.recording}: nothing of a board on the link {line.link} in this '
+                      f'time; links in it: {", ".join(recording.links()) or "none"}')
     pieces = spaced(original, line, options.rate)
-    moved = [abs(piece.at - before.at / options.rate) for piece, before in zip(pieces, original)]
-    seen = [each for each in seen if options.begin <= each.frame.stamp < options.end]
-    _announce(seen, pieces, moved, differences(seen, pieces, line))
+    shifts = [abs(piece.at - before.at / options.rate) for piece, before in zip(pieces, original)]
+    frames = [frame for frame in frames if options.begin <= frame.stamp < options.end]
+    told = {'frames': len(frames), 'bad': sum(bool(frame.cause) for frame in frames),
+            'left_out': sum(not is_whole(frame, line) for frame in frames),
+            'moved': sum(shift > _MOVED for shift in shifts)}
+    _announce(told, pieces, max(shifts), differences(frames, pieces, line))
     port = Port(options.port, line.baud)
     try:
         port.open()
     except PortError as error:
-        print(f'{options.port}: {error}', file=sys.stderr)
-        return 1
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.default_int_handler)     # as Ctrl-C
+        raise Trouble(f'{options.port}: {error}') from None
     player = Player(port, pieces, line.frame_timeout * _PAUSE if options.loop else -1.0)
     stopped = False
     try:
@@ -203,65 +183,56 @@ def run(options: argparse.Namespace) -> int:
         stopped = True
     player.stop()
     port.close()
-    return _result(player, seen, moved, options, stopped)
+    return _result(player, told, options, stopped)
 
 
-def _announce(seen: Sequence[Seen], pieces: Sequence[Piece], moved: Sequence[float],
+def _announce(told: Dict[str, Any], pieces: Sequence[Piece], longest_shift: float,
               different: int) -> None:
-    length = pieces[-1].at - pieces[0].at
-    print(f'{len(seen)} frames, {_bad(seen)} of them bad, in {length:.1f} s', file=sys.stderr)
-    shifts = [shift for shift in moved if shift > 1e-6]
-    if shifts:
-        print(f'{len(shifts)} incomplete frames are sent up to {seconds(max(shifts))} from when '
-              'they came, so that they are given up just as they were', file=sys.stderr)
+    complain(f'{told["frames"]} frames, {told["bad"]} of them bad, in '
+             f'{pieces[-1].at - pieces[0].at:.1f} s')
+    if told['moved']:
+        complain(f'{told["moved"]} incomplete frames are sent up to {seconds(longest_shift)} from '
+                 'when they came, so that they are given up just as they were')
+    if told['left_out']:
+        complain(f'{told["left_out"]} bad frames are left out: the bag has a part of each only')
     if different:
-        long = cut_off(seen)
-        print(f'{different} frames will not come out as they were'
-              + (f'; {long} stretches of noise were longer than a bag keeps' if long else
-                 '; are frame_timeout and options those of the recorded bridge?'),
-              file=sys.stderr)
+        complain(f'{different} frames will not come out as they were; are frame_timeout and '
+                 'options those of the recorded bridge?')
 
 
 def _follow(player: Player, pieces: Sequence[Piece]) -> None:
-    progress = _Progress()
+    """Show how far it is: a line that is rewritten on a terminal, now and then one elsewhere."""
+    rewrites = is_terminal(sys.stderr)
+    begin, end = ('\r', '\033[K') if rewrites else ('', '\n')
     length = pieces[-1].at - pieces[0].at
-    while True:
-        ended = player.ended.wait(progress.period)
-        at = pieces[min(max(player.played - 1, 0) % len(pieces), len(pieces) - 1)].at
+    ended = False
+    while not ended:
+        ended = player.ended.wait(_PROGRESS if rewrites else _PROGRESS_PLAIN)
+        at = pieces[max(player.played - 1, 0) % len(pieces)].at
         text = f'{at - pieces[0].at:.1f} of {length:.1f} s'
         if player.rounds and not ended:
             text += f', round {player.rounds + 1}'
         if player.lost:
             text += f', {player.lost} bytes lost: the port does not take them'
-        progress.show(text, ended)
-        if ended:
-            return
+        sys.stderr.write(begin + text + end + '\n' * (rewrites and ended))
+        sys.stderr.flush()
 
 
-def _bad(seen: Sequence[Seen]) -> int:
-    return sum(bool(each.frame.cause) for each in seen)
-
-
-def _result(player: Player, seen: Sequence[Seen], moved: Sequence[float],
-            options: argparse.Namespace, stopped: bool) -> int:
-    errors = sorted(player.errors)
+def _result(player: Player, told: Dict[str, Any], options: argparse.Namespace,
+            stopped: bool) -> int:
+    late = {name: percentile(player.errors, percent) for name, percent in (
+        ('p50', 50), ('p99', 99), ('max', 100))} if player.errors else None
     if options.json:
-        print(json.dumps({
-            'frames': len(seen), 'bad': _bad(seen),
-            'rounds': player.rounds, 'lost': player.lost,
-            'moved': sum(shift > 1e-6 for shift in moved),
-            'late': {'p50': percentile(errors, 50), 'p99': percentile(errors, 99),
-                     'max': errors[-1]} if errors else None}))
-    elif errors:
-        print(f'late by {seconds(percentile(errors, 50))} at the median, '
-              f'{seconds(percentile(errors, 99))} at p99, {seconds(errors[-1])} at most',
-              file=sys.stderr)
+        print(json.dumps(dict(told, rounds=player.rounds, lost=player.lost, late=late)))
+    elif late:
+        complain(f'late by {seconds(late["p50"])} at the median, {seconds(late["p99"])} at p99, '
+                 f'{seconds(late["max"])} at most')
     if player.trouble:
-        print(f'{options.port}: {player.trouble}', file=sys.stderr)
+        complain(f'{options.port}: {player.trouble}')
     elif player.lost:
-        print(f'{options.port} did not take {player.lost} bytes: nobody reads the other end, or '
-              'the port is slower than this', file=sys.stderr)
+        complain(f'{options.port} did not take {player.lost} bytes: nobody reads the other end, '
+                 'or the port is slower than this')
     elif stopped:
-        print('stopped', file=sys.stderr)
+        complain('stopped')
         return 0 if options.loop else 130
     return 1 if player.trouble or player.lost else 0

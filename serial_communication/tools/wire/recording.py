@@ -12,10 +12,11 @@ The text file has a line a read; `rx` is what the board sent, `tx` what was sent
 Other lines that begin with # are remarks. A bag holds the messages of the topic `serial_msg`.
 """
 from math import inf
-from typing import Any, Dict, Iterable, List, NamedTuple, Optional, TextIO, Tuple
+from typing import Any, Dict, List, NamedTuple, TextIO, Tuple
 
 from ...framing.stream import Frame
-from .lines import BAUD, MAX_BAUD, Direction, Settings
+from .lines import MAX_BAUD, Direction, Settings
+from .show import Trouble
 
 _FIRST_LINE = '# serial_communication wire recording'
 _TYPE = 'serial_communication/SerialMsg'
@@ -25,8 +26,8 @@ _LATEST = 1e11         # … and since 1970 when it began: what a date can say
 _DIRECTIONS = {'rx': False, 'tx': True}
 
 
-class RecordingError(Exception):
-    """It cannot be read; the text is for a person."""
+class RecordingError(Trouble):
+    """It cannot be read."""
 
 
 class Read(NamedTuple):
@@ -43,7 +44,6 @@ class Seen(NamedTuple):
     link: str
     sent: bool
     frame: Frame
-    delay: float = 0.0     # s from its stamp until it was told, beyond that of the quickest frame
 
 
 class Recording(NamedTuple):
@@ -52,7 +52,7 @@ class Recording(NamedTuple):
     began: float                     # s since 1970, of the time 0
     reads: Dict[str, List[Read]]     # by link
     seen: List[Seen]                 # empty where there are reads
-    baud: int = BAUD
+    baud: int = 0                    # 0: not known
 
     def links(self) -> List[str]:
         """Those of which there is something."""
@@ -62,51 +62,25 @@ class Recording(NamedTuple):
 # -- text files -----------------------------------------------------------------------------
 
 
-class Writer:
-    """Writes such a file as bytes come.
+def heading(line: Settings, began: float) -> str:
+    """The first lines of such a file; `began` is in seconds since 1970."""
+    return f'{_FIRST_LINE}\n# link {line.link}\n# baud {line.baud}\n# began {began:.6f}\n'
 
-    Args:
-        began: seconds since 1970 at the time `start`.
-        start: what is subtracted from the times of reads.
 
-    Raises:
-        OSError: the file cannot be written.
-    """
-
-    def __init__(self, path: str, line: Settings, began: float, start: float) -> None:
-        self._start = start
-        self._file: TextIO = open(path, 'w', encoding='utf-8')
-        self._file.write(f'{_FIRST_LINE}\n# link {line.link}\n# baud {line.baud}\n'
-                         f'# began {began:.6f}\n')
-        self.flush()
-
-    def read(self, read: Read) -> None:
-        """One line."""
-        self._file.write(f'{read.at - self._start:.6f} {"tx" if read.sent else "rx"} '
-                         f'{read.data.hex()}\n')
-
-    def remark(self, at: float, text: str) -> None:
-        """One line that is skipped in reading."""
-        self._file.write(f'# {at - self._start:.6f} {text}\n')
-
-    def flush(self) -> None:
-        """Leave what was written with the system."""
-        self._file.flush()
-
-    def close(self) -> None:
-        """Write all that waits."""
-        self._file.close()
+def read_line(read: Read, start: float) -> str:
+    """The line of a read, in a file that began at `start`."""
+    return f'{read.at - start:.6f} {"tx" if read.sent else "rx"} {read.data.hex()}\n'
 
 
 def _load_text(path: str, file: TextIO) -> Recording:
-    heading = {'link': '', 'baud': str(BAUD), 'began': '0'}
+    told = {'link': '', 'baud': '', 'began': '0'}
     reads: List[Read] = []
     latest = {False: -inf, True: -inf}
     for number, line in enumerate(file, 2):
         words = line.split()
         if line.startswith('#'):
-            if len(words) >= 3 and words[1] in heading and not reads:
-                heading[words[1]] = words[2]
+            if len(words) >= 3 and words[1] in told and not reads:
+                told[words[1]] = words[2]
             continue
         if not words:
             continue
@@ -123,11 +97,11 @@ def _load_text(path: str, file: TextIO) -> Recording:
         latest[read.sent] = read.at
         reads.append(read)
     reads.sort(key=lambda read: read.at)     # two threads wrote the two directions
-    if not heading['link']:
+    if not told['link']:
         raise RecordingError(f'{path}: no line "# link"')
     try:
-        return Recording(_number(heading['began'], 0, _LATEST), {heading['link']: reads}, [],
-                         int(_number(heading['baud'], 1, MAX_BAUD)))
+        return Recording(_number(told['began'], 0, _LATEST), {told['link']: reads}, [],
+                         int(_number(told['baud'], 1, MAX_BAUD)) if told['baud'] else 0)
     except ValueError:
         raise RecordingError(f'{path}: "# began" or "# baud" is no number that it can be') from None
 
@@ -166,15 +140,13 @@ def _load_bag(path: str, topic: str) -> Recording:
 
 def _from_bag(path: str, bag: Any, topic: str) -> Recording:
     topic = _choose_topic(path, bag, topic)
-    stamped = [(message, (message.header.stamp or time).to_sec(), time.to_sec())
+    stamped = [(message, (message.header.stamp or time).to_sec())
                for _, message, time in bag.read_messages([topic])]
     if not stamped:
         raise RecordingError(f'{path}: nothing was recorded on {topic}')
-    began = min(at for _, at, _ in stamped)
-    quickest = min(told - at for _, at, told in stamped)
-    back: Dict[Tuple[str, int], List[float]] = {}
-    return Recording(began, {}, [_seen(message, at - began, back)._replace(
-        delay=told - at - quickest) for message, at, told in stamped])
+    began = min(at for _, at in stamped)
+    clocks: Dict[Tuple[str, int], List[float]] = {}
+    return Recording(began, {}, [_seen(message, at - began, clocks) for message, at in stamped])
 
 
 def _choose_topic(path: str, bag: Any, topic: str) -> str:
@@ -232,21 +204,27 @@ def load(path: str, topic: str = '') -> Recording:
         raise RecordingError(f'{path}: {error.strerror}') from None
 
 
-def decoded(reads: Iterable[Read], line: Settings) -> List[Seen]:
-    """The frames of reads, in the order in which they were complete or given up."""
-    directions = [Direction(line, sent) for sent in (False, True)]
+def frames_of(recording: Recording, line: Settings) -> List[Seen]:
+    """All frames of one link: those that the board sent, then those that were sent to it, each in
+    the order in which they stood on the line."""
     found: List[Seen] = []
-    last: Optional[float] = None
-
-    def take(direction: Direction, frames: Iterable[Frame]) -> None:
-        found.extend(Seen(line.link, direction.sent, frame) for frame in frames)
-
-    for read in reads:
-        take(directions[read.sent], directions[read.sent].hear(read.data, read.at))
-        other = directions[not read.sent]
-        take(other, other.silent_until(read.at))
-        last = read.at
-    if last is not None:
-        for direction in directions:
-            take(direction, direction.silent_until(inf))
+    for sent in (False, True):
+        direction = Direction(line, sent)
+        frames: List[Frame] = []
+        for read in recording.reads.get(line.link, []):
+            if read.sent == sent:
+                frames += direction.hear(read.data, read.at)
+        frames += direction.silent_until(inf)
+        found += [Seen(line.link, sent, frame) for frame in frames]
+        found += [each._replace(frame=_read_again(each.frame, direction.decoder))
+                  for each in recording.seen if (each.link, each.sent) == (line.link, sent)]
     return found
+
+
+def _read_again(frame: Frame, decoder: Any) -> Frame:
+    """A frame of a bag with what it says, which a bag does not have."""
+    if frame.cause:
+        return frame
+    again = decoder.feed(frame.raw)
+    decoder.reset()
+    return frame._replace(message=again[0].message) if len(again) == 1 else frame

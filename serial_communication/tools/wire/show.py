@@ -9,6 +9,12 @@ _MOST_BYTES = 32       # of a frame on a line
 _COLOURS = {'board': '36', 'computer': '33', 'bad': '31', 'good': '32', 'dim': '2'}
 
 
+class Trouble(Exception):
+    """Ends the program; the text is one line for a person."""
+
+    status = 1     # of the program
+
+
 def is_terminal(stream: Any = None) -> bool:
     """Whether somebody looks at it who sees colours, and a line that is rewritten."""
     stream = sys.stdout if stream is None else stream

@@ -4,22 +4,22 @@ A recording is a bag of serial_msg (rosbag record /serial_msg), with every link 
 wire listen --raw and wire tap --raw wrote. For each link, each direction and each type: how many,
 how many a second, the gaps between them; errors by cause; the share of the wire's capacity; for
 the bus the round trips; for the arduino the gaps between heartbeats, of which one over 30 ms
-stops the motor.
+stops the motor. Of a bag's link that is not known, types are numbers.
 
   wire stats drive.bag
   wire stats drive.bag --plot drive.png      a timeline with the errors marked
 """
 import argparse
 import json
-import sys
-from typing import Any, Dict, List, Optional, Sequence
+from typing import Any, Callable, Dict, List, Optional, Sequence
 
 from ...boards.description import Command, Description
-from .figures import percentile
+from ...framing.stream import FRAMING, Bad, StreamDecoder
 from . import lines
+from .figures import percentile
 from .lines import Settings
-from .recording import Recording, RecordingError, Seen, decoded, load
-from .show import Paint
+from .recording import Recording, Seen, frames_of, load
+from .show import Paint, Trouble, complain
 
 SUMMARY = 'of a recording: counts, gaps, errors, load, round trips; a plot'
 
@@ -32,7 +32,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('recording', metavar='RECORDING', help='a bag, or a file of --raw')
     parser.add_argument('--topic', default='', help='of the bag, where several have frames')
     parser.add_argument('--baud', type=lines.baud, default=0, metavar='N',
-                        help=f'of the lines (a file of --raw says it; else {lines.BAUD})')
+                        help="of the lines (a file of --raw says it; else each board's own)")
     lines.add_config_option(parser)
     parser.add_argument('--plot', metavar='FILE.png', help='a timeline with the errors marked')
     parser.add_argument('--json', action='store_true', help='the same for a program; times in s')
@@ -40,37 +40,46 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Say it; the exit status."""
-    try:
-        recording = load(options.recording, options.topic)
-    except RecordingError as error:
-        print(error, file=sys.stderr)
-        return 1
+    recording = load(options.recording, options.topic)
     line_of = lines.known_lines(options.config)
-    known = {link: line_of(link, options.baud or recording.baud) for link in recording.links()}
-    seen = all_frames(recording, known)
+    baud = options.baud or recording.baud
+    known = {link: _settings(link, recording, line_of, baud) for link in recording.links()}
+    seen = sorted((each for line in known.values() for each in frames_of(recording, line)),
+                  key=lambda each: each.frame.stamp)
     if not seen:
-        print(f'{options.recording}: there is no frame in it', file=sys.stderr)
-        return 1
+        raise Trouble(f'{options.recording}: there is no frame in it')
     figures = measure(seen, known)
     print(json.dumps(figures, indent=1) if options.json else render(figures))
     if options.plot:
         try:
             plot(seen, known, options.plot)
         except ImportError:
-            print(_MATPLOTLIB, file=sys.stderr)
-            return 1
+            raise Trouble(_MATPLOTLIB) from None
         except (OSError, ValueError) as error:
-            print(f'{options.plot}: {error}', file=sys.stderr)
-            return 1
+            raise Trouble(f'{options.plot}: {error}') from None
     return 0
 
 
-def all_frames(recording: Recording, known: Dict[str, Settings]) -> List[Seen]:
-    """Of all links, in the order of their times."""
-    seen = list(recording.seen)
-    for link, reads in recording.reads.items():
-        seen += decoded(reads, known[link])
-    return sorted(seen, key=lambda each: each.frame.stamp)
+class _NoFrames(StreamDecoder):
+    """Of a board that is not known: finds and explains nothing."""
+
+    STARTS = b'\0'
+
+    def frame_at(self, at: int) -> Bad:
+        return Bad(1, FRAMING, '')
+
+
+def _settings(link: str, recording: Recording, line_of: Callable[[str, int], Settings],
+              baud: int) -> Settings:
+    """Of a link in the recording; of one that is not known, a bag can be counted all the same."""
+    try:
+        return line_of(link, baud)
+    except lines.UnknownBoard as error:
+        if link in recording.reads:
+            raise
+        complain(f'wire: {error}; of {link}, types are shown by their numbers')
+        board = Description(link, '', lambda sent, parameters: _NoFrames())
+        return Settings(board, baud or board.baud)
 
 
 # -- figures --------------------------------------------------------------------------------
@@ -95,22 +104,19 @@ class Names:
 
 def measure(seen: Sequence[Seen], known: Dict[str, Settings]) -> Dict[str, Any]:
     """Everything that is told, by link and direction. Times are in seconds."""
-    baud = next(iter(known.values())).baud
-    first, last = seen[0].frame.stamp, seen[-1].frame.stamp
-    length = max(last - first, 1e-6)
+    length = max(seen[-1].frame.stamp - seen[0].frame.stamp, 1e-6)
     links: Dict[str, Any] = {}
     names = Names(known)
     for link in sorted({each.link for each in seen}):
         of_link = [each for each in seen if each.link == link]
-        about: Dict[str, Any] = {}
+        about = links[link] = {'baud': known[link].baud}
         for sent in (False, True):
             frames = [each for each in of_link if each.sent == sent]
             if frames:
                 about['to the board' if sent else 'from the board'] = _direction(
-                    frames, length, baud, names)
+                    frames, length, known[link].baud, names)
         about.update(_own_figures(known[link].board, of_link))
-        links[link] = about
-    return {'seconds': length, 'baud': baud, 'links': links}
+    return {'seconds': length, 'links': links}
 
 
 def _direction(seen: Sequence[Seen], length: float, baud: int, names: Names) -> Dict[str, Any]:
@@ -132,23 +138,27 @@ def _direction(seen: Sequence[Seen], length: float, baud: int, names: Names) -> 
 
 
 def _own_figures(board: Description, seen: Sequence[Seen]) -> Dict[str, Any]:
-    """What only this kind of link has."""
+    """What only some boards have."""
+    own: Dict[str, Any] = {}
     good = [each for each in seen if not each.frame.cause]
+    beat, received = board.heartbeat, [each.frame for each in good if not each.sent]
     if board.command is Command.FUNCTION:
         answered, unanswered = round_trips(good)
-        return {'round trips': dict(spread(answered, 'round trip'), answered=len(answered),
-                                    unanswered=unanswered)} if answered or unanswered else {}
-    if board.heartbeat:
+        if answered or unanswered:
+            own['round trips'] = dict(spread(answered, 'round trip'), answered=len(answered),
+                                      unanswered=unanswered)
+    elif board.command is Command.SEQUENCE and received:
+        own['lost by SEQ'] = sum(
+            (after.command - before.command - 1) % 256 for before, after
+            in zip(received, received[1:]) if (after.command, after.raw)
+            != (before.command, before.raw))     # a frame that came twice is not lost 255 times
+    if beat:
         beats = gaps([each.frame.stamp for each in good
-                      if each.sent and each.frame.type == board.heartbeat.type])
-        return {'heartbeats': dict(spread(beats), count=len(beats) + 1, too_long=sum(
-            gap > board.heartbeat.longest_gap for gap in beats))} if beats else {}
-    if board.command is not Command.SEQUENCE:
-        return {}
-    numbers = [(each.frame.command, each.frame.raw) for each in good if not each.sent]
-    return {'lost by SEQ': sum((after[0] - before[0] - 1) % 256
-                               for before, after in zip(numbers, numbers[1:])
-                               if after != before)} if numbers else {}
+                      if each.sent and each.frame.type == beat.type])
+        if beats:
+            own['heartbeats'] = dict(spread(beats), count=len(beats) + 1, limit=beat.longest_gap,
+                                     too_long=sum(gap > beat.longest_gap for gap in beats))
+    return own
 
 
 def round_trips(seen: Sequence[Seen]) -> Any:
@@ -184,7 +194,8 @@ def spread(values: Sequence[float], name: str = 'gap') -> Dict[str, Optional[flo
 def render(figures: Dict[str, Any]) -> str:
     """As a table."""
     paint = Paint()
-    text = [f'{figures["seconds"]:.1f} s at {figures["baud"]} baud']
+    bauds = sorted({about['baud'] for about in figures['links'].values()})
+    text = [f'{figures["seconds"]:.1f} s at {" and ".join(map(str, bauds))} baud']
     for link, about in figures['links'].items():
         for name in ('from the board', 'to the board'):
             if name in about:
@@ -212,22 +223,26 @@ def _render_direction(title: str, figures: Dict[str, Any], paint: Paint) -> List
 
 def _render_own(about: Dict[str, Any], paint: Paint) -> List[str]:
     text = []
+
+    def add(figures: str, bad: int, words: str) -> None:
+        text.append(f'  {figures}' + paint(f'{bad} {words}', 'bad' if bad else 'good'))
+
     if 'round trips' in about:
         each = about['round trips']
-        text.append(f'  round trips: {each["answered"]}, p50 {_ms(each["round trip p50"])}, p99 '
-                    f'{_ms(each["round trip p99"])}, max {_ms(each["round trip max"])} ms; '
-                    + paint(f'{each["unanswered"]} requests without a reply',
-                            'bad' if each['unanswered'] else 'good'))
+        add(f'round trips: {each["answered"]}, {_spread(each, "round trip")}; ',
+            each['unanswered'], 'requests without a reply')
     if 'heartbeats' in about:
         each = about['heartbeats']
-        text.append(f'  heartbeats: {each["count"]}, gap p50 {_ms(each["gap p50"])}, p99 '
-                    f'{_ms(each["gap p99"])}, max {_ms(each["gap max"])} ms; '
-                    + paint(f'{each["too_long"]} gaps over 30 ms, which stop the motor',
-                            'bad' if each['too_long'] else 'good'))
+        add(f'heartbeats: {each["count"]}, gap {_spread(each, "gap")}; ', each['too_long'],
+            f'gaps over {each["limit"] * 1e3:g} ms, which stop the motor')
     if 'lost by SEQ' in about:
-        lost = about['lost by SEQ']
-        text.append('  ' + paint(f'{lost} frames lost, by their SEQ', 'bad' if lost else 'good'))
+        add('', about['lost by SEQ'], 'frames lost, by their SEQ')
     return text
+
+
+def _spread(each: Dict[str, Any], name: str) -> str:
+    return ', '.join(f'{figure} {_ms(each[f"{name} {figure}"])}'
+                     for figure in ('p50', 'p99', 'max')) + ' ms'
 
 
 def _ms(value: Optional[float]) -> str:
@@ -235,7 +250,7 @@ def _ms(value: Optional[float]) -> str:
 
 
 def plot(seen: Sequence[Seen], known: Dict[str, Settings], path: str) -> None:
-    """A row a link, direction and type; the errors of a link and direction in one more.
+    """A row a link, direction and type, or cause of errors.
 
     Raises:
         ImportError: matplotlib is missing.
@@ -246,30 +261,19 @@ def plot(seen: Sequence[Seen], known: Dict[str, Settings], path: str) -> None:
     from matplotlib import pyplot
 
     names = Names(known)
-    rows: Dict[str, List[float]] = {}
-    errors: Dict[str, Dict[str, List[float]]] = {}
+    rows: Dict[Any, List[float]] = {}      # by name, and whether it is of errors
     for each in seen:
-        row = f'{each.link} {"->" if each.sent else "<-"} '
-        if each.frame.cause:
-            row += 'errors'
-            errors.setdefault(row, {}).setdefault(each.frame.cause, []).append(each.frame.stamp)
-        else:
-            row += names(each)
-        rows.setdefault(row, []).append(each.frame.stamp)
+        name = f'{each.link} {"->" if each.sent else "<-"} {each.frame.cause or names(each)}'
+        rows.setdefault((name, bool(each.frame.cause)), []).append(each.frame.stamp)
+    figure, axes = pyplot.subplots(figsize=(12, 1.5 + 0.3 * len(rows)))
     in_order = sorted(rows, reverse=True)
-    figure, axes = pyplot.subplots(figsize=(12, 1.5 + 0.3 * len(in_order)))
-    for height, name in enumerate(in_order):
-        if name in errors:
-            for cause, stamps in sorted(errors[name].items()):
-                axes.plot(stamps, [height] * len(stamps), 'x', label=f'{name}: {cause}')
-                for stamp in stamps:
-                    axes.axvline(stamp, color='red', alpha=0.15, linewidth=0.8)
-        else:
-            axes.plot(rows[name], [height] * len(rows[name]), '|', color='black')
+    for height, (name, is_bad) in enumerate(in_order):
+        stamps = rows[name, is_bad]
+        axes.plot(stamps, [height] * len(stamps), 'rx' if is_bad else 'k|')
+        for stamp in stamps if is_bad else ():
+            axes.axvline(stamp, color='red', alpha=0.15, linewidth=0.8)
     axes.set_yticks(range(len(in_order)))
-    axes.set_yticklabels(in_order)
+    axes.set_yticklabels([name for name, _ in in_order])
     axes.set_xlabel('s')
-    if errors:
-        axes.legend(loc='upper left', bbox_to_anchor=(1.0, 1.0), fontsize='small')
     figure.savefig(path, bbox_inches='tight', dpi=100)
     pyplot.close(figure)

@@ -10,20 +10,14 @@ TX, ground to ground); or on the bridge's own computer with two linked ports and
 Bytes pass unchanged, in both directions at once, in threads that do nothing else: a terminal that
 stands still, or a slow disk, never holds up the line. Nothing is kept for later, since a command
 to a motor must not arrive seconds late: where an end takes no data, where an end is closed, and
-where this program was suspended, what waited is dropped, and told. After that, each direction
-goes on with a whole frame; on the link arduino with a 0x00 and, to the board, SPEED 0 before it. A
-board of that link behind a network port that is silent for 1 s is connected anew. Either end may
+where this program was suspended, what waited is dropped, and reported. After that, each direction
+goes on with a whole frame, and before it with what makes the board safe: for the arduino a 0x00 and
+SPEED 0. An arduino behind a network port that is silent for 1 s is connected anew. Either end may
 go and come back.
-
---measure needs no ports: it tells what a tap adds on this machine, with heartbeats through two
-pseudo terminals and, in turns, through one without a tap.
 """
 import argparse
-import sys
 
-from ...transport.port import Port
-from . import lines, measure, onlooker
-from .onlooker import End
+from . import lines, onlooker
 
 SUMMARY = 'sits between computer and board, passes both directions on and shows both'
 
@@ -31,26 +25,15 @@ SUMMARY = 'sits between computer and board, passes both directions on and shows 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """What the command line may say."""
     lines.add_options(parser)
-    parser.add_argument('board_port', metavar='BOARD_PORT', nargs='?', type=onlooker.port_name,
-                        help='where the board is')
-    parser.add_argument('computer_port', metavar='COMPUTER_PORT', nargs='?',
-                        type=onlooker.port_name, help='where the computer is')
+    for end in 'board', 'computer':
+        parser.add_argument(f'{end}_port', metavar=f'{end.upper()}_PORT', type=lines.port,
+                            help=f'where the {end} is')
     onlooker.add_options(parser)
-    parser.add_argument('--measure', action='store_true',
-                        help='instead: what a tap adds, in ms, over --duration seconds (10)')
 
 
 def run(options: argparse.Namespace) -> int:
     """Tap; the exit status."""
-    if options.measure:
-        return measure.run(options.link, options.duration or 10.0, options.json)
-    if options.computer_port is None:
-        print('wire tap: two ports are needed: the board\'s and the computer\'s', file=sys.stderr)
-        return 2
-    if options.board_port == options.computer_port:
-        print('wire tap: the two ports are the same', file=sys.stderr)
-        return 2
-    line = lines.settings(options)
-    board, computer = (Port(url, line.baud)
-                       for url in (options.board_port, options.computer_port))
-    return onlooker.look_on(line, [End(board, False), End(computer, True)], options)
+    ports = [options.board_port, options.computer_port]
+    if ports[0] == ports[1]:
+        raise lines.Unusable('the two ports are the same')
+    return onlooker.look_on(lines.settings(options), ports, options)

@@ -1,0 +1,20 @@
+"""A board of another package, for the tests of `wire`: a scale on a crane."""
+from serial_communication.boards.description import Command, CustomRows, Description, Heartbeat
+from serial_communication.framing.custom_messages import read_messages
+
+from . import wire
+
+
+def custom_messages(entries):
+    """The messages of ``scale/messages``."""
+    return read_messages(entries, 'scale/messages', range(3, 16), 8)
+
+
+def _decoder(sent, parameters):
+    return wire.Decoder([each.kind for each in custom_messages(parameters.get('messages') or {})])
+
+
+DESCRIPTION = Description(
+    'scale', __name__, _decoder, custom=CustomRows('messages', custom_messages, 'scale/'),
+    command=Command.SEQUENCE, heartbeat=Heartbeat(wire.Hold.TYPE, longest_gap=0.2), baud=9600,
+    between=b'\n', first_after_loss=wire.encode(wire.Hold(), 0))

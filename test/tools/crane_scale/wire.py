@@ -1,0 +1,70 @@
+"""A colon, TYPE, number, DATA … and the XOR of these as hex digits, and a newline; both ways."""
+from typing import Iterable
+
+from serial_communication.framing.layout import Value, message_class
+from serial_communication.framing.parts import Parts
+from serial_communication.framing.stream import (CHECKSUM, FRAMING, UNKNOWN, Bad, Good, Need,
+                                                 StreamDecoder, running_xor)
+
+Load = message_class('Load', 0x10, '<H', [Value('value', 'kg', 0.1)], 'load')
+Hold = message_class('Hold', 2, '<', (), 'hold')
+
+
+def encode(message, number: int) -> bytes:
+    """The frame; `number` is 0 … 255."""
+    return encode_raw(bytes((message.TYPE, number)) + message.pack())
+
+
+def encode_raw(body: bytes) -> bytes:
+    """The frame of TYPE, number and DATA."""
+    return b':%b\n' % (body + running_xor(body, 0)[-1:]).hex().encode()
+
+
+class Decoder(StreamDecoder):
+    """Either way."""
+
+    STARTS = b':'
+
+    def __init__(self, messages: Iterable = ()) -> None:
+        super().__init__()
+        self.errors[UNKNOWN] = 0
+        self._messages = {kind.TYPE: kind for kind in (Load, Hold, *messages)}
+
+    def frame_at(self, at: int):
+        end = self.buffer.find(b'\n', at, at + 40)
+        if end < 0:
+            size = len(self.buffer) - at
+            return Need(size + 1) if size < 40 else Bad(1, FRAMING, 'no end')
+        try:
+            body = bytes.fromhex(self.buffer[at + 1:end].decode())
+        except ValueError:
+            return Bad(1, FRAMING, 'no digits')
+        if len(body) < 3:
+            return Bad(1, FRAMING, 'too short')
+        size = end + 1 - at
+        if running_xor(body, 0)[-1]:
+            return Bad(size, CHECKSUM, 'the checksum does not match')
+        kind, data = self._messages.get(body[0]), body[2:-1]
+        message = kind.unpack(data) if kind and kind.LAYOUT.fits(len(data)) else None
+        return Good(size, body[0], body[1], data, message)
+
+    def explain(self, frame: bytes):
+        parts = Parts(frame)
+        parts.take(1, 'start')
+        digits = frame[1:].rstrip(b'\n')
+        try:
+            body = bytes.fromhex(digits[:len(digits) // 2 * 2].decode())
+        except ValueError:
+            return parts.take_rest('noise', 'no hex digits')
+        inner = Parts(body)
+        kind = self._messages.get(inner.take_kind('TYPE', {
+            type_: each.LABEL for type_, each in self._messages.items()}))
+        inner.take(1, 'number')
+        if kind:
+            inner.take_data(kind.LAYOUT.size, kind.parts)
+        inner.take_bytes(max(inner.left - 1, 0), 'DATA')
+        inner.take_checksum('XOR', body[:inner.at])
+        for part in inner.found:
+            parts.add(part._replace(start=1 + 2 * part.start, end=1 + 2 * part.end))
+        parts.take(1, 'end')
+        return parts.take_rest('noise', 'bytes behind the frame')
