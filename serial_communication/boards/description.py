@@ -55,6 +55,7 @@ class Description:
     # the board's own parameters have it; RowError for a mistake in them. A name that is not there
     # has its default.
     decoder: Callable[[bool, Mapping[str, Any]], Any]
+    title: str = ''    # what it is, for people: model car
     topics: Tuple[Topic, ...] = ()
     other_names: Tuple[str, ...] = ()        # of topics with commands, and of services
     custom: Optional[CustomRows] = None

@@ -1,6 +1,7 @@
 """The page in a real browser: what it shows against the topics, what it does to the robot, and
 how it bears what happens to bridge, master, panel and line."""
 import os
+import re
 import shutil
 import signal
 import threading
@@ -121,30 +122,37 @@ def test_ranges_as_bars_with_their_limits(page, robot):
     heard.close()
 
 
+TITLES = {'bus': 'control board', 'arduino': 'model car', 'mcu': 'sensor board'}
+
+
 def test_links_are_as_diagnostics_say(page):
-    statuses = Diagnostics().wait_for_all(('bus', 'arduino', 'mcu'), lambda *_: True, 'a status')
-    for name, status in statuses.items():
+    diagnostics = Diagnostics()
+    for name, status in diagnostics.wait_for_all(TITLES, lambda *_: True, 'a status').items():
         card = f'[data-link="{name}"]'
-        page.wait_for_text(card + ' .summary', status.message)
+        assert page.text(card + ' .card-head .note') == TITLES[name]
         assert page.text(card + ' .port') == status.keys['port']
         page.script("document.querySelector(arguments[0]).open = true", card + ' details')
-        page.wait(lambda page: len(page.all(card + ' details tr')) == len(status.keys), 'all keys')
-        shown = dict(page.script(
-            "return [...document.querySelectorAll(arguments[0])].map(row => "
-            "[...row.children].map(cell => cell.textContent))", card + ' details tr'))
-        for key in ('checksum errors', 'framing errors', 'reconnects'):
-            assert shown[key] == status.keys[key]
+
+        def as_said(page, name=name, card=card):
+            latest = diagnostics.statuses(name)[-1]
+            shown = dict(page.script(
+                "return [...document.querySelectorAll(arguments[0])].map(row => "
+                "[...row.children].map(cell => cell.textContent))", card + ' details tr'))
+            return page.text(card + ' .summary') == latest.message and shown == latest.keys
+        page.wait(as_said, f'{name}: words and all keys of the latest status')
 
 
-def test_a_heartbeat_gap_is_red_until_it_is_over(page, robot):
+def test_a_heartbeat_gap_is_red_until_it_is_over_and_what_was_dropped_is_shown(page, robot):
     card = '[data-link="arduino"]'
     bad = card + ' dd[data-bad]'
     page.wait(lambda page: page.attribute(card, 'data-look') == 'ok', 'it is well')
     robot.bridge.process.send_signal(signal.SIGSTOP)
-    threading.Event().wait(0.25)
+    threading.Event().wait(0.5)      # a stall: what waits meanwhile is dropped
     robot.bridge.process.send_signal(signal.SIGCONT)
     page.wait(lambda page: 'heartbeat gap of' in page.text(card + ' .summary')
               and len(page.all(bad)) == 1, 'the gap is said, and red')
+    page.wait(lambda page: re.search(r'stale\s+[1-9][0-9]* bytes', page.text(card + ' .facts')),
+              'the bytes that waited meanwhile are counted')
     page.wait(lambda page: page.attribute(card, 'data-look') == 'ok' and page.all(bad) == [],
               'it is over')
 

@@ -22,6 +22,7 @@ from std_msgs.msg import String
 
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
+from serial_communication.msg import SerialMsg
 
 LOOKS = ['~imu', '~voltage', '~environment', 'mcu/range_1', '~nothing']
 
@@ -402,6 +403,49 @@ def test_what_a_range_may_read_beside_numbers_is_json(page, robot):
         page.until(lambda page: page.rows.get('mcu/range_1', {}).get('range') == word,
                    f'{word} comes')
     robot.ranges = ranges()
+
+
+_GAUGE = '''
+from serial_communication.boards.description import Description, Heartbeat
+from serial_communication.framing.parts import Part
+
+class Decoder:
+    def explain(self, frame):
+        return [Part(0, len(frame), 'rain', frame, 7, 0.7, 'mm')]
+
+def decoder(sent, parameters):
+    if parameters['unit'] != 'mm':
+        raise ValueError
+    return Decoder()
+
+DESCRIPTION = Description('gauge', __name__, decoder, 'rain gauge', heartbeat=Heartbeat(1, 0.5))
+'''
+
+
+def test_the_board_of_another_package_is_known_and_its_frames_are_explained(core, tmp_path):
+    """This process plays the bridge."""
+    (tmp_path / 'rain_gauge').mkdir()
+    (tmp_path / 'rain_gauge' / '__init__.py').write_text(_GAUGE)
+    rospy.set_param('~boards', ['rain_gauge', 'not_installed'])
+    rospy.set_param('~gauge', {'unit': 'mm'})
+    traffic = rospy.Publisher('serial_msg', SerialMsg, queue_size=10)
+    panel = Panel('--node', rospy.get_name(), name='panel_gauge',
+                  environment={'PYTHONPATH': f'{tmp_path}:{os.environ["PYTHONPATH"]}'})
+    try:
+        page = Page(panel, watch=['serial_msg'])
+        page.until(lambda page: 'gauge' in page.known.get('boards', {}), 'the board is known')
+        assert page.known['boards']['gauge'] == {'title': 'rain gauge', 'longest_gap': 0.5}
+        assert page.known['boards']['bus'] == {'title': 'control board', 'longest_gap': None}
+        until(lambda: page.known.get('wire', {}).get('frames'), 'frames come', every=0.1,
+              doing=lambda: traffic.publish(link='gauge', frame=b'\1\2', text='rain'))
+        assert page.known['wire']['frames'][0][6:] == ['0102', [['rain', 0, 2, '0.7 mm', '']]]
+        page.close()
+        assert panel.end() == 0
+    finally:
+        panel.end()
+        traffic.unregister()
+        rospy.delete_param('~boards')
+        rospy.delete_param('~gauge')
 
 
 # -- commands ---------------------------------------------------------------------------------

@@ -1,15 +1,15 @@
 """What the table shows of a bridge and of the demo, at every size; without ROS."""
 import io
 import re
+from types import SimpleNamespace as Message
 
 import pytest
 from serial_communication.link.outcome import Verdict
 from serial_communication.tools.demo import cli
-from serial_communication.tools.demo.state import Calls, Commands, State
+from serial_communication.tools.demo.state import Calls, Demo
 from serial_communication.tools.watch import table
 from serial_communication.tools.watch.state import LinkState
-from serial_communication.tools.watch.table import Line, Screen
-from serial_communication.tools.watch.topics import Value
+from serial_communication.tools.watch.table import Screen, TextLine
 
 NOW = 4000.0
 SETUP = '. /home/somebody/serial_communication/build/devel/setup.bash'
@@ -20,20 +20,19 @@ COUNTERS = {'port': '/dev/ttyS0', 'state': 'open', 'frames received': '1234567',
 SIZES = [(200, 60), (132, 50), (80, 30), (80, 24), (60, 15), (40, 10), (20, 3), (1, 1)]
 
 
-def running(state: State) -> State:
+def running(state: Demo) -> Demo:
     """The bridge talks."""
     state.bridge.master_says(True, NOW)
-    state.elapsed = NOW
     return state
 
 
-def idle(**options) -> State:
-    return running(State(**options))
+def idle(**options) -> Demo:
+    return running(Demo(**options))
 
 
-def busy(**options) -> State:
+def busy(**options) -> Demo:
     """A state in which everything works and all counters are long."""
-    state = running(State(**{'setup': SETUP, **options}))
+    state = running(Demo(**{'setup': SETUP, **options}))
     for each in state.bridge.topics:
         if not each.topic.optional:
             each.count, each.rate, each.words, each.last_at = 100000, 99.97, 'value ' * 10, NOW
@@ -48,12 +47,12 @@ def busy(**options) -> State:
         state.bridge.take_link(name, link._replace(at=NOW))
     for calls in state.calls.values():
         calls.answered('up 20 mm', Verdict.DONE, '', 0.4)
-    state.commands = Commands(300, 1500, 'left')
+    state.driving = '~speed 300, ~steering 1500, ~led left'
     return state
 
 
 def lines(state, width=80, height=24, now=NOW):
-    return table.layout(state.bridge, state.frame(), now, width, height)
+    return table.layout(state.bridge, state.heading(NOW), now, width, height)
 
 
 def text(state, *size, **more):
@@ -95,11 +94,24 @@ def test_the_line_for_the_second_terminal_is_never_cut(size):
 def test_what_falls_off_is_counted():
     state = busy()
     shown = text(state, 60, 15).splitlines()
-    # Three pairs of topics share a line each before any is left out.
-    topics = len(state.bridge.topics) - 1 - 3
+    # Five pairs of topics share a line each before any is left out.
+    topics = len(state.bridge.topics) - 1 - 5
     listed = sum(line.startswith(('~', 'serial_msg')) for line in shown)
     assert shown[-1] == f'… {topics - listed} more lines' and listed > 2
     assert 'more lines' not in text(state, 80, 24)
+
+
+@pytest.mark.parametrize('height, joined', [
+    (25, 'mcu/range_1, range_2'), (24, '/tf, tf_static'),
+    (23, '~environment/temperature, humidity')])
+def test_topics_of_one_type_or_below_one_name_share_a_line_as_room_gets_short(height, joined):
+    state = busy()
+    for name, words in ('mcu/range_1', 'near'), ('mcu/range_2', 'far'):
+        state.bridge.topic(name).words = words
+    shown = text(state, 80, height)
+    assert re.search(f'^{joined} +100.0 Hz  ', shown, re.M), shown
+    assert 'more lines' not in shown
+    assert (', range_2' in shown) == ('100.0 Hz  near; far' in shown)
 
 
 @pytest.mark.parametrize('state', [idle(), busy()], ids=['nothing yet', 'busy'])
@@ -126,6 +138,13 @@ def test_states_of_the_links_and_their_counters():
     assert 'heartbeat gap 10.40 ms' in by_link['arduino'].text
     assert by_link['mcu'].style == 'bad'
     assert 'ERROR closed: no such file' in by_link['mcu'].text and 'lost 6' in by_link['mcu'].text
+
+
+def test_bytes_dropped_as_stale_are_shown_where_there_are_any():
+    state = busy()
+    for count, words in ('0', ', in 1234567'), ('120', ', dropped 120 stale bytes, in 1234567'):
+        state.bridge.take_link('bus', LinkState(0, 'ready', {**COUNTERS, 'stale': count}, NOW))
+        assert f'bad 7 (3 checksum, 4 framing){words}' in text(state, 200, 60)
 
 
 def test_on_a_narrow_terminal_a_link_keeps_whole_words():
@@ -177,7 +196,7 @@ def test_links_that_are_off_are_left_out():
 
 def test_trouble_is_said_below_the_title():
     state = busy()
-    assert lines(state, 80, 24, now=NOW + 10)[1] == Line(
+    assert lines(state, 80, 24, now=NOW + 10)[1] == TextLine(
         'no answer from the ROS master at  for 10 s', 'bad')
     state.bridge.master = 'http://robot:11311'
     state.bridge.master_says(True, NOW + 10)
@@ -187,10 +206,10 @@ def test_trouble_is_said_below_the_title():
 def test_a_speed_that_is_not_sent_is_not_shown():
     state = busy()
     assert 'car     ~speed 300, ~steering 1500, ~led left' in text(state, 80, 24)
-    state.bridge.topic('~imu/calibrating').values = [Value('data', True)]
+    state.bridge.topic('~imu/calibrating').message = Message(data=True)
     shown = text(state, 80, 24)
     assert 'car     speed refused: calibrating' in shown and '~speed' not in shown
-    state.bridge.topic('~imu/calibrating').values = [Value('data', False)]
+    state.bridge.topic('~imu/calibrating').message = Message(data=False)
     assert '~speed 300' in text(state, 80, 24)
     state.bridge.take_link('arduino', LinkState(2, 'closed: gone', {}, NOW))
     assert 'car     speed refused: port closed' in text(state, 80, 24)
@@ -200,12 +219,12 @@ def test_a_call_is_shown_with_what_became_of_it():
     state = idle()
     state.calls['lift'].answered('up 20 mm', Verdict.NOT_KNOWN, 'no reply; look', 5.0)
     state.calls['gimbal'].answered('left 15 degrees', Verdict.REFUSED, 'too far', 0.1)
-    assert Line('lift    up 20 mm: not known: no reply; look, after 5.00 s '
-                '(0 done, 1 not known)', 'bad') in lines(state, 120, 50)
-    assert Line('gimbal  left 15 degrees: refused: too far, after 0.10 s '
-                '(0 done, 1 refused)', 'bad') in lines(state, 120, 50)
+    shown = lines(state, 120, 50)
+    for words in ('lift    up 20 mm: not known: no reply; look, after 5.00 s (0 done, 1 not known)',
+                  'gimbal  left 15 degrees: refused: too far, after 0.10 s (0 done, 1 refused)'):
+        assert TextLine(words, 'bad') in shown
     state.calls['lift'].answered('down 20 mm', Verdict.DONE, 'done: lift', 0.4)
-    assert Line('lift    down 20 mm: done, after 0.40 s (1 done, 1 not known)') in lines(
+    assert TextLine('lift    down 20 mm: done, after 0.40 s (1 done, 1 not known)') in lines(
         state, 120, 50)
 
 
@@ -217,19 +236,19 @@ def test_what_is_missing():
     state.calls['lift'].answered('up 20 mm', Verdict.NOT_KNOWN, 'no reply', 5.0)
     assert state.missing() == ['no data on ~imu', 'no successful answer from lift: up 20 mm: '
                                'not known: no reply, after 5.00 s (0 done, 1 not known)']
-    assert len(State().missing()) == len(State().bridge.topics) - 1 + 2
+    assert len(Demo().missing()) == len(Demo().bridge.topics) - 1 + 2
     # Real boards that are only looked at need not move.
-    assert not any('answer' in each for each in State(moves=False).missing())
+    assert not any('answer' in each for each in Demo(moves=False).missing())
 
 
 def test_at_the_end_a_link_that_is_not_ok_is_named(capsys):
     state = busy()
     for name in state.bridge.links:
         state.bridge.take_link(name, LinkState(0, 'open', {}, NOW))
-    assert cli._judge(state) == 0
+    assert cli._judge(state, 10.0) == 0
     assert 'Every topic carried data' in capsys.readouterr().out and state.trouble() == []
     state.bridge.take_link('arduino', LinkState(1, 'heartbeat gap of 99.5 ms: ...', {}, NOW))
-    assert cli._judge(state) == 0
+    assert cli._judge(state, 10.0) == 0
     said = capsys.readouterr().out.splitlines()
     assert said[-2:] == ['But at the end not every link was OK:',
                          '  arduino WARN: heartbeat gap of 99.5 ms: ...']
@@ -240,7 +259,7 @@ def test_a_topic_that_the_bridge_does_not_publish_is_missing():
     state.bridge.set_topics([each.topic for each in state.bridge.topics
                              if each.topic.name != '~voltage'])
     assert state.missing() == []     # it was there, and its count stays
-    state = State()
+    state = Demo()
     state.bridge.set_topics([])
     assert 'no data on ~imu' in state.missing()
 
@@ -263,7 +282,7 @@ class Terminal(io.StringIO):
 
 
 def draw(screen, state):
-    screen.draw(state.bridge, state.frame(), NOW)
+    screen.draw(state.bridge, state.heading(NOW), NOW)
 
 
 def test_a_terminal_is_redrawn_in_place_and_given_back(monkeypatch):
@@ -278,7 +297,7 @@ def test_a_terminal_is_redrawn_in_place_and_given_back(monkeypatch):
     redraw = out.getvalue()[before:]
     assert redraw.startswith('\033[H') and '\033[2J' not in redraw
     assert redraw.count('\n') <= 23     # or it would scroll
-    screen.close(busy().bridge, busy().frame(), NOW)
+    screen.close(busy().bridge, busy().heading(NOW), NOW)
     assert out.getvalue().endswith('\033[?25h\r\n')
 
 
@@ -298,7 +317,7 @@ def test_elsewhere_there_are_plain_lines_now_and_then():
     screen = Screen(out)
     for _ in range(10):
         draw(screen, busy())
-    screen.close(busy().bridge, busy().frame(), NOW)
+    screen.close(busy().bridge, busy().heading(NOW), NOW)
     assert '\033' not in out.getvalue()
     assert out.getvalue().count('17 of 17 topics carry data') == 2
     assert 'topic ' in out.getvalue()

@@ -2,10 +2,11 @@
 from types import SimpleNamespace as Message
 
 import pytest
+from serial_communication.boards import BOARDS, description
 from serial_communication.tools.watch import state as watch
 from serial_communication.tools.watch import topics
 from serial_communication.tools.watch.state import BridgeState, LinkState, TopicState
-from serial_communication.tools.watch.topics import Field, Topic
+from serial_communication.tools.watch.topics import Topic
 
 NODE = '/serial_communication'
 
@@ -20,6 +21,11 @@ class Slots:
 
 def words(type_, message):
     return Topic('any', type_).words(message)
+
+
+def custom_topics(parameters):
+    return [topic for name in BOARDS
+            for topic in topics.custom_topics(description(name), parameters)]
 
 
 # -- names and what a bridge publishes ---------------------------------------------------------
@@ -39,16 +45,45 @@ def test_known_topics_come_in_the_tables_order_and_others_behind_them():
     found = topics.known('/car/bridge', {
         '/car/zebra': 'nmea_msgs/Gpgga', '/tf': 'tf2_msgs/TFMessage',
         '/car/bridge/voltage': 'serial_communication/Voltage', '/rosout': 'rosgraph_msgs/Log',
-        '/car/bridge/imu': 'sensor_msgs/Imu', '/car/air': 'sensor_msgs/Temperature'}, {})
+        '/car/bridge/imu': 'sensor_msgs/Imu', '/car/air': 'sensor_msgs/Temperature'},
+        {}, topics.boards_of({}))
     assert [each.name for each in found] == ['~imu', '~voltage', '/tf', 'air', 'zebra']
     assert found[0].links == ('arduino',) and found[3].links == ()
 
 
-def test_own_messages_by_the_bridges_parameters():
+GAUGE = '''
+from serial_communication.boards.description import CustomRows, Description, Topic
+DESCRIPTION = Description(
+    'gauge', __name__, lambda sent, parameters: None, 'rain gauge',
+    topics=(Topic('rain', 'std_msgs/Float32', period_parameter='every'),
+            Topic('rain/battery', 'std_msgs/Float32', 5.0)),
+    custom=CustomRows('rows', list, 'rain/'))
+'''
+
+
+def test_a_board_of_another_package(tmp_path, monkeypatch):
+    (tmp_path / 'rain_gauge').mkdir()
+    (tmp_path / 'rain_gauge' / '__init__.py').write_text(GAUGE)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    bridge = BridgeState()
+    bridge.learn({'boards': ['not_installed', 'rain_gauge', 3], 'gauge': {
+        'port': '/dev/gauge', 'every': 60.0,
+        'rows': {'snow': {'ros_type': 'std_msgs/Bool', 'period': 2.0}}}})
+    assert bridge.board('gauge').title == 'rain gauge' and bridge.board('other') is None
+    found = topics.known(NODE, {'/rain/snow': 'std_msgs/Bool', '/rain': 'std_msgs/Float32',
+                                '/rain/battery': 'std_msgs/Float32', '/other': 'std_msgs/Bool'},
+                         bridge.parameters, bridge.boards)
+    assert [(each.name, each.links, each.period) for each in found] == [
+        ('other', (), None), ('rain', ('gauge',), 60.0), ('rain/battery', ('gauge',), 5.0),
+        ('rain/snow', ('gauge',), 2.0)]
+    assert topics.expected_links(bridge.parameters) == ['gauge']
+
+
+def test_custom_messages_by_the_bridges_parameters():
     parameters = {
         'arduino': {'port': '/dev/a', 'messages': {
             'force': {'type': 20, 'ros_type': 'std_msgs/Float32', 'layout': '<h',
-                      'fields': 'data', 'minimum': -5, 'maximum': 5.5},
+                      'fields': ['data'], 'minimum': -5, 'maximum': 5.5},
             'pump': {'type': 21, 'ros_type': 'std_msgs/Float32', 'direction': 'to_board'}}},
         'mcu': {'port': '', 'messages': {'wind': {
             'type': 3, 'ros_type': 'geometry_msgs/Vector3Stamped', 'layout': '<hhh',
@@ -57,16 +92,16 @@ def test_own_messages_by_the_bridges_parameters():
             'grip': {'cmd2': 7, 'srv_type': 'std_srvs/Trigger'},
             'level': {'cmd2': 8, 'ros_type': 'std_msgs/UInt8', 'period': 5,
                       'reply': {'layout': '<B', 'fields': ['data']}}}}}
-    own = {each.name: each for each in topics.own_topics(parameters)}
+    own = {each.name: each for each in custom_topics(parameters)}
     assert set(own) == {'~force', 'mcu/wind', '~level'}
-    assert own['~force'].fields == (Field('data', -5.0, 5.5),)
-    assert own['mcu/wind'].fields == (Field('vector.x', None, 1.0), Field('vector.y', None, 3.0))
+    assert own['~force'].fields == (('data', -5.0, 5.5),)
+    assert own['mcu/wind'].fields == (('vector.x', None, 1.0), ('vector.y', None, 3.0))
     assert own['~level'].period == 5.0 and own['~level'].links == ('bus',)
     assert topics.expected_links(parameters) == ['bus', 'arduino']
 
     found = topics.known(NODE, {NODE + '/force': 'std_msgs/Float32',
                                 NODE + '/environment': 'serial_communication/Environment'},
-                         parameters)
+                         parameters, topics.boards_of(parameters))
     assert found[0].period == 60.0
     value, = found[1].values(Message(data=1.5))
     assert (value.value, value.low, value.high) == (1.5, -5.0, 5.5)
@@ -79,8 +114,9 @@ def test_own_messages_by_the_bridges_parameters():
     {'mcu': {'messages': {'x': {'ros_type': 'std_msgs/Bool', 'fields': [], 'minimum': [1]}}}},
     {'bus': {'functions': {'x': {'ros_type': 'std_msgs/Bool', 'reply': 3, 'period': 'y'}}}}])
 def test_parameters_of_any_shape_do_no_harm(parameters):
-    topics.own_topics(parameters)
-    assert topics.known(NODE, {NODE + '/imu': 'sensor_msgs/Imu'}, parameters)[0].name == '~imu'
+    custom_topics(parameters)
+    assert topics.known(NODE, {NODE + '/imu': 'sensor_msgs/Imu'}, parameters,
+                        topics.boards_of(parameters))[0].name == '~imu'
     assert topics.expected_links(parameters) == []
 
 
@@ -108,8 +144,12 @@ def test_words_of_the_bridges_own_types():
                      Message(range=metres, min_range=0.03, max_range=2.0)) == said
     assert words('serial_communication/SerialMsg', Message(
         link='bus', direction=1, text='lift up 20 mm', error='')) == 'bus sent lift up 20 mm'
-    assert words('serial_communication/McuStatus2',
-                 Message(connected=False, last_frame_age_sec=3.0)) == 'silent for 3.0 s'
+    sensors = Message(connected=True, valid=True, crc_error_count=2, seq=7, vl53_1=470, vl53_2=80,
+                      yaw=1.25, last_frame_age_sec=3.0)
+    assert words('serial_communication/McuStatus2', sensors) == (
+        '470 and 80 mm, yaw 1.2 deg, valid, 2 CRC errors, seq 7')
+    sensors.connected = False
+    assert words('serial_communication/McuStatus2', sensors) == 'silent for 3.0 s'
     assert words('serial_communication/Voltage', Message(value=8.071)) == '8.07 V'
     assert words('serial_communication/Ticks', Message(value=2)) == '2 in 10 ms'
     assert words('serial_communication/Environment', Message(
@@ -129,7 +169,8 @@ def test_words_of_any_type():
 
 
 def test_paths_that_lead_nowhere_are_left_out():
-    topic = Topic('any', 'x/Y', fields=(Field('position[2]'), Field('speed.z'), Field('name')))
+    topic = Topic('any', 'x/Y', fields=tuple(
+        (path, None, None) for path in ('position[2]', 'speed.z', 'name')))
     assert [value.text() for value in topic.values(Slots(position=[1, 2], name='n'))] == ['n']
 
 
@@ -152,7 +193,7 @@ def test_three_periods_without_a_new_value_are_too_long():
 
 def test_a_period_that_nobody_has_said_is_found_by_looking():
     slow = fed(Topic('any', 'x/Y'), range(0, 100, 10))
-    assert slow.period() == pytest.approx(10.0)
+    assert slow.stale_after() == pytest.approx(30.0)
     assert not slow.stale(119.0) and slow.stale(121.0)
     assert not fed(Topic('any', 'x/Y'), [0.0]).stale(1000.0)      # only one: nobody knows
 

@@ -19,7 +19,7 @@ def _decoder(sent: bool, parameters: Mapping[str, Any]) -> Any:
 
 
 DESCRIPTION = Description(
-    'arduino', __name__, _decoder,
+    'arduino', __name__, _decoder, 'model car',
     topics=(
         Topic('~imu', 'sensor_msgs/Imu', 0.01),
         Topic('~imu/temperature', 'sensor_msgs/Temperature', 0.01),

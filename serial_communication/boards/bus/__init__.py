@@ -13,7 +13,7 @@ def _decoder(sent: bool, parameters: Mapping[str, Any]) -> Any:
 
 
 DESCRIPTION = Description(
-    'bus', __name__, _decoder,
+    'bus', __name__, _decoder, 'control board',
     topics=(
         Topic('~environment', 'serial_communication/Environment',
               period_parameter='environment_period'),

@@ -20,7 +20,7 @@ def _decoder(_sent: bool, parameters: Mapping[str, Any]) -> Any:
 
 
 DESCRIPTION = Description(
-    'mcu', __name__, _decoder,
+    'mcu', __name__, _decoder, 'sensor board',
     topics=(
         Topic('mcu/status', 'serial_communication/McuStatus2', _STATUS),
         Topic('mcu/adc_status', 'serial_communication/McuStatus', _STATUS, optional=True),

@@ -1,10 +1,9 @@
 """Shows every topic, link and call of the bridge, once a second: the live table of scripts/demo.
 
-`Watcher` fills the table's state from ROS; `Moves` calls lift and gimbal and drives the car.
+It is the monitor's table; `Moves` calls lift and gimbal and drives the car.
 """
 import argparse
 import math
-import signal
 import sys
 import threading
 import time
@@ -22,10 +21,10 @@ from ...output import print_line_by_line
 from ...ros.answers import read_error, read_response
 from ...ros.master import wait_for_master
 from ...ros.rospy_mends.log_file import init_node
-from ..watch.table import PERIOD, Screen
+from ..watch.live import LiveTable, stopped_by_signals
 from ..watch.topics import LINKS, NODE
 from ..watch.watcher import Watcher, leave
-from .state import Commands, State
+from .state import Demo
 
 _START = 60.0           # s for the bridge to appear in
 _CALL_EVERY = 3.0       # s from one lift or gimbal call to the next
@@ -41,13 +40,13 @@ _PLAN = (('lift', 'up', 0, 20, 'mm'), ('gimbal', 'left', 0, 15, 'degrees'),
 class Moves:
     """Calls lift and gimbal in turn and drives the car in gentle curves, until stopped."""
 
-    def __init__(self, state: State) -> None:
-        self._state = state
+    def __init__(self, demo: Demo) -> None:
+        self._demo = demo
         self._stopping = threading.Event()
         self._threads = []
-        if state.calls:
+        if demo.calls:
             self._threads.append(threading.Thread(target=self._call, daemon=True))
-        if 'arduino' in state.bridge.links:
+        if 'arduino' in demo.bridge.links:
             self._threads.append(threading.Thread(target=self._drive, daemon=True))
         for thread in self._threads:
             thread.start()
@@ -64,7 +63,7 @@ class Moves:
         turn = 0
         while not self._stopping.is_set():
             name, words, direction, amount, unit = _PLAN[turn % len(_PLAN)]
-            calls, asked = self._state.calls[name], time.monotonic()
+            calls, asked = self._demo.calls[name], time.monotonic()
             what = f'{words} {amount} {unit}'
             calls.words = f'{what}: ...'
             calls.answered(what, *_call(proxies[name], direction, amount),
@@ -85,12 +84,13 @@ class Moves:
             try:
                 speed.publish(value=now_speed)
                 steering.publish(value=now_steering)
-                if light != shown and led.get_num_connections() and not self._state.refusal():
+                if light != shown and led.get_num_connections() and not self._demo.refusal():
                     led.publish(light)
                     shown = light
             except rospy.ROSException:
                 return      # shutting down
-            self._state.commands = Commands(now_speed, now_steering, shown)
+            self._demo.driving = (f'~speed {now_speed}, ~steering {now_steering}, '
+                                  f"~led {shown or '-'}")
         try:
             speed.publish(value=0)
         except rospy.ROSException:
@@ -128,11 +128,9 @@ def main(argv: Optional[List[str]] = None) -> int:
     """Show the table; 1 if, after --duration, something had not been shown to work."""
     print_line_by_line()
     options = _arguments(argv)
-    state = State(options.boards, options.links, options.move, options.setup,
-                  rosgraph.get_master_uri(), options.page)
-    stopping = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, lambda *_: stopping.set())
+    demo = Demo(options.boards, options.links, options.move, options.setup,
+                rosgraph.get_master_uri(), options.page)
+    stopping = stopped_by_signals()
     if not wait_for_master(stopping, patience=_START):
         if stopping.is_set():
             return 0
@@ -140,61 +138,43 @@ def main(argv: Optional[List[str]] = None) -> int:
         return 1
 
     init_node('live_table', anonymous=True, disable_signals=True)
-    watcher = Watcher(state.bridge)
+    watcher = Watcher(demo.bridge)
     watcher.start()
     deadline = time.monotonic() + _START
     # Boards of our own are waited for, since emulated ones are built first.
-    while not stopping.is_set() and not (state.links_open() if options.boards != 'real'
-                                         else state.bridge.said_at() is not None):
+    while not stopping.is_set() and not (demo.links_open() if options.boards != 'real'
+                                         else demo.bridge.said_at() is not None):
         if time.monotonic() > deadline:
-            if state.bridge.said_at() is not None:
+            if demo.bridge.said_at() is not None:
                 break
             print(f'table: the bridge has said nothing for {_START:.0f} s', file=sys.stderr)
             return 1
         stopping.wait(0.1)
-    screen = Screen()
-    moves = Moves(state) if options.move and not stopping.is_set() else None
+    table = LiveTable(demo.bridge, watcher, demo.heading)
+    moves = Moves(demo) if options.move and not stopping.is_set() else None
     try:
-        _show(state, watcher, screen, options.duration, stopping)
+        table.run(stopping, options.duration)
     finally:
         if moves:
             moves.stop()
-        screen.close(state.bridge, state.frame(), time.monotonic())
+        table.close()
         leave()
-    return _judge(state) if options.duration and not stopping.is_set() else 0
+    return _judge(demo, table.elapsed) if options.duration and not stopping.is_set() else 0
 
 
-def _show(state: State, watcher: Watcher, screen: Screen, duration: Optional[float],
-          stopping: threading.Event) -> None:
-    began = due = time.monotonic()
-    while not stopping.is_set():
-        now = time.monotonic()
-        state.elapsed = now - began
-        watcher.update(now)
-        screen.draw(state.bridge, state.frame(), now)
-        if duration and state.elapsed >= duration:
-            return
-        due = max(due + PERIOD, now)
-        if duration:
-            due = min(due, began + duration)
-        stopping.wait(max(0.0, due - time.monotonic()))
-
-
-def _judge(state: State) -> int:
-    optional = [each.topic.name for each in state.bridge.topics
+def _judge(demo: Demo, elapsed: float) -> int:
+    optional = [each.topic.name for each in demo.bridge.topics
                 if each.topic.optional and not each.count]
-    missing = state.missing()
+    missing = demo.missing()
     if missing:
-        print(f'Missing after {state.elapsed:.0f} s:')
-        print('\n'.join('  ' + each for each in missing))
+        print('\n  '.join([f'Missing after {elapsed:.0f} s:', *missing]))
         return 1
-    calls = ', and lift and gimbal answered with success' if state.calls else ''
+    calls = ', and lift and gimbal answered with success' if demo.calls else ''
     boards = f" ({', '.join(optional)} is for ADC boards only)" if optional else ''
     print(f'Every topic carried data{calls}{boards}.')
-    trouble = state.trouble()
+    trouble = demo.trouble()
     if trouble:
-        print('But at the end not every link was OK:')
-        print('\n'.join('  ' + each for each in trouble))
+        print('\n  '.join(['But at the end not every link was OK:', *trouble]))
     return 0
 
 

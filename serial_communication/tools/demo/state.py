@@ -1,9 +1,9 @@
 """What the demo shows beyond the bridge itself: its boards, its calls and what it sends."""
-from typing import List, NamedTuple, Optional, Sequence
+from typing import List, Sequence, Tuple
 
 from ...link.outcome import Verdict
 from ..watch.state import ERROR, OK, BridgeState
-from ..watch.table import LEVELS, Frame, Line
+from ..watch.table import LEVELS, Heading, TextLine
 from ..watch.topics import LINKS, NODE, TOPICS
 
 
@@ -33,28 +33,24 @@ class Calls:
         return not self.succeeded and any(self._counts.values())
 
 
-class Commands(NamedTuple):
-    """The latest that was published for the car."""
+class Demo:
+    """All that the demo's table shows.
 
-    speed: int
-    steering: int
-    led: str
-
-
-class State:
-    """All that the demo's table shows."""
+    Args:
+        boards: what to call them.
+        setup: the line that a second terminal needs.
+        page: the panel's address.
+    """
 
     def __init__(self, boards: str = 'simulated', links: Sequence[str] = LINKS,
-                 moves: bool = True, setup: str = '', master: str = '',
-                 page: str = '') -> None:
-        self.boards = boards
-        self.page = page             # the panel's address
-        self.setup = setup           # the line that a second terminal needs
-        self.elapsed = 0.0           # s
+                 moves: bool = True, setup: str = '', master: str = '', page: str = '') -> None:
         self.bridge = BridgeState(NODE, [topic for topic in TOPICS
                                          if set(topic.links) & set(links)], links, master)
         self.calls = {'lift': Calls(), 'gimbal': Calls()} if moves and 'bus' in links else {}
-        self.commands: Optional[Commands] = None
+        self.driving = ''            # the latest that was published for the car
+        self._boards = boards
+        self._notes = [TextLine(words + text, whole=True) for words, text in (
+            ('In another terminal:  ', setup), ('In a browser:  ', page)) if text]
 
     def links_open(self) -> bool:
         """Whether every link has said that its port is open and its board answers."""
@@ -64,7 +60,7 @@ class State:
     def refusal(self) -> str:
         """Why the bridge refuses commands for the car now, in a word or two; else empty."""
         calibrating = self.bridge.topic('~imu/calibrating')
-        if calibrating and any(value.value is True for value in calibrating.values):
+        if calibrating and calibrating.message and calibrating.message.data:
             return 'calibrating'
         link = self.bridge.links.get('arduino')
         return 'port closed' if link and link.level == ERROR else ''
@@ -81,20 +77,15 @@ class State:
         return [f'{name} {LEVELS[link.level]}: {link.summary}'
                 for name, link in self.bridge.links.items() if link and link.level != OK]
 
-    def frame(self) -> Frame:
-        """What stands around the links and topics."""
-        commands = [Line(f'{name:<7} {calls.words}', 'bad' if calls.failed else 'plain')
+    def heading(self, elapsed: float, notes: Tuple[TextLine, ...] = ()) -> Heading:
+        """What stands around the links and topics after so many seconds."""
+        commands = [TextLine(f'{name:<7} {calls.words}', 'bad' if calls.failed else 'plain')
                     for name, calls in self.calls.items()]
         refusal = self.refusal()
-        if self.commands and refusal:
-            commands.append(Line(f'car     speed refused: {refusal}', 'warn'))
-        elif self.commands:
-            speed, steering, led = self.commands
-            commands.append(Line(
-                f"car     ~speed {speed}, ~steering {steering}, ~led {led or '-'}"))
-        notes = [Line('In another terminal:  ' + self.setup, whole=True)] if self.setup else []
-        if self.page:
-            notes.append(Line('In a browser:  ' + self.page, whole=True))
-        return Frame((f'{self.boards.capitalize()} boards, {self.elapsed:.0f} s.',
-                      'Ctrl-C ends it.', f'~ is {NODE}/'), tuple(notes),
-                     tuple(commands) or (Line('none: real boards are only looked at'),))
+        if self.driving:
+            commands.append(TextLine(f'car     speed refused: {refusal}', 'warn') if refusal
+                            else TextLine(f'car     {self.driving}'))
+        return Heading(
+            (f'{self._boards.capitalize()} boards, {elapsed:.0f} s.', 'Ctrl-C ends it.',
+             f'~ is {NODE}/'), (*self._notes, *notes),
+            tuple(commands) or (TextLine('none: real boards are only looked at'),))

@@ -5,11 +5,10 @@ terminal; a few lines every five seconds elsewhere. With --once one table, for s
 is 0 only if the bridge is there and every link is OK.
 """
 import argparse
-import signal
 import sys
 import threading
 import time
-from typing import List, Optional
+from typing import List, Optional, Tuple
 
 import rosgraph
 import rospy
@@ -17,8 +16,9 @@ import rospy
 from ...output import print_line_by_line
 from ...ros.master import wait_for_master
 from ...ros.rospy_mends.log_file import init_node
-from ..watch.state import BridgeState, ago
-from ..watch.table import PERIOD, Frame, Line, Screen, plain
+from ..watch.live import LiveTable, stopped_by_signals
+from ..watch.state import BridgeState
+from ..watch.table import Heading, TextLine, plain
 from ..watch.topics import NODE
 from ..watch.watcher import Watcher, leave
 
@@ -31,9 +31,7 @@ def main(argv: Optional[List[str]] = None) -> int:
     print_line_by_line()
     options = _arguments(argv)
     bridge = BridgeState(options.node, master=rosgraph.get_master_uri())
-    stopping = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, lambda *_: stopping.set())
+    stopping = stopped_by_signals()
     if options.once:
         if not wait_for_master(stopping, patience=_PATIENCE):
             print(f'monitor: no answer from the ROS master at {bridge.master}', file=sys.stderr)
@@ -44,8 +42,12 @@ def main(argv: Optional[List[str]] = None) -> int:
     watcher = Watcher(bridge)
     watcher.start()
     try:
-        return _once(bridge, watcher, stopping) if options.once else \
-            _until_stopped(bridge, watcher, stopping)
+        if options.once:
+            return _once(bridge, watcher, stopping)
+        table = LiveTable(bridge, watcher, lambda *args: _heading(bridge, *args))
+        table.run(stopping)
+        table.close()
+        return 0
     finally:
         leave()
 
@@ -69,9 +71,9 @@ def _node(name: str) -> str:
                                        rosgraph.names.get_ros_namespace() + 'monitor')
 
 
-def _frame(bridge: BridgeState, elapsed: float, *notes: Line) -> Frame:
-    return Frame((f'Bridge {bridge.node}, {elapsed:.0f} s.', f'~ is {bridge.node}/',
-                  f'Master: {bridge.master}'), notes)
+def _heading(bridge: BridgeState, elapsed: float, notes: Tuple[TextLine, ...] = ()) -> Heading:
+    return Heading((f'Bridge {bridge.node}, {elapsed:.0f} s.', f'~ is {bridge.node}/',
+                    f'Master: {bridge.master}'), notes)
 
 
 def _once(bridge: BridgeState, watcher: Watcher, stopping: threading.Event) -> int:
@@ -90,57 +92,8 @@ def _once(bridge: BridgeState, watcher: Watcher, stopping: threading.Event) -> i
     if bridge.said_at() is None:
         print(f'monitor: {bridge.trouble(now)}', file=sys.stderr)
         return 1
-    print(plain(bridge, _frame(bridge, now - began), now), end='')
+    print(plain(bridge, _heading(bridge, now - began), now), end='')
     return 0 if bridge.all_ok(now) else 1
-
-
-def _until_stopped(bridge: BridgeState, watcher: Watcher, stopping: threading.Event) -> int:
-    screen, presence = Screen(), Presence()
-    began = due = time.monotonic()
-    while not stopping.is_set():
-        now = time.monotonic()
-        watcher.update(now)
-        event = presence.see(bridge.trouble(now), bridge.said_at(), now)
-        if event:
-            screen.say(f'{time.strftime("%H:%M:%S")} {event}')
-        screen.draw(bridge, _frame(bridge, now - began, *presence.notes()), now)
-        due = max(due + PERIOD, now)
-        stopping.wait(max(0.0, due - time.monotonic()))
-    screen.close(bridge, _frame(bridge, time.monotonic() - began), time.monotonic())
-    return 0
-
-
-class Presence:
-    """Tells when a bridge goes and when it comes back."""
-
-    def __init__(self) -> None:
-        self._trouble = ''
-        self._last_word: Optional[float] = None    # the bridge's, before the trouble
-        self._last_return = ''
-
-    def see(self, trouble: str, said_at: Optional[float], now: float) -> str:
-        """What has happened since the last call, in words; mostly nothing.
-
-        Args:
-            trouble: why nothing new can come; empty while the bridge talks.
-            said_at: when it said its latest word.
-        """
-        had_trouble, self._trouble = bool(self._trouble), trouble
-        if trouble:
-            return '' if had_trouble else trouble
-        before, self._last_word = self._last_word, said_at
-        if not had_trouble and before is not None:
-            return ''
-        if before is None:
-            return 'the bridge is there'
-        event = f'the bridge is back, after {ago(now - before)}'
-        self._last_return = f'{time.strftime("%H:%M:%S")} {event}'
-        return event
-
-    def notes(self) -> List[Line]:
-        """The latest return, to be seen by somebody who comes later."""
-        return [Line(self._last_return, 'warn')] \
-            if self._last_return and not self._trouble else []
 
 
 if __name__ == '__main__':

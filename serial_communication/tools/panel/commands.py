@@ -7,7 +7,7 @@ import io
 import threading
 import time
 from collections import deque
-from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional
+from typing import Any, Callable, Deque, Dict, Iterable, List, NamedTuple, Optional
 
 import genpy
 import rosgraph
@@ -22,9 +22,11 @@ from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 from serial_communication.srv import Gimbal, Lift
 
 from ...boards.arduino.wire import LED_LIMIT, SPEED_LIMIT
+from ...boards.description import Description
 from ...link.outcome import LOOK, Verdict
 from ...ros.answers import read_error, read_response
-from ..watch.topics import resolve
+from ..watch.state import BridgeState
+from ..watch.topics import custom_rows, resolve
 from .dead_man import SILENCE, DeadMan, Refused
 from .registrar import Registrar
 
@@ -54,17 +56,15 @@ _BUILT_IN = {name: Service(name, service_class) for name, service_class in (
     ('~bus/sync', Trigger))}
 
 
-def own_services(parameters: Any) -> Dict[str, Service]:
-    """Those that bus/functions makes, as far as their types are installed here."""
-    functions = parameters
-    for part in ('bus', 'functions'):
-        functions = functions.get(part) if isinstance(functions, dict) else None
+def custom_services(boards: Iterable[Description], parameters: Any) -> Dict[str, Service]:
+    """Those that rows of the boards make, as far as their types are installed here."""
     found = {}
-    for name, row in (functions.items() if isinstance(functions, dict) else ()):
-        type_ = row.get('srv_type') if isinstance(row, dict) else None
-        service_class = roslib.message.get_service_class(type_) if isinstance(type_, str) else None
-        if service_class:
-            found['~' + name] = Service('~' + name, service_class)
+    for board in boards:
+        for row_name, row in custom_rows(board, parameters).items():
+            name, type_ = board.custom.prefix + row_name, row.get('srv_type')
+            service_class = isinstance(type_, str) and roslib.message.get_service_class(type_)
+            if service_class:
+                found[name] = Service(name, service_class)
     return found
 
 
@@ -138,16 +138,16 @@ class Commands:
         return {'services': {name: service.fields() for name, service in self._services.items()},
                 'speed_limit': SPEED_LIMIT, 'steering': STEERING, 'led_limit': LED_LIMIT}
 
-    def take(self, parameters: Any) -> Dict[str, Any]:
+    def take(self, bridge: BridgeState) -> Dict[str, Any]:
         """What has changed since the last time, for every page.
 
         Args:
-            parameters: the node's, nested; they make services of their own.
+            bridge: its parameters make services of their own.
         """
         update: Dict[str, Any] = {}
-        if parameters is not self._learned:
-            self._learned = parameters
-            self._services = {**_BUILT_IN, **own_services(parameters)}
+        if bridge.parameters is not self._learned:
+            self._learned = bridge.parameters
+            self._services = {**_BUILT_IN, **custom_services(bridge.boards, self._learned)}
             update['controls'] = self.describe()
         if self._changed:
             update['calls'], self._changed = self._changed, []

@@ -8,13 +8,13 @@ import math
 import time
 from collections import deque
 from itertools import islice
-from typing import Any, Deque, Dict, Iterable, List, NamedTuple, Optional, Set, Tuple
+from typing import Any, Deque, Dict, Iterable, List, Optional, Set, Tuple
 
 import rospy
 from rosgraph_msgs.msg import Log
 
-from ..watch.state import BridgeState
-from ..watch.topics import DIAGNOSTICS, SERIAL_MSG, TOPICS, Topic, Value
+from ..watch.state import BridgeState, LinkState, TopicState
+from ..watch.topics import DIAGNOSTICS, SERIAL_MSG, TABLE, Topic, Value
 from ..watch.watcher import Watcher
 from .registrar import Registrar
 from .wire import Wire
@@ -29,40 +29,64 @@ _LONGEST = 500          # characters of a text that are shown
 _MOST_KEYS = 200        # of a link's values
 _MOST_DIGITS = 2 ** 53  # beyond it a browser rounds integers
 
-_TABLE = {topic.name for topic in TOPICS}
-
 
 class _Shown:
     """What the page knows of one topic."""
 
     def __init__(self) -> None:
-        self.shape: Optional[Tuple] = None   # of each value of a row: what it is
         self.rows: List[List[Any]] = []      # that the page has not been told yet
-        self.last: Optional[List[Any]] = None
         self.message: Any = None             # the latest
         self.trouble = ''                    # why there is none
-        self.history: Deque[List[Any]] = deque()
-        self.changed = False                 # the shape, since the last update
+        self._shape: Optional[Tuple] = None  # of each value of a row: what it is
+        self._changed = False                # the shape, since the last update
+        self._last: Optional[List[Any]] = None
+        self._history: Deque[List[Any]] = deque()
 
     def add(self, at: float, values: Iterable[Value]) -> None:
         """Another message has come."""
         values = tuple(values)
         shape = tuple((each.name, each.unit, each.digits, _limit(each.low), _limit(each.high))
                       for each in values)
-        if shape != self.shape:
-            if self.shape and [each[0] for each in shape] != [each[0] for each in self.shape]:
-                self.history.clear()
+        if shape != self._shape:
+            if self._shape and [each[0] for each in shape] != [each[0] for each in self._shape]:
+                self._history.clear()
                 self.rows.clear()
-            self.shape, self.changed = shape, True
+            self._shape, self._changed = shape, True
         row = [round(at, 4), *(plain(each) for each in values)]
         # Only what comes slowly is kept for those who open the page later: minutes of what comes
         # a hundred times a second would be megabytes.
-        if self.last and at - self.last[0] >= _SPARSE:
-            self.history.append(row)
-            while at - self.history[0][0] > HISTORY:
-                self.history.popleft()
-        self.last = row
+        if self._last and at - self._last[0] >= _SPARSE:
+            self._history.append(row)
+            while at - self._history[0][0] > HISTORY:
+                self._history.popleft()
+        self._last = row
         self.rows.append(row)
+
+    def news(self, state: Optional[TopicState]) -> Dict[str, Any]:
+        """What has come since the last time."""
+        told = self._tell(state, self.rows, self._changed)
+        self.rows, self._changed = [], False
+        return told
+
+    def everything(self, state: Optional[TopicState], now: float) -> Dict[str, Any]:
+        """All that is known."""
+        rows = [row for row in self._history if now - row[0] <= HISTORY]
+        if self._last and (not rows or rows[-1] is not self._last):
+            rows.append(self._last)
+        return self._tell(state, rows, True)
+
+    def _tell(self, state: Optional[TopicState], rows: List[Any],
+              fields: bool) -> Dict[str, Any]:
+        limit = _limit(state.stale_after()) if state else None
+        words = self.trouble
+        if state and self.message is not None and not words:
+            try:
+                words = state.topic.words(self.message)
+            except Exception as error:  # pylint: disable=broad-except
+                words = _odd(error)
+        told = {'rows': rows, 'words': words[:_LONGEST],
+                'limit': None if limit is None else round(limit, 2)}
+        return {**told, 'fields': self._shape} if fields and self._shape is not None else told
 
 
 def plain(value: Value) -> Any:
@@ -83,18 +107,16 @@ def _limit(number: Optional[float]) -> Optional[float]:
     return number if number is not None and math.isfinite(number) else None
 
 
-class _Errors(NamedTuple):
-    """What went wrong on a link from one status to the next."""
-
-    at: float
-    counts: Dict[str, int]     # by cause; only what is not 0
+def _odd(error: Exception) -> str:
+    """Whatever another version of the type may make of a message."""
+    return f'not as expected: {error}'
 
 
 class Feed:
     """Looks at one bridge for as long as anybody looks at the page."""
 
     def __init__(self, node: str, master: str, registrar: Registrar) -> None:
-        self._state = BridgeState(node, master=master)
+        self.state = BridgeState(node, master=master)
         self._registrar = registrar
         self._looking = False
         self._watcher = self._new_watcher()
@@ -103,11 +125,11 @@ class Feed:
         self._wanted: Set[str] = set()
         self._waiting: Deque[Tuple[Topic, bytes, float]] = deque(maxlen=_MOST_WAITING)
         self._shown: Dict[str, _Shown] = {}
-        self._wire = Wire({})
+        self._wire = Wire((), {})
         self._wired: Any = None                  # the parameters that it is made of
-        self._told_topics: Optional[List[Topic]] = None
-        self._links: Dict[str, Any] = {}         # name -> the LinkState that was counted last
-        self._errors: Dict[str, Deque[_Errors]] = {}
+        self._told: Dict[str, Any] = {}          # boards and topics
+        self._links: Dict[str, Optional[LinkState]] = {}    # that were counted last
+        self._errors: Dict[str, Deque[Any]] = {}
         self._lines: Deque[List[Any]] = deque(maxlen=_MOST_LINES)
         self._new_lines: Deque[List[Any]] = deque(maxlen=_MOST_LINES)
 
@@ -123,11 +145,6 @@ class Feed:
         self._waiting.clear()
         self._registrar.do(self._register)
 
-    @property
-    def parameters(self) -> Any:
-        """The node's private parameters, nested; the same object until they change."""
-        return self._state.parameters
-
     def want(self, names: Iterable[str]) -> None:
         """These topics are looked at."""
         names = set(names)
@@ -136,10 +153,7 @@ class Feed:
             self._registrar.do(self._register)
 
     def _new_watcher(self) -> Watcher:
-        return Watcher(self._state, self._wants, self._keep)
-
-    def _wants(self, topic: Topic) -> bool:
-        return topic.name in self._wanted
+        return Watcher(self.state, lambda topic: topic.name in self._wanted, self._keep)
 
     def _register(self) -> None:
         """Have the subscriptions that are wanted now."""
@@ -149,7 +163,7 @@ class Feed:
             self._watcher = self._new_watcher()
             self._watcher.start()
         elif self._looking:
-            self._watcher.want(self._wants)
+            self._watcher.subscribe()
         elif watches:
             self._watcher.stop()
             self._log.unregister()
@@ -164,7 +178,7 @@ class Feed:
             self._waiting.append((topic, packed, at))
 
     def _hear(self, line: Log) -> None:
-        if line.name == self._state.node:
+        if line.name == self.state.node:
             self._new_lines.append([round(time.monotonic(), 3), line.level, line.msg[:_LONGEST]])
 
     # -- updates -------------------------------------------------------------------------------
@@ -172,47 +186,32 @@ class Feed:
     def take(self, now: float) -> Tuple[Dict[str, Any], Optional[Dict[str, Any]]]:
         """What has come since the last time; and what of the wire, if anything."""
         frames, left_out = self._unpack()
-        update: Dict[str, Any] = {'now': round(now, 4), 'trouble': self._trouble(now)}
-        topics = {name: self._tell(name, shown, shown.rows)
-                  for name, shown in self._shown.items() if shown.rows}
-        for name in topics:
-            self._shown[name].rows = []
-            self._shown[name].changed = False
-        if topics:
-            update['topics'] = topics
-        known = [each.topic for each in self._state.topics]
-        if known != self._told_topics:
-            self._told_topics = known
-            update['known'] = self._known()
-        links = {name: self._tell_link(link, rows)
-                 for name, link, rows in self._new_links()}
-        if links:
-            update['links'] = links
-        if self._new_lines:
-            lines = [self._new_lines.popleft() for _ in range(len(self._new_lines))]
-            self._lines.extend(lines)
-            update['log'] = lines
-        wire = {'frames': frames, 'left_out': left_out} if frames else None
-        return update, wire
+        lines = [self._new_lines.popleft() for _ in range(len(self._new_lines))]
+        self._lines.extend(lines)
+        update = {'now': round(now, 4), 'trouble': self._trouble(now)}
+        for name, value in (('topics', {topic: shown.news(self.state.topic(topic))
+                                        for topic, shown in self._shown.items() if shown.rows}),
+                            ('links', self._new_links()), ('log', lines)):
+            if value:
+                update[name] = value
+        for name, value in ('boards', self._boards()), ('known', self._known()):
+            if value != self._told.get(name):
+                update[name] = self._told[name] = value
+        return update, {'frames': frames, 'left_out': left_out} if frames else None
 
     def everything(self, now: float) -> Dict[str, Any]:
         """All that a page which has just been opened has to know; to be asked after `take`."""
-        update: Dict[str, Any] = {
-            'now': round(now, 4), 'trouble': self._trouble(now), 'node': self._state.node,
-            'known': self._known(), 'log': list(self._lines), 'topics': {}, 'links': {}}
-        for name, shown in self._shown.items():
-            rows = [row for row in shown.history if now - row[0] <= HISTORY]
-            if shown.last and (not rows or rows[-1] is not shown.last):
-                rows.append(shown.last)
-            update['topics'][name] = self._tell(name, shown, rows, fields=True)
-        for name, link in self._state.links.items():
-            update['links'][name] = self._tell_link(link, [
-                each for each in self._errors.get(name, ()) if now - each.at <= HISTORY])
-        return update
+        return {'now': round(now, 4), 'trouble': self._trouble(now), 'node': self.state.node,
+                **self._told, 'log': list(self._lines),
+                'topics': {name: shown.everything(self.state.topic(name), now)
+                           for name, shown in self._shown.items()},
+                'links': {name: _tell_link(link, [row for row in self._errors.get(name, ())
+                                                  if now - row[0] <= HISTORY])
+                          for name, link in self.state.links.items()}}
 
     def _trouble(self, now: float) -> str:
         """Why nothing new can come; nobody can have answered as soon as they were asked."""
-        return self._state.trouble(now) if now - self._since > _FIRST_WORD else ''
+        return self.state.trouble(now) if now - self._since > _FIRST_WORD else ''
 
     def _unpack(self) -> Tuple[List[Any], int]:
         """Messages into rows, and serial_msg into frames, with how many of these were left out."""
@@ -231,63 +230,52 @@ class Feed:
                     shown.add(at, topic.values(message))
                     shown.message, shown.trouble = message, ''
             except Exception as error:  # pylint: disable=broad-except
-                # Whatever another version of the type may make of it.
-                shown.trouble = f'not as expected: {error}'
+                shown.trouble = _odd(error)
         return frames, left_out
 
     def _explain(self, message: Any, at: float) -> List[Any]:
-        if self._wired is not self._state.parameters:
-            self._wired = self._state.parameters
-            self._wire = Wire(self._wired)
+        if self._wired is not self.state.parameters:
+            self._wired = self.state.parameters
+            self._wire = Wire(self.state.boards, self._wired)
         return self._wire.describe(message, at)
 
-    def _known(self) -> Dict[str, Any]:
-        return {topic.name: {'type': topic.type, 'links': topic.links,
-                             'own': topic.name not in _TABLE}
-                for topic in self._told_topics or ()}
+    def _boards(self) -> Dict[str, Any]:
+        return {board.name: {'title': board.title, 'longest_gap':
+                             board.heartbeat.longest_gap if board.heartbeat else None}
+                for board in self.state.boards}
 
-    def _tell(self, name: str, shown: _Shown, rows: List[Any],
-              fields: bool = False) -> Dict[str, Any]:
-        state = self._state.topic(name)
-        limit = _limit(state.stale_after()) if state else None
-        words = shown.trouble
-        if state and shown.message is not None and not words:
-            try:
-                words = state.topic.words(shown.message)
-            except Exception as error:  # pylint: disable=broad-except
-                words = f'not as expected: {error}'
-        told = {'rows': rows, 'words': words[:_LONGEST],
-                'limit': None if limit is None else round(limit, 2)}
-        if shown.shape is not None and (fields or shown.changed):
-            told['fields'] = shown.shape
+    def _known(self) -> Dict[str, Any]:
+        return {each.topic.name: {'type': each.topic.type, 'links': each.topic.links,
+                                  'own': each.topic.name not in TABLE}
+                for each in self.state.topics}
+
+    def _new_links(self) -> Dict[str, Any]:
+        """What /diagnostics has said since the last time."""
+        new = {name: link for name, link in self.state.links.items()
+               if name not in self._links or link is not self._links[name]}
+        told = {name: _tell_link(link, self._count(name, link) if link else [])
+                for name, link in new.items()}
+        self._links.update(new)
         return told
 
-    def _new_links(self) -> Iterable[Tuple[str, Any, List[_Errors]]]:
-        for name, link in list(self._state.links.items()):
-            before = self._links.get(name)
-            if name in self._links and link is before:
-                continue
-            self._links[name] = link
-            rows = []
-            if link is not None:
-                errors = self._errors.setdefault(name, deque())
-                was = before.errors if before else link.errors
-                # A counter that is lower than it was belongs to a bridge that began anew.
-                counts = {cause[:_LONGEST]: count - was.get(cause, 0) if count >= was.get(cause, 0)
-                          else count for cause, count in link.errors.items()}
-                row = _Errors(round(link.at, 3), {cause: count for cause, count
-                                                  in counts.items() if count})
-                errors.append(row)
-                while link.at - errors[0].at > HISTORY:
-                    errors.popleft()
-                rows.append(row)
-            yield name, link, rows
+    def _count(self, name: str, link: LinkState) -> List[Any]:
+        """What went wrong on it from its last status to this one: a row, which is kept."""
+        before = (self._links.get(name) or link).errors
+        # A counter that is lower than it was belongs to a bridge that began anew.
+        counts = {cause[:_LONGEST]: count - (before.get(cause, 0) if count >= before.get(cause, 0)
+                                             else 0) for cause, count in link.errors.items()}
+        row = [round(link.at, 3), {cause: count for cause, count in counts.items() if count}]
+        rows = self._errors.setdefault(name, deque())
+        rows.append(row)
+        while link.at - rows[0][0] > HISTORY:
+            rows.popleft()
+        return [row]
 
-    @staticmethod
-    def _tell_link(link: Any, errors: Iterable[_Errors]) -> Dict[str, Any]:
-        if link is None:
-            return {'at': None}
-        values = {key[:_LONGEST]: value[:_LONGEST]
-                  for key, value in islice(link.values.items(), _MOST_KEYS)}
-        return {'at': round(link.at, 3), 'level': link.level, 'summary': link.summary[:_LONGEST],
-                'values': values, 'errors': list(errors)}
+
+def _tell_link(link: Optional[LinkState], errors: List[Any]) -> Dict[str, Any]:
+    if link is None:
+        return {'at': None}
+    values = {key[:_LONGEST]: value[:_LONGEST]
+              for key, value in islice(link.values.items(), _MOST_KEYS)}
+    return {'at': round(link.at, 3), 'level': link.level, 'summary': link.summary[:_LONGEST],
+            'values': values, 'errors': errors}

@@ -110,7 +110,7 @@ class Hub:
         now = time.monotonic()
         update, wire = self._feed.take(now)
         if self.commands:
-            update.update(self.commands.take(self._feed.parameters))
+            update.update(self.commands.take(self._feed.state))
         plain = encode(update)
         with_wire = encode(update, {'wire': wire}) if wire else plain
         first = ''

@@ -9,6 +9,8 @@ only where there is news:
     now         when this was sent
     trouble     why nothing new can come from the bridge, in words; '' while it talks
     node        (first message) the bridge's name
+    boards      {link: {title, longest_gap}}: of each board that is known here, what it is, and
+                the seconds without a heartbeat after which it stops its motor (null: it has none)
     known       {topic: {type, links, own}}: all that the bridge publishes; `own` is no topic that
                 every bridge has
     topics      {topic: {rows, words, limit, fields}}: rows of [time, value …]; `limit` is the age

@@ -1,9 +1,9 @@
 """Frames of serial_msg as the page shows them: words, bytes, and which byte is what."""
-from typing import Any, Dict, List, Tuple
+from typing import Any, Dict, Iterable, List, Tuple
 
 from ...boards.config_file import of_board
+from ...boards.description import Description
 from ...framing.parts import Part
-from ..watch.topics import boards_of
 
 _MOST_BYTES = 300       # of a frame that are shown; the longest good one of a board is shorter
 
@@ -12,17 +12,18 @@ class Wire:
     """Explains frames as a bridge with these parameters decodes them.
 
     Args:
+        boards: that the bridge has.
         parameters: the node's private ones, nested; what is not known there counts as left out.
     """
 
-    def __init__(self, parameters: Any) -> None:
+    def __init__(self, boards: Iterable[Description], parameters: Any) -> None:
         self._decoders: Dict[Tuple[str, bool], Any] = {}
-        for board in boards_of(parameters):
+        for board in boards:
             for sent in (False, True):
                 try:
                     decoder = board.decoder(sent, of_board(parameters, board.name))
-                except ValueError:
-                    decoder = board.decoder(sent, {})       # such a bridge does not start
+                except ValueError:      # a bridge with such parameters does not start
+                    decoder = board.decoder(sent, {})
                 self._decoders[board.name, sent] = decoder
 
     def describe(self, message: Any, at: float) -> List[Any]:

@@ -6,7 +6,8 @@ import re
 from collections import deque
 from typing import Any, Deque, Dict, Iterable, List, NamedTuple, Optional, Tuple
 
-from .topics import NODE, Topic, Value, in_order, in_table_order
+from ...boards.description import Description
+from .topics import NODE, Topic, boards_of, in_order, in_table_order
 
 OK, WARN, ERROR, STALE = 0, 1, 2, 3      # as diagnostic_msgs/DiagnosticStatus has them
 
@@ -32,22 +33,21 @@ class TopicState:
         self.topic = topic
         self.count = 0
         self.rate: Optional[float] = None     # Hz; None: not known yet
-        self.words = ''                       # the latest message's, as of the last look
-        self.values: List[Value] = []
+        self.message: Any = None              # the latest, as of the last look
+        self.words = ''                       # of that message
         self.last_at: Optional[float] = None
-        self._period: Optional[float] = None  # s, found by looking
+        self._learned: Optional[float] = None    # s, the period as found by looking
         self._counted: Deque[Tuple[float, int]] = deque()
 
     def take(self, now: float) -> None:
         """A message has come."""
         if self.last_at is not None:
             interval = now - self.last_at
-            if self._period is None:
-                self._period = interval
-            else:
-                # An outage is no period, but a board that has really become slower is learned.
-                interval = min(interval, _PERIODS_TO_STALE * max(self._period, 0.001))
-                self._period += _LEARNED * (interval - self._period)
+            if self._learned is None:
+                self._learned = interval
+            # An outage is no period, but a board that has really become slower is learned.
+            interval = min(interval, _PERIODS_TO_STALE * max(self._learned, 0.001))
+            self._learned += _LEARNED * (interval - self._learned)
         self.count += 1
         self.last_at = now
 
@@ -59,21 +59,16 @@ class TopicState:
         began, count = self._counted[0]
         self.rate = (self.count - count) / (now - began) if now > began else None
 
-    def period(self) -> Optional[float]:
-        """Seconds from one message to the next, as far as that is known."""
-        periods = [each for each in (self.topic.period, self._period) if each is not None]
-        return max(periods, default=None)
-
     def age(self, now: float) -> Optional[float]:
         """Seconds since the latest message; None if there was none."""
         return None if self.last_at is None else max(0.0, now - self.last_at)
 
     def stale_after(self) -> Optional[float]:
         """The age in seconds above which its value is stale; None: no age is too old."""
-        period = self.period()
-        if not self.topic.ages or period is None:
+        periods = [each for each in (self.topic.period, self._learned) if each is not None]
+        if not self.topic.ages or not periods:
             return None
-        return max(_PERIODS_TO_STALE * period, _SOONEST_STALE)
+        return max(_PERIODS_TO_STALE * max(periods), _SOONEST_STALE)
 
     def stale(self, now: float) -> bool:
         """Whether its value has not been renewed for three of its periods."""
@@ -118,6 +113,7 @@ class BridgeState:
         self.registered: Optional[bool] = None     # whether the master knows the node
         self._registered_since: float = 0.0        # when that last changed
         self.parameters: Dict[str, Any] = {}       # its private ones, nested; not known: none
+        self.boards = boards_of({})                # of these parameters
         self._expected = list(topics)
         self.topics: List[TopicState] = [TopicState(topic) for topic in self._expected]
         self.links: Dict[str, Optional[LinkState]] = dict.fromkeys(in_order(links))
@@ -126,13 +122,21 @@ class BridgeState:
         """The topic of this (relative) name."""
         return next((each for each in self.topics if each.topic.name == name), None)
 
+    def learn(self, parameters: Dict[str, Any]) -> None:
+        """The node has these private parameters, nested."""
+        if parameters != self.parameters:
+            self.boards = boards_of(parameters)
+            self.parameters = parameters
+
+    def board(self, link: str) -> Optional[Description]:
+        """The board of a link, if it is known here."""
+        return next((each for each in self.boards if each.name == link), None)
+
     def set_topics(self, topics: Iterable[Topic]) -> None:
         """These are its topics, with those expected; what has come on one that stays is kept."""
         old = {each.topic.name: each for each in self.topics}
-        all_topics = {topic.name: topic for topic in self._expected}
-        all_topics.update((topic.name, topic) for topic in topics)
         new = []
-        for topic in in_table_order(all_topics.values()):
+        for topic in in_table_order([*self._expected, *topics]):
             each = old.get(topic.name)
             if each is None or each.topic.type != topic.type:
                 each = TopicState(topic)
@@ -146,10 +150,7 @@ class BridgeState:
 
     def take_link(self, name: str, link: LinkState) -> None:
         """/diagnostics has said this."""
-        if name in self.links:
-            self.links[name] = link
-        else:
-            self._set_links({**self.links, name: link})
+        self._set_links({**self.links, name: link})
 
     def _set_links(self, links: Dict[str, Any]) -> None:
         self.links = {name: links[name] for name in in_order(links)}

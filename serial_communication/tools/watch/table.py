@@ -5,22 +5,25 @@ small, topics are left out from the end, and the table says how many.
 """
 import shutil
 import sys
-from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from .state import BridgeState, LinkState, TopicState, ago
 from .topics import one_line
 
 PERIOD = 1.0            # s from one redraw to the next
 _PLAIN_EVERY = 5        # redraws to one report, where the output is no terminal
-_VALUE_AT = 36          # column of a topic's value
 LEVELS = ('OK', 'WARN', 'ERROR', 'STALE')
 
-# Topics that share a line before any is left out: they follow each other and say one thing.
-_PAIRS = (('/tf', '/tf_static'), ('mcu/range_1', 'mcu/range_2'),
-          ('~environment/temperature', '~environment/humidity'))
+# Of a link's values in /diagnostics, and in words.
+_COUNTERS = (('stale', 'dropped {} stale bytes'), ('frames received', 'in {}'),
+             ('frames sent', 'out {}'), ('timeouts', 'timeouts {}'),
+             ('round trip p50 [ms]', 'round trip {} ms'),
+             ('heartbeat gap [ms]', 'heartbeat gap {} ms'), ('frames lost', 'lost {}'),
+             ('reconnects', 'reconnects {}'))
+_ONLY_ABOVE_0 = ('stale', 'reconnects')     # of these
 
 
-class Line(NamedTuple):
+class TextLine(NamedTuple):
     """A line of the table, and how it looks: plain, head, good, warn or bad."""
 
     text: str
@@ -32,44 +35,43 @@ class Line(NamedTuple):
         return max(1, -(-len(self.text) // width)) if self.whole else 1
 
 
-class Frame(NamedTuple):
+class Heading(NamedTuple):
     """What stands around a bridge's links and topics."""
 
-    title: Tuple[str, ...]           # parts; the last ones are left out where there is no room
-    notes: Tuple[Line, ...] = ()     # below the title
-    commands: Tuple[Line, ...] = ()  # calls, and what is sent
+    title: Tuple[str, ...]               # parts; the last ones are left out where there is no room
+    notes: Tuple[TextLine, ...] = ()     # below the title
+    commands: Tuple[TextLine, ...] = ()  # calls, and what is sent
 
 
-def layout(bridge: BridgeState, frame: Frame, now: float, width: int = 80,
-           height: int = 24) -> List[Line]:
+def layout(bridge: BridgeState, heading: Heading, now: float, width: int = 80,
+           height: int = 24) -> List[TextLine]:
     """The table within `width` by `height`; blank lines and headings where there is room."""
-    head = [Line(_fitting(frame.title, '  ', width), 'head')]
+    head = [TextLine(_fitting(heading.title, '  ', width), 'head')]
     trouble = bridge.trouble(now)
-    if trouble:
-        head.append(Line(trouble, 'bad'))
-    head += frame.notes
+    head += [TextLine(trouble, 'bad')] if trouble else []
+    head += heading.notes
     links = [_link_line(name, link, now, width) for name, link in bridge.links.items()]
-    commands = list(frame.commands)
-    topics = [_topic_line(each, now) for each in bridge.topics
-              if each.count or not each.topic.optional]
+    commands = list(heading.commands)
+    topics = [[each] for each in bridge.topics if each.count or not each.topic.optional]
 
-    blocks = [head, [Line('link', 'head')] + links]
+    blocks = [head, [TextLine('link', 'head')] + links]
     if commands:
-        blocks.append([Line('commands', 'head')] + commands)
-    blocks.append([Line(f"{'topic':<24}{'rate':>10}  last value", 'head')] + topics)
+        blocks.append([TextLine('commands', 'head')] + commands)
+    blocks.append([TextLine(f"{'topic':<24}{'rate':>10}  last value", 'head')]
+                  + [_topic_line(each, now) for each in topics])
     needed = sum(line.rows(width) for block in blocks for line in block)
     if needed + len(blocks) - 1 <= height:
-        lines = [line for block in blocks for line in [Line('')] + block][1:]
+        lines = [line for block in blocks for line in [TextLine('')] + block][1:]
     elif needed <= height:
         lines = [line for block in blocks for line in block]
     else:
-        lines = _crowded(head, links + commands, topics, width, height)
+        lines = _crowded(head, links + commands, topics, now, width, height)
     return [line if line.whole else line._replace(text=_cut(one_line(line.text), width))
             for line in lines]
 
 
-def _crowded(head: List[Line], first: List[Line], topics: List[Line], width: int,
-             height: int) -> List[Line]:
+def _crowded(head: List[TextLine], first: List[TextLine], topics: List[List[TopicState]],
+             now: float, width: int, height: int) -> List[TextLine]:
     """Without headings; `first` before `head` before `topics`, where there is no room for all."""
     left = height - len(first)
     shown = []
@@ -78,31 +80,32 @@ def _crowded(head: List[Line], first: List[Line], topics: List[Line], width: int
         if line.rows(width) < left or (not topics and line.rows(width) == left):
             shown.append(line)
             left -= line.rows(width)
-    for pair in _PAIRS:
-        if len(topics) > left:
-            topics = _joined(topics, pair)
-    if len(topics) > left:
-        more = len(topics) - max(0, left - 1)
-        topics = topics[:max(0, left - 1)] + [Line(f'… {more} more lines')]
-    return (shown + first + topics)[:height]
+    lines = [_topic_line(each, now) for each in _joined(topics, left)]
+    if len(lines) > left:
+        more = len(lines) - max(0, left - 1)
+        lines = lines[:max(0, left - 1)] + [TextLine(f'… {more} more lines')]
+    return (shown + first + lines)[:height]
 
 
-def _joined(lines: List[Line], names: Tuple[str, str]) -> List[Line]:
-    """The lines of these two topics, if they follow each other, as one line."""
-    starts = [line.text.split(' ')[0] for line in lines]
-    at = starts.index(names[0]) if names[0] in starts else len(lines)
-    if starts[at + 1:at + 2] != [names[1]]:
-        return lines
-    one, other = lines[at:at + 2]
-    both = f"{names[0]}, {names[1].split('/')[-1]}"
-    text = f'{both:<24} {one.text[25:]}; {other.text[_VALUE_AT:]}'
-    if len(both) > 24:      # the rate stays in its column
-        text = f'{both} {one.text[25:][len(both) - 24:]}; {other.text[_VALUE_AT:]}'
-    return lines[:at] + [Line(text, one.style if one.style != 'plain' else other.style)] \
-        + lines[at + 2:]
+def _joined(topics: List[List[TopicState]], most: int) -> List[List[TopicState]]:
+    """At most so many lines of topics, as far as neighbours can share one.
+
+    Two of one type do first (both ranges), then two below one name (~environment/…).
+    """
+    topics = list(topics)
+    for alike in (lambda each: each.topic.type, lambda each: each.topic.name.rpartition('/')[0]):
+        at = 1
+        while at < len(topics) > most:
+            one, other = topics[at - 1:at + 1]
+            if len(one) == len(other) == 1 and alike(one[0]) == alike(other[0]) != '':
+                topics[at - 1:at + 1] = [one + other]
+            at += 1
+    return topics
 
 
-def _topic_line(each: TopicState, now: float) -> Line:
+def _topic_line(group: List[TopicState], now: float) -> TextLine:
+    """One topic, or two; the rate is the first one's."""
+    each = group[0]
     stale = each.stale(now)
     if not each.count:
         rate = '-'
@@ -114,43 +117,38 @@ def _topic_line(each: TopicState, now: float) -> Line:
         rate = 'once'
     else:
         rate = '-' if each.topic.ages else 'on change'
-    text = f"{each.topic.name:<24}{rate:>10}  {each.words or 'nothing yet'}"
-    return Line(text, 'warn' if stale or not each.count else 'plain')
+    name = ', '.join([each.topic.name] + [other.topic.name.split('/')[-1] for other in group[1:]])
+    words = '; '.join(each.words or 'nothing yet' for each in group)
+    fresh = all(each.count and not each.stale(now) for each in group)
+    # The rate stays in its column, as far as the names leave room.
+    return TextLine(f'{name:<24} {rate:>{max(0, 33 - max(24, len(name)))}}  {words}',
+                    'plain' if fresh else 'warn')
 
 
-def _link_line(name: str, link: Optional[LinkState], now: float, width: int) -> Line:
+def _link_line(name: str, link: Optional[LinkState], now: float, width: int) -> TextLine:
     if link is None:
-        return Line(f'{name:<7} no word from it yet', 'warn')
+        return TextLine(f'{name:<7} no word from it yet', 'warn')
     level = min(link.level, len(LEVELS) - 1)
-    parts: List[Union[str, Tuple[str, str]]] = [
-        f'{name:<7} {LEVELS[level]:<5} {link.summary}']
+    said = f'{name:<7} {LEVELS[level]:<5} {link.summary}'
     if link.stale(now):
         level = len(LEVELS) - 1
-        parts = [f'{name:<7} STALE said {ago(now - link.at)} ago: {link.summary}']
+        said = f'{name:<7} STALE said {ago(now - link.at)} ago: {link.summary}'
     bad = f'bad {sum(link.errors.values())}'
     causes = ', '.join(f'{count} {cause}' for cause, count in link.errors.items() if count)
-    parts.append((f'{bad} ({causes})', bad) if causes else bad)
-    for key, words in (('frames received', 'in {}'), ('frames sent', 'out {}'),
-                       ('timeouts', 'timeouts {}'), ('round trip p50 [ms]', 'round trip {} ms'),
-                       ('heartbeat gap [ms]', 'heartbeat gap {} ms'),
-                       ('frames lost', 'lost {}'), ('reconnects', 'reconnects {}')):
-        if key in link.values and (key, link.values[key]) != ('reconnects', '0'):
-            parts.append(words.format(link.values[key]))
-    return Line(_fitting(parts, ', ', width), ('good', 'warn', 'bad', 'bad')[level])
+    if causes and len(f'{said}, {bad} ({causes})') <= width:
+        bad += f' ({causes})'
+    counters = [words.format(link.values[key]) for key, words in _COUNTERS if key in link.values
+                and not (key in _ONLY_ABOVE_0 and link.values[key] == '0')]
+    return TextLine(_fitting([said, bad, *counters], ', ', width),
+                    ('good', 'warn', 'bad', 'bad')[level])
 
 
-def _fitting(parts: Sequence[Union[str, Tuple[str, str]]], between: str, width: int) -> str:
-    """As many of the parts as there is room for, the first in any case.
-
-    Of a pair the second is taken where there is no room for the first.
-    """
-    text = ''
-    for part in parts:
-        for form in (part,) if isinstance(part, str) else part:
-            longer = text + between + form if text else form
-            if not text or len(longer) <= width:
-                text = longer
-                break
+def _fitting(parts: Sequence[str], between: str, width: int) -> str:
+    """The first part, and as many of the others as there is room for."""
+    text = parts[0]
+    for part in parts[1:]:
+        if len(text + between + part) <= width:
+            text += between + part
     return text
 
 
@@ -158,24 +156,23 @@ def _cut(text: str, width: int) -> str:
     return text if len(text) <= width else text[:max(0, width - 1)] + '…'
 
 
-def report(bridge: BridgeState, frame: Frame, now: float) -> List[str]:
-    """A few plain lines, where there is no terminal to redraw."""
+def report(bridge: BridgeState, heading: Heading, now: float) -> List[str]:
+    """A few plain lines, where there is no terminal to redraw; a rate for each link."""
     wanted = [each for each in bridge.topics if not each.topic.optional]
     carry = sum(bool(each.count) and not each.stale(now) for each in wanted)
-    rates = [f'{each.topic.name} {each.rate:.1f} Hz' for each in wanted
-             if each.rate and each.topic.name in ('~imu', '~environment', 'mcu/status')]
-    lines = [', '.join([f'{frame.title[0]} {carry} of {len(wanted)} topics carry data'] + rates)]
-    trouble = bridge.trouble(now)
-    if trouble:
-        lines.append(f'    {trouble}')
-    lines += ['    ' + _link_line(name, link, now, 120).text
-              for name, link in bridge.links.items()]
-    return lines + [f'    {line.text}' for line in frame.commands]
+    first = {each.topic.links: each for each in reversed(wanted)}
+    rates = [f'{each.topic.name} {each.rate:.1f} Hz'
+             for each in (first.get((link,)) for link in bridge.links) if each and each.rate]
+    lines = [', '.join([f'{heading.title[0]} {carry} of {len(wanted)} topics carry data'] + rates)]
+    below = [bridge.trouble(now)] + [
+        _link_line(name, link, now, 120).text for name, link in bridge.links.items()]
+    return lines + [f'    {text}' for text in below if text] \
+        + [f'    {line.text}' for line in heading.commands]
 
 
-def plain(bridge: BridgeState, frame: Frame, now: float) -> str:
+def plain(bridge: BridgeState, heading: Heading, now: float) -> str:
     """The whole table without colours, however long it is."""
-    lines = layout(bridge, frame, now, 160, 1000)
+    lines = layout(bridge, heading, now, 160, 1000)
     return '\n'.join(line.text.rstrip() for line in lines) + '\n'
 
 
@@ -192,21 +189,21 @@ class Screen:
         if hasattr(self._out, 'reconfigure'):
             self._out.reconfigure(errors='replace')    # whatever the locale can print
 
-    def draw(self, bridge: BridgeState, frame: Frame, now: float) -> None:
+    def draw(self, bridge: BridgeState, heading: Heading, now: float) -> None:
         """Show the state as it is now."""
         self._draws += 1
         if not self.is_terminal:
             if self._draws % _PLAIN_EVERY == 1:
-                self.say('\n'.join(report(bridge, frame, now)))
+                self.say('\n'.join(report(bridge, heading, now)))
             return
         size = shutil.get_terminal_size()
         # Each line is written over the old one, never wiped first, in one write: no flicker.
         rows = [self._row(line, size.columns)
-                for line in layout(bridge, frame, now, size.columns, size.lines)]
+                for line in layout(bridge, heading, now, size.columns, size.lines)]
         begin = '\033[?25l\033[2J\033[H' if self._draws == 1 else '\033[H'
         self._write(begin + '\r\n'.join(rows) + '\033[J')
 
-    def _row(self, line: Line, width: int) -> str:
+    def _row(self, line: TextLine, width: int) -> str:
         # After a row that is full to the edge the cursor waits on its last character, which
         # wiping the rest of the row would take away.
         full = line.text and len(line.text) % width == 0
@@ -217,10 +214,10 @@ class Screen:
         if not self.is_terminal:
             self._write(text + '\n')
 
-    def close(self, bridge: BridgeState, frame: Frame, now: float) -> None:
+    def close(self, bridge: BridgeState, heading: Heading, now: float) -> None:
         """Leave the last table behind and give the terminal back."""
         if not self.is_terminal:
-            self._write(plain(bridge, frame, now))
+            self._write(plain(bridge, heading, now))
         elif self._draws:
             self._write('\033[0m\033[?25h\r\n')
 

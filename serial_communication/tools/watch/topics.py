@@ -1,12 +1,12 @@
 """The bridge's topics, and their messages in numbers and in words; knows no ROS.
 
-Numbers and words follow from a message's type (`_KINDS`), not from its topic's name, so that a
-topic which is not in the table below is shown as well: one of a board from another package, one
-that the user has remapped. What the table adds is the order, the link and the expected period.
+Numbers and words follow from a message's type, not from its topic's name, so that a topic which no
+board describes is shown as well, such as one that the user has remapped. A description adds the
+order, the link and the expected period.
 """
 import math
 import re
-from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tuple, Union
+from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Tuple, Union
 
 from ...boards import BOARDS, BoardError, description
 from ...boards.config_file import of_board
@@ -16,8 +16,10 @@ NODE = '/serial_communication'           # the bridge's name where nothing else 
 LINKS = BOARDS                           # in this order, before those of other packages
 DIAGNOSTICS = '/diagnostics'
 SERIAL_MSG = 'serial_msg'
-
 _MOST_ITEMS = 16     # of an array that are looked at
+
+# A field of a custom message: its path, as the configuration has it, and the limits of its value.
+Field = Tuple[str, Optional[float], Optional[float]]
 
 
 class Value(NamedTuple):
@@ -43,14 +45,6 @@ class Value(NamedTuple):
         return f'{number} {self.unit}' if self.unit else number
 
 
-class Field(NamedTuple):
-    """A field of an own message: its path, as the configuration has it, and its limits."""
-
-    path: str
-    low: Optional[float] = None
-    high: Optional[float] = None
-
-
 class Topic(NamedTuple):
     """A topic that the bridge publishes. `name` is relative to the node: ~imu, mcu/status, /tf."""
 
@@ -60,21 +54,19 @@ class Topic(NamedTuple):
     period: Optional[float] = None    # s from one message to the next; None: found by looking
     ages: bool = True                 # False: comes on change alone, so that no age is too old
     optional: bool = False            # only some boards send it
-    fields: Tuple[Field, ...] = ()    # of an own message
+    fields: Tuple[Field, ...] = ()    # of a custom message
 
     def values(self, message: Any) -> List[Value]:
         """The message's numbers."""
         if self.fields:
-            return [value._replace(low=field.low, high=field.high) for field in self.fields
-                    for value in _leaves(field.path, _follow(message, field.path))]
-        kind = _KINDS.get(self.type)
-        return kind.values(message) if kind and kind.values else list(_leaves('', message))
+            return [value._replace(low=low, high=high) for path, low, high in self.fields
+                    for value in _leaves(path, _follow(message, path))]
+        return list(_VALUES.get(self.type, lambda message: _leaves('', message))(message))
 
     def words(self, message: Any) -> str:
         """The message for a person, in one line."""
-        kind = None if self.fields else _KINDS.get(self.type)
-        if kind and kind.words:
-            return kind.words(message)
+        if self.type in _WORDS and not self.fields:
+            return one_line(_WORDS[self.type](message))
         values = self.values(message)
         if len(values) == 1:
             return one_line(values[0].text())
@@ -83,14 +75,14 @@ class Topic(NamedTuple):
 
 def of_description(board: Description, parameters: Any = None) -> List[Topic]:
     """A board's own topics, with the periods that its parameters say."""
-    found = []
-    for topic in board.topics:
-        period = of_board(parameters, board.name).get(topic.period_parameter)
-        is_period = isinstance(period, (int, float)) and period > 0
-        found.append(Topic(topic.name, topic.type, (board.name,),
-                           float(period) if is_period else topic.period, topic.ages,
-                           topic.optional))
-    return found
+    own = of_board(parameters, board.name)
+    return [Topic(topic.name, topic.type, (board.name,),
+                  _number(own.get(topic.period_parameter)) or topic.period,
+                  topic.ages, topic.optional) for topic in board.topics]
+
+
+def _number(value: Any) -> Optional[float]:
+    return float(value) if isinstance(value, (int, float)) else None
 
 
 _AROUND = (Topic(SERIAL_MSG, 'serial_communication/SerialMsg', LINKS),
@@ -99,121 +91,112 @@ _AROUND = (Topic(SERIAL_MSG, 'serial_communication/SerialMsg', LINKS),
            Topic(DIAGNOSTICS, 'diagnostic_msgs/DiagnosticArray', LINKS, 1.0))
 TOPICS = (_AROUND[0], *(topic for name in BOARDS for topic in of_description(description(name))),
           *_AROUND[1:])
-_TABLE = {topic.name: topic for topic in TOPICS}
+TABLE = {topic.name: topic for topic in TOPICS}
 
 
 # -- names ---------------------------------------------------------------------------------------
-
-
-def namespace(node: str) -> str:
-    """Where a node's relative names stand: / for /serial_communication, /car/ for /car/bridge."""
-    return node.rsplit('/', 1)[0] + '/'
 
 
 def resolve(name: str, node: str) -> str:
     """A name relative to the node as an absolute one: ~imu, mcu/status, /tf."""
     if name.startswith('~'):
         return f'{node}/{name[1:]}'
-    return name if name.startswith('/') else namespace(node) + name
+    return name if name.startswith('/') else _namespace(node) + name
 
 
 def relative(name: str, node: str) -> str:
     """`resolve` turned round."""
     if name.startswith(node + '/'):
         return '~' + name[len(node) + 1:]
-    # One that another namespace holds stays absolute, /tf and /diagnostics as they are written.
-    inside = namespace(node)
-    if inside != '/' and name.startswith(inside):
+    # One of another namespace stays absolute, and these do in any.
+    inside = _namespace(node)
+    if name.startswith(inside) and name not in ('/tf', '/tf_static', DIAGNOSTICS):
         return name[len(inside):]
-    if inside == '/' and name not in ('/tf', '/tf_static', DIAGNOSTICS):
-        return name[1:]
     return name
+
+
+def _namespace(node: str) -> str:
+    """Where a node's relative names stand: / for /serial_communication, /car/ for /car/bridge."""
+    return node.rsplit('/', 1)[0] + '/'
 
 
 # -- what a bridge publishes ---------------------------------------------------------------------
 
 
-def known(node: str, published: Dict[str, str], parameters: Dict[str, Any]) -> List[Topic]:
-    """The topics of one bridge: those of the table in its order, then the others by name.
-
-    Args:
-        node: its full name, such as /serial_communication.
-        published: the type of each topic that it publishes, by full name.
-        parameters: its private parameters, nested as the parameter server holds them.
-    """
-    boards = [topic for board in boards_of(parameters)
-              for topic in (*of_description(board, parameters), *custom_topics(board, parameters))]
-    topics = {**_TABLE, **{topic.name: topic for topic in boards}}
-    found = []
-    for full_name, type_ in published.items():
-        if full_name in ('/rosout', '/clock'):
-            continue
-        name = relative(full_name, node)
-        found.append(topics.get(name, Topic(name, type_))._replace(type=type_))
-    return in_table_order(found)
-
-
-def in_table_order(topics: Iterable[Topic]) -> List[Topic]:
-    """As they are always listed: those of the table in its order, then the others by name."""
-    given = {topic.name: topic for topic in topics}
-    return [given[name] for name in _TABLE if name in given] \
-        + [given[name] for name in sorted(set(given) - set(_TABLE))]
-
-
-def expected_links(parameters: Dict[str, Any]) -> List[str]:
-    """The links that have a port by the node's parameters, those of this package first."""
-    groups = [name for name, group in parameters.items()
-              if isinstance(group, dict) and group.get('port')]
-    return in_order(groups)
-
-
-def in_order(links: Iterable[str]) -> List[str]:
-    """Names of links as they are always listed."""
-    given = set(links)
-    return [name for name in LINKS if name in given] + sorted(given - set(LINKS))
-
-
 def boards_of(parameters: Any) -> List[Description]:
-    """Ours, and those of other packages that the parameters name, where they can be imported."""
+    """Our boards, and those of other packages that the bridge's parameters name.
+
+    One that cannot be imported here is left out: its topics and frames are shown as any others.
+    """
     found = [description(name) for name in BOARDS]
     packages = parameters.get('boards') if isinstance(parameters, dict) else None
     for package in packages if isinstance(packages, list) else ():
         try:
             found.append(description(str(package)))
         except BoardError:
-            pass        # it is not installed here, or has no description: shown as what it is
+            pass
     return found
+
+
+def known(node: str, published: Dict[str, str], parameters: Any,
+          boards: Iterable[Description]) -> List[Topic]:
+    """The topics of one bridge: those of the table in its order, then the others by name.
+
+    Args:
+        node: its full name, such as /serial_communication.
+        published: the type of each topic that it publishes, by full name.
+        parameters: its private parameters, nested as the parameter server holds them.
+        boards: of these parameters: see `boards_of`.
+    """
+    topics = {**TABLE, **{
+        topic.name: topic for board in boards
+        for topic in (*of_description(board, parameters), *custom_topics(board, parameters))}}
+    names = {relative(full_name, node): type_ for full_name, type_ in published.items()
+             if full_name not in ('/rosout', '/clock')}
+    return in_table_order(topics.get(name, Topic(name, type_))._replace(type=type_)
+                          for name, type_ in names.items())
+
+
+def in_table_order(topics: Iterable[Topic]) -> List[Topic]:
+    """As they are always listed: those of the table in its order, then the others by name."""
+    given = {topic.name: topic for topic in topics}
+    return [given[name] for name in (*TABLE, *sorted(set(given) - set(TABLE))) if name in given]
+
+
+def in_order(links: Iterable[str]) -> List[str]:
+    """Names of links as they are always listed: those of this package first."""
+    given = set(links)
+    return [name for name in (*LINKS, *sorted(given - set(LINKS))) if name in given]
+
+
+def expected_links(parameters: Dict[str, Any]) -> List[str]:
+    """The links that have a port by the node's parameters."""
+    return in_order(name for name in parameters if of_board(parameters, name).get('port'))
+
+
+def custom_rows(board: Description, parameters: Any) -> Dict[str, Dict[str, Any]]:
+    """The rows of a board's parameters that make custom messages or functions, by their names."""
+    rows = of_board(parameters, board.name).get(board.custom.parameter) if board.custom else None
+    return {name: row for name, row in (rows.items() if isinstance(rows, dict) else ())
+            if isinstance(row, dict)}
 
 
 def custom_topics(board: Description, parameters: Any) -> List[Topic]:
     """The topics that a board's custom messages make."""
-    custom = board.custom
-    rows = of_board(parameters, board.name).get(custom.parameter) if custom else None
-    found = []
-    for name, row in (rows.items() if isinstance(rows, dict) else ()):
-        if not isinstance(row, dict) or 'ros_type' not in row \
-                or row.get('direction') == 'to_board':
-            continue
-        period = row.get('period')
-        found.append(Topic(
-            custom.prefix + name, str(row['ros_type']), (board.name,),
-            float(period) if isinstance(period, (int, float)) else None,
-            fields=_fields(row.get('reply', row))))
-    return found
+    return [Topic(board.custom.prefix + name, str(row['ros_type']), (board.name,),
+                  _number(row.get('period')), fields=_fields(row.get('reply', row)))
+            for name, row in custom_rows(board, parameters).items()
+            if 'ros_type' in row and row.get('direction') != 'to_board']
 
 
 def _fields(row: Any) -> Tuple[Field, ...]:
-    paths = row.get('fields', ()) if isinstance(row, dict) else ()
-    paths = [paths] if isinstance(paths, str) else paths
-    limits = [_each(row.get(key), len(paths)) for key in ('minimum', 'maximum')] if paths else ()
-    return tuple(Field(str(path), *bounds) for path, *bounds in zip(paths, *limits) if path)
-
-
-def _each(limit: Any, count: int) -> List[Optional[float]]:
-    """One number for all values, or a list with one a value, as a list."""
-    if not isinstance(limit, list):
-        limit = [limit] * count
-    return [float(each) if isinstance(each, (int, float)) else None for each in limit]
+    paths = row.get('fields') if isinstance(row, dict) else None
+    if not isinstance(paths, list):
+        return ()
+    lows, highs = (limit if isinstance(limit, list) else [limit] * len(paths)
+                   for limit in (row.get('minimum'), row.get('maximum')))
+    return tuple((str(path), _number(low), _number(high))
+                 for path, low, high in zip(paths, lows, highs) if path)
 
 
 # -- any message ---------------------------------------------------------------------------------
@@ -271,7 +254,7 @@ def _imu(message: Any) -> List[Value]:
 
 def _imu_words(message: Any) -> str:
     values = {value.name: f'{value.value:.{value.digits}f}' for value in _imu(message)}
-    words = f"rpy {values['roll']} {values['pitch']} {values['yaw']} deg"
+    words = 'rpy {roll} {pitch} {yaw} deg'.format(**values)
     if 'acceleration x' in values:
         words += ', {} {} {} m/s^2'.format(*(values[f'acceleration {axis}'] for axis in 'xyz'))
     return words
@@ -286,23 +269,11 @@ def _range_words(message: Any) -> str:
     return f'{message.range:.3f} m'
 
 
-def _environment(message: Any) -> List[Value]:
-    return [Value('smoke', message.smoke, '', 0),
-            Value('temperature', message.temperature, 'degrees C', 2),
-            Value('humidity', message.humidity, '%', 2)]
-
-
-def _sensor_status(message: Any) -> List[Value]:
-    return [Value('range 1', message.vl53_1, 'mm', 0), Value('range 2', message.vl53_2, 'mm', 0),
-            Value('yaw', message.yaw, 'deg', 1), Value('pitch', message.pitch, 'deg', 1),
-            Value('roll', message.roll, 'deg', 1)]
-
-
-def _sensor_words(message: Any) -> str:
+def _status_words(message: Any, measured: str) -> str:
     if not message.connected:
-        return _health(message)
-    return f'{message.vl53_1} and {message.vl53_2} mm, yaw {message.yaw:.1f} deg, ' \
-        + _health(message)
+        return f'silent for {message.last_frame_age_sec:.1f} s'
+    valid = 'valid' if message.valid else 'NOT valid'
+    return f'{measured}, {valid}, {message.crc_error_count} CRC errors, seq {message.seq}'
 
 
 def _channels(message: Any) -> List[Value]:
@@ -310,60 +281,39 @@ def _channels(message: Any) -> List[Value]:
             for channel in range(6)]
 
 
-def _health(message: Any) -> str:
-    if not message.connected:
-        return f'silent for {message.last_frame_age_sec:.1f} s'
-    valid = 'valid' if message.valid else 'NOT valid'
-    return f'{valid}, {message.crc_error_count} CRC errors, seq {message.seq}'
-
-
-def _channel_words(message: Any) -> str:
-    return ' '.join([_health(message) + ','] + [value.text() for value in _channels(message)])
-
-
-def _traffic_words(message: Any) -> str:
-    direction = 'sent' if message.direction else 'received'
-    return one_line(f'{message.link} {direction} {message.error or message.text}')
-
-
-def _frame_words(message: Any) -> str:
-    return ', '.join(f'{each.child_frame_id} in {each.header.frame_id}'
-                     for each in message.transforms)
-
-
-def _diagnostic_words(message: Any) -> str:
-    return one_line('; '.join(f'{each.name}: {each.message}' for each in message.status))
-
-
-def _nothing(_message: Any) -> List[Value]:
-    return []
-
-
-class _Kind(NamedTuple):
-    """A message type: its numbers, and its words where these do not simply list the numbers."""
-
-    values: Optional[Callable[[Any], List[Value]]] = None
-    words: Optional[Callable[[Any], str]] = None
-
-
-_KINDS: Dict[str, _Kind] = {
-    'sensor_msgs/Imu': _Kind(_imu, _imu_words),
-    'sensor_msgs/Range': _Kind(
-        lambda m: [Value('range', m.range, 'm', 3, m.min_range, m.max_range)], _range_words),
-    'sensor_msgs/RelativeHumidity': _Kind(
-        lambda m: [Value('humidity', m.relative_humidity * 100, '%', 2, 0, 100)]),
-    'sensor_msgs/Temperature': _Kind(
-        lambda m: [Value('temperature', m.temperature, 'degrees C', 2)]),
-    'serial_communication/Environment': _Kind(_environment),
-    'serial_communication/McuStatus': _Kind(_channels, _channel_words),
-    'serial_communication/McuStatus2': _Kind(_sensor_status, _sensor_words),
-    'serial_communication/SerialMsg': _Kind(_nothing, _traffic_words),
-    'serial_communication/SteeringFeedback': _Kind(
-        lambda m: [Value('steering angle', m.value, '', 0, 0, 1024)],
-        lambda m: f'{m.value} of 1024'),
-    'serial_communication/Ticks': _Kind(
-        lambda m: [Value('ticks', m.value, 'in 10 ms', 0)]),
-    'serial_communication/Voltage': _Kind(lambda m: [Value('voltage', m.value, 'V', 2)]),
-    'tf2_msgs/TFMessage': _Kind(_nothing, _frame_words),
-    'diagnostic_msgs/DiagnosticArray': _Kind(_nothing, _diagnostic_words),
+# By type; any other has the numbers of its fields.
+_VALUES = {
+    'sensor_msgs/Imu': _imu,
+    'sensor_msgs/Range': lambda m: [Value('range', m.range, 'm', 3, m.min_range, m.max_range)],
+    'sensor_msgs/RelativeHumidity': lambda m: [
+        Value('humidity', m.relative_humidity * 100, '%', 2, 0, 100)],
+    'sensor_msgs/Temperature': lambda m: [Value('temperature', m.temperature, 'degrees C', 2)],
+    'serial_communication/Environment': lambda m: [
+        Value('smoke', m.smoke, '', 0), Value('temperature', m.temperature, 'degrees C', 2),
+        Value('humidity', m.humidity, '%', 2)],
+    'serial_communication/McuStatus': _channels,
+    'serial_communication/McuStatus2': lambda m: [
+        Value('range 1', m.vl53_1, 'mm', 0), Value('range 2', m.vl53_2, 'mm', 0),
+        Value('yaw', m.yaw, 'deg', 1), Value('pitch', m.pitch, 'deg', 1),
+        Value('roll', m.roll, 'deg', 1)],
+    'serial_communication/SteeringFeedback': lambda m: [
+        Value('steering angle', m.value, '', 0, 0, 1024)],
+    'serial_communication/Ticks': lambda m: [Value('ticks', m.value, 'in 10 ms', 0)],
+    'serial_communication/Voltage': lambda m: [Value('voltage', m.value, 'V', 2)],
+}
+# Any other has the words of its numbers.
+_WORDS = {
+    'sensor_msgs/Imu': _imu_words,
+    'sensor_msgs/Range': _range_words,
+    'serial_communication/McuStatus': lambda m: _status_words(
+        m, ' '.join(value.text() for value in _channels(m))),
+    'serial_communication/McuStatus2': lambda m: _status_words(
+        m, f'{m.vl53_1} and {m.vl53_2} mm, yaw {m.yaw:.1f} deg'),
+    'serial_communication/SerialMsg': lambda m:
+        f"{m.link} {'sent' if m.direction else 'received'} {m.error or m.text}",
+    'serial_communication/SteeringFeedback': lambda m: f'{m.value} of 1024',
+    'tf2_msgs/TFMessage': lambda m: ', '.join(
+        f'{each.child_frame_id} in {each.header.frame_id}' for each in m.transforms),
+    'diagnostic_msgs/DiagnosticArray': lambda m: '; '.join(
+        f'{each.name}: {each.message}' for each in m.status),
 }

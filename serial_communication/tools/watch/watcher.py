@@ -7,7 +7,7 @@ boards of other packages appear by themselves.
 import atexit
 import threading
 import time
-from typing import Any, Callable, Dict, Optional
+from typing import Any, Callable, Dict, Iterable, Optional
 
 import roslib.message
 import rosgraph
@@ -30,11 +30,6 @@ def leave(patience: float = _FAREWELL) -> None:
         atexit.unregister(rospy.core._ros_atexit)    # which would wait for it
 
 
-def everything(_topic: Topic) -> bool:
-    """Every topic is wanted."""
-    return True
-
-
 class Watcher:
     """Keeps a `BridgeState` up to date, in a process that has called rospy.init_node.
 
@@ -48,7 +43,7 @@ class Watcher:
             to make a message, and when it came.
     """
 
-    def __init__(self, state: BridgeState, wants: Callable[[Topic], bool] = everything,
+    def __init__(self, state: BridgeState, wants: Callable[[Topic], bool] = lambda _topic: True,
                  on_message: Optional[Callable[[Topic, bytes, float], None]] = None) -> None:
         self._state = state
         self._wants = wants
@@ -62,21 +57,14 @@ class Watcher:
 
     def start(self) -> None:
         """Subscribe, and ask the master from now on."""
-        self._subscribe_to_wanted()
+        self.subscribe()
         self._thread.start()
 
     def stop(self) -> None:
         """Unsubscribe from everything, for good."""
         self._stopping.set()
         with self._lock:
-            for subscriber in self._subscribers.values():
-                subscriber.unregister()
-            self._subscribers.clear()
-
-    def want(self, wants: Callable[[Topic], bool]) -> None:
-        """Other topics are wanted from now on."""
-        self._wants = wants
-        self._subscribe_to_wanted()
+            self._unsubscribe(list(self._subscribers))
 
     def update(self, now: float) -> None:
         """Rates, and the latest message of each topic in numbers and words."""
@@ -86,11 +74,11 @@ class Watcher:
             if packed is None:
                 continue
             try:
-                message = self.unpack(each.topic, packed)
-                each.values, each.words = each.topic.values(message), each.topic.words(message)
+                each.message = self.unpack(each.topic, packed)
+                each.words = each.topic.words(each.message)
             except Exception as error:  # pylint: disable=broad-except
                 # Whatever another version of the type may make of it.
-                each.values, each.words = [], f'not as expected: {error}'
+                each.message, each.words = None, f'not as expected: {error}'
 
     def unpack(self, topic: Topic, packed: bytes) -> Any:
         """The message; an exception where it is none of the topic's type."""
@@ -133,25 +121,23 @@ class Watcher:
 
     # -- subscriptions ---------------------------------------------------------------------
 
-    def _subscribe_to_wanted(self) -> None:
+    def subscribe(self) -> None:
+        """Subscribe to what is wanted now, and to nothing else."""
         wanted = {resolve(each.topic.name, self._state.node): each.topic.name
                   for each in self._state.topics if self._wants(each.topic)}
         wanted[DIAGNOSTICS] = DIAGNOSTICS
         with self._lock:
             if self._stopping.is_set():
                 return
-            for name in set(self._subscribers) - set(wanted):
-                self._subscribers.pop(name).unregister()
+            self._unsubscribe(set(self._subscribers) - set(wanted))
             for name in set(wanted) - set(self._subscribers):
                 self._subscribers[name] = rospy.Subscriber(
                     name, rospy.AnyMsg, self._take, wanted[name], tcp_nodelay=True,
                     buff_size=_BUFFER)
 
-    def _forget(self, name: str) -> None:
-        with self._lock:
-            subscriber = self._subscribers.pop(name, None)
-            if subscriber is not None:
-                subscriber.unregister()
+    def _unsubscribe(self, names: Iterable[str]) -> None:
+        for name in names:
+            self._subscribers.pop(name).unregister()
 
     # -- the master ------------------------------------------------------------------------
 
@@ -173,18 +159,16 @@ class Watcher:
         registered = bool(published) or any(state.node in nodes for _name, nodes in services)
         if registered:
             types = dict(master.getTopicTypes())
-            parameters = self._parameters(master)
-            if parameters != state.parameters:
-                state.parameters = parameters
-            state.expect_links(expected_links(parameters))
-            state.set_topics(known(state.node, {name: types.get(name, '*')
-                                                for name in published}, parameters))
+            state.learn(self._parameters(master))
+            state.expect_links(expected_links(state.parameters))
+            state.set_topics(known(state.node, {name: types.get(name, '*') for name in published},
+                                   state.parameters, state.boards))
             # A master that was started again knows neither us nor, at first, the bridge. What
             # still comes over the old connections is kept until the bridge is there again.
             ours = {name for name, nodes in subscribers if rospy.get_name() in nodes}
-            for name in set(self._subscribers) & published - ours:
-                self._forget(name)
-            self._subscribe_to_wanted()
+            with self._lock:
+                self._unsubscribe(set(self._subscribers) & published - ours)
+            self.subscribe()
         state.master_says(registered, time.monotonic())
 
     def _parameters(self, master: Any) -> Dict[str, Any]:

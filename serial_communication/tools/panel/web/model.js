@@ -114,6 +114,7 @@ export class Model {
     this.node = '';
     this.trouble = '';
     this.known = {};
+    this.boards = {};         // by link
     this.topics = new Map();
     this.links = new Map();
     this.log = [];
@@ -139,7 +140,7 @@ export class Model {
       this.controls = update.controls ?? null;
     }
     this._now = update.now;
-    for (const key of ['node', 'trouble', 'known', 'drive', 'controls']) {
+    for (const key of ['node', 'trouble', 'known', 'boards', 'drive', 'controls']) {
       if (key in update) this[key] = update[key];
     }
     for (const [name, told] of Object.entries(update.topics ?? {})) {

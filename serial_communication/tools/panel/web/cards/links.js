@@ -4,8 +4,6 @@ import {ago, card, colour, context, h, mark, number, say} from '../dom.js';
 const SHOWN = 300;         // s of the sparkline
 const BIN = 3;             // s of one of its bars
 const MINUTE = 60;
-const LONGEST_GAP = 30;    // ms without a heartbeat after which the car stops its motor
-const BOARDS = new Map([['bus', 'control board'], ['arduino', 'model car'], ['mcu', 'sensor board']]);
 const SIGNS = {ok: '✓', warn: '!', error: '✕', none: '?'};
 const WORDS = {ok: 'well', warn: 'trouble', error: 'down', none: 'not known'};
 const CAUSES = ['--cause-1', '--cause-2', '--cause-3', '--cause-4', '--cause-5'];
@@ -17,6 +15,7 @@ const MORE = [
   ['timeouts', (v) => v['timeouts']],
   ['heartbeat gap', (v) => milliseconds(v['heartbeat gap [ms]'])],
   ['lost', (v) => v['frames lost']],
+  ['stale', (v) => Number(v['stale']) > 0 ? `${v['stale']} bytes` : undefined],
   ['reconnects', (v) => v['reconnects']],
 ];
 
@@ -39,7 +38,7 @@ class LinkCard {
     this._details = h('details', {class: 'all'}, h('summary', {}, 'everything it says'),
       h('table', {}, this._all));
     const item = (label, value) => h('div', {}, h('dt', {}, label), value);
-    this.element = card(name, BOARDS.get(name) ?? '',
+    this.element = card(name, '',
       h('div', {class: 'now'},
         h('div', {class: 'state'}, this._sign, h('div', {}, this._summary, this._port)),
         h('div', {class: 'errors'},
@@ -50,6 +49,7 @@ class LinkCard {
         item('last frame', this._rates.age),
         ...MORE.map(([label]) => item(label, this._more.get(label)))),
       this._details);
+    this._title = this.element.querySelector('.note');
     this.element.classList.add('link');
     this.element.dataset.link = name;
   }
@@ -57,7 +57,8 @@ class LinkCard {
   draw(model, now) {
     const link = model.links.get(this._name);
     if (!link) return;
-    const look = link.look(now);
+    const look = link.look(now), board = model.boards[this._name];
+    say(this._title, board?.title ?? '');
     mark(this.element, 'data-look', look);
     say(this._sign, SIGNS[look]);
     const stale = link.stale(now);
@@ -87,7 +88,8 @@ class LinkCard {
       const value = text(values), place = this._more.get(label);
       place.parentElement.hidden = value === undefined;
       say(place, value ?? '');
-      mark(place, 'data-bad', label === 'heartbeat gap' && parseFloat(value) > LONGEST_GAP);
+      mark(place, 'data-bad', label === 'heartbeat gap'
+        && parseFloat(value) > 1000 * (board?.longest_gap ?? Infinity));
     }
     if (this._details.open) this._list(values);
   }
