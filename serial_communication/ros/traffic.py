@@ -59,6 +59,8 @@ class Traffic(rospy.SubscribeListener):
                             command=frame.command, data=frame.data, frame=frame.raw,
                             text=frame.text, error=frame.trouble)
         message.header.stamp = frame.stamp or rospy.Time.now()
-        # What is lost while a port is away is no loss on the line: who counts SEQ has to know.
+        # A reader that counts SEQ has to know that the port was opened again: what is lost
+        # meanwhile is no loss on the line. A frame stands nowhere, so its frame_id is free for
+        # that; a field of its own would change the type, and no older bag could be read.
         message.header.frame_id = f'connection {connection}'
         self._topic.publish(message)

@@ -93,7 +93,7 @@ def test_an_address_that_cannot_be_had(panel):
 
 def test_without_a_master_it_says_so_serves_and_ends():
     panel = Panel(environment={'ROS_MASTER_URI': 'http://127.0.0.1:1'})
-    panel.wait_for('no ROS master at http://127.0.0.1:1; waiting for it')
+    panel.wait_for('panel: waiting for the ROS master at http://127.0.0.1:1; start one with')
     page = Page(panel)
     page.until(lambda page: 'no answer from the ROS master' in page.known.get('trouble', ''),
                'the page is told')

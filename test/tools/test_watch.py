@@ -94,8 +94,8 @@ def test_custom_messages_by_the_bridges_parameters():
                       'reply': {'layout': '<B', 'fields': ['data']}}}}}
     own = {each.name: each for each in custom_topics(parameters)}
     assert set(own) == {'~force', 'mcu/wind', '~level'}
-    assert own['~force'].fields == (('data', -5.0, 5.5),)
-    assert own['mcu/wind'].fields == (('vector.x', None, 1.0), ('vector.y', None, 3.0))
+    assert own['~force'].fields == ('data',)
+    assert own['mcu/wind'].fields == ('vector.x', 'vector.y')
     assert own['~level'].period == 5.0 and own['~level'].links == ('bus',)
     assert topics.expected_links(parameters) == ['bus', 'arduino']
 
@@ -104,7 +104,7 @@ def test_custom_messages_by_the_bridges_parameters():
                          parameters, topics.boards_of(parameters))
     assert found[0].period == 60.0
     value, = found[1].values(Message(data=1.5))
-    assert (value.value, value.low, value.high) == (1.5, -5.0, 5.5)
+    assert value.value == 1.5
     wind = own['mcu/wind']
     assert wind.words(Message(vector=Message(x=0.5, y=-1.25))) == 'vector.x 0.5, vector.y -1.25'
 
@@ -169,8 +169,7 @@ def test_words_of_any_type():
 
 
 def test_paths_that_lead_nowhere_are_left_out():
-    topic = Topic('any', 'x/Y', fields=tuple(
-        (path, None, None) for path in ('position[2]', 'speed.z', 'name')))
+    topic = Topic('any', 'x/Y', fields=('position[2]', 'speed.z', 'name'))
     assert [value.text() for value in topic.values(Slots(position=[1, 2], name='n'))] == ['n']
 
 

@@ -3,6 +3,7 @@
 It is the monitor's table; `Moves` calls lift and gimbal and drives the car.
 """
 import argparse
+import itertools
 import math
 import sys
 import threading
@@ -20,10 +21,9 @@ from ...link.outcome import LOOK, Verdict
 from ...output import print_line_by_line
 from ...ros.answers import read_error, read_response
 from ...ros.master import wait_for_master
-from ...ros.rospy_mends.log_file import init_node
 from ..watch.live import LiveTable, stopped_by_signals
 from ..watch.topics import LINKS, NODE
-from ..watch.watcher import Watcher, leave
+from ..watch.watcher import leave
 from .state import Demo
 
 _START = 60.0           # s for the bridge to appear in
@@ -43,11 +43,8 @@ class Moves:
     def __init__(self, demo: Demo) -> None:
         self._demo = demo
         self._stopping = threading.Event()
-        self._threads = []
-        if demo.calls:
-            self._threads.append(threading.Thread(target=self._call, daemon=True))
-        if 'arduino' in demo.bridge.links:
-            self._threads.append(threading.Thread(target=self._drive, daemon=True))
+        self._threads = [threading.Thread(target=run, daemon=True) for run, can in (
+            (self._call, demo.calls), (self._drive, 'arduino' in demo.bridge.links)) if can]
         for thread in self._threads:
             thread.start()
 
@@ -60,16 +57,14 @@ class Moves:
     def _call(self) -> None:
         proxies = {'lift': rospy.ServiceProxy(NODE + '/lift', Lift),
                    'gimbal': rospy.ServiceProxy(NODE + '/gimbal', Gimbal)}
-        turn = 0
-        while not self._stopping.is_set():
-            name, words, direction, amount, unit = _PLAN[turn % len(_PLAN)]
+        for name, words, direction, amount, unit in itertools.cycle(_PLAN):
             calls, asked = self._demo.calls[name], time.monotonic()
             what = f'{words} {amount} {unit}'
             calls.words = f'{what}: ...'
             calls.answered(what, *_call(proxies[name], direction, amount),
                            time.monotonic() - asked)
-            turn += 1
-            self._stopping.wait(max(0.0, asked + _CALL_EVERY - time.monotonic()))
+            if self._stopping.wait(max(0.0, asked + _CALL_EVERY - time.monotonic())):
+                return
 
     def _drive(self) -> None:
         speed = rospy.Publisher(NODE + '/speed', SpeedPWMCommand, queue_size=1)
@@ -137,9 +132,7 @@ def main(argv: Optional[List[str]] = None) -> int:
         print('table: there is no ROS master', file=sys.stderr)
         return 1
 
-    init_node('live_table', anonymous=True, disable_signals=True)
-    watcher = Watcher(demo.bridge)
-    watcher.start()
+    table = LiveTable('live_table', demo.bridge, demo.heading)
     deadline = time.monotonic() + _START
     # Boards of our own are waited for, since emulated ones are built first.
     while not stopping.is_set() and not (demo.links_open() if options.boards != 'real'
@@ -150,7 +143,6 @@ def main(argv: Optional[List[str]] = None) -> int:
             print(f'table: the bridge has said nothing for {_START:.0f} s', file=sys.stderr)
             return 1
         stopping.wait(0.1)
-    table = LiveTable(demo.bridge, watcher, demo.heading)
     moves = Moves(demo) if options.move and not stopping.is_set() else None
     try:
         table.run(stopping, options.duration)

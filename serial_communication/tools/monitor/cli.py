@@ -15,7 +15,6 @@ import rospy
 
 from ...output import print_line_by_line
 from ...ros.master import wait_for_master
-from ...ros.rospy_mends.log_file import init_node
 from ..watch.live import LiveTable, stopped_by_signals
 from ..watch.state import BridgeState
 from ..watch.table import Heading, TextLine, plain
@@ -38,13 +37,10 @@ def main(argv: Optional[List[str]] = None) -> int:
             return 1
     elif not wait_for_master(stopping, lambda text: print(f'monitor: {text}', flush=True)):
         return 0
-    init_node('monitor', anonymous=True, disable_signals=True)
-    watcher = Watcher(bridge)
-    watcher.start()
+    table = LiveTable('monitor', bridge, lambda *args: _heading(bridge, *args))
     try:
         if options.once:
-            return _once(bridge, watcher, stopping)
-        table = LiveTable(bridge, watcher, lambda *args: _heading(bridge, *args))
+            return _once(bridge, table.watcher, stopping)
         table.run(stopping)
         table.close()
         return 0

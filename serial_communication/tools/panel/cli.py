@@ -22,7 +22,7 @@ import tornado.ioloop
 from ...link.sparing_log import SparingLog
 from ...output import print_line_by_line
 from ...ros.last_resort import LastResort
-from ...ros.master import full_name, living_node
+from ...ros.master import full_name, living_node, wait_for_master
 from ...ros.rospy_mends import background_logging
 from ...ros.rospy_mends.log_file import init_node
 from ...ros.rospy_mends.master_watch import MasterWatch
@@ -35,8 +35,6 @@ from .guard import SHORTEST_TOKEN, Guard, is_loopback
 from .registrar import Registrar
 from .server import Hub, listen, own_names, serve
 
-_MASTER_EVERY = 1.0       # s from one look for a master to the next
-_SAY_EVERY = 10.0         # s from one word about its absence to the next
 _LAST_WORDS = 0.2         # s that a last SPEED 0 has to leave
 _FAREWELL = 1.0           # s for the master to take note of the end
 _LAST_RESORT = 1.8        # s from a signal to the end, whatever hangs
@@ -82,6 +80,10 @@ def _address(bind: str, port: int, token: Optional[str]) -> str:
     return f'http://{host}:{port}/' + (f'?token={token}' if token else '')
 
 
+def _say(text: str) -> None:
+    print(f'panel: {text}', file=sys.stderr, flush=True)
+
+
 class _Ros:
     """The node's life: begins in a thread of its own, as soon as there is a master."""
 
@@ -97,18 +99,12 @@ class _Ros:
         leave(_FAREWELL)
 
     def _begin(self) -> None:
-        waited = 0.0
-        while not rosgraph.is_master_online():
-            if waited % _SAY_EVERY == 0:
-                print(f'panel: no ROS master at {rosgraph.get_master_uri()}; waiting for it',
-                      file=sys.stderr, flush=True)
-            if self._stopping.wait(_MASTER_EVERY):
-                return
-            waited += _MASTER_EVERY
+        if not wait_for_master(self._stopping, _say):
+            return
         name = full_name('panel')
         if living_node(name):
-            print(f'panel: another node is named {name} at {rosgraph.get_master_uri()}; end it, '
-                  'or take another name with __name:=NAME', file=sys.stderr, flush=True)
+            _say(f'another node is named {name} at {rosgraph.get_master_uri()}; end it, '
+                 'or take another name with __name:=NAME')
             self._end(3)
             return
         try:
@@ -127,8 +123,7 @@ class _Ros:
         """Somebody else took the name, or rosnode kill: the page would stand still for good."""
         if not self._stopping.is_set():
             self._stopping.set()
-            print('panel: ROS has ended this node (rosnode kill, or another of its name)',
-                  file=sys.stderr, flush=True)
+            _say('ROS has ended this node (rosnode kill, or another of its name)')
             self._end(1)
 
 
@@ -153,8 +148,8 @@ def _serve(argv: Optional[List[str]]) -> int:
     try:
         sockets = listen(options.port, options.bind)
     except OSError as error:
-        print(f'panel: cannot listen on {options.bind} port {options.port}: {error.strerror}; '
-              'choose others with --bind and --port', file=sys.stderr)
+        _say(f'cannot listen on {options.bind} port {options.port}: {error.strerror}; '
+             'choose others with --bind and --port')
         return 1
 
     write_in_background()

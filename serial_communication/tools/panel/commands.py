@@ -7,7 +7,7 @@ import io
 import threading
 import time
 from collections import deque
-from typing import Any, Callable, Deque, Dict, Iterable, List, NamedTuple, Optional
+from typing import Any, Callable, Deque, Dict, Iterable, List, Optional, Tuple
 
 import genpy
 import rosgraph
@@ -36,36 +36,25 @@ _PATIENCE = 2.0             # s after a press in which its request is sent, or n
 _MOST_CALLS = 8             # that are under way at once
 _MOST_ANSWERS = 30          # that stay to be read
 _TOPICS = {'speed': SpeedPWMCommand, 'led': String, 'steering': SteeringPWMCommand}
-_REFUSED, _UNKNOWN = Verdict.REFUSED, Verdict.NOT_KNOWN
 
 
-class Service(NamedTuple):
-    """A service that the page may call."""
-
-    name: str           # relative to the node
-    service_class: Any
-
-    def fields(self) -> List[List[str]]:
-        """Name and type of each field of the request."""
-        request = self.service_class._request_class
-        return [list(pair) for pair in zip(request.__slots__, request._slot_types)]
+# Services that the page has controls for, by name relative to the node.
+_BUILT_IN = {'~lift': Lift, '~gimbal': Gimbal, '~calibrate_imu': Empty, '~bus/echo': Trigger,
+             '~bus/sync': Trigger}
 
 
-_BUILT_IN = {name: Service(name, service_class) for name, service_class in (
-    ('~lift', Lift), ('~gimbal', Gimbal), ('~calibrate_imu', Empty), ('~bus/echo', Trigger),
-    ('~bus/sync', Trigger))}
+def custom_services(boards: Iterable[Description], parameters: Any) -> Dict[str, Any]:
+    """The services that the boards' rows make, as far as their types are installed here."""
+    found = {board.custom.prefix + name: roslib.message.get_service_class(row['srv_type'])
+             for board in boards for name, row in custom_rows(board, parameters).items()
+             if isinstance(row.get('srv_type'), str)}
+    return {name: service_class for name, service_class in found.items() if service_class}
 
 
-def custom_services(boards: Iterable[Description], parameters: Any) -> Dict[str, Service]:
-    """Those that rows of the boards make, as far as their types are installed here."""
-    found = {}
-    for board in boards:
-        for row_name, row in custom_rows(board, parameters).items():
-            name, type_ = board.custom.prefix + row_name, row.get('srv_type')
-            service_class = isinstance(type_, str) and roslib.message.get_service_class(type_)
-            if service_class:
-                found[name] = Service(name, service_class)
-    return found
+def _fields(service_class: Any) -> List[Tuple[str, str]]:
+    """Name and type of each field of the request."""
+    request = service_class._request_class
+    return list(zip(request.__slots__, request._slot_types))
 
 
 class Commands:
@@ -86,14 +75,13 @@ class Commands:
         self._services = _BUILT_IN
         self._learned: Any = None        # the parameters that made the others
         self._answers: Deque[Dict[str, Any]] = deque(maxlen=_MOST_ANSWERS)
-        # browser -> service -> when its last call ended; None: it is under way
-        self._ended: Dict[Any, Dict[str, Optional[float]]] = {}
+        # (browser, service) -> when its last call ended; None: it is under way
+        self._ended: Dict[Tuple[Any, str], Optional[float]] = {}
         self._under_way = 0              # calls, also of browsers that have gone
         self._numbers = 0
         self._changed: List[Dict[str, Any]] = []
         self._wanted = False             # somebody looks
-        self._publishers: Dict[str, rospy.Publisher] = {}
-        self._registered: Dict[str, rospy.Publisher] = {}    # the registrar's
+        self._publishers: Dict[str, rospy.Publisher] = {}    # the registrar sets it
         self._dead_man = DeadMan(self._stop_driving)
         self._drive_words = ''
         self._told_drive: Any = None
@@ -114,28 +102,22 @@ class Commands:
     def stop(self) -> None:
         """Nobody looks."""
         self._wanted = False
-        self._publishers = {}
         self._registrar.do(self._register)
 
     def _register(self) -> None:
         """Have publishers while they are wanted."""
-        if self._wanted and not self._registered:
-            self._registered = {name: rospy.Publisher(
+        if self._wanted and not self._publishers:
+            self._publishers = {name: rospy.Publisher(
                 resolve('~' + name, self._node), message_class, queue_size=1, tcp_nodelay=True)
                 for name, message_class in _TOPICS.items()}
         elif not self._wanted:
-            publishers, self._registered = self._registered, {}
+            publishers, self._publishers = self._publishers, {}
             for publisher in publishers.values():
                 publisher.unregister()
-        self._later(self._take_publishers)
-
-    def _take_publishers(self) -> None:
-        if self._wanted:
-            self._publishers = self._registered
 
     def describe(self) -> Dict[str, Any]:
         """What the page needs to draw its controls."""
-        return {'services': {name: service.fields() for name, service in self._services.items()},
+        return {'services': {name: _fields(each) for name, each in self._services.items()},
                 'speed_limit': SPEED_LIMIT, 'steering': STEERING, 'led_limit': LED_LIMIT}
 
     def take(self, bridge: BridgeState) -> Dict[str, Any]:
@@ -174,35 +156,34 @@ class Commands:
             seen: the latest time of ours that the browser had seen; what a network or a suspended
                 process has kept back moves nothing.
         """
-        service = self._services.get(name)
-        if service is None:
+        if name not in self._services:
             raise Refused(f'no service {name[:40]!r}')
         now = time.monotonic()
         _check_age(seen, now)
-        ended = self._ended.setdefault(who, {})
-        last = ended.get(name, 0.0)
+        last = self._ended.get((who, name), 0.0)
         if last is None or now - last < _AGAIN:
             raise Refused(f'{name}: one call at a time')
         if self._under_way >= _MOST_CALLS:
             raise Refused('too many calls are under way')
-        request = _request(service, arguments)
-        ended[name] = None
+        service_class = self._services[name]
+        request = _request(name, service_class, arguments)
+        self._ended[who, name] = None
         self._under_way += 1
         self._numbers += 1
         entry = {'number': self._numbers, 'key': key, 'name': name,
                  'arguments': arguments, 'began': round(now, 3)}
         self._answers.append(entry)
         self._changed.append(entry)
-        threading.Thread(target=self._run, args=(who, service, request, entry), daemon=True,
-                         name=f'call {name}').start()
+        threading.Thread(target=self._run, args=(who, service_class, request, entry),
+                         daemon=True, name=f'call {name}').start()
 
     def forget(self, who: Any) -> None:
         """The browser has gone; what it called goes on to its end."""
         self._dead_man.forget(who)
-        self._ended.pop(who, None)
+        self._ended = {key: at for key, at in self._ended.items() if key[0] is not who}
 
-    def _run(self, who: Any, service: Service, request: Any, entry: Dict[str, Any]) -> None:
-        outcome, words = _call(resolve(service.name, self._node), service, request,
+    def _run(self, who: Any, service_class: Any, request: Any, entry: Dict[str, Any]) -> None:
+        outcome, words = _call(resolve(entry['name'], self._node), service_class, request,
                                entry['began'] + _PATIENCE)
         self._later(self._answered, who, entry, outcome, words)
 
@@ -210,8 +191,8 @@ class Commands:
         now = time.monotonic()
         entry.update(outcome=outcome.value, words=words, took=round(now - entry['began'], 3))
         self._under_way -= 1
-        if who in self._ended:
-            self._ended[who][entry['name']] = now
+        if (who, entry['name']) in self._ended:
+            self._ended[who, entry['name']] = now
         self._changed.append(entry)
 
     # -- the car -------------------------------------------------------------------------------
@@ -268,7 +249,7 @@ class Commands:
             pass    # shutting down: the bridge's own timeout stops the car
 
     def _publisher(self, name: str) -> rospy.Publisher:
-        publisher = self._publishers.get(name)
+        publisher = self._publishers.get(name) if self._wanted else None
         if publisher is None or not publisher.get_num_connections():
             raise Refused(f'the bridge does not listen to ~{name}: its arduino link is off, '
                           'or it does not run')
@@ -281,21 +262,21 @@ def _check_age(seen: float, now: float) -> None:
         raise Refused(f'it came {now - seen:.1f} s late, nothing was sent: press again')
 
 
-def _request(service: Service, arguments: Dict[str, Any]) -> Any:
+def _request(name: str, service_class: Any, arguments: Dict[str, Any]) -> Any:
     """The request with these fields; Refused where they are not the service's."""
-    names = [name for name, _type in service.fields()]
+    names = [field for field, _type in _fields(service_class)]
     if sorted(arguments) != sorted(names):
-        raise Refused(f'{service.name} takes {", ".join(names) or "nothing"}')
-    request = service.service_class._request_class(**arguments)
+        raise Refused(f'{name} takes {", ".join(names) or "nothing"}')
+    request = service_class._request_class(**arguments)
     try:
         request._check_types()
         request.serialize(io.BytesIO())     # a float beyond its type, say
     except (genpy.SerializationError, ArithmeticError) as error:
-        raise Refused(f'{service.name}: {error}') from None
+        raise Refused(f'{name}: {error}') from None
     return request
 
 
-def _connected(name: str, service: Service, deadline: float) -> rospy.ServiceProxy:
+def _connected(name: str, service_class: Any, deadline: float) -> rospy.ServiceProxy:
     """A proxy whose request leaves at once.
 
     rospy's own asks the master and connects as it is called: a request would be sent as soon as
@@ -307,7 +288,7 @@ def _connected(name: str, service: Service, deadline: float) -> rospy.ServicePro
         rospy.ROSException: the bridge does not answer, or the deadline has passed.
     """
     uri = rosgraph.Master(rospy.get_name()).lookupService(name)
-    proxy = rospy.ServiceProxy(name, service.service_class)
+    proxy = rospy.ServiceProxy(name, service_class)
     proxy.transport = TCPROSTransport(proxy.protocol, proxy.resolved_name)
     try:
         proxy.transport.connect(*rospy.core.parse_rosrpc_uri(uri), uri, timeout=_PATIENCE)
@@ -321,20 +302,17 @@ def _connected(name: str, service: Service, deadline: float) -> rospy.ServicePro
     return proxy
 
 
-def _call(name: str, service: Service, request: Any, deadline: float) -> Any:
+def _call(name: str, service_class: Any, request: Any, deadline: float) -> Tuple[Verdict, str]:
     """Call it: how it went, and in words. Nothing is sent after the deadline."""
     try:
-        proxy = _connected(name, service, deadline)
-    except rosgraph.MasterError:
-        return _REFUSED, 'nothing was sent: no bridge offers this now'
-    except OSError:
-        return _REFUSED, 'nothing was sent: the ROS master does not answer'
+        proxy = _connected(name, service_class, deadline)
     except Exception as error:  # pylint: disable=broad-except
-        return _REFUSED, f'nothing was sent: {error}'
+        why = 'no bridge offers this now' if isinstance(error, rosgraph.MasterError) \
+            else 'the ROS master does not answer' if isinstance(error, OSError) else error
+        return Verdict.REFUSED, f'nothing was sent: {why}'
     try:
-        response = proxy(request)
+        return read_response(proxy(request))
     except rospy.ServiceException as error:
         return read_error(error)
     except Exception as error:  # pylint: disable=broad-except
-        return _UNKNOWN, f'the call failed: {error}; {LOOK}'
-    return read_response(response)
+        return Verdict.NOT_KNOWN, f'the call failed: {error}; {LOOK}'

@@ -113,17 +113,11 @@ class Hub:
             update.update(self.commands.take(self._feed.state))
         plain = encode(update)
         with_wire = encode(update, {'wire': wire}) if wire else plain
-        first = ''
+        first = encode(self._feed.everything(now), self.commands.everything() if self.commands
+                       else None) if any(page.fresh for page in self._pages) else ''
         for page in list(self._pages):
-            if page.fresh:
-                first = first or self._first(now)
-                page.send(update['now'], first)
-            else:
-                page.send(update['now'], with_wire if page.looks_at_wire else plain)
-
-    def _first(self, now: float) -> str:
-        return encode(self._feed.everything(now),
-                      self.commands.everything() if self.commands else None)
+            page.send(update['now'], first if page.fresh
+                      else with_wire if page.looks_at_wire else plain)
 
 
 class Server(tornado.httpserver.HTTPServer):

@@ -4,6 +4,7 @@ import threading
 import time
 from typing import Callable, Optional, Tuple
 
+from ...ros.rospy_mends.log_file import init_node
 from .state import BridgeState, ago
 from .table import PERIOD, Heading, Screen, TextLine
 from .watcher import Watcher
@@ -21,17 +22,20 @@ class LiveTable:
     """Shows a bridge once a second, and says when it goes and when it comes back.
 
     Args:
+        name: of this process as a node, which it becomes.
         heading: what stands around it after so many seconds, with these notes.
     """
 
-    def __init__(self, bridge: BridgeState, watcher: Watcher,
+    def __init__(self, name: str, bridge: BridgeState,
                  heading: Callable[[float, Tuple[TextLine, ...]], Heading]) -> None:
         self.elapsed = 0.0     # s
         self._bridge = bridge
-        self._watcher = watcher
         self._heading = heading
-        self._screen = Screen()
         self._outages = Outages()
+        self._screen = Screen()
+        init_node(name, anonymous=True, disable_signals=True)
+        self.watcher = Watcher(bridge)
+        self.watcher.start()
 
     def run(self, stopping: threading.Event, duration: Optional[float] = None) -> None:
         """Until stopped, or for so many seconds."""
@@ -39,7 +43,7 @@ class LiveTable:
         while not stopping.is_set():
             now = time.monotonic()
             self.elapsed = now - began
-            self._watcher.update(now)
+            self.watcher.update(now)
             event = self._outages.see(self._bridge.trouble(now), self._bridge.said_at(), now)
             if event:
                 self._screen.say(f'{time.strftime("%H:%M:%S")} {event}')
@@ -72,14 +76,14 @@ class Outages:
             trouble: why nothing new can come; empty while the bridge talks.
             said_at: when it said its latest word.
         """
-        had_trouble, self._trouble = bool(self._trouble), trouble
+        had_trouble, self._trouble = self._trouble, trouble
         if trouble:
             return '' if had_trouble else trouble
         before, self._last_word = self._last_word, said_at
-        if not had_trouble and before is not None:
-            return ''
         if before is None:
             return 'the bridge is there'
+        if not had_trouble:
+            return ''
         event = f'the bridge is back, after {ago(now - before)}'
         self._last_return = f'{time.strftime("%H:%M:%S")} {event}'
         return event

@@ -59,11 +59,10 @@ def layout(bridge: BridgeState, heading: Heading, now: float, width: int = 80,
         blocks.append([TextLine('commands', 'head')] + commands)
     blocks.append([TextLine(f"{'topic':<24}{'rate':>10}  last value", 'head')]
                   + [_topic_line(each, now) for each in topics])
-    needed = sum(line.rows(width) for block in blocks for line in block)
-    if needed + len(blocks) - 1 <= height:
-        lines = [line for block in blocks for line in [TextLine('')] + block][1:]
-    elif needed <= height:
-        lines = [line for block in blocks for line in block]
+    for gap in [TextLine('')], []:
+        lines = [line for block in blocks for line in gap + block][len(gap):]
+        if sum(line.rows(width) for line in lines) <= height:
+            break
     else:
         lines = _crowded(head, links + commands, topics, now, width, height)
     return [line if line.whole else line._replace(text=_cut(one_line(line.text), width))

@@ -18,9 +18,6 @@ DIAGNOSTICS = '/diagnostics'
 SERIAL_MSG = 'serial_msg'
 _MOST_ITEMS = 16     # of an array that are looked at
 
-# A field of a custom message: its path, as the configuration has it, and the limits of its value.
-Field = Tuple[str, Optional[float], Optional[float]]
-
 
 class Value(NamedTuple):
     """One number (or text) of a message."""
@@ -29,8 +26,8 @@ class Value(NamedTuple):
     value: Union[float, bool, str]
     unit: str = ''
     digits: Optional[int] = None      # behind the point; None: as many as the number has
-    low: Optional[float] = None       # the least that it may be, where that is known
-    high: Optional[float] = None
+    low: Optional[float] = None       # the least that a range sensor can measure
+    high: Optional[float] = None      # the most
 
     def text(self) -> str:
         """The value with its unit."""
@@ -54,12 +51,12 @@ class Topic(NamedTuple):
     period: Optional[float] = None    # s from one message to the next; None: found by looking
     ages: bool = True                 # False: comes on change alone, so that no age is too old
     optional: bool = False            # only some boards send it
-    fields: Tuple[Field, ...] = ()    # of a custom message
+    fields: Tuple[str, ...] = ()      # of a custom message: paths, as its row has them
 
     def values(self, message: Any) -> List[Value]:
         """The message's numbers."""
         if self.fields:
-            return [value._replace(low=low, high=high) for path, low, high in self.fields
+            return [value for path in self.fields
                     for value in _leaves(path, _follow(message, path))]
         return list(_VALUES.get(self.type, lambda message: _leaves('', message))(message))
 
@@ -189,14 +186,9 @@ def custom_topics(board: Description, parameters: Any) -> List[Topic]:
             if 'ros_type' in row and row.get('direction') != 'to_board']
 
 
-def _fields(row: Any) -> Tuple[Field, ...]:
+def _fields(row: Any) -> Tuple[str, ...]:
     paths = row.get('fields') if isinstance(row, dict) else None
-    if not isinstance(paths, list):
-        return ()
-    lows, highs = (limit if isinstance(limit, list) else [limit] * len(paths)
-                   for limit in (row.get('minimum'), row.get('maximum')))
-    return tuple((str(path), _number(low), _number(high))
-                 for path, low, high in zip(paths, lows, highs) if path)
+    return tuple(str(path) for path in paths if path) if isinstance(paths, list) else ()
 
 
 # -- any message ---------------------------------------------------------------------------------
@@ -286,7 +278,7 @@ _VALUES = {
     'sensor_msgs/Imu': _imu,
     'sensor_msgs/Range': lambda m: [Value('range', m.range, 'm', 3, m.min_range, m.max_range)],
     'sensor_msgs/RelativeHumidity': lambda m: [
-        Value('humidity', m.relative_humidity * 100, '%', 2, 0, 100)],
+        Value('humidity', m.relative_humidity * 100, '%', 2)],
     'sensor_msgs/Temperature': lambda m: [Value('temperature', m.temperature, 'degrees C', 2)],
     'serial_communication/Environment': lambda m: [
         Value('smoke', m.smoke, '', 0), Value('temperature', m.temperature, 'degrees C', 2),
@@ -296,8 +288,7 @@ _VALUES = {
         Value('range 1', m.vl53_1, 'mm', 0), Value('range 2', m.vl53_2, 'mm', 0),
         Value('yaw', m.yaw, 'deg', 1), Value('pitch', m.pitch, 'deg', 1),
         Value('roll', m.roll, 'deg', 1)],
-    'serial_communication/SteeringFeedback': lambda m: [
-        Value('steering angle', m.value, '', 0, 0, 1024)],
+    'serial_communication/SteeringFeedback': lambda m: [Value('steering angle', m.value, '', 0)],
     'serial_communication/Ticks': lambda m: [Value('ticks', m.value, 'in 10 ms', 0)],
     'serial_communication/Voltage': lambda m: [Value('voltage', m.value, 'V', 2)],
 }
