@@ -113,9 +113,15 @@ class MonitorTest(unittest.TestCase):
         return self.monitors[-1]
 
     def once(self, *arguments):
-        """Status and output of one look."""
-        monitor = self.monitor('--once', *arguments)
-        return monitor.status(), monitor.output()
+        """Status and output of one look, in which the machine let the bridge send heartbeats."""
+        looks = []
+
+        def look():
+            monitor = self.monitor('--once', *arguments)
+            looks[:] = [monitor.status(), monitor.output()]
+            return 'heartbeat gap of' not in looks[1]
+        until(look, 'a look without a heartbeat gap', seconds=3 * PATIENCE)
+        return looks
 
     def test_once_is_0_if_every_link_is_ok_and_1_if_one_is_not(self):
         self.bridge()
