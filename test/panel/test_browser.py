@@ -147,7 +147,7 @@ def test_a_heartbeat_gap_is_red_until_it_is_over_and_what_was_dropped_is_shown(p
     bad = card + ' dd[data-bad]'
     page.wait(lambda page: page.attribute(card, 'data-look') == 'ok', 'it is well')
     robot.bridge.process.send_signal(signal.SIGSTOP)
-    threading.Event().wait(0.25)
+    threading.Event().wait(0.5)      # a stall: what waits meanwhile is dropped
     robot.bridge.process.send_signal(signal.SIGCONT)
     page.wait(lambda page: 'heartbeat gap of' in page.text(card + ' .summary')
               and len(page.all(bad)) == 1, 'the gap is said, and red')
