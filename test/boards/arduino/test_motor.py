@@ -96,7 +96,8 @@ def test_repetitions_that_a_busy_computer_missed_do_not_follow_all_at_once(motor
 def test_a_stall_is_noticed_once_and_commands_are_ignored_for_a_while(motor):
     assert motor.noticed_stall(100.5) is None
     assert motor.noticed_stall(105.0) == pytest.approx(5.0)
-    assert motor.due(105.0) is Stop.IN_DOUBT and motor.ignores_commands(105.0) and motor.ignores_commands(105.4)
+    assert motor.due(105.0) is Stop.IN_DOUBT
+    assert motor.ignores_commands(105.0) and motor.ignores_commands(105.4)
     assert motor.noticed_stall(105.0) is None
     assert not motor.ignores_commands(105.6)
 
