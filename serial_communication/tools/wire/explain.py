@@ -92,10 +92,8 @@ def parse(text: str) -> bytes:
         NoHex: it is none of them, or empty.
     """
     text = text.strip()
-    if text.startswith(("b'", 'b"')):
-        data = _literal(text)
-    elif re.fullmatch(r'\[[\d,\s]*\](\s*---)?', text):
-        data = _decimal(text)
+    if text.startswith(("b'", 'b"')) or re.fullmatch(r'\[[\d,\s]*\](\s*---)?', text):
+        data = _literal(re.sub(r'\s*---$', '', text))
     else:
         data = b''.join(map(_token, re.split(r'[\s,;:|\'"\[\](){}]+|(?=\\x)', text)))
     if not data:
@@ -105,17 +103,9 @@ def parse(text: str) -> bytes:
 
 def _literal(text: str) -> bytes:
     try:
-        data = ast.literal_eval(text)
+        return bytes(ast.literal_eval(text))
     except (ValueError, SyntaxError):
-        raise NoHex(f'{text[:40]!r} is not what Python writes; {_FORMS}') from None
-    return data
-
-
-def _decimal(text: str) -> bytes:
-    try:
-        return bytes(int(number) for number in re.findall(r'\d+', text))
-    except ValueError:
-        raise NoHex(f'a number in {text[:40]!r} is over 255; {_FORMS}') from None
+        raise NoHex(f'{text[:40]!r} is not how Python writes bytes; {_FORMS}') from None
 
 
 def _token(text: str) -> bytes:

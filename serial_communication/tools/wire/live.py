@@ -84,7 +84,6 @@ class PortReader:
         self._onward: Optional[Passage] = None     # what comes is passed on by this …
         self._back: Optional[Passage] = None       # … and this leads to the port
         self._stopping = threading.Event()
-        self._heard_at = 0.0
         self._thread = threading.Thread(
             target=self._run, name=f'{"computer" if sent else "board"} port', daemon=True)
 
@@ -139,24 +138,24 @@ class PortReader:
         if self._onward:
             self._drop_old(b'', 0.0)
         self._tell('open')
-        awake_at, self._heard_at = pace.clock(), time.monotonic()
+        awake_at = pace.clock()
+        if self._back:
+            self._back.listens(time.monotonic())
         while not self._stopping.is_set():
             data = self._port.read(_TICK)
             stall = pace.clock() - awake_at
             if stall > STALL:
                 self._drop_old(data, stall)
+                data = b''
             awake_at, now = pace.clock(), time.monotonic()
-            if stall > STALL:
-                if self._back:
-                    self._back.heard(now, now)     # nobody listened: that was no silence
-                self._heard_at = now
-                continue
             if self._onward:
                 self._onward.pass_on(data, now)
             if data:
                 self._put(Read(now, self._sent, data))
-            if self._back:
-                self._look_at_silence(bool(data), now)
+            if self._back and stall > STALL:
+                self._back.listens(now)
+            elif self._back:
+                self._back.look_at_silence(bool(data), now)
 
     def _drop_old(self, data: bytes, stall: float) -> None:
         """Drop what waits in the port after a stall of so many s, or after it opened; `data` has
@@ -178,13 +177,6 @@ class PortReader:
             'as it opened'
         self._tell(f'{backlog.size} bytes that waited {when} are old and dropped{remedy}',
                    lost=True)
-
-    def _look_at_silence(self, heard: bool, now: float) -> None:
-        if heard:
-            self._back.heard(now, self._heard_at)
-            self._heard_at = now
-        else:
-            self._back.check_silence(now)
 
     def _tell(self, text: str, lost: bool = False) -> None:
         self._put(Event(time.monotonic(), self._sent, f'{self._port.url}: {text}', lost))

@@ -53,6 +53,7 @@ class Passage:
         self._has_ended = True      # the last byte of this direction ended a frame …
         self._last_at = float('-inf')       # … and when it came
         self._unanswered_since = 0.0        # of what was handed over, until the board is heard
+        self._heard_at = 0.0
         self._may_be_silent = False         # it was told something that makes it so
 
     def pass_on(self, data: bytes, now: float) -> None:
@@ -79,22 +80,24 @@ class Passage:
         """The port has been closed, and what was handed to it may not have left."""
         self._broken = self._handed > 0
 
-    def heard(self, now: float, before: float) -> None:
-        """The other end has said something now, and `before` that."""
-        self._unanswered_since = 0.0
-        if now - before >= _LONG_SILENCE:
-            self._may_be_silent = False
+    def listens(self, now: float) -> None:
+        """From now on the other end can be heard: what was before is no silence of its own."""
+        self._heard_at, self._unanswered_since = now, 0.0
 
-    def check_silence(self, now: float) -> None:
-        """Where the other end is behind a network, what it was sent may wait where nobody sees it.
+    def look_at_silence(self, heard: bool, now: float) -> None:
+        """To be called after each read of the other end, with whether it said something. Behind a
+        network, what it was sent may wait where nobody sees it.
 
         Raises:
             PortError: it has been silent for too long since it was sent something.
         """
         limit = self._board.network_silence
-        if (limit and self._port.is_network and not self._may_be_silent
+        if heard:
+            if now - self._heard_at >= _LONG_SILENCE:
+                self._may_be_silent = False
+            self.listens(now)
+        elif (limit and self._port.is_network and not self._may_be_silent
                 and 0.0 < self._unanswered_since <= now - limit):
-            self._unanswered_since = 0.0
             raise PortError(f'the {self._other_end} has not been heard for {limit:g} s')
 
     # -- handing over -----------------------------------------------------------------------

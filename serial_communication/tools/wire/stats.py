@@ -85,28 +85,26 @@ def _settings(link: str, recording: Recording, line_of: Callable[[str, int], Set
 # -- figures --------------------------------------------------------------------------------
 
 
-class Names:
-    """What good frames are, in the protocol's words; each kind is looked up once."""
+def naming(known: Dict[str, Settings]) -> Callable[[Seen], str]:
+    """A function that gives the kind of a good frame, in the protocol's words."""
+    names: Dict[Any, str] = {}     # each is looked up once
 
-    def __init__(self, known: Dict[str, Settings]) -> None:
-        self._lines = known
-        self._names: Dict[Any, str] = {}
-
-    def __call__(self, seen: Seen) -> str:
-        frame = seen.frame
-        line = self._lines[seen.link]
+    def name(seen: Seen) -> str:
+        frame, line = seen.frame, known[seen.link]
         asked = frame.command if line.board.command is Command.FUNCTION else 0
         key = (seen.link, seen.sent, frame.type, asked)
-        if key not in self._names:
-            self._names[key] = lines.type_name(line, seen.sent, frame)
-        return self._names[key]
+        if key not in names:
+            names[key] = lines.type_name(line, seen.sent, frame)
+        return names[key]
+
+    return name
 
 
 def measure(seen: Sequence[Seen], known: Dict[str, Settings]) -> Dict[str, Any]:
     """Everything that is told, by link and direction. Times are in seconds."""
     length = max(seen[-1].frame.stamp - seen[0].frame.stamp, 1e-6)
     links: Dict[str, Any] = {}
-    names = Names(known)
+    name_of = naming(known)
     for link in sorted({each.link for each in seen}):
         of_link = [each for each in seen if each.link == link]
         about = links[link] = {'baud': known[link].baud}
@@ -114,12 +112,13 @@ def measure(seen: Sequence[Seen], known: Dict[str, Settings]) -> Dict[str, Any]:
             frames = [each for each in of_link if each.sent == sent]
             if frames:
                 about['to the board' if sent else 'from the board'] = _direction(
-                    frames, length, known[link].baud, names)
+                    frames, length, known[link].baud, name_of)
         about.update(_own_figures(known[link].board, of_link))
     return {'seconds': length, 'links': links}
 
 
-def _direction(seen: Sequence[Seen], length: float, baud: int, names: Names) -> Dict[str, Any]:
+def _direction(seen: Sequence[Seen], length: float, baud: int,
+               name_of: Callable[[Seen], str]) -> Dict[str, Any]:
     errors: Dict[str, int] = {}
     by_type: Dict[str, List[float]] = {}
     size = 0
@@ -129,7 +128,7 @@ def _direction(seen: Sequence[Seen], length: float, baud: int, names: Names) -> 
         if frame.cause:
             errors[frame.cause] = errors.get(frame.cause, 0) + 1
         else:
-            by_type.setdefault(names(each), []).append(frame.stamp)
+            by_type.setdefault(name_of(each), []).append(frame.stamp)
     return {
         'frames': len(seen), 'bad': sum(errors.values()), 'errors': errors, 'bytes': size,
         'share of capacity': size * _BITS_A_BYTE / baud / length,
@@ -260,10 +259,10 @@ def plot(seen: Sequence[Seen], known: Dict[str, Settings], path: str) -> None:
     matplotlib.use('Agg')
     from matplotlib import pyplot
 
-    names = Names(known)
+    name_of = naming(known)
     rows: Dict[Any, List[float]] = {}      # by name, and whether it is of errors
     for each in seen:
-        name = f'{each.link} {"->" if each.sent else "<-"} {each.frame.cause or names(each)}'
+        name = f'{each.link} {"->" if each.sent else "<-"} {each.frame.cause or name_of(each)}'
         rows.setdefault((name, bool(each.frame.cause)), []).append(each.frame.stamp)
     figure, axes = pyplot.subplots(figsize=(12, 1.5 + 0.3 * len(rows)))
     in_order = sorted(rows, reverse=True)
