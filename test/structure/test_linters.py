@@ -36,10 +36,10 @@ def test_flake8():
         '--extend-ignore=W503,W504', *python_files())
 
 
-@pytest.mark.parametrize('path', sorted(PACKAGE.rglob('*.py')), ids=name)
-def test_texts_are_put_together_as_f_strings(path):
+def test_texts_are_put_together_as_f_strings():
     """`%` takes a NamedTuple, as most messages are, for several values."""
-    assert [node.lineno for node in ast.walk(ast.parse(path.read_text()))
+    assert [f'{name(path)}:{node.lineno}' for path in sorted(PACKAGE.rglob('*.py'))
+            for node in ast.walk(ast.parse(path.read_text()))
             if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mod)
             and isinstance(getattr(node.left, 'value', None), str)] == []
 
