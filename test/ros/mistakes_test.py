@@ -41,7 +41,7 @@ MODULES = {      # by name: the text, and what is said of it
     'leaves_a_thread': ('import threading, time\n'
                         'threading.Thread(target=time.sleep, args=(1e6,)).start(); 1 / 0',
                         "importing 'leaves_a_thread' failed: ZeroDivisionError"),
-    'nothing': ('', "the module 'nothing': it has no INTERFACE"),
+    'nothing': ('', "the module 'nothing': it has neither a DESCRIPTION of a board"),
     'nameless': (BOARD + '    NAME = 5', "the module 'nameless': INTERFACE.NAME is 5, may be"),
     'not_made': (BOARD + '        1 / 0', 'the board wind (not_made) cannot start: ZeroDivision'),
     'exits_as_made': (BOARD + '        raise SystemExit(3)',
