@@ -23,6 +23,7 @@ from typing import Any, Callable, Dict, FrozenSet, Iterator, List, Tuple
 
 import rosgraph
 
+from heartbeats import processor_wait
 from progress import Progress
 from processes import Child
 from serial_communication.tools.watch.topics import NODE
@@ -357,18 +358,7 @@ def usage_of(pid: int) -> Dict[str, float]:
             values = dict(line.split(':', 1) for line in status)
         return {'memory': int(values['VmRSS'].split()[0]) / 1024,
                 'threads': int(values['Threads']),
-                'files': len(os.listdir(f'/proc/{pid}/fd')), 'waited': _waited(pid)}
+                'files': len(os.listdir(f'/proc/{pid}/fd')),
+                'waited': round(processor_wait(pid), 3)}
     except (OSError, KeyError, ValueError):
         return {}
-
-
-def _waited(pid: int) -> float:
-    """Seconds that its threads were ready to run and did not, all together."""
-    total = 0
-    for thread in os.listdir(f'/proc/{pid}/task'):
-        try:
-            with open(f'/proc/{pid}/task/{thread}/schedstat') as file:
-                total += int(file.read().split()[1])
-        except (OSError, ValueError, IndexError):
-            pass
-    return round(total / 1e9, 3)
