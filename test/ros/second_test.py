@@ -7,7 +7,6 @@ import shutil
 import signal
 import socket
 import subprocess
-import time
 import unittest
 from urllib.parse import urlsplit
 from xmlrpc.client import ServerProxy
@@ -266,7 +265,7 @@ class InTheSameMoment(unittest.TestCase):
 
     def test_however_they_start(self):
         for hosts in ('', ''), ('one', 'two'):
-            for turn in range(3):
+            for turn in range(2):
                 with self.subTest(hosts=hosts, turn=turn):
                     self.pair = []
                     for host in hosts:
@@ -328,16 +327,7 @@ class WithoutAMaster(unittest.TestCase):
 
 
 class WrongParameter(unittest.TestCase):
-    """roslaunch would start it again: it waits, so that the mistake is said once."""
-
-    def test_it_is_told_once_and_the_process_stays(self):
-        # Most of this time has passed while the other tests ran.
-        until(lambda: time.monotonic() > WRONG_SINCE + 12.0, 'the time passes', 20.0)
-        self.assertTrue(WRONG.alive, WRONG.output())
-        said = [line for line in lines_of(WRONG.output()) if 'bus/baud' in line]
-        self.assertEqual(len(said), 1, said)
-        _seconds, status = WRONG.end(signal.SIGTERM)
-        self.assertEqual(status, 1)
+    """roslaunch would start it again: it waits (mistakes_test), until it is told to end."""
 
     def test_ctrl_c_ends_it_at_once(self):
         wrong = Bridge('wrong', {'bus/baud': 1}, arguments=['__log:=/dev/null'])
@@ -350,7 +340,4 @@ class WrongParameter(unittest.TestCase):
 
 if __name__ == '__main__':
     rospy.init_node('second_test')
-    WRONG = Bridge('wrong_for_long', {'bus/baud': 1}, arguments=['__log:=/dev/null'])
-    WRONG.wait_for('bus/baud')
-    WRONG_SINCE = time.monotonic()
     rostest.rosrun(PACKAGE, 'second', '__main__')
