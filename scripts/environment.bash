@@ -1,4 +1,4 @@
-# What scripts/demo and scripts/test have in common: from a machine without ROS to a built and
+# What the programs of a checkout have in common: from a machine without ROS to a built and
 # sourced package. To be sourced by them; then call  set_up run  or  set_up run test avr.
 #
 # Where nothing is missing and nothing has changed it takes a fraction of a second: no network,
@@ -20,6 +20,8 @@ test   | python3-rostest python3-rosbag              | ros-noetic-rostest ros-no
 test   | python3-pytest python3-hypothesis           | python3-pytest python3-hypothesis
 test   | catkin-lint python3-flake8                  | catkin-lint python3-flake8
 test   | shellcheck libxml2-utils                    | shellcheck libxml2-utils
+bench  | python3-psutil python3-tqdm                 | python3-psutil python3-tqdm
+bench  | python3-tabulate                            | python3-tabulate
 # Ubuntu has chromium as a snap alone, which no driver here starts.
 browser | chromium chromium-driver python3-selenium  |
 avr    | gcc-avr avr-libc arduino-core-avr           | gcc-avr avr-libc arduino-core-avr

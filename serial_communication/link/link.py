@@ -17,9 +17,10 @@ from .sparing_log import SparingLog
 OK, WARN, ERROR = 0, 1, 2      # as diagnostic_msgs/DiagnosticStatus has them
 RX, TX = 0, 1                  # as SerialMsg has them
 SILENCE = 1.0                  # s without a frame after which a talking board counts as silent
-_ORDERLY = 0.5                 # s in which the bridge may be told to end, too, when a port goes
-_BACK_OFF = (0.1, 1.0)         # s from one try to open to the next: first, last
+_BOTH_END = 0.5                # s in which the bridge may be told to end, too, when a port goes
+_AFTER_FAULT = 0.1             # s until the thread goes on after a fault of its own
 _NEVER = float('inf')
+_OLD = object()                # in the place of a stamp: what has waited during a stall
 
 Tap = Callable[[str, int, Frame], None]
 
@@ -64,7 +65,6 @@ class Link:
         self.tap: Optional[Tap] = None     # is given every frame in and out; None: nobody listens
         self.frames_received = 0
         self.frames_sent = 0
-        self.reconnects = 0
         self.last_frame_at: Optional[float] = None   # monotonic
         self.last_byte_at = 0.0                      # monotonic
         self.stale = 0                     # bytes that waited while the thread stalled: dropped
@@ -76,13 +76,15 @@ class Link:
         self._trouble = ''                 # why the port is closed
         self._lost = ''                    # how it was lost, while that is not said yet …
         self._lost_at = 0.0                # … and when
-        self._stopping = threading.Event()
         self._opener = Opener(port, name + ' opening', self._port_opened)
+        self._stopping = self._opener.ending
         self._thread = threading.Thread(target=self._run, name=name + ' link', daemon=True)
         self._reported_errors = 0
         self._presence = Presence(self.log)
         self._opened_at = self._presence_at = 0.0    # monotonic
         self._backlog: Optional[Backlog] = None      # while old bytes are dropped
+        # Whether the latest read found nothing, and nothing has been delivered since.
+        self.drained = False
 
     # -- hooks ------------------------------------------------------------------------
 
@@ -120,23 +122,19 @@ class Link:
         return frame
 
     def talks(self, now: float) -> Optional[bool]:
-        """Whether the board talks; None where that cannot be told yet. Looked at while the port
-        is open, and said in the log when it changes."""
-        last = self.last_frame_at
-        if last is not None and now - last <= SILENCE:
-            return True
-        return self.is_silent(now)
-
-    def is_silent(self, now: float) -> Optional[bool]:
-        """The same of a board that does not talk now: if it has not since the port opened, it may
-        still start."""
-        has_talked = self.last_frame_at is not None and self.last_frame_at >= self._opened_at
-        return False if has_talked or now >= self._opened_at + FIRST_WORD else None
+        """Whether the board talks; None where that cannot be told. Looked at while the port is
+        open, and said in the log when it changes; silence not while the board may still start."""
+        return self.last_frame_at is not None and now - self.last_frame_at <= SILENCE
 
     def silence(self) -> str:
         """How the log tells of a board that does not talk."""
         return ('the board is silent; has it power, is it wired, and is '
                 f'{self.port.baud} baud right?')
+
+    @property
+    def reconnects(self) -> int:
+        """How often the port has been opened again."""
+        return max(self.connections - 1, 0)
 
     @property
     def drops(self) -> bool:
@@ -152,7 +150,6 @@ class Link:
 
     def stop(self) -> None:
         """Begin to end; returns at once."""
-        self._stopping.set()
         self._opener.end()
         self.port.wake()
 
@@ -249,51 +246,37 @@ class Link:
             try:
                 self._come_and_go()
             except BaseException:  # pylint: disable=broad-except
-                time.sleep(_BACK_OFF[0])    # not even enough to log what was raised
+                time.sleep(_AFTER_FAULT)    # not even enough to log what was raised
 
     def _come_and_go(self) -> None:
         """Connection after connection."""
         if self.port.is_open:       # where this has ended of a fault
             self._leave()
-        pause = _BACK_OFF[0]
-        while not self._stopping.is_set():
-            opened = self._guarded(self._connect)
-            if opened:
-                pause = _BACK_OFF[0]
-                self._guarded(self._serve)
-                self._leave()
-            else:
-                self.awake_at = _NEVER
-                self._guarded(self.port.close)
-            self._pause(self._stopping, pause)
-            if not opened:
-                pause = min(pause * 2, _BACK_OFF[1])
+        while self._opener.open(self._not_opened, lambda now: self._guarded(self.idle, now)):
+            self._guarded(self._serve)
+            self._leave()
 
     def _leave(self) -> None:
         self.awake_at = _NEVER
         self._guarded(self.port.close)
         self._guarded(self.closed, time.monotonic())
 
-    def _connect(self) -> bool:
-        """Open the port; whether it is open now."""
-        trouble = self._open_port()
-        if self._stopping.is_set():
-            return False
+    def _port_opened(self) -> None:
+        """In the opener's thread: from now on bytes wait in the port."""
+        self.awake_at = pace.clock()
+
+    def _not_opened(self, trouble: str) -> None:
+        self.awake_at = _NEVER
+        self._trouble = trouble
         # Where all ends together, a simulated board's port goes first: that is nobody's trouble.
-        if self._lost and (not trouble or time.monotonic() >= self._lost_at + _ORDERLY):
+        if time.monotonic() >= self._lost_at + _BOTH_END:
+            self._report_loss()
+            self.log.warn('closed', f'{self.port.url}: {trouble}')
+
+    def _report_loss(self) -> None:
+        if self._lost:
             self.log.warn('lost', self._lost)
             self._lost = ''
-        if trouble:
-            self._trouble = trouble
-            if not self._lost:
-                self.log.warn('closed', f'{self.port.url}: {trouble}')
-            return False
-        self.connections += 1
-        if self.connections > 1:
-            self.reconnects += 1
-        self.log.info('opened', f'{self.port.url}: open')
-        self.decoder.reset()
-        return True
 
     def _guarded(self, function: Callable, *arguments: Any) -> Any:
         """Call it; what it raises is logged and kept as the link's trouble, and None returned."""
@@ -310,33 +293,17 @@ class Link:
                 self.log.error('fault', traceback.format_exc())
         return None
 
-    def _open_port(self) -> str:
-        """Open the port; why it cannot be opened, or nothing. The link lives on meanwhile."""
-        opener = self._opener
-        opener.begin()
-        while not opener.done.is_set() and not self._stopping.is_set():
-            self._pause(opener.done, _BACK_OFF[1])
-        return opener.trouble
-
-    def _port_opened(self) -> None:
-        """In the opener's thread: from now on bytes wait in the port."""
-        self.awake_at = pace.clock()
-
-    def _pause(self, until: threading.Event, seconds: float) -> None:
-        """Wait; what is due by time meanwhile is done."""
-        now = time.monotonic()
-        end = now + seconds
-        while now < end and not until.is_set() and not self._stopping.is_set():
-            due = self._guarded(self.idle, now)
-            until.wait(max((end if due is None else min(due, end)) - now, 0.0))
-            now = time.monotonic()
-
     def _serve(self) -> None:
         """Read until the port goes or the link stops."""
+        self._report_loss()
+        self.connections += 1
+        self.log.info('opened', f'{self.port.url}: open')
+        self.decoder.reset()
         now = time.monotonic()
         self.opened(now)
         self.last_byte_at = self._opened_at = self._presence_at = look_at = now
         self._backlog = None
+        self.drained = False
         timer = self._timer
         timer.reset()
         while not self._stopping.is_set():
@@ -349,6 +316,7 @@ class Link:
             data = self.port.read(due - now)
             stamp = self._clock()
             now = time.monotonic()
+            self.drained = not data
             self._look_for_stall(now)
             if self._backlog is not None:
                 self._drop(data, now)
@@ -369,7 +337,10 @@ class Link:
             self.altered(now)
         if now >= self._presence_at:
             self._presence_at = now + LOOK_PERIOD
-            self._presence.see(self.talks(now), self.silence(), now)
+            talks = self.talks(now)
+            has_talked = self.last_frame_at is not None and self.last_frame_at >= self._opened_at
+            if talks or has_talked or now >= self._opened_at + FIRST_WORD:
+                self._presence.see(talks, self.silence(), now)
         return now + LONGEST_SLEEP
 
     def _look_for_stall(self, now: float) -> None:
@@ -399,7 +370,7 @@ class Link:
         # A frame that began among them ends in what comes next: the rest of it alone could be
         # taken for another frame where frames carry no checksum.
         errors = dict(self.decoder.errors)
-        self.decoder.feed(backlog.last)
+        self.decoder.feed(backlog.last, _OLD)
         self.decoder.errors.update(errors)
 
     def take(self, data: bytes, stamp: Any, now: float) -> None:
@@ -411,6 +382,9 @@ class Link:
     def _deliver(self, frames: List[Frame], now: float) -> None:
         tap = self.tap
         for frame in frames:
+            if frame.stamp is _OLD:
+                continue
+            self.drained = False
             shown = self.shown(frame) if tap else frame
             if frame.cause:
                 self.log.warn(frame.cause, f'{frame.cause}: {frame.error}: {frame.raw[:24].hex()}')

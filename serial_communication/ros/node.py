@@ -12,9 +12,8 @@ import rospy
 from ..boards import reason
 from ..link.link import Link
 from ..link.sparing_log import SparingLog
-from ..output import print_line_by_line
-from ..transport.pace import all_be_quick
-from ..transport.terminal import write_in_background
+from ..output import prepare_output
+from ..transport.pace import set_priority_of_all
 from . import parameters, starting
 from .diagnostics import Diagnostics
 from .geometry import publish_mounts
@@ -35,10 +34,9 @@ _LOGGER = logging.getLogger('rosout')    # rospy's own, for terminal, file and /
 
 def main() -> None:
     """Run until ROS or a signal ends it, and exit."""
-    print_line_by_line()
+    prepare_output()
     starting.check_arguments(sys.argv[1:])
     sys.setswitchinterval(_SWITCH_INTERVAL)
-    write_in_background()
     background_logging.install()
     start = starting.Start(_NAME)
     last_resort = LastResort(_LAST_RESORT, start.end_at_last)
@@ -148,7 +146,7 @@ class Bridge:
         """Open the ports and take calls."""
         # Not the heartbeat's thread alone: any other may hold the interpreter's lock while it waits
         # for the processor, and the heartbeat with it.
-        all_be_quick(_PRIORITY)
+        set_priority_of_all(_PRIORITY)
         for interface in self._interfaces:
             with _code_of(type(interface)):
                 interface.link.start()
@@ -168,4 +166,4 @@ class Bridge:
         # rospy's thread for the calls of others turns in circles once its socket is closed, and
         # would keep a processor from those that it waits for. And a process that starts again in
         # the place of this one would inherit the priority.
-        all_be_quick(0)
+        set_priority_of_all(0)

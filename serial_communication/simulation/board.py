@@ -1,17 +1,16 @@
 """What every simulated board has, and the runner that drives one on a port."""
 import argparse
-import threading
 import time
 from typing import Any, Callable, Optional
 
 from ..framing.frame_timer import FrameTimer
 from ..framing.stream import Frame
-from ..transport.pace import be_quick
+from ..transport.opener import Opener
+from ..transport.pace import set_priority
 from ..transport.port import Port, PortError
 from .line import Line
 
 FRAME_TIMEOUT = 0.05     # s without a byte after which an incomplete frame is given up
-_BACK_OFF = (0.1, 1.0)   # s from one try to open the port to the next: first, last
 _LATE = 0.01             # s; being woken later than this goes into the journal
 _REALTIME_PRIORITY = 10  # below the bridge's heartbeat
 
@@ -135,41 +134,43 @@ class Runner:
         self.line = Line(board, port.write, say=say, **line_arguments)
         self._say = say
         self._realtime = realtime
-        self._stopping = threading.Event()
+        self._opener = Opener(port, 'board opening')
+        self._stopping = self._opener.ending
+        self._trouble = ''         # what was said last: why the port is closed
+        self._powered = False
 
     def stop(self) -> None:
         """Make `run` return at once; from any other thread."""
-        self._stopping.set()
+        self._opener.end()
         self.port.wake()
 
     def run(self) -> None:
         """Run the board in this thread."""
         if self._realtime:
-            be_quick(_REALTIME_PRIORITY)
-        pause, trouble, powered = _BACK_OFF[0], '', False
-        while not self._stopping.is_set():
-            try:
-                self.port.open()
-            except PortError as error:
-                if str(error) != trouble:
-                    trouble = str(error)
-                    self._say(f'{self.port.url}: {trouble}')
-                self._wait(pause, powered)
-                pause = min(pause * 2, _BACK_OFF[1])
-                continue
-            pause, trouble = _BACK_OFF[0], ''
+            set_priority(_REALTIME_PRIORITY)
+        self._opener.start()
+        while self._opener.open(self._not_open, self._idle):
+            self._trouble = ''
             self._say(f'{self.port.url}: open')
             self.line.opened(time.monotonic())
-            if not powered:     # by its own USB plug, as it were
+            if not self._powered:     # by its own USB plug, as it were
+                self._powered = True
                 self.line.start(time.monotonic())
-                powered = True
             try:
                 self._serve()
             except PortError as error:
-                trouble = str(error)
-                self._say(f'{self.port.url}: {trouble}; opening it again when it returns')
+                self._not_open(str(error), '; opening it again when it returns')
             self.port.close()
             self.line.closed(time.monotonic())
+
+    def _not_open(self, trouble: str, remedy: str = '') -> None:
+        if trouble != self._trouble:
+            self._trouble = trouble
+            self._say(f'{self.port.url}: {trouble}{remedy}')
+
+    def _idle(self, now: float) -> Optional[float]:
+        """The port is closed; a board that is on lives on."""
+        return self.line.tick(now) if self._powered else None
 
     def _serve(self) -> None:
         now = time.monotonic()
@@ -188,15 +189,3 @@ class Runner:
                 self.line.note('late', by=round(now - due, 4))
             if data:
                 self.line.receive(data, now)
-
-    def _wait(self, seconds: float, powered: bool) -> None:
-        """The port is closed; a board that is on lives on."""
-        if not powered:
-            self._stopping.wait(seconds)
-            return
-        now = time.monotonic()
-        until = now + seconds
-        while now < until and not self._stopping.is_set():
-            due = self.line.tick(now)
-            self._stopping.wait(max(min(until, until if due is None else due) - now, 0.0))
-            now = time.monotonic()

@@ -11,10 +11,9 @@ from typing import Any, List, NoReturn, Optional, Type
 
 from ..boards import BOARDS, BoardError, description, load
 from ..boards.description import Description
-from ..output import print_line_by_line
+from ..output import prepare_output
 from ..transport.pace import Allowance
 from ..transport.port import Port, check_url
-from ..transport.terminal import write_in_background
 from . import faults
 from .board import Board, Runner, positive
 from .custom_messages import add_option
@@ -40,9 +39,8 @@ It waits for a port that is absent and comes back to one that vanished. Ctrl-C e
 
 def main(arguments: Optional[List[str]] = None) -> int:
     """Run what the command line says; the exit status."""
-    print_line_by_line()
+    prepare_output()
     options = _parse(sys.argv[1:] if arguments is None else arguments)
-    write_in_background()
     say = _Voice(options.board)
     try:
         journal = Journal(options.journal) if options.journal else None

@@ -52,7 +52,7 @@ class Allowance:
         return True
 
 
-def be_quick(priority: int, thread: int = 0) -> bool:
+def set_priority(priority: int, thread: int = 0) -> bool:
     """Real-time priority for a thread, or this one, where the system allows it; whether it does.
 
     0 is none: the ordinary one.
@@ -66,7 +66,10 @@ def be_quick(priority: int, thread: int = 0) -> bool:
     return True
 
 
-def all_be_quick(priority: int) -> None:
+be_quick = set_priority     # the name that tools still have
+
+
+def set_priority_of_all(priority: int) -> None:
     """The same for every thread of this process, and for those that they start."""
     for thread in os.listdir('/proc/self/task'):
-        be_quick(priority, int(thread))
+        set_priority(priority, int(thread))

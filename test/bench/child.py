@@ -9,7 +9,7 @@ import os
 import random
 import sys
 import time
-from typing import Callable
+from typing import Callable, Iterator
 
 _PR_SET_TIMERSLACK = 29
 _SPIN = 0.0002       # s before a deadline that are spent looking at the clock
@@ -18,7 +18,7 @@ _SPIN = 0.0002       # s before a deadline that are spent looking at the clock
 def serve(**handlers: Callable) -> None:
     """Carry out orders until stdin ends; {"do": NAME, ...} calls handlers[NAME](...).
 
-    stdout carries the answers alone: what else is printed goes where stderr goes.
+    Only the answers go to stdout: what else is printed goes where stderr goes.
     """
     answers = os.fdopen(os.dup(1), 'w')
     os.dup2(2, 1)
@@ -34,37 +34,31 @@ def serve(**handlers: Callable) -> None:
     os._exit(0)
 
 
-def be_a_board(priority: int) -> bool:
+def be_a_board(priority: int) -> None:
     """Real-time priority and exact sleeps, as far as the system allows it.
 
     A board is another computer: what the robot's computer is busy with does not delay it.
     """
-    try:
-        ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
-    except (OSError, AttributeError):
-        pass
+    ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-    except (OSError, AttributeError):
-        return False
-    return True
+    except OSError:
+        pass
 
 
 def sleep_until(due: float) -> None:
     """Until that monotonic time, give or take the system."""
-    left = due - time.monotonic()
-    if left > 0:
-        time.sleep(left)
+    time.sleep(max(0.0, due - time.monotonic()))
 
 
 def wait_until(due: float) -> None:
-    """Likewise, to a few µs, for a price."""
+    """Until that monotonic time, to a few µs, by looking at the clock at the end."""
     sleep_until(due - _SPIN)
     while time.monotonic() < due:
         pass
 
 
-def jittered(start: float, rate: float, seconds: float):
+def jittered(start: float, rate: float, seconds: float) -> Iterator[float]:
     """Times at `rate` on average, each anywhere in its own period: in phase with nothing."""
     for index in range(round(rate * seconds)):
         yield start + (index + random.random()) / rate

@@ -1,19 +1,32 @@
-"""What the bench has beside the roscore and nodes: ptys, children that take orders, the machine."""
+"""What the bench has beside the roscore: children that take orders, nodes with their boards."""
 import json
 import os
-import platform
 import pty
 import select
 import signal
 import subprocess
 import sys
 import tty
-from typing import Any, Dict, List, Tuple
+from pathlib import Path
+from typing import Any, Dict, List, Optional, Sequence
 
-from processes import Child, Stage
-from .boards import LINKS
+from processes import NODE, Child, Stage, StageError
+from serial_communication.boards import BOARDS
+from .boards import TURNS
 
-_ANSWER = 300.0   # s that an order may take
+ROOT = Path(__file__).resolve().parents[2]
+_ANSWER = 120.0   # s that an order may take
+# Runs a program of Python's with the names of its threads known to the kernel.
+_NAMED_THREADS = '''
+import ctypes, runpy, sys, threading
+bootstrap = threading.Thread._bootstrap
+def named(self):
+    ctypes.CDLL(None).prctl(15, self.name.encode(), 0, 0, 0)
+    bootstrap(self)
+threading.Thread._bootstrap = named
+del sys.argv[0]
+runpy.run_path(sys.argv[0], run_name='__main__')
+'''
 
 
 class Servant(Child):
@@ -52,12 +65,58 @@ class Servant(Child):
             pass
 
 
-class BenchStage(Stage):
-    """One scene after the other; what a scene has ends with `clear`."""
+class Side:
+    """A node and its boards, which others are compared with.
 
-    def __init__(self) -> None:
+    Args:
+        node: its name in ROS.
+    """
+
+    def __init__(self, node: str, child: Child, talkers: Dict[str, Servant],
+                 others: Dict[str, Servant]) -> None:
+        self.node = node
+        self.child = child
+        self.talkers = talkers
+        self.others = others        # the bus board and the listener
+
+    def talk(self, seconds: float) -> Dict[str, list]:
+        """Every board that sends by itself does, for so long: what they sent."""
+        self.begin_talking(seconds)
+        return self.end_talking()
+
+    def begin_talking(self, seconds: float) -> None:
+        """The first half of `talk`, so that other boards can talk at the same time."""
+        for talker in self.talkers.values():
+            talker.tell('talk', seconds=seconds)
+
+    def end_talking(self) -> Dict[str, list]:
+        """The second half."""
+        return {link: talker.answer() for link, talker in self.talkers.items()}
+
+
+class BenchStage(Stage):
+    """One section after the other; what a section has ends with `clear`.
+
+    Args:
+        against: a commit whose bridge is measured in the same rounds, or ''.
+    """
+
+    def __init__(self, against: str = '') -> None:
         super().__init__('serial_communication_bench_')
         self._fds: List[int] = []
+        node = [sys.executable, '-c', _NAMED_THREADS]
+        script = 'scripts/serial_communication_node'
+        self.bridges = {'bridge': [*node, str(ROOT / script)]}
+        if against:
+            source, build = Path(self.path('source')), Path(self.path('build'))
+            try:
+                _build(against, source, build)
+            except BaseException:
+                self.discard()
+                raise
+            self.bridges[against] = [
+                'bash', '-c', f'. "{build}/devel/setup.bash" && exec "$@"', 'bash', *node,
+                str(source / script)]
 
     def __exit__(self, *_: Any) -> None:
         super().__exit__()
@@ -68,98 +127,48 @@ class BenchStage(Stage):
         while self._fds:
             os.close(self._fds.pop())
 
-    def servant(self, name: str, module: str, *arguments: Any, **options: Any) -> Servant:
+    def servant(self, module: str, role: str, *arguments: Any, namespace: str = '',
+                **options: Any) -> Servant:
         """A module of the bench that takes orders."""
-        command = [sys.executable, '-m', f'{__package__}.{module}', *map(str, arguments)]
-        return self.add(Servant(name, command, self.folder, self._env(options), **options))
+        command = [sys.executable, '-m', f'{__package__}.{module}', role, *map(str, arguments)]
+        return self.add(Servant(f'{namespace} {role}', command, self.folder,
+                                self._env({'namespace': namespace}), **options))
 
-    def pty(self) -> Tuple[int, str]:
-        """A raw pty: (master's descriptor, slave's name). Both live as long as the scene."""
-        master, slave = pty.openpty()
-        tty.setraw(slave)
-        self._fds += [master, slave]
-        return master, os.ttyname(slave)
-
-    def boards(self, links=LINKS) -> 'Boards':
-        """Ptys and the boards behind them."""
-        return Boards(self, links)
-
-
-class Boards:
-    """The boards of one node: `ports` for it, `talkers`, `listener` and `bus` to order about."""
-
-    def __init__(self, stage: BenchStage, links) -> None:
-        self.ports: Dict[str, str] = {}
-        self.talkers: Dict[str, Servant] = {}
+    def side(self, name: str, links: Sequence[str] = BOARDS,
+             parameters: Optional[Dict[str, Any]] = None) -> Side:
+        """A bridge of `self.bridges`, or the node that polls, with boards of its own."""
+        namespace = f'/side{len(self._fds)}'
+        ports, talkers, others = {}, {}, {}
         for link in links:
-            master, self.ports[link] = stage.pty()
-            if link == 'bus':
-                self.bus = stage.servant('bus board', 'boards', 'bus', master, fds=(master,))
-                continue
-            self.talkers[link] = stage.servant(link + ' board', 'boards', 'talker', master,
-                                               link, fds=(master,))
+            master, slave = pty.openpty()
+            tty.setraw(slave)
+            self._fds += [master, slave]
+            ports[link] = os.ttyname(slave)
+
+            def board(role: str, *arguments: str) -> Servant:
+                return self.servant('boards', role, master, *arguments, namespace=namespace,
+                                    fds=(master,))
+            if link in TURNS:
+                talkers[link] = board('talker', link)
+            else:
+                others[link] = board('bus')
             if link == 'arduino':
-                self.listener = stage.servant('listener', 'boards', 'listener', master,
-                                              fds=(master,))
-
-    def talk(self, rates: Dict[str, float], seconds: float) -> Dict[str, list]:
-        """All at once, for so long; what they sent, by name."""
-        self.start_talking(rates, seconds)
-        return self.end_talking(rates)
-
-    def start_talking(self, rates: Dict[str, float], seconds: float) -> None:
-        """The first half of `talk`, so that other boards can talk at the same time."""
-        for link, rate in rates.items():
-            self.talkers[link].tell('talk', rate=rate, seconds=seconds)
-
-    def end_talking(self, rates: Dict[str, float]) -> Dict[str, list]:
-        """The second half; what they sent, by name."""
-        sent: Dict[str, list] = {}
-        for link in rates:
-            sent.update(self.talkers[link].answer())
-        return sent
+                others['listener'] = board('listener')
+        if name == 'polling':
+            child: Child = self.servant('nodes', 'polling', ports['arduino'], namespace=namespace)
+        else:
+            child = self.bridge(ports, parameters or {}, f'{name} {namespace}', self.bridges[name],
+                                namespace=namespace)
+        return Side(f'{namespace}/{NODE}', child, talkers, others)
 
 
-def memory(child: Child) -> float:
-    """Resident, MB."""
-    with open(f'/proc/{child.pid}/status') as status:
-        values = dict(line.split(':', 1) for line in status)
-    return int(values['VmRSS'].split()[0]) / 1024
-
-
-def machine() -> Dict[str, Any]:
-    """What the figures were measured on."""
-    model = ''
-    try:
-        with open('/proc/cpuinfo') as info:
-            model = next((line.split(':', 1)[1].strip() for line in info
-                          if line.startswith('model name')), '')
-    except OSError:
-        pass
-    try:
-        import rospkg
-        rospy_version = rospkg.RosPack().get_manifest('rospy').version
-    except Exception:  # pylint: disable=broad-except
-        rospy_version = 'unknown'
-    return {'cores': len(os.sched_getaffinity(0)), 'processor': model or platform.machine(),
-            'kernel': platform.release(), 'python': platform.python_version(),
-            'rospy': rospy_version, 'real-time priority': _realtime(),
-            'load before': round(os.getloadavg()[0], 2)}
-
-
-def stolen() -> Tuple[float, float]:
-    """CPU time that a host took from this virtual machine, and all CPU time; in ticks."""
-    with open('/proc/stat') as stat:
-        ticks = [float(field) for field in stat.readline().split()[1:9]]
-    return ticks[7], sum(ticks)
-
-
-def _realtime() -> bool:
-    """Whether a process may ask for it here."""
-    before = os.sched_getscheduler(0), os.sched_getparam(0)
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
-        os.sched_setscheduler(0, *before)
-        return True
-    except OSError:
-        return False
+def _build(commit: str, source: Path, build: Path) -> None:
+    """Build what the commit has; nothing of it is imported here."""
+    source.mkdir()
+    for command in (f'git -C "{ROOT}" archive "$0" | tar -x -C "{source}"',
+                    f'cmake -S "{source}" -B "{build}" -DPYTHON_EXECUTABLE=/usr/bin/python3 '
+                    '-DCATKIN_ENABLE_TESTING=OFF', f'make -C "{build}"'):
+        done = subprocess.run(['bash', '-o', 'pipefail', '-c', command, commit], text=True,
+                              stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+        if done.returncode:
+            raise StageError(f'--against {commit}: {done.stdout[-1500:].strip()}')

@@ -8,7 +8,7 @@ from .records import Intervals
 from .table import Row
 
 # What a gap is put down to, and the rows of those that are not the bridge's.
-_BRIDGE, _MACHINE, _SIMULATOR, _LINE = 'bridge', 'machine', 'simulator', 'line'
+_BRIDGE, _MACHINE, _SIMULATOR, _LINE, _USER = 'bridge', 'machine', 'simulator', 'line', 'user'
 _APART = (
     (_MACHINE, 'gaps of 30 ms in which the whole machine stood still',
      'the process that only sleeps was late by what the gap is too long: nothing ran here'),
@@ -17,7 +17,10 @@ _APART = (
      'had come in time; its journal marks these moments'),
     (_LINE, 'gaps of 30 ms in which the line was late, not the bridge',
      'the bridge had handed the heartbeats over in time; the pseudo terminals that stand for the '
-     'line passed them on late, by a kernel thread that competes with the busy processes'))
+     'line passed them on late, by a kernel thread that competes with the busy processes'),
+    (_USER, 'gaps of 30 ms of a bridge without real-time priority',
+     'the user may not have it, so that a busy machine can make the bridge late: see "Let the '
+     'bridge come first" in doc/troubleshooting.md'))
 
 
 class Gap(NamedTuple):
@@ -29,17 +32,19 @@ class Gap(NamedTuple):
 
 
 def check_heartbeat(journal: List[Dict], metronome: List[Dict], written: List[float],
-                    end: float, excused: Intervals = Intervals()) -> List[Row]:
+                    end: float, excused: Intervals = Intervals(),
+                    realtime: bool = True) -> List[Row]:
     """No gap while the port is open and the board takes what comes.
 
     Args:
         metronome: when a process that only sleeps, at the boards' priority, was woken late.
         written: when the bridge had handed heartbeats to its port, as serial_msg tells.
         excused: when the campaign had stopped the bridge.
+        realtime: whether the bridge had real-time priority.
     """
     blind = excused + closed_times(journal, end) + fault_times(journal, ('stall',)) + Intervals(
         [(start, stop + 0.05) for start, stop in calibrations(journal, end)])
-    gaps = _gaps(journal, metronome, written, blind, end)
+    gaps = _gaps(journal, metronome, written, blind, end, realtime)
     own = [gap.seconds for gap in gaps if gap.blame == _BRIDGE]
     handed_over = [after - before for before, after in zip(written, written[1:])
                    if after <= end and not blind.touches(before, after)]
@@ -60,7 +65,7 @@ def check_heartbeat(journal: List[Dict], metronome: List[Dict], written: List[fl
 
 
 def _gaps(journal: List[Dict], metronome: List[Dict], written: List[float], blind: Intervals,
-          end: float) -> List[Gap]:
+          end: float, realtime: bool) -> List[Gap]:
     """All but those while the board could not take what came."""
     beats = heartbeats(journal)
     late, line = late_times(journal), line_times(beats, written)
@@ -73,7 +78,9 @@ def _gaps(journal: List[Dict], metronome: List[Dict], written: List[float], blin
             return _MACHINE
         if late.touches(before, after):
             return _SIMULATOR
-        return _LINE if line.touches(before, after) else _BRIDGE
+        if line.touches(before, after):
+            return _LINE
+        return _BRIDGE if realtime else _USER
 
     return [Gap(before, after - before, blame(before, after))
             for before, after in _pairs(journal, beats, end)

@@ -13,21 +13,20 @@ import sys
 from random import SystemRandom
 from typing import List, Optional
 
-from serial_communication.output import print_line_by_line
-from progress import Progress
+from serial_communication.output import prepare_output
 from processes import StageError
 from .hostile import decoder_costs, node_costs, render_costs, rows_of
 from .judge import judge
-from .run import Campaign, seconds_of
+from .run import Campaign
 from .schedule import LEAST
 from .shutdown import Shutdown
-from .stage import CampaignStage
+from .stage import CampaignStage, say
 from .table import as_dict, render
 
 
 def main(arguments: Optional[List[str]] = None) -> int:
     """Run what the command line says; the exit status."""
-    print_line_by_line()
+    prepare_output()
     options = _parse(sys.argv[1:] if arguments is None else arguments)
     signal.signal(signal.SIGTERM, signal.default_int_handler)    # as Ctrl-C: end the children
     signal.signal(signal.SIGHUP, signal.default_int_handler)
@@ -36,15 +35,14 @@ def main(arguments: Optional[List[str]] = None) -> int:
     if options.hostile:
         return _hostile(options)
     stage = None
-    progress = Progress(total=seconds_of(options.duration))
     try:
-        progress.say(f'seed {options.seed}')
+        say(f'seed {options.seed}')
         stage = CampaignStage(options.keep, options.bridge)
         with stage:
-            Campaign(stage, options.duration, options.seed, options.busy, progress).run()
-            ends = Shutdown(stage, options.seed, progress).run(not options.bridge)
-        with progress.phase('judging'):
-            rows = judge(stage.folder) + ends
+            Campaign(stage, options.duration, options.seed, options.busy).run()
+            ends = Shutdown(stage, options.seed).run(not options.bridge)
+        say('judging')
+        rows = judge(stage.folder) + ends
     except KeyboardInterrupt:
         print('stopped', file=sys.stderr)
         if stage:
@@ -60,12 +58,11 @@ def main(arguments: Optional[List[str]] = None) -> int:
 
 
 def _hostile(options) -> int:
-    progress = Progress()
     try:
-        with progress.phase('decoders'):
-            decoders = decoder_costs()
+        say('decoders')
+        decoders = decoder_costs()
         with CampaignStage(options.keep, options.bridge) as stage:
-            nodes = node_costs(stage, decoders, progress.say)
+            nodes = node_costs(stage, decoders)
     except KeyboardInterrupt:
         print('stopped', file=sys.stderr)
         return 130

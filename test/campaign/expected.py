@@ -109,10 +109,11 @@ def _place(journal: List[Dict], kind: str) -> List[Arrival]:
 def _decode(frames: List[Arrival], kind: str) -> List[Arrival]:
     """What decoders find that was not sent so; what comes of giving up has a place of its own.
 
-    When a decoder gives up what is incomplete is a matter of milliseconds, so two are asked: one
-    that is hasty and one that is patient.
+    When a decoder gives up what is incomplete is a matter of milliseconds, so three are asked: a
+    hasty one, one as the bridge's, and a patient one. That in the middle goes on as the board opens
+    its port anew: noise may have come before, when the bridge had opened its own.
     """
-    decoders = [(_DECODERS[kind](), _GIVEN_UP / 2), (_DECODERS[kind](), _GIVEN_UP * 4)]
+    decoders = [(_DECODERS[kind](), _GIVEN_UP * patience) for patience in (0.5, 1.0, 4.0)]
     # What boards sent lately: finding that is no surprise. Not so where values repeat, and where
     # frames never wait for others.
     recent: Deque[Any] = deque(maxlen=0 if kind == 'arduino' else 50)
@@ -124,7 +125,7 @@ def _decode(frames: List[Arrival], kind: str) -> List[Arrival]:
         rest = Arrival(last, 0, None, False, 1, b'', before)
         longest = 0
         for decoder, patience in decoders:
-            if one.reopened:
+            if one.reopened and patience != _GIVEN_UP:
                 decoder.reset()
             given_up: List[Any] = []
             while decoder.pending and one.t - last > patience:

@@ -15,7 +15,7 @@ from typing import Any, Callable, Dict, List, NamedTuple
 
 from processes import Child, StageError
 from .expected import LINKS
-from .stage import CampaignStage
+from .stage import CampaignStage, say
 from .table import Row
 from .worst_streams import worst_streams
 
@@ -53,7 +53,7 @@ def decoder_costs(size: int = _SIZE) -> List[Cost]:
     return costs
 
 
-def node_costs(stage: CampaignStage, costs: List[Cost], say: Callable[[str], None]) -> List[Cost]:
+def node_costs(stage: CampaignStage, costs: List[Cost]) -> List[Cost]:
     """Of the streams that cost a decoder most, for a node with a subscriber of everything."""
     found = []
     streams = {(stream.link, stream.name): stream for stream in worst_streams(_NODE_SIZE)}

@@ -100,7 +100,8 @@ def judge(folder: str) -> List[Row]:
     rows += check_standstill(stopped, came, drive.speeds, [
         (entry['t'], entry['value']) for entry in commands if entry['topic'] == 'steering'],
         unclear + frozen)
-    rows += check_heartbeat(journals['arduino'], metronome, published.beats, end, held_up)
+    rows += check_heartbeat(journals['arduino'], metronome, published.beats, end, held_up,
+                            _had_realtime_priority(folder))
     rows += _of_link('mcu', 'every undamaged frame published once, in order', frames, published,
                      exempt, held_up, stopped)
     rows += check_lost_frames(heard_of(journals['mcu'], published.taken), published.lost)
@@ -201,6 +202,11 @@ def _log(folder: str, offset: float) -> List[Tuple[float, str, str]]:
         with open(path, errors='replace') as file:
             lines += log_lines(file.read(), seconds_of)
     return sorted(lines)
+
+
+def _had_realtime_priority(folder: str) -> bool:
+    return not any('no real-time priority for the heartbeat' in text
+                   for _t, _level, text in _log(folder, 0.0))
 
 
 def _with_noise(journal: List[Dict], events: List[Dict], link: str) -> List[Dict]:

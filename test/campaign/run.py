@@ -18,13 +18,15 @@ import json
 import os
 import random
 import signal
+import sys
 import time
 from typing import Any, Callable, Dict, FrozenSet, Iterator, List, Tuple
 
+import psutil
 import rosgraph
+from tqdm import tqdm
 
 from heartbeats import processor_wait
-from progress import Progress
 from processes import Child
 from serial_communication.tools.watch.topics import NODE
 from .check_bus import answered
@@ -34,7 +36,7 @@ from .network import Relay
 from .records import Intervals, Lines, read_lines, stretches
 from .schedule import (CALIBRATION, CUTS, FROZEN, IN_TURN, LONGER, NETWORK_FROZEN, QUIET, STOPPED,
                        Turn, cycles)
-from .stage import CampaignStage, Pipe
+from .stage import CampaignStage, Pipe, say
 
 FLAP = 0.25              # s down, and as long up: twice a second
 PARAMETERS: Dict[str, Any] = {
@@ -52,6 +54,7 @@ _DROPPED_AFTER = 0.8     # s after a line froze, from when the bridge has no roo
 _FILL_PERIOD = 0.05      # s
 _NO_MASTER = 1.0         # s
 _LOOK_PERIOD = 0.1       # s from one look at a new master to the next
+_SHOW_PERIOD = 5          # s from one look at what has been recorded to the next
 _DRAIN = 1.5             # s for what is on its way at the end
 
 
@@ -60,17 +63,14 @@ class Campaign:
 
     Args:
         busy: processes that take what CPU they get.
-        progress: is told what is done.
     """
 
-    def __init__(self, stage: CampaignStage, duration: float, seed: int, busy: int,
-                 progress: Progress) -> None:
+    def __init__(self, stage: CampaignStage, duration: float, seed: int, busy: int) -> None:
         self._stage = stage
         self._duration = duration
         self._seed = seed
         self._number_busy = busy
         self._busy: List[Child] = []
-        self._progress = progress
         self._random = random.Random(f'campaign {seed}')
         self._due: List[Tuple[float, int, Callable[[float], None]]] = []
         self._count = itertools.count()
@@ -81,17 +81,24 @@ class Campaign:
     def run(self) -> None:
         """All of it; returns with every child but the roscore ended."""
         stage = self._stage
-        with self._progress.phase('starting'):
-            self._set_up()
+        say('starting')
+        self._set_up()
         start = time.monotonic()
         self._end = start + self._duration
         stage.events.write(t=start, ev='begin', seed=self._seed, duration=self._duration)
         self._plan(start)
         watch = Watch(stage, self._children['bridge'])
-        with self._progress.phase(f'{self._duration:.0f} s of faults', watch.note):
+        with tqdm(total=round(self._duration), desc='faults', unit=' s',
+                  mininterval=1.0 if sys.stderr.isatty() else 60.0) as bar:
+            self._at(start + _SHOW_PERIOD, lambda due: self._show(due, bar, watch))
             self._carry_out()
-        with self._progress.phase('ending'):
-            self._finish()
+        say('ending')
+        self._finish()
+
+    def _show(self, due: float, bar: tqdm, watch: 'Watch') -> None:
+        bar.set_postfix_str(watch.note(), refresh=False)
+        bar.update(_SHOW_PERIOD)
+        self._at(due + _SHOW_PERIOD, lambda due: self._show(due, bar, watch))
 
     def _carry_out(self) -> None:
         """The plan."""
@@ -346,19 +353,13 @@ def excuses_of_calls(events: List[Dict], end: float) -> Tuple[Intervals, Interva
             stretches(events, 'master ended', 'registered', end))
 
 
-def seconds_of(duration: float) -> float:
-    """About how long a campaign takes with all that comes before and after its faults."""
-    return 45.0 + 1.2 * duration
-
-
 def usage_of(pid: int) -> Dict[str, float]:
     """Resident MB, threads and open files; empty if it has ended."""
     try:
-        with open(f'/proc/{pid}/status') as status:
-            values = dict(line.split(':', 1) for line in status)
-        return {'memory': int(values['VmRSS'].split()[0]) / 1024,
-                'threads': int(values['Threads']),
-                'files': len(os.listdir(f'/proc/{pid}/fd')),
-                'waited': round(processor_wait(pid), 3)}
-    except (OSError, KeyError, ValueError):
+        process = psutil.Process(pid)
+        with process.oneshot():
+            return {'memory': process.memory_info().rss / (1 << 20),
+                    'threads': process.num_threads(), 'files': process.num_fds(),
+                    'waited': round(processor_wait(pid), 3)}
+    except (OSError, psutil.Error):
         return {}

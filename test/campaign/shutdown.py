@@ -12,14 +12,14 @@ import tty
 import xmlrpc.client
 from typing import Any, Dict, List, Optional, Tuple
 
+import psutil
 import rosgraph
 
-from progress import Progress
 from serial_communication.tools.watch.topics import NODE
 from .expected import LINKS
 from .packets import SPEED, packets_of
 from .records import read_lines, read_messages
-from .stage import CampaignStage
+from .stage import CampaignStage, say
 from .table import Row
 
 ENDING = 2.0             # s that the node may take to end
@@ -56,9 +56,8 @@ class HungPort:
 class Shutdown:
     """Runs the cases one after the other; `rows` is what came out."""
 
-    def __init__(self, stage: CampaignStage, seed: int, progress: Progress) -> None:
+    def __init__(self, stage: CampaignStage, seed: int) -> None:
         self._stage = stage
-        self._progress = progress
         self._results: Dict[str, List[Tuple[str, float, List[str]]]] = {}
         self._ports: Dict[str, str] = {}
         for link in LINKS:
@@ -88,7 +87,7 @@ class Shutdown:
 
     def _case(self, name: str, number: int, waiting: bool = False, hang: Tuple[str, ...] = (),
               held: bool = True) -> None:
-        self._progress.say('shutdown: ' + name)
+        say('shutdown: ' + name)
         hung = {link: HungPort(held) for link in hang}
         ports = dict(self._ports, **{link: port.name for link, port in hung.items()})
         bridge = self._stage.bridge(ports, {'bus/motion_timeout': 60.0})
@@ -111,7 +110,7 @@ class Shutdown:
 
     def _under_roslaunch(self) -> float:
         """Returns the seconds from SIGKILL to data."""
-        self._progress.say('shutdown: SIGKILL under roslaunch, then its stop')
+        say('shutdown: SIGKILL under roslaunch, then its stop')
         launch = self._stage.child('roslaunch', [
             'roslaunch', '--wait', 'serial_communication', 'bridge.launch'] + [
                 f'{link}_port:={port}' for link, port in self._ports.items()])
@@ -197,7 +196,6 @@ def _pid_of_node() -> int:
 
 def _lives(pid: int) -> bool:
     try:
-        with open(f'/proc/{pid}/stat') as stat:
-            return stat.read().rpartition(')')[2].split()[0] != 'Z'
-    except OSError:
+        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
         return False

@@ -11,6 +11,7 @@ from typing import Any, Dict, List, Optional
 from processes import Child, Stage, StageError
 from .records import Lines
 
+_SCRIPTS = os.path.join(os.path.dirname(os.path.realpath(__file__)), *[os.pardir] * 2, 'scripts')
 CABLE_PRIORITY = 15      # real-time: between the simulated boards' and the heartbeat's
 _START = 30.0            # s that a cable may take to start
 FILLING = 6000           # bytes, more than a pseudo terminal's 4095
@@ -30,7 +31,7 @@ class Cable:
     def plug(self) -> float:
         """Make it; returns when both ends are there: the time."""
         self._child = self._stage.child('cable_' + self.name, [
-            self._stage.program('socat_pair'), self.near, self.far], priority=CABLE_PRIORITY)
+            os.path.join(_SCRIPTS, 'socat_pair'), self.near, self.far], priority=CABLE_PRIORITY)
         deadline = time.monotonic() + _START
         while not (os.path.exists(self.near) and os.path.exists(self.far)):
             if time.monotonic() > deadline or not self._child.alive:
@@ -196,17 +197,7 @@ class CampaignStage(Stage):
             sys.executable, '-m', __package__ + '.children', role, self.path(file), str(seed),
             *remappings], **options)
 
-    def program(self, name: str) -> str:
-        """A script of this package, in a checkout or installed."""
-        here = os.path.join(os.path.dirname(os.path.realpath(__file__)), *[os.pardir] * 3,
-                            'scripts', name)
-        if os.path.exists(here):
-            return here
-        import rospkg
-        package = rospkg.RosPack().get_path('serial_communication')
-        for folder in (os.path.join(package, 'scripts'),
-                       os.path.join(package, os.pardir, os.pardir, 'lib',
-                                    'serial_communication')):
-            if os.path.exists(os.path.join(folder, name)):
-                return os.path.join(folder, name)
-        return name
+
+def say(text: str) -> None:
+    """What is done, for who waits."""
+    print(text, file=sys.stderr)

@@ -3,7 +3,6 @@ writes afterwards stays in its own end, where its flush reaches it."""
 import os
 import signal
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -33,15 +32,14 @@ while True:
 def fixture_stage(tmp_path):
     """As much of one as a cable needs."""
     children = []
-    scripts = Path(__file__).resolve().parents[2] / 'scripts'
 
     def child(name, command, priority=0):
         children.append(Child(name, command, str(tmp_path), dict(os.environ), priority))
         return children[-1]
 
-    yield SimpleNamespace(folder=str(tmp_path), child=child, events=SimpleNamespace(
-        write=lambda **_: None), program=lambda name: str(scripts / name),
-        end=lambda one, number: one.end(number))
+    yield SimpleNamespace(folder=str(tmp_path), child=child,
+                          end=lambda one, number: one.end(number),
+                          events=SimpleNamespace(write=lambda **_: None))
     for each in children:
         each.end(signal.SIGKILL)
 

@@ -186,3 +186,9 @@ def test_a_copy_that_did_not_leave():
 def test_a_copy_of_a_reply_that_did_not_leave_itself():
     first = dict(REPLY, t=1.0, copies=2, ok=False, sent=False, why='closed')
     assert readings(first, {'t': 1.02, 'ev': 'copy', 'n': 1}) == [(1.02, 'maybe')]
+
+
+def test_noise_between_the_bridges_opening_of_its_port_and_the_boards():
+    noise, opened = {'t': 1.0, 'ev': 'chatter', 'wire': '0202'}, {'t': 1.045, 'ev': 'port'}
+    frames = arrivals([noise, opened, packet(1.0496, 0)], 'arduino')
+    assert (2, 0, b'\0\x08\0') in [made for one in frames for made in one.made]

@@ -15,7 +15,7 @@ def steadily(start, end, period=0.01):
 def heartbeat(journal, written=()):
     journal = sorted([{'t': 0.0, 'ev': 'port', 'open': True}] + journal,
                      key=lambda event: event['t'])
-    gaps, _own, _machine, late, line = check_heartbeat(journal, [], list(written), END)
+    gaps, _own, _machine, late, line, _user = check_heartbeat(journal, [], list(written), END)
     return (gaps, late, line) if written else (gaps, late)
 
 
@@ -84,7 +84,7 @@ class TestHeartbeat:
 
 def standing_still(journal, stall):
     """How many gaps are violations, and how many are put down to the machine."""
-    gaps, _own, machine, _late, _line = check_heartbeat(
+    gaps, _own, machine, _late, _line, _user = check_heartbeat(
         [{'t': 0.0, 'ev': 'port', 'open': True}] + journal, [stall], [], END)
     return len(gaps.violations), machine.tries
 
@@ -108,3 +108,11 @@ class TestLine:
         """What serial_msg does not tell excuses nothing."""
         gaps, _late, line = heartbeat(steadily(1, 2) + steadily(2.05, 3), written=[0.5])
         assert len(gaps.violations) == 1 and line.tries == 0
+
+
+def test_without_real_time_priority_a_gap_is_counted_and_no_violation():
+    journal = [{'t': 0.0, 'ev': 'port', 'open': True}] + beats(1.0, 1.01, 1.06)
+    for realtime in (True, False):
+        rows = check_heartbeat(journal, [], [], END, realtime=realtime)
+        assert len(rows[0].violations) == realtime
+        assert (rows[-1].tries, rows[-1].judged) == (not realtime, False)

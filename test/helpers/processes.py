@@ -234,9 +234,10 @@ class Stage:
                 raise child.fault()
 
     def bridge(self, ports: Dict[str, str], parameters: Dict[str, Any], name: str = 'bridge',
-               **options: Any) -> Child:
+               command: Sequence[str] = (), **options: Any) -> Child:
         """The node; `parameters` by their names, with the slash. Those of one before it go.
 
+        `command`, where there is one, is run in its place.
         In a namespace its /diagnostics stand there too, so that they have readers of their own.
         """
         namespace = options.get('namespace', '')
@@ -246,7 +247,8 @@ class Stage:
                      for key, value in given.items()]
         if namespace:
             arguments.append(f'/diagnostics:={namespace}/diagnostics')
-        return self.child(name, self._bridge + [f'__name:={NODE}'] + arguments, **options)
+        return self.child(name, [*(command or self._bridge), f'__name:={NODE}', *arguments],
+                          **options)
 
     def busy(self, number: int) -> List[Child]:
         """Processes that take all the CPU they get."""

@@ -1,13 +1,11 @@
 """What every link has: a log that is sparing, counters, threads with names that end."""
 import logging
 import os
-import re
 import threading
 import time
 
 import pytest
 
-import serial_communication.link
 from fake_boards import until
 from serial_communication.boards.arduino.link import ArduinoLink
 from serial_communication.boards.bus.link import BusLink
@@ -377,17 +375,6 @@ def test_a_link_leaves_no_file_open(line, logger):
         until(lambda: descriptors() <= own)
         before = before or own
     assert descriptors() <= before + 4
-
-
-def test_links_and_protocols_know_nothing_of_ros():
-    root = os.path.dirname(os.path.dirname(serial_communication.link.__file__))
-    imports = re.compile(r'^\s*(from|import)\s+(rospy|\w+_msgs|tf2?_ros|\.\.ros|.*\.ros\b)',
-                         re.MULTILINE)
-    for folder in ('links', 'protocols'):
-        for name in os.listdir(os.path.join(root, folder)):
-            if name.endswith('.py'):
-                with open(os.path.join(root, folder, name), encoding='utf-8') as file:
-                    assert not imports.search(file.read()), name
 
 
 def test_a_false_start_holds_nothing_back_though_frames_keep_coming(line, logger, running):

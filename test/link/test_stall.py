@@ -13,7 +13,6 @@ import pytest
 from fake_boards import PATIENCE, BusBoard, Rfc2217Server, until
 from waiting import Waiter
 
-from serial_communication.boards.arduino import heart
 from serial_communication.boards.arduino.link import ArduinoLink
 from serial_communication.link.backlog import STALL, Backlog
 from serial_communication.boards.bus.link import BusLink, BusSettings
@@ -21,8 +20,10 @@ from serial_communication.boards.mcu.link import McuLink
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
+from serial_communication.transport import pace
 from serial_communication.transport.port import Port
 
+pytestmark = pytest.mark.slow
 PROGRAM = Path(__file__).with_name('one_link.py')
 
 
@@ -241,7 +242,7 @@ class Clock:
     """In the place of the links' clock: it can jump, and stand still."""
 
     def __init__(self):
-        self._real = heart.clock
+        self._real = pace.clock
         self._ahead = 0.0
         self._stands_at = None
 
@@ -263,7 +264,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch):
     made = Clock()
-    monkeypatch.setattr(heart, 'clock', made)
+    monkeypatch.setattr(pace, 'clock', made)
     return made
 
 
@@ -312,6 +313,26 @@ def test_the_rest_of_a_packet_that_began_among_old_bytes_is_no_packet(
     line.write(arduino.encode(arduino.Ticks(77)) + arduino.encode(arduino.Ticks(5)))
     until(lambda: got)
     assert got == [arduino.Ticks(5)]
+
+
+def test_an_old_frame_behind_a_false_start_is_not_received_when_that_is_given_up(
+        line, logger, running, clock):
+    """It is found after the stall, but has waited during it."""
+    got = []
+    link = running(McuLink(Port(line.path), timeout=60.0, logger=logger,
+                           on_status=lambda message, seq, stamp: got.append(seq)))
+
+    def frame(seq):
+        return mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), seq)
+
+    until(lambda: got or line.write(frame(1)))
+    clock.begin_stall(link, 2.0)
+    before, old = link.stale, b'\x02\x40' + frame(2)     # it would be 67 bytes long
+    line.write(old)
+    until(lambda: link.stale == before + len(old))
+    clock.end(link)
+    until(lambda: got[-1] == 3 or line.write(frame(3)))
+    assert set(got) == {1, 3}
 
 
 def test_the_hook_is_called_before_anything_is_received(line, logger, running, clock, monkeypatch):

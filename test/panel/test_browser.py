@@ -122,10 +122,12 @@ def test_ranges_as_bars_with_their_limits(page, robot):
 
 
 def test_links_are_as_diagnostics_say(page):
-    statuses = Diagnostics().wait_for_all(('bus', 'arduino', 'mcu'), lambda *_: True, 'a status')
+    diagnostics = Diagnostics()
+    statuses = diagnostics.wait_for_all(('bus', 'arduino', 'mcu'), lambda *_: True, 'a status')
     for name, status in statuses.items():
         card = f'[data-link="{name}"]'
-        page.wait_for_text(card + ' .summary', status.message)
+        page.wait(lambda page: page.text(card + ' .summary') == diagnostics.statuses(
+            name)[-1].message, 'the latest status')
         assert page.text(card + ' .port') == status.keys['port']
         page.script("document.querySelector(arguments[0]).open = true", card + ' details')
         page.wait(lambda page: len(page.all(card + ' details tr')) == len(status.keys), 'all keys')

@@ -43,7 +43,6 @@ SYNC_FRAME = bytes.fromhex('a5000000a5')
 HEARTBEAT_PACKET = bytes.fromhex('020b00')
 SPEED_0_PACKET = bytes.fromhex('0204010100')
 CALIBRATION_PACKET = bytes.fromhex('020c00')
-AIR_DATA = bytes.fromhex('5e01030acc12')
 
 
 # -- boards -----------------------------------------------------------------------------

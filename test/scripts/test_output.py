@@ -13,8 +13,8 @@ PYTHON_PROGRAMS = sorted(path.name for path in (ROOT / 'scripts').iterdir()
                          if not path.suffix and path.read_text().startswith('#!/usr/bin/python3'))
 _PRINTS = '''
 import sys
-from serial_communication.output import print_line_by_line
-print_line_by_line()
+from serial_communication.output import prepare_output
+prepare_output()
 print('a line', file=sys.{stream})
 sys.stdin.read()
 '''
@@ -23,7 +23,7 @@ import runpy, sys
 from serial_communication import output
 def called():
     sys.exit('called')
-output.print_line_by_line = called
+output.prepare_output = called
 sys.argv[:] = sys.argv[1:]
 run = runpy.run_path if '/' in sys.argv[0] else runpy.run_module
 run(sys.argv[0], run_name='__main__')

@@ -42,6 +42,8 @@ def fixture_suite(tmp_path):
 
     def start(program='scripts/test', environment=None, **tests):
         for part, text in tests.items():
+            if text is None:
+                continue
             (tmp_path / 'test' / part).mkdir()
             (tmp_path / 'test' / part / 'test_it.py').write_text(text)
         begun.append(subprocess.Popen(
@@ -56,10 +58,10 @@ def fixture_suite(tmp_path):
 
 
 @pytest.mark.parametrize('tests, status, last', [
-    ({'protocols': GREEN}, 0, '1 passed, 0 failed'),
-    ({'protocols': GREEN, 'links': GREEN, 'fuzz': GREEN}, 0, '3 passed, 0 failed'),
-    ({'protocols': GREEN, 'links': RED}, 1, '1 passed, 1 failed'),
-    ({'protocols': ''}, 1, '0 passed, 1 failed'),
+    ({'framing': GREEN}, 0, '1 passed, 0 failed'),
+    ({'framing': GREEN, 'link': GREEN, 'fuzz': GREEN}, 0, '3 passed, 0 failed'),
+    ({'framing': GREEN, 'link': RED}, 1, '1 passed, 1 failed'),
+    ({'framing': ''}, 1, '0 passed, 1 failed'),
 ], ids=['green', 'three green', 'one red', 'no test'])
 def test_the_status_is_that_of_the_tests(suite, tests, status, last):
     process = suite(**tests)
@@ -68,13 +70,29 @@ def test_the_status_is_that_of_the_tests(suite, tests, status, last):
     assert process.returncode == status
 
 
+def test_quick_leaves_out_what_is_slow_and_what_needs_ros(suite, tmp_path):
+    parts = subprocess.check_output(
+        ['bash', '-c', '. <(sed -n "/^quick=/,/)$/p" "$0"); echo "${quick[*]}"',
+         str(CHECKOUT / 'scripts/test')], text=True).split()
+    assert 'link' in parts and not {'ros', 'panel', 'firmware', 'docs', 'soak'} & set(parts)
+    for part in [*parts, 'panel']:
+        (tmp_path / 'test' / part).mkdir()
+        (tmp_path / 'test' / part / 'test_it.py').write_text(GREEN)
+    (tmp_path / 'test/link/test_slow.py').write_text(
+        'import pytest\npytestmark = pytest.mark.slow\n' + RED)
+    (tmp_path / 'test/panel/test_it.py').write_text(RED)
+    process = suite(quick=None)
+    said = process.communicate(timeout=4 * PATIENCE)[0]
+    assert said.splitlines()[-1] == f'{len(parts)} passed, 0 failed'
+
+
 @pytest.mark.parametrize('home', [{'HOME': '/home/somebody'}, {}], ids=['home', 'no home'])
 def test_continuous_integration_has_no_variable_of_this_machine(suite, tmp_path, home):
     process = suite('.ci/run', {'PATH': os.environ['PATH'], 'PYTHONUNBUFFERED': '1',
-                                'ANYTHING': 'else', **home}, protocols=TELLS)
+                                'ANYTHING': 'else', **home}, framing=TELLS)
     said = process.communicate(timeout=4 * PATIENCE)[0]
     assert said.splitlines()[-1] == '1 passed, 0 failed'
-    seen = json.loads((tmp_path / 'test/protocols/environment').read_text())
+    seen = json.loads((tmp_path / 'test/framing/environment').read_text())
     assert os.path.isabs(seen['HOME']) and seen['HOME'] == home.get('HOME', seen['HOME'])
     assert seen['TERM'] and seen['LANG'] == 'C.UTF-8' and '/usr/bin' in seen['PATH'].split(':')
     assert not {'PYTHONUNBUFFERED', 'ANYTHING'} & set(seen)
@@ -82,8 +100,8 @@ def test_continuous_integration_has_no_variable_of_this_machine(suite, tmp_path,
 
 @pytest.mark.parametrize('sent, status', [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
 def test_a_signal_ends_what_it_runs(suite, tmp_path, sent, status):
-    process = suite(links=LONG)
-    pid = tmp_path / 'test/links/pid'
+    process = suite(link=LONG)
+    pid = tmp_path / 'test/link/pid'
     until(lambda: pid.exists() and pid.read_text(), 'the test runs')
     process.send_signal(sent)
     process.communicate(timeout=PATIENCE)

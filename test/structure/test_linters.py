@@ -1,12 +1,13 @@
 """Linters for what is Python, shell, XML and catkin."""
 import ast
 import os
+import re
 import shutil
 import subprocess
 import sys
 
 import pytest
-from sources import PACKAGE, ROOT, name, python_files, python_programs, shell_files
+from sources import PACKAGE, ROOT, name, python_files, shell_files
 
 # catkin_lint on what it is right about only in general:
 IGNORED = (
@@ -44,17 +45,15 @@ def test_texts_are_put_together_as_f_strings():
             and isinstance(getattr(node.left, 'value', None), str)] == []
 
 
-@pytest.mark.parametrize('path', shell_files(), ids=name)
-def test_shellcheck(path):
+def test_shellcheck():
     # SC2015: `a && b || complain` is what it looks like where b is a test as well.
-    run('shellcheck', '--exclude=SC2015', '--external-sources', '--source-path', ROOT, path)
+    run('shellcheck', '--exclude=SC2015', '--external-sources', '--source-path', ROOT,
+        *shell_files())
 
 
-@pytest.mark.parametrize('path', [ROOT / 'package.xml', *sorted(ROOT.glob('launch/*')),
-                                  *sorted(ROOT.glob('config/*.urdf')),
-                                  *sorted(ROOT.glob('test/ros/*.test'))], ids=name)
-def test_xml(path):
-    run('xmllint', '--noout', path)
+def test_xml():
+    run('xmllint', '--noout', ROOT / 'package.xml', *ROOT.glob('launch/*'),
+        *ROOT.glob('config/*.urdf'), *ROOT.glob('test/ros/*.test'))
 
 
 def test_catkin_lint():
@@ -62,12 +61,14 @@ def test_catkin_lint():
         SERIAL_COMMUNICATION_VIEW='yes')     # the dependencies of view.launch count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('arguments', LAUNCH_ARGUMENTS, ids=lambda given: ' '.join(given) or '-')
 def test_launch_file(arguments):
     nodes = run('roslaunch', '--nodes', 'serial_communication', 'bridge.launch', *arguments)
     assert '/serial_communication' in nodes.split()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('arguments, bridge', [([], False), (['sim:=off'], False),
                                                (['sim:=true'], True), (['sim:=avr'], True)])
 def test_view_starts_a_bridge_only_with_simulated_boards(arguments, bridge):
@@ -76,6 +77,7 @@ def test_view_starts_a_bridge_only_with_simulated_boards(arguments, bridge):
     assert ('/serial_communication' in nodes) == bridge
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('arguments', [['faults:=all'], ['sim:=avr', 'faults:=all'],
                                        ['sim:=maybe']])
 def test_launch_arguments_that_make_no_sense_end_it(arguments):
@@ -84,6 +86,7 @@ def test_launch_arguments_that_make_no_sense_end_it(arguments):
     assert arguments[-1] in str(failure.value) and 'Traceback' not in str(failure.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('launch', sorted(path.name for path in ROOT.glob('launch/*.launch')))
 def test_no_argument_of_a_launch_file_looks_required_or_is_undocumented(launch):
     said = run('roslaunch', '--ros-args', 'serial_communication', launch)
@@ -91,11 +94,14 @@ def test_no_argument_of_a_launch_file_looks_required_or_is_undocumented(launch):
     assert 'Required' not in said and 'undocumented' not in said, said
 
 
-def test_every_message_and_program_is_in_cmake():
-    cmake = (ROOT / 'CMakeLists.txt').read_text().split()
-    wanted = [path.name for folder in ('msg', 'srv') for path in (ROOT / folder).iterdir()]
-    wanted += ['scripts/' + path.name for path in python_programs()]
-    assert [each for each in wanted if each not in cmake] == []
+def test_what_is_installed():
+    """Every message, and the programs for a robot; not those that belong to a checkout."""
+    cmake = (ROOT / 'CMakeLists.txt').read_text()
+    messages = {path.name for folder in ('msg', 'srv') for path in (ROOT / folder).iterdir()}
+    assert messages <= set(cmake.split())
+    programs = {path.name for path in (ROOT / 'scripts').iterdir() if os.access(path, os.X_OK)}
+    assert programs - {'bench', 'demo', 'pictures', 'soak', 'test'} == set(
+        re.findall(r'^    scripts/(\S+)$', cmake, re.MULTILINE))
 
 
 def test_every_folder_with_modules_is_a_package():

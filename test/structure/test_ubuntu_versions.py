@@ -15,9 +15,11 @@ from sources import ROOT
 
 VERSIONS = {'pyserial': '3.4', 'pytest': '4.6.9', 'hypothesis': '4.36.2'}
 # The tests without a ROS node: all are collected, and these run (not all, which take minutes).
-COLLECTED = ('links', 'simulation', 'tools', 'protocols', 'fuzz/test_fuzz_decoders.py')
-RUN = {'links': ('links/test_port.py', 'links/test_port_messages.py', 'links/test_link.py'),
-       'protocols': ('protocols/test_stream_decoders.py', 'protocols/test_own_messages.py')}
+COLLECTED = ('boards', 'framing', 'link', 'simulation', 'tools', 'transport',
+             'fuzz/test_fuzz_decoders.py')
+RUN = ('transport/test_port.py', 'transport/test_port_messages.py', 'link/test_link.py',
+       'boards/test_stream_decoders.py', 'framing/test_custom_messages.py')
+pytestmark = pytest.mark.slow
 _LONGEST = 600      # s; only a test that hangs takes as long
 
 
@@ -69,7 +71,8 @@ def run(python, *arguments):
     done = subprocess.run([python, '-m', 'pytest', '-q', '--tb=short', '-p', 'no:cacheprovider',
                            *arguments], cwd=str(ROOT), stdout=subprocess.PIPE, text=True,
                           stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, timeout=_LONGEST,
-                          check=False)
+                          check=False, env={**os.environ,
+                                            'SERIAL_COMMUNICATION_FUZZ_EXAMPLES': '5'})
     assert done.returncode == 0, done.stdout
 
 
@@ -85,7 +88,6 @@ def test_every_test_is_collected(old_python):
         run(old_python, '--collect-only', f'test/{part}')
 
 
-@pytest.mark.parametrize('files', RUN.values(), ids=RUN)
-def test_they_pass(old_python, files):
-    for file in files:
-        run(old_python, f'test/{file}')
+@pytest.mark.parametrize('file', RUN)
+def test_they_pass(old_python, file):
+    run(old_python, f'test/{file}')

@@ -4,17 +4,23 @@ A board that calibrates sends no IMU data. But data from before may still be und
 calibration begins, and what a stall of the bridge or a closed port kept back says nothing of the
 board. So only IMU data after a silence that was watched ends the calibration.
 
-Pure rules: no port, no thread, no clock. `now` is in seconds of a monotonic clock.
+Pure rules: no port, no thread, no clock. `now` is in seconds of a clock that also runs while the
+computer is suspended.
 """
+import enum
+from typing import Optional
 
 _SILENCE = 2.0      # s without IMU data: now the board calibrates, and later data is new
 _GOES_ON = 5.0      # s of IMU data without such a silence: the board does not calibrate
-_STALL = 0.3        # s between two looks that make a stall; its time counts as neither
-LOOK_PERIOD = 0.1   # s from one look to the next at most
 
-BACK = 'IMU data is back: the calibration is over'
-GOES_ON = (f'IMU data has gone on for {_GOES_ON:g} s since the calibration was asked for: the '
-           'board does not calibrate; taking commands again')
+
+class End(enum.Enum):
+    """Why a calibration is over, for a person."""
+
+    BACK = 'IMU data is back: the calibration is over'
+    GOES_ON = (f'IMU data has gone on for {_GOES_ON:g} s since the calibration was asked for: the '
+               'board does not calibrate; taking commands again')
+    TIMEOUT = 'no end of the calibration within {:g} s; taking commands again'   # its timeout
 
 
 class Calibration:
@@ -25,35 +31,27 @@ class Calibration:
     """
 
     def __init__(self, timeout: float, now: float) -> None:
-        self._timeout = timeout
         self._due = now + timeout
         self._watched_since = now    # or later, by the time that does not count
         self._last_data = now        # likewise
-        self._looked_at = now
 
-    def look(self, now: float) -> str:
-        """Why it is over, or nothing; to be asked every `LOOK_PERIOD` while the port is open."""
-        late = now - self._looked_at
-        self._looked_at = now
-        if late > _STALL:
-            self._watched_since += late
-            self._last_data += late
-        return self.expired(now)
+    def look(self, now: float) -> Optional[End]:
+        """Why it is over without IMU data, or None."""
+        return None if now < self._due else End.TIMEOUT
 
-    def expired(self, now: float) -> str:
-        """The same while the port is closed."""
-        if now < self._due:
-            return ''
-        return f'no end of the calibration within {self._timeout:g} s; taking commands again'
+    def stalled(self, seconds: float, now: float) -> None:
+        """The bridge stalled for so long: that time counts as neither."""
+        self._watched_since = min(self._watched_since + seconds, now)
+        self._last_data = min(self._last_data + seconds, now)
 
     def port_opened(self, now: float) -> None:
         """What the board did while the port was closed is not known."""
-        self._watched_since = self._last_data = self._looked_at = now
+        self._watched_since = self._last_data = now
 
-    def imu_data(self, now: float) -> str:
-        """IMU data has come, after a `look` of the same time: why it is over now, or nothing."""
+    def imu_data(self, now: float) -> Optional[End]:
+        """IMU data has come: why it is over now, or None."""
         silence = now - self._last_data
         self._last_data = now
         if silence >= _SILENCE:
-            return BACK
-        return GOES_ON if now - self._watched_since >= _GOES_ON else ''
+            return End.BACK
+        return End.GOES_ON if now - self._watched_since >= _GOES_ON else None

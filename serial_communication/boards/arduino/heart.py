@@ -6,7 +6,7 @@ import traceback
 from collections import deque
 from typing import Callable, Deque, Optional
 
-from ...transport.pace import Every, be_quick, clock
+from ...transport.pace import Every, clock, set_priority
 
 _LONGEST_NAP = 0.02      # s; so that a slow heartbeat does not make SPEED 0 late
 _REALTIME_PRIORITY = 20
@@ -68,7 +68,7 @@ class Heart:
         return longest
 
     def _run(self) -> None:
-        self._on_start(_told(be_quick(_REALTIME_PRIORITY)))
+        self._on_start(_told(set_priority(_REALTIME_PRIORITY)))
         pace = Every(self._period, clock() - self._period)      # the first one at once
         while not self._stopping.is_set():
             now = clock()

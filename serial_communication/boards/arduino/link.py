@@ -11,9 +11,9 @@ from ...link.link import OK, WARN, Link, Refused, Report
 from ...transport.pace import Allowance, clock
 from ...transport.port import Port, PortBusy, PortError
 from . import DESCRIPTION, wire
-from .calibration import BACK, LOOK_PERIOD, Calibration
+from .calibration import Calibration, End
 from .heart import Heart
-from .motor import TIMED_OUT, Motor
+from .motor import Motor, Stop
 
 _STALLED = 0.05          # s of wire time that wait in the kernel: the port does not flow
 _LOOK_PERIOD = 0.1       # s from one look at what waits there to the next
@@ -63,11 +63,11 @@ class ArduinoLink(Link):
         self._finished = False               # SPEED 0 was the last word
         self._calibration: Optional[Calibration] = None
         self._look_at = 0.0                  # when to look again at what waits in the kernel
-        self._heart = Heart('arduino heartbeat', settings.heartbeat_rate, self._tend,
-                            lambda text: self._say_later('fault', text),
-                            lambda text: self._say_later('priority', text, self.log.info))
+        self._heart = Heart('arduino heartbeat', settings.heartbeat_rate, self._beat,
+                            lambda text: self._log_later('fault', text),
+                            lambda text: self._log_later('priority', text, self.log.info))
         self._recent_gap = 0.0               # s; between heartbeats, since the report before
-        self._unsaid: Deque[Tuple[Callable[[str, str], None], str, str]] = deque()
+        self._unlogged: Deque[Tuple[Callable[[str, str], None], str, str]] = deque()
         self._board_lines = Allowance(*_BOARD_LINES)
 
     @property
@@ -105,7 +105,6 @@ class ArduinoLink(Link):
         board would read them minutes later, all at once.
         """
         self.command(wire.ImuCalibration())
-        self.wake()
         if self._on_calibrating:
             self._on_calibrating(True)
 
@@ -122,7 +121,7 @@ class ArduinoLink(Link):
                           'too long' if too_long else 'value') from None
         with self._sending:
             now = clock()
-            self._look_for_standstill(now)
+            self._check_for_stall(now)
             self._refuse_if_unfit(message, now)
             calibration = isinstance(message, wire.ImuCalibration)
             try:
@@ -135,8 +134,7 @@ class ArduinoLink(Link):
                 raise Refused(f'{message} refused: {error}', 'busy' if busy else 'port') from None
             if calibration:
                 self._motor.repeat_no_more()
-                self._calibration = Calibration(self.settings.calibration_timeout,
-                                                time.monotonic())
+                self._calibration = Calibration(self.settings.calibration_timeout, now)
 
     def _refuse_if_unfit(self, message: Any, now: float) -> None:
         if self._finished:
@@ -144,9 +142,9 @@ class ArduinoLink(Link):
         if self.calibrating:
             raise Refused(f'{message} refused: the IMU is being calibrated, '
                           'which takes minutes', 'calibrating')
-        if self._motor.deaf(now):
+        if self._motor.ignores_commands(now):
             raise Refused(f'{message} refused: it may have waited while the bridge stood still; '
-                          'send it again', 'standstill')
+                          'send it again', 'stall')
         if self.port.backlog() > _STALLED:
             raise Refused(f'{message} refused: the port takes no data', 'busy')
 
@@ -175,19 +173,19 @@ class ArduinoLink(Link):
             self._motor.sent(message.value, now)    # before anything that may fail
         self.written(packet, message.TYPE, 0, data, message)
 
-    def _look_for_standstill(self, now: float) -> None:
+    def _check_for_stall(self, now: float) -> None:
         # The link's thread has the priority of those that receive commands.
-        stood = self._motor.stood_still(now, self.awake_at)
-        if stood is not None:
-            self._say_later('standstill', f'the bridge stood still for {stood:.3g} s: SPEED 0 goes '
-                            'first, what was commanded meanwhile is dropped')
+        stalled_for = self._motor.noticed_stall(now, self.awake_at)
+        if stalled_for is not None:
+            self._log_later('stall', f'the bridge stood still for {stalled_for:.3g} s: SPEED 0 '
+                            'goes first, what was commanded meanwhile is dropped')
 
     def _unblock(self) -> None:
         """The port does not flow: drop what waits, or it reaches the board late, commands too."""
         self._motor.expect_any_speed()
         self._cut_off = True
         dropped = self.port.discard_output()
-        self._say_later('stalled', 'the port takes no data; ' + (
+        self._log_later('stalled', 'the port takes no data; ' + (
             'what waited was dropped' if dropped else 'the connection is broken off')
                         + ', the board stops its motor')
 
@@ -210,21 +208,21 @@ class ArduinoLink(Link):
             except (PortBusy, PortError):
                 pass     # closed, or stuck: without heartbeats the board stops by itself
             except Exception:  # pylint: disable=broad-except
-                self._say_later('fault', traceback.format_exc())
-        self._let_out()
+                self._log_later('fault', traceback.format_exc())
+        self._wait_until_sent()
         super().stop()
 
-    def _let_out(self) -> None:
+    def _wait_until_sent(self) -> None:
         """Closing a port may drop what it has not sent yet: give the last word its time."""
         deadline = time.monotonic() + _LAST_WORD
         while self.port.on_its_way() and time.monotonic() < deadline:
             time.sleep(0.002)
 
-    def _tend(self, beat: bool) -> bool:
+    def _beat(self, beat: bool) -> bool:
         """In the heart's thread: SPEED 0 if it is due, then a heartbeat if that is."""
         with self._sending:
-            now = clock()       # not sooner: a standstill may have come between
-            self._look_for_standstill(now)
+            now = clock()       # not sooner: a stall may have come between
+            self._check_for_stall(now)
             self._motor.awake(now)
             if self._finished or not self.port.is_open:
                 return False
@@ -236,8 +234,8 @@ class ArduinoLink(Link):
                 why = self._motor.due(now)
                 if why:
                     self._send_packet(_SPEED_0, now)
-                if why == TIMED_OUT:
-                    self._say_later('speed timeout', 'no speed command for '
+                if why is Stop.TIMED_OUT:
+                    self._log_later('speed timeout', 'no speed command for '
                                     f'{self.settings.speed_timeout:g} s: SPEED 0 sent')
                 if beat:
                     self._send_packet(wire.Heartbeat(), now)
@@ -248,10 +246,10 @@ class ArduinoLink(Link):
                 pass                # the link's thread sees it as well
             return False
 
-    def _say_later(self, cause: str, text: str,
+    def _log_later(self, cause: str, text: str,
                    say: Optional[Callable[[str, str], None]] = None) -> None:
         """Have the link's thread log it: a log may block, a heartbeat and a command may not."""
-        self._unsaid.append((say or self.log.warn, cause, text))
+        self._unlogged.append((say or self.log.warn, cause, text))
         self.wake()
 
     # -- hooks --------------------------------------------------------------------------
@@ -259,17 +257,21 @@ class ArduinoLink(Link):
     def opened(self, now: float) -> None:
         self._heart.opened(clock())
         if self._calibration:
-            self._calibration.port_opened(now)
+            self._calibration.port_opened(clock())
 
     def closed(self, now: float) -> None:
         # At once, not as it opens again: from then on anybody may be the first to write.
         with self._sending:
             if self._motor.moving and not self._finished:
-                self._say_later('moved', 'the car may have been moving when the port went: '
+                self._log_later('moved', 'the car may have been moving when the port went: '
                                          'SPEED 0 is sent first when it returns')
             self._motor.expect_any_speed()
             self._cut_off = False
             self._heart.restart()
+
+    def stalled(self, seconds: float, now: float) -> None:
+        if self._calibration:
+            self._calibration.stalled(seconds, clock())
 
     def altered(self, now: float) -> None:
         with self._sending:
@@ -282,17 +284,16 @@ class ArduinoLink(Link):
             self._board_says(message, now)
             return
         if isinstance(message, wire.Imu) and self._calibration:
-            # What the thread was late to read is no news: look at the time before at the data.
-            self._calibrated(self._calibration.look(now) or self._calibration.imu_data(now))
+            self._calibrated(self._calibration.imu_data(clock()))
         if self._on_message:
             self._on_message(message, frame.stamp)
 
     def tick(self, now: float) -> Optional[float]:
-        self._say_unsaid()
+        self._log_what_waits()
         if self._calibration:
-            self._calibrated(self._calibration.look(now))
+            self._calibrated(self._calibration.look(clock()))
         if self._calibration:
-            return now + LOOK_PERIOD
+            return None     # it may be silent, and this is called every 0.1 s anyway
         try:
             return self.check_silence(now, self.settings.network_silence)
         except PortError:
@@ -300,14 +301,14 @@ class ArduinoLink(Link):
             raise
 
     def idle(self, now: float) -> Optional[float]:
-        self._say_unsaid()
+        self._log_what_waits()
         if self._calibration:
-            self._calibrated(self._calibration.expired(now))
+            self._calibrated(self._calibration.look(clock()))
         return None
 
-    def _say_unsaid(self) -> None:
-        while self._unsaid:
-            say, cause, text = self._unsaid.popleft()
+    def _log_what_waits(self) -> None:
+        while self._unlogged:
+            say, cause, text = self._unlogged.popleft()
             say(cause, text)
 
     def _end_with_speed_0(self) -> None:
@@ -318,15 +319,15 @@ class ArduinoLink(Link):
             except (PortBusy, PortError):
                 pass
 
-    def _calibrated(self, why: str) -> None:
+    def _calibrated(self, end: Optional[End]) -> None:
         """The calibration is over, if there is a reason."""
-        if not why:
+        if end is None:
             return
         self._calibration = None
-        if why == BACK:
-            self.log.info('calibrated', why)
+        if end is End.BACK:
+            self.log.info('calibrated', end.value)
         else:
-            self.log.warn('not calibrated', why)
+            self.log.warn('not calibrated', end.value.format(self.settings.calibration_timeout))
         if self._on_calibrating:
             self._on_calibrating(False)
 

@@ -3,17 +3,22 @@
 Pure rules: no port, no thread, no clock. `now` is in seconds of a clock that also runs while the
 computer is suspended. Whoever owns the port asks what is due, and says what has been sent.
 """
+import enum
 from typing import Optional
 
 _REPEAT_PERIOD = 0.05    # s from one SPEED 0 of a stop to the next …
 _REPEAT_FOR = 1.0        # … until so long after the first: the line may lose any of them
 _EARLY = 0.005           # s by which the next one may be early, lest it waits for another heartbeat
 _STALL = 0.5             # s without the heart at work that make a stall; no parameter changes it
-_DEAF = 0.5              # s after a standstill in which what was commanded meanwhile still comes
+_OLD_COMMANDS = 0.5      # s after a stall in which what was commanded meanwhile still comes
 
-IN_DOUBT = 'in doubt'
-TIMED_OUT = 'timed out'
-REPEATED = 'repeated'
+
+class Stop(enum.Enum):
+    """Why SPEED 0 has to be sent."""
+
+    IN_DOUBT = 'the board may hold any speed'
+    TIMED_OUT = 'no speed has been commanded for too long'
+    REPEATED = 'the line may have lost the one before'
 
 
 class Motor:
@@ -33,7 +38,7 @@ class Motor:
         self._repeat_at = 0.0
         self._repeat_until = float('-inf')
         self._awake_at = now
-        self._deaf_until = now
+        self._ignores_until = now
 
     def sent(self, speed: int, now: float) -> None:
         """This speed has been handed to an open port."""
@@ -54,40 +59,40 @@ class Motor:
         """A calibration begins, whose board reads everything minutes later."""
         self._repeat_until = float('-inf')
 
-    def due(self, now: float) -> str:
-        """Why SPEED 0 has to be sent now: one of the words above, or nothing."""
+    def due(self, now: float) -> Optional[Stop]:
+        """Why SPEED 0 has to be sent now, or None."""
         if self.in_doubt:
-            return IN_DOUBT
+            return Stop.IN_DOUBT
         if self.moving:
-            return TIMED_OUT if self._speed_timeout and now >= self._speed_due else ''
+            return Stop.TIMED_OUT if self._speed_timeout and now >= self._speed_due else None
         repeat_at = self._repeat_at - _EARLY
-        return REPEATED if repeat_at <= now and repeat_at <= self._repeat_until else ''
+        return Stop.REPEATED if repeat_at <= now and repeat_at <= self._repeat_until else None
 
-    def stood_still(self, now: float, receiving_at: float = float('inf')) -> Optional[float]:
-        """The seconds of a standstill that has just been noticed, or None.
+    def noticed_stall(self, now: float, receiving_at: float = float('inf')) -> Optional[float]:
+        """The seconds of a stall that has just been noticed, or None.
 
         To be asked before anything is sent: the board may hold an old speed, and what was
-        commanded during the standstill comes now, all at once.
+        commanded during the stall comes now, all at once.
 
         Args:
             receiving_at: when the threads that receive were last at work; infinite: there is
                 nothing to receive. Where they stall alone, that is noticed while it lasts.
         """
-        stood = now - min(self._awake_at, receiving_at)
-        if stood <= _STALL:
+        seconds = now - min(self._awake_at, receiving_at)
+        if seconds <= _STALL:
             return None
-        noticed_before = self.deaf(now)
+        noticed_before = self.ignores_commands(now)
         self._awake_at = now
-        self._deaf_until = now + _DEAF
+        self._ignores_until = now + _OLD_COMMANDS
         if noticed_before:
             return None
         self.expect_any_speed()
-        return stood
+        return seconds
 
     def awake(self, now: float) -> None:
-        """The heart's thread, which nothing but a standstill keeps from it, is at work."""
+        """The heart's thread, which nothing but a stall keeps from it, is at work."""
         self._awake_at = now
 
-    def deaf(self, now: float) -> bool:
-        """Whether a command that comes now may be of the time of a standstill."""
-        return now < self._deaf_until
+    def ignores_commands(self, now: float) -> bool:
+        """Whether a command that comes now may be of the time of a stall."""
+        return now < self._ignores_until

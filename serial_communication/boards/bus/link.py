@@ -5,6 +5,7 @@ from typing import Any, Callable, List, NamedTuple, Optional, Tuple
 
 from ...framing.layout import Layout
 from ...framing.stream import Frame
+from ...link.backlog import LONGEST_SLEEP
 from ...link.link import ERROR, OK, WARN, Link
 from ...link.outcome import NOT_SENT, Outcome
 from ...transport.pace import Every
@@ -71,7 +72,7 @@ class BusLink(Link):
         self._on_environment = on_environment
         self._pollers: List[_Poller] = []
         self._blocked_until = 0.0
-        self._all_read = False      # the port has been looked at since the latest frame
+        self._due = 0.0         # when something is due by time, at the latest
         if settings.environment_period:
             self.poll(settings.environment_period, wire.ENVIRONMENT_REQUEST,
                       wire.Environment.LAYOUT, self._environment_came)
@@ -170,16 +171,15 @@ class BusLink(Link):
         for poller in self._pollers:
             poller.start(now)
         self.master.connected(now)
+        self._due = now
 
     def closed(self, now: float) -> None:
         self.master.disconnected(now, self._trouble or 'the bridge is stopping')
 
     def idle(self, now: float) -> Optional[float]:
-        self.master.tick(now)
-        return self.master.deadline(now)
+        return self.master.step(now, may_send=False)[1]
 
     def received(self, frame: Frame, now: float) -> None:
-        self._all_read = False
         self.master.received(frame, now)
 
     def shown(self, frame: Frame) -> Frame:
@@ -189,47 +189,36 @@ class BusLink(Link):
         return frame._replace(message=request.function.answer(frame.message))
 
     def damaged(self, frame: Frame, now: float) -> None:
-        self._all_read = False
         self.master.damaged(frame, now)
 
     def stalled(self, seconds: float, now: float) -> None:
-        self._missed('the bridge stalled', now)
+        self.master.missed('the bridge stalled', now)
 
     def altered(self, now: float) -> None:
-        self._missed('the settings of the port were changed', now)
-
-    def _missed(self, why: str, now: float) -> None:
-        self._all_read = False
-        self.master.missed(why, now)
+        self.master.missed('the settings of the port were changed', now)
 
     def tick(self, now: float) -> Optional[float]:
-        master = self.master
-        if master.synchronised:
+        if not self.drained and now < self._due:
+            return now      # nothing may be sent before the port has been read empty
+        times = [now + LONGEST_SLEEP]
+        if self.master.synchronised:
             for poller in self._pollers:
                 poller.tick(now)
-        master.tick(now)
-        # A request leaves only when everything received before it has been taken in: unless a
-        # read has found nothing since the latest frame, the link reads first and comes back.
-        if master.wants_to_send(now) and not self.decoder.pending and not self.drops:
-            if now < self._blocked_until:
-                return self._blocked_until
-            if not self._all_read:
-                self._all_read = True
-                return now
-            self._send_next(now)
-            if master.wants_to_send(now):
-                return max(now, self._blocked_until)
-        times = [poller.pace.due for poller in self._pollers] if master.synchronised else []
-        deadline = master.deadline(now)
-        if deadline is not None:
-            times.append(deadline)
-        return min(times) if times else None
+                times.append(poller.pace.due)
+        # A request leaves only when everything received before it has been taken in.
+        may_send = (self.drained and not self.decoder.pending and not self.drops
+                    and now >= self._blocked_until)
+        request, wake_at = self.master.step(now, may_send)
+        if request is not None:
+            self._send_request(request, now)
+        if wake_at is not None:
+            times.append(wake_at)
+        if now < self._blocked_until:
+            times.append(self._blocked_until)
+        self._due = min(times)
+        return self._due if self.drained else now
 
-    def _send_next(self, now: float) -> None:
-        request = self.master.next_request(now)
-        if request is None:
-            return
-        self._all_read = False
+    def _send_request(self, request: wire.Request, now: float) -> None:
         frame = wire.encode_request(request, self.settings.environment_datelen)
         try:
             self.send(frame, request.cmd1, request.cmd2, request.data, request)
@@ -254,11 +243,8 @@ class BusLink(Link):
 
     def talks(self, now: float) -> Optional[bool]:
         # It talks only when it is asked.
-        amiss = self.master.condition()
-        if amiss is Condition.READY:
-            return True
         # That it answers no ECHO is reported by the master: there are boards that know none.
-        return self.is_silent(now) if amiss is Condition.NO_SYNC else None
+        return {Condition.READY: True, Condition.NO_SYNC: False}.get(self.master.condition())
 
     def silence(self) -> str:
         return (f'{self.master.condition().value}; asking on: has it power, is it wired, and is '

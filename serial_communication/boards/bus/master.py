@@ -1,7 +1,8 @@
 """The Master's session on a robot-ctrl-bus: what may be sent when, and what an answer means.
 
 A state machine without I/O and without a clock: whoever owns the port says what came and what
-time it is, asks `next_request` what to send, and sleeps until `deadline`. The rules it keeps:
+time it is, and calls `step`, which returns what to send and when to call it again. The rules it
+keeps:
 
 1. One request is outstanding, ever. Callers queue; calls go before polls.
 2. After a connect, and after INVALID "not synchronised", SYNC until the board answers; nothing
@@ -37,7 +38,7 @@ import os
 import threading
 from collections import deque
 from dataclasses import dataclass
-from typing import Any, Callable, Deque, List, Optional
+from typing import Any, Callable, Deque, List, Optional, Tuple
 
 from ...framing.layout import Layout
 from ...framing.stream import CHECKSUM, Frame
@@ -81,6 +82,7 @@ class Call:
         # Whether the INVALID that ended that try may have been said of noise. An ECHO that
         # returns with no other reply before it confirms that it was said of this request.
         self.invalid_unconfirmed = False
+        self.expires = float('inf')     # while it waits: when its turn must have come
         self.outcome: Optional[Outcome] = None
         self._sent = False
         self._lock = threading.Lock()
@@ -270,14 +272,30 @@ class Master:
 
     # -- what to do ---------------------------------------------------------------------
 
-    def tick(self, now: float) -> None:
-        """Time has passed, or a call was submitted."""
+    def step(self, now: float,
+             may_send: bool = True) -> Tuple[Optional[wire.Request], Optional[float]]:
+        """Do what is due by time.
+
+        Args:
+            may_send: False: nothing can leave the port now.
+
+        Returns:
+            The request to send now, which is outstanding from here on, or None; and when to call
+            this again at the latest, or None.
+        """
         self._queue_submitted()
         exchange = self._exchange
         if exchange is not None and now >= exchange.deadline:
             self._exchange = None
             self._timeout_handlers[exchange.kind](exchange, now)
         self._abandon_overdue(now)
+        request, quiet_until = self._next_request(now) if may_send else (None, None)
+        times = [self._expiry(call) for call in self._waiting()]
+        if quiet_until is not None:
+            times.append(quiet_until)
+        if self._exchange is not None:
+            times.append(self._exchange.deadline)
+        return request, min(times, default=None)
 
     @property
     def synchronised(self) -> bool:
@@ -294,11 +312,6 @@ class Master:
         """What is outstanding."""
         return self._exchange.request if self._exchange else None
 
-    @property
-    def outstanding(self) -> bool:
-        """Whether a request waits for its reply."""
-        return self._exchange is not None
-
     def condition(self) -> Condition:
         """What is amiss with the board."""
         if not self.synchronised:
@@ -307,53 +320,8 @@ class Master:
             return Condition.NO_ECHO if self._unanswered_echoes else Condition.OUT_OF_STEP
         return Condition.READY
 
-    def deadline(self, now: float) -> Optional[float]:
-        """When something is due: `tick` must be called then at the latest."""
-        times = [self._abandoned_at(call) for call in self._waiting()]
-        if self._exchange is not None:
-            times.append(self._exchange.deadline)
-        elif self.in_step and now < self._quiet_until():
-            times.append(self._quiet_until())
-        return min(times) if times else None
-
-    def wants_to_send(self, now: float) -> bool:
-        """Whether `next_request` has one."""
-        if self.state is State.CLOSED or self._exchange is not None:
-            return False
-        if not self.in_step:
-            return True
-        return self._next_call() is not None and now >= self._quiet_until()
-
-    def next_request(self, now: float) -> Optional[wire.Request]:
-        """The request to send now, which is outstanding from here on."""
-        if not self.wants_to_send(now):
-            return None
-        if self.state is State.UNSYNCHRONISED:
-            return self._send(_Kind.SYNC, wire.SYNC_REQUEST, now)
-        if self.state is State.OUT_OF_STEP:
-            if self._unanswered_echoes < ECHO_TRIES:
-                return self._send(_Kind.ECHO, wire.echo(self._nonce()), now)
-            return self._send(_Kind.SYNC, wire.SYNC_REQUEST, now)
-        while True:
-            call = self._next_call()
-            if call is None:
-                return None
-            if call.outcome is not None:      # its caller has gone
-                self._remove(call)
-            elif call is self._retry and not call.tries:
-                self._remove(call)
-                call.finish(call.last_try)
-            elif self._needs_echo(call):
-                return self._send(_Kind.ECHO, wire.echo(self._nonce()), now)
-            elif now < self._quiet_until():
-                return None
-            else:
-                self._remove(call)
-                if call.claim():
-                    return self._send_call(call, now)
-
     def not_sent(self, why: str) -> None:
-        """The request that `next_request` gave did not leave the port."""
+        """The request that `step` returned did not leave the port."""
         exchange, self._exchange = self._exchange, None
         if exchange is not None and exchange.call:
             exchange.call.finish(exchange.call.last_try
@@ -370,18 +338,6 @@ class Master:
         """Whether a reply to the request before it could seem to answer it."""
         return call.always_fenced or (call.poll and call.request != self._latest_request)
 
-    def _needs_echo(self, call: Call) -> bool:
-        """Whether an ECHO must return before this call's request goes out."""
-        return (self.state is State.IN_STEP and not self._never_echoes
-                and self._needs_fence(call))
-
-    def _quiet_until(self) -> float:
-        """When the next call's request may go out to a board that never echoes."""
-        call = self._next_call()
-        if call is None or not self._never_echoes or not self._needs_fence(call):
-            return 0.0
-        return self._last_received + QUIET
-
     def _out_of_step(self, why: str) -> None:
         if self.in_step:
             self._log.warn('out of step', f'out of step: {why}; finding it again with an ECHO')
@@ -389,6 +345,33 @@ class Master:
             self.state = State.OUT_OF_STEP
 
     # -- sending ------------------------------------------------------------------------
+
+    def _next_request(self, now: float) -> Tuple[Optional[wire.Request], Optional[float]]:
+        """The request to send now; or until when there has to be silence before the next one."""
+        if self._exchange is not None or self.state is State.CLOSED:
+            return None, None
+        if not self.synchronised:
+            return self._send(_Kind.SYNC, wire.SYNC_REQUEST, now), None
+        if not self.in_step:
+            return (self._send_echo(now) if self._unanswered_echoes < ECHO_TRIES else
+                    self._send(_Kind.SYNC, wire.SYNC_REQUEST, now)), None
+        while True:
+            call = self._next_call()
+            if call is None:
+                return None, None
+            if call.tries and self._needs_fence(call):
+                if not self._never_echoes and self.state is not State.FENCED:
+                    return self._send_echo(now), None
+                if self._never_echoes and now < self._last_received + QUIET:
+                    return None, self._last_received + QUIET
+            self._remove(call)
+            if not call.tries:      # all that it waited for was what its last try meant
+                call.finish(call.last_try)
+            elif call.claim():
+                return self._send_call(call, now), None
+
+    def _send_echo(self, now: float) -> wire.Request:
+        return self._send(_Kind.ECHO, wire.echo(self._nonce()), now)
 
     def _send(self, kind: _Kind, request: wire.Request, now: float) -> wire.Request:
         return self._begin(_Exchange(kind, request, now, now + self._reply_timeout))
@@ -559,6 +542,10 @@ class Master:
         self._served_until = now
         call = exchange.call
         call.last_try = outcome
+        call.expires = now + self._longest_turn
+        if call.invalid_unconfirmed:    # its caller waits for the ECHO behind that alone
+            call.expires = min(now + max(call.timeout, PATIENCE),
+                               call.submitted + self._longest_turn + call.timeout)
         if call.poll:
             self._polls.appendleft(call)
         else:
@@ -590,6 +577,7 @@ class Master:
     def _queue_submitted(self) -> None:
         while self._submitted:
             call = self._submitted.popleft()
+            call.expires = call.submitted + self._longest_turn
             (self._polls if call.poll else self._calls).append(call)
         if self.state is State.CLOSED:
             for call in self._waiting():
@@ -605,37 +593,23 @@ class Master:
             except ValueError:
                 pass
 
-    def _abandoned_at(self, call: Call) -> float:
-        """When a call that waits returns that it was not sent, or not sent again."""
-        if call.invalid_unconfirmed:
-            return self._confirmation_limit(call)
+    def _expiry(self, call: Call) -> float:
+        """When a call that waits returns that it was not sent, or not sent again.
+
+        Sooner while the link serves nobody. But an ECHO may be answered only after what the board
+        is busy with: a move, say.
+        """
         exchange = self._exchange
-        serving = exchange is not None and exchange.kind is _Kind.CALL
-        if serving or (self.in_step and not call.last_try):
-            return self._turn_limit(call)
-        return self._recovery_limit(call)
-
-    def _turn_limit(self, call: Call) -> float:
-        """Of a call that waits for others to be served."""
-        since = max(call.submitted, self._served_until) if call.last_try else call.submitted
-        return since + self._longest_turn
-
-    def _recovery_limit(self, call: Call) -> float:
-        """Of a call that waits for the board to answer SYNC or ECHO: soon, if it is deaf."""
-        # An ECHO may be answered only after what the board is busy with: a move, say.
+        if self.in_step or (exchange is not None and exchange.kind is _Kind.CALL):
+            return call.expires
         patience = max(PATIENCE, call.timeout) if self.synchronised else PATIENCE
-        return min(self._turn_limit(call), max(call.submitted, self._served_until) + patience)
-
-    def _confirmation_limit(self, call: Call) -> float:
-        """Of a call that waits for the ECHO which tells what an INVALID was said of."""
-        return min(self._served_until + max(call.timeout, PATIENCE),
-                   call.submitted + self._longest_turn + call.timeout)
+        return min(call.expires, max(call.submitted, self._served_until) + patience)
 
     def _abandon_overdue(self, now: float) -> None:
         for call in self._waiting():
             if call.outcome is not None:      # its caller has gone
                 self._remove(call)
-            elif now >= self._abandoned_at(call):
+            elif now >= self._expiry(call):
                 self._abandon(call, self.condition().value or 'the bus is busy with other calls')
 
     def _abandon(self, call: Call, why: str) -> None:

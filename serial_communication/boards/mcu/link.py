@@ -103,7 +103,7 @@ class McuLink(Link):
         return (WARN, 'open, the board is silent') if self.silent else (OK, 'open')
 
     def talks(self, now: float) -> Optional[bool]:
-        return self.is_silent(now) if self.silent else True
+        return not self.silent
 
     def own_values(self) -> List[Tuple[str, Any]]:
         return [('frames lost', self.frames_lost), ('frames doubled', self.duplicates)]

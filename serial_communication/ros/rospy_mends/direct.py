@@ -8,8 +8,7 @@ a queue, which one thread for all slow subscribers sends on as their sockets tak
 That thread is there from the start: a link's thread, which publishes, must not start one, since
 where no memory is left that may never return.
 
-This is written against private parts of rospy, as they are in 1.15.15 (Debian 12) and 1.16.0
-(Noetic). `install` looks whether they are the same, and leaves a rospy that differs as it is.
+This is written against private parts of rospy: see private_parts.py.
 """
 import logging
 import select
@@ -24,7 +23,7 @@ from rospy.exceptions import TransportTerminated
 from rospy.impl.tcpros_base import TCPROSTransport
 from rospy.impl.transport import Transport
 
-from .private_parts import names
+from .private_parts import are_known, names
 
 _PRIVATE = {'_closed_connection_callback', '_cond_data_available', '_connection', '_error',
             '_lock', '_queue', '_queue_size', '_run', '_thread'}    # all of QueuedConnection
@@ -144,12 +143,14 @@ _sender = _Sender()
 
 def install(logger: logging.Logger) -> None:
     """Use it for every subscriber that comes from now on, if rospy is one that it fits."""
-    private = {name for name in names(vars(rospy.topics.QueuedConnection).values())
-               if name.startswith('_') and not name.startswith('__')}
-    if private == _PRIVATE \
-            and _OF_A_TRANSPORT <= names([Transport.__init__, TCPROSTransport.__init__]):
+    if are_known(_is_as_expected, 'sends messages',
+                 "they go through rospy's own threads, which takes more CPU", logger.warning):
         _sender.start()
         rospy.topics.QueuedConnection = DirectConnection
-    else:
-        logger.warning('this rospy sends messages in another way than 1.15.15 and 1.16.0: '
-                       "they go through rospy's own threads, which takes more CPU")
+
+
+def _is_as_expected() -> bool:
+    private = {name for name in names(vars(rospy.topics.QueuedConnection).values())
+               if name.startswith('_') and not name.startswith('__')}
+    return (private == _PRIVATE
+            and _OF_A_TRANSPORT <= names([Transport.__init__, TCPROSTransport.__init__]))

@@ -9,8 +9,7 @@ Here that thread waits for all of them at the same time: each has 3 s for its he
 have 64 KB. It needs no thread for each, which might not start, and rospy's handlers still run in
 one thread, one after the other, as they are written for.
 
-This is written against private parts of rospy, as they are in 1.15.15 (Debian 12) and 1.16.0
-(Noetic). A rospy that differs is left as it is, and a line says so.
+This is written against private parts of rospy: see private_parts.py.
 """
 import selectors
 import socket
@@ -21,7 +20,7 @@ from rosgraph.network import decode_ros_handshake_header
 from rospy.impl import tcpros_base
 
 from ...link.sparing_log import SparingLog
-from .private_parts import names
+from .private_parts import are_known, names
 from .shortage import PAUSE, advice
 
 _PATIENCE = 3.0         # s for a whole header
@@ -157,14 +156,17 @@ class _Door:
         self._log.warn('refused', f'the connection from {newcomer.address[0]} was closed: {why}')
 
 
+def _is_as_expected() -> bool:
+    return (hasattr(tcpros_base, _READ) and names([tcpros_base.TCPServer.run]) == _RUN
+            and _READ in names([tcpros_base.TCPROSServer._tcp_server_callback]))
+
+
 def install(log: SparingLog) -> None:
     """Have it so; to be called before anybody can connect."""
-    read = getattr(tcpros_base, _READ, None)
-    if names([tcpros_base.TCPServer.run]) != _RUN or read is None \
-            or _READ not in names([tcpros_base.TCPROSServer._tcp_server_callback]):
-        log.always_warn('this rospy takes connections in another way than 1.15.15 and 1.16.0: one '
-                        'that says nothing may hold up the others')
+    if not are_known(_is_as_expected, 'takes connections',
+                     'one that says nothing may hold up the others', log.always_warn):
         return
+    read = getattr(tcpros_base, _READ)
     headers: Dict[socket.socket, bytes] = {}
 
     def header_of(connection: socket.socket, *arguments: Any) -> Any:

@@ -4,8 +4,7 @@ rospy ends with a traceback where its log file belongs to somebody else (one `su
 disk has no inode left, and says nothing at all, on the terminal either, where it cannot make the
 folder.
 
-This is written against rosgraph as it is in 1.15.15 (Debian 12) and 1.16.0 (Noetic). Another one
-is left as it is, and a line says so.
+This is written against private parts of rosgraph: see private_parts.py.
 """
 import inspect
 import logging
@@ -17,6 +16,8 @@ import rosgraph.roslogging
 import rospkg
 import rospy
 
+from .private_parts import are_known
+
 _configure = rosgraph.roslogging.configure_logging
 _PARAMETERS = ['logname', 'level', 'filename', 'env']
 _LOGGER = logging.getLogger('rosout')
@@ -24,13 +25,14 @@ _LOGGER = logging.getLogger('rosout')
 
 def init_node(name: str, **arguments: Any) -> None:
     """`rospy.init_node`, whether its log file can be written or not."""
-    known = list(inspect.signature(_configure).parameters) == _PARAMETERS
-    if known:
+    warnings = []       # kept until there is a log
+    if are_known(lambda: list(inspect.signature(_configure).parameters) == _PARAMETERS,
+                 'sets up logging', 'where the log file cannot be written, programs do not start',
+                 warnings.append):
         rosgraph.roslogging.configure_logging = _configure_anyhow
     rospy.init_node(name, **arguments)
-    if not known:
-        _LOGGER.warning('this rosgraph sets up logging in another way than 1.15.15 and 1.16.0: '
-                        'where the log file cannot be written, programs do not start')
+    for warning in warnings:
+        _LOGGER.warning(warning)
 
 
 def _configure_anyhow(logname: str, level: int = logging.INFO, filename: Optional[str] = None,

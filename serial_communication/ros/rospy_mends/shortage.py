@@ -5,8 +5,7 @@ as long as there is no descriptor, the loop that connects to new publishers ends
 does not start, and a publisher whose thread did not start counts as connected. Here the first
 waits for a moment, and the others try again until there is a thread.
 
-This is written against private parts of rospy and rosgraph, as they are in 1.15.15 (Debian 12)
-and 1.16.0 (Noetic). Another rospy is left as it is, and a line says so.
+This is written against private parts of rospy and rosgraph: see private_parts.py.
 """
 import errno
 import resource
@@ -21,6 +20,7 @@ import rospy
 from rospy.impl import registration, tcpros_pubsub
 
 from ...link.sparing_log import SparingLog
+from .private_parts import are_known
 
 PAUSE = 0.1     # s until the next try
 _MODULES = registration, tcpros_pubsub      # what starts the threads of connections to publishers
@@ -38,14 +38,17 @@ def advice(error: OSError) -> str:
     return f'cannot accept a connection ({error}); nobody new is served until that is over'
 
 
+def _is_as_expected() -> bool:
+    server = rosgraph.xmlrpc.ThreadingXMLRPCServer
+    return (issubclass(server, socketserver.TCPServer) and 'get_request' not in vars(server)
+            and all(module.threading is threading for module in _MODULES))
+
+
 def install(log: SparingLog) -> None:
     """Have it so; to be called before rospy.init_node."""
-    server = rosgraph.xmlrpc.ThreadingXMLRPCServer
-    if not issubclass(server, socketserver.TCPServer) or 'get_request' in vars(server) \
-            or any(getattr(module, 'threading', None) is not threading for module in _MODULES):
-        log.always_warn('this rospy takes calls and connects in another way than 1.15.15 and '
-                        '1.16.0: after a shortage of file descriptors or memory it may need a '
-                        'restart')
+    if not are_known(_is_as_expected, 'takes calls and connects',
+                     'after a shortage of file descriptors or memory it may need a restart',
+                     log.always_warn):
         return
 
     def get_request(self: socketserver.TCPServer) -> Tuple[Any, Any]:
@@ -73,6 +76,6 @@ def install(log: SparingLog) -> None:
                                        '(ulimit -v, ulimit -u)')
                     time.sleep(PAUSE)
 
-    server.get_request = get_request
+    rosgraph.xmlrpc.ThreadingXMLRPCServer.get_request = get_request
     for module in _MODULES:
         module.threading = types.SimpleNamespace(**{**vars(threading), 'Thread': PatientThread})

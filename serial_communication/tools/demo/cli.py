@@ -18,7 +18,7 @@ from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 from serial_communication.srv import Gimbal, Lift
 
 from ...link.outcome import LOOK, Verdict
-from ...output import print_line_by_line
+from ...output import prepare_output
 from ...ros.answers import read_error, read_response
 from ...ros.master import wait_for_master
 from ...ros.rospy_mends.log_file import init_node
@@ -126,7 +126,7 @@ def _arguments(argv: Optional[List[str]]) -> argparse.Namespace:
 
 def main(argv: Optional[List[str]] = None) -> int:
     """Show the table; 1 if, after --duration, something had not been shown to work."""
-    print_line_by_line()
+    prepare_output()
     options = _arguments(argv)
     state = State(options.boards, options.links, options.move, options.setup,
                   rosgraph.get_master_uri(), options.page)

@@ -14,7 +14,7 @@ from typing import List, Optional
 import rosgraph
 import rospy
 
-from ...output import print_line_by_line
+from ...output import prepare_output
 from ...ros.master import wait_for_master
 from ...ros.rospy_mends.log_file import init_node
 from ..watch.state import BridgeState, ago
@@ -28,7 +28,7 @@ _COLLECT = 3.0      # s that --once then counts: what comes once a second has co
 
 def main(argv: Optional[List[str]] = None) -> int:
     """Run it; returns the exit status."""
-    print_line_by_line()
+    prepare_output()
     options = _arguments(argv)
     bridge = BridgeState(options.node, master=rosgraph.get_master_uri())
     stopping = threading.Event()

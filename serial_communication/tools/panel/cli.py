@@ -20,13 +20,12 @@ import rospy
 import tornado.ioloop
 
 from ...link.sparing_log import SparingLog
-from ...output import print_line_by_line
+from ...output import prepare_output
 from ...ros.last_resort import LastResort
 from ...ros.master import full_name, living_node
 from ...ros.rospy_mends import background_logging
 from ...ros.rospy_mends.log_file import init_node
 from ...ros.rospy_mends.master_watch import MasterWatch
-from ...transport.terminal import write_in_background
 from ..watch.topics import NODE
 from ..watch.watcher import leave
 from .commands import Commands
@@ -134,7 +133,7 @@ class _Ros:
 
 def main(argv: Optional[List[str]] = None) -> int:
     """Serve until a signal; the exit status."""
-    print_line_by_line()
+    prepare_output()
     background_logging.install()
     status = 1
     try:
@@ -157,7 +156,6 @@ def _serve(argv: Optional[List[str]]) -> int:
               'choose others with --bind and --port', file=sys.stderr)
         return 1
 
-    write_in_background()
     loop = tornado.ioloop.IOLoop.current()
     log = SparingLog('panel', logging.getLogger('rosout'))
     node = rospy.names.resolve_name(options.node)

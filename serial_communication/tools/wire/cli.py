@@ -4,8 +4,7 @@ import re
 import sys
 from typing import List, Optional
 
-from ...output import print_line_by_line
-from ...transport.terminal import write_in_background
+from ...output import prepare_output
 from . import explain, listen, play, stats, tap
 from .show import complain, no_more_output
 
@@ -30,7 +29,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
 
     A disk that is full, or a reader that has gone, costs one line at most.
     """
-    print_line_by_line()
+    prepare_output()
     try:
         try:
             return _run(arguments)
@@ -61,7 +60,6 @@ def _run(arguments: Optional[List[str]]) -> int:
         options.hex += rest     # bytes behind an option: argparse takes no second helping
     elif rest:
         parser.error(f'unrecognized arguments: {" ".join(rest)}')
-    write_in_background()
     return PROGRAMS[options.program].run(options)
 
 

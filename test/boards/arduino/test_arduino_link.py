@@ -16,6 +16,7 @@ from serial_communication.boards.arduino import calibration as calibration_modul
 from serial_communication.boards.arduino import heart as heart_module
 from serial_communication.boards.arduino.link import ArduinoLink, ArduinoSettings
 from serial_communication.link.link import OK, WARN, Refused
+from serial_communication.transport import pace
 from serial_communication.transport.port import Port, PortBusy
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.arduino.wire import (Heartbeat, ImuCalibration, LedCommand,
@@ -211,6 +212,18 @@ def test_a_command_whose_warning_hangs_holds_no_heartbeat_up(open_link, monkeypa
     assert command.is_alive()
     hang.set()
     command.join()
+
+
+def test_a_warning_of_the_heart_that_hangs_holds_no_heartbeat_up(board, open_link, monkeypatch):
+    link = open_link(STEADY._replace(speed_timeout=0.05))
+    entered, hang = threading.Event(), threading.Event()
+    monkeypatch.setattr(link.log, 'warn', lambda *_: entered.set() or hang.wait(PATIENCE))
+    link.set_speed(300)
+    until(entered.is_set)
+    before = board.heartbeats()
+    until(lambda: board.heartbeats() >= before + 30)
+    assert board.commands() == [SpeedCommand(300), SpeedCommand(0)] and not hang.is_set()
+    hang.set()
 
 
 def test_after_a_stall_the_heartbeats_missed_do_not_follow_all_at_once(board, open_link):
@@ -420,7 +433,7 @@ def standstill(monkeypatch):
 
     skipped = [0.0]
     real = heart_module.clock
-    for module in (heart_module, link_module):
+    for module in (pace, heart_module, link_module):
         monkeypatch.setattr(module, 'clock', lambda: real() + skipped[0])
     return stand_still
 
@@ -483,7 +496,7 @@ def test_a_standstill_while_the_port_is_closed_counts(board, open_link, standsti
         standstill(link, 5.0)
         with pytest.raises(Refused) as refused:
             link.set_speed(1)
-        assert refused.value.cause == 'standstill'
+        assert refused.value.cause == 'stall'
 
 
 STOPPED = ("import logging, sys\n"
@@ -525,7 +538,7 @@ def test_where_only_receiving_stalls_the_heart_goes_on_and_the_car_stands(
     for command in (lambda: link.set_speed(1), lambda: link.set_steering(1500)):
         with pytest.raises(Refused) as refused:
             command()
-        assert refused.value.cause == 'standstill'
+        assert refused.value.cause == 'stall'
     free.set()
     with pytest.raises(Refused):
         link.set_speed(1)       # it may have waited as long
@@ -540,11 +553,11 @@ _PINNED = """\
 import logging, os, sys
 from serial_communication.boards.arduino.link import ArduinoLink, ArduinoSettings
 from serial_communication.link.link import Refused
-from serial_communication.transport.pace import all_be_quick
+from serial_communication.transport.pace import set_priority_of_all
 from serial_communication.transport.port import Port
 os.sched_setaffinity(0, {int(sys.argv[2])})
 link = ArduinoLink(Port(sys.argv[1]), ArduinoSettings(speed_timeout=0.0))
-all_be_quick(1)     # as the node does; the heart then takes more
+set_priority_of_all(1)     # as the node does; the heart then takes more
 link.start()
 for command in sys.stdin:
     try:
@@ -602,7 +615,7 @@ def test_a_hog_that_keeps_the_bridge_from_receiving_lets_no_old_command_drive(
         command(300)
         assert hog.wait() == 0
         hog.stdout.close()
-        assert bridge.stdout.readline() == 'refused standstill\n'
+        assert bridge.stdout.readline() == 'refused stall\n'
         until(lambda: command(200) or bridge.stdout.readline() == 'accepted\n')
         until(lambda: SpeedCommand(200) in board.messages())
         assert board.commands() == [SpeedCommand(0), SpeedCommand(200)]

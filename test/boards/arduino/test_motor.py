@@ -1,7 +1,7 @@
 """When the motor must be told SPEED 0: rules with a clock of the test's own."""
 import pytest
 
-from serial_communication.boards.arduino.motor import IN_DOUBT, REPEATED, TIMED_OUT, Motor
+from serial_communication.boards.arduino.motor import Motor, Stop
 
 
 @pytest.fixture
@@ -28,9 +28,9 @@ def repetitions(motor, begin, end):
 
 def test_a_new_one_is_in_doubt_until_speed_0_is_sent():
     motor = Motor(0.5, 0.0)
-    assert motor.in_doubt and motor.moving and motor.due(0.0) == IN_DOUBT
+    assert motor.in_doubt and motor.moving and motor.due(0.0) is Stop.IN_DOUBT
     motor.sent(0, 0.0)
-    assert not motor.in_doubt and not motor.moving and motor.due(0.01) == ''
+    assert not motor.in_doubt and not motor.moving and motor.due(0.01) is None
 
 
 def test_a_stop_is_repeated_every_50_ms_for_a_second(motor):
@@ -57,30 +57,30 @@ def test_a_speed_ends_them_and_a_calibration_too(motor):
     motor.sent(500, 100.0)
     motor.sent(0, 100.0)
     motor.sent(1, 100.1)
-    assert motor.due(100.2) == ''
+    assert motor.due(100.2) is None
     motor.sent(0, 100.2)
     motor.repeat_no_more()
-    assert motor.due(100.3) == ''
+    assert motor.due(100.3) is None
 
 
 def test_a_speed_times_out(motor):
     motor.sent(500, 100.0)
     motor.sent(400, 100.4)
-    assert motor.due(100.89) == '' and motor.due(100.91) == TIMED_OUT
+    assert motor.due(100.89) is None and motor.due(100.91) is Stop.TIMED_OUT
     motor.sent(0, 100.91)
-    assert motor.due(100.96) == REPEATED
+    assert motor.due(100.96) is Stop.REPEATED
 
 
 def test_a_timeout_of_0_is_never():
     motor = Motor(0.0, 0.0)
     motor.sent(0, 0.0)
     motor.sent(500, 0.0)
-    assert motor.due(1e6) == ''
+    assert motor.due(1e6) is None
 
 
 def test_doubt_makes_any_stop_begin_again(motor):
     motor.expect_any_speed()
-    assert motor.due(100.0) == IN_DOUBT
+    assert motor.due(100.0) is Stop.IN_DOUBT
     motor.sent(0, 100.0)
     assert len(repetitions(motor, 100.0, 102.0)) == 20
 
@@ -88,24 +88,24 @@ def test_doubt_makes_any_stop_begin_again(motor):
 def test_repetitions_that_a_busy_computer_missed_do_not_follow_all_at_once(motor):
     motor.sent(500, 100.0)
     motor.sent(0, 100.0)
-    assert motor.due(100.4) == REPEATED
+    assert motor.due(100.4) is Stop.REPEATED
     motor.sent(0, 100.4)
-    assert motor.due(100.42) == '' and motor.due(100.45) == REPEATED
+    assert motor.due(100.42) is None and motor.due(100.45) is Stop.REPEATED
 
 
-def test_a_standstill_is_told_once_and_makes_deaf_for_a_while(motor):
-    assert motor.stood_still(100.5) is None
-    assert motor.stood_still(105.0) == pytest.approx(5.0)
-    assert motor.due(105.0) == IN_DOUBT and motor.deaf(105.0) and motor.deaf(105.4)
-    assert motor.stood_still(105.0) is None
-    assert not motor.deaf(105.6)
+def test_a_stall_is_noticed_once_and_commands_are_ignored_for_a_while(motor):
+    assert motor.noticed_stall(100.5) is None
+    assert motor.noticed_stall(105.0) == pytest.approx(5.0)
+    assert motor.due(105.0) is Stop.IN_DOUBT and motor.ignores_commands(105.0) and motor.ignores_commands(105.4)
+    assert motor.noticed_stall(105.0) is None
+    assert not motor.ignores_commands(105.6)
 
 
 @pytest.mark.parametrize('speed_timeout', [0.0, 0.01, 0.5, 10.0])
 def test_a_stall_is_longer_than_half_a_second_whatever_the_speed_timeout_is(speed_timeout):
     motor = Motor(speed_timeout, 100.0)
-    assert motor.stood_still(100.49) is None and motor.stood_still(100.51) is not None
-    assert motor.due(100.51) == IN_DOUBT and motor.deaf(100.51)
+    assert motor.noticed_stall(100.49) is None and motor.noticed_stall(100.51) is not None
+    assert motor.due(100.51) is Stop.IN_DOUBT and motor.ignores_commands(100.51)
 
 
 def test_threads_that_receive_nothing_are_a_stall_though_the_heart_is_at_work(motor):
@@ -114,20 +114,20 @@ def test_threads_that_receive_nothing_are_a_stall_though_the_heart_is_at_work(mo
     told, told_at, sent = [], [], []
     for beat in range(1, 401):      # the threads that receive are at work again after 3 s
         now = 100.0 + beat / 100
-        stood = motor.stood_still(now, 100.0 if now < 103.0 else now)
-        if stood is not None:
-            told.append(stood)
+        stalled_for = motor.noticed_stall(now, 100.0 if now < 103.0 else now)
+        if stalled_for is not None:
+            told.append(stalled_for)
             told_at.append(now)
         motor.awake(now)
         if motor.due(now):
             motor.sent(0, now)
             sent.append(now)
         if abs(now - 100.5) > 0.02 and abs(now - 103.5) > 0.02:
-            assert motor.deaf(now) == (100.5 < now < 103.5)
+            assert motor.ignores_commands(now) == (100.5 < now < 103.5)
     assert told == [pytest.approx(0.51, abs=0.011)]
     assert told_at[0] in sent and len(sent) <= 23, 'as any stop is repeated'
 
 
 def test_where_there_is_nothing_to_receive_only_the_heart_counts(motor):
-    assert motor.stood_still(100.4, float('inf')) is None
-    assert motor.stood_still(100.6, float('inf')) is not None
+    assert motor.noticed_stall(100.4, float('inf')) is None
+    assert motor.noticed_stall(100.6, float('inf')) is not None

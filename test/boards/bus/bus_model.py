@@ -141,6 +141,7 @@ class Model:
         self._line: List[tuple] = []        # (time, number, bytes) on their way to the Master
         self._number = itertools.count()
         self._last_byte = 0.0
+        self._wake_at = None        # when the Master is to be called again
         self._connected = False
         self.connect()
 
@@ -194,9 +195,8 @@ class Model:
                 due.append(self._line[0][0])
             if self._decoder.pending:
                 due.append(self._last_byte + _FRAME_TIMEOUT)
-            deadline = self.master.deadline(self.now)
-            if deadline is not None:
-                due.append(deadline)
+            if self._wake_at is not None:
+                due.append(self._wake_at)
             following = min(due)
             if following >= end:
                 self.now = end
@@ -212,10 +212,7 @@ class Model:
                 self._deliver(self._decoder.feed(wire))
             while self._decoder.pending and self.now >= self._last_byte + _FRAME_TIMEOUT:
                 self._deliver(self._decoder.give_up())
-            self.master.tick(self.now)
-            if self._decoder.pending or not self.master.wants_to_send(self.now):
-                return
-            request = self.master.next_request(self.now)
+            request, self._wake_at = self.master.step(self.now, not self._decoder.pending)
             if request is None:
                 return
             for when, wire in self.board.take(request, self.now):

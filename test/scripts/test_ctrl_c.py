@@ -1,0 +1,38 @@
+"""Ctrl-C ends the campaign and the bench, and all that they have started."""
+from pathlib import Path
+
+import psutil
+import pytest
+from terminal import Terminal
+
+SCRIPTS = Path(__file__).resolve().parents[2] / 'scripts'
+
+
+@pytest.mark.parametrize('name, arguments, says', [
+    ('bench', ['--short', '--only', 'bus'], 'bus ...'), ('soak', [], 'starting')])
+def test_ctrl_c(name, arguments, says, tmp_path):
+    folder = tmp_path / 'a folder'
+    folder.mkdir()
+    if name == 'soak':
+        arguments = ['--keep', str(folder / 'records')]
+    terminal = Terminal(['/bin/bash', '-c', 'cd / && exec "$@"', 'bash', SCRIPTS / name,
+                         *arguments], TMPDIR=str(folder))
+    try:
+        terminal.until(lambda: says in terminal.text(), 'it has begun')
+        assert processes_in(folder)
+        terminal.press(b'\3')
+        terminal.wait()
+    finally:
+        terminal.close()
+    assert terminal.status == 130
+    assert terminal.text().rstrip().endswith('stopped') and 'Traceback' not in terminal.text()
+    assert processes_in(folder) == []
+
+
+def processes_in(folder):
+    """Those that run in a folder below this one."""
+    found = []
+    for process in psutil.process_iter(['cwd', 'name']):
+        if (process.info['cwd'] or '').startswith(str(folder)):
+            found.append(process.info['name'])
+    return found

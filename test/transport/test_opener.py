@@ -1,0 +1,68 @@
+"""An opener and a real tty, which comes and goes."""
+import threading
+import time
+
+import pytest
+
+from fake_boards import until
+from serial_communication.transport.opener import Opener
+from serial_communication.transport.port import Port
+
+
+@pytest.fixture
+def opener(line):
+    port = Port(line.path)
+    made = Opener(port, 'opening')
+    made.port = port
+    made.start()
+    yield made
+    made.end()
+    port.close()
+
+
+def test_a_port_that_is_there_is_opened_without_a_word(opener):
+    failures = []
+    assert opener.open(failures.append)
+    assert opener.port.is_open and not failures
+    assert opener.open(failures.append), 'it is open already'
+
+
+def test_it_tries_until_the_port_is_there_and_calls_back_meanwhile(opener, line):
+    failures, called = [], []
+
+    def idle(now):
+        called.append(now)
+        return now + 0.01
+
+    def failed(trouble):
+        failures.append(trouble)
+        if len(failures) == 3:
+            line.plug()
+
+    line.unplug()
+    began = time.monotonic()
+    assert opener.open(failed, idle) and opener.port.is_open
+    assert len(failures) == 3 and set(failures) == {'there is no such device; waiting for it'}
+    assert time.monotonic() - began >= 0.1 + 0.2 + 0.4, 'pauses that grow'
+    assert len(called) > 10 and called == sorted(called)
+
+
+def test_a_port_that_goes_as_soon_as_it_is_open_is_not_opened_without_a_pause(opener):
+    assert opener.open(pytest.fail)
+    opener.port.close()
+    began = time.monotonic()
+    assert opener.open(pytest.fail)
+    assert time.monotonic() - began >= 0.1
+
+
+def test_the_end_makes_it_return_with_the_port_closed(opener, line):
+    line.unplug()
+    returned = []
+    waiting = threading.Thread(target=lambda: returned.append(opener.open(lambda trouble: None)),
+                               name='waiting')
+    waiting.start()
+    opener.end()
+    until(lambda: returned)
+    waiting.join()
+    assert returned == [False] and not opener.port.is_open
+    assert not opener.open(pytest.fail), 'it has ended'
