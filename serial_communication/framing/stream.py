@@ -10,9 +10,10 @@ keeps the stamp of the read that brought its own last byte.
 import re
 from bisect import bisect_left
 from collections import deque
+from copy import copy
 from typing import Any, Deque, Dict, List, NamedTuple, Protocol, Tuple
 
-from .parts import Part
+from .parts import Part, Parts
 
 CHECKSUM = 'checksum'        # a whole frame whose checksum does not match
 FRAMING = 'framing'          # bytes that are no frame: noise, a false length, a frame cut short
@@ -83,6 +84,10 @@ class Decoder(Protocol):
 
     def reset(self) -> None:
         """Forget what is pending, as after a reconnect; the counts stay."""
+
+    def explain(self, frame: bytes) -> List[Part]:
+        """The parts of one frame; all its bytes as one, unless a decoder knows more."""
+        return Parts(frame).take_rest('frame', '')
 
 
 _PIECE = 4096        # bytes whose XORs are worked out at once
@@ -228,6 +233,30 @@ class StreamDecoder:
     def frame_at(self, at: int) -> Any:
         """What begins at this index, where one of `STARTS` is: `Good`, `Bad` or `Need`."""
         raise NotImplementedError
+
+    def explain(self, frame: bytes) -> List[Part]:
+        """The parts of one frame: what stands before its payload, the payload, and what follows.
+
+        A decoder that knows more overrides it.
+        """
+        apart = copy(self)      # neither what is pending here nor the counts change
+        apart.errors = dict(self.errors)
+        apart.reset()
+        frames, parts = apart.feed(frame), Parts(frame)
+        if not frames:
+            if frame:
+                parts.take_bytes(apart.front + apart.needed, 'frame')
+            return parts.found
+        first = frames[0]
+        start, payload, end = first.raw.partition(first.data) if first.data else \
+            (first.raw, b'', b'')
+        parts.take_bytes(len(start), 'start' if payload else 'frame',
+                         error='' if payload else first.error)
+        if payload:
+            parts.take_bytes(len(payload), 'payload', str(first.message or ''), first.error)
+        if end:
+            parts.take_bytes(len(end), 'end')
+        return parts.take_rest('more', 'does not belong to the frame')
 
     def xor(self, start: int, end: int) -> int:
         """The XOR of buffer[start:end]."""

@@ -1,11 +1,11 @@
-"""Boards of other packages: their modules are imported, and what they say of a board is checked.
+"""Boards of other packages: they are imported, and what they say of themselves is checked.
 
 Whatever is wrong there is told in one line: a traceback would hide which parameter is meant.
 """
 import re
 import threading
 import time
-from typing import Any, Iterable, List, Type
+from typing import Any, Iterable, List, Tuple, Type
 
 import rospy
 
@@ -20,9 +20,10 @@ _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
 
 
 def board_interfaces(names: Any, taken: Iterable[str]) -> List[Type[Interface]]:
-    """The interfaces of the modules with these names.
+    """The interfaces of the boards in these packages.
 
     Args:
+        names: of packages with a DESCRIPTION, or, as up to 1.1, of modules with an INTERFACE.
         taken: names that no board may have.
 
     Raises:
@@ -33,16 +34,19 @@ def board_interfaces(names: Any, taken: Iterable[str]) -> List[Type[Interface]]:
         raise ValueError
     interfaces: List[Type[Interface]] = []
     for name in names:
-        interface = _interface(name)
-        wrong = _wrong(interface, {*taken, *(each.NAME for each in interfaces)})
+        described, interface = _load(name)
+        wrong = _wrong(described, interface, {*taken, *(each.NAME for each in interfaces)})
         if wrong:
             raise ValueError(f'the module {name!r}: {wrong}')
         interfaces.append(interface)
     return interfaces
 
 
-def _interface(name: str) -> Any:
-    """Import it in a thread of its own, so that a signal ends the node though an import hangs."""
+def _load(name: str) -> Tuple[str, Any]:
+    """The name in its DESCRIPTION, '' where it has none, and its INTERFACE or None.
+
+    It is imported in a thread of its own, so that a signal ends the node though an import hangs.
+    """
     outcome: List[Any] = []
     thread = threading.Thread(target=_import, args=(name, outcome), name=f'import {name}',
                               daemon=True)
@@ -63,18 +67,20 @@ def _interface(name: str) -> Any:
 
 def _import(name: str, outcome: List[Any]) -> None:
     try:
-        module = load(name)
+        module, described = load(name), ''
         if hasattr(module, 'DESCRIPTION'):
-            module = load(description(name).package + '.ros')
-        outcome.append(getattr(module, 'INTERFACE', None))      # as up to 1.1 in the module itself
+            board = description(name)
+            module, described = load(board.package + '.ros'), board.name
+        outcome.append((described, getattr(module, 'INTERFACE', None)))
     except BoardError as error:
         outcome.append(error)
 
 
-def _wrong(interface: Any, taken: Iterable[str]) -> str:
+def _wrong(described: str, interface: Any, taken: Iterable[str]) -> str:
     """What an INTERFACE is instead of what it must be, or ''."""
     if interface is None:
-        return 'it has neither a DESCRIPTION of a board nor an INTERFACE'
+        return 'its ros.py has no INTERFACE' if described else \
+            'it has neither a DESCRIPTION of a board nor an INTERFACE'
     if not isinstance(interface, type) or Interface not in interface.__mro__:
         return _other('', interface, 'a class derived from '
                       'serial_communication.ros.interface.Interface')
@@ -83,6 +89,8 @@ def _wrong(interface: Any, taken: Iterable[str]) -> str:
         return _other('.NAME', name, 'letters, digits and _ that begin with a letter')
     if name in taken:
         return _other('.NAME', name, 'a name that no other board and no parameter has')
+    if described and described != name:
+        return _other('.NAME', name, f'{described!r}, the name in its DESCRIPTION')
     parameters = getattr(interface, 'PARAMETERS', None)
     if not isinstance(parameters, dict):
         return _other('.PARAMETERS', parameters, 'a dict of Parameter by name')

@@ -148,8 +148,7 @@ def _parse(arguments: List[str]) -> argparse.Namespace:
     boards = parser.add_subparsers(dest='board', metavar='BOARD', required=True)
     for name in (*BOARDS, *_of_another_package(arguments)):
         try:
-            board = description(name)
-            _add(boards, name, board, load(board.simulator.__module__).__doc__)
+            _add(boards, name, description(name))
         except BoardError as error:
             parser.error(f'there is no board {name}, only {", ".join(BOARDS)}; and as a package '
                          f'with a board: {error}')
@@ -171,11 +170,14 @@ def _of_another_package(arguments: List[str]) -> List[str]:
             and name not in BOARDS]
 
 
-def _add(boards: Any, name: str, described: Description, page: str) -> None:
-    board = described.simulator
+def _add(boards: Any, name: str, described: Description) -> None:
+    module = load(described.package + '.simulator')
+    board = getattr(module, 'BOARD', None)
+    if not isinstance(board, type) or not issubclass(board, Board):
+        raise BoardError(f'the module {module.__name__!r} has no BOARD')
     parser = boards.add_parser(
         name, help=board.SUMMARY, formatter_class=argparse.RawDescriptionHelpFormatter,
-        description=page, epilog=_fault_help(board))
+        description=module.__doc__, epilog=_fault_help(board))
     parser.set_defaults(board_class=board)
     parser.add_argument('--port', required=True, type=_port,
                         help='a device, or whatever pyserial opens')

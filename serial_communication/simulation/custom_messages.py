@@ -1,4 +1,4 @@
-"""Messages and functions of one's own, as simulated boards play and answer them.
+"""Custom messages and functions, as simulated boards play and answer them.
 
 Values wander between their minimum and maximum, or between -100 and 100 where they have none.
 """
@@ -39,7 +39,7 @@ def add_option(parser: argparse.ArgumentParser, board: Description) -> None:
 
 
 class Player:
-    """Which messages of one's own a board sends when.
+    """Which custom messages a board sends when.
 
     Args:
         messages: commands among them are left out.

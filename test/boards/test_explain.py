@@ -3,10 +3,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol_cases import ALL, BOARD_BUS, BUS, decode, hexed, name_of, vectors
+from protocol_cases import ALL, CHECKSUMMED, BOARD_BUS, BUS, decode, hexed, name_of, vectors
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
+from serial_communication.framing.stream import Decoder, StreamDecoder
 
 GOOD = (
     [(bus.RequestDecoder, case['frame']) for case in vectors('robot_ctrl_bus')['requests']]
@@ -134,3 +135,39 @@ def test_values_that_cannot_be_are_told_where_they_stand():
         ('value', 'value is 2000, not within 0 to 1024')]
     parts = arduino.Decoder().explain(arduino.encode(arduino.Imu(*[0] * 11)))
     assert [part.name for part in parts if part.error] == ['quaternion w']
+
+
+# -- a decoder that does not say it itself, as one of another package ---------------------------
+
+
+def test_what_stands_around_the_payload_is_told_without_a_decoder_of_its_own():
+    for frame in map(hexed, ('a50255200064b6', '020c109c2f003a0000000dfff3009803')):
+        kind = bus.RequestDecoder if frame[0] == 0xA5 else mcu.Decoder
+        good, = kind().feed(frame)
+        parts = StreamDecoder.explain(kind(), frame)
+        check_whole(frame, parts)
+        assert [part.name for part in parts] == ['start', 'payload', 'end']
+        assert (parts[1].data, parts[1].meaning) == (good.data, str(good.message))
+        for size in range(1, len(frame)):
+            assert ['missing' in error for error in errors_of(
+                StreamDecoder.explain(kind(), frame[:size]))] == [True]
+
+
+@pytest.mark.parametrize('kind', CHECKSUMMED, ids=name_of)
+@given(frame=st.binary(max_size=60), start=st.sampled_from((b'', b'\xa5', b'\x5a', b'\2\x0c\x10')))
+def test_any_bytes_have_parts_and_nothing_that_is_pending_changes(kind, frame, start):
+    frame, decoder = start + frame, kind.make()
+    decoder.feed(kind.false_start)
+    before = decoder.front, decoder.needed, dict(decoder.errors)
+    parts = StreamDecoder.explain(decoder, frame)
+    check_whole(frame, parts)
+    assert before == (decoder.front, decoder.needed, decoder.errors) and decoder.pending
+    frames, _ = decode(kind, frame)
+    assert frame == b'' or bool(errors_of(parts)) == ([good.raw for good in frames] != [frame])
+
+
+def test_a_decoder_of_another_kind_shows_a_frame_as_one_part():
+    class Other(Decoder):
+        pass
+
+    assert [(part.name, part.data) for part in Other().explain(b'abc')] == [('frame', b'abc')]

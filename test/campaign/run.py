@@ -26,6 +26,7 @@ import psutil
 import rosgraph
 from tqdm import tqdm
 
+from heartbeats import processor_wait
 from processes import Child
 from serial_communication.tools.watch.topics import NODE
 from .check_bus import answered
@@ -359,18 +360,6 @@ def usage_of(pid: int) -> Dict[str, float]:
         with process.oneshot():
             return {'memory': process.memory_info().rss / (1 << 20),
                     'threads': process.num_threads(), 'files': process.num_fds(),
-                    'waited': _waited(pid)}
+                    'waited': round(processor_wait(pid), 3)}
     except (OSError, psutil.Error):
         return {}
-
-
-def _waited(pid: int) -> float:
-    """Seconds that its threads were ready to run and did not, all together."""
-    total = 0
-    for thread in os.listdir(f'/proc/{pid}/task'):
-        try:
-            with open(f'/proc/{pid}/task/{thread}/schedstat') as file:
-                total += int(file.read().split()[1])
-        except (OSError, ValueError, IndexError):
-            pass
-    return round(total / 1e9, 3)

@@ -360,17 +360,19 @@ def test_rotation_of_the_world_is_rotation_in_the_packets(car, yaw, pitch, roll)
     assert angle_between(car.orientation(), from_euler(yaw, pitch, roll)) < 2
 
 
-def test_rates_add_up_to_the_rotation(car):
+@pytest.mark.parametrize('axis, angle, turned', [
+    ('yaw', 90, (0, 0, 90)), ('pitch', 30, (0, 30, 0)), ('roll', -40, (-40, 0, 0))])
+def test_rates_add_up_to_the_rotation(car, axis, angle, turned):
     car.next(IMU)
     car.forget()
-    car.board.set('yaw', 90)
+    car.board.set(axis, angle)
     car.board.wait_until(lambda: car.read() is not None and car.board.get('turning') == 0, 5)
     at_rest = len(car.read(IMU)) + 5
     car.board.wait_until(lambda: len(car.read(IMU)) >= at_rest, 1)
     rates = [imu_values(data)[1] for data in car.read(IMU)]
     # From the packets, not the clock: 100 a second.
-    turned = [math.degrees(sum(rate[axis] for rate in rates)) / 100 for axis in range(3)]
-    assert turned == pytest.approx([0, 0, 90], abs=3)
+    assert [math.degrees(sum(rate[axis] for rate in rates)) / 100
+            for axis in range(3)] == pytest.approx(turned, abs=3)
 
 
 def test_gravity_follows_the_tilt(car):

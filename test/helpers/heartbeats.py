@@ -1,6 +1,30 @@
 """What the times at which heartbeats were read say of when they were sent."""
 import glob
 
+BEAT_MISSED = 0.030   # s without a heartbeat after which the board stops its motor
+
+
+class HeartbeatWatch:
+    """Whether a bridge misses a heartbeat from now on.
+
+    Args:
+        car: the board's end of the line, with `forget` and `longest_gap`.
+        pid: of the bridge.
+    """
+
+    def __init__(self, car, pid):
+        self._car, self._pid = car, pid
+        self._waited = processor_wait(pid)
+        car.forget()
+
+    def check(self):
+        """AssertionError if it has missed one by its own fault."""
+        gap, waited = self._car.longest_gap(), processor_wait(self._pid) - self._waited
+        said = (f'longest gap between heartbeats {gap * 1e3:.1f} ms, waited for a processor '
+                f'{waited * 1e3:.1f} ms')
+        print(said)
+        assert gap - waited < BEAT_MISSED, said
+
 
 def longest_gap(stamps, rate):
     """Between two heartbeats as they were sent: no less than this, in s.
@@ -34,6 +58,6 @@ def processor_wait(pid):
         try:
             with open(path) as file:
                 waited += int(file.read().split()[1])
-        except OSError:
+        except (OSError, ValueError, IndexError):
             pass        # the thread has ended
     return waited / 1e9

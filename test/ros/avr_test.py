@@ -11,7 +11,7 @@ import socket
 import subprocess
 import tempfile
 import unittest
-from math import degrees, inf, isnan
+from math import inf
 from xmlrpc.client import ServerProxy
 
 import rosgraph
@@ -95,14 +95,14 @@ class Car(CarBench):
 
     # -- the motor ----------------------------------------------------------------------
 
-    def test_a_speed_sets_the_pwm_register_and_the_direction(self):
-        speed = self.speed()
-        for value, pwm, direction in ((400, 102, 1), (-400, 102, -1), (1000, 255, 1),
-                                      (-3000, 255, -1), (7, 2, 1), (0, 0, 0)):
+    def test_a_speed_sets_the_pwm_register_and_the_direction_and_the_wheel_ticks(self):
+        speed, ticks = self.speed(), self.collect(Topic(self.own('ticks'), Ticks))
+        for value, pwm, direction in ((400, 102, 1), (-3000, 255, -1), (0, 0, 0)):
             self.until_is('motor_direction', direction,
                           doing=lambda v=value: speed.publish(value=v))
             self.drive_until_pwm(speed, value, pwm)
             self.assertEqual(self.board.get('motor_direction'), direction)
+        ticks.first(lambda m: 0 < m.value <= 12)
 
     def test_the_motor_stops_after_the_speed_timeout_and_keeps_still(self):
         speed, traffic = self.speed(), self.collect(Topic('/serial_msg', SerialMsg))
@@ -167,66 +167,28 @@ class Car(CarBench):
         # Sooner: a stall, or the speed timeout of a computer that stalls, came before the kill.
         return when - heard >= 0.030
 
-    def test_ticks_are_the_wheels_turns(self):
-        board, speed = self.board, self.speed()
-        ticks = self.collect(Topic(self.own('ticks'), Ticks))
-        self.until_is('wheel_speed', 0)
-        self.until_emulated(0.1)
-        ticks.next()
-        ticks.forget()
-        counted, turned = board.get('wheel_ticks'), board.get('wheel_turns')
-
-        def total():
-            return sum(m.value for m in list(ticks.messages))
-        for value in 1000, -600:
-            began = board.get('wheel_turns')
-            until(lambda: abs(board.get('wheel_turns') - began) > 3, 'the wheel turns',
-                  doing=lambda v=value: speed.publish(value=v))
-            speed.publish(value=0)
-            self.until_is('wheel_speed', 0)
-            until(lambda: total() >= board.get('wheel_ticks') - counted, 'all ticks arrive')
-            if value > 0:
-                self.assertLessEqual(abs(total() - 64 * (board.get('wheel_turns') - turned)), 1)
-        begun = len(ticks.messages)
-        until(lambda: len(ticks.messages) >= begun + 20, 'more of ~ticks')
-        self.assertEqual(total(), board.get('wheel_ticks') - counted)
-        self.assertGreater(total(), 400)
-        self.assertLessEqual(max(m.value for m in ticks.messages), 12)
-
     # -- servo, lamps, battery, logs ------------------------------------------------------
 
-    def test_steering_and_its_feedback(self):
-        steering = self.command('steering', SteeringPWMCommand)
+    def test_servo_and_lamps_do_what_the_topics_say(self):
+        steering, led = self.command('steering', SteeringPWMCommand), self.command('led', String)
         angle = self.collect(Topic(self.own('steering_angle'), SteeringFeedback))
-        for pulse, servo, feedback in ((1300, 1300, 392), (2000, 2000, 812), (900, 1000, 212),
-                                       (1500, 1500, 512)):
+        for pulse, servo, feedback in ((1300, 1300, 392), (900, 1000, 212), (1500, 1500, 512)):
             self.until_is('servo_us', servo, doing=lambda p=pulse: steering.publish(value=p))
             angle.next(lambda m, f=feedback: m.value == f, what='says %d' % feedback)
-        self.addCleanup(self.board.set, 'steering_feedback', -1)
-        for raw in 0, 1023:
-            self.board.set('steering_feedback', raw)
-            angle.next(lambda m, r=raw: m.value == r, what='says %d' % raw)
-            self.assertEqual(angle.next().value, raw)
-
-    def test_lamps(self):
-        led, rosout = self.command('led', String), self.collect(Rosout())
-        lamps = 'led_left', 'led_right', 'led_brake'
-        for text, lit in (('left', (1, 0, 0)), ('right', (0, 1, 0)), ('brake', (0, 0, 1)),
-                          ('disable', (0, 0, 0))):
+        for text, lit in ('right', 1), ('disable', 0):
             led.publish(text)
-            until(lambda: tuple(self.board.get(name) for name in lamps) == lit,
-                  '%s lights %s' % (text, lit))
-        rosout.wait_for(PACKAGE, 'arduino says: unknown LED command', LOG_WARN,
-                        doing=lambda: led.publish('rainbow'))
-        self.assertEqual([self.board.get(name) for name in lamps], [0, 0, 0])
+            self.until_is('led_right', lit)
 
-    def test_battery_volts_within_one_percent(self):
+    def test_battery_and_temperature_are_the_worlds(self):
         voltage = self.collect(Topic(self.own('voltage'), Voltage))
+        temperature = self.collect(Topic(self.own('imu/temperature'), Temperature))
         self.addCleanup(self.board.set, 'battery', 14.8)
+        self.addCleanup(self.board.set, 'imu_temperature', 32)
         self.assertAlmostEqual(voltage.next().value, 14.8, delta=0.148)
+        self.board.set('imu_temperature', -11.5)
         self.board.set('battery', 7.4)
+        temperature.first(lambda m: abs(m.temperature + 11.5) < 0.01, what='says -11.5')
         voltage.next(lambda m: abs(m.value - 7.4) <= 0.074, what='falls to 7.4 V')
-        self.assertAlmostEqual(voltage.next().value, 7.4, delta=0.074)
 
     def test_what_the_board_logs_is_on_rosout_at_its_severity(self):
         rosout = self.collect(Rosout())
@@ -259,7 +221,7 @@ class Car(CarBench):
         listener = tf2_ros.TransformListener(transforms)
         self.addCleanup(listener.unregister)
         self.addCleanup(self.turn_to, imu, 0, 0, 0)
-        for angles in (50, 0, 0), (50, -20, 0), (50, -20, 35), (-40, 15, -25):
+        for angles in (50, -20, 35), (-40, 15, -25):
             with self.about(yaw_pitch_roll=angles):
                 self.turn_to(imu, *angles)
                 message = imu.messages[-1]
@@ -281,28 +243,6 @@ class Car(CarBench):
     @staticmethod
     def vector(message):
         return message.x, message.y, message.z
-
-    def test_rates_add_up_to_the_rotation(self):
-        imu = self.imu()
-        self.addCleanup(self.turn_to, imu, 0, 0, 0)
-        for name, angles, axis, angle in (
-                ('yaw', (80, 0, 0), 2, 80), ('yaw back', (0, 0, 0), 2, -80),
-                ('pitch', (0, 30, 0), 1, 30), ('roll', (0, 0, -40), 0, -40)):
-            with self.about(turned=name):
-                if name == 'roll':
-                    self.turn_to(imu, 0, 0, 0)
-                self.turn_to(imu, *angles)
-                rates = [self.vector(m.angular_velocity) for m in list(imu.messages)]
-                # A hundred packets a second, by the board's own clock.
-                turned = [degrees(sum(parts)) / 100 for parts in zip(*rates)]
-                for index, value in enumerate(turned):
-                    self.assertAlmostEqual(value, angle if index == axis else 0, delta=3.0)
-
-    def test_the_imus_temperature(self):
-        temperature = self.collect(Topic(self.own('imu/temperature'), Temperature))
-        self.addCleanup(self.board.set, 'imu_temperature', 32)
-        self.board.set('imu_temperature', -11.5)
-        temperature.first(lambda m: abs(m.temperature + 11.5) < 0.01, what='says -11.5')
 
     # -- resets -------------------------------------------------------------------------
 
@@ -525,17 +465,8 @@ class ControlBoard(OnBoard):
             topics[1].first(lambda m, t=air.temperature: abs(m.temperature - t) < 1e-4)
             topics[2].first(lambda m, h=air.humidity: abs(m.relative_humidity - h / 100) < 1e-4)
 
-    def test_a_sensor_that_is_gone_is_an_error_and_returns(self):
-        get = service(self.own('get_environment'), GetEnvironment)
-        self.addCleanup(self.board.set, 'sht3x_present', 1)
-        self.board.set('sht3x_present', 0)
-        until(lambda: (lambda a: not a.success and (a.status, a.error_code)
-                       == (bus.ERROR, bus.OPERATION_FAILED))(get()), 'ERROR operation failed')
-        self.board.set('sht3x_present', 1)
-        until(lambda: get().success, 'a reading again')
-
     def test_a_reset_between_two_calls_is_not_even_noticed(self):
-        for _ in range(5):
+        for _ in range(2):
             self.board.reset()
             self.until_emulated(0.05)
             self.assert_moves(lambda: self.gimbal(1, 2), pan=(-2, -20, 1))
@@ -596,25 +527,6 @@ class SensorBoard(OnBoard):
                 got = topic.next(lambda m, w=wanted: m.range == w or abs(m.range - w) < 1e-6)
                 self.assertEqual(got.header.frame_id, topic.name.split('/')[-1])
 
-    def test_a_sensor_that_times_out_is_nan_and_not_valid(self):
-        first, second = self.range(1), self.range(2)
-        self.restore(range1=800, range2=800, range1_alive=1, range2_present=1)
-        for name, dead, living in (('range1_alive', first, second),
-                                   ('range2_present', second, first)):
-            with self.about(fault=name):
-                at = int(name[5]) - 1
-                self.board.set(name, 0)
-                lost = self.status.next(lambda m, i=at: (m.vl53_1, m.vl53_2)[i] == 65535)
-                self.assertFalse(lost.valid)
-                self.assertTrue(lost.connected)
-                self.assertEqual((lost.vl53_1, lost.vl53_2)[1 - at], 800)
-                dead.next(lambda m: isnan(m.range), what='says NaN')
-                self.assertAlmostEqual(living.next().range, 0.8, 6)
-                self.board.set(name, 1)
-                back = self.status.next(lambda m, i=at: (m.vl53_1, m.vl53_2)[i] == 800)
-                self.assertTrue(back.valid)
-                dead.next(lambda m: abs(m.range - 0.8) < 1e-6, what='measures again')
-
     def test_heading_pitch_and_roll(self):
         imu = self.collect(Topic('/mcu/imu', Imu))
         transforms = tf2_ros.Buffer()
@@ -622,7 +534,7 @@ class SensorBoard(OnBoard):
         self.addCleanup(listener.unregister)
         self.restore(heading=0, pitch=0, roll=0)
         # 350 does not fit the frame's int16, and ROS turns the other way.
-        for heading, pitch, roll in ((90, 0, 0), (350, 0, 0), (328, -20, 15), (179.5, 30, -40)):
+        for heading, pitch, roll in ((350, 0, 0), (179.5, 30, -40)):
             with self.about(heading=heading, pitch=pitch, roll=roll):
                 for name, value in (('heading', heading), ('pitch', pitch), ('roll', roll)):
                     self.board.set(name, value)

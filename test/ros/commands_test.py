@@ -99,7 +99,7 @@ class Latched(CommandsTest):
         self.assert_said('speed 500 refused', '/rostopic_', 'latches %s/speed' % NODE,
                          'since before the bridge subscribed', 'pub -1')
         # What somebody types now is taken, each time.
-        for value in (101, 102, 103):
+        for value in (101, 102):
             self.rostopic(value, '-1')
             until(lambda v=value: v in self.car.speeds, 'speed %d' % value)
         self.assertNotIn(500, self.car.speeds)
@@ -240,9 +240,9 @@ class Stamps(CommandsTest):
         self.driver = self.publisher().connected()
 
     def test_stamps_that_are_3_s_old_steadily_never_drive(self):
-        for value in range(1, 61):      # of 6 s
+        for value in range(1, 61):
             self.driver.say(speed(value, ago=3.0))
-            threading.Event().wait(0.1)
+            threading.Event().wait(0.02)
         self.assert_said('speed 1 refused: its stamp is ', ' s old', 'allows 0.5 s', '/driver',
                          'chrony')
         self.assert_drives(self.driver, 300, ago=0.0)
@@ -324,7 +324,8 @@ class Parameters(CommandsTest):
         # The signal may have come between the decision to send a heartbeat and its write.
         self.assertIn(SPEED_0_PACKET, self.car.raws[:2])
         self.assert_drives(driver, 400, ago=0.0)
-        self.assertEqual(self.car.speeds, [0, 400])
+        # Both are said until they are there.
+        self.assertEqual((self.car.speeds[0], set(self.car.speeds)), (0, {0, 400}))
 
 
 if __name__ == '__main__':

@@ -11,12 +11,11 @@ import rosgraph
 import rostest
 
 from boards import (PACKAGE, PATIENCE, Bridge, BusBoard, CarBoard, Line, own_folder, until)
-from heartbeats import processor_wait
+from heartbeats import HeartbeatWatch
 from serial_communication.boards.arduino import wire as arduino
 
 NAME = '/' + PACKAGE
 WITHIN = 10.0         # s in which the bridge is to be known to a new master
-BEAT_MISSED = 0.030   # s without a heartbeat after which the board stops its motor
 MOUNT = [1.0, 2.0, 3.0, 0.0, 0.0, 0.0]
 
 
@@ -122,19 +121,11 @@ class MasterTest(unittest.TestCase):
 
     def watch_heartbeats(self):
         """From now on."""
-        self.waited = processor_wait(self.bridge.process.pid)
-        self.car.forget()
-
-    def assert_no_heartbeat_missed(self):
-        gap = self.car.longest_gap()
-        waited = processor_wait(self.bridge.process.pid) - self.waited
-        print('%s: longest gap between heartbeats %.1f ms, of %d; waited for a processor: %.1f ms'
-              % (self.id().split('.')[-1], gap * 1e3, len(self.car.heartbeats), waited * 1e3))
-        self.assertLess(gap - waited, BEAT_MISSED)
+        return HeartbeatWatch(self.car, self.bridge.process.pid)
 
     def test_all_is_registered_again_at_a_new_master(self):
         for turn in range(2):
-            self.watch_heartbeats()
+            heartbeats = self.watch_heartbeats()
             self.stop_core()
             self.start_core()
             until(lambda: self.state() == self.before and self.server.hasParam(NAME),
@@ -149,7 +140,7 @@ class MasterTest(unittest.TestCase):
             until(lambda: 321 in self.car.speeds, 'a new publisher reaches the bridge')
         finally:
             publisher.close()
-        self.assert_no_heartbeat_missed()
+        heartbeats.check()
         output = self.bridge.output()
         self.assertEqual(output.count('is a new ROS master'), 2, output)
         self.assertEqual(output.count('lost'), 0, output)
@@ -173,11 +164,11 @@ class MasterTest(unittest.TestCase):
                               in self.server.getSystemState()[1]), 'rostopic subscribes')
             self.stop_core()
             self.bridge.wait_for('no answer from the ROS master')
-            self.watch_heartbeats()
+            heartbeats = self.watch_heartbeats()
             until(lambda: len(self.car.speeds) >= 5, 'the commands go on')
             until(lambda: echo._process.poll() is not None, 'the subscriber still gets messages',
                   doing=lambda: self.car.say(arduino.Voltage(12.0)), every=0.1)
-            self.assert_no_heartbeat_missed()
+            heartbeats.check()
         finally:
             publisher.close()
             echo.close()
@@ -189,7 +180,7 @@ class MasterTest(unittest.TestCase):
             hung.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             hung.bind(('', int(self.uri.rsplit(':', 1)[1])))
             hung.listen(64)
-            self.watch_heartbeats()
+            heartbeats = self.watch_heartbeats()
             self.bridge.wait_for('no answer from the ROS master')
             self.lines[0].unplug()       # lines for the log, and for /rosout
             self.lines[0].plug()
@@ -197,7 +188,7 @@ class MasterTest(unittest.TestCase):
             self.bus.forget()
             until(lambda: self.bus.others, 'the bus is polled again')
             self.car.wait_for_heartbeats(100)
-            self.assert_no_heartbeat_missed()
+            heartbeats.check()
             seconds, status = self.bridge.end()
             self.assertEqual(status, 0, self.bridge.output())
             self.assertLess(seconds, 2.5)

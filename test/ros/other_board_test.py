@@ -1,10 +1,14 @@
 #!/usr/bin/python3
-"""A board of another package, as doc/developing.md has it: built from the page, and run."""
+"""A board of another package, as doc/developing.md has it: built from the page, and run with every
+program that ours have."""
+import json
 import os
 import re
 import shutil
 import signal
 import subprocess
+import sys
+import tempfile
 import unittest
 from math import hypot
 from pathlib import Path
@@ -16,10 +20,38 @@ from geometry_msgs.msg import Vector3Stamped
 from boards import (ERROR, OK, PACKAGE, PATIENCE, Diagnostics, Line, Topic, own_folder, program,
                     until)
 from serial_communication.msg import SerialMsg
+from serial_communication.tools.panel.wire import Wire
 
 PAGE = Path(__file__).resolve().parents[2] / 'doc' / 'developing.md'
 _FILE = re.compile(r'<!-- file: (\S+) -->\n```\w+\n(.*?)^```$', re.MULTILINE | re.DOTALL)
 GUST = b'$WIMWV,090.0,R,012.5,M,A*2F\r\n'      # checked by hand: the XOR of all between $ and *
+TEXT = 'wind from 90 degrees, 12.5 m/s'
+PARTS = ['start', 'payload', 'end']
+
+
+class Program:
+    """A program that runs; what it prints is in `output`."""
+
+    def __init__(self, command, environment):
+        self._output = tempfile.TemporaryFile('w+')
+        self.process = subprocess.Popen([program(command[0]), *command[1:]], env=environment,
+                                        stdout=self._output)
+
+    def output(self):
+        """So far."""
+        self._output.seek(0)
+        return self._output.read()
+
+    def end(self):
+        """Ctrl-C; its exit status."""
+        self.process.send_signal(signal.SIGINT)
+        return self.process.wait(2 * PATIENCE)
+
+    def close(self):
+        """Whatever a test that failed has left."""
+        self.process.kill()
+        self.process.wait(PATIENCE)
+        self._output.close()
 
 
 class OtherBoard(unittest.TestCase):
@@ -28,32 +60,48 @@ class OtherBoard(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         cls.folder = own_folder()
+        cls.addClassCleanup(shutil.rmtree, cls.folder, ignore_errors=True)
         cls.line = Line(os.path.join(cls.folder, 'wind')).plug()
+        cls.addClassCleanup(cls.line.unplug)
         for name, text in _FILE.findall(PAGE.read_text()):
             path = Path(cls.folder, name)
             path.parent.mkdir(exist_ok=True)
             path.write_text(text.replace('/tmp/wind', cls.line.near))
-        Path(cls.folder, 'wind_sensor', '__init__.py').touch()
-        environment = dict(os.environ, PYTHONPATH=f'{cls.folder}:{os.environ["PYTHONPATH"]}')
-        cls.launch = subprocess.Popen(
-            ['roslaunch', PACKAGE, 'bridge.launch', f'config:={cls.folder}/wind.yaml'],
-            env=environment)
-        cls.simulator = None
-        cls.environment = environment
+        cls.config = f'{cls.folder}/wind.yaml'
+        cls.environment = dict(os.environ, PYTHONPATH=f'{cls.folder}:{os.environ["PYTHONPATH"]}')
+        cls.launch = subprocess.Popen(['roslaunch', PACKAGE, 'bridge.launch',
+                                       f'config:={cls.config}'], env=cls.environment)
+        cls.addClassCleanup(cls.end_launch)
+        until(lambda: any(name == '/wind' for name, _ in rospy.get_published_topics()),
+              'the bridge is up', 4 * PATIENCE, every=0.1)
         cls.wind, cls.traffic = Topic('/wind', Vector3Stamped), Topic('/serial_msg', SerialMsg)
         cls.diagnostics = Diagnostics()
 
     @classmethod
-    def tearDownClass(cls):
-        for process in (cls.simulator, cls.launch):
-            if process:
-                process.send_signal(signal.SIGINT)
-                process.wait(PATIENCE)
-        cls.line.unplug()
-        shutil.rmtree(cls.folder, ignore_errors=True)
+    def end_launch(cls):
+        """Ctrl-C."""
+        cls.launch.send_signal(signal.SIGINT)
+        cls.launch.wait(2 * PATIENCE)
 
-    def say(self, data):
-        with open(self.line.far, 'wb', buffering=0) as board:
+    def start(self, *command):
+        """A program of the package, which ends with the test."""
+        started = Program(command, self.environment)
+        self.addCleanup(started.close)
+        return started
+
+    def run_program(self, *command):
+        """Its exit status and output."""
+        started = self.start(*command)
+        return started.process.wait(4 * PATIENCE), started.output()
+
+    def spare(self, name):
+        """A line that no bridge has."""
+        line = Line(os.path.join(self.folder, name)).plug()
+        self.addCleanup(line.unplug)
+        return line
+
+    def say(self, data, line=None):
+        with open((line or self.line).far, 'wb', buffering=0) as board:
             board.write(data)
 
     def test_a_sentence_is_published_and_shown(self):
@@ -82,14 +130,65 @@ class OtherBoard(unittest.TestCase):
         self.wind.next(lambda m: True, doing=lambda: self.say(GUST))
         self.assertEqual(rospy.get_param('/serial_communication/wind/port'), self.line.near)
 
-    def test_its_simulator_is_one_as_ours(self):
-        type(self).simulator = subprocess.Popen(
-            [program('simulator'), 'wind_sensor.simulator', '--port', self.line.far,
-             '--fault', 'flip=0.1', '--seed', '1'], env=self.environment,
-            stdout=subprocess.DEVNULL)
-        steady = self.wind.next(lambda m: abs(hypot(m.vector.x, m.vector.y) - 5) < 1e-6)
-        self.assertTrue(steady)
+    def test_its_simulator_is_one_as_ours_and_the_monitor_shows_its_link(self):
+        self.start('simulator', 'wind_sensor', '--port', self.line.far, '--fault', 'drop=0.1',
+                   '--seed', '1')
+        self.wind.next(lambda m: abs(hypot(m.vector.x, m.vector.y) - 5) < 1e-6,
+                       seconds=4 * PATIENCE)
         self.diagnostics.fresh('wind', lambda s: s.level == OK, 'the link is OK')
+        status, output = self.run_program('monitor', '--once')
+        self.assertEqual(status, 0, output)
+        self.assertRegex(output, r'(?m)^wind +OK ')
+        self.assertRegex(output, r'(?m)^wind +[\d.]+ Hz  vector')
+
+    def test_its_frames_are_explained_by_the_name_of_the_link_and_of_the_package(self):
+        status, output = self.run_program('wire', 'explain', 'wind', '--config', self.config,
+                                          '--json', GUST.hex())
+        self.assertEqual(status, 0, output)
+        frame, = json.loads(output)['frames']
+        self.assertEqual((frame['text'], [part['name'] for part in frame['parts']]), (TEXT, PARTS))
+        status, output = self.run_program('wire', 'explain', 'wind_sensor', GUST.hex()[:-8])
+        self.assertEqual(status, 1)
+        self.assertIn('incomplete', output)
+
+    def test_its_frames_are_explained_on_the_page(self):
+        shown = self.traffic.next(lambda m: True, doing=lambda: self.say(GUST))
+        sys.path.insert(0, self.folder)
+        self.addCleanup(sys.path.remove, self.folder)
+        page = Wire(rospy.get_param('/serial_communication'))
+        self.assertEqual([part[0] for part in page.describe(shown, 0.0)[-1]], PARTS)
+
+    def test_its_line_is_listened_to_and_what_is_kept_has_statistics(self):
+        self.look_on('listen', self.spare('listened'))
+
+    def test_its_line_is_tapped_and_what_is_kept_has_statistics(self):
+        computer = self.spare('computer')
+        end = os.open(computer.far, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
+        self.addCleanup(os.close, end)
+        passed_on = bytearray()
+
+        def is_passed_on():
+            try:
+                passed_on.extend(os.read(end, 4096))
+            except BlockingIOError:
+                pass
+            return GUST in passed_on
+
+        self.look_on('tap', self.spare('tapped'), computer.near, also=is_passed_on)
+
+    def look_on(self, name, sensor, *ports, also=lambda: True):
+        """Until a sentence is shown, and `also`."""
+        kept = os.path.join(self.folder, name + '.txt')
+        onlooker = self.start('wire', name, 'wind', sensor.near, *ports, '--config', self.config,
+                              '--json', '--raw', kept)
+        until(lambda: also() and TEXT in onlooker.output(), 'a sentence is shown',
+              4 * PATIENCE, doing=lambda: self.say(GUST, sensor), every=0.1)
+        self.assertEqual(onlooker.end(), 0)
+        status, output = self.run_program('wire', 'stats', kept, '--config', self.config, '--json')
+        self.assertEqual(status, 0, output)
+        heard = json.loads(output)['links']['wind']['from the board']
+        self.assertGreaterEqual(heard['frames'], 1)
+        self.assertEqual(heard['bad'], 0)
 
 
 if __name__ == '__main__':

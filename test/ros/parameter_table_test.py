@@ -10,6 +10,7 @@ import sys
 import tempfile
 import time
 import unittest
+from pathlib import Path
 from unittest import mock
 
 import rosunit
@@ -116,7 +117,8 @@ class ParameterTable(unittest.TestCase):
 
 
 class OtherBoards(unittest.TestCase):
-    """Modules of other packages that are no boards, or not as they must be."""
+    """Boards of other packages: folders with a DESCRIPTION, and, as up to 1.1, modules with an
+    INTERFACE; what is no board, or not as it must be."""
 
     BOARD = """
 from serial_communication.ros.interface import Interface
@@ -171,7 +173,7 @@ class INTERFACE(Interface):
                 path = os.path.join(self.folder, name + '.py')
                 text = self.assert_refused(
                     {'boards': [name]}, f"parameter /node/boards is ['{name}'] (list), may be a "
-                    f"list (names of Python modules with an INTERFACE): importing '{name}' failed: "
+                    f"list (names of Python packages with a board): importing '{name}' failed: "
                     + (said % path if '%s' in said else said))
                 self.assertLess(len(text), 700)
                 with open(path + '.imports') as file:
@@ -185,11 +187,13 @@ class INTERFACE(Interface):
             with self.subTest(name[:9]):
                 self.assert_refused({'boards': [name]}, 'parameter /node/boards is [', 'importing')
         for boards in ['x', 5], {'a': 'b'}, 'x', [['x']]:
-            self.assert_refused({'boards': boards}, 'may be a list (names of Python modules with')
+            self.assert_refused({'boards': boards}, 'may be a list (names of Python packages with')
 
     def test_an_interface_that_is_not_what_it_must_be(self):
         for text, said in (
-                ('', 'it has no INTERFACE'), ('INTERFACE = None', 'it has no INTERFACE'),
+                ('', 'it has neither a DESCRIPTION of a board nor an INTERFACE'),
+                ('INTERFACE = None', 'nor an INTERFACE'),
+                ('DESCRIPTION = 5', 'has no DESCRIPTION of a board'),
                 ('INTERFACE = 5', 'INTERFACE is 5, may be a class derived from'),
                 ('class INTERFACE: NAME = "wind"', 'may be a class derived from'),
                 (self.BOARD + '    del NAME', 'INTERFACE.NAME is None, may be letters'),
@@ -210,7 +214,31 @@ class INTERFACE(Interface):
             with self.subTest(said, text=text[len(self.BOARD):]):
                 name = self.module(text)
                 self.assert_refused({'boards': [name]}, 'parameter /node/boards is',
-                                    f"the module '{name}': ", said)
+                                    f"the module '{name}'", said)
+
+    def test_a_folder_with_a_description_and_one_that_is_not_what_it_must_be(self):
+        for body, text, said in (
+                (self.BOARD, 'wind', ''),
+                (self.BOARD, 'rain', "INTERFACE.NAME is 'wind', may be 'rain', the name in its "
+                 'DESCRIPTION'),
+                ('', 'wind', 'its ros.py has no INTERFACE'),
+                ('1 / 0', 'wind', ".ros' failed: ZeroDivisionError: division by zero ("),
+                (None, 'wind', ".ros' failed: ModuleNotFoundError")):
+            name = f'other_board_{next(self.NUMBERS)}'
+            folder = Path(self.folder, name)
+            folder.mkdir()
+            (folder / '__init__.py').write_text(
+                'from serial_communication.boards.description import Description\n'
+                f'DESCRIPTION = Description({text!r}, __name__, None)\n')
+            if body is not None:
+                (folder / 'ros.py').write_text(body)
+            with self.subTest(said):
+                if said:
+                    self.assert_refused({'boards': [name]}, 'parameter /node/boards is', said)
+                else:
+                    values, warnings = check({'boards': [name], 'wind': {'baud': 9600}}, '/node')
+                    self.assertEqual((values['boards'][-1].NAME, values['wind/baud'], warnings),
+                                     ('wind', 9600, []))
 
     def test_its_own_checks_may_raise_whatever_they_like(self):
         fault = '(lambda *_: 1 / 0)'
@@ -224,7 +252,7 @@ class INTERFACE(Interface):
             with self.subTest(text):
                 self.assert_refused({'boards': [self.module(self.BOARD + text)]}, said)
 
-    def test_a_name_or_a_module_that_is_there_twice(self):
+    def test_a_module_with_an_interface_alone_is_a_board_but_once(self):
         one, other = self.module(self.BOARD), self.module(self.BOARD)
         for boards in [one, one], [one, other]:
             self.assert_refused({'boards': boards}, "INTERFACE.NAME is 'wind', may be a name that "

@@ -1,24 +1,25 @@
-"""Messages and functions of one's own, as simulated boards play and answer them."""
+"""Custom messages and functions, as simulated boards play and answer them."""
 import os
 
 import pytest
 from simulation_bench import ROOT, Bench
 
+from serial_communication.boards import BOARDS, description
+from serial_communication.boards.arduino import custom_messages
 from serial_communication.boards.arduino import wire as arduino
-from serial_communication.boards.mcu import wire as mcu
-from serial_communication.boards.bus import wire as bus
-from serial_communication.boards.arduino import custom_messages as arduino_messages
-from serial_communication.boards.bus.functions import read_functions as bus_functions
-from serial_communication.boards.mcu import custom_messages as mcu_messages
 from serial_communication.boards.arduino.simulator import ModelCar
+from serial_communication.boards.bus import wire as bus
+from serial_communication.boards.bus.functions import read_functions
 from serial_communication.boards.bus.simulator import ControlBoard
+from serial_communication.boards.config_file import of_board, read_parameters
+from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.mcu.simulator import SensorBoard
-from serial_communication.simulation.custom_messages import read, wandering
+from serial_communication.simulation.custom_messages import wandering
 
-EXAMPLES = os.path.join(ROOT, 'config', 'own_messages.yaml')
-CAR = read(EXAMPLES, 'arduino', 'messages', arduino_messages)
-SENSORS = read(EXAMPLES, 'mcu', 'messages', mcu_messages)
-FUNCTIONS = read(EXAMPLES, 'bus', 'functions', bus_functions)
+EXAMPLES = read_parameters(os.path.join(ROOT, 'config', 'own_messages.yaml'))
+FUNCTIONS, CAR, SENSORS = (
+    board.custom.read(of_board(EXAMPLES, board.name)[board.custom.parameter])
+    for board in map(description, BOARDS))
 
 
 @pytest.mark.parametrize('own, board, decoder', [
@@ -50,7 +51,7 @@ def test_a_command_of_the_examples_is_told():
     ({'layout': '<B', 'scale': -2, 'minimum': -7, 'maximum': -3}, (-6, -4)),
     ({'layout': '<?'}, (0, 1)), ({'layout': '<d', 'minimum': 3, 'maximum': 3}, (3, 3))])
 def test_values_wander_within_what_they_may_be(values, range_of):
-    own, = arduino_messages({'any': dict(values, type=99, ros_type='a/B', fields=['data'])})
+    own, = custom_messages({'any': dict(values, type=99, ros_type='a/B', fields=['data'])})
     layout = own.kind.LAYOUT
     numbers = [layout.unpack(layout.pack(wandering(layout, tick / 7)))[0] for tick in range(500)]
     assert min(numbers) >= range_of[0] and max(numbers) <= range_of[1]
@@ -58,8 +59,8 @@ def test_values_wander_within_what_they_may_be(values, range_of):
 
 
 def test_texts_fit_their_room():
-    own, = arduino_messages({'any': dict(type=99, ros_type='a/B', layout='<3s2xs',
-                                         fields=['a', 'b'])})
+    own, = custom_messages({'any': dict(type=99, ros_type='a/B', layout='<3s2xs',
+                                        fields=['a', 'b'])})
     assert wandering(own.kind.LAYOUT, 5.0) == ('sim', 'simulated 5')
 
 
@@ -84,7 +85,7 @@ def test_functions_are_answered():
 
 
 def test_a_function_refuses_what_is_beyond_its_limits():
-    own = bus_functions({'speed': {
+    own = read_functions({'speed': {
         'cmd2': 0x40, 'srv_type': 'a/B',
         'request': {'layout': '<B', 'fields': ['speed'], 'maximum': 10}}})
     bench = Bench(ControlBoard(own=own), bus.ReplyDecoder())

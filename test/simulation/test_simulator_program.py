@@ -65,7 +65,7 @@ def test_help(arguments, says):
 
 
 @pytest.mark.parametrize('arguments, says', [
-    ([], 'BOARD'), (['toaster'], 'no board toaster'), (['json'], 'has no BOARD'),
+    ([], 'BOARD'), (['toaster'], 'no board toaster'), (['json'], 'has no DESCRIPTION'),
     (['bus'], '--port'),
     (['bus', '--port', 'x', '--fault', 'flap=1'], 'flap'),
     (['mcu', '--port', 'x', '--faults', 'flip=0.1 flap=1'], 'flap'),
@@ -114,17 +114,25 @@ BOARD = Beacon
 '''
 
 
+_DESCRIPTION = """\
+from serial_communication.boards.description import Description
+DESCRIPTION = Description('light', __name__, None)
+"""
+
+
 @pytest.fixture
 def elsewhere(tmp_path, monkeypatch):
-    """Where Python looks for another package's modules."""
-    folder = tmp_path / 'elsewhere'
-    folder.mkdir()
-    (folder / 'beacon.py').write_text(_BEACON)
-    monkeypatch.setenv('PYTHONPATH', f'{folder}:{os.environ.get("PYTHONPATH", "")}')
+    """A folder for a board where Python looks for other packages."""
+    folder = tmp_path / 'elsewhere' / 'beacon'
+    folder.mkdir(parents=True)
+    (folder / '__init__.py').write_text(_DESCRIPTION)
+    monkeypatch.setenv('PYTHONPATH', f'{folder.parent}:{os.environ.get("PYTHONPATH", "")}')
+    return folder
 
 
 def test_a_board_of_another_package(elsewhere, start, tty):
     path, near = tty
+    (elsewhere / 'simulator.py').write_text(_BEACON)
     # --config, which a launch file gives to all boards, is none of this one's business.
     start('beacon', '--port', path, '--rate', '200', '--fault', 'drop=0.2',
           '--config', os.path.join(ROOT, 'config', 'bridge.yaml'))
@@ -134,6 +142,18 @@ def test_a_board_of_another_package(elsewhere, start, tty):
     says = run('beacon', '--help').stdout
     assert 'hellos a second' in says and 'says hello ten times' in says and 'drop=0.1' in says
     assert 'stall' not in says      # a fault that makes no sense for a board that only talks
+
+
+@pytest.mark.parametrize('text, says', [
+    (None, "importing 'beacon.simulator' failed: ModuleNotFoundError"),
+    ('1 / 0', "importing 'beacon.simulator' failed: ZeroDivisionError: division by zero ("),
+    ('BOARD = 5', "the module 'beacon.simulator' has no BOARD")])
+def test_a_board_of_another_package_without_a_simulator_is_one_line(elsewhere, text, says):
+    if text is not None:
+        (elsewhere / 'simulator.py').write_text(text)
+    result = run('beacon', '--port', 'x')
+    assert result.returncode == 2 and says in result.stderr
+    assert len(result.stderr.splitlines()) == 1, result.stderr
 
 
 def test_a_journal_that_cannot_be():

@@ -1,74 +1,162 @@
-"""Imports run one way, and only ros and tools know ROS:
+"""Imports run one way, and inside a board's folder the file's name says its layer:
 
-    tools -> ros -> links -> transport, protocols <- simulation
+    transport, framing  ->  link, simulation  ->  ros  ->  boards/X  ->  tools
 
-The list of boards (boards.py) imports nothing: it finds modules by name when it is asked. What
-programs do first (output.py) imports nothing of this package either."""
+The list of boards and what describes one (boards/*.py) are pure: the layers before boards/X look
+for a board there, and know none by name.
+"""
 import ast
 from pathlib import Path
-from typing import Iterator
+from typing import Dict, Iterator, List, Set
 
-import pytest
-from sources import PACKAGE, name
+from sources import PACKAGE
 
-# What each folder may import of this package, itself aside.
-ALLOWED = {
-    'protocols': (),
-    'transport': (),
-    'links': ('protocols', 'transport'),
-    'simulation': ('boards', 'output', 'protocols', 'transport'),
-    'ros': ('boards', 'links', 'output', 'protocols', 'transport', 'msg', 'srv'),
-    'tools': ('boards', 'ros', 'links', 'output', 'protocols', 'simulation', 'transport', 'msg',
-              'srv'),
+# What each layer may import of this package, itself aside. Of a board's folder, X, the files are
+# layers; a file with another name has the layer of each of them that imports it.
+SHARED = {'boards', 'output', 'framing', 'transport'}
+MESSAGES = {'msg', 'srv'}
+ALLOWED: Dict[str, Set[str]] = {
+    'output': set(),
+    'transport': set(),
+    'framing': set(),
+    'boards': set(),
+    'link': {'framing', 'transport'},
+    'simulation': SHARED,
+    'ros': {*SHARED, *MESSAGES, 'link'},
+    'tools': {*SHARED, *MESSAGES, 'link', 'simulation', 'ros', 'X/wire'},
+    'X/wire': {'framing'},
+    'X/__init__': {'boards', 'framing', 'X/wire'},
+    'X/link': {'framing', 'transport', 'link', 'X/__init__', 'X/wire'},
+    'X/simulator': {*SHARED, 'simulation', 'X/__init__', 'X/wire'},
+    'X/ros': {*SHARED, *MESSAGES, 'link', 'ros', 'X/__init__', 'X/wire', 'X/link'},
 }
-KNOWS_ROS = ('ros', 'tools')
+WITH_ROS = ('ros', 'tools', 'X/ros')
+WITHOUT_IO = ('framing', 'X/wire', 'X/__init__')
+ROS = {'rospy', 'roslib', 'rospkg', 'rosgraph', 'roslaunch', 'rosbag', 'tf', 'tf2_ros', 'genpy',
+       'diagnostic_updater'}
+IO = {'io', 'logging', 'os', 'queue', 'random', 'select', 'serial', 'signal', 'socket',
+      'subprocess', 'sys', 'termios', 'threading', 'time'}
 
 
-def imports(path: Path) -> Iterator[str]:
+def test_every_import_is_one_that_its_layer_may_have():
+    assert offenders(PACKAGE) == []
+
+
+def test_every_folder_has_a_rule():
+    folders = {path.parent.name for path in PACKAGE.glob('*/__init__.py')}
+    assert folders == {layer for layer in ALLOWED if '/' not in layer} - {'output'}
+
+
+def test_the_rule_can_fail(tmp_path):
+    files = {
+        'framing/stream.py': 'import time\nfrom ..transport import port',
+        'link/link.py': 'from ..boards.one.wire import encode\nfrom ..framing import stream',
+        'boards/__init__.py': 'from . import one',
+        'boards/one/__init__.py': 'from ..two import wire\nfrom . import rows, wire',
+        'boards/one/rows.py': 'def late():\n    import rospy.core',
+        'boards/one/wire.py': 'from . import helper\nimport serial_communication.link.link',
+        'boards/one/helper.py': 'from ...ros import node',
+        'boards/one/simulator.py': 'from . import link, wire',
+        'boards/one/link.py': 'from . import heart',
+        'boards/one/heart.py': 'import threading\nfrom sensor_msgs.msg import Imu',
+        'boards/one/ros.py': 'import rospy\nfrom . import link, wire\nfrom .. import find',
+        'boards/two/wire.py': '',
+        'tools/wire/cli.py': 'import rospy\nfrom ...boards.one import link, wire',
+        'ros/node.py': 'import rospy',
+        'transport/port.py': '',
+    }
+    for name, text in files.items():
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    assert offenders(tmp_path) == [
+        'boards/__init__.py imports boards/one/__init__.py',
+        'boards/one/__init__.py imports boards/two/wire.py',
+        'boards/one/heart.py imports sensor_msgs.msg.Imu',
+        'boards/one/helper.py imports ros/node.py',
+        'boards/one/rows.py imports rospy.core',
+        'boards/one/simulator.py imports boards/one/link.py',
+        'boards/one/wire.py imports link/link.py',
+        'framing/stream.py imports time',
+        'framing/stream.py imports transport/port.py',
+        'link/link.py imports boards/one/wire.py',
+        'tools/wire/cli.py imports boards/one/link.py']
+
+
+# -- the rule ---------------------------------------------------------------------------------
+
+
+def offenders(package: Path) -> List[str]:
+    """'FILE imports WHAT', for each import that the layer of its file may not have."""
+    return sorted({f'{path.relative_to(package)} imports {bad}'
+                   for path in package.rglob('*.py') if path != package / '__init__.py'
+                   for layer in layers(path, package)
+                   for bad in bad_imports(path, layer, package)})
+
+
+def layers(path: Path, package: Path) -> Set[str]:
+    """As what the file is imported: one layer, or several for a helper in a board's folder."""
+    parts = path.relative_to(package).with_suffix('').parts
+    if parts[0] != 'boards' or len(parts) == 2:
+        return {parts[0]}
+    if f'X/{parts[2]}' in ALLOWED:
+        return {f'X/{parts[2]}'}
+    found = set()
+    for other in path.parent.glob('*.py'):
+        if other != path and path in (target(each, package) for each in imports(other, package)):
+            found |= layers(other, package)
+    return found or {'X/wire'}      # nobody imports it
+
+
+def bad_imports(path: Path, layer: str, package: Path) -> Iterator[str]:
+    """Those that a file of this layer may not have."""
+    for module in imports(path, package):
+        found = target(module, package)
+        if found is None:
+            top = module.split('.')[0]
+            is_ros = top in ROS or top.endswith(('_msgs', '_srvs'))
+            if is_ros and layer not in WITH_ROS or top in IO and layer in WITHOUT_IO:
+                yield module
+        elif not may_import(layer, path, found, package):
+            yield str(found.relative_to(package))
+
+
+def may_import(layer: str, path: Path, found: Path, package: Path) -> bool:
+    """Whether a file of this layer may import the other one."""
+    parts = found.relative_to(package).with_suffix('').parts
+    if not parts or parts[0] != 'boards' or len(parts) == 2:
+        return not parts or parts[0] in ALLOWED[layer] | {layer}
+    name = f'X/{parts[2]}'
+    if path.parent != found.parent:
+        return layer == 'tools' and name in ALLOWED[layer]
+    return name not in ALLOWED or name in ALLOWED[layer] | {layer}
+
+
+def target(module: str, package: Path) -> Path:
+    """The file that an import of this package names; None: of another one."""
+    top, *parts = module.split('.')
+    if top != 'serial_communication':
+        return None
+    while parts:
+        path = package.joinpath(*parts)
+        for file in path.with_suffix('.py'), path / '__init__.py':
+            if file.is_file():
+                return file
+        if parts[0] in MESSAGES:
+            return package / parts[0]
+        parts.pop()     # a name in a module
+    return package
+
+
+def imports(path: Path, package: Path) -> Iterator[str]:
     """Each imported module by its full name; imports inside functions, too."""
-    package = ['serial_communication', *path.relative_to(PACKAGE).parts[:-1]]
+    inside = ['serial_communication', *path.relative_to(package).parts[:-1]]
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             for alias in node.names:
                 yield alias.name
         elif isinstance(node, ast.ImportFrom):
-            base = package[:len(package) - node.level + 1] if node.level else []
+            base = inside[:len(inside) - node.level + 1] if node.level else []
             base = base + (node.module.split('.') if node.module else [])
-            for alias in node.names:    # a module or a name in one: the longer is as good
+            for alias in node.names:    # a module or a name in one
                 yield '.'.join(base + [alias.name])
-
-
-def is_ros(module: str) -> bool:
-    """Whether a module belongs to ROS."""
-    top = module.split('.')[0]
-    return (top in ('rospy', 'roslib', 'rospkg', 'rosgraph', 'roslaunch', 'rosbag', 'tf',
-                    'tf2_ros', 'genpy', 'diagnostic_updater')
-            or top.endswith(('_msgs', '_srvs')))
-
-
-@pytest.mark.parametrize('path', sorted(PACKAGE.rglob('*.py')), ids=name)
-def test_imports(path):
-    parts = path.relative_to(PACKAGE).parts
-    if len(parts) == 1:
-        return
-    folder = parts[0]
-    for module in imports(path):
-        if folder not in KNOWS_ROS:
-            assert not is_ros(module), '%s imports %s' % (name(path), module)
-        if module.startswith('serial_communication.'):
-            inner = module.split('.', 1)[1]
-            assert any((inner + '.').startswith(allowed + '.')
-                       for allowed in (folder,) + ALLOWED[folder]), '%s imports %s' % (
-                           name(path), module)
-
-
-def test_every_folder_has_a_rule():
-    folders = {path.parent.name for path in PACKAGE.glob('*/__init__.py')}
-    assert folders == set(ALLOWED)
-
-
-def test_the_rule_can_fail():
-    assert is_ros('rospy') and is_ros('sensor_msgs.msg.Imu') and not is_ros('serial.tools')
-    found = set(imports(PACKAGE / 'ros' / 'node.py'))
-    assert 'rospy' in found
-    assert 'serial_communication.ros.interface.Common' in found

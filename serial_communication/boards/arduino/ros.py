@@ -25,6 +25,7 @@ from ...transport.port import Port
 from . import DESCRIPTION, wire
 from .link import ArduinoLink, ArduinoSettings
 
+_DEFAULTS = ArduinoSettings()
 _SAY = (rospy.logdebug, rospy.loginfo, rospy.logwarn, rospy.logerr)
 
 
@@ -37,12 +38,12 @@ class ArduinoInterface(Interface):
         'baud': BAUD,
         'reset_on_open': Parameter(False),
         # The board stops its motor after 30 ms without one.
-        'heartbeat_rate': Parameter(100.0, 34.0, 1000.0, unit='Hz'),
-        'speed_timeout': seconds(0.5, 0.0, 3600.0),
+        'heartbeat_rate': Parameter(_DEFAULTS.heartbeat_rate, 34.0, 1000.0, unit='Hz'),
+        'speed_timeout': seconds(_DEFAULTS.speed_timeout, 0.0, 3600.0),
         'command_age': seconds(0.5, 0.0, 3600.0),
-        'network_silence': seconds(1.0, 0.0, 3600.0),
-        'calibration_timeout': seconds(900.0, 1.0, 86400.0),
-        'check_plausibility': Parameter(True),
+        'network_silence': seconds(_DEFAULTS.network_silence, 0.0, 3600.0),
+        'calibration_timeout': seconds(_DEFAULTS.calibration_timeout, 1.0, 86400.0),
+        'check_plausibility': Parameter(_DEFAULTS.check_plausibility),
         'messages': Parameter({}, parse=partial(message_rows, DESCRIPTION)),
         'gyro_scale': Parameter(wire.GYRO_SCALE, -1.0, 1.0, unit='rad/s per LSB'),
         'linear_acceleration_stdev': Parameter(400e-6 * 9.807, 0.0, 1e3, unit='m/s^2'),
@@ -81,9 +82,7 @@ class ArduinoInterface(Interface):
         self._rows.update(own_topics(self._own, '~', p['frame_prefix']))
         self.link = ArduinoLink(
             Port(p['port'], p['baud'], p['reset_on_open']),
-            ArduinoSettings(p['heartbeat_rate'], p['speed_timeout'],
-                            p['calibration_timeout'], p['check_plausibility'],
-                            p['network_silence']),
+            ArduinoSettings(**{name: p[name] for name in ArduinoSettings._fields}),
             messages=[kind for kind in self._rows if kind not in wire.FROM_BOARD],
             on_message=self._received, on_log=self._log,
             on_calibrating=lambda on: self._calibrating.publish(on), **common._asdict())

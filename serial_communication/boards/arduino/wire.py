@@ -6,7 +6,7 @@
 
 Both sides talk at any time. There is no checksum, so values that cannot be are refused too.
 Little-endian but for the IMU, which is big-endian. A message is one class here: its type, its
-layout, its limits. Decisions where the source is silent: see "Protocols" in README.md.
+layout, its limits. Decisions where the source is silent: see doc/protocols.md.
 """
 from math import pi
 from typing import Any, Dict, Iterable, List, NamedTuple, Tuple

@@ -22,6 +22,8 @@ from . import DESCRIPTION, wire
 from .functions import CustomFunction, read_functions
 from .link import BusLink, BusSettings
 
+_DEFAULTS = BusSettings()
+
 
 class BusInterface(Interface):
     """Services in, readings out."""
@@ -30,12 +32,12 @@ class BusInterface(Interface):
     PARAMETERS = {
         'port': PORT,
         'baud': BAUD,
-        'reply_timeout': seconds(0.5, 0.01, 60.0),
-        'motion_timeout': seconds(5.0, 0.01, 600.0),
-        'retries': Parameter(2, 0, 100),
-        'environment_period': seconds(1.0, 0.0, 86400.0),
-        'environment_datelen': Parameter(2, choices=(0, 2)),
-        'reply_has_cmd2': Parameter(False),
+        'reply_timeout': seconds(_DEFAULTS.reply_timeout, 0.01, 60.0),
+        'motion_timeout': seconds(_DEFAULTS.motion_timeout, 0.01, 600.0),
+        'retries': Parameter(_DEFAULTS.retries, 0, 100),
+        'environment_period': seconds(_DEFAULTS.environment_period, 0.0, 86400.0),
+        'environment_datelen': Parameter(_DEFAULTS.environment_datelen, choices=(0, 2)),
+        'reply_has_cmd2': Parameter(_DEFAULTS.reply_has_cmd2),
         'functions': Parameter({}, parse=lambda given: _rows(given)),
     }
 
@@ -43,9 +45,7 @@ class BusInterface(Interface):
         p = parameters
         self.link = BusLink(
             Port(p['port'], p['baud']),
-            BusSettings(p['reply_timeout'], p['motion_timeout'], p['retries'],
-                        p['environment_period'], p['environment_datelen'],
-                        p['reply_has_cmd2']),
+            BusSettings(**{name: p[name] for name in BusSettings._fields}),
             on_environment=self._publish_environment, **common._asdict())
         self._own = p['functions']
         _poll(self._own, self.link, p['frame_prefix'])

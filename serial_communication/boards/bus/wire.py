@@ -9,7 +9,7 @@
 
 Flag 0xA5: standard frame, Datelen is one byte, under 255. Flag 0x5A: long frame, Datelen is a
 uint16, 255 or more. Datelen counts the DATE bytes. Checksum: XOR of every byte before it.
-Little-endian. Decisions where the source is silent: see "Protocols" in README.md.
+Little-endian. Decisions where the source is silent: see doc/protocols.md.
 """
 from typing import Any, Iterable, List, NamedTuple, Optional
 
