@@ -226,10 +226,6 @@ class StreamDecoder:
 
     # -- for subclasses ---------------------------------------------------------------
 
-    def explain(self, frame: bytes) -> List[Part]:
-        """The bytes of one frame by name; all of them are one part, unless a subclass says more."""
-        return [Part(0, len(frame), 'frame', frame)]
-
     def frame_at(self, at: int) -> Any:
         """What begins at this index, where one of `STARTS` is: `Good`, `Bad` or `Need`."""
         raise NotImplementedError
