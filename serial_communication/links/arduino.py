@@ -11,7 +11,7 @@ from ..protocols.framing import Frame
 from .calibration import BACK, LOOK_PERIOD, Calibration
 from .heart import LONGEST_GAP, Heart, clock
 from .link import OK, WARN, Link, Refused, Report
-from .motor import TIMED_OUT, Motor
+from .motor import REPEATED, TIMED_OUT, Motor
 from ..transport.pace import Allowance
 from ..transport.port import Port, PortBusy, PortError
 
@@ -134,7 +134,6 @@ class ArduinoLink(Link):
                 busy = isinstance(error, PortBusy)
                 raise Refused(f'{message} refused: {error}', 'busy' if busy else 'port') from None
             if calibration:
-                self._motor.repeat_no_more()
                 self._calibration = Calibration(self.settings.calibration_timeout,
                                                 time.monotonic())
 
@@ -234,7 +233,7 @@ class ArduinoLink(Link):
                     if self.port.backlog() > _STALLED:
                         self._unblock()
                 why = self._motor.due(now)
-                if why:
+                if why and self._reads(why):
                     self._send_packet(_SPEED_0, now)
                 if why == TIMED_OUT:
                     self._say_later('speed timeout', 'no speed command for '
@@ -247,6 +246,15 @@ class ArduinoLink(Link):
             except PortError:
                 pass                # the link's thread sees it as well
             return False
+
+    def _reads(self, why: str) -> bool:
+        """Whether a SPEED 0 for this reason is sent: a board that calibrates reads no repetition.
+
+        The line may have lost the request, and the SPEED 0 before it.
+        """
+        calibration = self._calibration
+        return why != REPEATED or calibration is None \
+            or calibration.data_goes_on(time.monotonic())
 
     def _say_later(self, cause: str, text: str,
                    say: Optional[Callable[[str, str], None]] = None) -> None:

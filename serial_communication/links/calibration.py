@@ -9,6 +9,8 @@ Pure rules: no port, no thread, no clock. `now` is in seconds of a monotonic clo
 
 _SILENCE = 2.0      # s without IMU data: now the board calibrates, and later data is new
 _GOES_ON = 5.0      # s of IMU data without such a silence: the board does not calibrate
+_UNDER_WAY = 0.05   # s in which IMU data may come that the board sent before
+_READS = 0.1        # s since the latest IMU data in which the board counts as reading
 _STALL = 0.3        # s between two looks that make a stall; its time counts as neither
 LOOK_PERIOD = 0.1   # s from one look to the next at most
 
@@ -26,10 +28,15 @@ class Calibration:
 
     def __init__(self, timeout: float, now: float) -> None:
         self._timeout = timeout
+        self._began = now
         self._due = now + timeout
         self._watched_since = now    # or later, by the time that does not count
         self._last_data = now        # likewise
         self._looked_at = now
+
+    def data_goes_on(self, now: float) -> bool:
+        """Whether the board seems not to calibrate, but to read, and its motor may run."""
+        return now - self._last_data < _READS and self._last_data - self._began > _UNDER_WAY
 
     def look(self, now: float) -> str:
         """Why it is over, or nothing; to be asked every `LOOK_PERIOD` while the port is open."""
