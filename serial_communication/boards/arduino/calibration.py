@@ -11,6 +11,8 @@ import enum
 from typing import Optional
 
 _SILENCE = 2.0      # s without IMU data: now the board calibrates, and later data is new
+_UNDER_WAY = 0.05   # s in which IMU data may come that the board sent before
+_READS = 0.1        # s since the latest IMU data in which the board counts as reading
 _GOES_ON = 5.0      # s of IMU data without such a silence: the board does not calibrate
 
 
@@ -31,9 +33,14 @@ class Calibration:
     """
 
     def __init__(self, timeout: float, now: float) -> None:
+        self._began = now
         self._due = now + timeout
         self._watched_since = now    # or later, by the time that does not count
         self._last_data = now        # likewise
+
+    def data_goes_on(self, now: float) -> bool:
+        """Whether the board seems not to calibrate, but to read, and its motor may run."""
+        return now - self._last_data < _READS and self._last_data - self._began > _UNDER_WAY
 
     def look(self, now: float) -> Optional[End]:
         """Why it is over without IMU data, or None."""

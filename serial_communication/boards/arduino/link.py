@@ -133,7 +133,6 @@ class ArduinoLink(Link):
                 busy = isinstance(error, PortBusy)
                 raise Refused(f'{message} refused: {error}', 'busy' if busy else 'port') from None
             if calibration:
-                self._motor.repeat_no_more()
                 self._calibration = Calibration(self.settings.calibration_timeout, now)
 
     def _refuse_if_unfit(self, message: Any, now: float) -> None:
@@ -232,7 +231,7 @@ class ArduinoLink(Link):
                     if self.port.backlog() > _STALLED:
                         self._unblock()
                 why = self._motor.due(now)
-                if why:
+                if why and self._reads(why):
                     self._send_packet(_SPEED_0, now)
                 if why is Stop.TIMED_OUT:
                     self._log_later('speed timeout', 'no speed command for '
@@ -245,6 +244,15 @@ class ArduinoLink(Link):
             except PortError:
                 pass                # the link's thread sees it as well
             return False
+
+    def _reads(self, why: Stop) -> bool:
+        """Whether a SPEED 0 for this reason is sent: a board that calibrates reads no repetition.
+
+        The line may have lost the request, and the SPEED 0 before it.
+        """
+        calibration = self._calibration
+        return why is not Stop.REPEATED or calibration is None \
+            or calibration.data_goes_on(clock())
 
     def _log_later(self, cause: str, text: str,
                    say: Optional[Callable[[str, str], None]] = None) -> None:

@@ -55,10 +55,6 @@ class Motor:
         """What was sent may not have left (dropped output, a closed port)."""
         self.moving = self.in_doubt = True
 
-    def repeat_no_more(self) -> None:
-        """A calibration begins, whose board reads everything minutes later."""
-        self._repeat_until = float('-inf')
-
     def due(self, now: float) -> Optional[Stop]:
         """Why SPEED 0 has to be sent now, or None."""
         if self.in_doubt:

@@ -353,6 +353,32 @@ def test_a_calibration_ends_the_repetitions(board, open_link):
     assert commands[-1] == ImuCalibration()
 
 
+def test_where_the_line_loses_a_calibration_and_the_stop_before_it_the_motor_stops(
+        line, open_link, running):
+    """The board goes on to read, to drive and to send IMU data."""
+    class Lossy(CarBoard):
+        motor = 0
+        lost = []
+
+        def take(self, frame):
+            message = frame.message
+            if isinstance(message, ImuCalibration) or (
+                    message == SpeedCommand(0) and self.motor and not self.lost):
+                self.lost.append(message)
+            elif isinstance(message, SpeedCommand):
+                self.motor = message.value
+
+    board = running(Lossy(line))
+    link = open_link(ArduinoSettings(speed_timeout=0.0))
+    link.set_speed(500)
+    until(lambda: board.motor == 500)
+    board.streaming = True
+    link.calibrate_imu()
+    until(lambda: board.motor == 0)
+    assert board.lost == [SpeedCommand(0), ImuCalibration()]
+    board.streaming = False
+
+
 @pytest.mark.parametrize('way', ['commanded', 'timed out'])
 def test_a_speed_0_that_the_bridge_itself_drops_is_followed_by_another(line, open_link, lines, way):
     """The board stops reading; SPEED 0 lies in the kernel, more follows, and all is dropped."""

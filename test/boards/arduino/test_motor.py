@@ -53,14 +53,11 @@ def test_another_speed_0_does_not_end_the_repetitions_nor_prolong_them(motor):
     assert times[0] == pytest.approx(0.05) and times[-1] <= 0.5
 
 
-def test_a_speed_ends_them_and_a_calibration_too(motor):
+def test_a_speed_ends_them(motor):
     motor.sent(500, 100.0)
     motor.sent(0, 100.0)
     motor.sent(1, 100.1)
     assert motor.due(100.2) is None
-    motor.sent(0, 100.2)
-    motor.repeat_no_more()
-    assert motor.due(100.3) is None
 
 
 def test_a_speed_times_out(motor):
