@@ -21,6 +21,7 @@ from boards import (ERROR, OK, PACKAGE, PATIENCE, Diagnostics, Line, Topic, own_
                     until)
 from serial_communication.msg import SerialMsg
 from serial_communication.tools.panel.wire import Wire
+from serial_communication.tools.watch.topics import boards_of
 
 PAGE = Path(__file__).resolve().parents[2] / 'doc' / 'developing.md'
 _FILE = re.compile(r'<!-- file: (\S+) -->\n```\w+\n(.*?)^```$', re.MULTILINE | re.DOTALL)
@@ -155,7 +156,8 @@ class OtherBoard(unittest.TestCase):
         shown = self.traffic.next(lambda m: True, doing=lambda: self.say(GUST))
         sys.path.insert(0, self.folder)
         self.addCleanup(sys.path.remove, self.folder)
-        page = Wire(rospy.get_param('/serial_communication'))
+        parameters = rospy.get_param('/serial_communication')
+        page = Wire(boards_of(parameters), parameters)
         self.assertEqual([part[0] for part in page.describe(shown, 0.0)[-1]], PARTS)
 
     def test_its_line_is_listened_to_and_what_is_kept_has_statistics(self):
