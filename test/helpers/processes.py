@@ -26,6 +26,9 @@ class StageError(RuntimeError):
     """The campaign or the bench itself did not work; the text is for a person."""
 
 
+_ENDS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
+
+
 class Child:
     """One process.
 
@@ -43,11 +46,16 @@ class Child:
         self.name = name
         self.log = os.path.join(folder, name.replace('/', '_').replace(' ', '_') + '.out')
         with open(self.log, 'ab') as log:
-            self.process = subprocess.Popen(
-                command, stdin=subprocess.PIPE if orders else subprocess.DEVNULL,
-                stdout=log if stdout is None else stdout, stderr=log if stderr is None else stderr,
-                pass_fds=fds, env=env, cwd=folder, start_new_session=True,
-                preexec_fn=lambda: _before_exec(priority))
+            # What a signal raises while a process forks, Python ignores: until then it waits.
+            signal.pthread_sigmask(signal.SIG_BLOCK, _ENDS)
+            try:
+                self.process = subprocess.Popen(
+                    command, stdin=subprocess.PIPE if orders else subprocess.DEVNULL,
+                    stdout=log if stdout is None else stdout,
+                    stderr=log if stderr is None else stderr, pass_fds=fds, env=env, cwd=folder,
+                    start_new_session=True, preexec_fn=lambda: _before_exec(priority))
+            finally:
+                signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDS)
 
     @property
     def pid(self) -> int:
@@ -292,6 +300,7 @@ def _free_port() -> int:
 
 def _before_exec(priority: int) -> None:
     """In the child: end with the parent; real-time priority if asked for and allowed."""
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDS)
     try:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
     except (OSError, AttributeError):
