@@ -62,6 +62,8 @@ class Motor:
         if self.moving:
             return Stop.TIMED_OUT if self._speed_timeout and now >= self._speed_due else None
         repeat_at = self._repeat_at - _EARLY
+        if now > self._repeat_until + _REPEAT_PERIOD:      # they were held back until then
+            return None
         return Stop.REPEATED if repeat_at <= now and repeat_at <= self._repeat_until else None
 
     def noticed_stall(self, now: float, receiving_at: float = float('inf')) -> Optional[float]:

@@ -60,6 +60,13 @@ def test_a_speed_ends_them(motor):
     assert motor.due(100.2) is None
 
 
+def test_repetitions_that_were_held_back_are_not_sent_later(motor):
+    motor.sent(500, 100.0)
+    motor.sent(0, 100.0)
+    assert motor.due(100.1) is Stop.REPEATED
+    assert motor.due(103.0) is None
+
+
 def test_a_speed_times_out(motor):
     motor.sent(500, 100.0)
     motor.sent(400, 100.4)
