@@ -66,9 +66,6 @@ def set_priority(priority: int, thread: int = 0) -> bool:
     return True
 
 
-be_quick = set_priority     # the name that tools still have
-
-
 def set_priority_of_all(priority: int) -> None:
     """The same for every thread of this process, and for those that they start."""
     for thread in os.listdir('/proc/self/task'):

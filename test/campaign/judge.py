@@ -100,8 +100,11 @@ def judge(folder: str) -> List[Row]:
     rows += check_standstill(stopped, came, drive.speeds, [
         (entry['t'], entry['value']) for entry in commands if entry['topic'] == 'steering'],
         unclear + frozen)
+    over = max([end] + [event['t'] for event in events if event['ev'] == 'bridge ended'])
+    log = [line for line in _log(folder, published.offset) if line[0] <= over]
     rows += check_heartbeat(journals['arduino'], metronome, published.beats, end, held_up,
-                            _had_realtime_priority(folder))
+                            realtime=not any('no real-time priority for the heartbeat' in text
+                                             for _t, _severity, text in log))
     rows += _of_link('mcu', 'every undamaged frame published once, in order', frames, published,
                      exempt, held_up, stopped)
     rows += check_lost_frames(heard_of(journals['mcu'], published.taken), published.lost)
@@ -109,8 +112,6 @@ def judge(folder: str) -> List[Row]:
     rows += [_returns(link, events, journals[link], published, held_up, end) for link in LINKS]
     settled = start + min(_SETTLING, (end - start) / 3)
     rows += check_level(read_lines(path('usage.jsonl')), start, settled, end)
-    over = max([end] + [event['t'] for event in events if event['ev'] == 'bridge ended'])
-    log = [line for line in _log(folder, published.offset) if line[0] <= over]
     rows += check_log(log)
     unread = stretches(events, 'unread', 'read again', end)
     anew = opened_anew(absent, published.opened)
@@ -202,11 +203,6 @@ def _log(folder: str, offset: float) -> List[Tuple[float, str, str]]:
         with open(path, errors='replace') as file:
             lines += log_lines(file.read(), seconds_of)
     return sorted(lines)
-
-
-def _had_realtime_priority(folder: str) -> bool:
-    return not any('no real-time priority for the heartbeat' in text
-                   for _t, _level, text in _log(folder, 0.0))
 
 
 def _with_noise(journal: List[Dict], events: List[Dict], link: str) -> List[Dict]:

@@ -30,7 +30,8 @@ class ArduinoSettings(NamedTuple):
     speed_timeout: float = 0.5           # 0: never
     calibration_timeout: float = 900.0   # a calibration without an end is over after this
     check_plausibility: bool = True
-    network_silence: float = 1.0         # a network port is opened anew after this; 0: never
+    # A network port is opened anew after this; 0: never.
+    network_silence: float = DESCRIPTION.network_silence
 
 
 class ArduinoLink(Link):

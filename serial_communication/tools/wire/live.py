@@ -111,7 +111,7 @@ class PortReader:
         self._thread.join(1.0)
 
     def _run(self) -> None:
-        pace.be_quick(_REALTIME_PRIORITY)
+        pace.set_priority(_REALTIME_PRIORITY)
         pause, trouble = _BACK_OFF[0], ''
         while not self._stopping.is_set():
             try:

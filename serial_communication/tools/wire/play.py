@@ -25,7 +25,7 @@ import threading
 import time
 from typing import Any, Dict, List, Sequence
 
-from ...transport.pace import be_quick
+from ...transport.pace import set_priority
 from ...transport.port import Port, PortBusy, PortError
 from . import lines
 from .figures import percentile
@@ -112,7 +112,7 @@ class Player:
             thread.join(1.0)
 
     def _play(self) -> None:
-        be_quick(_REALTIME_PRIORITY)
+        set_priority(_REALTIME_PRIORITY)
         start = time.monotonic() - self._pieces[0].at
         try:
             while not self._stopping.is_set():
