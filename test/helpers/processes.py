@@ -14,6 +14,7 @@ import tempfile
 import time
 from typing import Any, Callable, Dict, List, Optional, Sequence
 
+import psutil
 import rosgraph
 
 NODE = 'serial_communication'
@@ -165,6 +166,7 @@ class Stage:
     def __exit__(self, *_: Any) -> None:
         self.clear()
         self.end_master()
+        self._end_unlisted()
 
     def start_master(self) -> None:
         """A roscore, at the same address each time; returns when it answers."""
@@ -235,6 +237,16 @@ class Stage:
             child.join(max(0.5, deadline - time.monotonic()))
         self.children.clear()
 
+    def _end_unlisted(self) -> None:
+        """End what was started as a Ctrl-C came, before it was in the list of children."""
+        left = [process for process in psutil.Process().children()
+                if _runs_in(process, self.folder)]
+        for process in left:
+            process.terminate()
+        for process in psutil.wait_procs(left, _GRACE)[1]:
+            process.kill()
+            process.wait()
+
     def check(self, *children: Child) -> None:
         """StageError if one of them has ended."""
         for child in children:
@@ -276,6 +288,13 @@ class Stage:
             if time.monotonic() > deadline:
                 raise StageError(f'not within {seconds:g} s: {what}')
             time.sleep(0.02)
+
+
+def _runs_in(process: psutil.Process, folder: str) -> bool:
+    try:
+        return os.path.samefile(process.cwd(), folder)
+    except (OSError, psutil.Error):
+        return False        # it has ended
 
 
 def _answers(master: rosgraph.Master) -> bool:

@@ -3,6 +3,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from processes import Stage
 from terminal import Terminal
 
 SCRIPTS = Path(__file__).resolve().parents[2] / 'scripts'
@@ -27,6 +28,19 @@ def test_ctrl_c(name, arguments, says, tmp_path):
     assert terminal.status == 130
     assert terminal.text().rstrip().endswith('stopped') and 'Traceback' not in terminal.text()
     assert processes_in(folder) == []
+
+
+def test_a_process_that_is_started_as_ctrl_c_comes_ends_too(tmp_path, monkeypatch):
+    def interrupt(child):
+        raise KeyboardInterrupt
+
+    stage = Stage('', str(tmp_path))
+    monkeypatch.setattr(stage, 'add', interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        stage.busy(1)
+    assert processes_in(tmp_path)
+    stage.__exit__()
+    assert processes_in(tmp_path) == []
 
 
 def processes_in(folder):
