@@ -269,6 +269,8 @@ class _Decoder:
         """Whether a packet has begun and has not ended."""
         return bool(self._begun) or self._dropping
 
+    begun = pending     # each byte stands in a packet: there is no noise between them
+
     def reset(self) -> None:
         """Forget what is pending, as after a reconnect; the counts stay."""
         self._begun = b''
@@ -303,9 +305,6 @@ class _Decoder:
             frames.append(bad_frame(self._begun, FRAMING, 'a packet cut short', self._stamp))
         self.reset()
         return frames
-
-    def silence(self) -> None:
-        """Nothing to do: each packet, valid or not, ends with its own 0x00."""
 
     def skip_false_start(self) -> List[Frame]:
         """Never needed: a packet announces no length, so it cannot delay the next."""

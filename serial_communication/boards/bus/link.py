@@ -210,7 +210,7 @@ class BusLink(Link):
         master.tick(now)
         # A request leaves only when everything received before it has been taken in: unless a
         # read has found nothing since the latest frame, the link reads first and comes back.
-        if master.wants_to_send(now) and not self.decoder.pending and not self.drops:
+        if master.wants_to_send(now) and not self.decoder.begun and not self.drops:
             if now < self._blocked_until:
                 return self._blocked_until
             if not self._all_read:

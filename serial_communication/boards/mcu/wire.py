@@ -12,7 +12,7 @@ from typing import Any, Iterable, List, NamedTuple
 
 from ...framing.layout import Layout, Value, message_class
 from ...framing.parts import Part, Parts
-from ...framing.stream import (CHECKSUM, FRAMING, IMPLAUSIBLE, LENGTH, UNKNOWN, Bad, Good, Need,
+from ...framing.stream import (CHECKSUM, IMPLAUSIBLE, LENGTH, NO_FRAME, UNKNOWN, Bad, Good, Need,
                                StreamDecoder, running_xor)
 
 STX = 0x02
@@ -88,9 +88,6 @@ AdcStatus = message_class(
 
 MESSAGES = {message.TYPE: message for message in (SensorStatus, AdcStatus)}
 
-_LEN_TOO_SMALL = Bad(2, FRAMING, 'LEN')
-_LEN_OF_ANOTHER = Bad(3, FRAMING, 'LEN')
-
 
 def encode(message: Any, seq: int) -> bytes:
     """The frame that carries `message` as the board's frame number `seq` (0 … 255)."""
@@ -150,18 +147,18 @@ class Decoder(StreamDecoder):
             return Need(2)
         length = buffer[at + 1]
         if length < MIN_LEN:
-            return _LEN_TOO_SMALL
+            return NO_FRAME
         if left < 3:
             return Need(3)
         type_ = buffer[at + 2]
         if type_ in MESSAGES and length != MIN_LEN + MESSAGES[type_].LAYOUT.size:
-            return _LEN_OF_ANOTHER
+            return NO_FRAME
         size = length + 4
         if left < size:
             return Need(size)
         end = at + size
         if buffer[end - 1] != ETX:
-            return Bad(size, FRAMING, 'ETX')
+            return NO_FRAME
         if self.xor(at + 2, end - 1):    # of TYPE … CRC: 0 in a valid frame
             return Bad(size, CHECKSUM, 'CRC does not match')
         data = buffer[at + 4:end - 2]

@@ -158,7 +158,6 @@ def _fall_silent(check: Any) -> List[Frame]:
     frames: List[Frame] = []
     while check.pending:
         frames += check.give_up()
-    check.silence()
     return frames
 
 

@@ -213,7 +213,7 @@ class Model:
             while self._decoder.pending and self.now >= self._last_byte + _FRAME_TIMEOUT:
                 self._deliver(self._decoder.give_up())
             self.master.tick(self.now)
-            if self._decoder.pending or not self.master.wants_to_send(self.now):
+            if self._decoder.begun or not self.master.wants_to_send(self.now):
                 return
             request = self.master.next_request(self.now)
             if request is None:
