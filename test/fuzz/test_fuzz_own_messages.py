@@ -19,9 +19,11 @@ from own_rows import encoded, numbers
 pytest.importorskip('rospy')
 from sensor_msgs.msg import CameraInfo  # noqa: E402
 
+from serial_communication.boards.arduino import DESCRIPTION  # noqa: E402
 from serial_communication.boards.arduino.link import ArduinoLink  # noqa: E402
 from serial_communication.link.link import Refused  # noqa: E402
 from serial_communication.framing import cobs  # noqa: E402
+from serial_communication.ros.custom_topics import message_rows  # noqa: E402
 from serial_communication.ros.parameters import check  # noqa: E402
 from serial_communication.transport.port import Port  # noqa: E402
 
@@ -32,6 +34,37 @@ until = partial(waiting.until, seconds=PATIENCE, every=0.001)
 WHOLE = ('height', 'width', 'binning_x', 'binning_y', 'roi.x_offset', 'roi.height')   # uint32
 FRACTIONS = tuple(f'{name}[{index}]' for name in 'KP' for index in range(4))          # float64
 TRUTHS = ('roi.do_rectify',)
+
+
+def published_as(ros_type, layout):
+    """The class of a message with one value, which goes on into the field `data`."""
+    row, = message_rows(DESCRIPTION, {'own': {'type': 32, 'ros_type': f'std_msgs/{ros_type}',
+                                              'layout': layout, 'fields': ['data']}})
+    return row.kind
+
+
+@pytest.mark.parametrize('ros_type, least, most, beyond', [
+    ('Bool', 0, 1, []), ('Int8', -128, 127, [-129, 128]), ('UInt8', 0, 255, [-1, 256]),
+    ('Int16', -2**15, 2**15 - 1, [-2**15 - 1, 2**15]), ('UInt16', 0, 2**16 - 1, [-1, 2**16]),
+    ('Int32', -2**31, 2**31 - 1, [-2**31 - 1, 2**31]), ('UInt32', 0, 2**32 - 1, [-1, 2**32]),
+    ('Int64', -2**63, 2**63 - 1, [-2**64, 2**63]), ('UInt64', 0, 2**64 - 1, [-1, 2**64]),
+    ('Float32', -3.4e38, 3.4e38, [-7e38, 7e38]), ('Float64', -1e308, 1e308, [])])
+def test_what_a_field_of_the_ros_message_cannot_hold_is_implausible(ros_type, least, most, beyond):
+    kind = published_as(ros_type, '<d')
+    no_numbers = [math.nan, math.inf, -math.inf]
+    holds_them = ros_type.startswith('Float')
+    for value in [least, most, (least + most) / 2] + no_numbers * holds_them:
+        assert not kind(value).implausible(), value
+    for value in beyond + no_numbers * (not holds_them):
+        assert kind(value).implausible() == (f'data is {value:.6g}, which its place in the message '
+                                             'cannot hold')
+
+
+def test_each_number_of_an_array_has_to_fit_its_field():
+    kind = published_as('UInt8MultiArray', '<h*')
+    assert not kind((0, 255)).implausible()
+    assert kind((0, 256)).implausible().startswith('data is 256, which its place')
+    assert published_as('UInt8', '<B')(255).implausible() == ''
 
 
 @st.composite

@@ -152,10 +152,7 @@ class Environment(NamedTuple):
     @classmethod
     def parts(cls, data: bytes) -> List[Part]:
         """Which of the DATE bytes are which value."""
-        parts = cls.LAYOUT.parts(data)
-        if not cls.LAYOUT.fits(len(data)):
-            return parts
-        return [part._replace(value=value) for part, value in zip(parts, cls.unpack(data))]
+        return cls.LAYOUT.parts(data, cls.unpack)
 
     def __str__(self) -> str:
         return f'smoke {self.smoke}, {self.temperature:.2f} C, {self.humidity:.2f} %'
