@@ -2,6 +2,7 @@
 import random
 
 import pytest
+from by_definition import xor_of
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
@@ -51,13 +52,6 @@ def sound_at(kind, stream, at):
     else:
         return 0
     return at + size if size <= len(rest) and not xor_of(rest[:size]) else 0
-
-
-def xor_of(data):
-    value = 0
-    for byte in data:
-        value ^= byte
-    return value
 
 
 def frames_by_definition(kind, stream):

@@ -14,7 +14,7 @@ import pytest
 import waiting
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from own_rows import encoded, numbers
+from own_rows import encoded, layout_and_raws
 
 pytest.importorskip('rospy')
 from sensor_msgs.msg import CameraInfo  # noqa: E402
@@ -70,19 +70,10 @@ def test_each_number_of_an_array_has_to_fit_its_field():
 @st.composite
 def row_and_raws(draw):
     """A valid entry for a CameraInfo, and raw numbers for it."""
-    codes = draw(st.lists(st.sampled_from('bBhHiIqQefd?'), max_size=7))
-    paths = draw(st.permutations(WHOLE + FRACTIONS + TRUTHS))[:len(codes)]
-    layout = draw(st.sampled_from('<>')) + ''.join(codes)
-    raws = [draw(numbers(code)) for code in codes]
-    ending = draw(st.sampled_from(('', '*', 's')))
-    if ending == '*':
-        code = draw(st.sampled_from('bHiqfd?'))
-        layout, paths = layout + code + '*', paths + ['D']
-        raws.append(draw(st.lists(numbers(code), max_size=5)))
-    elif ending == 's':
-        layout, paths = layout + 's', paths + ['distortion_model']
-        raws.append(draw(st.text(st.characters(blacklist_characters='\0', blacklist_categories=(
-            'Cs',)), max_size=12)))
+    layout, raws = draw(layout_and_raws())
+    paths = draw(st.permutations(WHOLE + FRACTIONS + TRUTHS))[:len(raws)]
+    if layout[-1] in '*s':
+        paths[-1] = 'D' if layout.endswith('*') else 'distortion_model'
     scale, offset = (draw(st.one_of(st.sampled_from(some), st.lists(
         st.sampled_from(some), min_size=len(raws), max_size=len(raws)))) for some in (
             (1, 1, 1, 1.0, 0.5, -2, 0.01), (0, 0, 0.0, 7, -0.25)))

@@ -2,6 +2,7 @@
 import struct
 
 import pytest
+from by_definition import xor_of
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -20,10 +21,7 @@ seqs = st.integers(0, 255)
 def sealed(type_, seq, payload, length=None):
     """A frame by the definition; `length` where its LEN is to be another."""
     body = bytes((type_, seq)) + payload
-    crc = 0
-    for value in body:
-        crc ^= value
-    return bytes((2, len(body) if length is None else length)) + body + bytes((crc, 3))
+    return bytes((2, len(body) if length is None else length)) + body + bytes((xor_of(body), 3))
 
 
 def status(raw_yaw=0, raw_pitch=0, raw_roll=0, range_1=100, range_2=200, seq=0):
