@@ -375,7 +375,6 @@ class Link:
 
     def take(self, data: bytes, stamp: Any, now: float) -> None:
         """Decode what was read and pass it on."""
-        self._timer.bytes_came(self.last_byte_at, now)
         self.last_byte_at = now
         self._deliver(self.decoder.feed(data, stamp), now)
 

@@ -121,7 +121,7 @@ def _decode(frames: List[Arrival], kind: str) -> List[Arrival]:
     last, before = 0.0, 0      # when and where the frame before this one ended
     for one in frames:
         recent.append(one.own)
-        damaged = not one.ok or any(decoder.pending for decoder, _patience in decoders)
+        damaged = not one.ok or any(decoder.begun for decoder, _patience in decoders)
         rest = Arrival(last, 0, None, False, 1, b'', before)
         longest = 0
         for decoder, patience in decoders:
