@@ -231,8 +231,8 @@ class ArduinoLink(Link):
                     self._look_at = now + _LOOK_PERIOD
                     if self.port.backlog() > _STALLED:
                         self._unblock()
-                why = self._motor.due(now)
-                if why and self._reads(why):
+                why = self._motor.due(now, self._board_reads(now))
+                if why:
                     self._send_packet(_SPEED_0, now)
                 if why is Stop.TIMED_OUT:
                     self._log_later('speed timeout', 'no speed command for '
@@ -246,14 +246,11 @@ class ArduinoLink(Link):
                 pass                # the link's thread sees it as well
             return False
 
-    def _reads(self, why: Stop) -> bool:
-        """Whether a SPEED 0 for this reason is sent: a board that calibrates reads no repetition.
-
-        The line may have lost the request, and the SPEED 0 before it.
-        """
+    def _board_reads(self, now: float) -> bool:
+        """Whether the board takes commands: not while it calibrates. As long as its IMU data goes
+        on, the line may have lost the request to calibrate, and the SPEED 0 before it."""
         calibration = self._calibration
-        return why is not Stop.REPEATED or calibration is None \
-            or calibration.data_goes_on(clock())
+        return calibration is None or calibration.data_goes_on(now)
 
     def _log_later(self, cause: str, text: str,
                    say: Optional[Callable[[str, str], None]] = None) -> None:
