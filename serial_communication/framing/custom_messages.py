@@ -1,6 +1,6 @@
 """Rows of parameters -> custom messages.
 
-A board's ``messages`` hold one entry each by name, with the keys that config/own_messages.yaml
+A board's ``messages`` hold one entry each by name, with the keys that config/custom_messages.yaml
 shows. Here they become message classes and layouts; whatever they have of ROS (types, topics) is
 text here, for others to resolve.
 """

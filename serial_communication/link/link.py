@@ -220,7 +220,7 @@ class Link:
              if self.last_frame_at is not None else 'never'),
         ]
         values += sorted((cause + ' errors', count) for cause, count in counted.items())
-        return Report(level, summary, values + self.own_values())
+        return Report(level, summary, values + self.extra_values())
 
     def condition(self, now: float) -> Tuple[int, str]:
         """Level and a few words, new errors aside."""
@@ -234,7 +234,7 @@ class Link:
         """All that went wrong on the line so far."""
         return sum(self.decoder.errors.values())
 
-    def own_values(self) -> List[Tuple[str, Any]]:
+    def extra_values(self) -> List[Tuple[str, Any]]:
         """Key-value pairs that only this kind of link has."""
         return []
 

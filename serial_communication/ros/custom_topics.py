@@ -20,7 +20,7 @@ _LABEL = 100     # characters of a command's values in a warning
 
 
 class RowMessage(NamedTuple):
-    """A message of one's own, and what it is in ROS."""
+    """A custom message, and what it is in ROS."""
 
     own: CustomMessage
     kind: Any             # its class, which takes for implausible what a field cannot hold
@@ -95,15 +95,15 @@ def built_in_topic(name: str, ros_class: Any, kind: Any) -> RowTopic:
     return RowTopic(name, ros_class, RosFields(ros_class, kind.LAYOUT, name))
 
 
-def own_topics(rows: List[RowMessage], prefix: str, frame_prefix: str) -> dict:
-    """The topics of one's own messages from the board, by their classes."""
+def custom_topics(rows: List[RowMessage], prefix: str, frame_prefix: str) -> dict:
+    """The topics of custom messages from the board, by their classes."""
     return {row.kind: RowTopic(prefix + row.own.name, row.message_class, row.fields,
                                row.own.frame_id and frame_prefix + row.own.frame_id)
             for row in rows if not row.own.is_command}
 
 
 def take_commands(rows: List[RowMessage], prefix: str, link: Any, age_limit: float) -> None:
-    """Subscribe to one's own commands; what cannot be sent is refused with a warning."""
+    """Subscribe to custom commands; what cannot be sent is refused with a warning."""
     for row in rows:
         if row.own.is_command:
             _take_command(row, prefix, link, age_limit)

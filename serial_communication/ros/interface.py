@@ -41,7 +41,7 @@ class Interface(Protocol):
         return ''
 
     @staticmethod
-    def own_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
+    def custom_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
         """The topics and services that parameters add: (name, the parameter that adds it)."""
         return []
 

@@ -98,14 +98,14 @@ def _check_together(interfaces: List[Type[Interface]], values: Dict[str, Any],
         own = of_board(interface, values)
         try:
             problem = interface.problem(own)
-            own_names = [(name, key) for name, key in interface.own_names(own)]
+            custom_names = [(name, key) for name, key in interface.custom_names(own)]
         except (Exception, SystemExit) as error:  # pylint: disable=broad-except
             raise ParameterError(f'parameter {namespace}/boards: the board {interface.NAME} cannot '
                                  f'check its parameters: {reason(error)}') from None
         if problem:
             raise ParameterError(f'parameter {namespace}/{interface.NAME}/{problem}')
         _refuse_second(f'{namespace}/{interface.NAME}/port', own['port'], ports)
-        for name, key in own_names:
+        for name, key in custom_names:
             if name in names:
                 raise ParameterError(f'parameter {namespace}/{key} is named as {names[name]} '
                                      f'is: both make {name}, which may be made once')

@@ -5,7 +5,7 @@ import tracemalloc
 import pytest
 from hypothesis import assume, given
 
-from own_rows import encoded, row_and_raws
+from custom_rows import encoded, row_and_raws
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
@@ -175,7 +175,7 @@ def test_any_base_name_of_ros_names_a_message(name):
     assert bus_functions({name: PUMP})[0].ask((1,)).data == b'\1'
 
 
-def test_mcu_frames_of_ones_own():
+def test_custom_mcu_frames():
     own, = mcu_messages({'line': dict(FORCE, type=0x20)})
     decoder = mcu.Decoder([own.kind])
     frame, = decoder.feed(mcu.encode(own.kind(12.5), 7))
@@ -205,7 +205,7 @@ def test_a_false_len_that_the_checksum_fits_costs_no_frame_behind_it(read):
     assert not decoder.pending
 
 
-def test_a_function_of_ones_own():
+def test_a_custom_function():
     pump = one(PUMP)
     assert pump.ask((True,)) == bus.Request(bus.FUNCTION, 48, b'\1')
     assert str(pump.ask((True,))) == 'name data=true'
@@ -221,7 +221,7 @@ def test_a_function_of_ones_own():
         assert str(polled.answer(other)) == str(other)
 
 
-def test_functions_of_ones_own_are_explained_by_name():
+def test_custom_functions_are_explained_by_name():
     pump = one(PUMP, reply={'layout': '<H', 'fields': ['message'], 'scale': 0.1})
     request = pump.ask((True,))
     told = bus.RequestDecoder(functions=[pump]).explain(bus.encode_request(request))

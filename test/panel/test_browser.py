@@ -244,7 +244,7 @@ def test_own_topics_appear_by_themselves(chromium, core):
     """This process plays a bridge that publishes what no other does."""
     wind = rospy.Publisher('~wind', Vector3, queue_size=1)
     words = rospy.Publisher('~motto', String, queue_size=1)
-    panel = Panel('--node', rospy.get_name(), name='panel_own')
+    panel = Panel('--node', rospy.get_name(), name='panel_custom')
     try:
         chromium.open(panel.url)
         chromium.wait_for_text('#connection', 'live')

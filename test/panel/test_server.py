@@ -494,7 +494,7 @@ def test_not_known_is_told_as_that(driver, robot):
     assert driver.calls['lost']['outcome'] == 'not known'
 
 
-def call_own(page, name):
+def call_custom(page, name):
     """Call a function of the configuration, and wait for its answer."""
     page.until(lambda page: name in page.known.get('controls', {}).get('services', ()), name)
     key = f'{name} at {time.monotonic()}'        # a page is told of calls before it, too
@@ -513,7 +513,7 @@ def test_what_was_executed_and_answered_too_late_is_told_as_not_known(driver, ro
         return robot.bus.usual(request)
     robot.bus.script.append(late)
     try:
-        call = call_own(driver, name)
+        call = call_custom(driver, name)
     finally:
         answered.set()
     assert call['outcome'] == 'not known'
@@ -524,7 +524,7 @@ def test_what_was_executed_and_answered_too_late_is_told_as_not_known(driver, ro
 @pytest.mark.parametrize('name', ['~beep', '~dock'])
 def test_what_the_board_refused_is_told_as_that(driver, robot, name):
     robot.bus.script.append(bus.Reply(bus.ERROR, b'\2\x80'))
-    call = call_own(driver, name)
+    call = call_custom(driver, name)
     assert (call['outcome'], call['words']) == (
         'refused', 'the board refused: 0x8002: the operation failed')
 
@@ -532,7 +532,7 @@ def test_what_the_board_refused_is_told_as_that(driver, robot, name):
 def test_a_bridge_that_dies_in_the_middle_of_a_call_leaves_it_not_known(driver, robot):
     until(lambda: time.monotonic() - driver.now < 1, 'the page is up to date')
     robot.bus.script.append(lambda request: robot.bridge.process.kill() or b'')
-    call = call_own(driver, '~beep')
+    call = call_custom(driver, '~beep')
     robot.start_bridge()
     assert call['outcome'] == 'not known' and 'look before you repeat it' in call['words']
 

@@ -245,8 +245,8 @@ class INTERFACE(Interface):
         for text, said in (
                 ('    problem = staticmethod' + fault, 'parameter /node/boards: the board wind '
                  'cannot check its parameters: ZeroDivisionError'),
-                ('    own_names = staticmethod' + fault, 'the board wind cannot check its'),
-                ('    own_names = staticmethod(lambda p: 5)', 'the board wind cannot check its'),
+                ('    custom_names = staticmethod' + fault, 'the board wind cannot check its'),
+                ('    custom_names = staticmethod(lambda p: 5)', 'the board wind cannot check its'),
                 (f'    PARAMETERS["x"] = Parameter("a", parse={fault})', "parameter /node/wind/x "
                  "is 'a' (str), may be text: ZeroDivisionError: division by zero (")):
             with self.subTest(text):

@@ -118,7 +118,7 @@ def test_late_reply_arrives_after_the_timeout():
     assert bench.messages() == [bus.Reply(bus.SYNC)]
 
 
-def test_seconds_of_ones_own():
+def test_custom_seconds():
     bench = sensors('delay=1:0.3-0.4')
     assert bench.line.faults.rates['delay'].seconds == (0.3, 0.4)
 

@@ -16,7 +16,7 @@ from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.mcu.simulator import SensorBoard
 from serial_communication.simulation.custom_messages import wandering
 
-EXAMPLES = read_parameters(os.path.join(ROOT, 'config', 'own_messages.yaml'))
+EXAMPLES = read_parameters(os.path.join(ROOT, 'config', 'custom_messages.yaml'))
 FUNCTIONS, CAR, SENSORS = (
     board.custom.read(of_board(EXAMPLES, board.name)[board.custom.parameter])
     for board in map(description, BOARDS))

@@ -769,8 +769,8 @@ def test_a_plot(kept, tmp_path):
         assert run('stats', kept, '--plot', tmp_path / 'plot.docx').returncode == 1
 
 
-def test_messages_of_ones_own(tmp_path):
-    config = os.path.join(ROOT, 'config', 'own_messages.yaml')
+def test_custom_messages(tmp_path):
+    config = os.path.join(ROOT, 'config', 'custom_messages.yaml')
     done = run('explain', 'arduino', '--config', config, '0420f40100')
     assert done.returncode == 0 and 'force' in done.stdout and '(sent as 500)' in done.stdout
     assert run('explain', 'arduino', '0420f40100').returncode == 1

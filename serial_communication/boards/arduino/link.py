@@ -42,7 +42,7 @@ class ArduinoLink(Link):
         on_message: is called in the link's thread with each (message, stamp) but the logs.
         on_log: likewise with each (severity 0 … 3, text), sparingly if they are many.
         on_calibrating: is called with True and False as a calibration begins and ends.
-        messages: classes of messages of one's own that the board sends.
+        messages: classes of custom messages that the board sends.
         link_arguments: frame_timeout, clock and logger, as `Link` has them.
     """
 
@@ -364,7 +364,7 @@ class ArduinoLink(Link):
                'its motor; see "Let the bridge come first" in doc/troubleshooting.md')
         return WARN, gap if level == OK else f'{summary}; {gap}'
 
-    def own_values(self) -> List[Tuple[str, Any]]:
+    def extra_values(self) -> List[Tuple[str, Any]]:
         return [('heartbeats sent', self.heartbeats_sent),
                 ('heartbeat gap [ms]', f'{self._recent_gap * 1e3:.2f}'),
                 ('heartbeat max gap [ms]', f'{self._heart.max_gap * 1e3:.2f}')]

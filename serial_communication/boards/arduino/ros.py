@@ -15,7 +15,7 @@ from ...link.link import Refused
 from ...link.outcome import NOT_SENT, Outcome
 from ...ros.answers import service_error
 from ...ros.commands import CommandTopic
-from ...ros.custom_topics import (built_in_topic, message_rows, names_of, own_topics,
+from ...ros.custom_topics import (built_in_topic, custom_topics, message_rows, names_of,
                                   take_commands)
 from ...ros.geometry import OrientationBroadcaster
 from ...ros.interface import Common, Interface
@@ -79,7 +79,7 @@ class ArduinoInterface(Interface):
         if without:
             raise TypeError(f'messages without a topic: {without}')
         self._own = p['messages']
-        self._rows.update(own_topics(self._own, '~', p['frame_prefix']))
+        self._rows.update(custom_topics(self._own, '~', p['frame_prefix']))
         self.link = ArduinoLink(
             Port(p['port'], p['baud'], p['reset_on_open']),
             ArduinoSettings(**{name: p[name] for name in ArduinoSettings._fields}),
@@ -88,7 +88,7 @@ class ArduinoInterface(Interface):
             on_calibrating=lambda on: self._calibrating.publish(on), **common._asdict())
 
     @staticmethod
-    def own_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
+    def custom_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
         return names_of(parameters['messages'], '~')
 
     def advertise(self) -> None:

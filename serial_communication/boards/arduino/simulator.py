@@ -55,7 +55,7 @@ class ModelCar(Board):
     Args:
         calibration_time: s.
         seed: of the sensors' noise.
-        own: messages of one's own: sent beside these, and told as they come.
+        own: custom messages: sent beside these, and told as they come.
         lose_stops: the line loses the first SPEED 0 of each stop, as damage may.
     """
 

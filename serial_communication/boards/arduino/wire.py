@@ -241,7 +241,7 @@ class _Decoder:
 
     Args:
         check_plausibility: refuse packets whose values cannot be.
-        messages: classes of messages of one's own, see `message_class`; what their rows do not
+        messages: classes of custom messages, see `message_class`; what their rows do not
             allow is always refused.
     """
 

@@ -1,6 +1,6 @@
 """Custom functions of the bus: ``bus/functions``, one entry each by name.
 
-config/own_messages.yaml shows their keys. Whatever they have of ROS is text here.
+config/custom_messages.yaml shows their keys. Whatever they have of ROS is text here.
 """
 from typing import Any, List, NamedTuple, Optional, Tuple
 

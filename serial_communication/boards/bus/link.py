@@ -255,7 +255,7 @@ class BusLink(Link):
         return (super().error_count() + master.timeouts + master.length_errors
                 + master.implausible)
 
-    def own_values(self) -> List[Tuple[str, Any]]:
+    def extra_values(self) -> List[Tuple[str, Any]]:
         times = sorted(self.master.round_trips)
         return [('timeouts', self.master.timeouts),
                 ('length errors', self.master.length_errors),

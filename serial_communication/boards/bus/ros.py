@@ -55,7 +55,7 @@ class BusInterface(Interface):
         self._frame_id = p['base_frame_id']
 
     @staticmethod
-    def own_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
+    def custom_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
         return names_of(parameters['functions'], '~')
 
     def advertise(self) -> None:
@@ -122,7 +122,7 @@ class BusInterface(Interface):
 
 
 class RowFunction(NamedTuple):
-    """A function of one's own, and what it is in ROS."""
+    """A custom function, and what it is in ROS."""
 
     own: CustomFunction      # its reply takes for implausible what a field cannot hold
     ros_class: Any        # of the service, or of the message that is published
@@ -170,7 +170,7 @@ def _values(own: CustomFunction, outcome: Outcome) -> Tuple:
 
 
 def _offer(rows: List[RowFunction], link: BusLink) -> None:
-    """Offer the services of one's own functions."""
+    """Offer the services of custom functions."""
     for row in rows:
         if not row.own.period:
             rospy.Service('~' + row.own.name, row.ros_class, _service(row, link))

@@ -92,7 +92,7 @@ class ControlBoard(Board):
         echoes: whether it answers ECHO at all.
         ok_data: DATE bytes that its OK to a move carries.
         seed: of the air's noise.
-        own: functions of one's own: it answers with values that wander.
+        own: custom functions: it answers with values that wander.
     """
 
     NAME = DESCRIPTION.name
@@ -245,7 +245,7 @@ class ControlBoard(Board):
                 return _error(wire.MALFORMED)
             return wire.Reply(wire.OK, self.air(now).pack())
         if request.cmd2 in self._own:
-            return self._own_function(self._own[request.cmd2], request, now)
+            return self._custom_function(self._own[request.cmd2], request, now)
         if request.cmd2 == MEMORY:
             self.memory = request.data
             return wire.Reply(wire.OK, request.data)
@@ -269,7 +269,8 @@ class ControlBoard(Board):
                  f'{round(start + way, 1):g}{unit}')
         return None
 
-    def _own_function(self, own: CustomFunction, request: wire.Request, now: float) -> wire.Reply:
+    def _custom_function(self, own: CustomFunction, request: wire.Request,
+                         now: float) -> wire.Reply:
         if not own.request.fits(len(request.data)):
             return _error(wire.MALFORMED)
         values = own.request.unpack(request.data)

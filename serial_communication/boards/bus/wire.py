@@ -110,7 +110,7 @@ class Reply(NamedTuple):
 
 
 class NamedRequest(Request):
-    """A request of a function of one's own, which has a name; it says so."""
+    """A request of a custom function, which has a name; it says so."""
 
     text = ''
     function: Any = None     # what it asks for
@@ -120,7 +120,7 @@ class NamedRequest(Request):
 
 
 class NamedReply(Reply):
-    """The OK to a function of one's own, which has a name; it says so."""
+    """The OK to a custom function, which has a name; it says so."""
 
     text = ''
 

@@ -26,7 +26,7 @@ class McuLink(Link):
         timeout: seconds without a valid frame after which the board counts as silent.
         network_silence: seconds without a byte after which a network port is opened anew;
             0: never.
-        messages: classes of messages of one's own.
+        messages: classes of custom messages.
         on_status: is called with each (message, seq, stamp).
         on_silence: is called once a second for each class of message that the board has sent
             and sends no more, or with None while it has never spoken; with its last seq and the
@@ -105,5 +105,5 @@ class McuLink(Link):
     def talks(self, now: float) -> Optional[bool]:
         return not self.silent
 
-    def own_values(self) -> List[Tuple[str, Any]]:
+    def extra_values(self) -> List[Tuple[str, Any]]:
         return [('frames lost', self.frames_lost), ('frames doubled', self.duplicates)]

@@ -9,7 +9,7 @@ from sensor_msgs.msg import Imu, Range
 
 from serial_communication.msg import McuStatus, McuStatus2
 
-from ...ros.custom_topics import message_rows, names_of, own_topics
+from ...ros.custom_topics import custom_topics, message_rows, names_of
 from ...ros.geometry import OrientationBroadcaster, quaternion
 from ...ros.interface import Common, Interface
 from ...ros.parameter import BAUD, MOUNT, PORT, Parameter, frame_id, seconds
@@ -60,7 +60,7 @@ class McuInterface(Interface):
         if p['publish_tf']:
             self._orientation = OrientationBroadcaster(p['imu_frame_id'],
                                                        p['imu_orientation_frame_id'])
-        self._rows = own_topics(p['messages'], 'mcu/', p['frame_prefix'])
+        self._rows = custom_topics(p['messages'], 'mcu/', p['frame_prefix'])
         self.link = McuLink(Port(p['port'], p['baud']), p['timeout'],
                             on_status=self._received, on_silence=self._silent,
                             network_silence=p['network_silence'], messages=list(self._rows),
@@ -73,7 +73,7 @@ class McuInterface(Interface):
             f'min_range is {low:g}, may be less than mcu/max_range, which is {high:g}'
 
     @staticmethod
-    def own_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
+    def custom_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
         return names_of(parameters['messages'], 'mcu/')
 
     def _received(self, message: Any, seq: int, stamp: rospy.Time) -> None:

@@ -33,7 +33,7 @@ class SensorBoard(Board):
         rate: frames a second.
         adc: send the six ADC channels, and nothing else.
         seed: of the noise and the timeouts.
-        own: messages of one's own, sent beside these.
+        own: custom messages, sent beside these.
     """
 
     NAME = DESCRIPTION.name

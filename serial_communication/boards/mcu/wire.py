@@ -101,7 +101,7 @@ class Decoder(StreamDecoder):
     """Board -> us. A frame's `message` is None where its TYPE is not known.
 
     Args:
-        messages: classes of messages of one's own, see `message_class`.
+        messages: classes of custom messages, see `message_class`.
     """
 
     STARTS = bytes((STX,))

@@ -1,7 +1,7 @@
 """Looks at one bridge through its master and its topics, and never says anything to it.
 
 Topics are counted as they come, but only the latest message of each is unpacked, when somebody
-looks (`update`). Which topics a bridge has is asked of the master, so that own messages and
+looks (`update`). Which topics a bridge has is asked of the master, so that custom messages and
 boards of other packages appear by themselves.
 """
 import atexit

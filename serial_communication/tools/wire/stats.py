@@ -113,7 +113,7 @@ def measure(seen: Sequence[Seen], known: Dict[str, Settings]) -> Dict[str, Any]:
             if frames:
                 about['to the board' if sent else 'from the board'] = _direction(
                     frames, length, known[link].baud, name_of)
-        about.update(_own_figures(known[link].board, of_link))
+        about.update(_extra_figures(known[link].board, of_link))
     return {'seconds': length, 'links': links}
 
 
@@ -136,7 +136,7 @@ def _direction(seen: Sequence[Seen], length: float, baud: int,
                              **spread(gaps(stamps))) for name, stamps in sorted(by_type.items())}}
 
 
-def _own_figures(board: Description, seen: Sequence[Seen]) -> Dict[str, Any]:
+def _extra_figures(board: Description, seen: Sequence[Seen]) -> Dict[str, Any]:
     """What only some boards have."""
     own: Dict[str, Any] = {}
     good = [each for each in seen if not each.frame.cause]
@@ -199,7 +199,7 @@ def render(figures: Dict[str, Any]) -> str:
         for name in ('from the board', 'to the board'):
             if name in about:
                 text += [''] + _render_direction(f'{link}, {name}', about[name], paint)
-        text += _render_own(about, paint)
+        text += _render_custom(about, paint)
     return '\n'.join(text)
 
 
@@ -220,7 +220,7 @@ def _render_direction(title: str, figures: Dict[str, Any], paint: Paint) -> List
     return text
 
 
-def _render_own(about: Dict[str, Any], paint: Paint) -> List[str]:
+def _render_custom(about: Dict[str, Any], paint: Paint) -> List[str]:
     text = []
 
     def add(figures: str, bad: int, words: str) -> None:

@@ -80,7 +80,7 @@ def own_board(line, running):
     return running(CarBoard(line, [GRIPPER]))
 
 
-def test_a_command_of_ones_own_keeps_the_rules_of_commands(own_board, open_link):
+def test_a_custom_command_keeps_the_rules_of_commands(own_board, open_link):
     link = open_link()
     link.command(GRIPPER(12.5, 9))
     until(own_board.commands)
@@ -117,7 +117,7 @@ def test_a_led_text_of_any_length_is_refused_in_few_words(board, open_link):
     assert len(str(refused.value)) < 100
 
 
-def test_a_command_of_ones_own_is_never_kept(own_board, open_link):
+def test_a_custom_command_is_never_kept(own_board, open_link):
     link = open_link()
     with own_board.unplugged():
         until(lambda: not link.port.is_open)

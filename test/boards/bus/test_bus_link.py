@@ -174,7 +174,7 @@ def test_no_reply_is_a_timeout_and_the_move_is_not_sent_again(board, open_link):
     board.rule = lambda request: None
     assert link.gimbal(0, 1).success
     assert board.moves() == [LIFT, bus.gimbal(0, 1)]
-    assert dict(link.own_values())['timeouts'] == 1
+    assert dict(link.extra_values())['timeouts'] == 1
 
 
 def test_a_late_reply_is_not_taken_for_the_next_requests(board, open_link):
@@ -252,7 +252,7 @@ def test_a_reading_of_a_wrong_length_is_told_as_that_and_holds_nobody_up(board, 
         assert link.lift(0, 100).success
     assert not readings and len(lines('6 were expected')) == 1
     assert not lines('no reply')
-    assert link.error_count() >= 2 and dict(link.own_values())['timeouts'] == 0
+    assert link.error_count() >= 2 and dict(link.extra_values())['timeouts'] == 0
 
 
 def test_a_damaged_reply_is_a_timeout_told_at_once(board, open_link):

@@ -77,7 +77,7 @@ def test_lost_frames_are_counted_over_the_modulo(line, watch, seqs, lost):
     line.write(b''.join(map(status, seqs)))
     until(lambda: len(watched.got) == len(seqs))
     assert watched.seqs() == list(seqs) and watched.link.frames_lost == lost
-    assert dict(watched.link.own_values())['frames lost'] == lost
+    assert dict(watched.link.extra_values())['frames lost'] == lost
 
 
 def test_a_doubled_frame_is_passed_on_once(line, watch):
@@ -158,7 +158,7 @@ def test_a_frame_of_an_unknown_type_keeps_the_count_and_is_not_passed_on(line, w
     assert watched.link.decoder.errors['unknown type'] == 1
 
 
-def test_a_message_of_ones_own_is_passed_on_and_says_that_the_board_talks(line, watch):
+def test_a_custom_message_is_passed_on_and_says_that_the_board_talks(line, watch):
     cliff = message_class('cliff', 0x20, '<H', [Value('range', maximum=2000)])
     watched = watch(messages=[cliff])
     line.write(mcu.encode(cliff(1500), 1))

@@ -1,4 +1,4 @@
-"""Any row of a message of one's own, and an encoder that shares no code with the package's."""
+"""Any row of a custom message, and an encoder that shares no code with the package's."""
 import struct
 from typing import Any, List
 

@@ -14,7 +14,7 @@ import pytest
 import waiting
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from own_rows import encoded, layout_and_raws
+from custom_rows import encoded, layout_and_raws
 
 pytest.importorskip('rospy')
 from sensor_msgs.msg import CameraInfo  # noqa: E402

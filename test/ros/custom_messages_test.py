@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""Messages and functions of one's own: every example of config/own_messages.yaml and odd ones
+"""Messages and custom functions: every example of config/custom_messages.yaml and odd ones
 more, values on both sides of real ttys; and every mistake that needs ROS to be found."""
 import contextlib
 import io
@@ -38,7 +38,7 @@ from serial_communication.srv import GetEnvironment, Lift
 OWN = '/' + PACKAGE + '/'
 NO_REPLY = ('no reply within %g s: it is not known whether this was executed; '
             'look before you repeat it')
-EXAMPLES = __file__.rsplit('/', 3)[0] + '/config/own_messages.yaml'
+EXAMPLES = __file__.rsplit('/', 3)[0] + '/config/custom_messages.yaml'
 
 
 class OwnCar(CarBoard):
@@ -51,7 +51,7 @@ class OwnCar(CarBoard):
 
 
 class OwnBoard(BusBoard):
-    """Answers functions of one's own as `answers` has it, which may be a function that returns
+    """Answers custom functions as `answers` has it, which may be a function that returns
     the answer; others as always. None: no answer."""
 
     def __init__(self, path):
@@ -266,7 +266,7 @@ class ToTheCar(unittest.TestCase):
 class FromTheSensors(unittest.TestCase):
     """Topics of the mcu link."""
 
-    def test_a_frame_of_ones_own(self):
+    def test_a_custom_frame(self):
         topic = Topic('/mcu/cliff', Range)
         self.addCleanup(topic.close)
         seqs = iter(range(1 << 30))
@@ -608,5 +608,5 @@ class Mistakes(unittest.TestCase):
 
 
 if __name__ == '__main__':
-    rospy.init_node('own_messages_test')
-    rostest.rosrun(PACKAGE, 'own_messages', '__main__')
+    rospy.init_node('custom_messages_test')
+    rostest.rosrun(PACKAGE, 'custom_messages', '__main__')

@@ -46,7 +46,7 @@ class OwnCard {
   }
 }
 
-export class OwnMessages {
+export class CustomMessages {
   constructor() {
     this.element = h('div', {class: 'owns'});
     this._cards = new Map();

@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""doc/own_messages.md, step by step: its files, its commands, and its firmware on an emulated
+"""doc/custom_messages.md, step by step: its files, its commands, and its firmware on an emulated
 board."""
 import os
 import re
@@ -17,7 +17,7 @@ from avr_boards import EmulatedBoard, build_firmware
 from boards import PACKAGE, PATIENCE, Topic, own_folder, until
 
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
-PAGE = os.path.join(ROOT, 'doc', 'own_messages.md')
+PAGE = os.path.join(ROOT, 'doc', 'custom_messages.md')
 SKETCHES = ('nano_car/nano_car.ino', 'ctrl_board/ctrl_board.ino')
 PORT = '/dev/ttyUSB0'      # as the page calls it
 
@@ -112,5 +112,5 @@ class Tutorial(unittest.TestCase):
 
 
 if __name__ == '__main__':
-    rospy.init_node('own_tutorial_test')
-    rostest.rosrun(PACKAGE, 'own_tutorial', '__main__')
+    rospy.init_node('custom_tutorial_test')
+    rostest.rosrun(PACKAGE, 'custom_tutorial', '__main__')
