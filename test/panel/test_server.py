@@ -43,27 +43,6 @@ def two_pages(panel):
     other.close()
 
 
-@pytest.fixture(scope='module')
-def unread(robot):
-    """Panels with a page each that reads nothing: the first page says nothing, the second that it
-    has seen everything. Until the system takes no more of this passes half a minute, in which other
-    tests run."""
-    panels = [Panel(name='panel_unread_' + name) for name in ('says_nothing', 'says_seen')]
-    _, says_seen = pages = [Page(panel, watch=[*LOOKS, 'serial_msg'], reads=False)
-                            for panel in panels]
-    ended = threading.Event()
-
-    def say_seen():
-        while not ended.wait(0.1):
-            says_seen.say(seen=1e18)
-    threading.Thread(target=say_seen, daemon=True).start()
-    yield panels
-    ended.set()
-    for page in pages:
-        page.close()
-    assert [panel.end() for panel in panels] == [0, 0]
-
-
 @pytest.fixture
 def driver(controls, robot):
     """A page that may drive, and whose commands the bridge hears."""
@@ -104,7 +83,7 @@ def test_wrong_arguments(arguments, words):
     assert done.returncode == 2 and words in done.stderr and not done.stdout
 
 
-@pytest.mark.usefixtures('two_pages', 'unread')     # so that their time begins
+@pytest.mark.usefixtures('two_pages')       # so that their time begins
 def test_an_address_that_cannot_be_had(panel):
     done = run('--port', str(panel.port))
     assert done.returncode == 1
@@ -303,6 +282,18 @@ def test_a_flood_of_frames_that_are_no_messages_is_dropped(panel, bystander, fra
 def test_a_ping_is_answered(page):
     page.write(b'x', 0x89)
     page.until(lambda page: page.pongs, 'the answer comes')
+
+
+@pytest.mark.parametrize('says', [
+    {}, {'seen': 1e18}], ids=['nothing', 'that it has seen everything'])
+def test_a_page_that_reads_nothing_is_dropped_whatever_it_says(robot, says):
+    panel = Panel(name='panel_unread')
+    page = Page(panel, watch=[*LOOKS, 'serial_msg'], reads=False)
+    until(lambda: 'dropped a page at 127.0.0.1: it does not take' in panel.output(),
+          'it is dropped', seconds=60,
+          doing=lambda: says and page.say(**says), every=0.1)
+    page.close()
+    assert panel.end() == 0
 
 
 def test_idle_connections_keep_nobody_out(robot):
@@ -734,12 +725,6 @@ def test_the_panels_end_stops(robot):
     panel.process.send_signal(signal.SIGTERM)
     until(stands(robot), 'the car stands')
     assert panel.end() == 0
-
-
-@pytest.mark.parametrize('number', [0, 1], ids=['nothing', 'that it has seen everything'])
-def test_a_page_that_reads_nothing_is_dropped_whatever_it_says(unread, number):
-    until(lambda: 'dropped a page at 127.0.0.1: it does not take' in unread[number].output(),
-          'it is dropped', seconds=60, every=0.1)
 
 
 # -- a master, a bridge or a panel that hangs -------------------------------------------------
