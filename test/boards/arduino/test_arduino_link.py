@@ -976,7 +976,7 @@ def test_a_board_that_does_not_calibrate_gets_commands_again(
     link.calibrate_imu()
     until(lambda: not link.calibrating)
     assert lines('IMU data has gone on for 5 s since the calibration was asked for')
-    link.set_speed(5)
+    until(lambda: takes_speed(link, 5))
     until(lambda: board.commands()[-1:] == [SpeedCommand(5)])
     board.streaming = False
 
