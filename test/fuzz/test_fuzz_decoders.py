@@ -5,6 +5,7 @@ what each unit costs and looks for a dearer one. SERIAL_COMMUNICATION_FUZZ_EXAMP
 it look for hours.
 """
 import sys
+from functools import lru_cache
 
 import hypothesis
 import pytest
@@ -83,6 +84,7 @@ def test_a_good_frame_behind_garbage_is_found_after_a_pause(name, data):
     assert found == clean
 
 
+@lru_cache(maxsize=8)        # clean traffic is counted once
 def work(make, stream):
     """Lines of Python run, and calls counted as lines, for each byte, in reads of 500."""
     counts = {'line': 0, 'call': 0, 'c_call': 0}

@@ -44,7 +44,7 @@ def fixture_suite(tmp_path):
         for part, text in tests.items():
             if text is None:
                 continue
-            (tmp_path / 'test' / part).mkdir()
+            (tmp_path / 'test' / part).mkdir(exist_ok=True)
             (tmp_path / 'test' / part / 'test_it.py').write_text(text)
         begun.append(subprocess.Popen(
             ['bash', str(tmp_path / program), *tests], env=environment, text=True,
@@ -68,6 +68,16 @@ def test_the_status_is_that_of_the_tests(suite, tests, status, last):
     said = process.communicate(timeout=4 * PATIENCE)[0]
     assert said.splitlines()[-1] == last
     assert process.returncode == status
+
+
+def test_each_folder_of_a_part_is_a_process(suite, tmp_path):
+    below = tmp_path / 'test/boards/below'
+    below.mkdir(parents=True)
+    (below / 'test_it.py').write_text(GREEN)    # in one process, two files of one name clash
+    said = suite(boards=GREEN).communicate(timeout=4 * PATIENCE)[0]
+    assert {line.split()[1] for line in said.splitlines() if line.startswith('==> ')} == {
+        'boards', 'boards-below'}
+    assert said.splitlines()[-1] == '2 passed, 0 failed'
 
 
 def test_quick_leaves_out_what_is_slow_and_what_needs_ros(suite, tmp_path):
