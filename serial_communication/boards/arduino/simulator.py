@@ -22,7 +22,7 @@ from random import Random
 from typing import Any, Deque, Optional, Sequence
 
 from ...framing.custom_messages import CustomMessage
-from ...framing.layout import Row
+from ...framing.layout import LayoutMessage
 from ...framing.rotation import quaternion
 from ...framing.stream import Frame
 from ...simulation.board import Board, positive
@@ -165,7 +165,7 @@ class ModelCar(Board):
             self._set_led(message.text)
         elif isinstance(message, wire.ImuCalibration):
             self._calibrate(now)
-        elif isinstance(message, Row):      # of one's own
+        elif isinstance(message, LayoutMessage):      # a custom message
             self.say(str(message))
 
     def advance(self, now: float) -> Optional[float]:

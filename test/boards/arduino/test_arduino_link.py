@@ -85,7 +85,7 @@ def test_a_custom_command_keeps_the_rules_of_commands(own_board, open_link):
     link.command(GRIPPER(12.5, 9))
     until(own_board.commands)
     assert own_board.commands() == [GRIPPER(12.5, 9)]
-    for message, said in ((GRIPPER(100.1, 9), 'gripper refused: x is 100.1, over 100'),
+    for message, said in ((GRIPPER(100.1, 9), 'gripper refused: x is 100.1, above the maxi'),
                           (GRIPPER(1.0, 256), 'gripper refused: z is 256, which its place')):
         with pytest.raises(Refused, match=said):
             link.command(message)
