@@ -888,7 +888,7 @@ def test_an_rfc2217_server_that_stands_still_delivers_no_drive_afterwards(line, 
         link.set_speed(500)
         until(board.commands)
         board.streaming = False
-        server.stand_still()
+        server.stop_reading()
         limit_silence(link, 0.4)
         begun = time.monotonic()
         slowest = 0.0
