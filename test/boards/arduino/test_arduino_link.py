@@ -827,7 +827,7 @@ def test_a_board_not_heard_over_a_network_gets_a_new_connection_and_no_old_speed
         except Refused:
             pass
         time.sleep(0.02)
-    assert lines('the board has not been heard for 0.4 s')
+    assert lines('nothing received from the board for 0.4 s')
     with link.accept() as peer:
         peer.settimeout(PATIENCE)
         assert messages(peer.recv(1 << 16))[0] == SpeedCommand(0)
