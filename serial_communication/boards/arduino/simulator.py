@@ -26,7 +26,7 @@ from ...framing.layout import LayoutMessage
 from ...framing.rotation import quaternion
 from ...framing.stream import Frame
 from ...simulation.board import Board, positive
-from ...simulation.custom_messages import Player
+from ...simulation.custom_messages import CustomMessagePlayer
 from ...transport.pace import Every
 from . import DESCRIPTION, wire
 
@@ -86,7 +86,7 @@ class ModelCar(Board):
                  own: Sequence[CustomMessage] = (), lose_stops: bool = False) -> None:
         super().__init__(wire.BoardDecoder(
             messages=[message.kind for message in own if message.is_command]))
-        self._own = Player(own)
+        self._own = CustomMessagePlayer(own)
         self.motor_on = False
         self.command = 0           # the SPEED that the motor runs with, 0 if it is off
         self.velocity = 0.0        # m/s
