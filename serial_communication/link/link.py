@@ -11,7 +11,7 @@ from ..transport import pace
 from ..transport.opener import Opener
 from ..transport.port import Port, PortError
 from .backlog import LONGEST_SLEEP, STALL, Backlog
-from .presence import STARTUP_TIME, LOOK_PERIOD, PresenceLog
+from .presence import LOOK_PERIOD, STARTUP_TIME, PresenceLog
 from .sparing_log import SparingLog
 
 OK, WARN, ERROR = 0, 1, 2      # as in diagnostic_msgs/DiagnosticStatus

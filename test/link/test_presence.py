@@ -12,7 +12,7 @@ from serial_communication.boards.arduino.calibration import Calibration
 from serial_communication.boards.bus.link import BusLink, BusSettings
 from serial_communication.link.link import SILENCE
 from serial_communication.boards.mcu.link import McuLink
-from serial_communication.link.presence import STARTUP_TIME, LOOK_PERIOD, PresenceLog
+from serial_communication.link.presence import LOOK_PERIOD, STARTUP_TIME, PresenceLog
 from serial_communication.link.sparing_log import SparingLog
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
