@@ -132,7 +132,7 @@ def test_a_cobs_code_that_stands_for_a_zero_belongs_to_the_value():
 def test_values_that_cannot_be_are_told_where_they_stand():
     parts = arduino.Decoder().explain(arduino.encode(arduino.SteeringAngle(2000)))
     assert [(part.name, part.error) for part in parts if part.error] == [
-        ('value', 'value is 2000, not within 0 to 1024')]
+        ('value', 'value is 2000, out of range (0 … 1024)')]
     parts = arduino.Decoder().explain(arduino.encode(arduino.Imu(*[0] * 11)))
     assert [part.name for part in parts if part.error] == ['quaternion w']
 

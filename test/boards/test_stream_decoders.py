@@ -7,8 +7,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from protocol_cases import (ALL, ARDUINO, BOARD_BUS, BUS, CHECKSUMMED, MCU, check_counted,
-                            chunkings, decode, feed, give_up, good, held, name_of, random_chunks,
-                            total)
+                            chunkings, decode, feed, give_up, held, name_of, random_chunks,
+                            total, valid)
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
@@ -186,9 +186,9 @@ def test_giving_up_comes_to_an_end_and_leaves_a_fresh_decoder(kind, stream):
     give_up(decoder)
     assert not decoder.pending and decoder.give_up() == []
     if was_pending and before == 0:
-        assert total(decoder.errors) >= 1 or good(kind.make().feed(stream))
+        assert total(decoder.errors) >= 1 or valid(kind.make().feed(stream))
     for wire in sample_wires(kind):
-        assert [frame.raw for frame in good(decoder.feed(wire))] == [wire]
+        assert [frame.raw for frame in valid(decoder.feed(wire))] == [wire]
 
 
 @every_decoder
@@ -200,7 +200,7 @@ def test_reset_forgets_the_pending_bytes_alone(kind, stream):
     decoder.reset()
     assert not decoder.pending and decoder.errors == errors
     for wire in sample_wires(kind):
-        assert [frame.raw for frame in good(decoder.feed(wire))] == [wire]
+        assert [frame.raw for frame in valid(decoder.feed(wire))] == [wire]
     assert decoder.errors == errors
 
 
@@ -321,7 +321,7 @@ def test_a_frame_inside_a_false_one_that_fails_is_found_at_once(kind):
     for stream in (false_start + wire + b'\x11' * 30, outer):
         decoder = kind.make()
         frames = decoder.feed(stream)
-        assert wire in [frame.raw for frame in good(frames)]
+        assert wire in [frame.raw for frame in valid(frames)]
 
 
 @every_checksummed
@@ -330,8 +330,8 @@ def test_a_false_start_holds_until_it_is_given_up(kind):
     wires = sample_wires(kind)
     for chunks in chunkings(kind.false_start + b''.join(wires)):
         decoder = kind.make()
-        assert good(feed(decoder, chunks)) == [] and decoder.pending
-        assert [frame.raw for frame in good(decoder.give_up())] == wires
+        assert valid(feed(decoder, chunks)) == [] and decoder.pending
+        assert [frame.raw for frame in valid(decoder.give_up())] == wires
         assert not decoder.pending
         assert decoder.errors[FRAMING] == 1 and total(decoder.errors) == 1
 
@@ -342,7 +342,7 @@ def test_false_starts_inside_a_false_start_are_given_up_one_by_one(kind):
     decoder.feed(kind.false_start * 3 + sample_wires(kind)[0])
     rounds = []
     while decoder.pending:
-        rounds.append([frame.raw for frame in good(decoder.give_up())])
+        rounds.append([frame.raw for frame in valid(decoder.give_up())])
     assert rounds == [[], [], [sample_wires(kind)[0]]]
 
 
@@ -351,8 +351,8 @@ def test_the_frames_behind_a_false_start_are_found(kind):
     wires = sample_wires(kind)
     for starts in (1, 3):
         decoder = kind.make()
-        assert good(decoder.feed(kind.false_start * starts + b''.join(wires))) == []
-        assert [frame.raw for frame in good(decoder.skip_false_start())] == wires
+        assert valid(decoder.feed(kind.false_start * starts + b''.join(wires))) == []
+        assert [frame.raw for frame in valid(decoder.skip_false_start())] == wires
         assert not decoder.pending and decoder.errors[FRAMING] >= 1
 
 

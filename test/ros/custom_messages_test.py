@@ -154,9 +154,9 @@ class FromTheCar(unittest.TestCase):
         odd = '>hxQ2sdH'
         wrong = (
             (32, b'\1\2\3', 'length: force packet with 3 bytes of data where 2 is right'),
-            (32, struct.pack('<h', -1), 'implausible: force: data is -0.01, not within 0 to 300'),
+            (32, struct.pack('<h', -1), 'implausible: force: data is -0.01, out of range (0 …'),
             (34, b'\1', 'length: line_sensors packet with 1 bytes of data where 0'),
-            (34, struct.pack('<2H', 3, 1024), 'implausible: line_sensors: data is 1024, over 1023'),
+            (34, struct.pack('<2H', 3, 1024), 'implausible: line_sensors: data is 1024, above'),
             (200, struct.pack(odd, 51, 0, b'', 0.0, 0), 'implausible: odd: height is -2, which'),
             (200, struct.pack(odd, 0, 0, b'', -1.0, 0), 'implausible: odd: roi.x_offset is -1'),
             (200, struct.pack(odd, 0, 0, b'', float('nan'), 0), 'implausible: odd: roi.x_off'))
@@ -237,7 +237,7 @@ class ToTheCar(unittest.TestCase):
         offset.layout.data_offset = 256
         for topic, message, said in (
                 (self.command('gripper', Vector3), Vector3(100.1, 0, 0),
-                 'gripper refused: x is 100.1, not within -100 to 100'),
+                 'gripper refused: x is 100.1, out of range (-100 … 100)'),
                 # Not of the gripper too: the log says that of each command every 10 s.
                 (self.command('clamp', Vector3), Vector3(float('nan'), 0, 0),
                  'clamp refused: x is nan'),
@@ -277,7 +277,7 @@ class FromTheSensors(unittest.TestCase):
         frames = Topic('/serial_msg', SerialMsg)
         self.addCleanup(frames.close)
         for data, error in ((b'\1\0\0', 'length: cliff frame with 3 bytes of data where 2 is'),
-                            (struct.pack('<H', 2001), 'implausible: cliff: range is 2.001, over'),
+                            (struct.pack('<H', 2001), 'implausible: cliff: range is 2.001, abo'),
                             (struct.pack('<H', 2000), '')):
             frames.first(lambda m, e=error: m.type == 0x20 and m.error.startswith(e),
                          doing=lambda d=data: SENSORS.write(mcu.encode_raw(
@@ -321,7 +321,7 @@ class Functions(unittest.TestCase):
         before = len(self.asked(0x35))
         answer = self.call('gentle', Lift, 1, 10).result()
         self.assertEqual((answer.success, answer.status), (False, NOT_SENT))
-        self.assertIn('distance is 10, over 9', answer.message)
+        self.assertIn('distance is 10, above the maximum of 9', answer.message)
         self.assertEqual(len(self.asked(0x35)), before)
 
     def test_it_is_never_sent_twice_unless_it_may_be(self):
@@ -342,7 +342,7 @@ class Functions(unittest.TestCase):
         BOARD.answers[0x36] = bus.Reply(bus.OK, b'ok\6')
         answer = self.call('reading', Trigger).result()
         self.assertFalse(answer.success)
-        self.assertIn('6, over 5', answer.message)
+        self.assertIn('6, above the maximum of 5', answer.message)
         DIAGNOSTICS.wait_for('bus', lambda s: int(s.keys['implausible errors']) >= 1,
                              'it is counted')
 

@@ -22,7 +22,7 @@ WRONG = (
     ('bus/port', 5, 'text'),
     ('bus/port', 'nosuch://device', 'text'),
     ('bus/port', 'socket://robot', 'socket://192.168.1.5:4001; the port is missing'),
-    ('bus/port', 'socket://127.0.0.1:99999', 'the port is none of 1 to 65535'),
+    ('bus/port', 'socket://127.0.0.1:99999', 'the port is out of range (1 … 65535)'),
     ('frame_prefix', 5, 'text'),
     ('bus/baud', 9600.5, 'a whole number from 50 to 4000000 (baud)'),
     ('bus/baud', 49, 'a whole number from 50 to 4000000 (baud)'),

@@ -22,11 +22,11 @@ from random import Random
 from typing import Any, Deque, Optional, Sequence
 
 from ...framing.custom_messages import CustomMessage
-from ...framing.layout import Row
+from ...framing.layout import LayoutMessage
 from ...framing.rotation import quaternion
 from ...framing.stream import Frame
 from ...simulation.board import Board, positive
-from ...simulation.custom_messages import Player
+from ...simulation.custom_messages import CustomMessagePlayer
 from ...transport.pace import Every
 from . import DESCRIPTION, wire
 
@@ -86,7 +86,7 @@ class ModelCar(Board):
                  own: Sequence[CustomMessage] = (), lose_stops: bool = False) -> None:
         super().__init__(wire.BoardDecoder(
             messages=[message.kind for message in own if message.is_command]))
-        self._own = Player(own)
+        self._own = CustomMessagePlayer(own)
         self.motor_on = False
         self.command = 0           # the SPEED that the motor runs with, 0 if it is off
         self.velocity = 0.0        # m/s
@@ -165,7 +165,7 @@ class ModelCar(Board):
             self._set_led(message.text)
         elif isinstance(message, wire.ImuCalibration):
             self._calibrate(now)
-        elif isinstance(message, Row):      # of one's own
+        elif isinstance(message, LayoutMessage):      # a custom message
             self.say(str(message))
 
     def advance(self, now: float) -> Optional[float]:

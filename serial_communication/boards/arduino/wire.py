@@ -13,10 +13,10 @@ from math import pi
 from typing import Any, Dict, Iterable, List, NamedTuple, Tuple
 
 from ...framing import cobs
-from ...framing.layout import Layout, Value, message_class, readable, row_methods
+from ...framing.layout import Layout, Value, layout_methods, message_class, readable
 from ...framing.parts import Part, Parts
-from ...framing.stream import (FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN, Frame, bad_frame,
-                               frame_of)
+from ...framing.stream import (FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN, Frame, frame_of,
+                               invalid_frame)
 
 MAX_PACKET = 256                        # type and data, decoded
 _MAX_ENCODED = MAX_PACKET + 2           # the same in COBS
@@ -32,7 +32,7 @@ _MOST_SQUARED = 1.05 ** 2 * _UNIT_SQUARED
 Vector = Tuple[float, float, float]
 
 
-@row_methods
+@layout_methods
 class Log(NamedTuple):
     """DEBUG, INFO, WARN, ERROR (0 … 3), board -> us: a line for people."""
 
@@ -77,7 +77,7 @@ SteeringCommand = message_class(
     'STEERING_CMD, us -> board: PWM of the steering servo, µs.')
 
 
-@row_methods
+@layout_methods
 class LedCommand(NamedTuple):
     """LED_CMD, us -> board: left, right, brake, disable …: at most 30 characters of ASCII."""
 
@@ -126,7 +126,7 @@ ImuCalibration = message_class(
     'IMU_CALIBRATION, us -> board: it calibrates for over 5 minutes, deaf meanwhile.')
 
 
-@row_methods
+@layout_methods
 class Imu(NamedTuple):
     """IMU, board -> us: the motion processor's numbers, in its own axes and units.
 
@@ -293,7 +293,7 @@ class _Decoder:
         frames: List[Frame] = []
         if self._begun:
             self.errors[FRAMING] += 1
-            frames.append(bad_frame(self._begun, FRAMING, 'a packet cut short', self._stamp))
+            frames.append(invalid_frame(self._begun, FRAMING, 'a packet cut short', self._stamp))
         self.reset()
         return frames
 
@@ -306,7 +306,7 @@ class _Decoder:
 
     def _packet(self, encoded: bytes, stamp: Any) -> Frame:
         raw = encoded + b'\0'
-        packet = cobs.undo(encoded)
+        packet = cobs.decode_or_none(encoded)
         if packet is None:
             return self._bad(raw, FRAMING, 'a code runs past the end', stamp)
         if not packet:
@@ -330,7 +330,7 @@ class _Decoder:
 
     def _bad(self, raw, cause, error, stamp, type_=0, data=b'') -> Frame:
         self.errors[cause] += 1
-        return bad_frame(raw, cause, error, stamp, type_, data)
+        return invalid_frame(raw, cause, error, stamp, type_, data)
 
     # -- for people -------------------------------------------------------------------------
 
@@ -345,7 +345,8 @@ class _Decoder:
         if begin:
             parts.take_bytes(begin, 'empty packet')
         end = frame.find(b'\0', begin)
-        decoded, places, past = cobs.trace(frame[begin:] if end < 0 else frame[begin:end])
+        encoded = frame[begin:] if end < 0 else frame[begin:end]
+        decoded, places, past = cobs.decode_with_places(encoded)
         inner = Parts(decoded)
         kind = self._messages.get(decoded[0]) if decoded else None
         if decoded:

@@ -26,7 +26,7 @@ from typing import Any, Deque, Iterable, NamedTuple, Optional, Tuple
 
 from ...framing.stream import CHECKSUM, Frame
 from ...simulation.board import FRAME_TIMEOUT, Board, positive
-from ...simulation.custom_messages import wandering
+from ...simulation.custom_messages import simulated_values
 from . import DESCRIPTION, wire
 from .functions import CustomFunction
 
@@ -277,7 +277,7 @@ class ControlBoard(Board):
         if own.request.implausible(values):
             return _error(wire.OPERATION_FAILED)
         self.say(f'{own.name} {own.request.text(values)}'.rstrip())
-        return wire.Reply(wire.OK, own.reply.pack(wandering(own.reply, now)))
+        return wire.Reply(wire.OK, own.reply.pack(simulated_values(own.reply, now)))
 
     def air(self, now: float) -> wire.Environment:
         """What the sensors measure."""
@@ -298,7 +298,7 @@ class ControlBoard(Board):
                   (number if request is not None else 0, reply))
 
     def _genuine(self, frame: Frame) -> dict:
-        return {} if self.line.came(frame.raw) else {'genuine': False}
+        return {} if self.line.is_unaltered(frame.raw) else {'genuine': False}
 
 
 def _invalid(code: int) -> wire.Reply:

@@ -15,7 +15,7 @@ from typing import Any, Iterable, Optional
 
 from ...framing.custom_messages import CustomMessage
 from ...simulation.board import Board, positive
-from ...simulation.custom_messages import Player
+from ...simulation.custom_messages import CustomMessagePlayer
 from ...transport.pace import Every
 from . import DESCRIPTION, wire
 
@@ -65,7 +65,7 @@ class SensorBoard(Board):
         self._random = Random(f'{seed} sensors')
         self._beat = Every(self._period, 0.0)
         self._on_since = 0.0
-        self._own = Player(own)
+        self._own = CustomMessagePlayer(own)
 
     # -- hooks ----------------------------------------------------------------------------
 

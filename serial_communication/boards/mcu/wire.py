@@ -11,7 +11,7 @@ a frame, modulo 256. Little-endian. Only the board talks.
 import struct
 from typing import Any, Iterable, List, NamedTuple
 
-from ...framing.layout import Layout, Value, message_class, row_methods
+from ...framing.layout import Layout, Value, layout_methods, message_class
 from ...framing.parts import Part, Parts
 from ...framing.stream import (CHECKSUM, IMPLAUSIBLE, LENGTH, NO_FRAME, UNKNOWN, Bad, Good, Need,
                                StreamDecoder, running_xor)
@@ -25,7 +25,7 @@ RANGE_TIMED_OUT = 0xFFFF  # what a range sensor that did not answer reads
 _WRAP = 655.36         # degrees by which a heading over 327.67 wraps in the int16
 
 
-@row_methods
+@layout_methods
 class SensorStatus(NamedTuple):
     """TYPE 0x10: two range sensors and the orientation as Euler angles."""
 

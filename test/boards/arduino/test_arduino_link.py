@@ -85,7 +85,7 @@ def test_a_custom_command_keeps_the_rules_of_commands(own_board, open_link):
     link.command(GRIPPER(12.5, 9))
     until(own_board.commands)
     assert own_board.commands() == [GRIPPER(12.5, 9)]
-    for message, said in ((GRIPPER(100.1, 9), 'gripper refused: x is 100.1, over 100'),
+    for message, said in ((GRIPPER(100.1, 9), 'gripper refused: x is 100.1, above the maxi'),
                           (GRIPPER(1.0, 256), 'gripper refused: z is 256, which its place')):
         with pytest.raises(Refused, match=said):
             link.command(message)
@@ -827,7 +827,7 @@ def test_a_board_not_heard_over_a_network_gets_a_new_connection_and_no_old_speed
         except Refused:
             pass
         time.sleep(0.02)
-    assert lines('the board has not been heard for 0.4 s')
+    assert lines('nothing received from the board for 0.4 s')
     with link.accept() as peer:
         peer.settimeout(PATIENCE)
         assert messages(peer.recv(1 << 16))[0] == SpeedCommand(0)
@@ -888,7 +888,7 @@ def test_an_rfc2217_server_that_stands_still_delivers_no_drive_afterwards(line, 
         link.set_speed(500)
         until(board.commands)
         board.streaming = False
-        server.stand_still()
+        server.stop_reading()
         limit_silence(link, 0.4)
         begun = time.monotonic()
         slowest = 0.0

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol_cases import (ARDUINO, ARDUINO_CHECKED, BOARD_ARDUINO, check_case, check_rejected,
-                            decode, feed, give_up, good, hexed, no_errors, vectors)
+                            decode, feed, give_up, hexed, no_errors, valid, vectors)
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.framing import cobs
 from serial_communication.framing.stream import FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN
@@ -174,7 +174,7 @@ def test_a_packet_cut_short_is_given_up():
     assert [frame.cause for frame in given_up] == [FRAMING] and not decoder.pending
     assert decoder.errors[FRAMING] == 1
     assert decoder.give_up() == [] and decoder.errors[FRAMING] == 1
-    assert len(good(decoder.feed(arduino.encode(arduino.Ticks(4))))) == 1
+    assert len(valid(decoder.feed(arduino.encode(arduino.Ticks(4))))) == 1
 
 
 def test_reset_forgets_what_is_pending_and_keeps_the_counts():
@@ -182,7 +182,7 @@ def test_reset_forgets_what_is_pending_and_keeps_the_counts():
     decoder.feed(b'\1\0' + arduino.encode(arduino.Ticks(4))[:2])
     decoder.reset()
     assert not decoder.pending and decoder.errors[FRAMING] == 1
-    assert len(good(decoder.feed(arduino.encode(arduino.Ticks(4))))) == 1
+    assert len(valid(decoder.feed(arduino.encode(arduino.Ticks(4))))) == 1
     assert give_up(decoder) == []
 
 
@@ -210,7 +210,7 @@ def test_plausible_voltages(volts, plausible):
 
 def test_a_voltage_that_is_no_number_is_implausible():
     decoder = arduino.Decoder()
-    assert good(decoder.feed(arduino.encode(arduino.Voltage(float('nan'))))) == []
+    assert valid(decoder.feed(arduino.encode(arduino.Voltage(float('nan'))))) == []
     assert decoder.errors[IMPLAUSIBLE] == 1
 
 

@@ -382,7 +382,7 @@ def test_stopping_answers_those_who_wait(board, open_link):
 
 
 def test_a_board_that_is_silent_is_reported(line, logger, running, lines, monkeypatch):
-    monkeypatch.setattr(link_module, 'FIRST_WORD', 0.5)
+    monkeypatch.setattr(link_module, 'STARTUP_TIME', 0.5)
     link = running(BusLink(Port(line.path), SHORT, logger=logger))
     until(lambda: link.report(time.monotonic()).level == ERROR
           and link.report(time.monotonic()).summary == 'the board does not answer SYNC')

@@ -8,7 +8,7 @@ from serial_communication.boards.bus.master import (ECHO_TRIES, NOT_SENT, PATIEN
                                                     Call, Condition, Master, State)
 from serial_communication.link.sparing_log import SparingLog
 from serial_communication.boards.bus import wire as bus
-from serial_communication.framing.stream import CHECKSUM, FRAMING, Frame, bad_frame
+from serial_communication.framing.stream import CHECKSUM, FRAMING, Frame, invalid_frame
 from serial_communication.framing.layout import Layout, Value
 
 REPLY_TIMEOUT, MOTION_TIMEOUT = 0.5, 5.0
@@ -87,7 +87,7 @@ class Session:
             self.master.received(Frame(wire, reply.cmd1, 0, reply.data, reply), self.now)
 
     def damage(self, cause=CHECKSUM):
-        self.master.damaged(bad_frame(b'\xa5\0\2\0', cause, 'damaged'), self.now)
+        self.master.damaged(invalid_frame(b'\xa5\0\2\0', cause, 'damaged'), self.now)
 
     def later(self, seconds):
         self.now += seconds
@@ -477,7 +477,7 @@ def test_nonces_are_four_random_bytes_by_default(caplog):
         machine.connected(0.0)
         machine.step(0.0)
         machine.received(Frame(b'', 0, 0, b'', SYNC_REPLY), 0.0)
-        machine.damaged(bad_frame(b'x', FRAMING, 'noise'), 0.0)
+        machine.damaged(invalid_frame(b'x', FRAMING, 'noise'), 0.0)
         seen.add(machine.step(0.0)[0].data)
         machine.disconnected(0.0, '')
     assert len(seen) == 20 and {len(nonce) for nonce in seen} == {4}
@@ -1049,7 +1049,7 @@ def test_a_reply_with_values_that_cannot_be_is_told_as_that_and_counted(session)
         assert session.ask() == RAW
         session.reply(bus.Reply(bus.OK, data))
         assert call.outcome.status == bus.OK and call.outcome.success == success
-    assert 'level is 101, over 100' in call.outcome.message
+    assert 'level is 101, above the maximum of 100' in call.outcome.message
     assert session.master.implausible == 1 and session.master.length_errors == 0
 
 

@@ -6,8 +6,8 @@ from by_definition import xor_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol_cases import (MCU, check_case, check_rejected, decode, give_up, good, hexed,
-                            no_errors, vectors)
+from protocol_cases import (MCU, check_case, check_rejected, decode, give_up, hexed,
+                            no_errors, valid, vectors)
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.framing.stream import CHECKSUM, FRAMING, UNKNOWN
 
@@ -85,7 +85,7 @@ def test_a_wrong_len_of_a_known_type_is_noticed_at_once():
     decoder = mcu.Decoder()
     decoder.feed(bytes((2, 200, 0x10)))
     assert not decoder.begun
-    assert len(good(decoder.feed(status()))) == 1 and decoder.errors[FRAMING] == 1
+    assert len(valid(decoder.feed(status()))) == 1 and decoder.errors[FRAMING] == 1
 
 
 @pytest.mark.parametrize('type_', [0, 2, 3, 0x11, 0xFF])
@@ -108,7 +108,7 @@ def test_every_single_bit_flip_is_noticed():
         damaged[bit // 8] ^= 1 << bit % 8
         decoder = mcu.Decoder()
         frames = decoder.feed(bytes(damaged)) + give_up(decoder)
-        assert good(frames) == []
+        assert valid(frames) == []
         assert sum(decoder.errors.values()) >= 1
 
 

@@ -297,7 +297,7 @@ def test_a_network_port_that_falls_silent_is_opened_anew(logger, running, lines)
                 until(lambda: watched.link.port.is_open)
                 second.sendall(status(9))
                 until(lambda: watched.seqs() == [1, 9])
-    assert lines('the board has not been heard for 0.4 s')
+    assert lines('nothing received from the board for 0.4 s')
 
 
 def test_a_network_silence_of_0_is_never_and_another_port_may_be_silent(line, logger, watch):
