@@ -30,7 +30,7 @@ All boards:
 
 bus:
 
-``request``   ``k`` its running number, ``raw``, ``sound``; if sound ``text``, [``genuine`` false:
+``request``   ``k`` its running number, ``raw``, ``valid``; if valid ``text``, [``genuine`` false:
               damage on the way made this of something else and the checksum cannot tell];
               if not ``cause``, ``error``, and of ``raw`` 64 bytes at most
 ``executed``  ``n`` running number, ``k`` of the request, ``raw``, ``cmd1``, ``cmd2``, ``data``,

@@ -222,8 +222,8 @@ def test_whatever_a_hook_raises_ends_no_link(line, logger, running, monkeypatch,
 
 def test_a_heartbeat_that_raises_is_followed_by_others(line, logger, running, monkeypatch, lines):
     link = ArduinoLink(Port(line.path), logger=logger)
-    rest, trap = link._heart._work, raising(RuntimeError)
-    monkeypatch.setattr(link._heart, '_work', lambda beat: trap() or rest(beat))
+    rest, trap = link._heartbeat._work, raising(RuntimeError)
+    monkeypatch.setattr(link._heartbeat, '_work', lambda due: trap() or rest(due))
     running(link)
     until(lambda: link.heartbeats_sent > 20)
     assert lines('of a test')

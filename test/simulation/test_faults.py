@@ -153,7 +153,7 @@ def test_input_damage(kind):
     assert 60 < len(hit) < 120
     assert all(fields['faults'] == [kind] and fields['came'] != fields['became']
                for fields in hit)
-    bad = [fields for fields in bench.notes.of('request') if not fields['sound']]
+    bad = [fields for fields in bench.notes.of('request') if not fields['valid']]
     if kind == 'rx-flip':
         # A bit of DATE or checksum: the form of a frame, so it is answered.
         answers = [fields for fields in bench.notes.of('tx') if '0x40' in fields['text']]

@@ -133,7 +133,7 @@ def test_on_the_bus_the_echo_comes_first(line, logger, running, lines):
     assert link.lift(0, 1).success and link.lift(0, 1).success
     echoes = len(board.requests(0x01))
     stty(line.path, 'sane')
-    until(lambda: lines('out of step: the settings of the port were changed'))
+    until(lambda: lines('out of step: another program changed the settings of the port'))
     until(lambda: len(board.requests(0x01)) > echoes)
 
 
