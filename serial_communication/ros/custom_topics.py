@@ -35,7 +35,7 @@ def message_rows(board: Description, given: Any) -> List[RowMessage]:
 
 def names_of(rows: List[Any], prefix: str) -> List[Tuple[str, str]]:
     """The topics and services that rows make: (name, the parameter that makes it)."""
-    return [(prefix + row.own.name, row.own.key) for row in rows]
+    return [(prefix + custom.name, custom.key) for custom, *_ in rows]
 
 
 def _row_message(own: CustomMessage, prefix: str) -> RowMessage:

@@ -6,7 +6,7 @@ import argparse
 import math
 from typing import Any, Iterable, List, Optional, Tuple
 
-from ..boards.config_file import of_board, read_parameters
+from ..boards.config_file import board_parameters, read_parameters
 from ..boards.description import Description
 from ..framing.custom_messages import CustomMessage
 from ..framing.layout import Layout, Value
@@ -28,8 +28,8 @@ def add_option(parser: argparse.ArgumentParser, board: Description) -> None:
 
     def read(path: str) -> List[Any]:
         try:
-            return custom.read(of_board(read_parameters(path), board.name).get(custom.parameter)
-                               or {})
+            given = board_parameters(read_parameters(path), board.name)
+            return custom.read(given.get(custom.parameter) or {})
         except (OSError, ValueError) as error:
             raise argparse.ArgumentTypeError(f'{path}: {error}') from None
 

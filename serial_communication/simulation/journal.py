@@ -29,7 +29,7 @@ All boards:
 
 bus:
 
-``request``   ``k`` its running number, ``raw``, ``sound`` (valid); if valid, ``text`` and
+``request``   ``k`` its running number, ``raw``, ``valid``; if valid, ``text`` and
               [``genuine`` false: a fault made this request, and its checksum matches by chance];
               if not, ``cause``, ``error``, and at most 64 bytes of ``raw``
 ``executed``  ``n`` running number, ``k`` of the request, ``raw``, ``cmd1``, ``cmd2``, ``data``,

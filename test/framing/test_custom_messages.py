@@ -172,7 +172,7 @@ def test_any_ros_base_name_may_name_a_message(name):
     assert str(got) == f'{name} data=123.45' and not errors
     assert repr(got).startswith(f'{name}(')
     assert arduino_messages({'a': dict(FORCE, fields=[name])})[0].kind(1).pack() == b'\x64\0'
-    assert bus_functions({name: PUMP})[0].ask((1,)).data == b'\1'
+    assert bus_functions({name: PUMP})[0].make_request((1,)).data == b'\1'
 
 
 def test_custom_mcu_frames():
@@ -207,23 +207,23 @@ def test_frames_behind_a_false_len_are_found_though_its_checksum_matches(read):
 
 def test_a_custom_function():
     pump = one(PUMP)
-    assert pump.ask((True,)) == bus.Request(bus.FUNCTION, 48, b'\1')
-    assert str(pump.ask((True,))) == 'name data=true'
+    assert pump.make_request((True,)) == bus.Request(bus.FUNCTION, 48, b'\1')
+    assert str(pump.make_request((True,))) == 'name data=true'
     assert (pump.timeout, pump.repeatable, pump.reply.size) == (None, False, 0)
     polled, = bus_functions({'level': {
         'cmd2': 49, 'ros_type': 'std_msgs/Float32', 'period': 2, 'timeout': 0.2,
         'reply': {'layout': '<H', 'fields': ['data'], 'scale': 0.1}}})
     assert (polled.repeatable, polled.period, polled.timeout) == (True, 2, 0.2)
     assert polled.reply.unpack(b'\x0a\0') == (1.0,)
-    assert polled.ask(()) == bus.Request(bus.FUNCTION, 49)
-    assert str(polled.answer(bus.Reply(bus.OK, b'\x0a\0'))) == 'level OK data=1'
+    assert polled.make_request(()) == bus.Request(bus.FUNCTION, 49)
+    assert str(polled.name_reply(bus.Reply(bus.OK, b'\x0a\0'))) == 'level OK data=1'
     for other in bus.Reply(bus.OK, b'\x0a'), bus.Reply(bus.ERROR, b'\2\x80'):
-        assert str(polled.answer(other)) == str(other)
+        assert str(polled.name_reply(other)) == str(other)
 
 
 def test_custom_functions_are_explained_by_name():
     pump = one(PUMP, reply={'layout': '<H', 'fields': ['message'], 'scale': 0.1})
-    request = pump.ask((True,))
+    request = pump.make_request((True,))
     parts = bus.RequestDecoder(functions=[pump]).explain(bus.encode_request(request))
     assert [(part.name, part.value, part.meaning) for part in parts[3:5]] == [
         ('CMD2', 48, 'name'), ('data', True, '')]

@@ -81,7 +81,7 @@ def test_any_row_is_taken_or_refused_in_one_line(case, data):
         return
     taken, = values[group]
     layout, fields = (taken.kind.LAYOUT, taken.fields) if rows_of == 'messages' else \
-        (taken.own.reply, taken.reply)
+        (taken.custom.reply, taken.reply)
     is_command = rows_of == 'messages' and taken.own.is_command
     message = fields.new()
     for size in layout.size, layout.size + 8:      # twice: a message is used again and again
@@ -92,7 +92,7 @@ def test_any_row_is_taken_or_refused_in_one_line(case, data):
             layout.parts(received)
             if not is_command and not layout.implausible(values):
                 fields.fill(message, values).serialize(BytesIO())
-    back = layout if rows_of == 'messages' else taken.own.request
+    back = layout if rows_of == 'messages' else taken.custom.request
     source = fields if rows_of == 'messages' else taken.request
     if source:
         try:

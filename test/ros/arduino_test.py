@@ -165,8 +165,8 @@ class Commands(ArduinoTest):
         self.drive(1001, 32767, -1001, -32768, 0)
         self.assertEqual(self.sent(5), [bytes.fromhex('0404e80300')] * 2
                          + [bytes.fromhex('040418fc00')] * 2 + [SPEED_0_PACKET])
-        ROSOUT.wait_for(self.node, 'speed 1001 is beyond', Log.WARN)
-        self.assertEqual(len(ROSOUT.lines(self.node, 'is beyond')), 1)
+        ROSOUT.wait_for(self.node, 'speed 1001 is out of range (-1000 … 1000), sent 1000', Log.WARN)
+        self.assertEqual(len(ROSOUT.lines(self.node, 'is out of range')), 1)
 
     def test_heartbeats_come_a_hundred_a_second(self):
         self.board.wait_for_heartbeat_rate(40, 130)
@@ -224,7 +224,7 @@ class Calibration(ArduinoTest):
         self.steering.publish(value=1000)
         self.led.publish('brake')
         for command in ('speed 500', 'steering 1000', 'LED brake'):
-            ROSOUT.wait_for(self.node, command + ' refused: the IMU is being calibrated',
+            ROSOUT.wait_for(self.node, command + ' refused: the board calibrates its IMU',
                             Log.WARN)
         self.board.say(arduino.Voltage(12.0))        # no IMU data: goes on
         self.assertEqual([m.data for m in late.messages], [True])

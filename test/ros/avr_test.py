@@ -324,7 +324,7 @@ class Calibration(CarBench):
         rosout.wait_for(PACKAGE, 'arduino says: IMU calibration: do not move the car')
         changes = board.history('motor_pwm')
         imu.forget()
-        rosout.wait_for(PACKAGE, 'speed 500 refused: the IMU is being calibrated', LOG_WARN,
+        rosout.wait_for(PACKAGE, 'speed 500 refused: the board calibrates its IMU', LOG_WARN,
                         doing=lambda: (speed.publish(value=500), steering.publish(value=1900)))
         with self.assertRaises(rospy.ServiceException):
             calibrate()

@@ -319,7 +319,7 @@ class Parameters(CommandsTest):
             threading.Event().wait(0.1)
         self.car.forget()
         process.send_signal(signal.SIGCONT)
-        self.assert_said('stood still for')
+        self.assert_said(' s: SPEED 0 is sent first')
         until(lambda: len(self.car.heartbeats) > 10, 'heartbeats')
         # The signal may have come between the decision to send a heartbeat and its write.
         self.assertIn(SPEED_0_PACKET, self.car.raws[:2])

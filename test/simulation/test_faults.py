@@ -153,7 +153,7 @@ def test_a_fault_of_the_input_changes_what_the_board_receives(kind):
     assert 60 < len(hit) < 120
     assert all(fields['faults'] == [kind] and fields['came'] != fields['became']
                for fields in hit)
-    invalid = [fields for fields in bench.notes.of('request') if not fields['sound']]
+    invalid = [fields for fields in bench.notes.of('request') if not fields['valid']]
     if kind == 'rx-flip':
         # A flipped bit in DATE or the checksum leaves the form of a frame, which is answered.
         answers = [fields for fields in bench.notes.of('tx') if '0x40' in fields['text']]

@@ -11,21 +11,21 @@ from serial_communication.boards.arduino.simulator import ModelCar
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.bus.functions import read_functions
 from serial_communication.boards.bus.simulator import ControlBoard
-from serial_communication.boards.config_file import of_board, read_parameters
+from serial_communication.boards.config_file import board_parameters, read_parameters
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.mcu.simulator import SensorBoard
 from serial_communication.simulation.custom_messages import simulated_values
 
 EXAMPLES = read_parameters(os.path.join(ROOT, 'config', 'custom_messages.yaml'))
 FUNCTIONS, CAR, SENSORS = (
-    board.custom.read(of_board(EXAMPLES, board.name)[board.custom.parameter])
+    board.custom.read(board_parameters(EXAMPLES, board.name)[board.custom.parameter])
     for board in map(description, BOARDS))
 
 
 @pytest.mark.parametrize('own, board, decoder', [
-    (CAR, ModelCar(own=CAR), arduino.Decoder), (SENSORS, SensorBoard(own=SENSORS), mcu.Decoder)],
-    ids=('arduino', 'mcu'))
-def test_every_message_of_the_examples_is_sent_with_values_within_its_limits(own, board, decoder):
+    (CAR, ModelCar(custom=CAR), arduino.Decoder),
+    (SENSORS, SensorBoard(custom=SENSORS), mcu.Decoder)], ids=('arduino', 'mcu'))
+def test_every_message_of_the_examples_is_played_within_its_limits(own, board, decoder):
     kinds = [message.kind for message in own if not message.is_command]
     bench = Bench(board, decoder(messages=kinds))
     bench.run(20.0001)
@@ -38,7 +38,7 @@ def test_every_message_of_the_examples_is_sent_with_values_within_its_limits(own
 
 
 def test_a_received_command_of_the_examples_is_printed():
-    bench = Bench(ModelCar(own=CAR), arduino.Decoder())
+    bench = Bench(ModelCar(custom=CAR), arduino.Decoder())
     gripper, = [message.kind for message in CAR if message.is_command]
     bench.feed(arduino.encode(gripper(12.5, 0.5)))
     assert [text for text in bench.said if 'gripper' in text] == ['gripper x=12.5 z=0.501961']
@@ -73,13 +73,13 @@ def asked(bench, request):
 
 
 def test_custom_functions_are_answered():
-    bench = Bench(ControlBoard(own=FUNCTIONS), bus.ReplyDecoder())
+    bench = Bench(ControlBoard(custom=FUNCTIONS), bus.ReplyDecoder())
     by_name = {function.name: function for function in FUNCTIONS}
-    assert asked(bench, by_name['pump'].ask((True,))) == bus.Reply(bus.OK)
+    assert asked(bench, by_name['pump'].make_request((True,))) == bus.Reply(bus.OK)
     assert bench.said[-1] == 'pump data=true'
-    level = asked(bench, by_name['read_level'].ask(()))
+    level = asked(bench, by_name['read_level'].make_request(()))
     assert by_name['read_level'].reply.unpack(level.data)[0].startswith('simulated')
-    tank = asked(bench, by_name['tank'].ask(()))
+    tank = asked(bench, by_name['tank'].make_request(()))
     assert 0 <= by_name['tank'].reply.unpack(tank.data)[0] <= 655350
     assert asked(bench, bus.Request(bus.FUNCTION, 0x30)).error_code == bus.MALFORMED
     assert asked(bench, bus.Request(bus.FUNCTION, 0x33)).error_code == bus.UNSUPPORTED
@@ -89,6 +89,6 @@ def test_a_custom_function_refuses_a_value_outside_its_limits():
     own = read_functions({'speed': {
         'cmd2': 0x40, 'srv_type': 'a/B',
         'request': {'layout': '<B', 'fields': ['speed'], 'maximum': 10}}})
-    bench = Bench(ControlBoard(own=own), bus.ReplyDecoder())
+    bench = Bench(ControlBoard(custom=own), bus.ReplyDecoder())
     for speed, cmd1 in ((10, bus.OK), (11, bus.ERROR)):
         assert asked(bench, bus.Request(bus.FUNCTION, 0x40, bytes((speed,)))).cmd1 == cmd1

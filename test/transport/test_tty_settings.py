@@ -133,7 +133,7 @@ def test_after_changed_settings_the_bus_sends_echo_first(line, logger, running, 
     assert link.lift(0, 1).success and link.lift(0, 1).success
     echoes = len(board.requests(0x01))
     stty(line.path, 'sane')
-    until(lambda: lines('out of step: the settings of the port were changed'))
+    until(lambda: lines('out of step: another program changed the settings of the port'))
     until(lambda: len(board.requests(0x01)) > echoes)
 
 

@@ -1,7 +1,7 @@
 """Frames of serial_msg as the page shows them: words, bytes, and which byte is what."""
 from typing import Any, Dict, Iterable, List, Tuple
 
-from ...boards.config_file import of_board
+from ...boards.config_file import board_parameters
 from ...boards.description import Description
 from ...framing.parts import Part
 
@@ -21,7 +21,7 @@ class Wire:
         for board in boards:
             for sent in (False, True):
                 try:
-                    decoder = board.decoder(sent, of_board(parameters, board.name))
+                    decoder = board.decoder(sent, board_parameters(parameters, board.name))
                 except ValueError:      # a bridge with such parameters does not start
                     decoder = board.decoder(sent, {})
                 self._decoders[board.name, sent] = decoder

@@ -9,7 +9,7 @@ import re
 from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Tuple, Union
 
 from ...boards import BOARDS, BoardError, description
-from ...boards.config_file import of_board
+from ...boards.config_file import board_parameters
 from ...boards.description import Description
 
 NODE = '/serial_communication'           # the bridge's name where nothing else is said
@@ -72,7 +72,7 @@ class Topic(NamedTuple):
 
 def of_description(board: Description, parameters: Any = None) -> List[Topic]:
     """A board's own topics, with the periods that its parameters say."""
-    own = of_board(parameters, board.name)
+    own = board_parameters(parameters, board.name)
     return [Topic(topic.name, topic.type, (board.name,),
                   _number(own.get(topic.period_parameter)) or topic.period,
                   topic.ages, topic.optional) for topic in board.topics]
@@ -168,12 +168,14 @@ def in_order(links: Iterable[str]) -> List[str]:
 
 def expected_links(parameters: Dict[str, Any]) -> List[str]:
     """The links that have a port by the node's parameters."""
-    return in_order(name for name in parameters if of_board(parameters, name).get('port'))
+    return in_order(name for name in parameters if board_parameters(parameters, name).get('port'))
 
 
 def custom_rows(board: Description, parameters: Any) -> Dict[str, Dict[str, Any]]:
     """The rows of a board's parameters that make custom messages or functions, by their names."""
-    rows = of_board(parameters, board.name).get(board.custom.parameter) if board.custom else None
+    rows = None
+    if board.custom:
+        rows = board_parameters(parameters, board.name).get(board.custom.parameter)
     return {name: row for name, row in (rows.items() if isinstance(rows, dict) else ())
             if isinstance(row, dict)}
 

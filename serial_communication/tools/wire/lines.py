@@ -3,7 +3,7 @@ import argparse
 from typing import Any, Callable, List, Mapping, NamedTuple, Optional
 
 from ...boards import BOARDS, BoardError, find
-from ...boards.config_file import of_board, read_parameters
+from ...boards.config_file import board_parameters, read_parameters
 from ...boards.description import Description
 from ...framing.frame_timer import FrameTimer
 from ...framing.stream import Frame
@@ -122,7 +122,7 @@ def known_lines(config: str) -> Callable[[str, int], Settings]:
                 'known by --config with its `boards`, or by the name of its package: '
                 f'{error}') from None
         line = Settings(board, baud_rate or board.baud,
-                        parameters=of_board(parameters, board.name))
+                        parameters=board_parameters(parameters, board.name))
         try:
             decoder(line, False)
         except ValueError as error:      # of a custom message
