@@ -85,8 +85,8 @@ def test_faults_are_seen_at_the_links(demo):
     terminal = demo('--faults', 'flip=0.3 cut=0.2')
     for name in LINKS:
         terminal.until(lambda name=name: any(
-            row.startswith(name + ' ') and 'bad ' in row and 'bad 0' not in row
-            for screen in terminal.screens() for row in screen), f'a bad frame on {name}')
+            row.startswith(name + ' ') and 'errors ' in row and 'errors 0' not in row
+            for screen in terminal.screens() for row in screen), f'an invalid frame on {name}')
     terminal.press(CTRL_C)
     assert terminal.wait() < MOST and terminal.status == 0
 
