@@ -128,7 +128,7 @@ class MonitorTest(unittest.TestCase):
         # Without real-time priority a busy machine makes the heartbeat late now and then.
         until(lambda: self.once()[0] == 0, 'every link is OK')
         _, said = self.once()
-        self.assertRegex(said, r'(?m)^bus +OK +ready, bad 0')
+        self.assertRegex(said, r'(?m)^bus +OK +ready, errors 0')
         self.assertRegex(said, r'(?m)^arduino +(OK|WARN) +')
         self.assertNotRegex(said, r'(?m)^mcu')       # it has no port
         self.assertRegex(said, r'(?m)^~voltage +[\d.]+ Hz  11\.50 V$')
@@ -150,13 +150,13 @@ class MonitorTest(unittest.TestCase):
         monitor.wait_for('the bridge is there')
         monitor.wait_for(' OK ')
         self.bridges[-1].end(signal.SIGKILL)
-        monitor.wait_for(f'the bridge /{NAME} has said nothing for')
-        monitor.wait_for('STALE said')
+        monitor.wait_for(f'the bridge /{NAME} has reported nothing for')
+        monitor.wait_for('STALE reported')
         self.bridge()
         monitor.wait_for('the bridge is back, after')
-        gone = monitor.output().count('has said nothing for')
+        gone = monitor.output().count('has reported nothing for')
         self.bridges[-1].end(signal.SIGKILL)
-        monitor.wait_for('has said nothing for', times=gone + 1)
+        monitor.wait_for('has reported nothing for', times=gone + 1)
         # The table that it leaves says how old each value is.
         self.assertEqual(monitor.end(), 0)
         said = monitor.output()

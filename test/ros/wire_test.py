@@ -178,7 +178,7 @@ class WireTest(unittest.TestCase):
                                       String._md5sum, String), raw=True)
         done = run('stats', path)
         self.assertEqual((done.returncode, len(done.stderr.splitlines())), (1, 1), done.stderr)
-        self.assertIn('not readable', done.stderr)
+        self.assertIn('cannot be read', done.stderr)
 
     def test_a_board_of_another_package_is_no_sensor_board(self):
         path = os.path.join(self.folder, 'scale.bag')

@@ -27,7 +27,7 @@ from ...ros.rospy_mends import background_logging
 from ...ros.rospy_mends.log_file import init_node
 from ...ros.rospy_mends.master_watch import MasterWatch
 from ..watch.topics import NODE
-from ..watch.watcher import leave
+from ..watch.watcher import leave_ros
 from .commands import Commands
 from .feed import Feed
 from .guard import SHORTEST_TOKEN, Guard, is_loopback
@@ -95,7 +95,7 @@ class _Ros:
     def stop(self) -> None:
         """Begin nothing any more, and leave the master."""
         self._stopping.set()
-        leave(_FAREWELL)
+        leave_ros(_FAREWELL)
 
     def _begin(self) -> None:
         if not wait_for_master(self._stopping, _say):

@@ -14,7 +14,7 @@ import rospy
 from rosgraph_msgs.msg import Log
 
 from ..watch.state import BridgeState, LinkState, TopicState
-from ..watch.topics import DIAGNOSTICS, SERIAL_MSG, TABLE, Topic, Value
+from ..watch.topics import DIAGNOSTICS, SERIAL_MSG, TABLE, BridgeTopic, FieldValue
 from ..watch.watcher import Watcher
 from .registrar import Registrar
 from .wire import Wire
@@ -42,7 +42,7 @@ class _Shown:
         self._last: Optional[List[Any]] = None
         self._history: Deque[List[Any]] = deque()
 
-    def add(self, at: float, values: Iterable[Value]) -> None:
+    def add(self, at: float, values: Iterable[FieldValue]) -> None:
         """Another message has come."""
         values = tuple(values)
         shape = tuple((each.name, each.unit, each.digits, _limit(each.low), _limit(each.high))
@@ -89,7 +89,7 @@ class _Shown:
         return {**told, 'fields': self._shape} if fields and self._shape is not None else told
 
 
-def plain(value: Value) -> Any:
+def plain(value: FieldValue) -> Any:
     """As JSON can say it: what is no number as text, the rest without digits nobody sees."""
     number = value.value
     if isinstance(number, str):
@@ -123,7 +123,7 @@ class Feed:
         self._log: Optional[rospy.Subscriber] = None    # while the watcher watches
         self._since = 0.0                        # when it began to look
         self._wanted: Set[str] = set()
-        self._waiting: Deque[Tuple[Topic, bytes, float]] = deque(maxlen=_MOST_WAITING)
+        self._waiting: Deque[Tuple[BridgeTopic, bytes, float]] = deque(maxlen=_MOST_WAITING)
         self._shown: Dict[str, _Shown] = {}
         self._wire = Wire((), {})
         self._wired: Any = None                  # the parameters that it is made of
@@ -171,7 +171,7 @@ class Feed:
 
     # -- in rospy's threads --------------------------------------------------------------------
 
-    def _keep(self, topic: Topic, packed: bytes, at: float) -> None:
+    def _keep(self, topic: BridgeTopic, packed: bytes, at: float) -> None:
         # /diagnostics is what the links are known from. After `stop`, messages come for as long
         # as the master hangs.
         if topic.name != DIAGNOSTICS and self._looking:
