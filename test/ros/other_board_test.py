@@ -20,7 +20,7 @@ from geometry_msgs.msg import Vector3Stamped
 from boards import (ERROR, OK, PACKAGE, PATIENCE, Diagnostics, Line, Topic, own_folder, program,
                     until)
 from serial_communication.msg import SerialMsg
-from serial_communication.tools.panel.wire import Wire
+from serial_communication.tools.panel.wire import FrameExplainer
 from serial_communication.tools.watch.topics import boards_of
 
 PAGE = Path(__file__).resolve().parents[2] / 'doc' / 'developing.md'
@@ -157,8 +157,8 @@ class OtherBoard(unittest.TestCase):
         sys.path.insert(0, self.folder)
         self.addCleanup(sys.path.remove, self.folder)
         parameters = rospy.get_param('/serial_communication')
-        page = Wire(boards_of(parameters), parameters)
-        self.assertEqual([part[0] for part in page.describe(shown, 0.0)[-1]], PARTS)
+        explainer = FrameExplainer(boards_of(parameters), parameters)
+        self.assertEqual([part[0] for part in explainer.explain(shown, 0.0)[-1]], PARTS)
 
     def test_its_line_is_listened_to_and_what_is_kept_has_statistics(self):
         self.look_on('listen', self.spare('listened'))

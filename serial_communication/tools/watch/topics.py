@@ -174,7 +174,9 @@ def expected_links(parameters: Dict[str, Any]) -> List[str]:
 
 def custom_rows(board: Description, parameters: Any) -> Dict[str, Dict[str, Any]]:
     """Return the rows of a board's parameters, by name: custom messages or functions."""
-    rows = board_parameters(parameters, board.name).get(board.custom.parameter) if board.custom else None
+    rows = None
+    if board.custom:
+        rows = board_parameters(parameters, board.name).get(board.custom.parameter)
     return {name: row for name, row in (rows.items() if isinstance(rows, dict) else ())
             if isinstance(row, dict)}
 
