@@ -56,14 +56,14 @@ def test_what_a_field_of_the_ros_message_cannot_hold_is_implausible(ros_type, le
     for value in [least, most, (least + most) / 2] + no_numbers * holds_them:
         assert not kind(value).implausible(), value
     for value in beyond + no_numbers * (not holds_them):
-        assert kind(value).implausible() == (f'data is {value:.6g}, which its place in the message '
+        assert kind(value).implausible() == (f'data is {value:.6g}, which its ROS field '
                                              'cannot hold')
 
 
 def test_each_number_of_an_array_has_to_fit_its_field():
     kind = published_as('UInt8MultiArray', '<h*')
     assert not kind((0, 255)).implausible()
-    assert kind((0, 256)).implausible().startswith('data is 256, which its place')
+    assert kind((0, 256)).implausible().startswith('data is 256, which its ROS field')
     assert published_as('UInt8', '<B')(255).implausible() == ''
 
 

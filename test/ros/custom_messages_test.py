@@ -458,7 +458,7 @@ class OtherEnds(unittest.TestCase):
     def test_a_connection_that_ends_in_the_middle_of_a_call_leaves_it_not_known(self):
         verdict, words = self.verdict(self.serve(lambda connection: None))
         self.assertIs(verdict, Verdict.NOT_KNOWN)
-        self.assertRegex(words, '^no answer came: .*; look before you repeat it$')
+        self.assertRegex(words, '^no answer was received: .*; look before you repeat it$')
 
     def test_an_error_of_another_form_leaves_it_not_known(self):
         said = b'error processing request: "\xc3\xbc"'
@@ -527,36 +527,38 @@ class Mistakes(unittest.TestCase):
                 ({'ros_type': 'std_msgs/Flot32'}, '/ros_type', 'did you mean std_msgs/Float32?'),
                 ({'ros_type': 'std_msg/Float32'}, '/ros_type', 'did you mean std_msgs/Float32?'),
                 # Only types that there are: shape_msgs is installed, but has no such one.
-                ({'ros_type': 'ackermann_msgs/AckermannDrive'}, '/ros_type', 'is no installed '
-                 'type: a package ackermann_msgs with such types is not installed, or its '
-                 'workspace not sourced$'),
+                ({'ros_type': 'ackermann_msgs/AckermannDrive'}, '/ros_type', 'is not an '
+                 'installed type: the package ackermann_msgs is not installed or has no such '
+                 'types, or its workspace is not sourced$'),
                 ({'ros_type': 'geometry_msgs/Imu'}, '/ros_type',
-                 'is no installed type; did you mean sensor_msgs/Imu?'),
+                 'is not an installed type; did you mean sensor_msgs/Imu?'),
                 # Modules, and what stands in them, that are no messages.
-                ({'ros_type': 'rospy/struct'}, '/ros_type', 'rospy with such types'),
-                ({'ros_type': 'rospy/AnyMsg'}, '/ros_type', 'rospy with such types'),
-                ({'ros_type': 'os/path'}, '/ros_type', 'os with such types'),
+                ({'ros_type': 'rospy/struct'}, '/ros_type', 'rospy is not installed or has'),
+                ({'ros_type': 'rospy/AnyMsg'}, '/ros_type', 'rospy is not installed or has'),
+                ({'ros_type': 'os/path'}, '/ros_type', 'os is not installed or has no such'),
                 ({'fields': ['dta']}, '/fields', 'has no field dta; did you mean data?'),
-                ({'fields': ['data.x']}, '/fields', 'may not go on behind data, which is float32'),
-                ({'fields': ['data[0]']}, '/fields', 'data is no array'),
-                ({'layout': '<s'}, '/fields', 'is float32; a text needs a string'),
-                ({'layout': '<h*'}, '/fields', 'a * needs an array of any length'),
+                ({'fields': ['data.x']}, '/fields', 'must end at data, a float32 without fields'),
+                ({'fields': ['data[0]']}, '/fields', 'data is not an array'),
+                ({'layout': '<s'}, '/fields',
+                 'is float32; the text (s) in the layout needs a string'),
+                ({'layout': '<h*'}, '/fields', 'the * in the layout needs an array of any length'),
                 ({'frame_id': 'x'}, '/frame_id', 'needs a type with a header'),
-                ({'ros_type': 'std_msgs/String'}, '/fields', 'is string, which holds no number'),
+                ({'ros_type': 'std_msgs/String'}, '/fields',
+                 'is string, which cannot hold a number'),
                 ({'ros_type': 'std_msgs/Header', 'fields': ['stamp']}, '/fields', 'is time'),
                 ({'ros_type': 'sensor_msgs/Imu', 'fields': ['orientation_covariance']}, '/fields',
-                 'one number needs one element, as orientation_covariance[0]'),
+                 'a single number needs one element, such as orientation_covariance[0]'),
                 ({'ros_type': 'sensor_msgs/Imu', 'fields': ['orientation_covariance[9]']},
                  '/fields', 'orientation_covariance has elements 0 to 8'),
                 ({'ros_type': 'sensor_msgs/Imu', 'fields': ['orientation.q']}, '/fields',
                  'geometry_msgs/Quaternion has no field q; it has x, y, z, w'),
                 ({'layout': '<h*', 'ros_type': 'sensor_msgs/Imu',
-                  'fields': ['orientation_covariance']}, '/fields', 'a * needs an array of any'),
+                  'fields': ['orientation_covariance']}, '/fields', 'needs an array of any'),
                 ({'scale': 0}, '/scale', 'may be a number but 0')):
             with self.subTest(said):
                 self.assert_mistake('arduino/messages', 'force', dict(FORCE, **changes), key, said)
         for changes, key, said in (
-                ({'srv_type': 'std_srvs/SetBoolRequest'}, '/srv_type', 'no installed type; did '
+                ({'srv_type': 'std_srvs/SetBoolRequest'}, '/srv_type', 'not an installed type; did '
                  'you mean std_srvs/SetBool?'),
                 ({'srv_type': 'std_srv/SetBool'}, '/srv_type', 'did you mean std_srvs/SetBool?'),
                 ({'srv_type': 'std_srvs/SetBol'}, '/srv_type', 'did you mean std_srvs/SetBool?'),
@@ -573,7 +575,7 @@ class Mistakes(unittest.TestCase):
                 ('<hh', ['position[0]', 'position[00]'], 'position[0]')):
             self.assert_mistake('arduino/messages', 'arm', dict(
                 FORCE, ros_type='sensor_msgs/JointState', layout=layout, fields=fields),
-                '/fields', f"is '{said}' (str), has its place in that of {fields[1]}")
+                '/fields', f"is '{said}' (str), overlaps with {fields[1]}")
         check({'arduino': {'messages': {'arm': dict(
             FORCE, ros_type='sensor_msgs/JointState', layout='<hhh*',
             fields=['position[0]', 'position[2]', 'velocity'])}}}, '/node')
@@ -586,15 +588,16 @@ class Mistakes(unittest.TestCase):
                     file.write(body)
                 with mock.patch.object(sys, 'path', [*sys.path, folder]):
                     self.assert_mistake('arduino/messages', 'force', dict(
-                        FORCE, ros_type='broken_msgs/Broken'), '/ros_type', 'no installed type')
+                        FORCE, ros_type='broken_msgs/Broken'), '/ros_type',
+                                        'not an installed type')
 
     def test_names_that_are_taken(self):
         for group, name, row in (
                 ('arduino/messages', 'voltage', FORCE), ('arduino/messages', 'lift', FORCE),
                 ('mcu/messages', 'range_1', FORCE), ('bus/functions', 'gimbal', PUMP)):
-            self.assert_mistake(group, name, row, '', 'may have a name that the bridge has not')
+            self.assert_mistake(group, name, row, '', 'may not be a name that the bridge uses')
         with self.assertRaisesRegex(ParameterError,
-                                    'arduino/messages/both is .* bus/functions/both'):
+                                    'arduino/messages/both has the name of .*bus/functions/both'):
             check({'arduino': {'messages': {'both': FORCE}},
                    'bus': {'functions': {'both': PUMP}}}, '/node')
         # These are other names: mcu/imu is not ~force, and a topic may be called as a parameter.

@@ -259,7 +259,7 @@ class AnotherRospy(unittest.TestCase):
         install(SparingLog('ROS', log))
         self.assertIs(getattr(holder, name), before)
         (_level, form, *values), = [call[0] for call in log.log.call_args_list]
-        self.assertIn('in another way than 1.15.15 and 1.16.0', form % tuple(values))
+        self.assertIn('differently from 1.15.15 and 1.16.0', form % tuple(values))
 
     def test_a_server_that_takes_connections_in_another_way(self):
         def run(server):

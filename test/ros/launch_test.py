@@ -109,7 +109,7 @@ class Launch(unittest.TestCase):
 
     def test_naming_one_port_says_which_links_are_off(self):
         self.launch('arduino_port:=' + os.path.join(self.folder, 'arduino'))
-        until(lambda: 'off, since no port is given for it: bus, mcu' in self.output_so_far(),
+        until(lambda: 'off, because no port is set: bus, mcu' in self.output_so_far(),
               'it says so')
         until(lambda: 'waiting for it' in self.output_so_far(), 'the other one is looked for')
         self.end()

@@ -248,7 +248,7 @@ class AnotherRosgraph(unittest.TestCase):
             log_file.init_node('any', anonymous=True)
         begun.assert_called_once_with('any', anonymous=True)
         self.assertIs(rosgraph.roslogging.configure_logging, before)
-        self.assertIn('in another way than 1.15.15 and 1.16.0', log.output[0])
+        self.assertIn('differently from 1.15.15 and 1.16.0', log.output[0])
 
 
 if __name__ == '__main__':

@@ -28,9 +28,9 @@ class INTERFACE(Interface):
     NAME = 'wind'
     PARAMETERS = {'port': PORT, 'baud': BAUD}
 
-    def __init__(self, parameters, common):
+    def __init__(self, parameters, link_options):
         self.link = McuLink(Port(parameters['port']), 1.0, on_status=lambda *_: None,
-                            on_silence=lambda *_: None, **common._asdict())
+                            on_silence=lambda *_: None, **link_options._asdict())
 """
 HANGS = 'open(__file__ + ".begun", "w").close(); time.sleep(1e6)'
 MODULES = {      # by name: the text, and what is said of it
@@ -59,12 +59,12 @@ HANGING = {
 REMAPPED = (
     ('bus', '~lift:=~gimbal', 'service [/NODE/gimbal] already registered'),
     ('bus', '~lift:=~set_logger_level', 'service [/NODE/set_logger_level] already registered'),
-    ('arduino', '~voltage:=~ticks', 'topic [/NODE/ticks] cannot be a serial_communication/Ticks, '
-     'it is a serial_communication/Voltage of this node already'),
+    ('arduino', '~voltage:=~ticks', 'topic [/NODE/ticks] cannot be a serial_communication/Ticks: '
+     'this node already uses it as a serial_communication/Voltage'),
     ('arduino', '~speed:=~steering', 'topic [/NODE/steering] cannot be a serial_communication/'
-     'SteeringPWMCommand, it is a serial_communication/SpeedPWMCommand of this node already'),
+     'SteeringPWMCommand: this node already uses it as a serial_communication/SpeedPWMCommand'),
     ('arduino', '~speed:=~voltage', 'topic [/NODE/voltage] cannot be a serial_communication/'
-     'SpeedPWMCommand, it is a serial_communication/Voltage of this node already'),
+     'SpeedPWMCommand: this node already uses it as a serial_communication/Voltage'),
     ('mcu', 'serial_msg:=mcu/imu', 'topic [/mcu/imu] cannot be a serial_communication/SerialMsg'),
 )
 
@@ -167,7 +167,7 @@ class Mistakes(unittest.TestCase):
         for number, ((_link, argument, said), result) in enumerate(zip(REMAPPED, results)):
             with self.subTest(argument):
                 self.assert_one_line(said.replace('NODE', f'remapped_{number}'), *result)
-                self.assert_one_line(f'; remapped are {argument}', *result)
+                self.assert_one_line(f'; check the remappings {argument}', *result)
 
     def test_topics_of_one_type_may_be_remapped_to_one(self):
         bridge = Bridge('one_topic', {'mcu/port': self.absent('mcu')}, ['mcu/range_1:=mcu/range_2'])
@@ -184,8 +184,9 @@ class Mistakes(unittest.TestCase):
             with self.subTest(other):
                 name = f'one_port_{number}'
                 result = self.ended(name, {'bus/port': one, 'mcu/port': other, 'mcu/baud': 9600})
-                self.assert_one_line(f"parameter /{name}/mcu/port is '{other}', the port of /{name}"
-                                     f"/bus/port ('{one}'), too; a port has one link", *result)
+                self.assert_one_line(f"parameter /{name}/mcu/port is '{other}', which is also the "
+                                     f"port of /{name}/bus/port ('{one}'); each link needs its "
+                                     'own port', *result)
 
     def test_a_car_is_left_standing_where_a_later_name_is_wrong(self):
         line = Line(os.path.join(self.folder, 'car')).plug()

@@ -11,7 +11,7 @@ import time
 
 from serial_communication.ros import node, starting
 
-look = starting.living_node
+look = starting.running_node
 
 
 def look_and_meet(name):
@@ -24,7 +24,7 @@ def look_and_meet(name):
     return address
 
 
-starting.living_node = look_and_meet
+starting.running_node = look_and_meet
 starting._PROGRAM += os.environ.get('HOST', '')     # part of the lock's address
 if ':=' not in ''.join(sys.argv[1:2]):
     del sys.argv[1:2]       # the node's own program, in whose place this one was started

@@ -18,7 +18,7 @@ import yaml
 
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.arduino import ros as interface
-from serial_communication.ros.interface import Common
+from serial_communication.ros.interface import LinkOptions
 from serial_communication.ros.parameters import PARAMETERS, ParameterError, check
 
 CONFIG = os.path.join(os.path.dirname(os.path.abspath(__file__)), '..', '..', 'config',
@@ -202,8 +202,8 @@ class INTERFACE(Interface):
                 (self.BOARD + '    NAME = "bus"', "NAME is 'bus', may be a name that no other"),
                 (self.BOARD + '    NAME = "boards"', "NAME is 'boards', may be a name that no"),
                 (self.BOARD + '    del PARAMETERS', 'INTERFACE.PARAMETERS is None, may be a dict'),
-                (self.BOARD + '    PARAMETERS = [PORT]', 'may be a dict of Parameter by name'),
-                (self.BOARD + '    PARAMETERS = {5: PORT}', 'by names of letters'),
+                (self.BOARD + '    PARAMETERS = [PORT]', 'may be a dict from name to Parameter'),
+                (self.BOARD + '    PARAMETERS = {5: PORT}', 'from name (letters, digits'),
                 (self.BOARD + '    PARAMETERS = {"port": "x"}', "['port'] is 'x', may be a Param"),
                 (self.BOARD + '    PARAMETERS = {"baud": BAUD}', "['port'] is None, may be PORT"),
                 (self.BOARD + '    PARAMETERS = {"port": BAUD}', 'may be PORT'),
@@ -244,9 +244,9 @@ class INTERFACE(Interface):
         fault = '(lambda *_: 1 / 0)'
         for text, said in (
                 ('    problem = staticmethod' + fault, 'parameter /node/boards: the board wind '
-                 'cannot check its parameters: ZeroDivisionError'),
-                ('    custom_names = staticmethod' + fault, 'the board wind cannot check its'),
-                ('    custom_names = staticmethod(lambda p: 5)', 'the board wind cannot check its'),
+                 'failed to check its parameters: ZeroDivisionError'),
+                ('    custom_names = staticmethod' + fault, 'the board wind failed to check its'),
+                ('    custom_names = staticmethod(lambda p: 5)', 'the board wind failed to check its'),
                 (f'    PARAMETERS["x"] = Parameter("a", parse={fault})', "parameter /node/wind/x "
                  "is 'a' (str), may be text: ZeroDivisionError: division by zero (")):
             with self.subTest(text):
@@ -277,7 +277,7 @@ class Lines(unittest.TestCase):
             self.assertTrue(text.isprintable(), text)
             self.assertLess(len(text), 500)
         _values, (warning,) = check({'pub\nlish_tf': True}, '/node')
-        self.assertIn('/node/pub\ufffdlish_tf is not known', warning)
+        self.assertIn('/node/pub\ufffdlish_tf is unknown', warning)
 
     def test_two_links_with_one_port(self):
         with tempfile.TemporaryDirectory() as folder:
@@ -288,7 +288,8 @@ class Lines(unittest.TestCase):
                 with self.subTest(other), self.assertRaises(ParameterError) as caught:
                     check({'bus': {'port': one}, 'mcu': {'port': other, 'baud': 9600}}, '/node')
                 self.assertEqual(str(caught.exception), f"parameter /node/mcu/port is '{other}', "
-                                 f"the port of /node/bus/port ('{one}'), too; a port has one link")
+                                 f"which is also the port of /node/bus/port ('{one}'); each link "
+                                 'needs its own port')
         check({'bus': {'port': 'loop://'}, 'mcu': {'port': 'loop://'}, 'arduino': {'port': ''}},
               '/node')
 
@@ -311,7 +312,7 @@ class Topics(unittest.TestCase):
         with mock.patch.object(interface, 'publisher'), \
                 mock.patch.object(interface, 'built_in_topic'):
             return interface.ArduinoInterface(
-                values, Common(0.05, time.time, logging.getLogger('table')))
+                values, LinkOptions(0.05, time.time, logging.getLogger('table')))
 
     def test_every_message_of_the_car_has_a_topic(self):
         self.assertEqual(self.interface().link.name, 'arduino')

@@ -86,7 +86,7 @@ class WhileOneRuns(unittest.TestCase):
         second = self.start()
         self.assertEqual(second.process.wait(PATIENCE), TAKEN)
         said, = lines_of(second.output())
-        self.assertIn(f'{NAME} runs already ({self.address})', said)
+        self.assertIn(f'{NAME} is already running ({self.address})', said)
         self.assertIn(f'rosnode kill {NAME}', said)
         self.assert_unharmed()
 
@@ -111,7 +111,7 @@ class WhileOneRuns(unittest.TestCase):
 
     def test_by_roslaunch_it_says_it_once_and_takes_over_when_the_first_one_ends(self):
         second = self.start('__log:=' + os.path.join(self.folder, 'second.log'))
-        second.wait_for('runs already')
+        second.wait_for('is already running')
         self.car.wait_for_heartbeats(300)       # three seconds
         self.assertTrue(second.alive, second.output())
         self.assertEqual(len(lines_of(second.output())), 1, second.output())
@@ -125,7 +125,7 @@ class WhileOneRuns(unittest.TestCase):
 
     def test_ctrl_c_ends_one_that_waits(self):
         second = self.start('__log:=' + os.path.join(self.folder, 'second.log'))
-        second.wait_for('runs already')
+        second.wait_for('is already running')
         _seconds, status = second.end(signal.SIGINT)
         self.assertEqual(status, 0)
         self.assertNotIn('Traceback', second.output())
@@ -145,7 +145,7 @@ class WhileOneRuns(unittest.TestCase):
                 again = subprocess.run([program('serial_communication_node'), *arguments],
                                        stderr=subprocess.PIPE, text=True, timeout=PATIENCE)
                 self.assertEqual(again.returncode, TAKEN)
-                self.assertIn(f'{name} runs already', again.stderr)
+                self.assertIn(f'{name} is already running', again.stderr)
             finally:
                 other.send_signal(signal.SIGINT)
                 other.wait(PATIENCE)
@@ -236,7 +236,7 @@ class InTheSameMoment(unittest.TestCase):
         ended, = [each for each in self.pair if not each.alive]
         said = lines_of(ended.output())
         self.assertEqual(ended.process.returncode, TAKEN, said)
-        self.assertEqual([line for line in said if 'runs already' in line], said[-1:])
+        self.assertEqual([line for line in said if 'is already running' in line], said[-1:])
         until(lambda: self.owner() == lives.process.pid, 'the other one has the name',
               4 * PATIENCE)
         self.assertNotIn('Traceback', ended.output() + lives.output())
