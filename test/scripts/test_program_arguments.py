@@ -1,7 +1,7 @@
 """--help, wrong arguments and an early Ctrl-C of every program.
 
-scripts/demo and scripts/test have more in test_demo_arguments; the node beside a running one has
-its tests in test/ros/second_test.
+Those of scripts/demo and scripts/test: test_demo_arguments; of the node beside a running one:
+test/ros/same_name_test.
 """
 import os
 import signal

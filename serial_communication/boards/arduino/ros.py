@@ -18,7 +18,7 @@ from ...ros.commands import CommandTopic
 from ...ros.custom_topics import (built_in_topic, custom_topics, message_rows, names_of,
                                   take_commands)
 from ...ros.geometry import OrientationBroadcaster
-from ...ros.interface import Common, Interface
+from ...ros.interface import LinkOptions, Interface
 from ...ros.parameter import BAUD, MOUNT, PORT, Parameter, frame_id, seconds
 from ...ros.publishing import diagonal, publisher, wanted
 from ...transport.port import Port
@@ -56,7 +56,7 @@ class ArduinoInterface(Interface):
     }
     MOUNTS = ('imu',)
 
-    def __init__(self, parameters: Dict[str, Any], common: Common) -> None:
+    def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
         p = parameters
         self._gyro_scale = p['gyro_scale']
         self._command_age = p['command_age']
@@ -85,7 +85,7 @@ class ArduinoInterface(Interface):
             ArduinoSettings(**{name: p[name] for name in ArduinoSettings._fields}),
             messages=[kind for kind in self._topics if kind not in wire.FROM_BOARD],
             on_message=self._received, on_log=self._log,
-            on_calibrating=lambda on: self._calibrating.publish(on), **common._asdict())
+            on_calibrating=lambda on: self._calibrating.publish(on), **link_options._asdict())
 
     @staticmethod
     def custom_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:

@@ -11,10 +11,10 @@ from serial_communication.srv import (BusRequest, BusRequestResponse, GetEnviron
                                       LiftResponse)
 
 from ...link.outcome import NOT_SENT, Outcome
-from ...ros.answers import tell
-from ...ros.custom_topics import RowTopic, check_frame_id, names_of, refuse_taken
+from ...ros.answers import fill_response
+from ...ros.custom_topics import ValuePublisher, check_frame_id, names_of, refuse_taken
 from ...ros.fields import RosFields, find_type
-from ...ros.interface import Common, Interface
+from ...ros.interface import LinkOptions, Interface
 from ...ros.parameter import BAUD, PORT, Parameter, seconds
 from ...ros.publishing import publisher, wanted
 from ...transport.port import Port
@@ -41,12 +41,12 @@ class BusInterface(Interface):
         'functions': Parameter({}, parse=lambda given: _ros_functions(given)),
     }
 
-    def __init__(self, parameters: Dict[str, Any], common: Common) -> None:
+    def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
         p = parameters
         self.link = BusLink(
             Port(p['port'], p['baud']),
             BusSettings(**{name: p[name] for name in BusSettings._fields}),
-            on_environment=self._publish_environment, **common._asdict())
+            on_environment=self._publish_environment, **link_options._asdict())
         self._functions = p['functions']
         _poll_functions(self._functions, self.link, p['frame_prefix'])
         self._environment = publisher('~environment', Environment)
@@ -69,14 +69,14 @@ class BusInterface(Interface):
         _advertise_functions(self._functions, self.link)
 
     def _lift(self, request) -> LiftResponse:
-        return tell(LiftResponse(), self.link.lift(request.direction, request.distance))
+        return fill_response(LiftResponse(), self.link.lift(request.direction, request.distance))
 
     def _gimbal(self, request) -> GimbalResponse:
-        return tell(GimbalResponse(), self.link.gimbal(request.direction, request.angle))
+        return fill_response(GimbalResponse(), self.link.gimbal(request.direction, request.angle))
 
     def _get_environment(self, _request) -> GetEnvironmentResponse:
         outcome, reading = self.link.environment()
-        response = tell(GetEnvironmentResponse(), outcome)
+        response = fill_response(GetEnvironmentResponse(), outcome)
         if reading:
             response.environment = self._message(reading, rospy.Time.now())
             response.message = f'done: {reading}'
@@ -85,20 +85,20 @@ class BusInterface(Interface):
     def _request(self, request) -> BusRequestResponse:
         outcome = self.link.request(wire.Request(request.cmd1, request.cmd2,
                                                  bytes(request.data)))
-        response = tell(BusRequestResponse(), outcome)
+        response = fill_response(BusRequestResponse(), outcome)
         response.data = outcome.data
         return response
 
     def _echo(self, _request) -> TriggerResponse:
         outcome = self.link.echo()
-        response = tell(TriggerResponse(), outcome)
+        response = fill_response(TriggerResponse(), outcome)
         if outcome.success:
             response.message = f'{outcome.round_trip * 1e3:.2f} ms'
         return response
 
     def _sync(self, _request) -> TriggerResponse:
         outcome = self.link.sync()
-        response = tell(TriggerResponse(), outcome)
+        response = fill_response(TriggerResponse(), outcome)
         if outcome.success:
             response.message = 'synchronised'
         return response
@@ -154,14 +154,14 @@ def _poll_functions(functions: List[RosFunction], link: BusLink, frame_prefix: s
     """Poll the functions with a period and publish their replies; before the link starts."""
     for function, ros_class, _, reply in functions:
         if function.period:
-            topic = RowTopic('~' + function.name, ros_class, reply,
-                             function.frame_id and frame_prefix + function.frame_id)
+            topic = ValuePublisher('~' + function.name, ros_class, reply,
+                                   function.frame_id and frame_prefix + function.frame_id)
             zeros = (0,) * len(function.request.values)
             link.poll(function.period, function.make_request(zeros), function.reply,
                       _publish_reply(function, topic), function.timeout)
 
 
-def _publish_reply(function: CustomFunction, topic: RowTopic) -> Callable[[Outcome], None]:
+def _publish_reply(function: CustomFunction, topic: ValuePublisher) -> Callable[[Outcome], None]:
     return lambda outcome: topic.publish(_values(function, outcome), outcome.stamp)
 
 
@@ -186,7 +186,7 @@ def _service(ros_function: RosFunction, link: BusLink) -> Callable[[Any], Any]:
             outcome = Outcome(NOT_SENT, f'{error}; nothing was sent')
         else:
             outcome = link.request(request, function.repeatable, function.timeout, function.reply)
-        response = tell(reply_fields.new(), outcome)
+        response = fill_response(reply_fields.new(), outcome)
         if outcome.success:
             reply_fields.fill(response, _values(function, outcome))
         return response

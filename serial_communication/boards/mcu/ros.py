@@ -11,7 +11,7 @@ from serial_communication.msg import McuStatus, McuStatus2
 
 from ...ros.custom_topics import custom_topics, message_rows, names_of
 from ...ros.geometry import OrientationBroadcaster, quaternion
-from ...ros.interface import Common, Interface
+from ...ros.interface import LinkOptions, Interface
 from ...ros.parameter import BAUD, MOUNT, PORT, Parameter, frame_id, seconds
 from ...ros.publishing import diagonal, publisher, wanted
 from ...transport.port import Port
@@ -47,7 +47,7 @@ class McuInterface(Interface):
     }
     MOUNTS = ('imu', 'range_1', 'range_2')
 
-    def __init__(self, parameters: Dict[str, Any], common: Common) -> None:
+    def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
         p = parameters
         self._turn = -1.0 if p['yaw_clockwise'] else 1.0
         self._imu_message = _imu(p)
@@ -65,7 +65,7 @@ class McuInterface(Interface):
                             on_status=self._received, on_silence=self._silent,
                             network_silence=p['network_silence'],
                             messages=list(self._custom_topics),
-                            **common._asdict())
+                            **link_options._asdict())
 
     @staticmethod
     def problem(parameters: Dict[str, Any]) -> str:

@@ -22,7 +22,7 @@ import tornado.ioloop
 from ...link.sparing_log import SparingLog
 from ...output import prepare_output
 from ...ros.last_resort import LastResort
-from ...ros.master import full_name, living_node, wait_for_master
+from ...ros.master import full_name, running_node, wait_for_master
 from ...ros.rospy_mends import background_logging
 from ...ros.rospy_mends.log_file import init_node
 from ...ros.rospy_mends.master_watch import MasterWatch
@@ -103,7 +103,7 @@ class _Ros:
         if not wait_for_master(self._stopping, _print_error):
             return
         name = full_name('panel')
-        if living_node(name):
+        if running_node(name):
             _print_error(f'another node is named {name} at {rosgraph.get_master_uri()}; end it, '
                          'or take another name with __name:=NAME')
             self._end(3)
