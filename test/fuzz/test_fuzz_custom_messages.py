@@ -128,7 +128,7 @@ class Stage:
         self.got = deque()
         self.link = ArduinoLink(
             Port(os.ttyname(slave), 115200), messages=[
-                row.kind for row in rows if not row.own.is_command],
+                row.kind for row in rows if not row.custom.is_command],
             on_message=lambda message, stamp: self.got.append(message),
             logger=logging.getLogger('fuzz'))
         self._slave = slave
@@ -168,7 +168,7 @@ def test_any_values_of_any_rows_are_published_and_sent_back_unchanged(cases):
         entries[f'from{index}'] = dict(row, type=20 + index)
         entries[f'to{index}'] = dict(row, type=120 + index, direction='to_board')
     checked, _ = check({'arduino': {'messages': entries}}, '/node')
-    rows = {row.own.name: row for row in checked['arduino/messages']}
+    rows = {row.custom.name: row for row in checked['arduino/messages']}
     stage = Stage(rows.values())
     try:
         for index, (row, raws) in enumerate(cases):
