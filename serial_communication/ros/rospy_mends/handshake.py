@@ -69,7 +69,7 @@ class _PendingConnection:
             return 4 - len(self.header)
         length = int.from_bytes(self.header[:4], 'little')
         if length > _LONGEST:
-            raise ValueError(f'its header has {length} bytes, ROS headers have {_LONGEST} at most')
+            raise ValueError(f'its header has {length} bytes; at most {_LONGEST} are accepted')
         return 4 + length - len(self.header)
 
 
