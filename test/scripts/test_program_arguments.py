@@ -2,7 +2,7 @@
 and Ctrl-C as it begins.
 
 Those of scripts/demo and scripts/test: test_demo_arguments; of the node beside a running one:
-test/ros/second_test.
+test/ros/same_name_test.
 """
 import os
 import signal
