@@ -182,7 +182,7 @@ class PacketDecoder {
 
   explicit PacketDecoder(uint32_t frame_timeout_ms = 50) : counters(), frame_timeout_ms_(frame_timeout_ms) {}
 
-  // Takes a type of one's own (13 … 255), whose data is a T.
+  // Takes a type of one's own (13 … 254), whose data is a T.
   template <class T>
   void accept(uint8_t type) {
     if (own_count_ < MaxOwn) own_[own_count_++] = {type, sizeof(T)};

@@ -39,6 +39,7 @@ class BusInterface(Interface):
         'environment_datelen': Parameter(_DEFAULTS.environment_datelen, choices=(0, 2)),
         'reply_has_cmd2': Parameter(_DEFAULTS.reply_has_cmd2),
         'functions': Parameter({}, parse=lambda given: _ros_functions(given)),
+        'announcements': Parameter(_DEFAULTS.announcements),
     }
 
     def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:

@@ -11,6 +11,7 @@ a frame, modulo 256. Little-endian. Only the board sends.
 import struct
 from typing import Any, Iterable, List, NamedTuple, Union
 
+from ...framing.announcement import Chunk
 from ...framing.layout import Layout, Value, layout_methods, message_class
 from ...framing.parts import Part, Parts
 from ...framing.stream import (CHECKSUM, IMPLAUSIBLE, LENGTH, NO_FRAME, UNKNOWN, Bad, Good, Need,
@@ -113,8 +114,16 @@ class Decoder(StreamDecoder):
     def __init__(self, messages: Iterable[Any] = ()) -> None:
         super().__init__()
         self.errors.update({UNKNOWN: 0, LENGTH: 0, IMPLAUSIBLE: 0})
-        self._messages = dict(MESSAGES)
+        self._messages = {**MESSAGES, Chunk.TYPE: Chunk}
         self._messages.update((message.TYPE, message) for message in messages)
+
+    def add_message(self, kind: Any) -> None:
+        """Decode custom messages of this class from now on; from any thread."""
+        self._messages = {**self._messages, kind.TYPE: kind}
+
+    def remove_message(self, kind: Any) -> None:
+        """Decode them no longer; from any thread."""
+        self._messages = {type_: each for type_, each in self._messages.items() if each is not kind}
 
     def explain(self, frame: bytes) -> List[Part]:
         """The named parts of one frame, valid or not, incomplete, or of noise."""
