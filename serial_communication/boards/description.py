@@ -26,7 +26,9 @@ class CustomRows(NamedTuple):
     """The rows of parameters that make custom messages or functions."""
 
     parameter: str                        # the board's parameter that holds the rows by name
-    read: Callable[[Any], List[Any]]      # raises RowError for the first mistake
+    # read(rows, key) makes them; `key` is the parameter that holds them, BOARD/parameter if it is
+    # left out. Raises RowError for the first mistake.
+    read: Callable[..., List[Any]]
     prefix: str                           # prefix + the row's name is the name of its topic
 
 

@@ -1,9 +1,10 @@
 """The interface between the node and a board."""
 import logging
 from abc import ABC, abstractmethod
-from typing import Any, Callable, Dict, List, NamedTuple, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 
 from ..link.link import Link
+from .announced import AnnouncedRows
 from .parameter import Parameters
 
 
@@ -32,6 +33,7 @@ class Interface(ABC):
     PARAMETERS: Parameters         # including `port` and `baud`
     MOUNTS: Tuple[str, ...] = ()   # for each sensor x, x_frame_id and x_mount are parameters
     link: Link
+    announced: Optional[AnnouncedRows] = None    # None: no announcements are used
 
     @abstractmethod
     def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:

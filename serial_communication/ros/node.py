@@ -15,6 +15,7 @@ from ..link.sparing_log import SparingLog
 from ..output import prepare_output
 from ..transport.pace import set_priority_of_all
 from . import parameters, starting
+from .announced import Announcements, without_announced
 from .diagnostics import Diagnostics
 from .geometry import publish_mounts
 from .interface import LinkOptions
@@ -75,11 +76,11 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
             start.stopping.set(), rospy.signal_shutdown('the terminal has gone')))
     bridge = None
     try:
-        given = rospy.get_param('~', {})
+        given = without_announced(rospy.get_param('~', {}))
         values, warnings = parameters.check(given, rospy.get_name())
         for warning in warnings:
             rospy.logwarn(warning)
-        bridge = Bridge(values)
+        bridge = Bridge(values, given)
         rospy.on_shutdown(bridge.stop)
         if not rospy.core.is_shutdown_requested():      # else the hook may have missed it
             bridge.start()
@@ -115,9 +116,10 @@ class Bridge:
 
     Args:
         p: the checked parameters.
+        given: the node's parameters as they are on the parameter server.
     """
 
-    def __init__(self, p: dict) -> None:
+    def __init__(self, p: dict, given: dict) -> None:
         link_options = LinkOptions(p['frame_timeout'], rospy.Time.now, _LOGGER)
         boards = [(board, own) for board, own in (
             (board, parameters.of_board(board, p)) for board in p['boards']) if own['port']]
@@ -141,6 +143,10 @@ class Bridge:
             for board, own in boards for name in board.MOUNTS})
         self._traffic = Traffic(self._links, _LOGGER)
         self._diagnostics = Diagnostics(self._links, _LOGGER)
+        self._announcements = Announcements(
+            [interface.announced for interface in self._interfaces if interface.announced],
+            {name: key for board in p['boards']
+             for name, key in board.custom_names(parameters.of_board(board, p))}, given, _LOGGER)
 
     def start(self) -> None:
         """Open the ports, subscribe to commands and offer services."""
@@ -153,6 +159,7 @@ class Bridge:
         for interface in self._interfaces:
             with _naming(type(interface)):
                 interface.advertise()
+        self._announcements.start()
         self._diagnostics.start()
 
     def stop(self) -> None:

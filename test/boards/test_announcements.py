@@ -156,8 +156,7 @@ def test_a_bus_board_is_asked_only_if_the_parameter_says_so(bus_board, bus_link)
     assert bus_board.questions() == [] and set(bus_board.executed) == {bus.ENVIRONMENT_REQUEST}
 
 
-def test_a_bus_board_is_asked_for_each_chunk_once_a_connection_after_sync(line, bus_board,
-                                                                         bus_link):
+def test_a_bus_board_is_asked_for_each_chunk_once_a_connection_after_sync(bus_board, bus_link):
     bus_board.chunks = chunks_of(TEXT, 20)
     link = bus_link()
     until(lambda: link.texts)

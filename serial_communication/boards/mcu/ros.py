@@ -9,7 +9,8 @@ from sensor_msgs.msg import Imu, Range
 
 from serial_communication.msg import McuStatus, McuStatus2
 
-from ...ros.custom_topics import custom_topics, message_rows, names_of
+from ...ros.announced import AnnouncedRows
+from ...ros.custom_topics import add_announced, custom_topics, message_rows, names_of, resolve
 from ...ros.geometry import OrientationBroadcaster, quaternion
 from ...ros.interface import LinkOptions, Interface
 from ...ros.parameter import BAUD, MOUNT, PORT, Parameter, frame_id, seconds
@@ -32,6 +33,7 @@ class McuInterface(Interface):
         'network_silence': seconds(5.0, 0.0, 3600.0),
         'yaw_clockwise': Parameter(True),
         'messages': Parameter({}, parse=partial(message_rows, DESCRIPTION)),
+        'announcements': Parameter(True),
         'roll_pitch_stdev': Parameter(radians(1.0), 0.0, pi, unit='rad'),
         'yaw_stdev': Parameter(radians(5.0), 0.0, pi, unit='rad'),
         'min_range': Parameter(0.03, 0.0, 65.0, unit='m'),
@@ -66,6 +68,12 @@ class McuInterface(Interface):
                             network_silence=p['network_silence'],
                             messages=list(self._custom_topics),
                             **link_options._asdict())
+        if p['announcements']:
+            self.announced = AnnouncedRows(
+                DESCRIPTION, self.link, [row.custom for row in p['messages']],
+                lambda custom: resolve(custom, 'mcu/'),
+                lambda row: add_announced(row, 'mcu/', p['frame_prefix'], self.link,
+                                          self._custom_topics, 0.0))
 
     @staticmethod
     def problem(parameters: Dict[str, Any]) -> str:
@@ -78,9 +86,10 @@ class McuInterface(Interface):
         return names_of(parameters['messages'], 'mcu/')
 
     def _received(self, message: Any, seq: int, stamp: rospy.Time) -> None:
-        custom_topic = self._custom_topics.get(type(message))
-        if custom_topic:
-            custom_topic.publish(message, stamp)
+        if message.TYPE not in wire.MESSAGES:
+            custom_topic = self._custom_topics.get(type(message))
+            if custom_topic:        # None: an announced one that was just taken down
+                custom_topic.publish(message, stamp)
             return
         age = time.monotonic() - self.link.last_frame_at
         if type(message) is wire.AdcStatus:
@@ -107,7 +116,7 @@ class McuInterface(Interface):
                 self._orientation.send(turned, stamp)
 
     def _silent(self, kind: Optional[type], seq: int, age: float) -> None:
-        if kind in self._custom_topics:
+        if kind and kind.TYPE not in wire.MESSAGES:
             return      # custom messages have no status: their topics are silent, too
         head = (rospy.Time.now(), seq, False, False, self.link.checksum_errors, age)
         if kind is wire.AdcStatus:
