@@ -34,6 +34,7 @@ class SensorBoard(Board):
         adc: send the six ADC channels instead of the sensor status.
         seed: seed of the noise and the timeouts.
         custom: custom messages, sent in addition.
+        announcement: the text to announce; None: nothing.
     """
 
     NAME = DESCRIPTION.name
@@ -54,10 +55,12 @@ class SensorBoard(Board):
 
     @classmethod
     def from_options(cls, options: argparse.Namespace) -> 'SensorBoard':
-        return cls(options.rate, options.adc, options.seed, options.config)
+        return cls(options.rate, options.adc, options.seed, options.config,
+                   options.announcement)
 
     def __init__(self, rate: float = RATE, adc: bool = False, seed: int = 0,
-                 custom: Iterable[CustomMessage] = ()) -> None:
+                 custom: Iterable[CustomMessage] = (),
+                 announcement: Optional[bytes] = None) -> None:
         super().__init__()
         self.seq = 0        # of the next frame
         self._adc = adc
@@ -65,7 +68,7 @@ class SensorBoard(Board):
         self._random = Random(f'{seed} sensors')
         self._pace = Every(self._period, 0.0)
         self._on_since = 0.0
-        self._custom = CustomMessagePlayer(custom)
+        self._custom = CustomMessagePlayer(custom, announcement)
 
     # -- hooks ----------------------------------------------------------------------------
 
