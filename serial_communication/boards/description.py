@@ -11,6 +11,9 @@ from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple
 from ..framing.stream import Decoder
 
 
+ANNOUNCED = 'announced'     # parameter of a board: the announced rows that the bridge uses
+
+
 class Topic(NamedTuple):
     """A topic with data of the board. `name` is relative to the node: ~imu, mcu/status."""
 

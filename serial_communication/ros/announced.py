@@ -12,7 +12,7 @@ from typing import Any, Callable, Deque, Dict, Iterable, List, NamedTuple
 import rospy
 
 from ..boards import BOARDS
-from ..boards.description import Description
+from ..boards.description import ANNOUNCED, Description
 from ..framing.announced_text import read_announcement
 from ..framing.custom_messages import RowError, meaning
 from ..link.link import Announced, Link
@@ -20,7 +20,6 @@ from ..link.sparing_log import SparingLog
 from ..transport.pace import Allowance
 from .rospy_mends.remapping import explained
 
-PARAMETER = 'announced'     # of a board, with the rows that are in use
 _PAUSE = 1.0                # s between two announcements: a board may change its own all the time
 _LINES = 60, 2.0            # log lines: at most in a burst, and then per second
 _XML_RPC = 2 ** 31          # the parameter server takes no greater integer
@@ -50,7 +49,7 @@ class AnnouncedRows:
                  resolve: Callable[[Any], Any],
                  add: Callable[[Any], Callable[[], None]]) -> None:
         self.link = link
-        self._key = f'{board.name}/{PARAMETER}'
+        self._key = f'{board.name}/{ANNOUNCED}'
         self._custom = board.custom
         self._configured = list(configured)
         self._resolve = resolve
@@ -190,8 +189,8 @@ class Announcements:
 
     def _set_parameter(self, board: str, rows: Dict[str, Any]) -> None:
         rows = _for_xml_rpc(rows)
-        self._parameters[board] = {**self._parameters.get(board, {}), PARAMETER: rows}
-        name = f'~{board}/{PARAMETER}'
+        self._parameters[board] = {**self._parameters.get(board, {}), ANNOUNCED: rows}
+        name = f'~{board}/{ANNOUNCED}'
         try:
             rospy.set_param(name, rows)
         except Exception as error:  # pylint: disable=broad-except
@@ -215,8 +214,8 @@ def without_announced(given: Any) -> Any:
         return given
     found = {}
     for name, group in given.items():
-        if name in BOARDS and isinstance(group, dict) and PARAMETER in group:
-            group = {key: value for key, value in group.items() if key != PARAMETER}
-            rospy.delete_param(f'~{name}/{PARAMETER}')
+        if name in BOARDS and isinstance(group, dict) and ANNOUNCED in group:
+            group = {key: value for key, value in group.items() if key != ANNOUNCED}
+            rospy.delete_param(f'~{name}/{ANNOUNCED}')
         found[name] = group
     return found

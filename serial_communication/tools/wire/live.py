@@ -15,6 +15,7 @@ from ...transport import pace
 from ...transport.opener import Opener
 from ...transport.port import Port, PortError
 from . import recording
+from .announced import Learner
 from .forwarder import Forwarder
 from .lines import Direction, Settings
 from .recording import Read
@@ -245,6 +246,13 @@ def decode_inbox(inbox: Inbox, line: Settings, until: Optional[float],
         on_event: is called with each event.
     """
     directions = [Direction(line, sent) for sent in (False, True)]
+    learner = Learner(line)
+
+    def take(sent: bool, frame: Frame) -> None:
+        on_frame(sent, frame)
+        for custom in [] if sent else learner.take(frame):
+            directions[custom.is_command].decoder.add_message(custom.kind)
+
     while True:
         times = [time_ for time_ in [until] + [direction.due() for direction in directions]
                  if time_ is not None]
@@ -252,10 +260,10 @@ def decode_inbox(inbox: Inbox, line: Settings, until: Optional[float],
         now = time.monotonic() if item is None else item.at
         if isinstance(item, Read):
             for frame in directions[item.sent].feed(item.data, item.at):
-                on_frame(item.sent, frame)
+                take(item.sent, frame)
         for direction in directions:
             for frame in direction.expire(now):
-                on_frame(direction.sent, frame)
+                take(direction.sent, frame)
         if isinstance(item, Event):
             if item.lost:
                 directions[item.sent].reset()

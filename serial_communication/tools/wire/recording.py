@@ -15,6 +15,7 @@ from math import inf
 from typing import Any, Dict, List, NamedTuple, TextIO, Tuple
 
 from ...framing.stream import Decoder, Frame
+from .announced import with_announced
 from .lines import MAX_BAUD, Direction, Settings
 from .show import WireError
 
@@ -204,6 +205,12 @@ def load(path: str, topic: str = '') -> Recording:
         raise RecordingError(f'{path}: contains bytes that are not text') from None
     except OSError as error:
         raise RecordingError(f'{path}: {error.strerror}') from None
+
+
+def learned_from(recording: Recording, line: Settings) -> Settings:
+    """Return the line with the custom messages that its board announces in the recording."""
+    return with_announced(line, [each.frame for each in frames_of(recording, line)
+                                 if not each.sent])
 
 
 def frames_of(recording: Recording, line: Settings) -> List[RecordedFrame]:
