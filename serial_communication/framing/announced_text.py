@@ -3,7 +3,7 @@
 A row is not checked here: `custom_messages` does that, for rows of parameters and of boards alike.
 PyYAML is imported late: without announcements nobody needs it.
 """
-from typing import Any, Dict, List, NamedTuple, Tuple
+from typing import Any, Dict, Iterator, List, NamedTuple, Tuple
 
 from .announcement import LONGEST
 from .layout import brief, readable
@@ -59,7 +59,19 @@ def _read_row(line: str) -> Tuple[str, Any]:
     (name, row), = found.items()
     if not isinstance(name, str):
         raise ValueError('the name of the row is no text')
+    if any(text != readable(text) for text in _texts(row)):
+        # It could neither be published nor be set on the parameter server.
+        raise ValueError('a text has a control character')
     return name, row
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """All texts in a row, without its keys, which are checked later."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, (dict, list, tuple, set)):
+        for each in value.values() if isinstance(value, dict) else value:
+            yield from _texts(each)
 
 
 def announcement_text(rows: Dict[str, Any], firmware: str = '') -> bytes:

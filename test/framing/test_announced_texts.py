@@ -33,7 +33,8 @@ def test_a_text_is_read(text, firmware, rows):
     (b'a', 'not one row'), (b'{a: {}, b: {}}', 'not one row'), (b'[]: {}', 'unhashable'),
     (b'yes: {}', 'no text'), (b'a: !!python/object:os.system x', 'constructor'),
     (b'a: !!int ""', ''), (b'a: 2001-99-99', 'month'), (b'a: ' + b'[' * 1500 + b']' * 1500, ''),
-    (b'force: {type: 33}', 'a second row force')])
+    (b'a: {frame_id: "\\0"}', 'control'), (b'a: {reply: {layout: "<h\\v"}}', 'control'),
+    (b'a: {fields: [x, "\\ud800"]}', 'control'), (b'force: {type: 33}', 'a second row force')])
 def test_a_line_that_is_no_row_is_left_out_with_one_line(line, why):
     found = read_announcement(ROW + line + b'\nlevel: {type: 5}\n')
     problem, = found.problems
