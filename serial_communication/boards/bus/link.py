@@ -41,7 +41,8 @@ class Poller:
             has announced it again.
     """
 
-    def __init__(self, period: float, submit: Callable[[], Call], announced: bool) -> None:
+    def __init__(self, period: float, submit: Callable[[], Call],
+                 announced: bool = False) -> None:
         self.announced = announced
         self.pace = Every(period, 0.0)
         self._period = period
