@@ -319,8 +319,7 @@ class StreamDecoder:
 
     def _add_bad(self, start: int, bad: Bad) -> None:
         """A whole frame begins at `start`, but it is bad."""
-        if self._noise or self._sorted < self._offset + start:
-            self._end_noise(start)
+        self._end_noise(start)
         end = start + bad.size
         self.errors[bad.cause] += 1
         self._frames.append(bad_frame(self.buffer[start:end], bad.cause, bad.error,
