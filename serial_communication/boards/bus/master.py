@@ -111,10 +111,12 @@ class Call:
 
     def wait(self, seconds: float) -> Outcome:
         """Wait for the outcome, at most `seconds`; after that the request is never sent."""
-        if not self._done.wait(seconds):
-            self.finish(Outcome(TIMEOUT, f'the bridge is stuck: {_UNKNOWN}') if self._sent else
-                        Outcome(NOT_SENT, 'the bridge is stuck; nothing was sent'))
-        return self.outcome
+        self._done.wait(seconds)
+        with self._lock:        # so that it is not claimed, and then sent, meanwhile
+            if self.outcome is None:
+                self.outcome = Outcome(TIMEOUT, f'the bridge is stuck: {_UNKNOWN}') if self._sent \
+                    else Outcome(NOT_SENT, 'the bridge is stuck; nothing was sent')
+            return self.outcome
 
 
 class SessionState(enum.Enum):
