@@ -20,6 +20,8 @@ test   | python3-rostest python3-rosbag              | ros-noetic-rostest ros-no
 test   | python3-pytest python3-hypothesis           | python3-pytest python3-hypothesis
 test   | catkin-lint python3-flake8                  | catkin-lint python3-flake8
 test   | shellcheck libxml2-utils                    | shellcheck libxml2-utils
+# Ubuntu's mypy is too old.
+test   | mypy                                        |
 bench  | python3-psutil python3-tqdm                 | python3-psutil python3-tqdm
 bench  | python3-tabulate                            | python3-tabulate
 # Ubuntu has chromium only as a snap, which the driver cannot start.

@@ -362,8 +362,12 @@ def brief(given: Any, most: int) -> str:
     return words if len(words) <= most else words[:most - 1] + '…'
 
 
-class LayoutMessage:
-    """Base of the classes that `message_class` makes: a message is a tuple of its values."""
+class LayoutMessage(tuple):
+    """Base of the messages that a layout describes: a message is a tuple of its values.
+
+    `message_class` makes the simple ones. Another one is a class of its own, which also derives
+    from a NamedTuple with its fields.
+    """
 
     __slots__ = ()
     TYPE: int
@@ -392,17 +396,6 @@ class LayoutMessage:
         return f'{self.LABEL} {self.LAYOUT.text(self)}'.rstrip()
 
 
-def layout_methods(kind: Any) -> Any:
-    """Decorator: adds the methods of `LayoutMessage` that a NamedTuple does not define.
-
-    `kind` has TYPE, LABEL and LAYOUT.
-    """
-    for name in ('unpack', 'pack', 'parts', 'implausible', '__str__'):
-        if name not in vars(kind):
-            setattr(kind, name, vars(LayoutMessage)[name])
-    return kind
-
-
 def message_class(name: str, type_: int, layout: str, values: Sequence[Value] = (),
                   label: str = '', doc: str = '') -> Any:
     """Make the class of a message that a layout describes.
@@ -415,7 +408,8 @@ def message_class(name: str, type_: int, layout: str, values: Sequence[Value] = 
         label: the message's name for people; `name` if empty.
     """
     # Not `name`, which may be a keyword of Python.
-    fields = namedtuple('Values', [value.name for value in values], rename=True)
+    fields = namedtuple(  # type: ignore[misc]  # mypy wants the names in the source
+        'Values', [value.name for value in values], rename=True)
     return type(name, (LayoutMessage, fields), {
         '__slots__': (), '__doc__': doc, 'TYPE': type_, 'LABEL': label or name,
         'LAYOUT': Layout(layout, values)})

@@ -192,8 +192,8 @@ class Link:
         tap = self.tap      # another thread may set it to None meanwhile
         if tap:
             # Guarded: an error here would look as if the frame had not been sent.
-            self._guarded(lambda: tap(self.name, TX, Frame(frame, type_, command, data, message,
-                                                           self._clock())))
+            self._guarded(lambda tap: tap(self.name, TX, Frame(
+                frame, type_, command, data, message, self._clock())), tap)
 
     def check_silence(self, now: float, limit: float) -> Optional[float]:
         """For `tick`: give up a network port that has been silent for `limit` s.
@@ -338,15 +338,16 @@ class Link:
             if now >= look_at:
                 look_at = now + LONGEST_SLEEP
                 self._check_port(now)
-            if self.decoder.pending:
-                wake_at = min(wake_at, timer.due(self.last_byte_at, now))
+            due = timer.due(self.last_byte_at, now)
+            if due is not None:
+                wake_at = min(wake_at, due)
             data = self.port.read(wake_at - now)
             stamp = self._clock()
             now = time.monotonic()
             self.drained = not data
             self._check_stall(now)
             if self._backlog is not None:
-                self._drop(data, now)
+                self._drop(self._backlog, data, now)
             elif data:
                 self.take(data, stamp, now)
             if self.decoder.pending:
@@ -380,9 +381,8 @@ class Link:
             self.stalled(seconds, now)
         self.awake_at = awake_at
 
-    def _drop(self, data: bytes, now: float) -> None:
+    def _drop(self, backlog: Backlog, data: bytes, now: float) -> None:
         """Drop the bytes of one read; end the backlog if they are the last of it."""
-        backlog = self._backlog
         self.stale += len(data)
         if data:
             self.last_byte_at = now

@@ -5,7 +5,7 @@ import signal
 import sys
 import time
 from contextlib import contextmanager
-from typing import Iterator
+from typing import Iterator, Type
 
 import rospy
 
@@ -17,7 +17,7 @@ from ..transport.pace import set_priority_of_all
 from . import parameters, starting
 from .diagnostics import Diagnostics
 from .geometry import publish_mounts
-from .interface import LinkOptions
+from .interface import Interface, LinkOptions
 from .last_resort import LastResort
 from .parameter import ParameterError
 from .rospy_mends import background_logging, direct, handshake, log_file, remapping, shortage
@@ -71,8 +71,7 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
     # before there is a bridge to stop.
     rospy.on_shutdown(last_resort.begin)
     if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:    # nohup ignores it
-        signal.signal(signal.SIGHUP, lambda *_: (
-            start.stopping.set(), rospy.signal_shutdown('the terminal has gone')))
+        signal.signal(signal.SIGHUP, lambda *_: _hang_up(start))
     bridge = None
     try:
         given = rospy.get_param('~', {})
@@ -96,8 +95,13 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
     return 0
 
 
+def _hang_up(start: starting.Start) -> None:
+    start.stopping.set()
+    rospy.signal_shutdown('the terminal has gone')
+
+
 @contextmanager
-def _naming(board: type) -> Iterator[None]:
+def _naming(board: Type[Interface]) -> Iterator[None]:
     """Turn what a board's code raises at the start into a ParameterError that names the board."""
     try:
         yield

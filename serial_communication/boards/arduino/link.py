@@ -6,13 +6,14 @@ import threading
 import time
 import traceback
 from collections import deque
-from typing import Any, Callable, Deque, Iterable, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Deque, Iterable, List, NamedTuple, Optional, Tuple, Type
 
+from ...framing.layout import LayoutMessage
 from ...framing.stream import Frame
 from ...link.link import OK, WARN, Link, Refused, Report
 from ...transport.pace import Allowance, clock
 from ...transport.port import Port, PortBusy, PortError
-from . import DESCRIPTION, wire
+from . import DESCRIPTION, LONGEST_GAP, wire
 from .calibration import Calibration, End
 from .heartbeat import HeartbeatThread
 from .motor import Motor, Stop
@@ -56,7 +57,7 @@ class ArduinoLink(Link):
                  on_message: Optional[Callable[[Any, Any], None]] = None,
                  on_log: Optional[Callable[[int, str], None]] = None,
                  on_calibrating: Optional[Callable[[bool], None]] = None,
-                 messages: Iterable[Any] = (), **link_arguments) -> None:
+                 messages: Iterable[Type[LayoutMessage]] = (), **link_arguments: Any) -> None:
         super().__init__('arduino', port, wire.Decoder(settings.check_plausibility, messages),
                          **link_arguments)
         self.settings = settings
@@ -133,7 +134,7 @@ class ArduinoLink(Link):
         if self._on_calibrating:
             self._on_calibrating(True)
 
-    def command(self, message: Any) -> None:
+    def command(self, message: LayoutMessage) -> None:
         """Send any message to the board at once.
 
         Raises:
@@ -164,7 +165,7 @@ class ArduinoLink(Link):
             if calibration:
                 self._calibration = Calibration(self.settings.calibration_timeout, now)
 
-    def _refuse_if_not_ready(self, message: Any, now: float) -> None:
+    def _refuse_if_not_ready(self, message: LayoutMessage, now: float) -> None:
         if self._stopped:
             raise Refused(f'{message} refused: the bridge is stopping', 'stopping')
         if self.calibrating:
@@ -178,7 +179,7 @@ class ArduinoLink(Link):
 
     # -- sending: the caller holds the lock -----------------------------------------------
 
-    def _send_packet(self, message: Any, now: float) -> None:
+    def _send_packet(self, message: LayoutMessage, now: float) -> None:
         """Write one packet, and SPEED 0 before it while the board's speed is unknown.
 
         Raises:
@@ -395,7 +396,7 @@ class ArduinoLink(Link):
             return level, summary
         if self.calibrating:
             return WARN if level else OK, 'calibrating the IMU'
-        if self._recent_gap <= DESCRIPTION.heartbeat.longest_gap:
+        if self._recent_gap <= LONGEST_GAP:
             return level, summary
         gap = (f'heartbeat gap of {self._recent_gap * 1e3:.1f} ms: after 30 ms the board stops '
                'its motor; see "Let the bridge come first" in doc/troubleshooting.md')

@@ -64,7 +64,7 @@ class BusLink(Link):
 
     def __init__(self, port: Port, settings: BusSettings = BusSettings(),
                  on_environment: Optional[Callable[[wire.Environment, Any], None]] = None,
-                 **link_arguments) -> None:
+                 **link_arguments: Any) -> None:
         super().__init__('bus', port, wire.ReplyDecoder(settings.reply_has_cmd2),
                          **link_arguments)
         self.settings = settings

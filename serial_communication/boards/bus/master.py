@@ -38,7 +38,7 @@ import os
 import threading
 from collections import deque
 from dataclasses import dataclass
-from typing import Any, Callable, Deque, List, Optional, Tuple
+from typing import Any, Callable, Deque, Dict, List, Optional, Tuple
 
 from ...framing.layout import Layout
 from ...framing.stream import CHECKSUM, Frame
@@ -51,6 +51,7 @@ FENCE_SILENCE = 0.02   # s of silence as a fence: a USB adapter delivers bytes u
 NOT_READY_WAIT = 0.8   # s that a call waits while the link is not ready
 
 _UNKNOWN = f'it is not known whether this was executed; {LOOK}'
+_NOT_TRIED = Outcome(NOT_SENT, 'nothing was sent')
 
 
 class Call:
@@ -78,7 +79,7 @@ class Call:
         self.poll = poll
         self.reply_layout = reply_layout
         self.on_success = on_success
-        self.last_try: Optional[Outcome] = None   # outcome of the try before this one
+        self.last_try = _NOT_TRIED      # outcome of the try before this one
         # Whether the last try ended with an INVALID that the board may have sent because of noise.
         # An ECHO that returns before any other reply confirms that it was for this request.
         self.invalid_unconfirmed = False
@@ -111,10 +112,12 @@ class Call:
 
     def wait(self, seconds: float) -> Outcome:
         """Wait for the outcome, at most `seconds`; after that the request is never sent."""
-        if not self._done.wait(seconds):
-            self.finish(Outcome(TIMEOUT, f'the bridge is stuck: {_UNKNOWN}') if self._sent else
-                        Outcome(NOT_SENT, 'the bridge is stuck; nothing was sent'))
-        return self.outcome
+        self._done.wait(seconds)
+        with self._lock:        # so that it is not claimed, and then sent, meanwhile
+            if self.outcome is None:
+                self.outcome = Outcome(TIMEOUT, f'the bridge is stuck: {_UNKNOWN}') if self._sent \
+                    else Outcome(NOT_SENT, 'the bridge is stuck; nothing was sent')
+            return self.outcome
 
 
 class SessionState(enum.Enum):
@@ -154,8 +157,14 @@ class _Exchange:
     request: wire.Request
     sent: float
     deadline: float
-    call: Optional[Call] = None
-    fenced: bool = False                       # no reply to an earlier request can arrive
+
+
+@dataclass
+class _CallExchange(_Exchange):
+    """The outstanding request of a call."""
+
+    call: Call
+    fenced: bool                               # no reply to an earlier request can arrive
     other_reply: Optional[wire.Reply] = None   # the latest that cannot be the reply to it
     may_have_missed: bool = False              # its reply may have been dropped
 
@@ -192,10 +201,10 @@ class Master:
         self._unanswered_syncs = 0
         self._unanswered_echoes = 0
         self._has_echoed = False                # since the port opened
-        self._reply_handlers = {
+        self._reply_handlers: Dict[_Kind, Callable[..., None]] = {
             _Kind.SYNC: self._sync_answered, _Kind.ECHO: self._echo_answered,
             _Kind.SILENCE: self._silence_interrupted, _Kind.CALL: self._call_answered}
-        self._timeout_handlers = {
+        self._timeout_handlers: Dict[_Kind, Callable[..., None]] = {
             _Kind.SYNC: self._sync_timed_out, _Kind.ECHO: self._echo_timed_out,
             _Kind.SILENCE: self._silence_complete, _Kind.CALL: self._call_timed_out}
 
@@ -219,7 +228,7 @@ class Master:
         """The port is closed: every call returns."""
         self.state = SessionState.CLOSED
         exchange, self._exchange = self._exchange, None
-        if exchange is not None and exchange.call:
+        if isinstance(exchange, _CallExchange):
             exchange.call.finish(Outcome(
                 TIMEOUT, f'the port closed before the reply arrived ({why}): {_UNKNOWN}'))
         self._queue_submitted()
@@ -250,7 +259,7 @@ class Master:
             self._expect_silence(now)
             return
         self._out_of_step('received bytes that are no valid reply')
-        if exchange is not None and exchange.kind is _Kind.CALL and frame.cause == CHECKSUM:
+        if isinstance(exchange, _CallExchange) and frame.cause == CHECKSUM:
             # Only a frame with a wrong checksum can be the reply. After mere noise, during a
             # motion say, the reply may still arrive.
             self._repeat_or_finish(exchange, now, Outcome(
@@ -261,10 +270,10 @@ class Master:
         self._last_received = now
         self._out_of_step(why)
         exchange = self._exchange
-        if exchange is not None:
+        if isinstance(exchange, _CallExchange):
             exchange.may_have_missed = True
-            if exchange.kind is _Kind.SILENCE:
-                self._expect_silence(now)
+        elif exchange is not None and exchange.kind is _Kind.SILENCE:
+            self._expect_silence(now)
         if self._retry is not None and self._retry.invalid_unconfirmed:
             # One of them may have shown that the INVALID was for noise.
             call, self._retry = self._retry, None
@@ -323,9 +332,10 @@ class Master:
     def not_sent(self, why: str) -> None:
         """The request that `step` returned could not be sent."""
         exchange, self._exchange = self._exchange, None
-        if exchange is not None and exchange.call:
-            exchange.call.finish(exchange.call.last_try
-                                 or Outcome(NOT_SENT, f'{why}; nothing was sent'))
+        if isinstance(exchange, _CallExchange):
+            last_try = exchange.call.last_try
+            exchange.call.finish(Outcome(NOT_SENT, f'{why}; nothing was sent')
+                                 if last_try is _NOT_TRIED else last_try)
 
     # -- fences -------------------------------------------------------------------------
 
@@ -380,8 +390,8 @@ class Master:
         call.invalid_unconfirmed = False
         fenced = self.state is SessionState.FENCED
         self.state = SessionState.IN_STEP
-        return self._begin(_Exchange(_Kind.CALL, call.request, now, now + call.timeout, call,
-                                     fenced))
+        return self._begin(_CallExchange(_Kind.CALL, call.request, now, now + call.timeout, call,
+                                         fenced))
 
     def _begin(self, exchange: _Exchange) -> wire.Request:
         self._exchange = exchange
@@ -420,7 +430,7 @@ class Master:
     def _silence_interrupted(self, _exchange: _Exchange, _frame: Frame, now: float) -> None:
         self._expect_silence(now)
 
-    def _call_answered(self, exchange: _Exchange, frame: Frame, now: float) -> None:
+    def _call_answered(self, exchange: _CallExchange, frame: Frame, now: float) -> None:
         reply, request, call = frame.message, exchange.request, exchange.call
         if not self._answers(reply, call):
             # The reply to another request, or an echo of other bytes. The right one may follow.
@@ -480,7 +490,7 @@ class Master:
             self.implausible += 1
         return reason
 
-    def _unexpected_data(self, exchange: _Exchange, frame: Frame, data_error: str,
+    def _unexpected_data(self, exchange: _CallExchange, frame: Frame, data_error: str,
                          now: float) -> None:
         """An OK with data that the call does not expect was received."""
         data, call = frame.message.data, exchange.call
@@ -519,7 +529,7 @@ class Master:
         if self._has_echoed:        # the board knows ECHO, so the line lost these: try ECHO again
             self._unanswered_echoes = 0
 
-    def _call_timed_out(self, exchange: _Exchange, now: float) -> None:
+    def _call_timed_out(self, exchange: _CallExchange, now: float) -> None:
         self.timeouts += 1
         within = f'within {exchange.call.timeout:g} s'
         if exchange.other_reply is not None:
@@ -530,14 +540,14 @@ class Master:
 
     # -- the end of an exchange -----------------------------------------------------------
 
-    def _repeat_or_finish(self, exchange: _Exchange, now: float, outcome: Outcome) -> None:
+    def _repeat_or_finish(self, exchange: _CallExchange, now: float, outcome: Outcome) -> None:
         """End a try whose outcome is unknown."""
         if exchange.call.repeatable and exchange.call.tries:
             self._send_again(exchange, now, outcome)
         else:
             self._finish(exchange, now, outcome)
 
-    def _send_again(self, exchange: _Exchange, now: float, outcome: Outcome) -> None:
+    def _send_again(self, exchange: _CallExchange, now: float, outcome: Outcome) -> None:
         """Queue the call again: before all other calls; a poll before all other polls."""
         self._exchange = None
         self._served_until = now
@@ -552,7 +562,7 @@ class Master:
         else:
             self._retry = call
 
-    def _finish(self, exchange: _Exchange, now: float, outcome: Outcome) -> None:
+    def _finish(self, exchange: _CallExchange, now: float, outcome: Outcome) -> None:
         self._exchange = None
         self._served_until = now
         call = exchange.call
@@ -601,7 +611,7 @@ class Master:
         the board is no longer busy, with a move say.
         """
         exchange = self._exchange
-        if self.in_step or (exchange is not None and exchange.kind is _Kind.CALL):
+        if self.in_step or isinstance(exchange, _CallExchange):
             return call.expires
         wait = max(NOT_READY_WAIT, call.timeout) if self.synchronised else NOT_READY_WAIT
         return min(call.expires, max(call.submitted, self._served_until) + wait)
@@ -618,7 +628,7 @@ class Master:
         self._remove(call)
         if call.invalid_unconfirmed:
             call.finish(_unknown_after_invalid(call.last_try))
-        elif call.last_try:
+        elif call.last_try is not _NOT_TRIED:
             call.finish(call.last_try)
         elif call.request == wire.SYNC_REQUEST:
             call.finish(Outcome(NOT_SENT, why))     # the Master may have sent SYNCs itself

@@ -95,6 +95,7 @@ class ControlBoard(Board):
         custom: custom functions; the values of their replies vary with time.
     """
 
+    decoder: wire.RequestDecoder
     NAME = DESCRIPTION.name
     SUMMARY = 'main control board: lift, gimbal, environment'
     FAULTS = ('drop=0.01 cut=0.01 lose=0.01 flip=0.01 insert=0.01 double=0.01 repeat=0.01 '
@@ -213,6 +214,7 @@ class ControlBoard(Board):
 
     def _serve(self, number: int, frame: Frame, now: float) -> None:
         request = frame.message
+        reply: Optional[wire.Reply]
         if len(request.data) > self._max_length:
             reply = _invalid(wire.TOO_LONG)
         elif request.cmd1 == wire.SYNC:

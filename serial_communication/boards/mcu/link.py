@@ -1,7 +1,8 @@
 """The link to the sensor board: counts lost frames and reports when the board falls silent."""
 import time
-from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tuple, Type
 
+from ...framing.layout import LayoutMessage
 from ...framing.stream import CHECKSUM, Frame
 from ...link.link import OK, WARN, Link
 from ...transport.port import Port
@@ -36,8 +37,8 @@ class McuLink(Link):
     def __init__(self, port: Port, timeout: float = 1.0,
                  on_status: Optional[Callable[[Any, int, Any], None]] = None,
                  on_silence: Optional[Callable[[Optional[type], int, float], None]] = None,
-                 network_silence: float = 5.0, messages: Iterable[Any] = (),
-                 **link_arguments) -> None:
+                 network_silence: float = 5.0, messages: Iterable[Type[LayoutMessage]] = (),
+                 **link_arguments: Any) -> None:
         super().__init__('mcu', port, wire.Decoder(messages), **link_arguments)
         self.frames_lost = 0
         self.duplicates = 0

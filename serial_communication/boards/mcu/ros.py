@@ -46,6 +46,7 @@ class McuInterface(Interface):
         'range_2_mount': MOUNT,
     }
     MOUNTS = ('imu', 'range_1', 'range_2')
+    link: McuLink
 
     def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
         p = parameters
@@ -82,7 +83,8 @@ class McuInterface(Interface):
         if custom_topic:
             custom_topic.publish(message, stamp)
             return
-        age = time.monotonic() - self.link.last_frame_at
+        now = time.monotonic()
+        age = now - (self.link.last_frame_at or now)
         if type(message) is wire.AdcStatus:
             if wanted(self._adc_status):
                 self._adc_status.publish(stamp, seq, True, True, self.link.checksum_errors, age,

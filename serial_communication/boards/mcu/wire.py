@@ -9,9 +9,9 @@ LEN counts TYPE, SEQ and PAYLOAD; CRC is the XOR of TYPE, SEQ and PAYLOAD; SEQ c
 a frame, modulo 256. Little-endian. Only the board sends.
 """
 import struct
-from typing import Any, Iterable, List, NamedTuple, Union
+from typing import Iterable, List, NamedTuple, Type, Union
 
-from ...framing.layout import Layout, Value, layout_methods, message_class
+from ...framing.layout import Layout, LayoutMessage, Value, message_class
 from ...framing.parts import Part, Parts
 from ...framing.stream import (CHECKSUM, IMPLAUSIBLE, LENGTH, NO_FRAME, UNKNOWN, Bad, Good, Need,
                                StreamDecoder, running_xor)
@@ -25,21 +25,23 @@ RANGE_TIMED_OUT = 0xFFFF  # in place of a range: the sensor timed out
 _WRAP = 655.36         # degrees by which a heading over 327.67 wraps in the int16
 
 
-@layout_methods
-class SensorStatus(NamedTuple):
-    """TYPE 0x10: two range sensors and the orientation as Euler angles."""
-
-    TYPE = 0x10
-    LABEL = 'sensor status'
-    LAYOUT = Layout('<HHhhh', [
-        Value('range_1', 'mm'), Value('range_2', 'mm'), Value('yaw', 'degrees', 0.01),
-        Value('pitch', 'degrees', 0.01), Value('roll', 'degrees', 0.01)])
-
+class _SensorValues(NamedTuple):
     range_1: int   # mm; 0xFFFF: the sensor timed out
     range_2: int   # mm; 0xFFFF: the sensor timed out
     yaw: float     # degrees, heading 0 … 360, clockwise
     pitch: float   # degrees
     roll: float    # degrees
+
+
+class SensorStatus(LayoutMessage, _SensorValues):
+    """TYPE 0x10: two range sensors and the orientation as Euler angles."""
+
+    __slots__ = ()
+    TYPE = 0x10
+    LABEL = 'sensor status'
+    LAYOUT = Layout('<HHhhh', [
+        Value('range_1', 'mm'), Value('range_2', 'mm'), Value('yaw', 'degrees', 0.01),
+        Value('pitch', 'degrees', 0.01), Value('roll', 'degrees', 0.01)])
 
     @classmethod
     def unpack(cls, data: bytes) -> 'SensorStatus':
@@ -90,7 +92,7 @@ MESSAGES = {message.TYPE: message for message in (SensorStatus, AdcStatus)}
 _LENS = {type_: MIN_LEN + message.LAYOUT.size for type_, message in MESSAGES.items()}
 
 
-def encode(message: Any, seq: int) -> bytes:
+def encode(message: LayoutMessage, seq: int) -> bytes:
     """The frame with `message` and the running number `seq` (0 … 255)."""
     return encode_raw(message.TYPE, seq, message.pack())
 
@@ -110,7 +112,7 @@ class Decoder(StreamDecoder):
 
     STARTS = bytes((STX,))
 
-    def __init__(self, messages: Iterable[Any] = ()) -> None:
+    def __init__(self, messages: Iterable[Type[LayoutMessage]] = ()) -> None:
         super().__init__()
         self.errors.update({UNKNOWN: 0, LENGTH: 0, IMPLAUSIBLE: 0})
         self._messages = dict(MESSAGES)

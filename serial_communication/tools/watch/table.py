@@ -62,7 +62,8 @@ def layout(bridge: BridgeState, heading: Heading, now: float, width: int = 80,
         blocks.append([TextLine('commands', 'head')] + commands)
     blocks.append([TextLine(f"{'topic':<24}{'rate':>10}  last value", 'head')]
                   + [_topic_line(each, now) for each in topics])
-    for gap in [TextLine('')], []:
+    gaps: List[List[TextLine]] = [[TextLine('')], []]
+    for gap in gaps:
         lines = [line for block in blocks for line in gap + block][len(gap):]
         if sum(line.rows(width) for line in lines) <= height:
             break

@@ -183,7 +183,8 @@ def custom_rows(board: Description, parameters: Any) -> Dict[str, Dict[str, Any]
 
 def custom_topics(board: Description, parameters: Any) -> List[BridgeTopic]:
     """Return the topics of a board's custom messages and polled functions."""
-    return [BridgeTopic(board.custom.prefix + name, str(row['ros_type']), (board.name,),
+    prefix = board.custom.prefix if board.custom else ''
+    return [BridgeTopic(prefix + name, str(row['ros_type']), (board.name,),
                         _number(row.get('period')), fields=_fields(row.get('reply', row)))
             for name, row in custom_rows(board, parameters).items()
             if 'ros_type' in row and row.get('direction') != 'to_board']

@@ -1287,6 +1287,27 @@ def test_a_call_whose_caller_has_given_up_is_not_sent_again(session):
     assert call.outcome is outcome
 
 
+def test_the_outcome_of_a_request_sent_while_its_caller_gives_up_is_not_known():
+    call = Call(LIFT, 1.0, False, 1, 0.0)
+    lock = call._lock
+
+    class ClaimedFirst:
+        """The link's thread holds the lock before the caller does."""
+
+        def __enter__(self):
+            call._lock = lock
+            assert call.claim()
+            lock.acquire()
+
+        def __exit__(self, *_):
+            lock.release()
+
+    call._lock = ClaimedFirst()
+    outcome = call.wait(0.0)
+    assert outcome.status == TIMEOUT and 'not known' in outcome.message
+    assert call.outcome is outcome
+
+
 def test_only_the_first_outcome_counts():
     call = Call(LIFT, 1.0, False, 1, 0.0)
     first, second = (master_module.Outcome(status, '') for status in (NOT_SENT, bus.OK))
