@@ -22,7 +22,7 @@ class RosMessage(NamedTuple):
     """A custom message with its ROS type and fields."""
 
     custom: CustomMessage
-    kind: Any             # its class; a value that a ROS field cannot hold is implausible
+    kind: Any             # its message class, with the limits of the ROS fields, too
     message_class: Any    # of ROS
     fields: RosFields
 
@@ -99,7 +99,7 @@ class ValuePublisher:
 
 
 def built_in_topic(name: str, ros_class: Any, kind: Any) -> ValuePublisher:
-    """Return the topic of a built-in message; the values are named like the ROS fields."""
+    """Return the topic of a built-in message whose values have the names of the ROS fields."""
     return ValuePublisher(name, ros_class, RosFields(ros_class, kind.LAYOUT, name))
 
 
