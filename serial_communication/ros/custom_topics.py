@@ -23,7 +23,7 @@ class RosMessage(NamedTuple):
     """A custom message with its ROS type and fields."""
 
     custom: CustomMessage
-    kind: Type[LayoutMessage]    # a value that a ROS field cannot hold is implausible
+    kind: Type[LayoutMessage]    # its message class, with the limits of the ROS fields, too
     message_class: Any           # of ROS
     fields: RosFields
 
@@ -101,7 +101,7 @@ class ValuePublisher:
 
 
 def built_in_topic(name: str, ros_class: Any, kind: Type[LayoutMessage]) -> ValuePublisher:
-    """Return the topic of a built-in message; the values are named like the ROS fields."""
+    """Return the topic of a built-in message whose values have the names of the ROS fields."""
     return ValuePublisher(name, ros_class, RosFields(ros_class, kind.LAYOUT, name))
 
 

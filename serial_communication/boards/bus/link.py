@@ -1,4 +1,4 @@
-"""The link to the control board: serves callers, who wait for their outcome, and polls."""
+"""The link to the control board: sends polls, and requests of callers, who wait for the outcome."""
 import os
 import time
 from typing import Any, Callable, List, NamedTuple, Optional, Tuple
@@ -55,7 +55,7 @@ class _Poller:
 
 
 class BusLink(Link):
-    """Takes requests from any thread. Each has an outcome, whatever happens to the port.
+    """Takes requests from any thread. Each gets an outcome, whatever happens to the port.
 
     Args:
         on_environment: called in the link's thread with each reading and its stamp.
@@ -107,8 +107,8 @@ class BusLink(Link):
                 on_success: Optional[Callable[[Outcome], None]] = None) -> Outcome:
         """Send any request and wait for its outcome.
 
-        Returns within the timeout of each try and the time that the request waits for its turn:
-        at most `motion_timeout`, or 0.8 s if that is longer.
+        Returns after the timeouts of all its tries at the latest, plus the time that it waits for
+        its turn, which is at most `motion_timeout`, or 0.8 s if that is longer.
 
         Args:
             repeatable: it only reads, so it may be sent again after a timeout.
@@ -224,7 +224,8 @@ class BusLink(Link):
         try:
             self.send(frame, request.cmd1, request.cmd2, request.data, request)
         except PortBusy as error:
-            self.log.warn('busy', f'{error}; what waits is dropped; does flow control hold it up?')
+            self.log.warn('busy', f'{error}; the output that waited is dropped; '
+                          'does flow control block the port?')
             self.port.discard_output()
             self.master.not_sent(str(error))
             self._blocked_until = now + _BLOCKED

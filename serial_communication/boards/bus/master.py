@@ -1,8 +1,8 @@
 """The Master's session on a robot-ctrl-bus: which request may be sent when, and what a reply means.
 
 A state machine without I/O and without a clock. The link, which owns the port, reports what it
-received and at what time, and calls `step`; that returns the request to send and when to call it
-again. The rules:
+received and at what time, and calls `step`, which returns the request to send and the time of the
+next call. The rules:
 
 1. At most one request is outstanding. Callers queue; calls go before polls.
 2. After a connect, and after INVALID "not synchronised", the Master sends SYNC until the board
@@ -18,20 +18,20 @@ again. The rules:
    to this request, whatever data it has. From a board that never echoes it counts as another
    request's reply.
    Any other OK with the wrong number of data bytes, or with impossible values, is reported as
-   such: at once behind a fence; without a fence, a poll is first sent once more, behind the ECHO.
+   such: at once behind a fence; without a fence, a poll is first sent again, behind one.
 6. Replies have no number, so a late or doubled one could be taken for the reply to the next
    request. But a line keeps the order: a reply that is under way arrives before the reply to a
    later ECHO. So there is a fence before every request: an ECHO with a new nonce has returned
-   since the last byte of the exchange before. Only SYNC and ECHO need no fence, and a poll after
-   an exchange of the same request, byte for byte: a reply of that is at least of the same kind.
+   since the last byte of the exchange before. SYNC and ECHO need no fence. Nor does a poll if the
+   exchange before was the same request, byte for byte: a late reply has the same meaning.
    After a SYNC, a timeout, a damaged reply, a reply of a wrong length, or a reply that was not
    requested, the link is out of step: nothing is sent before such an ECHO, and everything received
    before it returns is dropped.
    After `ECHO_TRIES` unanswered ECHOs in a row, a SYNC and a silence of the reply timeout replace
    the ECHO. For a board that has never echoed, a silence of `FENCE_SILENCE` is the fence.
-7. The reported outcome is always true. Success: executed exactly once (a repeatable request: by
-   the try with the reply). Refused or not sent: not executed (a repeatable request: not by its
-   last try). Timeout: unknown, executed once or not at all.
+7. The reported outcome is always true. Success: executed exactly once. Refused or not sent: not
+   executed. Timeout: unknown, executed once or not at all. For a repeatable request this describes
+   the last try alone.
 """
 import enum
 import os
@@ -63,7 +63,7 @@ class Call:
         repeatable: whether it may be sent again if its outcome is unknown.
         tries: how often it may be sent in all.
         now: the time of the call.
-        poll: whether it is a poll, which every call precedes.
+        poll: whether it is a poll, which is sent only when no other call waits.
         reply_layout: layout of the data in its OK; None: any data; empty: see rule 5.
         on_success: called in the link's thread with a successful outcome.
     """
@@ -83,7 +83,7 @@ class Call:
         # Whether the last try ended with an INVALID that the board may have sent because of noise.
         # An ECHO that returns before any other reply confirms that it was for this request.
         self.invalid_unconfirmed = False
-        self.expires = float('inf')     # when it is given up unless it has been sent
+        self.expires = float('inf')     # when it is given up if it still waits
         self.outcome: Optional[Outcome] = None
         self._sent = False
         self._lock = threading.Lock()
@@ -91,7 +91,7 @@ class Call:
 
     @property
     def always_fenced(self) -> bool:
-        """Whether it needs a fence after any exchange; see rule 6."""
+        """Whether it needs a fence whatever the exchange before was; see rule 6."""
         is_probe = self.repeatable and self.request.cmd1 in (wire.SYNC, wire.ECHO)
         return not (self.poll or is_probe)
 
@@ -165,8 +165,8 @@ class _CallExchange(_Exchange):
 
     call: Call
     fenced: bool                               # no reply to an earlier request can arrive
-    other_reply: Optional[wire.Reply] = None   # the latest that cannot be the reply to it
-    may_have_missed: bool = False              # its reply may have been dropped
+    other_reply: Optional[wire.Reply] = None   # the latest reply that cannot be for this request
+    reply_may_be_lost: bool = False            # the reply may have been received and dropped
 
 
 class Master:
@@ -237,7 +237,7 @@ class Master:
         """A valid reply was received."""
         self._last_received = now
         exchange, reply = self._exchange, frame.message
-        if reply.cmd1 == wire.ECHO:      # however late
+        if reply.cmd1 == wire.ECHO:      # late or not, the board knows ECHO
             self._has_echoed = True
         if self._retry is not None and _may_answer_after_invalid(reply, self._retry):
             # Either the INVALID was for noise, or this is the reply to another request.
@@ -260,8 +260,8 @@ class Master:
             return
         self._out_of_step('received bytes that are no valid reply')
         if isinstance(exchange, _CallExchange) and frame.cause == CHECKSUM:
-            # Only a frame with a wrong checksum can be the reply. After mere noise, during a
-            # motion say, the reply may still arrive.
+            # Only a frame with a wrong checksum can be the reply. After noise, for example during
+            # a motion, the reply may still arrive.
             self._repeat_or_finish(exchange, now, Outcome(
                 TIMEOUT, f'the reply was damaged: {_UNKNOWN}'))
 
@@ -271,7 +271,7 @@ class Master:
         self._out_of_step(why)
         exchange = self._exchange
         if isinstance(exchange, _CallExchange):
-            exchange.may_have_missed = True
+            exchange.reply_may_be_lost = True
         elif exchange is not None and exchange.kind is _Kind.SILENCE:
             self._expect_silence(now)
         if self._retry is not None and self._retry.invalid_unconfirmed:
@@ -449,7 +449,7 @@ class Master:
         if reply.cmd1 != wire.INVALID:
             self._finish(exchange, now, outcome)
             return
-        if exchange.may_have_missed and call.always_fenced:     # so the INVALID may be for noise
+        if exchange.reply_may_be_lost and call.always_fenced:     # so the INVALID may be for noise
             if _lost_synchronism(reply):
                 self.state = SessionState.UNSYNCHRONISED
             self._finish(exchange, now, _unknown_after_invalid(outcome))
@@ -474,7 +474,7 @@ class Master:
         layout = call.reply_layout
         if (self._never_echoes and reply.cmd1 == wire.OK and reply.data
                 and layout is not None and layout.is_empty):
-            return False     # without a fence it may be another request's
+            return False     # without a fence it may be the reply to another request
         return _may_answer(reply, call.request)
 
     def _data_error(self, reply: wire.Reply, call: Call) -> str:
@@ -607,8 +607,8 @@ class Master:
     def _expiry(self, call: Call) -> float:
         """When a waiting call is given up.
 
-        That is sooner while the link is not ready. But the reply to an ECHO may have to wait until
-        the board is no longer busy, with a move say.
+        That is sooner while the link is not ready. But a synchronised board may first have to
+        finish something, such as a move, before it answers ECHO.
         """
         exchange = self._exchange
         if self.in_step or isinstance(exchange, _CallExchange):
@@ -631,7 +631,7 @@ class Master:
         elif call.last_try is not _NOT_TRIED:
             call.finish(call.last_try)
         elif call.request == wire.SYNC_REQUEST:
-            call.finish(Outcome(NOT_SENT, why))     # the Master may have sent SYNCs itself
+            call.finish(Outcome(NOT_SENT, why))     # but the Master itself may have sent SYNC
         else:
             call.finish(Outcome(NOT_SENT, f'{why}; nothing was sent'))
 

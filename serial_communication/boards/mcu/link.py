@@ -25,7 +25,7 @@ class McuLink(Link):
 
     Args:
         timeout: s without a valid frame after which the board counts as silent.
-        network_silence: s without a byte after which a network port is opened anew; 0: never.
+        network_silence: s without a byte after which a network port is opened again; 0: never.
         messages: classes of custom messages.
         on_status: called with the (message, seq, stamp) of each valid frame.
         on_silence: called once a second with (class, seq, age) for each class of message that the
