@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from campaign.worst_streams import worst_streams
+from worst_streams import worst_streams
 
 _CALL = 10          # lines
 _SIZE = 8000

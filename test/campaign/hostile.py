@@ -17,7 +17,7 @@ from processes import Child, StageError
 from .expected import LINKS
 from .stage import CampaignStage, say
 from .table import Row
-from .worst_streams import worst_streams
+from worst_streams import worst_streams
 
 LIMIT = 5.0              # times the cost of clean traffic
 READ = 4096              # bytes; what a tty gives at once

@@ -1,0 +1,135 @@
+"""The fault campaign: what doc/reliability.md promises, held against a bridge that runs.
+
+First the exact part: one fault after the other, on lines that are quiet between them, so that every
+comparison is exact. Then the statistical part: all faults at once, and damage on every line; it
+lasts as long as --duration or --hours say, and every half hour the exact part comes again. The
+table says what was tried. Ctrl-C ends it with the table of what it had. Status 0 only if every
+promise held.
+"""
+import argparse
+import os
+import signal
+import sys
+import time
+from random import SystemRandom
+from typing import List, Optional
+
+from processes import StageError
+from serial_communication.output import prepare_output
+from . import exact
+from .field import Field
+from .hostile import hostile
+from .rows import Table
+from .storm import Storm
+
+_SLICE = 1800.0          # s of the statistical part between two exact parts
+_WRITE = 10.0            # s from one writing of the table to the next
+
+
+def main(arguments: Optional[List[str]] = None) -> int:
+    """Run what the command line says; the exit status."""
+    prepare_output()
+    options = _parse(sys.argv[1:] if arguments is None else arguments)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)    # as Ctrl-C: end the children
+    signal.signal(signal.SIGHUP, signal.default_int_handler)
+    table = Table()
+    field = None
+    try:
+        say(f'seed {options.seed}')
+        say('starting')
+        field = Field(table, options.keep, options.bridge)
+        with field:
+            _keep_writing(field)
+            if options.hostile:
+                hostile(field, table)
+            else:
+                _run(field, options)
+    except KeyboardInterrupt:
+        _report(table, field, options)
+        print('stopped', file=sys.stderr)
+        return 130
+    except StageError as error:
+        _report(table, field, options)
+        print(f'the campaign does not work: {error}', file=sys.stderr)
+        return 2
+    return _report(table, field, options)
+
+
+def say(text: str) -> None:
+    """What is done, for who waits."""
+    print(text, file=sys.stderr)
+
+
+def _run(field: Field, options) -> None:
+    """The two parts in turn."""
+    left, number = options.duration, 0
+    while True:
+        if options.part != 'storm':
+            exact.run(field, '' if options.part == 'all' else options.part)
+        if options.part not in ('all', 'storm'):
+            return
+        say(f'all faults at once, for {min(left, _SLICE):g} s')
+        storm = Storm(field, min(left, _SLICE), f'{options.seed} {number}', options.busy)
+        exact.carry_out(field, [storm])
+        field.clear_bridge()
+        left, number = left - _SLICE, number + 1
+        if left <= 0:
+            return
+
+
+def _keep_writing(field: Field) -> None:
+    """The table, as it is now."""
+    with open(field.path('table~'), 'w') as file:
+        file.write(f'{time.strftime("%F %T")}\n{field.table.render()}\n{field.table.summary()}\n')
+    os.replace(field.path('table~'), field.path('table.txt'))
+    field.clock.after(_WRITE, lambda: _keep_writing(field))
+
+
+def _report(table: Table, field: Optional[Field], options) -> int:
+    print(table.render())
+    print(table.summary())
+    if options.json:
+        with open(options.json, 'w') as file:
+            file.write(table.as_json())
+    if table.violated:
+        print(f'records: {field.folder}')
+    elif field:
+        field.discard()
+    return 1 if table.violated else 0
+
+
+def _parse(arguments: List[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog='soak', description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('--duration', type=_seconds, default=60.0, metavar='S',
+                        help='seconds of the statistical part (%(default)g)')
+    parser.add_argument('--hours', type=lambda text: _seconds(text) * 3600, dest='duration',
+                        metavar='N', help='the same in hours')
+    parser.add_argument('--seed', type=int, metavar='N', help='so that a run can be repeated')
+    parser.add_argument('--busy', type=int, default=2, metavar='N',
+                        help='processes that take all the CPU they get, in the statistical part '
+                             '(%(default)d)')
+    parser.add_argument('--keep', default='', metavar='DIR',
+                        help='where all records stay; without it they stay only if a promise was '
+                             'broken')
+    parser.add_argument('--json', metavar='FILE', help='the table, for programs')
+    parser.add_argument('--part', default='all', metavar='NAME',
+                        help='only the statistical part (storm), or scenarios of the exact part '
+                             'with this in their name (exact_car, openings)')
+    parser.add_argument('--bridge', default='', metavar='COMMAND',
+                        help='run this instead of the node: to see that the campaign finds faults')
+    parser.add_argument('--hostile', action='store_true',
+                        help='instead: what the worst bytes cost, beside clean traffic')
+    options = parser.parse_args(arguments)
+    if options.seed is None:
+        options.seed = SystemRandom().randrange(1 << 31)
+    if options.keep and os.path.isdir(options.keep) and os.listdir(options.keep):
+        parser.error(f'{options.keep} is not empty')
+    return options
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0 < value <= 1e6:
+        raise argparse.ArgumentTypeError(f'{text}, may be over 0, at most 1000000')
+    return value

@@ -1,0 +1,58 @@
+"""The exact part: one event after the other, on lines that are quiet between them.
+
+Its scenarios are functions in exact_bus, exact_car, exact_sensors and exact_node. Three bridges
+live one after the other: the first one takes most of it and is killed; the second one polls; the
+third one has its car behind a network.
+"""
+import signal
+import sys
+import time
+from typing import Iterable
+
+from . import exact_bus, exact_car, exact_node, exact_sensors
+from .exact_node import Ends
+from .field import Field, Scenario
+
+FIRST = (*exact_bus.SCENARIOS, *exact_car.SCENARIOS, *exact_sensors.SCENARIOS,
+         *exact_node.SCENARIOS)
+SECOND = exact_node.killed, exact_bus.polls, Ends(signal.SIGINT, hang=False)
+THIRD = exact_node.network, Ends(signal.SIGTERM, hang=True)
+
+
+def run(field: Field, only: str = '') -> None:
+    """Every scenario, or those with `only` in their names; and the bridges that they need."""
+    first = [scenario for scenario in FIRST if only in name_of(scenario)]
+    second, third = (
+        scenarios if any(only in name_of(scenario) for scenario in scenarios) else ()
+        for scenarios in (SECOND, THIRD))
+    if first or second:
+        field.start()
+        carry_out(field, (*first, *second))
+        field.clear_bridge()
+    if third:
+        with exact_node.behind_network(field):
+            field.start(arduino=field.car_line.port)
+            carry_out(field, third)
+            field.clear_bridge()
+
+
+def name_of(scenario: Scenario) -> str:
+    """Its module and its name."""
+    return f"{scenario.__module__.rpartition('.')[2]}.{scenario.__name__}"
+
+
+def carry_out(field: Field, scenarios: Iterable[Scenario]) -> None:
+    """One after the other. What ends one is a violation, and the next one has a bridge again."""
+    row = field.row('campaign', 'every scenario can be carried out to its end')
+    for scenario in scenarios:
+        print(f'{name_of(scenario)} ...', file=sys.stderr)
+        began = time.monotonic()
+        try:
+            scenario(field)
+            trouble = ''
+        except Exception as error:  # pylint: disable=broad-except
+            trouble = f'{name_of(scenario)}: {type(error).__name__}: {error}'
+        row.check(not trouble, trouble)
+        print(f'    {time.monotonic() - began:.1f} s {trouble}', file=sys.stderr)
+        if trouble:
+            field.mend()

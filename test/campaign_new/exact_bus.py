@@ -1,0 +1,307 @@
+"""The bus, exactly: what each caller was told against what the board did.
+
+The board knows of each request that reached it, and what it executed. Each call carries a number
+of its own, so a caller's answer is held against exactly one request. One call is made at a time,
+and the line is quiet before it, unless the scenario says otherwise.
+"""
+import signal
+import struct
+import time
+from typing import Callable, Dict, List, NamedTuple, Tuple
+
+from processes import StageError
+from . import codec
+from .boards import MEMORY, PRESS, Answer, Request, reply
+from .field import MOTION_TIMEOUT, REPLY_TIMEOUT, RETURN, Field
+from .robot import NOT_SENT, TIMEOUT, Told
+
+SAID_SILENT = 'a board that falls silent is not OK in /diagnostics, then is OK again'
+WAIT = 0.8               # s that a call may wait for its turn, beside the timeout of its own
+_SLACK = 0.2             # s for ROS, the answer's way included
+_LATE = 0.1              # s after the timeout
+_PATIENCE = 10.0         # s
+
+
+class Case(NamedTuple):
+    """How a board treats a request, and what is true of it then."""
+
+    name: str
+    rule: Callable[[Field, Request, int], Answer]    # the number: how often it has been received
+    told: str                # success, refused, timeout
+    executed: int
+    received: int
+
+
+def _ok(field: Field, request: Request, *delays: float) -> Answer:
+    return Answer([(delay, field.bus.ok(request)) for delay in delays], True)
+
+
+def _refusal(code: int, kind: int = codec.INVALID) -> Answer:
+    return Answer([(0, reply(kind, struct.pack('<H' if code > 255 else '<B', code)))])
+
+
+def _damaged(field: Field, request: Request) -> Answer:
+    frame = bytearray(field.bus.ok(request))
+    frame[2] ^= 0x10
+    return Answer([(0, bytes(frame))], True)
+
+
+CASES = (
+    Case('answered', lambda f, r, n: _ok(f, r, 0), 'success', 1, 1),
+    Case('answered behind noise', lambda f, r, n: Answer(
+        [(0, b'\x00\x13' + f.bus.ok(r))], True), 'success', 1, 1),
+    Case('failed', lambda f, r, n: _refusal(codec.FAILED, codec.ERROR), 'refused', 0, 1),
+    Case('not understood, then answered', lambda f, r, n: _refusal(codec.BAD_CHECKSUM)
+         if n == 1 else _ok(f, r, 0), 'success', 1, 2),
+    Case('not synchronised, then answered', lambda f, r, n: _refusal(codec.NOT_SYNCHRONISED)
+         if n == 1 else _ok(f, r, 0), 'success', 1, 2),
+    Case('too long', lambda f, r, n: _refusal(0x20), 'refused', 0, 1),
+    Case('executed, never answered', lambda f, r, n: Answer([], True), 'timeout', 1, 1),
+    Case('lost on the way', lambda f, r, n: Answer(), 'timeout', 0, 1),
+    Case('answered late', lambda f, r, n: _ok(f, r, MOTION_TIMEOUT + _LATE), 'timeout', 1, 1),
+    Case('answer damaged', lambda f, r, n: _damaged(f, r), 'timeout', 1, 1),
+    Case('answered twice at once', lambda f, r, n: _ok(f, r, 0, 0), 'success', 1, 1),
+    Case('answered twice, 5 ms apart', lambda f, r, n: _ok(f, r, 0, 0.005), 'success', 1, 1),
+    Case('answered twice, 40 ms apart', lambda f, r, n: _ok(f, r, 0, 0.04), 'success', 1, 1))
+
+
+class Calls:
+    """Calls with numbers of their own, and the rows of what they were told."""
+
+    def __init__(self, field: Field) -> None:
+        row = field.row
+        self.field = field
+        self.success = row('bus', 'told success: executed exactly once')
+        self.refused = row('bus', 'told refused or not sent: not executed')
+        self.timeout = row('bus', 'told timeout: executed once or not at all')
+        self.again = row('bus', 'nothing that moves is sent again unless the board did nothing')
+        self.as_was = row('bus', 'what a caller is told is what the board answered')
+        self.in_time = row('bus', 'a call always answers: its timeout + 0.8 s, 0.2 s for ROS')
+        self.others = row('bus', 'no late or doubled reply answers another request')
+        self._number = 0
+
+    def arguments(self, service: str) -> Tuple[Tuple, Tuple[int, bytes]]:
+        """Of the next call, and the (CMD2, DATE) by which the board knows it."""
+        self._number = n = self._number + 1
+        if service == 'bus/request':
+            data = struct.pack('<I', n)
+            return (codec.FUNCTION, MEMORY, data), (MEMORY, data)
+        pair = n % 2, n // 2 % 256
+        cmd2 = {'lift': codec.LIFT, 'gimbal': codec.GIMBAL, 'press': PRESS}[service]
+        return pair, (cmd2, bytes(pair))
+
+    def judge(self, key: Tuple[int, bytes], told: Told, what: str, limit: float) -> str:
+        """Hold one answer against the board; how it was told."""
+        executed = self.field.bus.executed[key]
+        said = f'{what}: told {told.status} "{told.message[:90]}", executed {executed} times'
+        self.in_time.at_most(told.seconds, limit + WAIT + _SLACK, 's', what)
+        if told.success:
+            self.success.check(executed == 1, said)
+            if key[0] == MEMORY:
+                self.others.check(told.data == key[1], f'{what}: answered with the data of another')
+            return 'success'
+        if told.status == TIMEOUT:
+            self.timeout.check(executed <= 1, said)
+            return 'timeout'
+        self.refused.check(executed == 0, said)
+        return 'not sent' if told.status == NOT_SENT else 'refused'
+
+
+def answers(field: Field) -> None:
+    """Every service, whatever the board makes of the request; and behind each such call one that
+    the board refuses, which an answer of before must not make a success."""
+    calls = Calls(field)
+    for service in ('lift', 'gimbal', 'bus/request', 'press'):
+        for case in CASES:
+            field.calm()
+            given, key = calls.arguments(service)
+            seen: Dict[Tuple[int, bytes], int] = {}
+
+            def rule(request: Request) -> Answer:
+                if request.key != key:
+                    return _refusal(codec.FAILED, codec.ERROR)
+                seen[key] = seen.get(key, 0) + 1
+                return case.rule(field, request, seen[key])
+
+            field.bus.rule = rule
+            told = field.robot.call(service, *given)
+            # The next call comes at once: what is late or doubled is still under way.
+            behind = field.robot.call('probe')
+            what = f'{service} {case.name}'
+            said = calls.judge(key, told, what, MOTION_TIMEOUT)
+            calls.as_was.check(said == case.told, f'{what}: told {said}, was {case.told}')
+            calls.again.check(seen.get(key, 0) == case.received, f'{what}: received '
+                              f'{seen.get(key, 0)} times, should be {case.received}')
+            calls.others.check(not behind.success,
+                               f'{what}: a call behind it, which was refused, was told as done')
+
+
+def fences(field: Field) -> None:
+    """A fence before every request: an ECHO with a fresh nonce, answered, in front of each."""
+    row = field.row('bus', 'before every call stands a fence: an ECHO with a fresh nonce')
+    calls = Calls(field)
+    nonces: List[bytes] = []
+    for index in range(12):
+        field.calm()
+        given, key = calls.arguments('lift' if index % 2 else 'bus/request')
+        calls.judge(key, field.robot.call('lift' if index % 2 else 'bus/request', *given),
+                    f'call {index}', MOTION_TIMEOUT)
+        requests = list(field.bus.requests)
+        at = next((n for n, request in enumerate(requests) if request.key == key), 0)
+        before = requests[at - 1] if at else None
+        fresh = before is not None and before.cmd1 == codec.ECHO and before.data not in nonces
+        row.check(fresh, f'call {index}: before it came {before}')
+        nonces += [before.data] if before else []
+
+
+def queue(field: Field) -> None:
+    """Eight callers at once, and a board that takes its time: one request is outstanding, ever."""
+    row = field.row('bus', 'one request is outstanding, ever')
+    calls = Calls(field)
+    field.calm()
+    busy: List[float] = []
+
+    def rule(request: Request) -> Answer:
+        row.check(not busy or request.t >= busy[-1], f'{request} came before the reply to another')
+        busy.append(request.t + 0.03)
+        return _ok(field, request, 0.03)
+
+    field.bus.rule = rule
+    made = [calls.arguments('bus/request') for _ in range(8)]
+    asked = [field.robot.calling('bus/request', *given) for given, _key in made]
+    for (_given, key), future in zip(made, asked):
+        calls.judge(key, future.result(_PATIENCE), 'one of eight at once', REPLY_TIMEOUT)
+
+
+def stopped_caller(field: Field) -> None:
+    """SIGSTOP of a caller while the board works for it: others are served, and then it is told."""
+    served = field.row('bus', 'a caller that is stopped holds up nobody, and is told the truth')
+    calls = Calls(field)
+    child = field.user('caller', 'stopped_caller')
+    for index in range(3):
+        field.calm()
+        pair, key = calls.arguments('lift')
+        field.bus.rule = lambda request: _ok(field, request, 0.05)
+        child.order(f'{pair[0]} {pair[1]}')
+        served.wait(lambda: field.bus.executed[key], _PATIENCE, 'the call arrives')
+        child.hold()
+        for _ in range(3):
+            other, other_key = calls.arguments('bus/request')
+            calls.judge(other_key, field.robot.call('bus/request', *other), 'another caller',
+                        REPLY_TIMEOUT + MOTION_TIMEOUT)
+        child.send(signal.SIGCONT)
+        served.wait(lambda: child.tail().count('"success": true') > index, _PATIENCE,
+                    'the caller that was stopped is told')
+        served.check(field.bus.executed[key] == 1, f'executed {field.bus.executed[key]} times')
+    field.end(child)
+
+
+def unplugged_while_asked(field: Field) -> None:
+    """The port goes before the reply comes; and calls while it is gone."""
+    calls = Calls(field)
+    first = field.row('bus', 'after a reconnect SYNC, until the board answers, and nothing else')
+    back = field.row('ports', 'data within 1.5 s of the port\'s return')
+    for index in range(3):
+        field.calm()
+        given, key = calls.arguments('lift')
+        field.bus.rule = lambda request: Answer([], True)
+        asked = field.robot.calling('lift', *given)
+        calls.timeout.wait(lambda: field.bus.executed[key], _PATIENCE, 'the call arrives')
+        field.bus_line.unplug()
+        said = calls.judge(key, asked.result(_PATIENCE), 'unplugged while asked', MOTION_TIMEOUT)
+        calls.as_was.check(said == 'timeout', f'unplugged while asked: told {said}')
+        given, absent = calls.arguments('lift')
+        said = calls.judge(absent, field.robot.call('lift', *given), 'while unplugged', WAIT)
+        calls.as_was.check(said == 'not sent', f'while unplugged: told {said}')
+        connection = field.bus.connection
+        field.bus.rule = None
+        began, count = time.monotonic(), len(field.bus.requests)
+        field.bus_line.plug(another_name=bool(index % 2))
+        field.wait(lambda: len(field.bus.requests) > count, 'the port is opened again')
+        back.at_most(field.bus.requests[count].t - began, RETURN, 's', 'bus')
+        mine = [request for request in field.bus.requests if request.connection == connection]
+        first.check(mine[0].cmd1 == codec.SYNC, f'the first request was {mine[0]}')
+        for key in (key, absent):
+            seen = sum(request.key == key for request in mine)
+            calls.again.check(not seen, f'a request of before the reconnect came {seen} times')
+
+
+def stopped_bridge(field: Field) -> None:
+    """SIGSTOP of the bridge while it waits for a reply, which comes meanwhile: it is old."""
+    calls = Calls(field)
+    for _ in range(2):
+        field.calm()
+        given, key = calls.arguments('lift')
+        field.bus.rule = lambda request: Answer([], True)
+        asked = field.robot.calling('lift', *given)
+        calls.timeout.wait(lambda: field.bus.executed[key], _PATIENCE, 'the call arrives')
+        with field.held():
+            field.bus_line.write(reply(codec.OK))
+            field.let_pass(1.0)
+        calls.judge(key, asked.result(_PATIENCE), 'the bridge was stopped meanwhile',
+                    MOTION_TIMEOUT + 1.0)
+        field.bus.rule = None
+        given, key = calls.arguments('lift')
+        calls.judge(key, field.robot.call('lift', *given), 'the call behind it', MOTION_TIMEOUT)
+        seen = sum(request.key == key for request in field.bus.requests)
+        calls.again.check(seen <= 1, f'received {seen} times')
+
+
+def no_echo(field: Field) -> None:
+    """A board that never echoes: silence stands in the place of a fence."""
+    calls = Calls(field)
+    field.calm()
+    field.bus_line.unplug()
+    field.bus.echoes = False
+    field.bus_line.plug()
+    try:
+        field.wait(lambda: field.robot.call('bus/sync').success, 'SYNC is answered')
+        field.wait(lambda: field.robot.call('lift', 0, 255).success, 'a call is served')
+        for service in ('lift', 'bus/request', 'press') * 2:
+            given, key = calls.arguments(service)
+            said = calls.judge(key, field.robot.call(service, *given), f'no ECHO, {service}',
+                               MOTION_TIMEOUT)
+            calls.as_was.check(said == 'success', f'no ECHO, {service}: told {said}')
+    except StageError as error:
+        calls.as_was.check(False, f'no ECHO: {error}')
+    finally:
+        field.bus.echoes = True
+        field.bus_line.unplug()
+        field.bus_line.plug()
+
+
+def silent(field: Field) -> None:
+    """A board that answers nothing: calls still do, and /diagnostics says so."""
+    calls = Calls(field)
+    says = field.row('presence', SAID_SILENT)
+    field.calm()
+    take, field.bus_line.take = field.bus_line.take, lambda data, now: None
+    told = [field.robot.call('lift', 1, index) for index in range(3)]
+    for one in told:
+        calls.as_was.check(not one.success, 'told success by a board that heard nothing')
+        calls.in_time.at_most(one.seconds, MOTION_TIMEOUT + WAIT + _SLACK, 's', 'a silent board')
+    says.wait(lambda: field.diagnosed('bus')[0] > 0, _PATIENCE, 'silent: not OK')
+    field.bus_line.take = take
+    says.wait(lambda: field.diagnosed('bus')[0] == 0, _PATIENCE, 'it answers again: OK')
+
+
+def polls(field: Field) -> None:
+    """Two polled functions of one length and the air, every reply twice: none gets another's."""
+    row = field.row('bus', 'every polled value is one that the board gave for that function')
+    for delay in (0.0, 0.005, 0.04):
+        for messages in field.robot.got.values():
+            messages.clear()
+        field.bus.rule = lambda request: _ok(field, request, 0, delay)
+        for topic in ('~depth', '~height', '~environment'):
+            row.wait(lambda: len(field.robot.got[topic]) >= 5, _PATIENCE, f'{topic} is polled')
+    field.bus.rule = None
+    for topic in ('~depth', '~height', '~environment'):
+        given = {one.key: one.wall for one in field.bus.sent if one.topic == topic}
+        for one in list(field.robot.got[topic]):
+            row.check(one.key in given, f'{topic}: {one.key}, which the board never gave for it')
+            if one.key in given:
+                field.judge_stamp(given[one.key], one, topic)
+
+
+SCENARIOS = (answers, fences, queue, stopped_caller, unplugged_while_asked, stopped_bridge,
+             no_echo, silent)

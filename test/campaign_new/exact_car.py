@@ -1,0 +1,404 @@
+"""The model car, exactly: what reached it against what was commanded.
+
+Every command carries a number of its own, so each packet at the board tells when it was commanded.
+Times on the line are counted in heartbeats, which the bridge sends every 10 ms: however late this
+process reads them, their number between two packets is what it was when they were written. Where
+something must not come, the scenario waits for a later command, or for heartbeats, that come after
+it on the same line.
+"""
+import struct
+import termios
+import time
+from typing import Any, List, Tuple
+
+from . import codec
+from .boards import ARM, BEAT, WINCH, Packet
+from .field import RETURN, SPEED_TIMEOUT, Field
+
+TYPES = {'speed': codec.SPEED, 'steering': codec.STEERING, 'winch': WINCH, 'arm': ARM}
+_LATE_ZERO = 0.05        # s that SPEED 0 may come later than speed_timeout
+_REPEAT_PERIOD = 0.05    # s
+_REPEATED = 1.0          # s
+_AGE = 0.8               # s, over arduino/command_age
+_AFTER = 60              # heartbeats in which nothing may come
+_STOPPED = 1.2           # s of SIGSTOP
+_SHORT_STOP = 0.15       # s: no stall
+_PATIENCE = 10.0         # s
+
+
+class Drive:
+    """Commands with numbers of their own; one after the other."""
+
+    def __init__(self, field: Field) -> None:
+        self.field = field
+        self.arrives = field.row('commands', 'a command reaches an open port at once, and once')
+        self.nothing_old = field.row('motor', 'nothing old drives the motor: not sent, not kept')
+        self._number = 0
+
+    def next(self) -> int:
+        """A speed that was not commanded in this scenario."""
+        self._number += 1
+        return self._number
+
+    def command(self, name: str, value: int) -> Packet:
+        """Publish it; the packet that came of it."""
+        since = len(self.field.car.packets)
+        self.field.robot.command(name, value)
+        return self.arrives.wait(lambda: self.field.car.packet(TYPES[name], value, since),
+                                 _PATIENCE, f'{name} {value} arrives')
+
+    def again(self) -> Packet:
+        """Command new speeds until one is taken: the bridge takes commands again."""
+        field, since = self.field, len(self.field.car.packets)
+        first = self._number + 1
+
+        def taken() -> Any:
+            field.robot.command('speed', self.next())
+            field.beats(3)
+            return next((packet for packet in field.car.packets[since:]
+                         if packet.type == codec.SPEED and packet.number >= first), None)
+        return self.arrives.wait(taken, _PATIENCE, 'a command is taken again')
+
+    def none_of(self, values: List[int], name: str, what: str, since: int = 0) -> None:
+        """None of these has arrived."""
+        came = set(self.field.car.commands(TYPES[name], since))
+        for value in values:
+            self.nothing_old.check(value not in came, f'{name} {value}, {what}, reached the board')
+
+
+def _zero_after(field: Field, packet: Packet) -> Any:
+    """The first SPEED 0 behind this packet."""
+    return next((one for one in field.car.packets if one.type == codec.SPEED and not one.number
+                 and (one.connection, one.beat, one.t) > (packet.connection, packet.beat, packet.t)
+                 ), None)
+
+
+def measurements(field: Field) -> None:
+    """Every kind of message of both boards that talk, a hundred of each."""
+    field.calm()
+    with field.heartbeats():
+        for _ in range(50):
+            for _ in range(2):
+                field.car.measure()
+                field.sensors.measure()
+                field.sensors.cliff()
+            field.beats(2)
+    field.compare(field.car, field.sensors)
+
+
+def commands(field: Field) -> None:
+    """Each kind of command, SPEED beyond its limits included."""
+    row = field.row('commands', 'each arrives as it was given; SPEED saturated; no LED too long')
+    drive = Drive(field)
+    field.calm()
+    for name, values in (('speed', (1, -2, 999, 1000, -1000)), ('steering', range(1500, 1530)),
+                         ('winch', range(40000, 40010)), ('arm', range(-5, 5))):
+        for value in values:
+            drive.command(name, value)
+        came = [value for value in field.car.commands(TYPES[name]) if value or name != 'speed']
+        row.check(came == list(values), f'{name}: {list(values)} were given, {came} arrived')
+    for given, taken in ((5000, 1000), (-32768, -1000)):
+        since = len(field.car.packets)
+        field.robot.command('speed', given)
+        row.wait(lambda: field.car.packet(codec.SPEED, taken, since), _PATIENCE,
+                 f'SPEED {given} arrives as {taken}')
+    for text in ('left', 'x' * 31, 'x' * 30, 'ma\u00f1ana', 'disable'):
+        field.robot.command('led', text)
+    row.wait(lambda: [one for one in field.car.packets if one.data == b'disable\0'], _PATIENCE,
+             'LED disable arrives')
+    lights = [one.data for one in field.car.packets if one.type == codec.LED]
+    row.check(lights == [b'left\0', b'x' * 30 + b'\0', b'disable\0'], f'LED: {lights} arrived')
+
+
+def stops(field: Field) -> None:
+    """A speed with nothing behind it; a SPEED 0; a speed while SPEED 0 is repeated."""
+    in_time = field.row('motor', 'SPEED 0 within speed_timeout + 50 ms of the last command')
+    early = field.row('motor', 'SPEED 0 commanded, or due by a rule, and never else')
+    drive = Drive(field)
+    for _ in range(3):
+        field.calm()
+        commanded = time.monotonic()
+        packet = drive.command('speed', drive.next())
+        zero = in_time.wait(lambda: _zero_after(field, packet), _PATIENCE, 'SPEED 0')
+        # A heartbeat that is due with SPEED 0 may leave before it.
+        in_time.at_most((zero.beat - packet.beat - 1) * BEAT * 1e3,
+                        (SPEED_TIMEOUT + _LATE_ZERO) * 1e3, 'ms', 'by heartbeats')
+        early.check(zero.t - commanded > SPEED_TIMEOUT - 0.005,
+                    f'SPEED 0 {zero.t - commanded:.3f} s after the command')
+        _repeated(field, zero)
+    field.calm()
+    packet = drive.command('speed', drive.next())
+    field.robot.command('speed', 0)
+    zero = in_time.wait(lambda: _zero_after(field, packet), _PATIENCE, 'SPEED 0')
+    _repeated(field, zero)
+    field.calm()
+    for _ in range(2):
+        packet = drive.command('speed', drive.next())
+        field.robot.command('speed', 0)
+        in_time.wait(lambda: field.car.commands(codec.SPEED)[-3:] == [0, 0, 0], _PATIENCE,
+                     'SPEED 0 is repeated')
+        commanded = time.monotonic()
+        packet = drive.command('speed', drive.next())
+        zero = in_time.wait(lambda: _zero_after(field, packet), _PATIENCE, 'SPEED 0')
+        early.check(zero.t - commanded > SPEED_TIMEOUT - 0.005,
+                    f'SPEED 0 {zero.t - commanded:.3f} s after a speed that ended a stop')
+
+
+def _repeated(field: Field, zero: Packet) -> None:
+    """From this SPEED 0 on."""
+    row = field.row('motor', 'every SPEED 0 that ends a motion is repeated: 50 ms apart, for 1 s')
+    field.wait(lambda: field.car.beat - field.car.packets[-1].beat > 20, 'the stop is over')
+    zeros = [one for one in field.car.packets if one.type == codec.SPEED
+             and one.connection == zero.connection and one.beat >= zero.beat]
+    for before, after in zip(zeros, zeros[1:]):
+        row.at_most((after.beat - before.beat - 1) * BEAT * 1e3, _REPEAT_PERIOD * 1e3 + 10, 'ms',
+                    'from one SPEED 0 to the next, by heartbeats')
+    row.check(not any(one.number for one in zeros), 'another speed among them')
+    lasted = zeros[-1].t - zeros[0].t
+    row.check(lasted >= _REPEATED - 2 * _REPEAT_PERIOD, f'for {lasted:.3f} s only')
+    row.check((zeros[-1].beat - zeros[0].beat) * BEAT <= _REPEATED + 2 * _REPEAT_PERIOD,
+              f'for {(zeros[-1].beat - zeros[0].beat) * BEAT:.2f} s, by heartbeats')
+
+
+def openings(field: Field) -> None:
+    """Unplugged while it stands and while it drives, back under the same and under another name."""
+    first = field.row('motor', 'at every opening of the port SPEED 0 goes out before any heartbeat')
+    back = field.row('ports', "data within 1.5 s of the port's return")
+    drive = Drive(field)
+    for index in range(4):
+        field.calm()
+        old = []
+        if index % 2:
+            old.append(drive.command('speed', drive.next()).number)
+        field.car_line.unplug()
+        for _ in range(5):      # at a closed port
+            old.append(drive.next())
+            field.robot.command('speed', old[-1])
+            field.let_pass(0.05)
+        since, began = len(field.car.packets), time.monotonic()
+        field.car_line.plug(another_name=index > 1)
+        field.wait(lambda: field.car.beat, 'heartbeats', _PATIENCE)
+        back.at_most(field.car.beats[0] - began, RETURN, 's', 'arduino')
+        field.beats(_AFTER)
+        first.check(field.car.first[field.car.connection] == 0,
+                    f'the first packet was of type {field.car.first[field.car.connection]}')
+        drive.none_of(old, 'speed', 'commanded before the reconnect', since)
+        drive.command('speed', drive.next())
+
+
+def old_stamps(field: Field) -> None:
+    """Stamps of before, and of a time to come."""
+    row = field.row('old commands', 'a stamp over 0.5 s old, or ahead, is refused; SPEED 0 never')
+    drive = Drive(field)
+    field.calm()
+    for name in ('speed', 'steering', 'arm'):
+        for age in (_AGE, 3600.0, -_AGE, -3600.0):
+            bad, good = drive.next(), drive.next()
+            field.robot.command(name, bad, time.time() - age)
+            drive.command(name, good)           # on the same connection
+            row.check(field.car.packet(TYPES[name], bad) is None,
+                      f'{name}, its stamp {age:g} s old, arrived')
+        value = drive.next()
+        field.robot.command(name, value, time.time())
+        row.wait(lambda: field.car.packet(TYPES[name], value), _PATIENCE,
+                 f'{name} with a stamp of now arrives')
+    for age in (3600.0, -3600.0):
+        packet = drive.command('speed', drive.next())
+        field.robot.command('speed', 0, time.time() - age)
+        zero = row.wait(lambda: _zero_after(field, packet), _PATIENCE, 'SPEED 0')
+        row.check((zero.beat - packet.beat) * BEAT < SPEED_TIMEOUT - 0.05,
+                  f'SPEED 0, its stamp {age:g} s old, was refused')
+
+
+def latched(field: Field) -> None:
+    """A publisher that latches appears, and appears again under its name."""
+    row = field.row('old commands', 'what was latched does not drive; what somebody types now does')
+    field.calm()
+    for first, second, taken in ((101, 102, True), (201, 202, False)):
+        child = field.user('latch', 'latcher', first, second)
+        row.wait(lambda: 'connected' in child.tail()[-12:], _PATIENCE, 'the bridge connects')
+        child.order('next')     # on the same connection, behind the latched one
+        row.wait(lambda: field.car.packet(codec.SPEED, second), _PATIENCE, 'the next one arrives')
+        times = field.car.commands(codec.SPEED).count(first)
+        row.check(times == taken, f'latched by a publisher {"new" if taken else "heard before"}: '
+                                  f'arrived {times} times')
+        field.end(child)
+
+
+def old_connection(field: Field) -> None:
+    """Two publishers of one name: the older one stands still, and wakes."""
+    row = field.row('old commands', 'of one name only the newest connection is listened to')
+    field.calm()
+    older = field.user('driver', 'twin', 100)
+    row.wait(lambda: field.car.commands(codec.SPEED), _PATIENCE, 'the first one drives')
+    older.hold()
+    newer = field.user('driver', 'twin', 500)
+    row.wait(lambda: max(field.car.commands(codec.SPEED)) >= 500, _PATIENCE, 'the second one does')
+    since = len(field.car.packets)
+    field.beats(10)
+    older.ask_to_end(0)     # SIGCONT, and no signal
+    field.beats(_AFTER)
+    came = [value for value in field.car.commands(codec.SPEED, since) if 0 < value < 500]
+    row.check(not came, f'{came} came on the old connection')
+    for child in (newer, older):
+        field.end(child)
+
+
+def frozen(field: Field) -> None:
+    """The board reads nothing, and the line is full; commands go on."""
+    first = field.row('motor', 'dropped output counts as motion: SPEED 0 is the first thing after')
+    drive = Drive(field)
+    for _ in range(2):
+        field.calm()
+        drive.command('speed', drive.next())
+        with field.held():
+            field.car_line.freeze()
+        since, beat = len(field.car.packets), field.car.beat
+        old = []
+        for _ in range(12):
+            old.append(drive.next())
+            field.robot.command('speed', old[-1])
+            field.let_pass(0.05)
+            field.car_line.fill()
+        for _ in range(8):      # what was written into the room of a drop is dropped, too
+            field.let_pass(0.05)
+            field.car_line.fill()
+        field.car_line.thaw()
+        field.beats(_AFTER)
+        packets = field.car.packets[since:]
+        first.check(packets and packets[0].type == codec.SPEED and not packets[0].number
+                    and packets[0].beat == beat, f'the first packets were {packets[:2]}, '
+                    f'{packets[0].beat - beat if packets else 0} heartbeats before them')
+        drive.none_of(old, 'speed', 'commanded while the line was frozen', since)
+        drive.again()
+
+
+def stopped_bridge(field: Field) -> None:
+    """SIGSTOP of the bridge; commands and data come meanwhile."""
+    first = field.row('motor', 'after a stall of over 0.5 s SPEED 0 is the first packet')
+    stale = field.row('data', 'what waited during a stall is dropped, and counted as stale')
+    back = field.row('data', 'data again after a stall, by heartbeats')
+    drive = Drive(field)
+    for _ in range(3):
+        field.calm()
+        drive.command('speed', drive.next())
+        counts = {link: field.diagnosed(link, 'stale') for link in ('arduino', 'mcu')}
+        packet = drive.command('speed', drive.next())
+        old: List[int] = []
+        with field.held():
+            since, beat = len(field.car.packets), field.car.beat
+            for _ in range(6):
+                old.append(drive.next())
+                field.robot.command('speed', old[-1])
+                field.robot.command('steering', old[-1])
+                field.robot.command('winch', old[-1])
+                field.car.measure()
+                field.sensors.measure()
+                field.let_pass(_STOPPED / 6)
+        field.beats(_AFTER)
+        packets = field.car.packets[since:]
+        first.check(packets[0].type == codec.SPEED and not packets[0].number
+                    and packets[0].beat == beat, f'after SPEED {packet.number}, {packets[0]} '
+                    f'came first, {packets[0].beat - beat} heartbeats before it')
+        for name in ('speed', 'steering', 'winch'):
+            drive.none_of(old, name, 'commanded while the bridge was stopped', since)
+        for link, board in (('arduino', field.car), ('mcu', field.sensors)):
+            grown = field.diagnosed(link, 'stale') - counts[link]
+            stale.check(grown == board.written, f'{link}: {grown} bytes counted as stale, '
+                        f'{board.written} had come')
+        came = {topic: [one.key for one in got if one.key is not None]
+                for topic, got in field.robot.got.items()}
+        for topic in {one.topic for one in field.car.sent + field.sensors.sent}:
+            stale.check(not came[topic], f'{topic}: {came[topic][:3]} were published')
+        beat = field.car.beat
+        field.flows('~counter', field.car.measure, back)
+        back.note((field.car.beat - beat) * BEAT, 's')
+        drive.again()
+
+
+def calibration(field: Field) -> None:
+    """While the board calibrates it reads nothing: it is told nothing."""
+    row = field.row('motor', 'nothing for a board that calibrates; SPEED 0 before the request')
+    over = field.row('commands', 'a calibration is over with IMU data after a silence, not before')
+    drive = Drive(field)
+    for moves in (True, False):
+        field.calm()
+        if moves:
+            drive.command('speed', drive.next())
+        field.robot.call('calibrate_imu')
+        request = row.wait(lambda: [one for one in field.car.packets
+                                    if one.type == codec.CALIBRATION], _PATIENCE, 'the request')[0]
+        at = field.car.packets.index(request)
+        if moves:
+            before = field.car.packets[at - 1]
+            row.check(before.type == codec.SPEED and not before.number, f'{before} came before')
+        field.car.measure()         # was under way as the calibration began
+        began = time.monotonic()
+        while time.monotonic() < began + 2.3:
+            for name in TYPES:
+                field.robot.command(name, drive.next())
+            field.beats(5)
+        row.check(len(field.car.packets) == at + 1,
+                  f'{field.car.packets[at + 1:at + 3]} came while it calibrated')
+        field.car.measure()
+        drive.again()
+        over.check(True, '')
+
+
+def gap_said(field: Field) -> None:
+    """A short stop of the bridge: too short to be a stall, too long for the board's motor."""
+    row = field.row('heartbeat', 'a gap of over 30 ms is said in /diagnostics: WARN')
+    for _ in range(2):
+        field.calm()
+        field.diagnosed('arduino')
+        with field.held():
+            field.let_pass(_SHORT_STOP)
+        told = [field.diagnosed('arduino')[1] for _ in range(2)]
+        gaps = [float(text.partition('heartbeat gap of ')[2].split(' ')[0] or 0) for text in told]
+        row.check(max(gaps) >= _SHORT_STOP * 1e3, f'{told} behind a stop of {_SHORT_STOP} s')
+
+
+def damaged(field: Field) -> None:
+    """Packets that are none, each among good ones."""
+    row = field.row('data', 'every error is counted by its cause and costs no valid frame')
+    field.calm()
+    bad: List[Tuple[str, bytes]] = [
+        ('framing errors', b'\x09\x01\x02\x00'),
+        ('length errors', codec.arduino_packet(codec.TICKS, b'\1\2')),
+        ('unknown type errors', codec.arduino_packet(200, b'abc')),
+        ('implausible errors', codec.arduino_packet(codec.VOLTAGE, struct.pack('<f', 300.0))),
+        ('implausible errors', codec.arduino_packet(codec.IMU, bytes(22))),
+        ('implausible errors', codec.arduino_packet(codec.STEERING_ANGLE, b'\xFF\xFF')),
+        ('oversize errors', b'\x01' * 300 + b'\0')]
+    keys = sorted({key for key, _packet in bad})
+    before = {key: field.diagnosed('arduino', key) for key in keys}
+    for _key, packet in bad:
+        field.car.measure()
+        field.car.say(packet)
+        field.car.measure()
+    field.compare(field.car)
+    for key in keys:
+        grown = field.diagnosed('arduino', key) - before[key]
+        wanted = sum(name == key for name, _packet in bad)
+        row.check(grown == wanted, f'{key}: {grown} counted, {wanted} sent')
+
+
+def settings(field: Field) -> None:
+    """Another program changes the settings of the port."""
+    row = field.row('data', 'settings that another program changed are put right')
+    drive = Drive(field)
+    for _ in range(2):
+        field.calm()
+        wanted = termios.tcgetattr(field.car_line.device)
+        sane = [wanted[0] | termios.ICRNL, wanted[1] | termios.OPOST, wanted[2],
+                wanted[3] | termios.ICANON | termios.ECHO, *wanted[4:]]
+        termios.tcsetattr(field.car_line.device, termios.TCSANOW, sane)
+        began = time.monotonic()
+        row.wait(lambda: termios.tcgetattr(field.car_line.device)[:4] == wanted[:4], _PATIENCE,
+                 'they are put right')
+        row.note(time.monotonic() - began, 's')
+        drive.again()
+
+
+SCENARIOS = (measurements, commands, stops, openings, old_stamps, latched, old_connection, frozen,
+             stopped_bridge, calibration, gap_said, damaged, settings)

@@ -1,0 +1,227 @@
+"""The node, exactly: what happens to it as a process, and beside it."""
+import contextlib
+import json
+import signal
+import socket
+import termios
+import time
+import xmlrpc.client
+from typing import Any, Dict, FrozenSet, Iterator, Tuple
+
+import rosgraph
+
+from . import codec
+from .boards import CUSTOM, POLLED, Answer, Car
+from .exact_car import Drive
+from .field import Field
+from .lines import NetworkLine
+from .robot import NODE
+from .rows import Row
+
+ENDING = 2.0             # s
+MASTER_RETURN = 10.0     # s
+PEER = 3.0, 1.5          # s after which a silent peer is closed, and that it may take longer
+NETWORK_AGE = 1.5        # s: about arduino/network_silence
+NETWORK_RETURN = 3.0     # s
+_FROZEN = 2.5            # s
+_PATIENCE = 10.0         # s
+POLLING: Dict[str, Any] = {
+    'bus/environment_period': 0.1,
+    'bus/functions': json.dumps({**CUSTOM['bus/functions'], **POLLED})}
+
+
+def second_bridge(field: Field) -> None:
+    """One of the same name is started: it ends, and the first one goes on."""
+    row = field.row('node', 'a second bridge of the same name ends and takes nothing away')
+    field.calm()
+    with field.heartbeats():
+        second = field.child('second', [*field.bridge_command, f'__name:={NODE[1:]}'])
+        row.wait(lambda: not second.alive, 30.0, 'it ends')
+    row.check(second.process.returncode == 3, f'its status is {second.process.returncode}')
+    uri = rosgraph.Master('/campaign').lookupNode(NODE)
+    row.check(xmlrpc.client.ServerProxy(uri).getPid('/campaign')[2] == field.child_bridge.pid,
+              'the master knows the second one')
+    Drive(field).command('speed', 1)
+
+
+def stopped_subscriber(field: Field) -> None:
+    """SIGSTOP of a subscriber of everything."""
+    child = field.user('listener', 'stopped_listener')
+    field.calm()
+    child.hold()
+    with field.heartbeats():
+        for _ in range(60):
+            field.car.measure()
+            field.sensors.measure()
+            field.beats(1)
+    field.compare(field.car, field.sensors)
+    field.end(child)
+
+
+def silent_peer(field: Field) -> None:
+    """Somebody connects to the node's ROS port and says nothing."""
+    row = field.row('node', 'a silent peer at the ROS port holds up nobody; it is closed after 3 s')
+    field.calm()
+    uri = rosgraph.Master('/campaign').lookupNode(NODE)
+    _code, _text, (_tcpros, host, port) = xmlrpc.client.ServerProxy(uri).requestTopic(
+        '/campaign', '/serial_msg', [['TCPROS']])
+    began = time.monotonic()
+    with field.heartbeats(), socket.create_connection((host, port), _PATIENCE) as peer:
+        row.check(field.robot.call('lift', 0, 1).success, 'a call was not served')
+        row.check(not peer.recv(1), 'it was told something')
+    row.at_most(time.monotonic() - began, sum(PEER), 's', 'until it was closed')
+
+
+def new_master(field: Field) -> None:
+    """roscore ends, and another one begins at its address."""
+    back = field.row('node', 'a new master: topics, services, parameters are back within 10 s')
+    same = field.row('node', 'meanwhile no port is opened anew, and commands go on')
+    field.calm()
+    before = _registered()
+    connections = field.car.connection, field.bus.connection, field.sensors.connection
+    drive = Drive(field)
+    with field.heartbeats():
+        field.ask_master_to_end()
+        field.wait(lambda: not field.master_runs, 'the master has ended')
+        drive.command('speed', drive.next())
+        field.end_master()
+        field.start_master()
+        began = time.monotonic()
+        back.wait(lambda: _registered() >= before, 2 * MASTER_RETURN, 'all is registered')
+        back.at_most(time.monotonic() - began, MASTER_RETURN, 's', 'all is registered')
+    field.robot.register_again()
+    drive.command('speed', drive.next())
+    same.check(field.robot.call('lift', 0, 2).success, 'a call was not served')
+    same.check((field.car.connection, field.bus.connection, field.sensors.connection)
+               == connections, 'a port was opened anew')
+
+
+def _registered() -> FrozenSet[Tuple[str, str]]:
+    """What the master knows of the bridge; nothing where none answers."""
+    master = rosgraph.Master('/campaign')
+    try:
+        state, parameters = master.getSystemState(), master.getParam(NODE)
+    except (OSError, rosgraph.MasterException):
+        return frozenset()
+    known = {(kind, name) for kind, entries in zip(('publishes', 'subscribes', 'offers'), state)
+             for name, nodes in entries if NODE in nodes}
+    return frozenset(known | {('parameter', key) for key in parameters})
+
+
+def killed(field: Field) -> None:
+    """SIGKILL while the car drives; then another bridge, a port absent, a publisher latching."""
+    first = field.row('motor', 'at every opening of the port SPEED 0 goes out before any heartbeat')
+    old = field.row('old commands', 'what was latched does not drive; what somebody types now does')
+    absent = field.row('ports', 'a port that is absent at the start is waited for')
+    field.calm()
+    drive = Drive(field)
+    number = drive.command('speed', drive.next()).number
+    child = field.user('latch', 'early', 301, 302)
+    field.end(field.child_bridge, signal.SIGKILL)
+    field.car_line.drain()
+    field.car.open_anew()
+    field.bus.open_anew()
+    field.mcu_line.unplug()
+    since = len(field.car.packets)
+    field.start(POLLING)
+    first.check(field.car.first[field.car.connection] == 0, 'another packet came first')
+    old.wait(lambda: 'connected' in child.tail()[-12:], _PATIENCE, 'the bridge connects')
+    child.order('next')
+    old.wait(lambda: field.car.packet(codec.SPEED, 302), _PATIENCE, 'the next one arrives')
+    old.check(field.car.packet(codec.SPEED, 301) is None, 'latched before the start: arrived')
+    drive.none_of([number], 'speed', 'commanded before SIGKILL', since)
+    field.end(child)
+    field.mcu_line.plug()
+    field.flows('mcu/cliff', field.sensors.cliff, absent)
+
+
+class Ends:
+    """The bridge is told to end while the car drives and a call waits; or while the ports of bus
+    and mcu take nothing.
+
+    Args:
+        number: the signal.
+    """
+
+    def __init__(self, number: int, hang: bool) -> None:
+        self.__name__ = f'ends by {signal.Signals(number).name}{", ports hang" if hang else ""}'
+        self._number = number
+        self._hang = hang
+
+    def __call__(self, field: Field) -> None:
+        row = field.row('node', 'it ends within 2 s, whatever hangs: SPEED 0, then silence')
+        field.calm()
+        drive, lines = Drive(field), (field.bus_line, field.mcu_line)
+        if self._hang:
+            for line in lines:
+                line.frozen = True
+                line.fill()
+                termios.tcflow(line.device, termios.TCOOFF)
+        else:
+            field.bus.rule = lambda request: Answer([], True)
+            field.robot.calling('lift', 1, 1)
+            field.wait(lambda: field.bus.executed, 'the call arrives')
+        drive.command('speed', drive.next())
+        row.at_most(field.end(field.child_bridge, self._number), ENDING, 's', self.__name__)
+        field.car_line.drain()
+        last, status = field.car.packets[-1], field.child_bridge.process.returncode
+        row.check(last.type == codec.SPEED and not last.number and last.beat == field.car.beat,
+                  f'{self.__name__}: {field.car.beat - last.beat} heartbeats after {last}')
+        row.check(status == 0, f'{self.__name__}: its status is {status}')
+        for line in lines if self._hang else ():
+            termios.tcflow(line.device, termios.TCOON)
+            line.frozen = False
+            line.drain()
+
+
+def network(field: Field) -> None:
+    """The car is behind a network, which freezes, or forgets the connection."""
+    fresh = field.row('network', 'no SPEED of over 1.5 s ago reaches a board behind socket://')
+    back = field.row('network', 'heartbeats within 3 s of its return')
+    first = field.row('motor', 'at every opening of the port SPEED 0 goes out before any heartbeat')
+    drive = Drive(field)
+    with field.talking():
+        for event in ('freeze', 'vanish', 'freeze'):
+            _fail(field, event, drive, (fresh, back, first))
+
+
+def _fail(field: Field, event: str, drive: Drive, rows: Tuple[Row, Row, Row]) -> None:
+    """The network fails once."""
+    fresh, back, first = rows
+    since = len(field.car.packets)
+    commanded: Dict[int, float] = {}
+    drive.command('speed', drive.next())
+    connection = field.car.connection
+    (field.car_line.freeze if event == 'freeze' else field.car_line.vanish)()
+    began = time.monotonic()
+    while time.monotonic() < began + _FROZEN:
+        value = drive.next()
+        commanded[value] = time.monotonic()
+        field.robot.command('speed', value)
+        field.let_pass(0.05)
+    field.car_line.thaw()
+    returned = time.monotonic()
+    back.wait(lambda: field.car.connection > connection and field.car.beat > 5, _PATIENCE,
+              f'{event}: heartbeats again')
+    if event == 'freeze':
+        back.at_most(time.monotonic() - returned, NETWORK_RETURN, 's', event)
+    drive.again()
+    for packet in field.car.packets[since:]:
+        if packet.type == codec.SPEED and packet.number in commanded:
+            fresh.at_most(packet.t - commanded[packet.number], NETWORK_AGE, 's',
+                          f'{event}: SPEED {packet.number}')
+    for number in range(connection + 1, field.car.connection + 1):
+        first.check(field.car.first[number] == 0, f'{event}: another packet came first')
+
+
+@contextlib.contextmanager
+def behind_network(field: Field) -> Iterator[None]:
+    """The car is behind a network meanwhile."""
+    before = field.car_line, field.car
+    field.car_line = NetworkLine(field.path('network'))
+    field.car = Car(field.car_line)
+    yield
+    field.car_line, field.car = before
+
+
+SCENARIOS = second_bridge, stopped_subscriber, silent_peer, new_master

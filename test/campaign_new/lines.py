@@ -1,0 +1,231 @@
+"""The lines between the bridge and the campaign's boards, whose far ends this process holds.
+
+Whatever can happen to a line is a method here: it is unplugged, comes back under another name,
+takes nothing, or damages what it carries.
+"""
+import heapq
+import itertools
+import os
+import pty
+import select
+import socket
+import threading
+import time
+import tty
+from typing import Any, Callable, List, Optional, Tuple
+
+_POLL = 20               # ms for which a reader waits, at most, before it looks around
+_SIZE = 65536            # bytes that are read at once
+_HANDED_ON = 0.05        # s that a pseudo terminal may take to hand bytes on
+
+
+class Clock(threading.Thread):
+    """Calls functions at their times."""
+
+    def __init__(self) -> None:
+        super().__init__(name='clock', daemon=True)
+        self._due: List[Tuple[float, int, Callable[[], None]]] = []
+        self._numbers = itertools.count()
+        self._changed = threading.Condition()
+        self.start()
+
+    def after(self, seconds: float, action: Callable[[], None]) -> None:
+        """Call `action` in so many seconds."""
+        self.at(time.monotonic() + seconds, action)
+
+    def at(self, when: float, action: Callable[[], None]) -> None:
+        """Call it then, by `time.monotonic`; of one time, the first first."""
+        with self._changed:
+            heapq.heappush(self._due, (when, next(self._numbers), action))
+            self._changed.notify()
+
+    def run(self) -> None:
+        while True:
+            with self._changed:
+                while not self._due or self._due[0][0] > time.monotonic():
+                    self._changed.wait(self._due[0][0] - time.monotonic() if self._due else None)
+                action = heapq.heappop(self._due)[2]
+            action()
+
+
+class Line(threading.Thread):
+    """A pseudo terminal under a name; `port` is what the bridge is given.
+
+    Attributes:
+        take: is called with what the bridge wrote and when it was read, by `time.monotonic`.
+        cut: is called as the line is unplugged.
+        to_bridge: what becomes of bytes on their way to the bridge.
+    """
+
+    def __init__(self, path: str) -> None:
+        super().__init__(name=os.path.basename(path), daemon=True)
+        self.port = path
+        self.take: Callable[[bytes, float], None] = lambda data, now: None
+        self.cut: Callable[[], None] = lambda: None
+        self.to_bridge: Callable[[bytes], bytes] = lambda data: data
+        self.frozen = False
+        self._master = self._slave = -1
+        self._spares: List[int] = []
+        self._lock = threading.RLock()
+        self._taken = 0          # bytes
+        self.plug()
+        self.start()
+
+    # -- events -------------------------------------------------------------------------
+
+    def plug(self, another_name: bool = False) -> None:
+        """It is there; with `another_name` as another device than before."""
+        with self._lock:
+            if another_name:        # whoever takes the free number leaves another one
+                self._spares = self._spares[-2:] + list(pty.openpty())
+            self._master, self._slave = pty.openpty()
+            tty.setraw(self._slave)
+            os.set_blocking(self._master, False)
+            os.symlink(os.ttyname(self._slave), self.port + '~')
+            os.replace(self.port + '~', self.port)
+
+    def unplug(self) -> None:
+        """It is gone, with all that was on its way."""
+        with self._lock:
+            os.unlink(self.port)
+            os.close(self._slave)
+            os.close(self._master)
+            self._master = self._slave = -1
+            self.frozen = False
+            self.cut()
+
+    @property
+    def plugged(self) -> bool:
+        return self._master >= 0
+
+    @property
+    def device(self) -> int:
+        """A descriptor of the bridge's end."""
+        return self._slave
+
+    def freeze(self) -> None:
+        """The board reads nothing any more, and the line has no room. To be called while the
+        bridge is held: what it wrote before has been read, and what it writes next is refused."""
+        self.drain()
+        self.frozen = True
+        self.fill()
+
+    def fill(self) -> None:
+        """Take the room that the bridge made as it dropped what waited. 0x00 means nothing."""
+        fd = os.open(self.port, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK)
+        try:
+            while True:
+                os.write(fd, bytes(4096))
+        except BlockingIOError:
+            pass
+        finally:
+            os.close(fd)
+
+    def thaw(self) -> None:
+        """The board reads again."""
+        self.frozen = False
+
+    def drain(self) -> None:
+        """Take all that the bridge has written, which does nothing meanwhile: a pseudo terminal
+        hands it on a little later."""
+        taken, self._taken = -1, 0
+        while taken != self._taken:
+            taken = self._taken
+            time.sleep(_HANDED_ON)
+            self.read_all()
+
+    # -- bytes --------------------------------------------------------------------------
+
+    def write(self, data: bytes) -> bool:
+        """From the board; False where the line is unplugged or has no room."""
+        with self._lock:
+            data = self.to_bridge(data)
+            try:
+                return self.plugged and self._send(data) == len(data)
+            except OSError:
+                return False
+
+    def _send(self, data: bytes) -> int:
+        return os.write(self._master, data)
+
+    def _receive(self) -> bytes:
+        return os.read(self._master, _SIZE)
+
+    def read_all(self) -> None:
+        """Take what there is now."""
+        with self._lock:
+            while self.plugged and not self.frozen:
+                try:
+                    data = self._receive()
+                except OSError:
+                    return
+                if not data:
+                    return
+                self._taken += len(data)
+                self.take(data, time.monotonic())
+
+    def run(self) -> None:
+        while True:
+            fd = self._fd()
+            if fd < 0 or self.frozen:
+                time.sleep(_POLL / 1000)
+                continue
+            poll = select.poll()
+            poll.register(fd, select.POLLIN)
+            if poll.poll(_POLL):
+                self.read_all()
+
+    def _fd(self) -> int:
+        return self._master
+
+
+class NetworkLine(Line):
+    """A TCP server in front of a board, as a converter on a robot is, with a network that fails.
+
+    What a frozen network holds of a connection that has ended meanwhile is lost with it.
+    """
+
+    def plug(self, another_name: bool = False) -> None:
+        self._listener = socket.create_server(('127.0.0.1', 0))
+        self.port = f'socket://127.0.0.1:{self._listener.getsockname()[1]}'
+        self._connection: Optional[socket.socket] = None
+        self._forgotten: List[Any] = []
+
+    def vanish(self) -> None:
+        """The peer knows nothing of its connection any more, and says nothing, not even that."""
+        with self._lock:
+            self._forgotten.append(self._connection)
+            self._connection = None
+            self.cut()
+
+    def freeze(self) -> None:
+        self.frozen = True
+
+    @property
+    def plugged(self) -> bool:
+        return self._connection is not None
+
+    def _fd(self) -> int:
+        connection = self._connection
+        return (connection or self._listener).fileno()
+
+    def _send(self, data: bytes) -> int:
+        return self._connection.send(data, socket.MSG_DONTWAIT)
+
+    def _receive(self) -> bytes:
+        poll = select.poll()
+        poll.register(self._connection, select.POLLIN | select.POLLRDHUP)
+        if dict(poll.poll(0)).get(self._connection.fileno(), 0) & (
+                select.POLLRDHUP | select.POLLHUP | select.POLLERR):
+            self._connection.close()
+            self._connection = None
+            self.cut()
+            return b''
+        return self._connection.recv(_SIZE, socket.MSG_DONTWAIT)
+
+    def read_all(self) -> None:
+        with self._lock:
+            if not self._connection and not self.frozen:
+                self._connection = self._listener.accept()[0]
+                self._connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        super().read_all()

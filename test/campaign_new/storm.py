@@ -1,0 +1,584 @@
+"""The statistical part: all faults at once, and damage on every line, for as long as one likes.
+
+What damage makes of a frame may be another valid frame, and nobody can tell it from a good one. So
+what is promised here is only what holds whatever the damage was, and all that is taken for true is
+what stands on the lines:
+
+- What the bridge writes is read before the line damages it. Times there are counted in heartbeats.
+- What it publishes, or tells a caller, has to stand in the bytes that reached it: in a frame that a
+  board sent or, where there is none, in any valid frame at any place of those bytes.
+
+A line that freezes is no part of it, since nobody can tell what such a line still holds: that, and
+every promise about order and loss, belongs to the exact part. Memory is bounded: each judgement is
+made as things happen, from what happened in the latest seconds.
+"""
+import collections
+import functools
+import random
+import signal
+import struct
+import threading
+import time
+from typing import Any, Callable, Deque, Dict, List, Optional, Tuple
+
+from heartbeats import longest_gap
+from . import codec
+from .boards import (DEPTH, HEIGHT, MEMORY, Answer, BusBoard, Car, Key, Request, Sensors, car_keys,
+                     reply, reply_keys, sensor_keys)
+from .exact_bus import WAIT
+from .exact_node import POLLING
+from .field import MOTION_TIMEOUT, POLLED_TOPICS, REPLY_TIMEOUT, SPEED_TIMEOUT, Field
+from .logs import LogWatch
+from .robot import NOT_SENT, TIMEOUT, Got, Told
+from .rows import Row
+
+KEPT = 12.0              # s for which bytes, commands and calls are remembered
+_UNDER_WAY = 3.0         # s from a frame to what is published of it, stops included
+_RATE = 0.03             # of writes that are damaged
+_TALK = 0.02             # s from one measurement to the next
+_LATE_ZERO = 0.05        # s that SPEED 0 may come later than speed_timeout
+_OLD_SPEED = 1.0         # s; a speed that reaches the line later was kept
+_ON_ITS_WAY = 0.3        # s that a command may take to the bridge
+_STALL = 0.3             # s of a stop from which what waited is old
+_BEATS = 60              # heartbeats that are looked at together
+_LEVELS = {'memory': (4.0, 'MB'), 'threads': (4, 'more'), 'files': (6, 'more')}    # may grow by
+_SETTLING = 60.0         # s, or a third of a shorter part
+_RECORDS = 20000         # that are kept until a violation asks for them
+_DUMPS = 10              # violations whose records are written
+
+
+class Wire:
+    """The bytes that reached the bridge on one link lately, and what a valid frame in them says."""
+
+    def __init__(self, frame_at: codec.FrameAt,
+                 keys: Callable[[codec.Frame], List[Key]]) -> None:
+        self._frame_at = frame_at
+        self._keys = keys
+        self._pieces: Deque[Tuple[float, bytes]] = collections.deque()
+        self._sent: Dict[Key, float] = {}
+        self._lock = threading.Lock()
+
+    def carried(self, clean: bytes, damaged: bytes, now: float) -> None:
+        """A board writes `clean`; the bridge gets `damaged`. `now`: as time.time() has it."""
+        with self._lock:
+            self._pieces.append((now, damaged))
+            if clean == damaged:
+                for frame in codec.decode(clean, self._frame_at)[0]:
+                    for key in self._keys(frame):
+                        self._sent.pop(key, None)
+                        self._sent[key] = now
+            while self._pieces[0][0] < now - KEPT:
+                self._pieces.popleft()
+            while self._sent and next(iter(self._sent.values())) < now - KEPT:
+                del self._sent[next(iter(self._sent))]
+
+    def written(self, key: Key) -> Optional[float]:
+        """When an undamaged frame said so last; None: none did lately."""
+        with self._lock:
+            return self._sent.get(key)
+
+    def any_frame(self, fits: Callable[[codec.Frame], Any], since: float = 0.0) -> bool:
+        """Whether a valid frame at any place of what came since then is such a one."""
+        with self._lock:
+            stream = b''.join(data for t, data in self._pieces if t >= since)
+        return any(fits(frame) for frame in codec.all_frames(stream, self._frame_at))
+
+    def might_say(self, key: Key) -> bool:
+        """Whether any valid frame at any place says so."""
+        return self.any_frame(lambda frame: key in self._keys(frame), time.time() - _UNDER_WAY)
+
+
+def damage(data: bytes, rand: random.Random, twice: bool) -> bytes:
+    """What a line may do to bytes: bits flip, bytes are lost or come from nowhere; and, where
+    asked for, come twice: not on the way to a board, which would execute a request twice."""
+    at = rand.randrange(len(data))
+    noise = bytes(rand.choice((0xA5, 0x5A, 0x02, 0x03, 0x00, rand.randrange(256)))
+                  for _ in range(rand.choice((1, 2, 3, 8, 20, 60))))
+    return data[:at] + rand.choice((
+        bytes((data[at] ^ 1 << rand.randrange(8),)) + data[at + 1:],
+        data[at + rand.randrange(1, 4):], noise + data[at:], data[at:] * (1 + twice)))
+
+
+class Storm:
+    """One stretch of it.
+
+    Args:
+        field: with no bridge.
+        busy: processes that take what CPU they get.
+    """
+
+    def __init__(self, field: Field, duration: float, seed: str, busy: int) -> None:
+        self.__name__ = 'everything at once'
+        self.field = field
+        self.duration = duration
+        self._busy = busy
+        self._random = random.Random(f'storm {seed}')
+        self._stopping = threading.Event()
+        self._damaging = threading.Lock()
+        self._records: Deque[Tuple] = collections.deque(maxlen=_RECORDS)
+        self._dumps = 0
+        self.held: Deque[Tuple[float, float]] = collections.deque(maxlen=50)  # (from, to), wall
+        self._damaged = field.table.row('storm', 'writes that were damaged, either way', True)
+        self.wires = {'arduino': Wire(codec.arduino_at, car_keys),
+                      'mcu': Wire(codec.mcu_at, sensor_keys),
+                      'bus': Wire(codec.reply_at, reply_keys)}
+        self.motor = MotorJudge(self)
+        self.calls = CallJudge(self)
+        self.published = PublishedJudge(self)
+        self._node = NodeJudge(self)
+
+    # -- records ------------------------------------------------------------------------
+
+    def record(self, *what: Any) -> None:
+        """Something that happened; kept for a while."""
+        self._records.append((round(time.monotonic(), 4), *what))
+
+    def check(self, row: Row, holds: Any, text: str) -> bool:
+        """One try. The records of the latest time are written where it does not hold."""
+        if row.check(holds, text):
+            return True
+        self.record('VIOLATED', row.promise, text)
+        if self._dumps < _DUMPS:
+            self._dumps += 1
+            with open(self.field.path(f'violation_{self._dumps}.txt'), 'w') as file:
+                file.writelines(f'{record}\n' for record in list(self._records))
+        return False
+
+    # -- the run ------------------------------------------------------------------------
+
+    def __call__(self, field: Field) -> None:
+        field.start(POLLING)
+        self.car, self.sensors = Car(field.car_line), Sensors(field.mcu_line)
+        self.bus = BusBoard(field.bus_line, field.clock)
+        self._connect_lines()
+        field.robot.listen_to_traffic()
+        listener = field.user('listener', 'storm_listener')
+        self.motor.witness = field.user('witness', 'witness', ready=False)
+        busy = field.busy(self._busy)
+        threads = [threading.Thread(target=self._guarded, args=(loop,), daemon=True) for loop in (
+            self._talk, self._drive, self._steer, self.calls.raw, self.calls.raw, self.calls.lift,
+            lambda: self._plug('mcu', 4.0), lambda: self._plug('bus', 6.0),
+            lambda: self._plug('arduino', 5.0), lambda: self._stop_listener(listener))]
+        for thread in threads:
+            thread.start()
+        began = time.monotonic()
+        try:
+            while time.monotonic() < began + self.duration:
+                self._stopping.wait(self._random.uniform(2.0, 6.0))
+                self._hold_bridge()
+                self._node.look((time.monotonic() - began) / self.duration)
+                field.check(field.child_bridge)
+        finally:
+            self._stopping.set()
+            for thread in threads:
+                thread.join(5.0)
+            self.calls.finish()
+            self._disconnect_lines()
+            for child in (listener, self.motor.witness, *busy):
+                field.end(child)
+
+    def _guarded(self, loop: Callable[[], None]) -> None:
+        try:
+            loop()
+        except Exception as error:  # pylint: disable=broad-except
+            row = self.field.row('campaign', 'every scenario can be carried out to its end')
+            self.check(row, False, f'{loop}: {type(error).__name__}: {error}')
+            raise
+
+    def wait(self, seconds: float) -> bool:
+        """Sleep; whether it goes on then."""
+        return not self._stopping.wait(seconds)
+
+    @property
+    def going_on(self) -> bool:
+        return not self._stopping.is_set()
+
+    def _connect_lines(self) -> None:
+        """Boards that remember nothing, behind lines that damage what they carry."""
+        field = self.field
+        field.robot.on_message = self.published.take
+        self.bus.rule, self.bus.executed = self._bus_rule, self.calls.executed
+        self.car.on_packet, self.bus.on_request = (lambda packet: None), (lambda request: None)
+        for link, board, judge in (('arduino', self.car, self.motor), ('bus', self.bus, self.calls),
+                                   ('mcu', self.sensors, None)):
+            board.sent = collections.deque(maxlen=0)
+            board.line.to_bridge = functools.partial(self._to_bridge, link)
+            take, cut = board.line.take, board.line.cut
+            if judge:
+                board.line.take = functools.partial(self._to_board, link, judge, take)
+                board.line.cut = lambda judge=judge, cut=cut: (judge.open_anew(), cut())
+
+    def _disconnect_lines(self) -> None:
+        field = self.field
+        field.robot.listen_to_traffic(False)
+        field.robot.on_message = field.robot.keep
+        for board in (field.car, field.bus, field.sensors):
+            board.line.to_bridge = lambda data: data
+            board.attach()
+
+    def _to_bridge(self, link: str, data: bytes) -> bytes:
+        sent = self._carry(data, True)
+        self.wires[link].carried(data, sent, time.time())
+        self.record(link, 'to the bridge', data.hex(), sent.hex() if sent != data else '')
+        return sent
+
+    def _carry(self, data: bytes, twice: bool) -> bytes:
+        with self._damaging:
+            if self._random.random() >= _RATE:
+                return data
+            self._damaged.count()
+            return damage(data, self._random, twice)
+
+    def _to_board(self, link: str, judge: Any, take: Callable, data: bytes, now: float) -> None:
+        judge.read(data, now)
+        came = self._carry(data, False)
+        if data.strip(b'\x02\x0b\x00'):         # not only heartbeats
+            self.record(link, 'to the board', data.hex(), came.hex() if came != data else '')
+        take(came, now)
+        if link == 'bus' and came != data and self._random.random() < 0.5:
+            self.bus.line.write(reply(codec.INVALID, bytes((codec.BAD_CHECKSUM,))))
+
+    def _bus_rule(self, request: Request) -> Optional[Answer]:
+        if request.cmd2 in (DEPTH, HEIGHT, codec.ENVIRONMENT):
+            return None
+        chance, ok = self._random.random(), self.bus.ok(request)
+        if chance < 0.1:
+            return Answer([(0, reply(codec.ERROR, struct.pack('<H', codec.FAILED)))])
+        if chance < 0.15:
+            return Answer([(0, reply(codec.INVALID, bytes((codec.BAD_CHECKSUM,))))])
+        if chance < 0.2:
+            return Answer([], self._random.random() < 0.5)
+        if chance < 0.3:
+            return Answer([(0, ok), (0.005, ok)], True)
+        if chance < 0.35:
+            return Answer([(MOTION_TIMEOUT + 0.1, ok)], True)
+        return Answer([(self._random.choice((0, 0, 0.01)), ok)], True)
+
+    # -- what goes on --------------------------------------------------------------------
+
+    def _talk(self) -> None:
+        while self.wait(_TALK):
+            self.car.measure()
+            self.sensors.measure()
+            self.sensors.cliff()
+
+    def _drive(self) -> None:
+        speeds = [sign * value for value in range(1, 1000) for sign in (1, -1)]
+        while self.going_on:
+            self._random.shuffle(speeds)
+            for value in speeds:
+                if self._random.random() < 0.05 and not self.wait(1.0):
+                    return
+                self.motor.command(0 if self._random.random() < 0.05 else value)
+                if not self.wait(self._random.uniform(0.02, 0.1)):
+                    return
+
+    def _steer(self) -> None:
+        number = 0
+        while self.wait(0.05):
+            number += 1
+            self.field.robot.command('steering', number % 65536)
+            self.field.robot.command('winch', number % 65536)
+            if number % 40 == 0:
+                self.field.robot.command('led', 'left')
+
+    def _plug(self, link: str, seconds: float) -> None:
+        line, rand = self.field.lines[link], random.Random(f'{link} {self._random.random()}')
+        while self.wait(rand.uniform(0.5, 2 * seconds)):
+            self.record(link, 'unplugged')
+            line.unplug()
+            self.wait(rand.uniform(0.05, 1.0))
+            self.record(link, 'plugged')
+            line.plug(another_name=rand.random() < 0.3)
+
+    def _stop_listener(self, listener: Any) -> None:
+        while self.wait(self._random.uniform(0.5, 2.0)):
+            listener.hold()
+            self.wait(self._random.uniform(2.0, 6.0))
+            listener.send(signal.SIGCONT)
+
+    def _hold_bridge(self) -> None:
+        with self.field.held():
+            began = time.time()
+            self.motor.stands(True)
+            self.record('bridge', 'stopped')
+            self._stopping.wait(self._random.choice((0.1, 0.8, 1.5)))
+            self.held.append((began, time.time()))
+            self.motor.stands(False)
+            self.record('bridge', 'continued')
+
+
+class MotorJudge:
+    """What the bridge wrote to the car, before the line damaged it."""
+
+    def __init__(self, storm: Storm) -> None:
+        row = storm.field.row
+        self._storm = storm
+        self._commanded = row('storm: motor', 'no speed that was not commanded, none twice')
+        self._age = row('storm: motor', 'no speed of before a reconnect, or of over 1 s ago')
+        self._zero = row('storm: motor', 'SPEED 0 within speed_timeout + 50 ms, by heartbeats')
+        self._first = row('storm: motor', 'at every opening SPEED 0 goes out before any heartbeat')
+        self._stalled = row('storm: motor', 'after SIGSTOP of over 0.5 s SPEED 0 is first')
+        self._gap = row('storm: motor', 'no gap of 30 ms between heartbeats while the port is open')
+        self._reader = codec.Reader(codec.arduino_at, float('inf'))
+        self._commands: Dict[int, Tuple[float, int]] = {}    # when, at which connection (-1: none)
+        self._connection = 0
+        self._is_first = False
+        self._after_stop: Optional[bool] = None      # SPEED 0 has to come next
+        self._stopped_at = 0.0
+        self._moving_since: Optional[int] = None     # heartbeats since the latest speed but 0
+        self._beats: List[float] = []
+        self._lock = threading.RLock()
+        self.witness: Any = None
+
+    def command(self, value: int) -> None:
+        """Publish a speed."""
+        plugged = self._storm.field.car_line.plugged
+        with self._lock:
+            if value:
+                self._commands[value] = time.monotonic(), self._connection if plugged else -1
+        self._storm.record('speed', value)
+        self._storm.field.robot.command('speed', value)
+
+    def open_anew(self) -> None:
+        """The port has gone."""
+        with self._lock:
+            self._reader.reset()
+            self._connection += 1
+            self._is_first = True
+            self._moving_since = None
+            self._beats.clear()
+
+    def stands(self, stopped: bool) -> None:
+        """The bridge has been stopped, or is to go on now."""
+        with self._lock:
+            self._beats.clear()
+            if stopped:
+                self._stopped_at = time.monotonic()
+            elif time.monotonic() - self._stopped_at > 0.6:
+                self._after_stop = True
+
+    def read(self, data: bytes, now: float) -> None:
+        """Bytes as the bridge wrote them."""
+        with self._lock:
+            for frame in self._reader.feed(data, now):
+                speed = struct.unpack('<h', frame.data)[0] if frame.type == codec.SPEED else None
+                self._judge_order(frame, speed)
+                if frame.type == codec.HEARTBEAT:
+                    self._beat(now)
+                elif speed:
+                    self._speed(speed, now)
+                if speed is not None:
+                    self._moving_since = 0 if speed else None
+
+    def _judge_order(self, frame: codec.Frame, speed: Optional[int]) -> None:
+        check = self._storm.check
+        if self._is_first:
+            self._is_first = False
+            check(self._first, speed == 0, f'the first packet was {frame.content}')
+        if self._after_stop:
+            self._after_stop = None
+            check(self._stalled, speed == 0, f'the first packet was {frame.content}')
+
+    def _speed(self, speed: int, now: float) -> None:
+        commanded, connection = self._commands.pop(speed, (0.0, 0))
+        if self._storm.check(self._commanded, commanded, f'SPEED {speed} at {now:.3f}'):
+            if connection != self._connection and now - commanded < _ON_ITS_WAY:
+                self._age.not_decided()      # it may have reached the bridge behind the reconnect
+                return
+            self._age.note(now - commanded, 's')
+            self._storm.check(self._age, connection == self._connection and (
+                now - commanded <= _OLD_SPEED), f'SPEED {speed} commanded {now - commanded:.3f} s '
+                f'ago at connection {connection}, read at {self._connection}')
+
+    def _beat(self, now: float) -> None:
+        if self._moving_since is not None:
+            self._moving_since += 1
+            limit = round((SPEED_TIMEOUT + _LATE_ZERO) / 0.01) + 1
+            self._zero.note(self._moving_since * 10.0, 'ms')
+            self._storm.check(self._zero, self._moving_since <= limit,
+                              f'{self._moving_since} heartbeats since the latest speed')
+        self._beats.append(now)
+        if len(self._beats) > _BEATS:
+            self._judge_gaps()
+            del self._beats[:-1]
+
+    def _judge_gaps(self) -> None:
+        """No later than this were they sent, however late they were read."""
+        gap = longest_gap(self._beats, 100.0)
+        if gap >= 0.030 and self._machine_stood_still(self._beats[0], gap):
+            self._gap.not_decided()
+            return
+        self._gap.note(gap * 1e3, 'ms')
+        self._gap.tries += len(self._beats) - 2
+        self._storm.check(self._gap, gap < 0.030, f'{gap * 1e3:.1f} ms')
+
+    def _machine_stood_still(self, since: float, gap: float) -> bool:
+        """Whether a process that only sleeps was woken late by what the gap is too long; or the
+        bridge has no real-time priority, so that a busy machine may make it late."""
+        if not self._storm.field.has_priority():
+            return True
+        late = [line.split() for line in self.witness.tail().splitlines()]
+        return any(len(words) == 2 and float(words[0]) >= since - 0.1
+                   and float(words[1]) >= gap - 0.030 for words in late)
+
+
+class CallJudge:
+    """What callers were told, against what the board did and what stood on the line."""
+
+    def __init__(self, storm: Storm) -> None:
+        row = storm.field.row
+        self._storm = storm
+        self._told = {
+            'success': row('storm: bus', 'told success: executed exactly once'),
+            'refused': row('storm: bus', 'told refused or not sent: not executed'),
+            'timeout': row('storm: bus', 'told timeout: executed once or not at all')}
+        self._again = row('storm: bus', 'sent again only after an INVALID on the line')
+        self._own = row('storm: bus', 'a raw call is answered with its own data')
+        self._twice = row('storm: bus', 'nothing executed twice')
+        self._blind = storm.field.table.row(
+            'storm: bus', 'calls told wrong by a valid frame that damage made', counted=True)
+        self._lost = storm.field.table.row('storm: bus', 'calls that ended with a service error',
+                                           counted=True)
+        self._slow = storm.field.table.row(
+            'storm: bus', 'calls in all (worst case: behind the timeout, with stops of the bridge)',
+            counted=True)
+        self.executed: 'collections.Counter[Tuple[int, bytes]]' = collections.Counter()
+        self._sent: Dict[Tuple[int, bytes], float] = {}     # first time, of raw requests
+        self._reader = codec.Reader(codec.request_at, float('inf'))
+        self._numbers = iter(range(1, 1 << 32))
+        self._open: Deque[Tuple[float, Callable[[], None]]] = collections.deque()
+        self._lock = threading.RLock()
+
+    def open_anew(self) -> None:
+        """The port has gone."""
+        self._reader.reset()
+
+    def read(self, data: bytes, now: float) -> None:
+        """Bytes as the bridge wrote them."""
+        for frame in self._reader.feed(data, now):
+            if frame.command == MEMORY:
+                key = frame.command, frame.data
+                first = self._sent.setdefault(key, now)
+                if first == now:
+                    self._again.check(True, '')
+                    continue
+                said = self._storm.wires['bus'].any_frame(
+                    lambda reply: reply.type == codec.INVALID, time.time() - (now - first) - 1e-3)
+                self._storm.check(self._again, said, f'{key} was sent again, {now - first:.3f} s '
+                                  'after the first time')
+
+    def raw(self) -> None:
+        """A caller with unique data."""
+        while self._storm.going_on:
+            with self._lock:
+                key = MEMORY, struct.pack('<I', next(self._numbers))
+            began = time.time()
+            told = self._storm.field.robot.call('bus/request', codec.FUNCTION, *key)
+            self._storm.record('told', key[1].hex(), told)
+            self._slow.count()
+            self._slow.note(told.seconds - REPLY_TIMEOUT - WAIT, 's')
+            # What is late or doubled has come by then.
+            self._open.append((began, lambda: self._judge(key, told, began)))
+            while self._open and self._open[0][0] < time.time() - KEPT / 3:
+                self._open.popleft()[1]()
+
+    def lift(self) -> None:
+        """A caller of the lift, whose moves nobody counts here: the bus is to be shared."""
+        number = 0
+        while self._storm.wait(0.1):
+            number += 1
+            self._storm.field.robot.call('lift', number % 2, number // 2 % 256)
+
+    def finish(self) -> None:
+        """Judge what is left."""
+        while self._open:
+            self._open.popleft()[1]()
+
+    def _judge(self, key: Tuple[int, bytes], told: Told, began: float) -> None:
+        executed = self.executed.pop(key, 0)
+        self._sent.pop(key, None)
+        if told.status is None:
+            self._lost.count()
+            return
+        how = 'success' if told.success else 'timeout' if told.status == TIMEOUT else 'refused'
+        text = (f'{key[1].hex()}: told {told.status} "{told.message}", executed {executed} times, '
+                f'data {told.data.hex()}')
+        holds = {'success': executed == 1, 'refused': not executed, 'timeout': executed <= 1}[how]
+        own = not told.success or told.data == key[1]
+        if not (holds and own) and self._made_by_damage(told, key, began):
+            self._blind.count()
+            return
+        self._storm.check(self._told[how], holds, text)
+        self._storm.check(self._twice, executed <= 1, text)
+        if told.success:
+            self._storm.check(self._own, own, text)
+
+    def _made_by_damage(self, told: Told, key: Tuple[int, bytes], began: float) -> bool:
+        """Whether a valid frame on the line said what the caller was told, and no board did."""
+        if told.status == NOT_SENT:
+            return False
+        return self._storm.wires['bus'].any_frame(
+            lambda frame: frame.type == told.status and frame.data == told.data
+            and frame.data != key[1] if told.success else frame.type == told.status, began)
+
+
+class PublishedJudge:
+    """What was published, against what stood on the lines."""
+
+    def __init__(self, storm: Storm) -> None:
+        row = storm.field.row
+        self._storm = storm
+        self._rows = {link: row(f'storm: {link}', 'no value that no valid frame on the line had')
+                      for link in storm.wires}
+        self._blind = {link: storm.field.table.row(
+            f'storm: {link}', 'values of valid frames that damage made', counted=True)
+            for link in storm.wires}
+        self._stale = row('storm: node', 'nothing that waited during a stop of over 0.3 s')
+
+    def take(self, topic: str, got: Got) -> None:
+        """One message."""
+        if got.key is None or topic == 'mcu/imu':      # the status stands for that
+            return
+        link = ('bus' if topic in POLLED_TOPICS else 'mcu' if topic.startswith('mcu/')
+                else 'arduino')
+        wire, key = self._storm.wires[link], (topic, got.key)
+        written = wire.written(key)
+        if written is None and wire.might_say(key):
+            self._blind[link].count()
+            return
+        if self._storm.check(self._rows[link], written, f'{topic} {got.key}') \
+                and topic in ('~counter', 'mcu/cliff'):       # whose numbers come once
+            self._judge_age(written, topic, got)
+
+    def _judge_age(self, written: float, topic: str, got: Got) -> None:
+        waited = any(began < written < over and over - began > _STALL + 0.1
+                     for began, over in list(self._storm.held))
+        self._storm.check(self._stale, not waited, f'{topic} {got.key} had been written during a '
+                          f'stop, {got.wall - written:.3f} s before')
+
+
+class NodeJudge:
+    """The process: what it takes, and what it says."""
+
+    def __init__(self, storm: Storm) -> None:
+        row = storm.field.row
+        self._field = storm.field
+        self._most: Dict[str, List[float]] = {name: [0.0, 0.0] for name in _LEVELS}
+        self._settled = min(_SETTLING / storm.duration, 1 / 3)
+        self._levels = {name: row('storm: node', f'{name} do not grow'.replace(
+            'memory do', 'memory does').replace('files', 'open files')) for name in _LEVELS}
+        self._log = LogWatch(storm)
+
+    def look(self, share: float) -> None:
+        """Once in a while; `share` of the time has passed."""
+        self._log.look()
+        if share < self._settled:
+            return
+        half = int(share > (1 + self._settled) / 2)
+        for name, value in self._field.usage().items():
+            most, (slack, unit) = self._most[name], _LEVELS[name]
+            most[half] = max(most[half], value)
+            if half:
+                self._levels[name].at_most(most[1] - most[0], slack, unit,
+                                           f'from {most[0]:.1f} to {most[1]:.1f}')
