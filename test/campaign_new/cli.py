@@ -36,9 +36,9 @@ def main(arguments: Optional[List[str]] = None) -> int:
     field = None
     try:
         say(f'seed {options.seed}')
-        say('starting')
         field = Field(table, options.keep, options.bridge)
         with field:
+            say('starting')
             _keep_writing(field)
             if options.hostile:
                 hostile(field, table)

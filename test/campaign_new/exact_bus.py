@@ -12,14 +12,13 @@ from typing import Callable, Dict, List, NamedTuple, Tuple
 from processes import StageError
 from . import codec
 from .boards import MEMORY, PRESS, Answer, Request, reply
-from .field import MOTION_TIMEOUT, REPLY_TIMEOUT, RETURN, Field
+from .field import MOTION_TIMEOUT, PATIENCE, REPLY_TIMEOUT, RETURN, Field
 from .robot import NOT_SENT, TIMEOUT, Told
 
 SAID_SILENT = 'a board that falls silent is not OK in /diagnostics, then is OK again'
 WAIT = 0.8               # s that a call may wait for its turn, beside the timeout of its own
 _SLACK = 0.2             # s for ROS, the answer's way included
 _LATE = 0.1              # s after the timeout
-_PATIENCE = 10.0         # s
 
 
 class Case(NamedTuple):
@@ -170,7 +169,7 @@ def queue(field: Field) -> None:
     made = [calls.arguments('bus/request') for _ in range(8)]
     asked = [field.robot.calling('bus/request', *given) for given, _key in made]
     for (_given, key), future in zip(made, asked):
-        calls.judge(key, future.result(_PATIENCE), 'one of eight at once', REPLY_TIMEOUT)
+        calls.judge(key, future.result(PATIENCE), 'one of eight at once', REPLY_TIMEOUT)
 
 
 def stopped_caller(field: Field) -> None:
@@ -183,14 +182,14 @@ def stopped_caller(field: Field) -> None:
         pair, key = calls.arguments('lift')
         field.bus.rule = lambda request: _ok(field, request, 0.05)
         child.order(f'{pair[0]} {pair[1]}')
-        served.wait(lambda: field.bus.executed[key], _PATIENCE, 'the call arrives')
+        served.wait(lambda: field.bus.executed[key], PATIENCE, 'the call arrives')
         child.hold()
         for _ in range(3):
             other, other_key = calls.arguments('bus/request')
             calls.judge(other_key, field.robot.call('bus/request', *other), 'another caller',
                         REPLY_TIMEOUT + MOTION_TIMEOUT)
         child.send(signal.SIGCONT)
-        served.wait(lambda: child.tail().count('"success": true') > index, _PATIENCE,
+        served.wait(lambda: child.tail().count('"success": true') > index, PATIENCE,
                     'the caller that was stopped is told')
         served.check(field.bus.executed[key] == 1, f'executed {field.bus.executed[key]} times')
     field.end(child)
@@ -206,9 +205,9 @@ def unplugged_while_asked(field: Field) -> None:
         given, key = calls.arguments('lift')
         field.bus.rule = lambda request: Answer([], True)
         asked = field.robot.calling('lift', *given)
-        calls.timeout.wait(lambda: field.bus.executed[key], _PATIENCE, 'the call arrives')
+        calls.timeout.wait(lambda: field.bus.executed[key], PATIENCE, 'the call arrives')
         field.bus_line.unplug()
-        said = calls.judge(key, asked.result(_PATIENCE), 'unplugged while asked', MOTION_TIMEOUT)
+        said = calls.judge(key, asked.result(PATIENCE), 'unplugged while asked', MOTION_TIMEOUT)
         calls.as_was.check(said == 'timeout', f'unplugged while asked: told {said}')
         given, absent = calls.arguments('lift')
         said = calls.judge(absent, field.robot.call('lift', *given), 'while unplugged', WAIT)
@@ -234,11 +233,11 @@ def stopped_bridge(field: Field) -> None:
         given, key = calls.arguments('lift')
         field.bus.rule = lambda request: Answer([], True)
         asked = field.robot.calling('lift', *given)
-        calls.timeout.wait(lambda: field.bus.executed[key], _PATIENCE, 'the call arrives')
+        calls.timeout.wait(lambda: field.bus.executed[key], PATIENCE, 'the call arrives')
         with field.held():
             field.bus_line.write(reply(codec.OK))
             field.let_pass(1.0)
-        calls.judge(key, asked.result(_PATIENCE), 'the bridge was stopped meanwhile',
+        calls.judge(key, asked.result(PATIENCE), 'the bridge was stopped meanwhile',
                     MOTION_TIMEOUT + 1.0)
         field.bus.rule = None
         given, key = calls.arguments('lift')
@@ -280,9 +279,9 @@ def silent(field: Field) -> None:
     for one in told:
         calls.as_was.check(not one.success, 'told success by a board that heard nothing')
         calls.in_time.at_most(one.seconds, MOTION_TIMEOUT + WAIT + _SLACK, 's', 'a silent board')
-    says.wait(lambda: field.diagnosed('bus')[0] > 0, _PATIENCE, 'silent: not OK')
+    says.wait(lambda: field.diagnosed('bus')[0] > 0, PATIENCE, 'silent: not OK')
     field.bus_line.take = take
-    says.wait(lambda: field.diagnosed('bus')[0] == 0, _PATIENCE, 'it answers again: OK')
+    says.wait(lambda: field.diagnosed('bus')[0] == 0, PATIENCE, 'it answers again: OK')
 
 
 def polls(field: Field) -> None:
@@ -293,7 +292,7 @@ def polls(field: Field) -> None:
             messages.clear()
         field.bus.rule = lambda request: _ok(field, request, 0, delay)
         for topic in ('~depth', '~height', '~environment'):
-            row.wait(lambda: len(field.robot.got[topic]) >= 5, _PATIENCE, f'{topic} is polled')
+            row.wait(lambda: len(field.robot.got[topic]) >= 5, PATIENCE, f'{topic} is polled')
     field.bus.rule = None
     for topic in ('~depth', '~height', '~environment'):
         given = {one.key: one.wall for one in field.bus.sent if one.topic == topic}

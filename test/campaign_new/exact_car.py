@@ -13,7 +13,7 @@ from typing import Any, List, Tuple
 
 from . import codec
 from .boards import ARM, BEAT, WINCH, Packet
-from .field import RETURN, SPEED_TIMEOUT, Field
+from .field import PATIENCE, RETURN, SPEED_TIMEOUT, Field
 
 TYPES = {'speed': codec.SPEED, 'steering': codec.STEERING, 'winch': WINCH, 'arm': ARM}
 _LATE_ZERO = 0.05        # s that SPEED 0 may come later than speed_timeout
@@ -23,7 +23,6 @@ _AGE = 0.8               # s, over arduino/command_age
 _AFTER = 60              # heartbeats in which nothing may come
 _STOPPED = 1.2           # s of SIGSTOP
 _SHORT_STOP = 0.15       # s: no stall
-_PATIENCE = 10.0         # s
 
 
 class Drive:
@@ -45,7 +44,7 @@ class Drive:
         since = len(self.field.car.packets)
         self.field.robot.command(name, value)
         return self.arrives.wait(lambda: self.field.car.packet(TYPES[name], value, since),
-                                 _PATIENCE, f'{name} {value} arrives')
+                                 PATIENCE, f'{name} {value} arrives')
 
     def again(self) -> Packet:
         """Command new speeds until one is taken: the bridge takes commands again."""
@@ -57,7 +56,7 @@ class Drive:
             field.beats(3)
             return next((packet for packet in field.car.packets[since:]
                          if packet.type == codec.SPEED and packet.number >= first), None)
-        return self.arrives.wait(taken, _PATIENCE, 'a command is taken again')
+        return self.arrives.wait(taken, PATIENCE, 'a command is taken again')
 
     def none_of(self, values: List[int], name: str, what: str, since: int = 0) -> None:
         """None of these has arrived."""
@@ -100,11 +99,11 @@ def commands(field: Field) -> None:
     for given, taken in ((5000, 1000), (-32768, -1000)):
         since = len(field.car.packets)
         field.robot.command('speed', given)
-        row.wait(lambda: field.car.packet(codec.SPEED, taken, since), _PATIENCE,
+        row.wait(lambda: field.car.packet(codec.SPEED, taken, since), PATIENCE,
                  f'SPEED {given} arrives as {taken}')
     for text in ('left', 'x' * 31, 'x' * 30, 'ma\u00f1ana', 'disable'):
         field.robot.command('led', text)
-    row.wait(lambda: [one for one in field.car.packets if one.data == b'disable\0'], _PATIENCE,
+    row.wait(lambda: [one for one in field.car.packets if one.data == b'disable\0'], PATIENCE,
              'LED disable arrives')
     lights = [one.data for one in field.car.packets if one.type == codec.LED]
     row.check(lights == [b'left\0', b'x' * 30 + b'\0', b'disable\0'], f'LED: {lights} arrived')
@@ -119,7 +118,7 @@ def stops(field: Field) -> None:
         field.calm()
         commanded = time.monotonic()
         packet = drive.command('speed', drive.next())
-        zero = in_time.wait(lambda: _zero_after(field, packet), _PATIENCE, 'SPEED 0')
+        zero = in_time.wait(lambda: _zero_after(field, packet), PATIENCE, 'SPEED 0')
         # A heartbeat that is due with SPEED 0 may leave before it.
         in_time.at_most((zero.beat - packet.beat - 1) * BEAT * 1e3,
                         (SPEED_TIMEOUT + _LATE_ZERO) * 1e3, 'ms', 'by heartbeats')
@@ -129,17 +128,17 @@ def stops(field: Field) -> None:
     field.calm()
     packet = drive.command('speed', drive.next())
     field.robot.command('speed', 0)
-    zero = in_time.wait(lambda: _zero_after(field, packet), _PATIENCE, 'SPEED 0')
+    zero = in_time.wait(lambda: _zero_after(field, packet), PATIENCE, 'SPEED 0')
     _repeated(field, zero)
     field.calm()
     for _ in range(2):
         packet = drive.command('speed', drive.next())
         field.robot.command('speed', 0)
-        in_time.wait(lambda: field.car.commands(codec.SPEED)[-3:] == [0, 0, 0], _PATIENCE,
+        in_time.wait(lambda: field.car.commands(codec.SPEED)[-3:] == [0, 0, 0], PATIENCE,
                      'SPEED 0 is repeated')
         commanded = time.monotonic()
         packet = drive.command('speed', drive.next())
-        zero = in_time.wait(lambda: _zero_after(field, packet), _PATIENCE, 'SPEED 0')
+        zero = in_time.wait(lambda: _zero_after(field, packet), PATIENCE, 'SPEED 0')
         early.check(zero.t - commanded > SPEED_TIMEOUT - 0.005,
                     f'SPEED 0 {zero.t - commanded:.3f} s after a speed that ended a stop')
 
@@ -177,7 +176,7 @@ def openings(field: Field) -> None:
             field.let_pass(0.05)
         since, began = len(field.car.packets), time.monotonic()
         field.car_line.plug(another_name=index > 1)
-        field.wait(lambda: field.car.beat, 'heartbeats', _PATIENCE)
+        field.wait(lambda: field.car.beat, 'heartbeats', PATIENCE)
         back.at_most(field.car.beats[0] - began, RETURN, 's', 'arduino')
         field.beats(_AFTER)
         first.check(field.car.first[field.car.connection] == 0,
@@ -200,12 +199,12 @@ def old_stamps(field: Field) -> None:
                       f'{name}, its stamp {age:g} s old, arrived')
         value = drive.next()
         field.robot.command(name, value, time.time())
-        row.wait(lambda: field.car.packet(TYPES[name], value), _PATIENCE,
+        row.wait(lambda: field.car.packet(TYPES[name], value), PATIENCE,
                  f'{name} with a stamp of now arrives')
     for age in (3600.0, -3600.0):
         packet = drive.command('speed', drive.next())
         field.robot.command('speed', 0, time.time() - age)
-        zero = row.wait(lambda: _zero_after(field, packet), _PATIENCE, 'SPEED 0')
+        zero = row.wait(lambda: _zero_after(field, packet), PATIENCE, 'SPEED 0')
         row.check((zero.beat - packet.beat) * BEAT < SPEED_TIMEOUT - 0.05,
                   f'SPEED 0, its stamp {age:g} s old, was refused')
 
@@ -216,9 +215,9 @@ def latched(field: Field) -> None:
     field.calm()
     for first, second, taken in ((101, 102, True), (201, 202, False)):
         child = field.user('latch', 'latcher', first, second)
-        row.wait(lambda: 'connected' in child.tail()[-12:], _PATIENCE, 'the bridge connects')
+        row.wait(lambda: 'connected' in child.tail()[-12:], PATIENCE, 'the bridge connects')
         child.order('next')     # on the same connection, behind the latched one
-        row.wait(lambda: field.car.packet(codec.SPEED, second), _PATIENCE, 'the next one arrives')
+        row.wait(lambda: field.car.packet(codec.SPEED, second), PATIENCE, 'the next one arrives')
         times = field.car.commands(codec.SPEED).count(first)
         row.check(times == taken, f'latched by a publisher {"new" if taken else "heard before"}: '
                                   f'arrived {times} times')
@@ -230,10 +229,10 @@ def old_connection(field: Field) -> None:
     row = field.row('old commands', 'of one name only the newest connection is listened to')
     field.calm()
     older = field.user('driver', 'twin', 100)
-    row.wait(lambda: field.car.commands(codec.SPEED), _PATIENCE, 'the first one drives')
+    row.wait(lambda: field.car.commands(codec.SPEED), PATIENCE, 'the first one drives')
     older.hold()
     newer = field.user('driver', 'twin', 500)
-    row.wait(lambda: max(field.car.commands(codec.SPEED)) >= 500, _PATIENCE, 'the second one does')
+    row.wait(lambda: max(field.car.commands(codec.SPEED)) >= 500, PATIENCE, 'the second one does')
     since = len(field.car.packets)
     field.beats(10)
     older.ask_to_end(0)     # SIGCONT, and no signal
@@ -327,7 +326,7 @@ def calibration(field: Field) -> None:
             drive.command('speed', drive.next())
         field.robot.call('calibrate_imu')
         request = row.wait(lambda: [one for one in field.car.packets
-                                    if one.type == codec.CALIBRATION], _PATIENCE, 'the request')[0]
+                                    if one.type == codec.CALIBRATION], PATIENCE, 'the request')[0]
         at = field.car.packets.index(request)
         if moves:
             before = field.car.packets[at - 1]
@@ -394,7 +393,7 @@ def settings(field: Field) -> None:
                 wanted[3] | termios.ICANON | termios.ECHO, *wanted[4:]]
         termios.tcsetattr(field.car_line.device, termios.TCSANOW, sane)
         began = time.monotonic()
-        row.wait(lambda: termios.tcgetattr(field.car_line.device)[:4] == wanted[:4], _PATIENCE,
+        row.wait(lambda: termios.tcgetattr(field.car_line.device)[:4] == wanted[:4], PATIENCE,
                  'they are put right')
         row.note(time.monotonic() - began, 's')
         drive.again()

@@ -13,7 +13,7 @@ import rosgraph
 from . import codec
 from .boards import CUSTOM, POLLED, Answer, Car
 from .exact_car import Drive
-from .field import Field
+from .field import PATIENCE, Field
 from .lines import NetworkLine
 from .robot import NODE
 from .rows import Row
@@ -24,7 +24,6 @@ PEER = 3.0, 1.5          # s after which a silent peer is closed, and that it ma
 NETWORK_AGE = 1.5        # s: about arduino/network_silence
 NETWORK_RETURN = 3.0     # s
 _FROZEN = 2.5            # s
-_PATIENCE = 10.0         # s
 POLLING: Dict[str, Any] = {
     'bus/environment_period': 0.1,
     'bus/functions': json.dumps({**CUSTOM['bus/functions'], **POLLED})}
@@ -66,7 +65,7 @@ def silent_peer(field: Field) -> None:
     _code, _text, (_tcpros, host, port) = xmlrpc.client.ServerProxy(uri).requestTopic(
         '/campaign', '/serial_msg', [['TCPROS']])
     began = time.monotonic()
-    with field.heartbeats(), socket.create_connection((host, port), _PATIENCE) as peer:
+    with field.heartbeats(), socket.create_connection((host, port), PATIENCE) as peer:
         row.check(field.robot.call('lift', 0, 1).success, 'a call was not served')
         row.check(not peer.recv(1), 'it was told something')
     row.at_most(time.monotonic() - began, sum(PEER), 's', 'until it was closed')
@@ -125,9 +124,9 @@ def killed(field: Field) -> None:
     since = len(field.car.packets)
     field.start(POLLING)
     first.check(field.car.first[field.car.connection] == 0, 'another packet came first')
-    old.wait(lambda: 'connected' in child.tail()[-12:], _PATIENCE, 'the bridge connects')
+    old.wait(lambda: 'connected' in child.tail()[-12:], PATIENCE, 'the bridge connects')
     child.order('next')
-    old.wait(lambda: field.car.packet(codec.SPEED, 302), _PATIENCE, 'the next one arrives')
+    old.wait(lambda: field.car.packet(codec.SPEED, 302), PATIENCE, 'the next one arrives')
     old.check(field.car.packet(codec.SPEED, 301) is None, 'latched before the start: arrived')
     drive.none_of([number], 'speed', 'commanded before SIGKILL', since)
     field.end(child)
@@ -201,7 +200,7 @@ def _fail(field: Field, event: str, drive: Drive, rows: Tuple[Row, Row, Row]) ->
         field.let_pass(0.05)
     field.car_line.thaw()
     returned = time.monotonic()
-    back.wait(lambda: field.car.connection > connection and field.car.beat > 5, _PATIENCE,
+    back.wait(lambda: field.car.connection > connection and field.car.beat > 5, PATIENCE,
               f'{event}: heartbeats again')
     if event == 'freeze':
         back.at_most(time.monotonic() - returned, NETWORK_RETURN, 's', event)

@@ -4,10 +4,9 @@ import time
 
 from . import codec
 from .exact_bus import SAID_SILENT
-from .field import RETURN, Field
+from .field import PATIENCE, RETURN, Field
 
 FRAME_TIMEOUT = 0.05     # s: the default of the bridge
-_PATIENCE = 10.0         # s
 _PERIOD = 1.3            # s from one report of silence to the next, at most
 
 
@@ -63,7 +62,7 @@ def false_starts(field: Field) -> None:
         field.sensors.line.write(start)
         field.sensors.measure()
         got = row.wait(lambda: [one for one in field.robot.got['mcu/status'] if one.key],
-                       _PATIENCE, 'it is published')[0]
+                       PATIENCE, 'it is published')[0]
         row.check(len(start) == 1 or got.wall - got.stamp >= FRAME_TIMEOUT - 0.005,
                   f'stamped {got.wall - got.stamp:.4f} s before it arrived: as it was given up')
 
@@ -76,13 +75,13 @@ def silent(field: Field) -> None:
         field.calm()
         with field.talking():
             for link in ('mcu', 'arduino'):
-                says.wait(lambda: 'silent' not in field.diagnosed(link)[1], _PATIENCE,
+                says.wait(lambda: 'silent' not in field.diagnosed(link)[1], PATIENCE,
                           f'{link} talks')
         field.let_pass(0.1)
         statuses = field.robot.got['mcu/status']
         last, began = [one for one in statuses if one.key][-1], time.monotonic()
         row.wait(lambda: [one for one in statuses if not one.key and one.wall > last.wall][1:],
-                 _PATIENCE, 'two reports of silence')
+                 PATIENCE, 'two reports of silence')
         reports = [one for one in statuses if one.wall > last.wall]
         row.note(time.monotonic() - began, 's for two reports')
         for one in reports:
@@ -92,7 +91,7 @@ def silent(field: Field) -> None:
                       and m.seq == last.message.seq, f'{m}')
         row.at_most(reports[1].stamp - reports[0].stamp, _PERIOD, 's', 'between two reports')
         for link in ('mcu', 'arduino'):
-            says.wait(lambda: 'silent' in field.diagnosed(link)[1], _PATIENCE, f'{link} is silent')
+            says.wait(lambda: 'silent' in field.diagnosed(link)[1], PATIENCE, f'{link} is silent')
 
 
 def openings(field: Field) -> None:

@@ -23,7 +23,7 @@ PARAMETERS: Dict[str, Any] = {
     'bus/environment_period': 0.0, **{name: json.dumps(rows) for name, rows in CUSTOM.items()}}
 RETURN = 1.5             # s from a port's return to data
 QUIET_BEATS = 20         # heartbeats with nothing else between them: the car's line is quiet
-PATIENCE = 10.0          # s for what has no limit of its own
+PATIENCE = 30.0          # s for what has no limit of its own; waited out only if it never comes
 _UNTIL_PUBLISHED = 5.0   # s
 _SAME_CLOCK = 1e-4       # s; rounding of stamps
 POLLED_TOPICS = '~environment', '~depth', '~height'
@@ -90,7 +90,9 @@ class Field(Stage):
         self.wait(lambda: self.robot.call('bus/echo').success, 'the bus board is in step')
 
     def mend(self) -> None:
-        """After a scenario that was given up: every line as before, and a bridge that works."""
+        """After a scenario that was given up: no users, every line as before, a bridge that works."""
+        for child in [child for child in self.children if child is not self.child_bridge]:
+            self.end(child)
         self.child_bridge.send(signal.SIGCONT)
         self.bus.rule, self.bus.echoes = None, True
         for line in self.lines.values():

@@ -109,7 +109,8 @@ class Robot:
     """Has a publisher of each command, a subscriber of everything, and callers."""
 
     def __init__(self) -> None:
-        rospy.init_node('campaign', anonymous=True, disable_signals=True, disable_rosout=True)
+        rospy.init_node('campaign', anonymous=True, disable_signals=True, disable_rosout=True,
+                        log_level=rospy.FATAL)
         self.got: Dict[str, List[Got]] = {topic: [] for topic in TOPICS}
         self.diagnostics: Dict[str, Tuple[float, int, str, Dict[str, str]]] = {}
         self.on_message: Callable[[str, Got], None] = self.keep

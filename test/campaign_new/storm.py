@@ -470,7 +470,7 @@ class CallJudge:
 
     def raw(self) -> None:
         """A caller with unique data."""
-        while self._storm.going_on:
+        while self._storm.wait(0.01):
             with self._lock:
                 key = MEMORY, struct.pack('<I', next(self._numbers))
             began = time.time()
@@ -479,9 +479,10 @@ class CallJudge:
             self._slow.count()
             self._slow.note(told.seconds - REPLY_TIMEOUT - WAIT, 's')
             # What is late or doubled has come by then.
-            self._open.append((began, lambda: self._judge(key, told, began)))
-            while self._open and self._open[0][0] < time.time() - KEPT / 3:
-                self._open.popleft()[1]()
+            with self._lock:
+                self._open.append((began, functools.partial(self._judge, key, told, began)))
+                while self._open and self._open[0][0] < time.time() - KEPT / 3:
+                    self._open.popleft()[1]()
 
     def lift(self) -> None:
         """A caller of the lift, whose moves nobody counts here: the bus is to be shared."""
