@@ -172,7 +172,8 @@ class Car(Board):
         self.packets: List[Packet] = []          # all but heartbeats
         self.beats: Deque[float] = deque(maxlen=400)      # when heartbeats were read
         self.beat = 0                            # on this connection
-        self.first: List[int] = []               # type of the first packet of each connection
+        # Of each connection: the type of its first packet; 0: SPEED 0, -1: none has come.
+        self.first: List[int] = []
         self.on_packet: Callable[[Packet], None] = self.packets.append
         self._number = 0
 

@@ -90,11 +90,12 @@ class Field(Stage):
         self.wait(lambda: self.robot.call('bus/echo').success, 'the bus board is in step')
 
     def mend(self) -> None:
-        """After a scenario that was given up: no users, every line as before, a bridge that works."""
+        """After a scenario that was given up: no users, all lines as before, a working bridge."""
         for child in [child for child in self.children if child is not self.child_bridge]:
             self.end(child)
         self.child_bridge.send(signal.SIGCONT)
         self.bus.rule, self.bus.echoes = None, True
+        self.car_line.frozen = False
         for line in self.lines.values():
             if line.plugged:
                 line.unplug()

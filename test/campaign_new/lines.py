@@ -187,6 +187,7 @@ class NetworkLine(Line):
 
     def plug(self, another_name: bool = False) -> None:
         self._listener = socket.create_server(('127.0.0.1', 0))
+        self._listener.setblocking(False)
         self.port = f'socket://127.0.0.1:{self._listener.getsockname()[1]}'
         self._connection: Optional[socket.socket] = None
         self._forgotten: List[Any] = []
@@ -210,22 +211,38 @@ class NetworkLine(Line):
         return (connection or self._listener).fileno()
 
     def _send(self, data: bytes) -> int:
-        return self._connection.send(data, socket.MSG_DONTWAIT)
+        return 0 if self.frozen else self._connection.send(data, socket.MSG_DONTWAIT)
+
+    def thaw(self) -> None:
+        with self._lock:
+            self.frozen = False
+            if self._connection:
+                self._end_if_ended()
+
+    def _end_if_ended(self) -> None:
+        poll = select.poll()
+        poll.register(self._connection, select.POLLRDHUP)
+        if poll.poll(0):
+            self._end()
+
+    def _end(self) -> None:
+        self._connection.close()
+        self._connection = None
+        self.cut()
 
     def _receive(self) -> bytes:
-        poll = select.poll()
-        poll.register(self._connection, select.POLLIN | select.POLLRDHUP)
-        if dict(poll.poll(0)).get(self._connection.fileno(), 0) & (
-                select.POLLRDHUP | select.POLLHUP | select.POLLERR):
-            self._connection.close()
-            self._connection = None
-            self.cut()
-            return b''
-        return self._connection.recv(_SIZE, socket.MSG_DONTWAIT)
+        data = self._connection.recv(_SIZE, socket.MSG_DONTWAIT)
+        if not data:
+            self._end()
+        return data
 
     def read_all(self) -> None:
         with self._lock:
             if not self._connection and not self.frozen:
-                self._connection = self._listener.accept()[0]
+                try:
+                    self._connection = self._listener.accept()[0]
+                except BlockingIOError:
+                    return
                 self._connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._end_if_ended()        # while the network was frozen
         super().read_all()
