@@ -3,6 +3,7 @@
 Whatever can happen to a line is a method here: it is unplugged, comes back under another name,
 takes nothing, or damages what it carries.
 """
+import contextlib
 import heapq
 import itertools
 import os
@@ -108,18 +109,19 @@ class Line(threading.Thread):
         bridge is held: what it wrote before has been read, and what it writes next is refused."""
         self.drain()
         self.frozen = True
-        self.fill()
+        while self.fill():      # until what was handed on has made no room any more
+            time.sleep(_HANDED_ON)
 
-    def fill(self) -> None:
-        """Take the room that the bridge made as it dropped what waited. 0x00 means nothing."""
-        fd = os.open(self.port, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK)
-        try:
-            while True:
-                os.write(fd, bytes(4096))
-        except BlockingIOError:
-            pass
-        finally:
-            os.close(fd)
+    def fill(self) -> int:
+        """Take the room that the bridge made as it dropped what waited; how many bytes there was
+        room for. 0x00 means nothing."""
+        fd, size = os.open(self.port, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK), 0
+        for piece in 4096, 256, 1:      # where there is no room for much there may be for little
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    size += os.write(fd, bytes(piece))
+        os.close(fd)
+        return size
 
     def thaw(self) -> None:
         """The board reads again."""
