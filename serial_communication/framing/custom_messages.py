@@ -173,8 +173,8 @@ class Row:
 
         One number for all values has to fit one of them.
         """
-        limited = [(value, layout.range(index)) for index, value in enumerate(layout.values)
-                   if value.name and layout.kind(index) != 'text']
+        limited = [(value, value.range) for value in layout.values
+                   if value.name and value.kind != 'text']
         for key in ('minimum', 'maximum'):
             given = self.given.get(key)
             fits = [low <= getattr(value, key) <= high or abs(getattr(value, key)) == inf

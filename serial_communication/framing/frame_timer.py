@@ -7,10 +7,10 @@ from .stream import Decoder, Frame
 class FrameTimer:
     """Watches one decoder; serves both ends of a line.
 
-    A frame is given up when no byte has come for `timeout`. Where bytes keep coming, but the
-    frame has taken `timeout` longer than its bytes do on the wire, it is given up if a valid one
-    waits behind its start: a false length must not delay valid frames for as long as others
-    follow them.
+    A frame is given up, and noise has ended, when no byte has come for `timeout`. Where bytes keep
+    coming, but the frame has taken `timeout` longer than its bytes do on the wire, it is given up
+    if a valid one waits behind its start: a false length must not delay valid frames for as long
+    as others follow them.
 
     Args:
         decoder: whose pending frame is watched.
@@ -28,11 +28,6 @@ class FrameTimer:
     def reset(self) -> None:
         """The line is another one."""
         self._front = None
-
-    def bytes_came(self, last_byte: float, now: float) -> None:
-        """To be called before they are fed: noise behind a silence is a damage of its own."""
-        if now >= last_byte + self._timeout:
-            self._decoder.silence()
 
     def due(self, last_byte: float, now: float) -> Optional[float]:
         """When to ask `overdue` at the latest; None while nothing is pending."""

@@ -8,7 +8,7 @@ import re
 import struct
 from collections import namedtuple
 from math import inf, isfinite
-from typing import Any, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple
 from unicodedata import category
 
 from .parts import Part
@@ -28,20 +28,94 @@ class Value(NamedTuple):
     offset: float = 0
     minimum: float = -inf      # of the value, not of the raw number
     maximum: float = inf
-    place: str = ''            # struct's code of where the value goes on: what it cannot hold
-    #                            is implausible; '': anywhere
+    # Its place, which the `Layout` that has it fills in:
+    code: str = ''             # struct's code, 's' for a text
+    start: int = 0             # in the data
+    end: int = 0               # -1: it goes on to the data's end
+
+    @property
+    def kind(self) -> str:
+        """'number', 'array' (of numbers) or 'text'."""
+        return 'text' if self.code == 's' else 'number' if self.end >= 0 else 'array'
+
+    @property
+    def room(self) -> Optional[int]:
+        """Bytes of its place; None: as many as there are."""
+        return self.end - self.start if self.end >= 0 else None
+
+    @property
+    def is_scaled(self) -> bool:
+        """Whether it differs from the raw number. A whole one stays one, also with a scale of
+        1.0."""
+        return self.scale != 1 or self.offset != 0
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it is a whole number, or several, whatever is sent."""
+        return self.code not in FRACTIONS + 's' and (
+            not self.is_scaled or isinstance(self.scale, int) and isinstance(self.offset, int))
+
+    @property
+    def may_be_nan(self) -> bool:
+        """Whether it may be no number, or infinite."""
+        return self.code in FRACTIONS
+
+    @property
+    def range(self) -> Tuple[float, float]:
+        """The least and the largest value that its place holds; without limits for a text."""
+        low, high = (raw * self.scale + self.offset
+                     for raw in _RANGES.get(self.code) or _whole_range(self.code))
+        return min(low, high), max(low, high)
+
+    def scaled(self, raw: Any) -> Any:
+        """The value of a number, of each number of a tuple, or the text itself."""
+        if isinstance(raw, str) or not self.is_scaled:
+            return raw
+        if isinstance(raw, tuple):
+            return tuple([each * self.scale + self.offset for each in raw])
+        return raw * self.scale + self.offset
+
+    def packed(self, given: Any, order: str) -> bytes:
+        """The data of a value; struct.error, OverflowError, TypeError, ValueError or
+        AttributeError where its place cannot hold it."""
+        if self.code == 's':
+            text = given.encode()
+            if b'\0' in text or 0 <= self.end < self.start + len(text):
+                raise ValueError
+            return text
+        numbers = (given,) if self.end > 0 else given
+        return struct.pack(f'{order}{len(numbers)}{self.code}', *map(self._raw, numbers))
+
+    def _raw(self, number: Any) -> Any:
+        """The nearest raw number."""
+        if not isinstance(number, (int, float)):
+            raise TypeError
+        if self.is_scaled:
+            number = (number - self.offset) / self.scale
+        if self.code == '?':
+            if not isfinite(number):
+                raise ValueError
+            return number != 0
+        return number if self.code in FRACTIONS else round(number)
+
+    def objection(self, given: Any) -> str:
+        """Why a value, or a number of an array, cannot be, or ''."""
+        for number in given if isinstance(given, tuple) else (given,):
+            if not isinstance(number, str) and not self.minimum <= number <= self.maximum \
+                    and (self.minimum > -inf or self.maximum < inf):
+                return f'{self.name} is {number:.6g}, {self._limits()}'
+        return ''
+
+    def _limits(self) -> str:
+        if self.maximum == inf:
+            return f'under {self.minimum:g} {self.unit}'.rstrip()
+        if self.minimum == -inf:
+            return f'over {self.maximum:g} {self.unit}'.rstrip()
+        return f'not within {self.minimum:g} to {self.maximum:g} {self.unit}'.rstrip()
 
 
 class LayoutTooLong(ValueError):
     """A format with more data than a message can carry."""
-
-
-class _Item(NamedTuple):
-    """One value's place in the data."""
-
-    code: str      # struct's code, 's' for a text
-    start: int
-    end: int       # -1: it goes on to the data's end
 
 
 class Layout:
@@ -58,64 +132,62 @@ class Layout:
     """
 
     def __init__(self, layout: str, values: Sequence[Value]) -> None:
+        fixed, rest = _split(layout)
+        places = _places(fixed, rest)
+        if len(places) != len(values):
+            raise ValueError(f'it has {len(places)} values, not {len(values)}')
         self.layout = layout
-        self.values = tuple(values)
-        self._order = layout[:1]
-        fixed, self._rest = _split(layout)
-        self._items = _items(fixed, self._rest)
+        self.values = tuple([value._replace(code=code, start=start, end=end)
+                             for value, (code, start, end) in zip(values, places)])
         self._struct = struct.Struct(fixed)
-        self._step = struct.calcsize(self._order + (self._rest or 'x'))
         self.size = self._struct.size      # bytes of data; the least where more are allowed
-        self.is_empty = not self.size and not self._items
-        if len(self._items) != len(self.values):
-            raise ValueError(f'it has {len(self._items)} values, not {len(self.values)}')
-        self._has_text = any(item.code == 's' for item in self._items)
-        self._is_plain = all(value.scale == 1 and value.offset == 0 for value in values)
-        self._is_numbers = not self._rest and not self._has_text    # … one for each value
-        # A whole number stays one where there is nothing to scale, also with a scale of 1.0.
-        self._factors = [(1, 0) if value.scale == 1 and value.offset == 0
-                         else (value.scale, value.offset) for value in values]
-        # Of each value with limits: where it is, whether they are all that there is to check.
-        self._checked = [(index, not value.place and self.kind(index) == 'number', value.minimum,
-                          value.maximum) for index, value in enumerate(self.values)
-                         if value.place or value.minimum > -inf or value.maximum < inf]
+        self._step = struct.calcsize(layout[0] + rest) if rest else 0    # bytes more, each time
+        self._scaled = [(index, value) for index, value in enumerate(self.values)
+                        if value.is_scaled]
+        self._limited = [(index, value.minimum, value.maximum)
+                         for index, value in enumerate(self.values) if value.kind != 'text'
+                         and (value.minimum > -inf or value.maximum < inf)]
+        # Of each packet one of these is called: struct's own function where that is enough.
+        is_simple = all(value.kind == 'number' for value in self.values)
+        self.raw: Callable[[bytes], Tuple] = self._struct.unpack if is_simple else self._raw
+        self.unpack: Callable[[bytes], Tuple] = self._unpack if self._scaled else self.raw
 
     # -- bytes and values -----------------------------------------------------------------
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is no data."""
+        return not self.size and not self.values
+
     def fits(self, size: int) -> bool:
         """Whether data of so many bytes can be such a message."""
-        if self._rest:
+        if self._step:
             return size >= self.size and (size - self.size) % self._step == 0
         return size == self.size
 
     def sizes(self) -> str:
         """How many bytes of data it has, in words."""
-        if not self._rest:
+        if not self._step:
             return f'{self.size}'
         return f'{self.size} or {self._step} more, {2 * self._step} more …'
 
-    def unpack(self, data: bytes) -> Tuple:
-        """The values; struct.error where `data` has not the right length."""
-        if self._is_numbers:
-            raw = self._struct.unpack(data)
-            if self._is_plain:
-                return raw
-            return tuple([number * scale + offset
-                          for number, (scale, offset) in zip(raw, self._factors)])
-        return tuple([_value(raw, value) for raw, value in zip(self.raw(data), self.values)])
+    def _unpack(self, data: bytes) -> Tuple:
+        """`unpack`: the values; struct.error where `data` has not the right length."""
+        values = list(self.raw(data))
+        for index, value in self._scaled:
+            values[index] = value.scaled(values[index])
+        return tuple(values)
 
-    def raw(self, data: bytes) -> Tuple:
-        """The numbers and texts as they were sent; struct.error as in `unpack`."""
+    def _raw(self, data: bytes) -> Tuple:
+        """`raw`: the numbers and texts as they were sent; struct.error likewise."""
         if not self.fits(len(data)):
             raise struct.error(f'{len(data)} bytes of data, not {self.sizes()}')
         raw = self._struct.unpack_from(data)
-        if self._rest == 's':
-            raw += (data[self.size:],)
-        elif self._rest:
-            count = (len(data) - self.size) // self._step
-            raw += (struct.unpack_from(f'{self._order}{count}{self._rest}', data, self.size),)
-        if not self._has_text:
-            return raw
+        if self._step:
+            rest = data[self.size:]
+            code = self.values[-1].code
+            raw += (rest if code == 's' else struct.unpack(
+                f'{self.layout[0]}{len(rest) // self._step}{code}', rest),)
         return tuple([each.split(b'\0', 1)[0].decode('utf-8', 'replace')
                       if isinstance(each, bytes) else each for each in raw])
 
@@ -128,66 +200,29 @@ class Layout:
         if len(values) != len(self.values):
             raise ValueError(f'{len(values)} values, not {len(self.values)}')
         data = bytearray(self.size)
-        for given, value, item in zip(values, self.values, self._items):
+        for given, value in zip(values, self.values):
             if not value.name:
                 continue
             try:
-                packed = self._packed(given, value, item)
+                packed = value.packed(given, self.layout[0])
             except (struct.error, OverflowError, TypeError, ValueError, AttributeError):
                 raise ValueError(f'{value.name} is {brief(given, 40)}, which its place '
-                                 f'({item.code}) cannot hold') from None
-            data[item.start:item.start + len(packed)] = packed
+                                 f'({value.code}) cannot hold') from None
+            data[value.start:value.start + len(packed)] = packed
         return bytes(data)
 
     def pack_raw(self, raw: Sequence) -> bytes:
         """The data of raw numbers, where nothing goes on to its end; struct.error as in struct."""
         return self._struct.pack(*raw)
 
-    def _packed(self, given: Any, value: Value, item: _Item) -> bytes:
-        if item.code == 's':
-            text = given.encode()
-            if b'\0' in text or 0 <= item.end < item.start + len(text):
-                raise ValueError
-            return text
-        numbers = (given,) if item.end > 0 else given
-        return struct.pack(f'{self._order}{len(numbers)}{item.code}',
-                           *[_raw(number, value, item.code) for number in numbers])
-
-    def range(self, index: int) -> Tuple[float, float]:
-        """The least and the largest value that a place holds; without limits for a text."""
-        code, value = self._items[index].code, self.values[index]
-        low, high = _RANGES.get(code) or _whole_range(code)
-        ends = sorted((low * value.scale + value.offset, high * value.scale + value.offset))
-        return ends[0], ends[1]
-
-    def kind(self, index: int) -> str:
-        """What a value is: 'number', 'array' (of numbers) or 'text'."""
-        item = self._items[index]
-        return 'text' if item.code == 's' else 'number' if item.end >= 0 else 'array'
-
-    def room(self, index: int) -> Optional[int]:
-        """Bytes of a value; None: as many as there are."""
-        item = self._items[index]
-        return item.end - item.start if item.end >= 0 else None
-
-    def is_whole(self, index: int) -> bool:
-        """Whether a value is a whole number, or several, whatever is sent."""
-        value = self.values[index]
-        return self._items[index].code not in FRACTIONS + 's' and (
-            (value.scale, value.offset) == (1, 0)
-            or isinstance(value.scale, int) and isinstance(value.offset, int))
-
-    def may_be_nan(self, index: int) -> bool:
-        """Whether a value may be no number, or infinite."""
-        return self._items[index].code in FRACTIONS
-
     # -- what values say --------------------------------------------------------------------
 
     def implausible(self, values: Sequence) -> str:
         """Why one of these values cannot be; '' where all can."""
-        for index, is_simple, minimum, maximum in self._checked:
-            if not is_simple or not minimum <= values[index] <= maximum:
-                reason = _objection(values[index], self.values[index])
+        for index, minimum, maximum in self._limited:
+            given = values[index]
+            if isinstance(given, tuple) or not minimum <= given <= maximum:
+                reason = self.values[index].objection(given)
                 if reason:
                     return reason
         return ''
@@ -198,24 +233,28 @@ class Layout:
                         + _words(given, value.unit)
                         for given, value in zip(values, self.values) if value.name)
 
-    def parts(self, data: bytes) -> List[Part]:
-        """Which bytes of `data` are which value, whatever its length is."""
+    def parts(self, data: bytes, unpack: Optional[Callable[[bytes], Tuple]] = None) -> List[Part]:
+        """Which bytes of `data` are which value, whatever its length is.
+
+        Args:
+            unpack: what makes the values of the data, where that is not the layout's own.
+        """
         parts: List[Part] = []
         whole = len(data) if self.fits(len(data)) else self.size
-        values = self.raw((data + bytes(self.size))[:whole])
-        for raw, value, item in zip(values, self.values, self._items):
-            self._pad(parts, data, item.start)
-            start = min(item.start, len(data))
-            end = min(item.end if item.end >= 0 else whole, len(data))
-            name, missing = value.name or 'left out', item.end - len(data)
+        padded = (data + bytes(self.size))[:whole]
+        for raw, given, value in zip(self.raw(padded), (unpack or self.unpack)(padded),
+                                     self.values):
+            self._pad(parts, data, value.start)
+            start = min(value.start, len(data))
+            end = min(value.end if value.end >= 0 else whole, len(data))
+            name, missing = value.name or 'left out', value.end - len(data)
             if missing > 0:
-                missing = min(missing, item.end - item.start)
+                missing = min(missing, value.end - value.start)
                 parts.append(Part(start, end, name, data[start:end],
                                   unit=value.unit).cut_short(missing))
             else:
-                given = _value(raw, value)
                 parts.append(Part(start, end, name, data[start:end], raw, given, value.unit,
-                                  error=_objection(given, value)))
+                                  error=value.objection(given)))
         self._pad(parts, data, min(self.size, len(data)))
         at = parts[-1].end if parts else 0
         if at < len(data):
@@ -254,21 +293,21 @@ def _size(fixed: str) -> int:
         raise ValueError(f'struct refuses it: {error}') from None
 
 
-def _items(fixed: str, rest: str) -> List[_Item]:
-    """Where each value stands."""
+def _places(fixed: str, rest: str) -> List[Tuple[str, int, int]]:
+    """Of each value its code, its start and its end: see `Value`."""
     size = _size(fixed)
-    items, at = [], 0
+    places, at = [], 0
     for number, code in re.findall(r'(\d*)(.)', fixed[1:]):
         count, each = int(number or 1), struct.calcsize(fixed[0] + code)
         if code == 's':
-            items.append(_Item(code, at, at + count))
+            places.append((code, at, at + count))
         elif code in NUMBERS:
-            items += [_Item(code, at + index * each, at + (index + 1) * each)
-                      for index in range(count)]
+            places += [(code, at + index * each, at + (index + 1) * each)
+                       for index in range(count)]
         elif code != 'x':
             raise ValueError(f'{code} holds no number and no text')
         at += count * each
-    return items + [_Item(rest, size, -1)] * bool(rest)
+    return places + [(rest, size, -1)] * bool(rest)
 
 
 def count_values(layout: str, longest: int) -> int:
@@ -282,65 +321,13 @@ def count_values(layout: str, longest: int) -> int:
     fixed, rest = _split(layout)
     if _size(fixed) > longest:
         raise LayoutTooLong(f'it has more than {longest} bytes')
-    return len(_items(fixed, rest))
+    return len(_places(fixed, rest))
 
 
 def _whole_range(code: str) -> Tuple[int, int]:
     """The least and the largest number of a code for whole ones."""
     bits = 8 * struct.calcsize('<' + code)
     return (0, 2 ** bits - 1) if code.isupper() else (-2 ** (bits - 1), 2 ** (bits - 1) - 1)
-
-
-def _value(raw: Any, value: Value) -> Any:
-    """The value of a number, of each number of a tuple, or the text itself."""
-    if isinstance(raw, str) or (value.scale == 1 and value.offset == 0):
-        return raw
-    if isinstance(raw, tuple):
-        return tuple([each * value.scale + value.offset for each in raw])
-    return raw * value.scale + value.offset
-
-
-def _raw(number: Any, value: Value, code: str) -> Any:
-    """The nearest raw number; OverflowError, TypeError or ValueError where there is none."""
-    if not isinstance(number, (int, float)):
-        raise TypeError
-    if value.scale != 1 or value.offset != 0:
-        number = (number - value.offset) / value.scale
-    if code == '?':
-        if not isfinite(number):
-            raise ValueError
-        return number != 0
-    return number if code in FRACTIONS else round(number)
-
-
-def _objection(given: Any, value: Value) -> str:
-    """Why a value cannot be, or ''."""
-    if isinstance(given, str):
-        return ''
-    for number in given if isinstance(given, tuple) else (given,):
-        if (value.minimum > -inf or value.maximum < inf) and not (
-                value.minimum <= number <= value.maximum):
-            return f'{value.name} is {number:.6g}, {_limits(value)}'
-        if value.place and not holds(value.place, number):
-            return f'{value.name} is {number:.6g}, which its place in the message cannot hold'
-    return ''
-
-
-def _limits(value: Value) -> str:
-    if value.maximum == inf:
-        return f'under {value.minimum:g} {value.unit}'.rstrip()
-    if value.minimum == -inf:
-        return f'over {value.maximum:g} {value.unit}'.rstrip()
-    return f'not within {value.minimum:g} to {value.maximum:g} {value.unit}'.rstrip()
-
-
-def holds(code: str, number: float) -> bool:
-    """Whether a place of struct's `code` can hold a number, rounded where it holds integers."""
-    try:
-        struct.pack('<' + code, number if code in FRACTIONS else round(number))
-    except (struct.error, OverflowError, ValueError):
-        return False
-    return True
 
 
 def _words(given: Any, unit: str) -> str:
@@ -375,7 +362,7 @@ class Row:
     @classmethod
     def unpack(cls, data: bytes) -> Any:
         """From the data; struct.error where it has not the right length."""
-        return cls._make(cls.LAYOUT.unpack(data))
+        return tuple.__new__(cls, cls.LAYOUT.unpack(data))
 
     def pack(self) -> bytes:
         """The data; ValueError where a value does not fit its place."""
@@ -392,6 +379,15 @@ class Row:
 
     def __str__(self) -> str:
         return f'{self.LABEL} {self.LAYOUT.text(self)}'.rstrip()
+
+
+def row_methods(kind: Any) -> Any:
+    """Decorator of a NamedTuple with TYPE, LABEL and LAYOUT: what it does not define of a message's
+    methods is as in `Row`."""
+    for name in ('unpack', 'pack', 'parts', 'implausible', '__str__'):
+        if name not in vars(kind):
+            setattr(kind, name, vars(Row)[name])
+    return kind
 
 
 def message_class(name: str, type_: int, layout: str, values: Sequence[Value] = (),

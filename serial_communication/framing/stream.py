@@ -5,12 +5,14 @@ every byte received so far. The XOR of any stretch is then that of two numbers, 
 the stretch is and however many false starts lie in it. A failed check moves the search on by
 one byte, not past the false frame, so a valid frame that begins inside is found. A byte with
 which a frame could begin, but none does, is a *false start*. A frame that had to wait behind one
-keeps the stamp of the read that brought its own last byte.
+keeps the stamp of the read that brought its own last byte. What stands in no frame is noise, which
+is returned when it ends.
 """
 import re
 from bisect import bisect_left
 from collections import deque
 from copy import copy
+from functools import partial
 from typing import Any, Deque, Dict, List, NamedTuple, Protocol, Tuple
 
 from .parts import Part, Parts
@@ -52,10 +54,14 @@ class Frame(NamedTuple):
         return f'{self.cause}: {self.error}' if self.cause else ''
 
 
+# A `Frame` of a tuple with all its fields: half the time of calling the class, for every frame.
+frame_of = partial(tuple.__new__, Frame)
+
+
 def bad_frame(raw: bytes, cause: str, error: str, stamp: Any = None, type_: int = 0,
               data: bytes = b'') -> Frame:
     """A `Frame` that says what was wrong with `raw`."""
-    return Frame(bytes(raw[:MAX_REPORTED]), type_, 0, data, None, stamp, cause, error)
+    return frame_of((raw[:MAX_REPORTED], type_, 0, data, None, stamp, cause, error))
 
 
 class Decoder(Protocol):
@@ -66,7 +72,8 @@ class Decoder(Protocol):
     """
 
     errors: Dict[str, int]     # by cause; `FRAMING` is one of them
-    pending: bool              # whether a frame has begun and is not complete
+    pending: bool              # whether there are bytes that no frame has been returned of
+    begun: bool                # whether a frame has begun and is not complete
     front: int                 # where in the stream it begins, in bytes received before it
     needed: int                # how many bytes it has, as far as is known
 
@@ -74,13 +81,11 @@ class Decoder(Protocol):
         """Take bytes as they were read; return the frames, good and bad, now complete."""
 
     def give_up(self) -> List[Frame]:
-        """No byte has come for too long: what is pending stays incomplete."""
+        """No byte has come for too long: what has begun stays incomplete, and noise has ended. To
+        be called until nothing is pending."""
 
     def skip_false_start(self) -> List[Frame]:
         """Bytes keep coming, but what is pending takes too long."""
-
-    def silence(self) -> None:
-        """No byte has come for long, and nothing is pending."""
 
     def reset(self) -> None:
         """Forget what is pending, as after a reconnect; the counts stay."""
@@ -126,11 +131,14 @@ class Good(NamedTuple):
 
 
 class Bad(NamedTuple):
-    """No frame begins there."""
+    """No frame begins there. With the cause `FRAMING` the byte is noise, whatever follows."""
 
-    size: int            # what it would have had, as far as was looked at
+    size: int            # of the whole frame that it looks like
     cause: str
     error: str
+
+
+NO_FRAME = Bad(1, FRAMING, 'no frame begins so')
 
 
 class Need(NamedTuple):
@@ -145,10 +153,9 @@ class StreamDecoder:
     A subclass says with which bytes a frame may begin (`STARTS`) and what begins at such a byte
     (`frame_at`), which only looks: at `buffer`, and at checksums by `xor`.
 
-    Damage is counted once and shown once, in whatever pieces its bytes are read: one bad frame
-    for each error. A whole frame with a false checksum is one damage; a stretch of other bytes
-    between good frames, until the line is silent, is another one. Of such a stretch the bad
-    frame quotes what had been read when it was noticed.
+    Each error is one bad frame, in whatever pieces its bytes are read: a whole frame with a false
+    checksum, or a stretch of noise, which ends where a frame begins, with a silence (`give_up`) or
+    after `MAX_REPORTED` bytes.
     """
 
     STARTS = b''
@@ -162,19 +169,23 @@ class StreamDecoder:
         self._offset = 0           # bytes received before the buffer's first
         self._reads: Deque[Tuple[int, Any]] = deque()   # of the buffer's: (bytes received, stamp)
         self._frames: List[Frame] = []
-        # Damage up to this byte of the stream is counted, and up to this one it is in a frame.
-        self._counted = self._shown = 0
-        self._is_noise = False     # the last byte looked at is of a stretch that is counted …
-        self._to_show = False      # … and that still has to be shown
+        self._noise = b''          # that has not ended yet
+        self._noise_stamp: Any = None    # of its last byte
+        self._sorted = 0           # bytes received up to the latest that stands in a frame or noise
 
     @property
     def pending(self) -> bool:
+        """Whether there are bytes that no frame has been returned of."""
+        return bool(self.buffer or self._noise)
+
+    @property
+    def begun(self) -> bool:
         """Whether a frame has begun and is not complete."""
         return bool(self.buffer)
 
     @property
     def front(self) -> int:
-        """Where in the stream the frame begins that is pending, in bytes received before it."""
+        """Where in the stream that frame begins, in bytes received before it."""
         return self._offset
 
     @property
@@ -194,17 +205,12 @@ class StreamDecoder:
         return self._search(0)
 
     def give_up(self) -> List[Frame]:
-        """The frame at the front stays incomplete: go on at the byte after its first."""
+        """The frame at the front stays incomplete: go on at the byte after its first. Where no
+        other one has begun there, noise has ended."""
+        frames = self._search(1 if self.buffer else 0)
         if not self.buffer:
-            return []
-        if self._offset >= self._counted:
-            self._count(0, Bad(len(self.buffer), FRAMING, 'cut short'))
-        return self._search(1)
-
-    def silence(self) -> None:
-        """No byte has come for long: noise that comes from now on is another damage."""
-        if not self.buffer:
-            self._is_noise = False
+            self._end_noise(0)
+        return frames
 
     def skip_false_start(self) -> List[Frame]:
         """The frame at the front takes too long: give it up if a valid one waits behind its start.
@@ -239,6 +245,8 @@ class StreamDecoder:
         apart.errors = dict(self.errors)
         apart.reset()
         frames, parts = apart.feed(frame), Parts(frame)
+        if not apart.begun:
+            frames += apart.give_up()
         if not frames:
             if frame:
                 parts.take_bytes(apart.front + apart.needed, 'frame')
@@ -261,82 +269,90 @@ class StreamDecoder:
     # -- the search -------------------------------------------------------------------
 
     def _search(self, at: int) -> List[Frame]:
+        """Decide from buffer[at] on as far as that can be; before it no frame begins."""
         self._frames = frames = []
         buffer, size = self.buffer, len(self.buffer)
         need = 1
         while at < size:
             if buffer[at] not in self.STARTS:
-                at = self._pass_noise(at)
+                start = self._any_start.search(buffer, at)
+                at = start.start() if start else size
                 continue
             found = self.frame_at(at)
-            if isinstance(found, Bad):
-                if self._offset + at >= self._counted:
-                    self._count(at, found)
-                at += 1
-            elif isinstance(found, Good):
+            kind = type(found)
+            if kind is Good:
                 self._add(at, found)
                 # Its LEN may be false all the same: an XOR does not see whole frames in it.
                 at += 1 if found.cause == LENGTH else found.size
+            elif kind is Bad:
+                # Inside a bad frame that has been returned, all is one and the same damage.
+                if found.cause != FRAMING and self._offset + at >= self._sorted:
+                    self._add_bad(at, found)
+                at += 1
             else:
                 need = found.size
                 break
-        self._show_noise(at)
-        self._decided(at, need)
+        if self._sorted < self._offset + at:
+            self._add_noise(at)
+        self._offset += at
+        self._need = need
+        self.buffer = buffer[at:]
+        self._xors = self._xors[at:]
+        reads = self._reads
+        while reads and reads[0][0] <= self._offset:
+            reads.popleft()
         return frames
 
     def _add(self, start: int, found: Good) -> None:
         """A valid frame begins at `start`."""
-        self._show_noise(start)
+        if self._noise or self._sorted < self._offset + start:
+            self._end_noise(start)
         end = start + found.size
         if found.cause:
             self.errors[found.cause] += 1
         elif found.message is None:
             self.errors[UNKNOWN] += 1
-        self._frames.append(Frame(self.buffer[start:end], found.type, found.command, found.data,
-                                  found.message, self._stamp_of(end), found.cause, found.error))
-        self._counted = self._shown = self._offset + end
-        self._is_noise = False
+        self._frames.append(frame_of((
+            self.buffer[start:end], found.type, found.command, found.data, found.message,
+            self._stamp_of(end), found.cause, found.error)))
+        self._sorted = self._offset + end
 
-    def _count(self, start: int, bad: Bad) -> None:
-        """What began at `start` is no frame; to be called once for one damage."""
+    def _add_bad(self, start: int, bad: Bad) -> None:
+        """A whole frame begins at `start`, but it is bad."""
+        self._end_noise(start)
         end = start + bad.size
-        self._counted = self._offset + end
-        if bad.cause == FRAMING:
-            self._count_stretch()
-            return
-        self._show_noise(start)
         self.errors[bad.cause] += 1
         self._frames.append(bad_frame(self.buffer[start:end], bad.cause, bad.error,
                                       self._stamp_of(end)))
-        self._shown = self._counted
-        self._is_noise = False
+        self._sorted = self._offset + end
 
-    def _pass_noise(self, at: int) -> int:
-        """Where the next frame may begin: up to there nothing does."""
-        start = self._any_start.search(self.buffer, at)
-        end = start.start() if start else len(self.buffer)
-        if self._offset + end > self._counted:
-            self._count_stretch()
-        return end
-
-    def _count_stretch(self) -> None:
-        if not self._is_noise:
-            self.errors[FRAMING] += 1
-            self._is_noise = self._to_show = True
-
-    def _show_noise(self, end: int) -> None:
-        """Bytes up to `end` that stand in no frame yet are noise."""
-        first = self._shown - self._offset
-        if end <= first:
+    def _add_noise(self, end: int) -> None:
+        """What stands before `end`, and in no frame, is noise."""
+        first = self._sorted - self._offset
+        if first >= end:
             return
-        if self._to_show:
-            size = end - first
-            self._frames.append(bad_frame(
-                self.buffer[first:end], FRAMING,
-                f'{size} bytes that are no frame' if size > 1 else '1 byte that is no frame',
-                self._reads[-1][1]))
-            self._to_show = False
-        self._shown = self._offset + end
+        self._noise += self.buffer[first:end]
+        self._noise_stamp = self._stamp_of(end)
+        self._sorted = self._offset + end
+        if len(self._noise) >= MAX_REPORTED:
+            whole = len(self._noise) // MAX_REPORTED * MAX_REPORTED
+            for at in range(0, whole, MAX_REPORTED):
+                self._show_noise(self._noise[at:at + MAX_REPORTED])
+            self._noise = self._noise[whole:]
+
+    def _end_noise(self, end: int) -> None:
+        """Noise ends before `end`, or before the buffer."""
+        self._add_noise(end)
+        if self._noise:
+            self._show_noise(self._noise)
+            self._noise = b''
+
+    def _show_noise(self, noise: bytes) -> None:
+        self.errors[FRAMING] += 1
+        size = len(noise)
+        self._frames.append(bad_frame(
+            noise, FRAMING, f'{size} bytes that are no frame' if size > 1
+            else '1 byte that is no frame', self._noise_stamp))
 
     def _stamp_of(self, end: int) -> Any:
         """The stamp of the read that brought the last byte before `end`."""
@@ -345,12 +361,3 @@ class StreamDecoder:
             return reads[0][1]
         # No read is dropped here: a frame that begins inside a false one may end in an earlier one.
         return reads[bisect_left(reads, (end,))][1]
-
-    def _decided(self, start: int, need: int) -> None:
-        """All before `start` is decided; the search goes on at `need` bytes from there."""
-        self.buffer = self.buffer[start:]
-        self._xors = self._xors[start:]
-        self._offset += start
-        self._need = need
-        while self._reads and self._reads[0][0] <= self._offset:
-            self._reads.popleft()

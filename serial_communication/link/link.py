@@ -307,13 +307,16 @@ class Link:
         timer = self._timer
         timer.reset()
         while not self._stopping.is_set():
+            wake_at = now + LONGEST_SLEEP
             due = self.tick(now)
+            if due is not None and due < wake_at:
+                wake_at = due
             if now >= look_at:
-                look_at = self._look(now)
-            due = look_at if due is None else min(due, look_at)
+                look_at = now + LONGEST_SLEEP
+                self._look(now)
             if self.decoder.pending:
-                due = min(due, timer.due(self.last_byte_at, now))
-            data = self.port.read(due - now)
+                wake_at = min(wake_at, timer.due(self.last_byte_at, now))
+            data = self.port.read(wake_at - now)
             stamp = self._clock()
             now = time.monotonic()
             self.drained = not data
@@ -325,9 +328,8 @@ class Link:
             if self.decoder.pending:
                 self._deliver(timer.overdue(self.last_byte_at, now), now)
 
-    def _look(self, now: float) -> float:
-        """What is looked at every now and then; when to be called again, which is never further
-        off than a stall of the thread takes to be told from its sleep."""
+    def _look(self, now: float) -> None:
+        """Look at what changes seldom: the settings of the port, and whether the board talks."""
         changed = self.port.restore_settings()
         if changed:
             self.log.warn('settings', f'{self.port.url}: another program changed the settings of '
@@ -341,7 +343,6 @@ class Link:
             has_talked = self.last_frame_at is not None and self.last_frame_at >= self._opened_at
             if talks or has_talked or now >= self._opened_at + FIRST_WORD:
                 self._presence.see(talks, self.silence(), now)
-        return now + LONGEST_SLEEP
 
     def _look_for_stall(self, now: float) -> None:
         awake_at = pace.clock()
@@ -375,7 +376,6 @@ class Link:
 
     def take(self, data: bytes, stamp: Any, now: float) -> None:
         """Decode what was read and pass it on."""
-        self._timer.bytes_came(self.last_byte_at, now)
         self.last_byte_at = now
         self._deliver(self.decoder.feed(data, stamp), now)
 

@@ -10,7 +10,6 @@ import rospy
 from ..boards import BOARDS, description
 from ..boards.description import Description
 from ..framing.custom_messages import CustomMessage, RowError
-from ..framing.layout import message_class
 from .commands import CommandTopic
 from .fields import RosFields, find_type
 from .publishing import publisher, wanted
@@ -44,9 +43,8 @@ def _row_message(own: CustomMessage, prefix: str) -> RowMessage:
     found = find_type(f'{own.key}/ros_type', own.ros_type)
     check_frame_id(own, found)
     fields = RosFields(found, own.kind.LAYOUT, f'{own.key}/fields')
-    layout = fields.narrowed(own.kind.LAYOUT)
-    kind = own.kind if own.is_command else message_class(own.name, own.kind.TYPE, layout.layout,
-                                                         layout.values)
+    kind = own.kind if own.is_command else type(own.name, (own.kind,), {
+        '__slots__': (), 'LAYOUT': fields.narrowed(own.kind.LAYOUT)})
     return RowMessage(own, kind, found, fields)
 
 

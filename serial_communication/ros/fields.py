@@ -6,6 +6,7 @@ import difflib
 import glob
 import os
 import re
+import struct
 import sys
 from math import isfinite
 from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple, Union
@@ -13,7 +14,7 @@ from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple, U
 import roslib.message
 
 from ..framing.custom_messages import RowError
-from ..framing.layout import Layout, Value, holds
+from ..framing.layout import FRACTIONS, Layout, Value
 
 _CODES = {'bool': '?', 'int8': 'b', 'byte': 'b', 'uint8': 'B', 'char': 'B', 'int16': 'h',
           'uint16': 'H', 'int32': 'i', 'uint32': 'I', 'int64': 'q', 'uint64': 'Q',
@@ -88,21 +89,17 @@ class RosFields:
     def __init__(self, message_class: Any, layout: Layout, key: str) -> None:
         self._class = message_class
         self._arrays: List[Tuple[Tuple, int, Any]] = []    # to be lengthened in a new message
-        self._places = [self._resolve(key, layout, index) if value.name else None
-                        for index, value in enumerate(layout.values)]
+        self._places = [self._resolve(key, value) if value.name else None
+                        for value in layout.values]
         self._refuse_shared(key, [value.name for value in layout.values])
         self._filled = [(index, place.owner, place.last, isinstance(place.last, int), place.to_ros)
                         for index, place in enumerate(self._places) if place]
 
     def narrowed(self, layout: Layout) -> Layout:
         """The same layout, which takes what a field cannot hold for implausible."""
-        values: List[Value] = []
-        for index, (value, place) in enumerate(zip(layout.values, self._places)):
-            fits = not place or place.code in ('', 'd')
-            if not fits and (place.code == 'f' or not layout.may_be_nan(index)):
-                fits = all(isfinite(end) and holds(place.code, end) for end in layout.range(index))
-            values.append(value if fits else value._replace(place=place.code))
-        return Layout(layout.layout, values)
+        codes = ['' if not place or _holds_all(place.code, value) else place.code
+                 for value, place in zip(layout.values, self._places)]
+        return _NarrowedLayout(layout, codes) if any(codes) else layout
 
     def new(self) -> Any:
         """A message with room for every value."""
@@ -136,8 +133,8 @@ class RosFields:
             values.append(tuple(value) if isinstance(value, (list, bytes)) else value)
         return tuple(values)
 
-    def _resolve(self, key: str, layout: Layout, index: int) -> _Place:
-        path = layout.values[index].name
+    def _resolve(self, key: str, value: Value) -> _Place:
+        path = value.name
         message_class, steps, type_, size = self._class, (), '', None
         for name, element in _STEP.findall(path):
             if message_class is None:
@@ -156,7 +153,7 @@ class RosFields:
                                message_class or _default_of(type_))
                 steps += (int(element),)
                 array = None
-        return self._checked(key, layout, index, steps, type_, array, size)
+        return self._checked(key, value, steps, type_, array, size)
 
     def _refuse_shared(self, key: str, paths: List[str]) -> None:
         """A value that another one replaces in the message, as position[0] by position."""
@@ -179,10 +176,10 @@ class RosFields:
         self._arrays.append((steps, element + 1, default))
 
     @staticmethod
-    def _checked(key: str, layout: Layout, index: int, steps: Tuple, type_: str,
-                 array: Optional[str], size: Optional[str]) -> _Place:
-        """The place, if what the layout has fits what stands there."""
-        path, has = layout.values[index].name, layout.kind(index)
+    def _checked(key: str, value: Value, steps: Tuple, type_: str, array: Optional[str],
+                 size: Optional[str]) -> _Place:
+        """The place, if the value fits what stands there."""
+        path, has = value.name, value.kind
         is_array, is_fixed = array is not None, bool(size)
         there = type_ + (array or '')
         if has == 'text' and (type_ != 'string' or is_array):
@@ -196,11 +193,47 @@ class RosFields:
         convert = None
         if type_ == 'bool':
             convert = bool
-        elif has != 'text' and type_ not in ('float32', 'float64') and not layout.is_whole(index):
+        elif has != 'text' and type_ not in ('float32', 'float64') and not value.is_whole:
             convert = round
         if convert and has == 'array':
             one, convert = convert, lambda numbers: [one(number) for number in numbers]
         return _Place(steps[:-1], steps[-1], convert, _CODES.get(type_, ''))
+
+
+class _NarrowedLayout(Layout):
+    """A layout whose values have to fit the fields of a ROS message, too.
+
+    Args:
+        codes: for each value struct's code of its field; '' where that holds whatever comes.
+    """
+
+    def __init__(self, layout: Layout, codes: List[str]) -> None:
+        super().__init__(layout.layout, layout.values)
+        self._codes = codes
+
+    def implausible(self, values: Sequence) -> str:
+        return super().implausible(values) or next(
+            (f'{value.name} is {number:.6g}, which its place in the message cannot hold'
+             for given, value, code in zip(values, self.values, self._codes) if code
+             for number in (given if isinstance(given, tuple) else (given,))
+             if not _holds(code, number)), '')
+
+
+def _holds_all(code: str, value: Value) -> bool:
+    """Whether a field of struct's `code`, '' for a text, holds whatever may be sent."""
+    if code in ('', 'd'):
+        return True
+    return (code == 'f' or not value.may_be_nan) and all(
+        isfinite(end) and _holds(code, end) for end in value.range)
+
+
+def _holds(code: str, number: float) -> bool:
+    """Whether a field of struct's `code` can hold a number, rounded where it holds integers."""
+    try:
+        struct.pack('<' + code, number if code in FRACTIONS else round(number))
+    except (struct.error, OverflowError, ValueError):
+        return False
+    return True
 
 
 def _walk(message: Any, steps: Sequence) -> Any:

@@ -7,6 +7,7 @@ import tf2_ros
 from geometry_msgs.msg import TransformStamped
 
 from ..framing.rotation import quaternion
+from .publishing import wanted
 
 
 def transform(parent: str, child: str, translation: Sequence[float],
@@ -46,8 +47,7 @@ class OrientationBroadcaster:
     def send(self, orientation: Sequence[float], stamp: rospy.Time) -> None:
         """Quaternion x, y, z, w, of any length: tf2 takes none whose norm is off by 0.5 %."""
         norm = sqrt(sum(part * part for part in orientation))
-        if not norm:
-            return
-        orientation = [part / norm for part in orientation]
-        self._broadcaster.sendTransform(transform(self._parent, self._child, (0.0, 0.0, 0.0),
-                                                  orientation, stamp))
+        if norm and wanted(self._broadcaster.pub_tf):
+            self._broadcaster.sendTransform(transform(
+                self._parent, self._child, (0.0, 0.0, 0.0),
+                [part / norm for part in orientation], stamp))

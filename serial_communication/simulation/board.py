@@ -73,7 +73,6 @@ class Board:
         """Bytes have come."""
         if self.decoder is None:
             return
-        self._timer.bytes_came(self._last_byte, now)
         self._last_byte = now
         for frame in self.decoder.feed(data, now):
             self.frame(frame, now)

@@ -9,7 +9,7 @@ from typing import Any, Iterable, List, Optional, Tuple
 from ..boards.config_file import of_board, read_parameters
 from ..boards.description import Description
 from ..framing.custom_messages import CustomMessage
-from ..framing.layout import Layout
+from ..framing.layout import Layout, Value
 from ..transport.pace import Every
 
 PERIOD = 0.1      # s from one message of a kind to the next
@@ -66,15 +66,14 @@ class Player:
 
 def wandering(layout: Layout, now: float) -> Tuple:
     """Values that a message may have at that time."""
-    return tuple(_text(layout, index, now) if layout.kind(index) == 'text'
-                 else _number(layout, index, now) if layout.kind(index) == 'number'
-                 else tuple(_number(layout, index, now + element) for element in range(4))
-                 for index in range(len(layout.values)))
+    return tuple(_text(value, now) if value.kind == 'text'
+                 else _number(value, index, now) if value.kind == 'number'
+                 else tuple(_number(value, index, now + element) for element in range(4))
+                 for index, value in enumerate(layout.values))
 
 
-def _number(layout: Layout, index: int, now: float) -> float:
-    value = layout.values[index]
-    least, most = layout.range(index)
+def _number(value: Value, index: int, now: float) -> float:
+    least, most = value.range
     low, high = value.minimum, value.maximum
     if math.isinf(low):
         low = min(high, _UNLIMITED) - 2 * _UNLIMITED
@@ -82,15 +81,14 @@ def _number(layout: Layout, index: int, now: float) -> float:
         high = max(low, -_UNLIMITED) + 2 * _UNLIMITED
     low, high = max(low, least), min(high, most)
     number = low + (high - low) * (0.5 + 0.49 * math.sin(2 * math.pi * now / _TURN + index))
-    if layout.may_be_nan(index):
+    if value.may_be_nan:
         return number
     # The nearest whole raw number within the limits.
     ends = sorted(((low - value.offset) / value.scale, (high - value.offset) / value.scale))
     raw = min(max(round((number - value.offset) / value.scale), math.ceil(ends[0] - 1e-9)),
               math.floor(ends[1] + 1e-9))
-    return raw if (value.scale, value.offset) == (1, 0) else raw * value.scale + value.offset
+    return value.scaled(raw)
 
 
-def _text(layout: Layout, index: int, now: float) -> str:
-    room = layout.room(index)
-    return f'simulated {now:.0f}'[:room] if room is not None else f'simulated {now:.0f}'
+def _text(value: Value, now: float) -> str:
+    return f'simulated {now:.0f}'[:value.room]

@@ -96,7 +96,7 @@ class Line:
             self.note('rx-lost', data=data.hex(), why='reset')
             return
         if self.faults.on_input:
-            begun = self.board.decoder is not None and self.board.decoder.pending
+            begun = self.board.decoder is not None and self.board.decoder.begun
             self._recent = (self._recent + data)[-_RECENT:] if begun else data
             came = data
             data, faults = self.faults.received(came, now)

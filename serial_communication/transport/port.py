@@ -105,6 +105,8 @@ class Port:
 
     def __init__(self, url: str, baud: int = 115200, reset_on_open: bool = False) -> None:
         self.url, self._scheme = read_url(url)
+        # Whether it leads to another computer's port, which hides what has not left it.
+        self.is_network = self._scheme in NETWORK
         self.baud = baud
         self.bytes_received = 0
         self.bytes_sent = 0
@@ -125,11 +127,6 @@ class Port:
     @property
     def is_open(self) -> bool:
         return self._serial is not None
-
-    @property
-    def is_network(self) -> bool:
-        """Whether it leads to another computer's port, which hides what has not left it."""
-        return self._scheme in NETWORK
 
     def open(self) -> None:
         """Open it.

@@ -132,7 +132,7 @@ class BusBoard:
         while True:
             data = os.read(self._fd, 4096)
             now = time.monotonic()
-            if not self._decoder.pending:
+            if not self._decoder.begun:
                 began = now
             for frame in self._decoder.feed(data):
                 if frame.cause:

@@ -2,6 +2,7 @@
 import random
 
 import pytest
+from by_definition import xor_of
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
@@ -11,7 +12,7 @@ from protocol_cases import (ALL, ARDUINO, BOARD_BUS, BUS, CHECKSUMMED, MCU, chec
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
-from serial_communication.framing.stream import CHECKSUM, FRAMING, running_xor
+from serial_communication.framing.stream import CHECKSUM, FRAMING, MAX_REPORTED, running_xor
 
 every_decoder = pytest.mark.parametrize('kind', ALL, ids=name_of)
 every_checksummed = pytest.mark.parametrize('kind', CHECKSUMMED, ids=name_of)
@@ -51,13 +52,6 @@ def sound_at(kind, stream, at):
     else:
         return 0
     return at + size if size <= len(rest) and not xor_of(rest[:size]) else 0
-
-
-def xor_of(data):
-    value = 0
-    for byte in data:
-        value ^= byte
-    return value
 
 
 def frames_by_definition(kind, stream):
@@ -104,31 +98,43 @@ def test_one_bad_frame_is_shown_for_each_error_that_is_counted(kind, stream, see
         frames += decoder.feed(chunk)
         frames += chance.choice((list, list, decoder.give_up,
                                  decoder.skip_false_start))()
-        chance.choice((list, decoder.silence))()
         check_counted(kind, frames, decoder.errors)
 
 
 @every_checksummed
-def test_noise_is_one_damage_until_a_good_frame_or_a_silence_ends_it(kind):
-    wire = sample_wires(kind)[0]
-    for chunks in chunkings(kind.quiet * 9):
+def test_noise_is_one_error_that_is_returned_whole_when_a_frame_or_a_silence_ends_it(kind):
+    wire, noise = sample_wires(kind)[0], kind.quiet * 9
+    for chunks in chunkings(noise):
         decoder = kind.make()
-        assert [frame.cause for frame in feed(decoder, chunks)] == [FRAMING]
-        # Its next bytes belong to it, those behind a good frame and behind a silence do not.
-        assert feed(decoder, chunks) == []
-        assert [frame.cause for frame in feed(decoder, [wire] + chunks)] == ['', FRAMING]
-        decoder.silence()
-        assert [frame.raw for frame in decoder.feed(kind.quiet)] == [kind.quiet]
-        assert decoder.errors[FRAMING] == 3
+        assert feed(decoder, chunks * 2) == [] and decoder.pending and not decoder.begun
+        assert [frame.raw for frame in decoder.feed(wire)] == [noise * 2, wire]
+        assert feed(decoder, chunks) == [] and decoder.errors[FRAMING] == 1
+        assert [(frame.raw, frame.cause) for frame in decoder.give_up()] == [(noise, FRAMING)]
+        assert not decoder.pending and decoder.errors[FRAMING] == 2
 
 
 @every_checksummed
-def test_a_silence_in_a_frame_that_came_slowly_ends_nothing(kind):
-    wire = sample_wires(kind)[0]
-    decoder = kind.make()
-    decoder.feed(wire[:3])
-    decoder.silence()
-    assert [frame.raw for frame in decoder.feed(wire[3:])] == [wire]
+def test_noise_without_an_end_is_an_error_for_every_1100_bytes(kind):
+    """Else a line at a false baud rate would have none, and memory would grow."""
+    noise = bytes(value for value in range(6, 90)) * 40
+    for chunks in chunkings(noise):
+        decoder = kind.make()
+        frames = feed(decoder, chunks)
+        assert [frame.raw for frame in frames] == [noise[at:at + MAX_REPORTED]
+                                                   for at in (0, 1100, 2200)]
+        assert [frame.raw for frame in decoder.give_up()] == [noise[3300:]]
+        assert decoder.errors[FRAMING] == 4
+
+
+@every_checksummed
+def test_noise_has_the_stamp_of_the_read_that_brought_its_last_byte(kind):
+    wire, decoder = sample_wires(kind)[0], kind.make()
+    for number, data in enumerate((kind.quiet, kind.quiet, wire[:1], wire[1:])):
+        frames = decoder.feed(data, number)
+    assert [frame.stamp for frame in frames] == [1, 3]
+    decoder.feed(kind.false_start, 4)
+    decoder.feed(wire, 5)
+    assert [frame.stamp for frame in decoder.give_up()] == [4, 5]
 
 
 @every_checksummed
@@ -148,11 +154,11 @@ def test_any_bytes_give_the_frames_of_the_definition(kind, stream):
 
 @every_decoder
 @given(stream=spiteful, seed=seeds)
-def test_what_is_held_never_grows_past_one_frame(kind, stream, seed):
+def test_what_is_held_never_grows_past_one_frame_and_some_noise(kind, stream, seed):
     decoder = kind.make()
     for chunk in random_chunks(stream * 8, seed):
         decoder.feed(chunk)
-        assert held(decoder) <= kind.longest
+        assert held(decoder) <= max(kind.longest, MAX_REPORTED)
         assert decoder.pending or not held_bytes(decoder)
 
 
@@ -167,7 +173,7 @@ def test_a_hundred_thousand_reads_of_a_byte_leave_nothing_behind(kind):
         decoder = kind.make()
         for value in unit * (100000 // 4 // len(unit)):
             decoder.feed(bytes((value,)))
-        assert held(decoder) <= kind.longest
+        assert held(decoder) <= max(kind.longest, MAX_REPORTED)
 
 
 @every_decoder

@@ -14,14 +14,16 @@ import pytest
 import waiting
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from own_rows import encoded, numbers
+from own_rows import encoded, layout_and_raws
 
 pytest.importorskip('rospy')
 from sensor_msgs.msg import CameraInfo  # noqa: E402
 
+from serial_communication.boards.arduino import DESCRIPTION  # noqa: E402
 from serial_communication.boards.arduino.link import ArduinoLink  # noqa: E402
 from serial_communication.link.link import Refused  # noqa: E402
 from serial_communication.framing import cobs  # noqa: E402
+from serial_communication.ros.custom_topics import message_rows  # noqa: E402
 from serial_communication.ros.parameters import check  # noqa: E402
 from serial_communication.transport.port import Port  # noqa: E402
 
@@ -34,22 +36,44 @@ FRACTIONS = tuple(f'{name}[{index}]' for name in 'KP' for index in range(4))    
 TRUTHS = ('roi.do_rectify',)
 
 
+def published_as(ros_type, layout):
+    """The class of a message with one value, which goes on into the field `data`."""
+    row, = message_rows(DESCRIPTION, {'own': {'type': 32, 'ros_type': f'std_msgs/{ros_type}',
+                                              'layout': layout, 'fields': ['data']}})
+    return row.kind
+
+
+@pytest.mark.parametrize('ros_type, least, most, beyond', [
+    ('Bool', 0, 1, []), ('Int8', -128, 127, [-129, 128]), ('UInt8', 0, 255, [-1, 256]),
+    ('Int16', -2**15, 2**15 - 1, [-2**15 - 1, 2**15]), ('UInt16', 0, 2**16 - 1, [-1, 2**16]),
+    ('Int32', -2**31, 2**31 - 1, [-2**31 - 1, 2**31]), ('UInt32', 0, 2**32 - 1, [-1, 2**32]),
+    ('Int64', -2**63, 2**63 - 1, [-2**64, 2**63]), ('UInt64', 0, 2**64 - 1, [-1, 2**64]),
+    ('Float32', -3.4e38, 3.4e38, [-7e38, 7e38]), ('Float64', -1e308, 1e308, [])])
+def test_what_a_field_of_the_ros_message_cannot_hold_is_implausible(ros_type, least, most, beyond):
+    kind = published_as(ros_type, '<d')
+    no_numbers = [math.nan, math.inf, -math.inf]
+    holds_them = ros_type.startswith('Float')
+    for value in [least, most, (least + most) / 2] + no_numbers * holds_them:
+        assert not kind(value).implausible(), value
+    for value in beyond + no_numbers * (not holds_them):
+        assert kind(value).implausible() == (f'data is {value:.6g}, which its place in the message '
+                                             'cannot hold')
+
+
+def test_each_number_of_an_array_has_to_fit_its_field():
+    kind = published_as('UInt8MultiArray', '<h*')
+    assert not kind((0, 255)).implausible()
+    assert kind((0, 256)).implausible().startswith('data is 256, which its place')
+    assert published_as('UInt8', '<B')(255).implausible() == ''
+
+
 @st.composite
 def row_and_raws(draw):
     """A valid entry for a CameraInfo, and raw numbers for it."""
-    codes = draw(st.lists(st.sampled_from('bBhHiIqQefd?'), max_size=7))
-    paths = draw(st.permutations(WHOLE + FRACTIONS + TRUTHS))[:len(codes)]
-    layout = draw(st.sampled_from('<>')) + ''.join(codes)
-    raws = [draw(numbers(code)) for code in codes]
-    ending = draw(st.sampled_from(('', '*', 's')))
-    if ending == '*':
-        code = draw(st.sampled_from('bHiqfd?'))
-        layout, paths = layout + code + '*', paths + ['D']
-        raws.append(draw(st.lists(numbers(code), max_size=5)))
-    elif ending == 's':
-        layout, paths = layout + 's', paths + ['distortion_model']
-        raws.append(draw(st.text(st.characters(blacklist_characters='\0', blacklist_categories=(
-            'Cs',)), max_size=12)))
+    layout, raws = draw(layout_and_raws())
+    paths = draw(st.permutations(WHOLE + FRACTIONS + TRUTHS))[:len(raws)]
+    if layout[-1] in '*s':
+        paths[-1] = 'D' if layout.endswith('*') else 'distortion_model'
     scale, offset = (draw(st.one_of(st.sampled_from(some), st.lists(
         st.sampled_from(some), min_size=len(raws), max_size=len(raws)))) for some in (
             (1, 1, 1, 1.0, 0.5, -2, 0.01), (0, 0, 0.0, 7, -0.25)))

@@ -99,8 +99,9 @@ def good(frames: Iterable[Frame]) -> List[Frame]:
 def decode(kind: DecoderKind, stream: bytes, end: bool = True) -> Tuple[List[Frame], dict]:
     """Good frames and error counts of a stream, which do not depend on its chunking.
 
-    Neither does where among the good frames the bad ones stand, or of which cause they are.
-    With `end`, what is still pending behind the last byte is given up.
+    Neither does where among the good frames the bad ones stand, of which cause they are, or which
+    bytes they quote (but for a packet that is too long). With `end`, what is still pending behind
+    the last byte is given up.
     """
     outcomes = []
     for chunks in chunkings(stream):
@@ -111,7 +112,8 @@ def decode(kind: DecoderKind, stream: bytes, end: bool = True) -> Tuple[List[Fra
         check_reported(stream, frames)
         check_counted(kind, frames, decoder.errors)
         outcomes.append((good(frames), dict(decoder.errors), decoder.pending,
-                         [frame.cause for frame in frames]))
+                         [(frame.cause, frame.raw if kind.checksummed else b'')
+                          for frame in frames]))
     for other in outcomes[1:]:
         assert other == outcomes[0]
     return outcomes[0][:2]

@@ -6,7 +6,7 @@ import shutil
 import signal
 import threading
 import time
-from http.server import BaseHTTPRequestHandler, HTTPServer
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 import rospy
@@ -811,7 +811,8 @@ def test_a_page_of_another_site(chromium, panel):
         def log_message(self, *_arguments):
             pass
 
-    server = HTTPServer(('127.0.0.1', 0), Handler)
+    # Threads: chromium opens a second connection in advance, on which nothing comes for a minute.
+    server = ThreadingHTTPServer(('127.0.0.1', 0), Handler)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     chromium.open(f'http://localhost:{server.server_port}/')
     chromium.wait(lambda page: page.title == 'refused', 'the connection is refused')

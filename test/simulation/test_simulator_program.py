@@ -216,7 +216,8 @@ def test_a_wrong_argument_is_told_in_one_line():
     assert "'fast'" in line and line.endswith('Try: simulator bus --help')
 
 
-@pytest.mark.parametrize('number, seconds', [(signal.SIGINT, 1.0), (signal.SIGTERM, 11.0)])
+@pytest.mark.parametrize('number, seconds', [
+    (signal.SIGINT, 1.0), pytest.param(signal.SIGTERM, 11.0, marks=pytest.mark.slow)])
 def test_roslaunch_which_would_start_it_again_is_told_what_is_wrong_once(start, number, seconds):
     simulator = start('bus', '--port', '/nowhere/ttyV1', '--baud', 'fast',
                       '__name:=bus_board', '__log:=/nowhere/bus_board.log')

@@ -19,7 +19,8 @@ _STALLED = 0.05          # s of wire time that wait in the kernel: the port does
 _LOOK_PERIOD = 0.1       # s from one look at what waits there to the next
 _LAST_WORD = 0.1         # s that SPEED 0 has to leave the port at the end
 _SPEED_0 = wire.SpeedCommand(0)
-_HEARTBEAT = wire.encode(wire.Heartbeat())
+_HEARTBEAT = wire.Heartbeat()
+_HEARTBEAT_PACKET = wire.encode(_HEARTBEAT)
 _BOARD_LINES = 100, 10.0     # log lines of the board's in a burst, and a second after that
 
 
@@ -158,9 +159,9 @@ class ArduinoLink(Link):
         """
         if self._motor.in_doubt and message != _SPEED_0:
             self._send_packet(_SPEED_0, now)
-        if isinstance(message, wire.Heartbeat) and not (self.tap or self._cut_off):
+        if message is _HEARTBEAT and not (self.tap or self._cut_off):
             # The same three bytes a hundred times a second, which nobody looks at.
-            self.port.write(_HEARTBEAT)
+            self.port.write(_HEARTBEAT_PACKET)
             self.frames_sent += 1
             return
         data = message.pack()
@@ -231,14 +232,14 @@ class ArduinoLink(Link):
                     self._look_at = now + _LOOK_PERIOD
                     if self.port.backlog() > _STALLED:
                         self._unblock()
-                why = self._motor.due(now)
-                if why and self._reads(why):
+                why = self._motor.due(now, self._board_reads(now))
+                if why:
                     self._send_packet(_SPEED_0, now)
                 if why is Stop.TIMED_OUT:
                     self._log_later('speed timeout', 'no speed command for '
                                     f'{self.settings.speed_timeout:g} s: SPEED 0 sent')
                 if beat:
-                    self._send_packet(wire.Heartbeat(), now)
+                    self._send_packet(_HEARTBEAT, now)
                 return beat
             except PortBusy:
                 self._unblock()     # and no heartbeat leaves before SPEED 0 does
@@ -246,14 +247,11 @@ class ArduinoLink(Link):
                 pass                # the link's thread sees it as well
             return False
 
-    def _reads(self, why: Stop) -> bool:
-        """Whether a SPEED 0 for this reason is sent: a board that calibrates reads no repetition.
-
-        The line may have lost the request, and the SPEED 0 before it.
-        """
+    def _board_reads(self, now: float) -> bool:
+        """Whether the board takes commands: not while it calibrates. As long as its IMU data goes
+        on, the line may have lost the request to calibrate, and the SPEED 0 before it."""
         calibration = self._calibration
-        return why is not Stop.REPEATED or calibration is None \
-            or calibration.data_goes_on(clock())
+        return calibration is None or calibration.data_goes_on(now)
 
     def _log_later(self, cause: str, text: str,
                    say: Optional[Callable[[str, str], None]] = None) -> None:

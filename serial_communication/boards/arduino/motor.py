@@ -55,8 +55,12 @@ class Motor:
         """What was sent may not have left (dropped output, a closed port)."""
         self.moving = self.in_doubt = True
 
-    def due(self, now: float) -> Optional[Stop]:
-        """Why SPEED 0 has to be sent now, or None."""
+    def due(self, now: float, board_reads: bool = True) -> Optional[Stop]:
+        """Why SPEED 0 has to be sent now, or None.
+
+        Args:
+            board_reads: False: it calibrates, and would read every repetition minutes later.
+        """
         if self.in_doubt:
             return Stop.IN_DOUBT
         if self.moving:
@@ -64,7 +68,8 @@ class Motor:
         repeat_at = self._repeat_at - _EARLY
         if now > self._repeat_until + _REPEAT_PERIOD:      # they were held back until then
             return None
-        return Stop.REPEATED if repeat_at <= now and repeat_at <= self._repeat_until else None
+        is_due = board_reads and repeat_at <= now and repeat_at <= self._repeat_until
+        return Stop.REPEATED if is_due else None
 
     def noticed_stall(self, now: float, receiving_at: float = float('inf')) -> Optional[float]:
         """The seconds of a stall that has just been noticed, or None.

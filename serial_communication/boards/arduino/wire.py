@@ -8,13 +8,15 @@ Both sides talk at any time. There is no checksum, so values that cannot be are 
 Little-endian but for the IMU, which is big-endian. A message is one class here: its type, its
 layout, its limits. Decisions where the source is silent: see doc/protocols.md.
 """
+import struct
 from math import pi
 from typing import Any, Dict, Iterable, List, NamedTuple, Tuple
 
 from ...framing import cobs
-from ...framing.layout import Layout, Value, message_class, readable
+from ...framing.layout import Layout, Value, message_class, readable, row_methods
 from ...framing.parts import Part, Parts
-from ...framing.stream import FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN, Frame, bad_frame
+from ...framing.stream import (FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN, Frame, bad_frame,
+                               frame_of)
 
 MAX_PACKET = 256                        # type and data, decoded
 _MAX_ENCODED = MAX_PACKET + 2           # the same in COBS
@@ -30,6 +32,7 @@ _MOST_SQUARED = 1.05 ** 2 * _UNIT_SQUARED
 Vector = Tuple[float, float, float]
 
 
+@row_methods
 class Log(NamedTuple):
     """DEBUG, INFO, WARN, ERROR (0 … 3), board -> us: a line for people."""
 
@@ -45,12 +48,7 @@ class Log(NamedTuple):
     def unpack(cls, severity: int, data: bytes) -> 'Log':
         """From the data, usually ended by 0x00."""
         text = data.split(b'\0', 1)[0].decode('utf-8', 'replace')
-        return cls(severity, readable(text.rstrip('\r\n')))
-
-    @classmethod
-    def parts(cls, data: bytes) -> List[Part]:
-        """Which bytes of the data are which value."""
-        return cls.LAYOUT.parts(data)
+        return tuple.__new__(cls, (severity, readable(text.rstrip('\r\n'))))
 
     def implausible(self) -> str:
         """Why it cannot be, or '': a damaged packet may begin with 0 … 3, too, but hardly says
@@ -79,6 +77,7 @@ SteeringCommand = message_class(
     'STEERING_CMD, us -> board: PWM of the steering servo, µs.')
 
 
+@row_methods
 class LedCommand(NamedTuple):
     """LED_CMD, us -> board: left, right, brake, disable …: at most 30 characters of ASCII."""
 
@@ -106,15 +105,6 @@ class LedCommand(NamedTuple):
             raise ValueError(f'LED text {self.text!r} must be ASCII, without a NUL')
         return self.text.encode('ascii') + b'\0'
 
-    @classmethod
-    def parts(cls, data: bytes) -> List[Part]:
-        """Which bytes of the data are which value."""
-        return cls.LAYOUT.parts(data)
-
-    def implausible(self) -> str:
-        """Why it cannot be: there is no such text."""
-        return ''
-
     def __str__(self) -> str:
         return f'LED {readable(self.text)}'
 
@@ -136,6 +126,7 @@ ImuCalibration = message_class(
     'IMU_CALIBRATION, us -> board: it calibrates for over 5 minutes, deaf meanwhile.')
 
 
+@row_methods
 class Imu(NamedTuple):
     """IMU, board -> us: the motion processor's numbers, in its own axes and units.
 
@@ -177,7 +168,7 @@ class Imu(NamedTuple):
     @classmethod
     def unpack(cls, data: bytes) -> 'Imu':
         """From 22 bytes; struct.error with any other number."""
-        return cls(*cls.LAYOUT.raw(data))
+        return tuple.__new__(cls, cls.LAYOUT.raw(data))
 
     def pack(self) -> bytes:
         """The 22 bytes; struct.error where a number is no int16."""
@@ -269,6 +260,8 @@ class _Decoder:
         """Whether a packet has begun and has not ended."""
         return bool(self._begun) or self._dropping
 
+    begun = pending     # each byte stands in a packet: there is no noise between them
+
     def reset(self) -> None:
         """Forget what is pending, as after a reconnect; the counts stay."""
         self._begun = b''
@@ -304,9 +297,6 @@ class _Decoder:
         self.reset()
         return frames
 
-    def silence(self) -> None:
-        """Nothing to do: each packet, valid or not, ends with its own 0x00."""
-
     def skip_false_start(self) -> List[Frame]:
         """Never needed: a packet announces no length, so it cannot delay the next."""
         return []
@@ -328,14 +318,15 @@ class _Decoder:
         if kind is None:
             return self._bad(raw, UNKNOWN, f'message type {type_} is not known here', stamp,
                              type_, data)
-        if not kind.LAYOUT.fits(len(data)):
+        try:
+            message = kind.unpack(data) if kind is not Log else Log.unpack(type_, data)
+        except struct.error:
             return self._bad(raw, LENGTH, f'{kind.LABEL} packet with {len(data)} bytes of data '
                              f'where {kind.LAYOUT.sizes()} is right', stamp, type_, data)
-        message = kind.unpack(data) if kind is not Log else Log.unpack(type_, data)
         reason = type_ not in self._unchecked and message.implausible()
         if reason:
             return self._bad(raw, IMPLAUSIBLE, f'{kind.LABEL}: {reason}', stamp, type_, data)
-        return Frame(raw, type_, 0, data, message, stamp)
+        return frame_of((raw, type_, 0, data, message, stamp, '', ''))
 
     def _bad(self, raw, cause, error, stamp, type_=0, data=b'') -> Frame:
         self.errors[cause] += 1

@@ -206,7 +206,7 @@ class BusLink(Link):
                 poller.tick(now)
                 times.append(poller.pace.due)
         # A request leaves only when everything received before it has been taken in.
-        may_send = (self.drained and not self.decoder.pending and not self.drops
+        may_send = (self.drained and not self.decoder.begun and not self.drops
                     and now >= self._blocked_until)
         request, wake_at = self.master.step(now, may_send)
         if request is not None:

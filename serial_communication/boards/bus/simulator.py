@@ -161,7 +161,7 @@ class ControlBoard(Board):
             axis.halt(now)
 
     def receive(self, data: bytes, now: float) -> None:
-        if not self.decoder.pending:
+        if not self.decoder.begun:
             self._valid = False    # what comes from now on has nothing to do with what was
         super().receive(data, now)
 

@@ -15,7 +15,7 @@ from typing import Any, Iterable, List, NamedTuple, Optional
 
 from ...framing.layout import Layout, Value
 from ...framing.parts import Part, Parts
-from ...framing.stream import CHECKSUM, FRAMING, Bad, Good, Need, StreamDecoder, running_xor
+from ...framing.stream import CHECKSUM, NO_FRAME, Bad, Good, Need, StreamDecoder, running_xor
 
 STANDARD_FLAG = 0xA5
 LONG_FLAG = 0x5A
@@ -60,7 +60,6 @@ _MOVES = {
     GIMBAL: ('gimbal', GIMBAL_DIRECTIONS, Value('angle', 'degrees')),
 }
 _FUNCTION_NAMES = {LIFT: 'lift', GIMBAL: 'gimbal', ENVIRONMENT: 'environment'}
-_FALSE_DATELEN = {header: Bad(header, FRAMING, 'Datelen') for header in (2, 3)}
 _REQUEST_NAMES = {SYNC: 'SYNC', ECHO: 'ECHO', FUNCTION: 'function'}
 _REPLY_NAMES = {SYNC: 'SYNC', ECHO: 'ECHO', OK: 'OK', ERROR: 'ERROR', INVALID: 'INVALID'}
 
@@ -153,10 +152,7 @@ class Environment(NamedTuple):
     @classmethod
     def parts(cls, data: bytes) -> List[Part]:
         """Which of the DATE bytes are which value."""
-        parts = cls.LAYOUT.parts(data)
-        if not cls.LAYOUT.fits(len(data)):
-            return parts
-        return [part._replace(value=value) for part, value in zip(parts, cls.unpack(data))]
+        return cls.LAYOUT.parts(data, cls.unpack)
 
     def __str__(self) -> str:
         return f'smoke {self.smoke}, {self.temperature:.2f} C, {self.humidity:.2f} %'
@@ -311,7 +307,7 @@ class _Decoder(StreamDecoder):
             header, length = 3, buffer[at + 1] | buffer[at + 2] << 8
             is_false = length < 255
         if is_false or length > self._max_length:
-            return _FALSE_DATELEN[header]
+            return NO_FRAME
         size = header + self._commands + length + 1
         if left < size:
             return Need(size)

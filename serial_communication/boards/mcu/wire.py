@@ -8,11 +8,12 @@
 LEN counts TYPE, SEQ and PAYLOAD; CRC is the XOR of TYPE, SEQ and PAYLOAD; SEQ counts up by one
 a frame, modulo 256. Little-endian. Only the board talks.
 """
+import struct
 from typing import Any, Iterable, List, NamedTuple
 
-from ...framing.layout import Layout, Value, message_class
+from ...framing.layout import Layout, Value, message_class, row_methods
 from ...framing.parts import Part, Parts
-from ...framing.stream import (CHECKSUM, FRAMING, IMPLAUSIBLE, LENGTH, UNKNOWN, Bad, Good, Need,
+from ...framing.stream import (CHECKSUM, IMPLAUSIBLE, LENGTH, NO_FRAME, UNKNOWN, Bad, Good, Need,
                                StreamDecoder, running_xor)
 
 STX = 0x02
@@ -24,6 +25,7 @@ RANGE_TIMED_OUT = 0xFFFF  # what a range sensor that did not answer reads
 _WRAP = 655.36         # degrees by which a heading over 327.67 wraps in the int16
 
 
+@row_methods
 class SensorStatus(NamedTuple):
     """TYPE 0x10: two range sensors and the orientation as Euler angles."""
 
@@ -44,8 +46,8 @@ class SensorStatus(NamedTuple):
         """From the payload. A yaw under -180° is a heading that wrapped: restored."""
         range_1, range_2, yaw, pitch, roll = cls.LAYOUT.raw(data)
         yaw /= 100
-        return cls(range_1, range_2, yaw if yaw >= -180 else round(yaw + _WRAP, 2), pitch / 100,
-                   roll / 100)
+        return tuple.__new__(cls, (range_1, range_2, yaw if yaw >= -180 else round(yaw + _WRAP, 2),
+                                   pitch / 100, roll / 100))
 
     def pack(self) -> bytes:
         """The payload. Angles are rounded to 0.01° and wrap as the board's int16 does."""
@@ -56,19 +58,13 @@ class SensorStatus(NamedTuple):
     @classmethod
     def parts(cls, payload: bytes) -> List[Part]:
         """Which bytes of the payload are which value."""
-        parts = cls.LAYOUT.parts(payload)
-        if cls.LAYOUT.fits(len(payload)):
-            parts = [part._replace(value=value) for part, value in zip(parts, cls.unpack(payload))]
+        parts = cls.LAYOUT.parts(payload, cls.unpack)
         for index, part in enumerate(parts):
             if part.unit == 'mm' and part.raw == RANGE_TIMED_OUT:
                 parts[index] = part._replace(meaning='the sensor timed out')
             elif part.name == 'yaw' and part.raw is not None and part.raw < -18000:
                 parts[index] = part._replace(meaning='a heading that wrapped')
         return parts
-
-    def implausible(self) -> str:
-        """Why these values cannot be: there are no such."""
-        return ''
 
     @property
     def valid(self) -> bool:
@@ -87,9 +83,7 @@ AdcStatus = message_class(
     'TYPE 0x01: six ADC channels, raw.')
 
 MESSAGES = {message.TYPE: message for message in (SensorStatus, AdcStatus)}
-
-_LEN_TOO_SMALL = Bad(2, FRAMING, 'LEN')
-_LEN_OF_ANOTHER = Bad(3, FRAMING, 'LEN')
+_LENS = {type_: MIN_LEN + message.LAYOUT.size for type_, message in MESSAGES.items()}
 
 
 def encode(message: Any, seq: int) -> bytes:
@@ -150,28 +144,29 @@ class Decoder(StreamDecoder):
             return Need(2)
         length = buffer[at + 1]
         if length < MIN_LEN:
-            return _LEN_TOO_SMALL
+            return NO_FRAME
         if left < 3:
             return Need(3)
         type_ = buffer[at + 2]
-        if type_ in MESSAGES and length != MIN_LEN + MESSAGES[type_].LAYOUT.size:
-            return _LEN_OF_ANOTHER
+        if _LENS.get(type_, length) != length:
+            return NO_FRAME
         size = length + 4
         if left < size:
             return Need(size)
         end = at + size
         if buffer[end - 1] != ETX:
-            return Bad(size, FRAMING, 'ETX')
+            return NO_FRAME
         if self.xor(at + 2, end - 1):    # of TYPE … CRC: 0 in a valid frame
             return Bad(size, CHECKSUM, 'CRC does not match')
         data = buffer[at + 4:end - 2]
         seq, kind = buffer[at + 3], self._messages.get(type_)
         if kind is None:
             return Good(size, type_, seq, data, None)
-        if not kind.LAYOUT.fits(len(data)):
+        try:
+            message = kind.unpack(data)
+        except struct.error:
             return Good(size, type_, seq, data, None, LENGTH, f'{kind.LABEL} frame with '
                         f'{len(data)} bytes of data where {kind.LAYOUT.sizes()} is right')
-        message = kind.unpack(data)
         reason = message.implausible()
         if reason:
             return Good(size, type_, seq, data, None, IMPLAUSIBLE, f'{kind.LABEL}: {reason}')

@@ -169,7 +169,6 @@ class Direction:
             if due is None or due >= at:     # a link looks at its bytes first
                 break
             frames += self._give_up(due)
-        self._timer.bytes_came(self._last_byte, at)
         self._last_byte = self._now = at
         return frames + self.decoder.feed(data, at) + self._give_up(at)
 

@@ -12,6 +12,7 @@ from typing import Callable, List, NamedTuple, Optional, Sequence, Union
 from ...framing.stream import Frame
 from ...link.backlog import STALL, Backlog
 from ...transport import pace
+from ...transport.opener import Opener
 from ...transport.port import Port, PortError
 from . import recording
 from .lines import Direction, Settings
@@ -20,7 +21,6 @@ from .recording import Read
 from .show import Trouble, complain
 
 _MOST_WAITING = 10000    # reads that wait for one who looks on; what comes then is left out
-_BACK_OFF = (0.1, 1.0)   # s from one try to open to the next: first, last
 _FLUSH = 0.5             # s that a read waits at most to reach a file
 _TICK = 0.05             # s from one look at a port to the next, at most
 _REALTIME_PRIORITY = 15
@@ -83,9 +83,11 @@ class PortReader:
         self._inboxes = inboxes
         self._onward: Optional[Passage] = None     # what comes is passed on by this …
         self._back: Optional[Passage] = None       # … and this leads to the port
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(
-            target=self._run, name=f'{"computer" if sent else "board"} port', daemon=True)
+        self._trouble = ''      # why the port is closed
+        name = f'{"computer" if sent else "board"} port'
+        self._opener = Opener(port, name + ' opening')
+        self._stopping = self._opener.ending
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     @property
     def lost(self) -> int:
@@ -99,11 +101,12 @@ class PortReader:
 
     def start(self) -> None:
         """Begin."""
+        self._opener.start()
         self._thread.start()
 
     def stop(self) -> None:
         """Begin to end; returns at once."""
-        self._stopping.set()
+        self._opener.end()
         self._port.wake()
 
     def join(self) -> None:
@@ -112,27 +115,21 @@ class PortReader:
 
     def _run(self) -> None:
         pace.set_priority(_REALTIME_PRIORITY)
-        pause, trouble = _BACK_OFF[0], ''
-        while not self._stopping.is_set():
-            try:
-                if not self._port.is_open:
-                    self._port.open()
-            except PortError as error:
-                if str(error) != trouble:
-                    trouble = str(error)
-                    self._tell(trouble)
-                self._stopping.wait(pause)
-                pause = min(pause * 2, _BACK_OFF[1])
-                continue
-            pause, trouble = _BACK_OFF[0], ''
+        while self._opener.open(self._not_opened):
+            self._trouble = ''
             try:
                 self._serve()
             except PortError as error:
-                trouble = str(error)
-                self._tell(f'{trouble}; opening it again when it returns', lost=True)
+                self._trouble = str(error)
+                self._tell(f'{error}; opening it again when it returns', lost=True)
             self._port.close()
             if self._back:
                 self._back.broken()
+
+    def _not_opened(self, trouble: str) -> None:
+        if trouble != self._trouble:
+            self._trouble = trouble
+            self._tell(trouble)
 
     def _serve(self) -> None:
         if self._onward:

@@ -121,7 +121,6 @@ def spaced(pieces: Sequence[Piece], line: Settings, rate: float = 1.0) -> List[P
                 floor = at
             while check.pending:
                 check.give_up()
-            check.silence()
             is_open = False
         else:
             if (check.pending or is_open) and after - at > shorter:

@@ -942,11 +942,6 @@ def test_a_calibration_stops_the_car_and_refuses_commands_until_imu_data_returns
     assert len(board.commands()) == 4
 
 
-def after_a_silence(line):
-    """IMU data as a board sends it that has calibrated; to be `doing` until it is over."""
-    return dict(doing=lambda: line.write(CarBoard.IMU), every=2.3)
-
-
 def test_imu_data_that_was_under_way_as_a_calibration_began_does_not_end_it(
         board, line, open_link, lines):
     """As over a network that takes 0.6 s each way: data goes on for 1.2 s."""
@@ -958,26 +953,37 @@ def test_imu_data_that_was_under_way_as_a_calibration_began_does_not_end_it(
     board.streaming = False
     with pytest.raises(Refused, match='the IMU is being calibrated'):
         link.set_speed(500)
-    until(lambda: not link.calibrating, **after_a_silence(line))
+
+    def say_after_a_silence():
+        if time.monotonic() > said[0] + 2.1:
+            said[0] = time.monotonic()
+            line.write(CarBoard.IMU)
+
+    said = [time.monotonic()]
+    until(lambda: not link.calibrating, doing=say_after_a_silence)
     assert not lines('does not calibrate')
     link.set_speed(5)
     until(lambda: board.commands()[-1:] == [SpeedCommand(5)])
     assert SpeedCommand(500) not in board.messages()
 
 
-def test_a_board_that_does_not_calibrate_gets_commands_again(board, open_link, lines):
-    """Its IMU data goes on for 5 s: the request was lost on the line, say."""
+def test_a_board_that_does_not_calibrate_gets_commands_again(
+        board, open_link, lines, monkeypatch):
+    """Its IMU data goes on: the request was lost on the line, say."""
+    monkeypatch.setattr(calibration_module, '_GOES_ON', 0.5)
     link = open_link()
     board.streaming = True
     link.calibrate_imu()
     until(lambda: not link.calibrating)
     assert lines('IMU data has gone on for 5 s since the calibration was asked for')
-    link.set_speed(5)
+    until(lambda: takes_speed(link, 5))
     until(lambda: board.commands()[-1:] == [SpeedCommand(5)])
     board.streaming = False
 
 
-def test_a_board_that_was_reset_by_a_reconnect_calibrates_no_more(board, open_link):
+def test_a_board_that_was_reset_by_a_reconnect_calibrates_no_more(
+        board, open_link, monkeypatch):
+    monkeypatch.setattr(calibration_module, '_GOES_ON', 0.5)
     link = open_link()
     link.calibrate_imu()
     with board.unplugged():

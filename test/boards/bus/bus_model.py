@@ -212,7 +212,7 @@ class Model:
                 self._deliver(self._decoder.feed(wire))
             while self._decoder.pending and self.now >= self._last_byte + _FRAME_TIMEOUT:
                 self._deliver(self._decoder.give_up())
-            request, self._wake_at = self.master.step(self.now, not self._decoder.pending)
+            request, self._wake_at = self.master.step(self.now, not self._decoder.begun)
             if request is None:
                 return
             for when, wire in self.board.take(request, self.now):
