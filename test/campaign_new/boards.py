@@ -9,7 +9,7 @@ import time
 from collections import Counter, deque
 from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional, Tuple
 
-from . import codec
+import by_definition as codec
 from .lines import Clock, Line
 
 BEAT = 0.01              # s from one heartbeat to the next: the bridge's own clock on the line

@@ -10,7 +10,7 @@ import time
 from typing import Callable, Dict, List, NamedTuple, Tuple
 
 from processes import StageError
-from . import codec
+import by_definition as codec
 from .boards import MEMORY, PRESS, Answer, Request, reply
 from .field import MOTION_TIMEOUT, PATIENCE, REPLY_TIMEOUT, RETURN, Field
 from .robot import NOT_SENT, TIMEOUT, Told

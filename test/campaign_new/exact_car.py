@@ -11,7 +11,7 @@ import termios
 import time
 from typing import Any, List, Tuple
 
-from . import codec
+import by_definition as codec
 from .boards import ARM, BEAT, WINCH, Packet
 from .field import PATIENCE, RETURN, SPEED_TIMEOUT, Field
 

@@ -10,7 +10,7 @@ from typing import Any, Dict, FrozenSet, Iterator, Tuple
 
 import rosgraph
 
-from . import codec
+import by_definition as codec
 from .boards import CUSTOM, POLLED, Answer, Car
 from .exact_car import Drive
 from .field import PATIENCE, Field

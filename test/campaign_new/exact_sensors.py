@@ -2,7 +2,7 @@
 import math
 import time
 
-from . import codec
+import by_definition as codec
 from .exact_bus import SAID_SILENT
 from .field import PATIENCE, RETURN, Field
 

@@ -213,7 +213,7 @@ class NetworkLine(Line):
         return (connection or self._listener).fileno()
 
     def _send(self, data: bytes) -> int:
-        return 0 if self.frozen else self._connection.send(data, socket.MSG_DONTWAIT)
+        return 0 if self.frozen else self._connection.send(data)
 
     def thaw(self) -> None:
         with self._lock:
@@ -233,7 +233,7 @@ class NetworkLine(Line):
         self.cut()
 
     def _receive(self) -> bytes:
-        data = self._connection.recv(_SIZE, socket.MSG_DONTWAIT)
+        data = self._connection.recv(_SIZE)
         if not data:
             self._end()
         return data
@@ -245,6 +245,7 @@ class NetworkLine(Line):
                     self._connection = self._listener.accept()[0]
                 except BlockingIOError:
                     return
+                self._connection.setblocking(False)
                 self._connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 self._end_if_ended()        # while the network was frozen
         super().read_all()

@@ -22,7 +22,7 @@ import time
 from typing import Any, Callable, Deque, Dict, List, Optional, Tuple
 
 from heartbeats import longest_gap
-from . import codec
+import by_definition as codec
 from .boards import (DEPTH, HEIGHT, MEMORY, Answer, BusBoard, Car, Key, Request, Sensors, car_keys,
                      reply, reply_keys, sensor_keys)
 from .exact_bus import WAIT

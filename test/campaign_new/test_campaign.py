@@ -6,7 +6,7 @@ import time
 import pytest
 from waiting import until
 
-from campaign_new import codec
+import by_definition as codec
 from campaign_new.boards import BusBoard, Car, Request, Sensors, imu_of, range_of
 from campaign_new.boards import Answer, reply
 from campaign_new.lines import Clock, Line, NetworkLine

@@ -9,7 +9,7 @@ from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.mcu import wire as mcu
 
-from campaign_new import codec
+import by_definition as codec
 
 VECTORS = [
     # What doc/protocols.md has, byte for byte.

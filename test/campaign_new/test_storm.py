@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import pytest
 
 pytest.importorskip('rospy')
-from campaign_new import codec, storm  # noqa: E402
+import by_definition as codec
+from campaign_new import storm  # noqa: E402
 from campaign_new.boards import COUNTER, MEMORY, car_keys, reply_keys  # noqa: E402
 from campaign_new.robot import NOT_SENT, TIMEOUT, Got, Told  # noqa: E402
 from campaign_new.rows import Table  # noqa: E402
