@@ -61,6 +61,15 @@ class Packet(NamedTuple):
         layout = {codec.SPEED: '<h', codec.STEERING: '<H', WINCH: '>H', ARM: '<h'}[self.type]
         return struct.unpack(layout, self.data)[0]
 
+    @property
+    def stops(self) -> bool:
+        """Whether it is SPEED 0."""
+        return self.type == codec.SPEED and not self.number
+
+    def since(self, other: 'Packet') -> float:
+        """s from that one, by heartbeats: no less, but for one that was due with it."""
+        return (self.beat - other.beat) * BEAT
+
 
 Key = Tuple[str, Any]     # a topic, and a value of it as robot.py has it
 
@@ -88,10 +97,9 @@ def sensor_keys(frame: codec.Frame) -> List[Key]:
     if frame.type != codec.SENSORS:
         return []
     one, two, yaw, pitch, roll = struct.unpack('<HHhhh', frame.data)
-    known = (pitch, roll) != (-32768, -32768)
-    angles = (yaw if yaw >= -18000 else yaw + 65536, pitch, roll) if known else (None, None, None)
-    return [('mcu/status', (frame.command, one, two, *angles)), ('mcu/range_1', range_of(one)),
-            ('mcu/range_2', range_of(two)), *([('mcu/imu', angles)] if known else [])]
+    angles = known((yaw if yaw >= -18000 else yaw + 65536, pitch, roll))
+    return [('mcu/status', (frame.command, one, two, angles)), ('mcu/range_1', range_of(one)),
+            ('mcu/range_2', range_of(two)), ('mcu/imu', angles)]
 
 
 def reply_keys(frame: codec.Frame) -> List[Key]:
@@ -108,6 +116,11 @@ def whole(value: float) -> Any:
     """The number on the wire that this is; the value itself where it is none."""
     number = round(value) if math.isfinite(value) else 0
     return number if abs(value - number) < 0.02 else value
+
+
+def known(angles: Tuple) -> Any:
+    """None where one says that it is not known: what is published then is not asked."""
+    return None if {None, -32768, 32768} & set(angles) else angles
 
 
 def range_of(millimetres: int) -> Any:
@@ -127,7 +140,7 @@ class Board:
         self.line = line
         self.connection = 0
         self.sent: List[Sent] = []
-        self.written = 0         # bytes, since `forget`
+        self.said: List[bytes] = []      # frames, and what is none, since `forget`
         self._reader = codec.Reader(self.frame_at)
         self.attach()
 
@@ -147,16 +160,19 @@ class Board:
     def forget(self) -> None:
         """What was before counts no more."""
         self.sent.clear()
-        self.written = 0
+        self.said.clear()
 
     def received(self, frame: codec.Frame, now: float) -> None:
         """A frame of the bridge's."""
 
+    def write(self, data: bytes) -> bool:
+        """Send a frame; False where the line takes none."""
+        return self.line.write(data) and not self.said.append(data)
+
     def say(self, data: bytes) -> None:
-        """Send a frame, or what is none."""
+        """Send a frame whose values are to be published."""
         wall = time.time()
-        if self.line.write(data):
-            self.written += len(data)
+        if self.write(data):
             self.sent += [Sent(*key, wall) for frame in codec.decode(data, self.says_at)[0]
                           for key in self.keys(frame)]
 
@@ -170,25 +186,22 @@ class Car(Board):
     def __init__(self, line: Line) -> None:
         super().__init__(line)
         self.packets: List[Packet] = []          # all but heartbeats
-        self.beats: Deque[float] = deque(maxlen=400)      # when heartbeats were read
+        self.beats: Deque[float] = deque(maxlen=6000)      # when heartbeats were read
         self.beat = 0                            # on this connection
-        # Of each connection: the type of its first packet; 0: SPEED 0, -1: none has come.
-        self.first: List[int] = []
+        self.first: Dict[int, Packet] = {}       # of each connection
+        self.ended: List[int] = []               # heartbeats of each connection that has ended
         self.on_packet: Callable[[Packet], None] = self.packets.append
         self._number = 0
 
     def open_anew(self) -> None:
         super().open_anew()
+        self.ended.append(self.beat)
         self.beat = 0
         self.beats.clear()
 
     def received(self, frame: codec.Frame, now: float) -> None:
         packet = Packet(now, frame.type, frame.data, self.beat, self.connection)
-        while len(self.first) <= self.connection:
-            self.first.append(-1)
-        if self.first[self.connection] < 0:
-            is_stop = packet.type == codec.SPEED and packet.number == 0
-            self.first[self.connection] = 0 if is_stop else packet.type
+        self.first.setdefault(self.connection, packet)
         if frame.type == codec.HEARTBEAT:
             self.beat += 1
             self.beats.append(now)
@@ -203,6 +216,11 @@ class Car(Board):
         """The first one with this value."""
         return next((packet for packet in self.packets[since:]
                      if packet.type == type_ and packet.number == value), None)
+
+    def zero_after(self, packet: Packet) -> Optional[Packet]:
+        """The first SPEED 0 behind this one."""
+        at = self.packets.index(packet)
+        return next((one for one in self.packets[at + 1:] if one.stops), None)
 
     def measure(self) -> None:
         """One packet of each kind."""
@@ -246,8 +264,7 @@ class Sensors(Board):
         ranges = n % 65535, 0xFFFF if n % 10 == 0 else n * 7 % 2500
         heading, pitch, roll = n * 37 % 36000, n % 9000 - 4500, -(n % 17000)
         wrapped = heading if heading <= 32767 else heading - 65536
-        angles = (wrapped, pitch, roll) if n % 50 else (wrapped, -32768, -32768)
-        self.say(self.frame(codec.SENSORS, struct.pack('<HHhhh', *ranges, *angles)))
+        self.say(self.frame(codec.SENSORS, struct.pack('<HHhhh', *ranges, wrapped, pitch, roll)))
 
     def cliff(self) -> None:
         """A custom message."""
@@ -283,6 +300,7 @@ class BusBoard(Board):
     Attributes:
         rule: what it does with a function instead; None: as always.
         echoes: whether it answers ECHO.
+        in_step: False after a reset: it asks for SYNC.
     """
 
     frame_at = staticmethod(codec.request_at)
@@ -294,7 +312,7 @@ class BusBoard(Board):
         self.requests: List[Request] = []
         self.executed: 'Counter[Tuple[int, bytes]]' = Counter()
         self.rule: Optional[Callable[[Request], Optional[Answer]]] = None
-        self.echoes = True
+        self.echoes = self.in_step = True
         self.readings = 0
         self.on_request: Callable[[Request], None] = self.requests.append
         self._clock = clock
@@ -314,10 +332,10 @@ class BusBoard(Board):
         now, connection = time.monotonic(), self.connection
         self._free_at = max(now + seconds, self._free_at)
         if self._free_at <= now:
-            self.line.write(reply)
+            self.write(reply)
         else:
             self._clock.at(self._free_at, lambda: self.connection == connection
-                           and self.line.write(reply))
+                           and self.write(reply))
 
     def open_anew(self) -> None:
         super().open_anew()
@@ -325,7 +343,10 @@ class BusBoard(Board):
 
     def _answer(self, request: Request) -> Answer:
         if request.cmd1 == codec.SYNC:
+            self.in_step = True
             return Answer([(0, reply(codec.SYNC))])
+        if not self.in_step:
+            return Answer([(0, reply(codec.INVALID, bytes((codec.NOT_SYNCHRONISED,))))])
         if request.cmd1 == codec.ECHO:
             return Answer([(0, reply(codec.ECHO, request.data))] if self.echoes else [])
         special = self.rule(request) if self.rule else None

@@ -4,15 +4,13 @@
     caller NAME         calls the lift for each line "DIRECTION DISTANCE"
     latch NAME A B      latches speed A; with a line on stdin, speed B
     driver NAME A       speeds A, A + 1 ... at 20 Hz
-    witness             says when the machine woke it late
-
-What a caller was told stands on its stdout, one JSON object a line.
+    witness             says when the machine woke it late, by how many seconds
 """
-import json
+import itertools
 import os
+import signal
 import sys
 import time
-from typing import List
 
 import rospy
 
@@ -25,47 +23,45 @@ _PRIORITY = 10       # real-time, if allowed: below the bridge's
 _PERIOD = 0.01       # s
 
 
-def listener(_arguments: List[str]) -> None:
-    """Until it is ended."""
+def listener() -> None:
+    """Until it is ended, as all of them."""
     for topic in [*TOPICS, '/serial_msg', '/diagnostics']:
         rospy.Subscriber(topic.replace('~', NODE + '/'), rospy.AnyMsg, lambda message: None)
     print('ready', flush=True)
-    rospy.spin()
+    signal.pause()
 
 
-def caller(_arguments: List[str]) -> None:
-    """Until its stdin ends."""
+def caller() -> None:
+    """What it was told stands on its stdout."""
     print('ready', flush=True)
     for line in sys.stdin:
         answer = rospy.ServiceProxy(NODE + '/lift', Lift)(*map(int, line.split()))
-        print(json.dumps({'success': answer.success, 'status': answer.status}), flush=True)
+        print(f'told {answer.success}', flush=True)
 
 
-def latch(arguments: List[str]) -> None:
+def latch(first: str, second: str) -> None:
     """It says "connected" when the bridge has connected."""
     publisher = rospy.Publisher(NODE + '/speed', SpeedPWMCommand, queue_size=10, latch=True)
-    publisher.publish(value=int(arguments[0]))
+    publisher.publish(value=int(first))
     print('ready', flush=True)
     while not publisher.get_num_connections():
         time.sleep(0.01)
     print('connected', flush=True)
     for _line in sys.stdin:
-        publisher.publish(value=int(arguments[1]))
+        publisher.publish(value=int(second))
 
 
-def driver(arguments: List[str]) -> None:
-    """Until it is ended."""
+def driver(first: str) -> None:
+    """Whether anybody listens or not."""
     publisher = rospy.Publisher(NODE + '/speed', SpeedPWMCommand, queue_size=10)
     print('ready', flush=True)
-    value = int(arguments[0])
-    while not rospy.is_shutdown():
+    for value in itertools.count(int(first)):
         publisher.publish(value=value)
-        value += 1
         time.sleep(0.05)
 
 
 def witness() -> None:
-    """Sleeps, and says by how much it was woken late: "TIME SECONDS"."""
+    """It only sleeps."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
     except OSError:
@@ -80,8 +76,12 @@ def witness() -> None:
 
 
 if __name__ == '__main__':
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())     # also where it waits for stdin
     if sys.argv[1] == 'witness':
         witness()
-    rospy.init_node(sys.argv[2], disable_rosout=True)
-    {'listener': listener, 'caller': caller, 'latch': latch,
-     'driver': driver}[sys.argv[1]](sys.argv[3:])
+    rospy.init_node(sys.argv[2], disable_rosout=True, disable_signals=True)
+    try:
+        {'listener': listener, 'caller': caller, 'latch': latch,
+         'driver': driver}[sys.argv[1]](*sys.argv[3:])
+    finally:
+        rospy.signal_shutdown('ended')

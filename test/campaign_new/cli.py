@@ -18,7 +18,6 @@ from processes import StageError
 from serial_communication.output import prepare_output
 from . import exact
 from .field import Field
-from .hostile import hostile
 from .rows import Table
 from .storm import Storm
 
@@ -40,19 +39,15 @@ def main(arguments: Optional[List[str]] = None) -> int:
         with field:
             say('starting')
             _keep_writing(field)
-            if options.hostile:
-                hostile(field, table)
-            else:
-                _run(field, options)
+            _run(field, options)
+        status, trouble = 0, ''
     except KeyboardInterrupt:
-        _report(table, field, options)
-        print('stopped', file=sys.stderr)
-        return 130
+        status, trouble = 130, 'stopped'
     except StageError as error:
-        _report(table, field, options)
-        print(f'the campaign does not work: {error}', file=sys.stderr)
-        return 2
-    return _report(table, field, options)
+        status, trouble = 2, f'the campaign does not work: {error}'
+    violated = _report(table, field, options)
+    print(trouble, end='\n' if trouble else '', file=sys.stderr)
+    return status or int(violated)
 
 
 def say(text: str) -> None:
@@ -85,7 +80,8 @@ def _keep_writing(field: Field) -> None:
     field.clock.after(_WRITE, lambda: _keep_writing(field))
 
 
-def _report(table: Table, field: Optional[Field], options) -> int:
+def _report(table: Table, field: Optional[Field], options) -> bool:
+    """Whether a promise was broken. Only then, or where they are wanted, records stay."""
     print(table.render())
     print(table.summary())
     if options.json:
@@ -95,7 +91,7 @@ def _report(table: Table, field: Optional[Field], options) -> int:
         print(f'records: {field.folder}')
     elif field:
         field.discard()
-    return 1 if table.violated else 0
+    return bool(table.violated)
 
 
 def _parse(arguments: List[str]) -> argparse.Namespace:
@@ -118,8 +114,6 @@ def _parse(arguments: List[str]) -> argparse.Namespace:
                              'with this in their name (exact_car, openings)')
     parser.add_argument('--bridge', default='', metavar='COMMAND',
                         help='run this instead of the node: to see that the campaign finds faults')
-    parser.add_argument('--hostile', action='store_true',
-                        help='instead: what the worst bytes cost, beside clean traffic')
     options = parser.parse_args(arguments)
     if options.seed is None:
         options.seed = SystemRandom().randrange(1 << 31)

@@ -9,8 +9,8 @@ import struct
 import time
 from typing import Callable, Dict, List, NamedTuple, Tuple
 
-from processes import StageError
 import by_definition as codec
+from processes import StageError
 from .boards import MEMORY, PRESS, Answer, Request, reply
 from .field import MOTION_TIMEOUT, PATIENCE, REPLY_TIMEOUT, RETURN, Field
 from .robot import NOT_SENT, TIMEOUT, Told
@@ -189,7 +189,7 @@ def stopped_caller(field: Field) -> None:
             calls.judge(other_key, field.robot.call('bus/request', *other), 'another caller',
                         REPLY_TIMEOUT + MOTION_TIMEOUT)
         child.send(signal.SIGCONT)
-        served.wait(lambda: child.tail().count('"success": true') > index, PATIENCE,
+        served.wait(lambda: child.tail().count('told True') > index, PATIENCE,
                     'the caller that was stopped is told')
         served.check(field.bus.executed[key] == 1, f'executed {field.bus.executed[key]} times')
     field.end(child)

@@ -12,18 +12,17 @@ import rosgraph
 
 import by_definition as codec
 from .boards import CUSTOM, POLLED, Answer, Car
+from .exact_bus import Calls
 from .exact_car import Drive
-from .field import PATIENCE, Field
+from .field import FIRST, LATCHED, MOTION_TIMEOUT, PATIENCE, Field
 from .lines import NetworkLine
 from .robot import NODE
-from .rows import Row
 
 ENDING = 2.0             # s
 MASTER_RETURN = 10.0     # s
 PEER = 3.0, 1.5          # s after which a silent peer is closed, and that it may take longer
 NETWORK_AGE = 1.5        # s: about arduino/network_silence
 NETWORK_RETURN = 3.0     # s
-_FROZEN = 2.5            # s
 POLLING: Dict[str, Any] = {
     'bus/environment_period': 0.1,
     'bus/functions': json.dumps({**CUSTOM['bus/functions'], **POLLED})}
@@ -40,7 +39,7 @@ def second_bridge(field: Field) -> None:
     uri = rosgraph.Master('/campaign').lookupNode(NODE)
     row.check(xmlrpc.client.ServerProxy(uri).getPid('/campaign')[2] == field.child_bridge.pid,
               'the master knows the second one')
-    Drive(field).command('speed', 1)
+    Drive(field).command()
 
 
 def stopped_subscriber(field: Field) -> None:
@@ -82,14 +81,14 @@ def new_master(field: Field) -> None:
     with field.heartbeats():
         field.ask_master_to_end()
         field.wait(lambda: not field.master_runs, 'the master has ended')
-        drive.command('speed', drive.next())
+        drive.command()
         field.end_master()
         field.start_master()
         began = time.monotonic()
         back.wait(lambda: _registered() >= before, 2 * MASTER_RETURN, 'all is registered')
         back.at_most(time.monotonic() - began, MASTER_RETURN, 's', 'all is registered')
     field.robot.register_again()
-    drive.command('speed', drive.next())
+    drive.command()
     same.check(field.robot.call('lift', 0, 2).success, 'a call was not served')
     same.check((field.car.connection, field.bus.connection, field.sensors.connection)
                == connections, 'a port was opened anew')
@@ -107,14 +106,40 @@ def _registered() -> FrozenSet[Tuple[str, str]]:
     return frozenset(known | {('parameter', key) for key in parameters})
 
 
+def resets(field: Field) -> None:
+    """Each board resets: what it was about to send ends, it is silent, and begins anew."""
+    step = field.row('bus', 'a board that resets is brought in step again, with SYNC')
+    calls = Calls(field)
+    field.calm()
+    with field.heartbeats():
+        for board, begun in (field.sensors, b'\x02\x0c\x10\x01'), (field.car, b'\x05\x07\x01'):
+            for _ in range(5):
+                board.measure()
+            board.line.write(begun)
+        given, key = calls.arguments('lift')
+        field.bus.rule = lambda request: Answer([], True)
+        asked = field.robot.calling('lift', *given)
+        calls.timeout.wait(lambda: field.bus.executed[key], PATIENCE, 'the call arrives')
+        field.bus.in_step, field.bus.rule = False, None
+        calls.judge(key, asked.result(PATIENCE), 'the board resets', MOTION_TIMEOUT)
+        field.let_pass(1.0)
+        field.sensors.seq = 0
+        for _ in range(5):
+            field.car.measure()
+            field.sensors.measure()
+        given, key = calls.arguments('lift')
+        said = calls.judge(key, field.robot.call('lift', *given), 'after a reset', MOTION_TIMEOUT)
+        step.check(said == 'success' and field.bus.in_step, f'told {said} after a reset')
+    field.compare(field.car, field.sensors)
+
+
 def killed(field: Field) -> None:
     """SIGKILL while the car drives; then another bridge, a port absent, a publisher latching."""
-    first = field.row('motor', 'at every opening of the port SPEED 0 goes out before any heartbeat')
-    old = field.row('old commands', 'what was latched does not drive; what somebody types now does')
+    first, old = field.row(*FIRST), field.row(*LATCHED)
     absent = field.row('ports', 'a port that is absent at the start is waited for')
     field.calm()
     drive = Drive(field)
-    number = drive.command('speed', drive.next()).number
+    number = drive.command().number
     child = field.user('latch', 'early', 301, 302)
     field.end(field.child_bridge, signal.SIGKILL)
     field.car_line.drain()
@@ -123,11 +148,12 @@ def killed(field: Field) -> None:
     field.mcu_line.unplug()
     since = len(field.car.packets)
     field.start(POLLING)
-    first.check(field.car.first[field.car.connection] == 0, 'another packet came first')
+    one = field.car.first[field.car.connection]
+    first.check(one.stops, f'{one} was the first')
     old.wait(lambda: 'connected' in child.tail()[-12:], PATIENCE, 'the bridge connects')
     child.order('next')
     old.wait(lambda: field.car.packet(codec.SPEED, 302), PATIENCE, 'the next one arrives')
-    old.check(field.car.packet(codec.SPEED, 301) is None, 'latched before the start: arrived')
+    old.check(not field.car.packet(codec.SPEED, 301, since), 'latched before the start: arrived')
     drive.none_of([number], 'speed', 'commanded before SIGKILL', since)
     field.end(child)
     field.mcu_line.plug()
@@ -164,12 +190,13 @@ class Ends:
             field.bus.rule = lambda request: Answer([], True)
             field.robot.calling('lift', 1, 1)
             field.wait(lambda: field.bus.executed, 'the call arrives')
-        drive.command('speed', drive.next())
+        drive.command()
         row.at_most(field.end(field.child_bridge, self._number), ENDING, 's', self.__name__)
         field.car_line.drain()
         last, status = field.car.packets[-1], field.child_bridge.process.returncode
-        row.check(last.type == codec.SPEED and not last.number and last.beat == field.car.beat,
-                  f'{self.__name__}: {field.car.beat - last.beat} heartbeats after {last}')
+        beats = [*field.car.ended, field.car.beat][last.connection]
+        row.check(last.stops and last.beat == beats,
+                  f'{self.__name__}: {beats - last.beat} heartbeats after {last}')
         row.check(status == 0, f'{self.__name__}: its status is {status}')
         for line in lines if self._hang else ():
             termios.tcflow(line.device, termios.TCOON)
@@ -181,40 +208,28 @@ def network(field: Field) -> None:
     """The car is behind a network, which freezes, or forgets the connection."""
     fresh = field.row('network', 'no SPEED of over 1.5 s ago reaches a board behind socket://')
     back = field.row('network', 'heartbeats within 3 s of its return')
-    first = field.row('motor', 'at every opening of the port SPEED 0 goes out before any heartbeat')
-    drive = Drive(field)
-    with field.talking():
-        for event in ('freeze', 'vanish', 'freeze'):
-            _fail(field, event, drive, (fresh, back, first))
-
-
-def _fail(field: Field, event: str, drive: Drive, rows: Tuple[Row, Row, Row]) -> None:
-    """The network fails once."""
-    fresh, back, first = rows
-    since = len(field.car.packets)
-    commanded: Dict[int, float] = {}
-    drive.again()
-    connection = field.car.connection
-    (field.car_line.freeze if event == 'freeze' else field.car_line.vanish)()
-    began = time.monotonic()
-    while time.monotonic() < began + _FROZEN:
-        value = drive.next()
-        commanded[value] = time.monotonic()
-        field.robot.command('speed', value)
-        field.let_pass(0.05)
-    field.car_line.thaw()
-    returned = time.monotonic()
-    back.wait(lambda: field.car.connection > connection and field.car.beat > 5, PATIENCE,
-              f'{event}: heartbeats again')
-    if event == 'freeze':
-        back.at_most(time.monotonic() - returned, NETWORK_RETURN, 's', event)
-    drive.again()
-    for packet in field.car.packets[since:]:
-        if packet.type == codec.SPEED and packet.number in commanded:
-            fresh.at_most(packet.t - commanded[packet.number], NETWORK_AGE, 's',
-                          f'{event}: SPEED {packet.number}')
-    for number in range(connection + 1, field.car.connection + 1):
-        first.check(field.car.first[number] <= 0, f'{event}: another packet came first')
+    first, drive, car = field.row(*FIRST), Drive(field), field.car
+    for event in (field.car_line.freeze, field.car_line.vanish, field.car_line.freeze):
+        with field.talking():
+            drive.again()
+            since, connection = len(car.packets), car.connection
+            event()
+            commanded: Dict[int, float] = {}
+            for _ in range(50):
+                now = time.monotonic()
+                commanded[drive.in_vain(1, 'speed')[0]] = now
+            field.car_line.thaw()
+            returned = time.monotonic()
+            back.wait(lambda: car.connection > connection and car.beat > 5, PATIENCE, 'heartbeats')
+            back.at_most(time.monotonic() - returned, NETWORK_RETURN, 's', event.__name__)
+            drive.again()
+        for packet in car.packets[since:]:
+            if packet.type == codec.SPEED and packet.number in commanded:
+                fresh.at_most(packet.t - commanded[packet.number], NETWORK_AGE, 's',
+                              f'{event.__name__}: SPEED {packet.number}')
+        for number in range(connection + 1, car.connection + 1):
+            if number in car.first:
+                first.check(car.first[number].stops, f'{car.first[number]} was the first')
 
 
 @contextlib.contextmanager
@@ -227,4 +242,4 @@ def behind_network(field: Field) -> Iterator[None]:
     field.car_line, field.car = before
 
 
-SCENARIOS = second_bridge, stopped_subscriber, silent_peer, new_master
+SCENARIOS = second_bridge, stopped_subscriber, silent_peer, new_master, resets

@@ -3,8 +3,10 @@ import math
 import time
 
 import by_definition as codec
+from .boards import CLIFF
 from .exact_bus import SAID_SILENT
-from .field import PATIENCE, RETURN, Field
+from .exact_car import COUNTED
+from .field import BACK, PATIENCE, RETURN, Field
 
 FRAME_TIMEOUT = 0.05     # s: the default of the bridge
 _PERIOD = 1.3            # s from one report of silence to the next, at most
@@ -16,48 +18,39 @@ def lost_frames(field: Field) -> None:
     field.calm()
     field.sensors.cliff()
     field.wait(lambda: field.robot.got['mcu/cliff'], 'the first frame')
-    before = [field.diagnosed('mcu', key) for key in ('frames lost', 'frames doubled')]
-    lost = 0
-    for gap in (0, 1, 0, 5, 200, 0, 254):
-        field.sensors.seq = (field.sensors.seq + gap) % 256
-        lost += gap
-        field.sensors.cliff()
-    for _ in range(4):
-        twice = field.sensors.frame(0x55, b'known to nobody')
-        field.sensors.say(twice + twice)
-    field.compare(field.sensors)
-    for key, was, wanted in zip(('frames lost', 'frames doubled'), before, (lost, 4)):
-        grown = field.diagnosed('mcu', key) - was
-        row.check(grown == wanted, f'{key}: {grown} counted, {wanted} sent')
+    gaps = 0, 1, 0, 5, 200, 0, 254
+    with field.counts(row, 'mcu', {'frames lost': sum(gaps), 'frames doubled': 4}):
+        for gap in gaps:
+            field.sensors.seq = (field.sensors.seq + gap) % 256
+            field.sensors.cliff()
+        for _ in range(4):
+            field.sensors.write(2 * field.sensors.frame(0x55, b'known to nobody'))
+        field.compare(field.sensors)
 
 
 def damaged(field: Field) -> None:
     """Frames with one wrong byte, each among good ones."""
-    row = field.row('data', 'every error is counted by its cause and costs no valid frame')
+    row = field.row('data', COUNTED)
     field.calm()
-    keys = 'checksum errors', 'framing errors', 'length errors'
-    before = {key: field.diagnosed('mcu', key) for key in keys}
     good = codec.mcu_frame(0x55, 0, bytes(range(16, 32)))
     wrong_crc = bytes((*good[:8], good[8] ^ 1, *good[9:]))
-    for bad in (wrong_crc, good[:-1] + b'\x04', b'\x77',
-                codec.mcu_frame(0x20, field.sensors.seq, b'12')):
-        for _ in range(3):
-            field.sensors.measure()
-            field.sensors.say(bad)
-            field.sensors.measure()
-    field.compare(field.sensors)
-    grown = {key: field.diagnosed('mcu', key) - before[key] for key in keys}
-    row.check(grown['checksum errors'] == 3, f'{grown}: 3 frames with a wrong CRC were sent')
-    row.check(grown['length errors'] == 3, f'{grown}: 3 frames of a wrong length were sent')
-    row.check(grown['framing errors'] >= 2, f'{grown}: frames without ETX and noise were sent')
+    with field.counts(row, 'mcu', {'checksum errors': 3, 'length errors': 3, 'framing errors': 6}):
+        for bad in (wrong_crc, good[:-1] + b'\x04', b'\x77',
+                    codec.mcu_frame(CLIFF, field.sensors.seq, b'12')):
+            for _ in range(3):
+                field.sensors.measure()
+                field.sensors.write(bad)
+                field.sensors.measure()
+        field.compare(field.sensors)
     count = field.robot.got['mcu/status'][-1].message.crc_error_count
-    row.check(count == field.diagnosed('mcu', 'checksum errors'), f'crc_error_count is {count}')
+    wanted = int(field.diagnosed('mcu')[2]['checksum errors'])
+    row.check(count == wanted, f'crc_error_count is {count}, in /diagnostics {wanted}')
 
 
 def false_starts(field: Field) -> None:
     """A frame behind a false start waits until that is given up; its stamp does not."""
     row = field.row('stamps', 'a frame that waits behind a false start keeps the stamp of its read')
-    for start in (b'\x02', b'\x02\x60', b'\x02\x60\x55') * 2:
+    for start in b'\x02', b'\x02\x60', b'\x02\x60\x55':
         field.calm()
         field.sensors.line.write(start)
         field.sensors.measure()
@@ -71,32 +64,29 @@ def silent(field: Field) -> None:
     """It talks, falls silent, and talks again."""
     row = field.row('presence', 'a silent sensor board: not connected, no old values, each second')
     says = field.row('presence', SAID_SILENT)
-    for _ in range(2):
-        field.calm()
-        with field.talking():
-            for link in ('mcu', 'arduino'):
-                says.wait(lambda: 'silent' not in field.diagnosed(link)[1], PATIENCE,
-                          f'{link} talks')
-        field.let_pass(0.1)
-        statuses = field.robot.got['mcu/status']
-        last, began = [one for one in statuses if one.key][-1], time.monotonic()
-        row.wait(lambda: [one for one in statuses if not one.key and one.wall > last.wall][1:],
-                 PATIENCE, 'two reports of silence')
-        reports = [one for one in statuses if one.wall > last.wall]
-        row.note(time.monotonic() - began, 's for two reports')
-        for one in reports:
-            m = one.message
-            row.check((m.connected, m.valid, m.vl53_1, m.vl53_2) == (False, False, 65535, 65535)
-                      and all(map(math.isnan, (m.yaw, m.pitch, m.roll)))
-                      and m.seq == last.message.seq, f'{m}')
-        row.at_most(reports[1].stamp - reports[0].stamp, _PERIOD, 's', 'between two reports')
+    field.calm()
+    with field.talking():
         for link in ('mcu', 'arduino'):
-            says.wait(lambda: 'silent' in field.diagnosed(link)[1], PATIENCE, f'{link} is silent')
+            says.wait(lambda: 'silent' not in field.diagnosed(link)[1], PATIENCE, f'{link} talks')
+    field.compare(field.car, field.sensors)
+    statuses = field.robot.got['mcu/status']
+    last = [one for one in statuses if one.key][-1]
+    row.wait(lambda: statuses[-3].wall > last.wall, PATIENCE, 'three reports')
+    reports = statuses[-3:]
+    for one in reports:
+        m = one.message
+        row.check((m.connected, m.valid, m.vl53_1, m.vl53_2) == (False, False, 65535, 65535)
+                  and all(map(math.isnan, (m.yaw, m.pitch, m.roll)))
+                  and m.seq == last.message.seq, f'{m}')
+    for before, after in zip(reports, reports[1:]):
+        row.at_most(after.stamp - before.stamp, _PERIOD, 's', 'between two reports')
+    for link in ('mcu', 'arduino'):
+        says.wait(lambda: 'silent' in field.diagnosed(link)[1], PATIENCE, f'{link} is silent')
 
 
 def openings(field: Field) -> None:
     """Unplugged, and back under the same and under another name."""
-    back = field.row('ports', "data within 1.5 s of the port's return")
+    back = field.row(*BACK)
     for index in range(3):
         field.calm()
         field.mcu_line.unplug()

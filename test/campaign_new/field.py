@@ -1,14 +1,15 @@
 """All that a campaign needs beside its scenarios: a roscore, the bridge, lines, boards, a robot."""
+import collections
 import contextlib
 import json
 import os
 import signal
 import sys
-from typing import Any, Callable, Dict, Iterable, Iterator, List
+from typing import Any, Callable, Dict, Iterable, Iterator, List, Tuple
 
 import psutil
 
-from heartbeats import longest_gap
+from heartbeats import BEAT_MISSED, longest_gap
 from processes import Child, Stage, StageError
 from .boards import CUSTOM, Board, BusBoard, Car, Sensors
 from .lines import Clock, Line
@@ -22,11 +23,18 @@ PARAMETERS: Dict[str, Any] = {
     'bus/motion_timeout': MOTION_TIMEOUT, 'bus/reply_timeout': REPLY_TIMEOUT,
     'bus/environment_period': 0.0, **{name: json.dumps(rows) for name, rows in CUSTOM.items()}}
 RETURN = 1.5             # s from a port's return to data
+BACK = 'ports', "data within 1.5 s of the port's return"
+FIRST = 'motor', 'at every opening of the port SPEED 0 goes out before any heartbeat'
+LATCHED = 'old commands', 'what was latched does not drive; what somebody types now does'
 QUIET_BEATS = 20         # heartbeats with nothing else between them: the car's line is quiet
 PATIENCE = 30.0          # s for what has no limit of its own; waited out only if it never comes
-_UNTIL_PUBLISHED = 5.0   # s
+UNTIL_PUBLISHED = 5.0   # s
 _SAME_CLOCK = 1e-4       # s; rounding of stamps
 POLLED_TOPICS = '~environment', '~depth', '~height'
+
+
+class Disturbed(Exception):
+    """The whole machine stood still, so nobody can tell. The scenario is carried out again."""
 
 
 class Field(Stage):
@@ -34,14 +42,11 @@ class Field(Stage):
 
     def __init__(self, table: Table, keep: str = '', bridge: str = '') -> None:
         super().__init__('serial_communication_soak_', keep, bridge)
+        self.bridge_command = self._bridge
         self.table = table
+        self.row = table.row
         self.clock = Clock()
         self.bridge_number = 0
-
-    @property
-    def bridge_command(self) -> List[str]:
-        """What starts one."""
-        return self._bridge
 
     def __enter__(self) -> 'Field':
         super().__enter__()
@@ -52,11 +57,8 @@ class Field(Stage):
         self.car = Car(self.car_line)
         self.bus = BusBoard(self.bus_line, self.clock)
         self.sensors = Sensors(self.mcu_line)
+        self.witness = self.user('witness', 'witness', ready=False)
         return self
-
-    def row(self, group: str, promise: str) -> Row:
-        """The table's."""
-        return self.table.row(group, promise)
 
     # -- processes ----------------------------------------------------------------------
 
@@ -91,10 +93,11 @@ class Field(Stage):
 
     def mend(self) -> None:
         """After a scenario that was given up: no users, all lines as before, a working bridge."""
-        for child in [child for child in self.children if child is not self.child_bridge]:
+        for child in [child for child in self.children
+                      if child not in (self.child_bridge, self.witness)]:
             self.end(child)
         self.child_bridge.send(signal.SIGCONT)
-        self.bus.rule, self.bus.echoes = None, True
+        self.bus.rule, self.bus.echoes, self.bus.in_step = None, True, True
         self.car_line.frozen = False
         for line in self.lines.values():
             if line.plugged:
@@ -186,20 +189,53 @@ class Field(Stage):
         talks = [True]
 
         def talk() -> None:
-            self.car.measure()
-            self.sensors.measure()
             if talks:
+                self.car.measure()
+                self.sensors.measure()
                 self.clock.after(0.05, talk)
         talk()
-        yield
-        talks.clear()
+        try:
+            yield
+        finally:
+            talks.clear()
+            self.let_pass(0.05)     # by the same clock: none is under way any more
 
-    def diagnosed(self, link: str, key: str = '') -> Any:
-        """The next report on a link: (level, text), or the number of one key."""
+    def diagnosed(self, link: str) -> Tuple[int, str, Dict[str, str]]:
+        """The next report on a link: level, text, values."""
         before = self.robot.diagnostics.get(link, (0.0,))[0]
         self.wait(lambda: self.robot.diagnostics.get(link, (0.0,))[0] > before, '/diagnostics')
-        _time, level, text, values = self.robot.diagnostics[link]
-        return int(values[key]) if key else (level, text)
+        return self.robot.diagnostics[link][1:]
+
+    @contextlib.contextmanager
+    def counts(self, row: Row, link: str, wanted: Dict[str, int]) -> Iterator[None]:
+        """By what happens meanwhile, these counters of /diagnostics grow exactly so."""
+        def counters() -> Dict[str, int]:
+            values = self.diagnosed(link)[2]
+            return {key: int(values[key]) for key in wanted}
+        before = counters()
+        yield
+        for _ in range(2):      # a report may be of just before
+            after = counters()
+            grown = {key: after[key] - before[key] for key in wanted}
+            if grown == wanted:
+                break
+        row.check(grown == wanted, f'{link}: {grown} counted, {wanted} there were')
+
+    @contextlib.contextmanager
+    def traffic(self) -> Iterator[Dict[Tuple[str, int], List[bytes]]]:
+        """The frames that serial_msg shows, by link and direction, from now on of every link."""
+        shown: Dict[Tuple[str, int], List[bytes]] = collections.defaultdict(list)
+        self.robot.on_frame = lambda message: shown[message.link, message.direction].append(
+            bytes(message.frame))
+        self.robot.listen_to_traffic()
+
+        def begun() -> bool:
+            self.car.measure()
+            self.sensors.measure()
+            return self.robot.call('bus/echo').success and len(shown) >= 5
+        self.wait(begun, 'serial_msg')
+        yield shown
+        self.robot.listen_to_traffic(False)
 
     # -- exact comparisons ----------------------------------------------------------------
 
@@ -210,14 +246,14 @@ class Field(Stage):
         for topic, messages in self.robot.got.items():
             wanted = [one for board in boards for one in board.sent if one.topic == topic]
             with contextlib.suppress(StageError):
-                self.wait(lambda: len(of_boards(messages)) >= len(wanted), '', _UNTIL_PUBLISHED)
+                self.wait(lambda: len(of_boards(messages)) >= len(wanted), '', UNTIL_PUBLISHED)
             got = of_boards(messages)
+            row.check(len(wanted) == len(got), f'{topic}: {len(wanted)} sent, {len(got)} published')
             for one, message in zip(wanted, got):
-                if not row.check(one.key == message.key, f'{topic}: {one.key} was sent, '
-                                 f'{message.key} published ({len(wanted)} and {len(got)} in all)'):
+                if not row.check(one.key == message.key,
+                                 f'{topic}: {one.key} was sent, {message.key} published'):
                     break
                 self.judge_stamp(one.wall, message, topic)
-            row.check(len(wanted) == len(got), f'{topic}: {len(wanted)} sent, {len(got)} published')
 
     def judge_stamp(self, written: float, message: Got, topic: str) -> None:
         """Of a frame that was written at that time."""
@@ -230,29 +266,25 @@ class Field(Stage):
 
     @contextlib.contextmanager
     def heartbeats(self) -> Iterator[None]:
-        """No heartbeat is missed meanwhile, and the line is not touched."""
-        row = self.row('heartbeat', 'no gap of 30 ms, whatever happens beside the open port')
-        first = self.car.beat
+        """No heartbeat is missed meanwhile, and the line is not touched. For a bridge that may
+        have real-time priority: to others nothing is promised."""
         self.car.beats.clear()
-        gaps: List[float] = []
-        done: List[bool] = []
-
-        def look() -> None:
-            stamps = list(self.car.beats)
-            if len(stamps) > 100:
-                gaps.append(longest_gap(stamps, 100.0))
-                while len(self.car.beats) > 1 and self.car.beats[0] < stamps[-1]:
-                    self.car.beats.popleft()
-            if not done:
-                self.clock.after(0.5, look)
-
-        self.clock.after(0.5, look)
         yield
-        done.append(True)
         stamps = list(self.car.beats)
-        gaps += [longest_gap(stamps, 100.0)] if len(stamps) > 1 else []
-        row.tries += max(0, self.car.beat - first - 1)
-        row.at_most(max(gaps, default=0.0) * 1e3, 30.0, 'ms', 'the longest gap')
+        gap = longest_gap(stamps, 100.0)
+        if not self.has_priority():
+            return
+        if gap >= BEAT_MISSED and self.stood_still(stamps[0], gap):
+            raise Disturbed
+        row = self.row('heartbeat', 'no gap of 30 ms, whatever happens beside the open port')
+        row.tries += len(stamps) - 2
+        row.at_most(gap * 1e3, BEAT_MISSED * 1e3, 'ms', 'the longest gap')
+
+    def stood_still(self, since: float, gap: float) -> bool:
+        """Whether a process that only sleeps was woken late by what the gap is too long."""
+        late = (line.split() for line in self.witness.tail().splitlines())
+        return any(len(words) == 2 and float(words[0]) >= since - 0.1
+                   and float(words[1]) >= gap - BEAT_MISSED for words in late)
 
 
 def of_boards(got: Iterable[Got]) -> List[Got]:

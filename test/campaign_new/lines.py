@@ -66,7 +66,7 @@ class Line(threading.Thread):
         self.to_bridge: Callable[[bytes], bytes] = lambda data: data
         self.frozen = False
         self._master = self._slave = -1
-        self._spares: List[int] = []
+        self._device = ''
         self._lock = threading.RLock()
         self._taken = 0          # bytes
         self.plug()
@@ -77,12 +77,16 @@ class Line(threading.Thread):
     def plug(self, another_name: bool = False) -> None:
         """It is there; with `another_name` as another device than before."""
         with self._lock:
-            if another_name:        # whoever takes the free number leaves another one
-                self._spares = self._spares[-2:] + list(pty.openpty())
             self._master, self._slave = pty.openpty()
+            if another_name and os.ttyname(self._slave) == self._device:
+                spare = self._master, self._slave
+                self._master, self._slave = pty.openpty()
+                for fd in spare:
+                    os.close(fd)
+            self._device = os.ttyname(self._slave)
             tty.setraw(self._slave)
             os.set_blocking(self._master, False)
-            os.symlink(os.ttyname(self._slave), self.port + '~')
+            os.symlink(self._device, self.port + '~')
             os.replace(self.port + '~', self.port)
 
     def unplug(self) -> None:

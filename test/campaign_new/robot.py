@@ -1,5 +1,6 @@
 """The robot's side: what commands the bridge, calls it and hears it. One ROS node, this process."""
 import math
+import operator
 import threading
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -16,7 +17,7 @@ from std_srvs.srv import Empty, Trigger
 from serial_communication.msg import (Environment, McuStatus2, SerialMsg, SpeedPWMCommand,
                                       SteeringFeedback, SteeringPWMCommand, Ticks, Voltage)
 from serial_communication.srv import BusRequest, GetEnvironment, Gimbal, Lift
-from .boards import range_of, whole
+from .boards import known, range_of, whole
 
 NODE = '/serial_communication'
 TIMEOUT, NOT_SENT = 254, 253     # status of the bus services
@@ -62,8 +63,9 @@ def _hundredths(value: float) -> Any:
 
 
 def _status(message: McuStatus2) -> Any:
-    return (message.seq, message.vl53_1, message.vl53_2, *map(
-        _hundredths, (message.yaw, message.pitch, message.roll))) if message.connected else None
+    angles = tuple(map(_hundredths, (message.yaw, message.pitch, message.roll)))
+    return (message.seq, message.vl53_1, message.vl53_2,
+            known(angles)) if message.connected else None
 
 
 def _attitude(message: Imu) -> Tuple:
@@ -82,25 +84,18 @@ def _range(message: Range) -> Any:
     return range_of(0xFFFF) if math.isnan(message.range) else round(message.range * 1000, 3)
 
 
-def _data(message: Any) -> Any:
-    return message.data
-
-
-def _value(message: Any) -> Any:
-    return message.value
-
-
 Key = Callable[[Any], Any]
+_VALUE, _DATA = operator.attrgetter('value'), operator.attrgetter('data')
 TOPICS: Dict[str, Tuple[Any, Key]] = {
-    '~ticks': (Ticks, _value), '~steering_angle': (SteeringFeedback, _value),
+    '~ticks': (Ticks, _VALUE), '~steering_angle': (SteeringFeedback, _VALUE),
     '~voltage': (Voltage, lambda message: whole(message.value * 1000)),
-    '~counter': (UInt32, _data), '~imu': (Imu, _imu),
+    '~counter': (UInt32, _DATA), '~imu': (Imu, _imu),
     '~imu/temperature': (Temperature, lambda m: whole((m.temperature - 36.53) * 340)),
-    'mcu/status': (McuStatus2, _status), 'mcu/imu': (Imu, _attitude), 'mcu/cliff': (UInt32, _data),
+    'mcu/status': (McuStatus2, _status), 'mcu/imu': (Imu, _attitude), 'mcu/cliff': (UInt32, _DATA),
     'mcu/range_1': (Range, _range), 'mcu/range_2': (Range, _range),
     '~environment': (Environment, lambda m: (m.smoke, _hundredths(m.temperature),
                                              _hundredths(m.humidity))),
-    '~depth': (UInt32, _data), '~height': (UInt32, _data)}
+    '~depth': (UInt32, _DATA), '~height': (UInt32, _DATA)}
 COMMANDS = {'speed': SpeedPWMCommand, 'steering': SteeringPWMCommand, 'led': String,
             'winch': UInt16, 'arm': Vector3Stamped}
 

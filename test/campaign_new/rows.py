@@ -59,9 +59,9 @@ class Row:
         self.check(True, '')
         return value
 
-    def count(self, number: int = 1) -> None:
+    def count(self) -> None:
         """Of a row that is counted."""
-        self.tries += number
+        self.tries += 1
 
     def not_decided(self) -> None:
         """Nobody can tell. Never in the exact part."""
@@ -69,6 +69,7 @@ class Row:
 
     @property
     def worst_case(self) -> str:
+        """As text."""
         return f'{self.worst:.4g} {self._unit}' if self.worst > float('-inf') else ''
 
 
@@ -80,7 +81,7 @@ class Table:
         self._began = time.monotonic()
 
     def row(self, group: str, promise: str, counted: bool = False) -> Row:
-        """That row; a new one where there is none."""
+        """This one; a new one where there is none."""
         return self._rows.setdefault((group, promise), Row(group, promise, counted))
 
     @property

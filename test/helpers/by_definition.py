@@ -1,10 +1,11 @@
 """What the protocols say, byte by byte, without the package's code: small, slow, independent.
 
-Tests compare with it, and the fault campaign judges by it, so that a fault of the package's decoders
-cannot hide itself. It is written from doc/protocols.md. A protocol is one function here, `frame_at`:
-which frame begins at this place of the stream? Two things follow from it: `decode`, what a decoder
-has to find, and `all_frames`, every valid frame at any place, which is all that any decoder can
-rightly find in damaged bytes. test/campaign/test_codec.py compares it with the package.
+Tests compare with it, and the fault campaign judges by it, so that a fault of the package's
+decoders cannot hide itself. It is written from doc/protocols.md. A protocol is one function here,
+`frame_at`: which frame begins at this place of the stream? Two things follow from it: `decode`, what
+a decoder has to find, and `all_frames`, every valid frame at any place, which is all that any
+decoder can rightly find in damaged bytes. test/boards/test_by_definition.py compares it with the
+package.
 """
 import struct
 from typing import Callable, List, NamedTuple, Optional, Tuple, Union

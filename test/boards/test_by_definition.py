@@ -1,6 +1,7 @@
-"""The campaign's decoders against plain bytes, and against the package's on any damage."""
+"""The protocols by definition, against plain bytes, and against the package's decoders."""
 import struct
 
+import by_definition as codec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -8,8 +9,6 @@ from hypothesis import strategies as st
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.mcu import wire as mcu
-
-import by_definition as codec
 
 VECTORS = [
     # What doc/protocols.md has, byte for byte.

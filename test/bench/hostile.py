@@ -1,4 +1,4 @@
-"""What the worst bytes that anyone can send cost, beside clean traffic: `soak --hostile`.
+"""What the worst bytes that anyone can send cost, beside clean traffic: `bench --hostile`.
 
 Twice: the decoder alone, in nanoseconds a byte; and the whole node, in CPU time a byte from the
 port to its subscribers.
@@ -14,12 +14,13 @@ import time
 import tty
 from typing import Any, Callable, Dict, List, NamedTuple
 
-from processes import Child, StageError
-from .field import Field
-from .rows import Table
+from processes import NODE, Child, Stage, StageError
 from worst_streams import worst_streams
 
 LINKS = 'bus', 'arduino', 'mcu'
+TOPICS = {'arduino': [f'/{NODE}/{name}' for name in (
+    'ticks', 'steering_angle', 'voltage', 'imu', 'imu/temperature')],
+    'mcu': ['/mcu/' + name for name in ('status', 'imu', 'range_1', 'range_2')]}
 LIMIT = 5.0              # times the cost of clean traffic
 READ = 4096              # bytes; what a tty gives at once
 _SIZE = 1 << 20          # bytes for a decoder
@@ -54,48 +55,48 @@ def decoder_costs(size: int = _SIZE) -> List[Cost]:
     return costs
 
 
-def hostile(field: Field, table: Table) -> None:
-    """All of it: prints what each stream costs, and adds the rows."""
+def hostile() -> bool:
+    """All of it: prints what each stream costs; whether none costs too much."""
     decoders = decoder_costs()
-    nodes = node_costs(field, decoders)
-    for title, costs, says in (
-            ('decoder', decoders, 'the worst stream costs at most 5 times clean traffic'),
-            ('whole node', nodes, 'the same from the port to the subscribers')):
-        print(render_costs(title, costs), end='\n\n')
-        row = table.row(title, says)
-        for cost in costs:
-            row.at_most(cost.ratio, LIMIT, 'times', f'{cost.link}, {cost.name}')
+    print(render_costs('decoder', decoders), end='\n\n')
+    stage = Stage('serial_communication_bench_')
+    try:
+        with stage:
+            nodes = node_costs(stage, decoders)
+    finally:
+        stage.discard()
+    print(render_costs('whole node', nodes), end='\n\n')
+    too_much = [f'{cost.link}, {cost.name}: {cost.ratio:.1f} times clean traffic'
+                for cost in decoders + nodes if cost.ratio > LIMIT]
+    print('\n'.join(too_much) or f'every stream costs at most {LIMIT:g} times clean traffic')
+    return not too_much
 
 
-def node_costs(field: Field, costs: List[Cost]) -> List[Cost]:
-    """Of the streams that cost a decoder most, for a node with a subscriber of everything."""
+def node_costs(stage: Stage, costs: List[Cost]) -> List[Cost]:
+    """Of the streams that cost a decoder most, for a node with a subscriber of all its topics."""
     found = []
     streams = {(stream.link, stream.name): stream for stream in worst_streams(_NODE_SIZE)}
     for link in LINKS:
         worst = sorted((cost for cost in costs if cost.link == link),
                        key=lambda cost: -cost.worst)[:_NODES_STREAMS]
-        feeder = _Feeder(field, link)
+        feeder = _Feeder(stage, link)
         clean_stream = streams[link, worst[0].name].clean
         if link != 'bus':       # which publishes nothing that nobody asked for
-            _wait_for_subscriber(feeder, clean_stream[:READ], field)
+            subscriber = stage.child(f'subscriber {link}', ['rostopic', 'hz', *TOPICS[link]])
+            for _ in range(30):
+                feeder.cost(clean_stream)
+                if 'min_delta' in subscriber.tail():
+                    break
+            else:
+                raise StageError('nothing is published')
         clean = feeder.cost(clean_stream)
         for cost in worst:
             print(f'{link}: {cost.name}', file=sys.stderr)
             found.append(Cost(link, cost.name, clean,
                               feeder.cost(streams[link, cost.name].worst)))
-            for messages in field.robot.got.values():
-                messages.clear()
+        stage.clear()
         feeder.close()
     return found
-
-
-def _wait_for_subscriber(feeder: '_Feeder', stream: bytes, field: Field) -> None:
-    """Until much more is published than the reports of silence."""
-    for _ in range(30):
-        feeder.cost(stream)
-        if sum(map(len, field.robot.got.values())) > 200:
-            return
-    raise StageError('nothing is published')
 
 
 def render_costs(title: str, costs: List[Cost]) -> str:
@@ -119,8 +120,7 @@ def _nanoseconds(make: Callable[[], Any], stream: bytes) -> float:
 class _Feeder:
     """A node whose port is the end of a pty that we hold."""
 
-    def __init__(self, stage: Field, link: str) -> None:
-        self._stage = stage
+    def __init__(self, stage: Stage, link: str) -> None:
         self._master, slave = pty.openpty()
         tty.setraw(slave)
         self._slave = slave
@@ -172,6 +172,6 @@ class _Feeder:
             pass
 
     def close(self) -> None:
-        self._stage.end(self._node)
+        """The node has ended."""
         os.close(self._master)
         os.close(self._slave)
