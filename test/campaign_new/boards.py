@@ -57,7 +57,6 @@ class Packet(NamedTuple):
 
     @property
     def number(self) -> int:
-        """The value of a command."""
         layout = {codec.SPEED: '<h', codec.STEERING: '<H', WINCH: '>H', ARM: '<h'}[self.type]
         return struct.unpack(layout, self.data)[0]
 
@@ -99,7 +98,7 @@ def sensor_keys(frame: codec.Frame) -> List[Key]:
     one, two, yaw, pitch, roll = struct.unpack('<HHhhh', frame.data)
     angles = known((yaw if yaw >= -18000 else yaw + 65536, pitch, roll))
     return [('mcu/status', (frame.command, one, two, angles)), ('mcu/range_1', range_of(one)),
-            ('mcu/range_2', range_of(two)), ('mcu/imu', angles)]
+            ('mcu/range_2', range_of(two))]
 
 
 def reply_keys(frame: codec.Frame) -> List[Key]:
@@ -145,7 +144,6 @@ class Board:
         self.attach()
 
     def attach(self) -> None:
-        """The line is this board's."""
         self.line.take, self.line.cut = self._take, self.open_anew
 
     def _take(self, data: bytes, now: float) -> None:
@@ -153,12 +151,10 @@ class Board:
             self.received(frame, now)
 
     def open_anew(self) -> None:
-        """What comes next is of another connection."""
         self._reader.reset()
         self.connection += 1
 
     def forget(self) -> None:
-        """What was before counts no more."""
         self.sent.clear()
         self.said.clear()
 
@@ -166,7 +162,6 @@ class Board:
         """A frame of the bridge's."""
 
     def write(self, data: bytes) -> bool:
-        """Send a frame; False where the line takes none."""
         return self.line.write(data) and not self.said.append(data)
 
     def say(self, data: bytes) -> None:
@@ -208,6 +203,10 @@ class Car(Board):
         else:
             self.on_packet(packet)
 
+    def forget(self) -> None:
+        super().forget()
+        self.packets.clear()
+
     def commands(self, type_: int, since: int = 0) -> List[int]:
         """Their values, in order, from the packet of that index on."""
         return [packet.number for packet in self.packets[since:] if packet.type == type_]
@@ -223,7 +222,6 @@ class Car(Board):
         return next((one for one in self.packets[at + 1:] if one.stops), None)
 
     def measure(self) -> None:
-        """One packet of each kind."""
         self._number = n = self._number + 1
         self.say(codec.arduino_packet(codec.TICKS, bytes((n % 256,))))
         self.say(codec.arduino_packet(codec.STEERING_ANGLE, struct.pack('<H', n % 1025)))
@@ -254,7 +252,6 @@ class Sensors(Board):
         self._number = 0
 
     def frame(self, type_: int, payload: bytes) -> bytes:
-        """The next one, which is not sent yet."""
         self.seq = (self.seq + 1) % 256
         return codec.mcu_frame(type_, self.seq, payload)
 
@@ -267,7 +264,6 @@ class Sensors(Board):
         self.say(self.frame(codec.SENSORS, struct.pack('<HHhhh', *ranges, wrapped, pitch, roll)))
 
     def cliff(self) -> None:
-        """A custom message."""
         self._number = n = self._number + 1
         self.say(self.frame(CLIFF, struct.pack('<I', n)))
 
@@ -341,6 +337,11 @@ class BusBoard(Board):
         super().open_anew()
         self._free_at = 0.0
 
+    def forget(self) -> None:
+        super().forget()
+        self.requests.clear()
+        self.executed.clear()
+
     def _answer(self, request: Request) -> Answer:
         if request.cmd1 == codec.SYNC:
             self.in_step = True
@@ -353,7 +354,6 @@ class BusBoard(Board):
         return special or Answer([(0, self.ok(request))], True)
 
     def ok(self, request: Request) -> bytes:
-        """The OK to this request."""
         if request.cmd2 == codec.ENVIRONMENT:
             self.readings = n = self.readings + 1
             values = n % 65536, n % 20000 - 4000, n % 10001
@@ -368,5 +368,4 @@ class BusBoard(Board):
 
 
 def reply(cmd1: int, data: bytes = b'') -> bytes:
-    """As bytes."""
     return codec.bus_frame(bytes((cmd1,)), data)

@@ -51,12 +51,10 @@ def main(arguments: Optional[List[str]] = None) -> int:
 
 
 def say(text: str) -> None:
-    """What is done, for who waits."""
     print(text, file=sys.stderr)
 
 
 def _run(field: Field, options) -> None:
-    """The two parts in turn."""
     left, number = options.duration, 0
     while True:
         if options.part != 'storm':
@@ -73,7 +71,6 @@ def _run(field: Field, options) -> None:
 
 
 def _keep_writing(field: Field) -> None:
-    """The table, as it is now."""
     with open(field.path('table~'), 'w') as file:
         file.write(f'{time.strftime("%F %T")}\n{field.table.render()}\n{field.table.summary()}\n')
     os.replace(field.path('table~'), field.path('table.txt'))

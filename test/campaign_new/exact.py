@@ -38,7 +38,6 @@ def run(field: Field, only: str = '') -> None:
 
 
 def name_of(scenario: Scenario) -> str:
-    """Its module and its name."""
     return f"{scenario.__module__.rpartition('.')[2]}.{scenario.__name__}"
 
 
@@ -56,8 +55,7 @@ def carry_out(field: Field, scenarios: Iterable[Scenario]) -> None:
 
 
 def _trouble_of(field: Field, scenario: Scenario) -> str:
-    """What kept it from its end."""
-    again = field.row('campaign', 'scenarios begun anew, as the whole machine stood still', True)
+    again = field.row('campaign', 'scenarios begun anew: the machine gave the bridge no time', True)
     for _ in range(_TRIES):
         try:
             scenario(field)
@@ -66,4 +64,4 @@ def _trouble_of(field: Field, scenario: Scenario) -> str:
             again.count()
         except Exception as error:  # pylint: disable=broad-except
             return f'{type(error).__name__}: {error}'
-    return 'the machine stands still each time'
+    return 'this machine gave the bridge no time, each time'

@@ -7,14 +7,15 @@ and the line is quiet before it, unless the scenario says otherwise.
 import signal
 import struct
 import time
-from typing import Callable, Dict, List, NamedTuple, Tuple
+from concurrent.futures import Future
+from typing import Callable, List, NamedTuple, Tuple
 
 import by_definition as codec
-from processes import StageError
 from .boards import MEMORY, PRESS, Answer, Request, reply
-from .field import MOTION_TIMEOUT, PATIENCE, REPLY_TIMEOUT, RETURN, Field
+from .field import BACK, MOTION_TIMEOUT, PATIENCE, REPLY_TIMEOUT, RETURN, Field
 from .robot import NOT_SENT, TIMEOUT, Told
 
+Key = Tuple[int, bytes]     # CMD2 and DATE of a request
 SAID_SILENT = 'a board that falls silent is not OK in /diagnostics, then is OK again'
 WAIT = 0.8               # s that a call may wait for its turn, beside the timeout of its own
 _SLACK = 0.2             # s for ROS, the answer's way included
@@ -27,7 +28,6 @@ class Case(NamedTuple):
     name: str
     rule: Callable[[Field, Request, int], Answer]    # the number: how often it has been received
     told: str                # success, refused, timeout
-    executed: int
     received: int
 
 
@@ -46,22 +46,22 @@ def _damaged(field: Field, request: Request) -> Answer:
 
 
 CASES = (
-    Case('answered', lambda f, r, n: _ok(f, r, 0), 'success', 1, 1),
+    Case('answered', lambda f, r, n: _ok(f, r, 0), 'success', 1),
     Case('answered behind noise', lambda f, r, n: Answer(
-        [(0, b'\x00\x13' + f.bus.ok(r))], True), 'success', 1, 1),
-    Case('failed', lambda f, r, n: _refusal(codec.FAILED, codec.ERROR), 'refused', 0, 1),
+        [(0, b'\x00\x13' + f.bus.ok(r))], True), 'success', 1),
+    Case('failed', lambda f, r, n: _refusal(codec.FAILED, codec.ERROR), 'refused', 1),
     Case('not understood, then answered', lambda f, r, n: _refusal(codec.BAD_CHECKSUM)
-         if n == 1 else _ok(f, r, 0), 'success', 1, 2),
+         if n == 1 else _ok(f, r, 0), 'success', 2),
     Case('not synchronised, then answered', lambda f, r, n: _refusal(codec.NOT_SYNCHRONISED)
-         if n == 1 else _ok(f, r, 0), 'success', 1, 2),
-    Case('too long', lambda f, r, n: _refusal(0x20), 'refused', 0, 1),
-    Case('executed, never answered', lambda f, r, n: Answer([], True), 'timeout', 1, 1),
-    Case('lost on the way', lambda f, r, n: Answer(), 'timeout', 0, 1),
-    Case('answered late', lambda f, r, n: _ok(f, r, MOTION_TIMEOUT + _LATE), 'timeout', 1, 1),
-    Case('answer damaged', lambda f, r, n: _damaged(f, r), 'timeout', 1, 1),
-    Case('answered twice at once', lambda f, r, n: _ok(f, r, 0, 0), 'success', 1, 1),
-    Case('answered twice, 5 ms apart', lambda f, r, n: _ok(f, r, 0, 0.005), 'success', 1, 1),
-    Case('answered twice, 40 ms apart', lambda f, r, n: _ok(f, r, 0, 0.04), 'success', 1, 1))
+         if n == 1 else _ok(f, r, 0), 'success', 2),
+    Case('too long', lambda f, r, n: _refusal(0x20), 'refused', 1),
+    Case('executed, never answered', lambda f, r, n: Answer([], True), 'timeout', 1),
+    Case('lost on the way', lambda f, r, n: Answer(), 'timeout', 1),
+    Case('answered late', lambda f, r, n: _ok(f, r, MOTION_TIMEOUT + _LATE), 'timeout', 1),
+    Case('answer damaged', lambda f, r, n: _damaged(f, r), 'timeout', 1),
+    Case('answered twice at once', lambda f, r, n: _ok(f, r, 0, 0), 'success', 1),
+    Case('answered twice, 5 ms apart', lambda f, r, n: _ok(f, r, 0, 0.005), 'success', 1),
+    Case('answered twice, 40 ms apart', lambda f, r, n: _ok(f, r, 0, 0.04), 'success', 1))
 
 
 class Calls:
@@ -79,7 +79,7 @@ class Calls:
         self.others = row('bus', 'no late or doubled reply answers another request')
         self._number = 0
 
-    def arguments(self, service: str) -> Tuple[Tuple, Tuple[int, bytes]]:
+    def arguments(self, service: str) -> Tuple[Tuple, Key]:
         """Of the next call, and the (CMD2, DATE) by which the board knows it."""
         self._number = n = self._number + 1
         if service == 'bus/request':
@@ -89,21 +89,42 @@ class Calls:
         cmd2 = {'lift': codec.LIFT, 'gimbal': codec.GIMBAL, 'press': PRESS}[service]
         return pair, (cmd2, bytes(pair))
 
-    def judge(self, key: Tuple[int, bytes], told: Told, what: str, limit: float) -> str:
-        """Hold one answer against the board; how it was told."""
+    def make(self, service: str, what: str, wanted: str, limit: float = MOTION_TIMEOUT) -> Key:
+        """One call, which has to be told what is `wanted`; its key."""
+        given, key = self.arguments(service)
+        self.judge(key, self.field.robot.call(service, *given), f'{service} {what}', wanted, limit)
+        return key
+
+    def begin(self) -> Tuple[Key, 'Future[Told]']:
+        """A call of the lift, which is executed and never answered."""
+        given, key = self.arguments('lift')
+        self.field.bus.rule = lambda request: Answer([], True)
+        asked = self.field.robot.calling('lift', *given)
+        self.timeout.wait(lambda: self.field.bus.executed[key], PATIENCE, 'the call arrives')
+        return key, asked
+
+    def judge(self, key: Key, told: Told, what: str, wanted: str, limit: float) -> None:
+        """Hold one answer against the board."""
         executed = self.field.bus.executed[key]
         said = f'{what}: told {told.status} "{told.message[:90]}", executed {executed} times'
         self.in_time.at_most(told.seconds, limit + WAIT + _SLACK, 's', what)
+        how = 'success' if told.success else {
+            TIMEOUT: 'timeout', NOT_SENT: 'not sent'}.get(told.status, 'refused')
+        self.as_was.check(how == wanted, f'{said}, was {wanted}')
         if told.success:
             self.success.check(executed == 1, said)
-            if key[0] == MEMORY:
-                self.others.check(told.data == key[1], f'{what}: answered with the data of another')
-            return 'success'
-        if told.status == TIMEOUT:
+            self.others.check(key[0] != MEMORY or told.data == key[1],
+                              f'{what}: answered with the data of another')
+        elif how == 'timeout':
             self.timeout.check(executed <= 1, said)
-            return 'timeout'
-        self.refused.check(executed == 0, said)
-        return 'not sent' if told.status == NOT_SENT else 'refused'
+        else:
+            self.refused.check(executed == 0, said)
+
+    def received(self, key: Key, times: int, what: str, connection: int = 0) -> None:
+        """The board has received this request so often, since that connection."""
+        seen = sum(request.key == key and request.connection >= connection
+                   for request in self.field.bus.requests)
+        self.again.check(seen == times, f'{what}: received {seen} times, should be {times}')
 
 
 def answers(field: Field) -> None:
@@ -114,23 +135,20 @@ def answers(field: Field) -> None:
         for case in CASES:
             field.calm()
             given, key = calls.arguments(service)
-            seen: Dict[Tuple[int, bytes], int] = {}
 
             def rule(request: Request) -> Answer:
                 if request.key != key:
                     return _refusal(codec.FAILED, codec.ERROR)
-                seen[key] = seen.get(key, 0) + 1
-                return case.rule(field, request, seen[key])
+                times = [one.key for one in field.bus.requests].count(key)
+                return case.rule(field, request, times)
 
             field.bus.rule = rule
             told = field.robot.call(service, *given)
             # The next call comes at once: what is late or doubled is still under way.
             behind = field.robot.call('probe')
             what = f'{service} {case.name}'
-            said = calls.judge(key, told, what, MOTION_TIMEOUT)
-            calls.as_was.check(said == case.told, f'{what}: told {said}, was {case.told}')
-            calls.again.check(seen.get(key, 0) == case.received, f'{what}: received '
-                              f'{seen.get(key, 0)} times, should be {case.received}')
+            calls.judge(key, told, what, case.told, MOTION_TIMEOUT)
+            calls.received(key, case.received, what)
             calls.others.check(not behind.success,
                                f'{what}: a call behind it, which was refused, was told as done')
 
@@ -142,14 +160,12 @@ def fences(field: Field) -> None:
     nonces: List[bytes] = []
     for index in range(12):
         field.calm()
-        given, key = calls.arguments('lift' if index % 2 else 'bus/request')
-        calls.judge(key, field.robot.call('lift' if index % 2 else 'bus/request', *given),
-                    f'call {index}', MOTION_TIMEOUT)
+        key = calls.make('lift' if index % 2 else 'bus/request', 'alone', 'success')
         requests = list(field.bus.requests)
-        at = next((n for n, request in enumerate(requests) if request.key == key), 0)
+        at = [request.key for request in requests].index(key)
         before = requests[at - 1] if at else None
-        fresh = before is not None and before.cmd1 == codec.ECHO and before.data not in nonces
-        row.check(fresh, f'call {index}: before it came {before}')
+        row.check(before and before.cmd1 == codec.ECHO and before.data not in nonces,
+                  f'call {index}: before it came {before}')
         nonces += [before.data] if before else []
 
 
@@ -158,10 +174,10 @@ def queue(field: Field) -> None:
     row = field.row('bus', 'one request is outstanding, ever')
     calls = Calls(field)
     field.calm()
-    busy: List[float] = []
+    busy = [0.0]
 
     def rule(request: Request) -> Answer:
-        row.check(not busy or request.t >= busy[-1], f'{request} came before the reply to another')
+        row.check(request.t >= busy[-1], f'{request} came before the reply to another')
         busy.append(request.t + 0.03)
         return _ok(field, request, 0.03)
 
@@ -169,7 +185,7 @@ def queue(field: Field) -> None:
     made = [calls.arguments('bus/request') for _ in range(8)]
     asked = [field.robot.calling('bus/request', *given) for given, _key in made]
     for (_given, key), future in zip(made, asked):
-        calls.judge(key, future.result(PATIENCE), 'one of eight at once', REPLY_TIMEOUT)
+        calls.judge(key, future.result(PATIENCE), 'one of eight at once', 'success', REPLY_TIMEOUT)
 
 
 def stopped_caller(field: Field) -> None:
@@ -185,9 +201,7 @@ def stopped_caller(field: Field) -> None:
         served.wait(lambda: field.bus.executed[key], PATIENCE, 'the call arrives')
         child.hold()
         for _ in range(3):
-            other, other_key = calls.arguments('bus/request')
-            calls.judge(other_key, field.robot.call('bus/request', *other), 'another caller',
-                        REPLY_TIMEOUT + MOTION_TIMEOUT)
+            calls.make('bus/request', 'of another caller', 'success')
         child.send(signal.SIGCONT)
         served.wait(lambda: child.tail().count('told True') > index, PATIENCE,
                     'the caller that was stopped is told')
@@ -197,32 +211,25 @@ def stopped_caller(field: Field) -> None:
 
 def unplugged_while_asked(field: Field) -> None:
     """The port goes before the reply comes; and calls while it is gone."""
-    calls = Calls(field)
+    calls, back = Calls(field), field.row(*BACK)
     first = field.row('bus', 'after a reconnect SYNC, until the board answers, and nothing else')
-    back = field.row('ports', 'data within 1.5 s of the port\'s return')
     for index in range(3):
         field.calm()
-        given, key = calls.arguments('lift')
-        field.bus.rule = lambda request: Answer([], True)
-        asked = field.robot.calling('lift', *given)
-        calls.timeout.wait(lambda: field.bus.executed[key], PATIENCE, 'the call arrives')
+        asked, future = calls.begin()
         field.bus_line.unplug()
-        said = calls.judge(key, asked.result(PATIENCE), 'unplugged while asked', MOTION_TIMEOUT)
-        calls.as_was.check(said == 'timeout', f'unplugged while asked: told {said}')
-        given, absent = calls.arguments('lift')
-        said = calls.judge(absent, field.robot.call('lift', *given), 'while unplugged', WAIT)
-        calls.as_was.check(said == 'not sent', f'while unplugged: told {said}')
-        connection = field.bus.connection
-        field.bus.rule = None
+        calls.judge(asked, future.result(PATIENCE), 'unplugged while asked', 'timeout',
+                    MOTION_TIMEOUT)
+        absent = calls.make('lift', 'while unplugged', 'not sent', WAIT)
+        connection, field.bus.rule = field.bus.connection, None
         began, count = time.monotonic(), len(field.bus.requests)
         field.bus_line.plug(another_name=bool(index % 2))
         field.wait(lambda: len(field.bus.requests) > count, 'the port is opened again')
-        back.at_most(field.bus.requests[count].t - began, RETURN, 's', 'bus')
-        mine = [request for request in field.bus.requests if request.connection == connection]
-        first.check(mine[0].cmd1 == codec.SYNC, f'the first request was {mine[0]}')
-        for key in (key, absent):
-            seen = sum(request.key == key for request in mine)
-            calls.again.check(not seen, f'a request of before the reconnect came {seen} times')
+        opened = field.bus.requests[count]
+        back.at_most(opened.t - began, RETURN, 's', 'bus')
+        first.check(opened.cmd1 == codec.SYNC, f'the first request was {opened}')
+        calls.make('lift', 'after a reconnect', 'success')
+        for key in (asked, absent):
+            calls.received(key, 0, 'a request of before the reconnect', connection)
 
 
 def stopped_bridge(field: Field) -> None:
@@ -230,43 +237,28 @@ def stopped_bridge(field: Field) -> None:
     calls = Calls(field)
     for _ in range(2):
         field.calm()
-        given, key = calls.arguments('lift')
-        field.bus.rule = lambda request: Answer([], True)
-        asked = field.robot.calling('lift', *given)
-        calls.timeout.wait(lambda: field.bus.executed[key], PATIENCE, 'the call arrives')
+        key, asked = calls.begin()
         with field.held():
             field.bus_line.write(reply(codec.OK))
             field.let_pass(1.0)
-        calls.judge(key, asked.result(PATIENCE), 'the bridge was stopped meanwhile',
-                    MOTION_TIMEOUT + 1.0)
         field.bus.rule = None
-        given, key = calls.arguments('lift')
-        calls.judge(key, field.robot.call('lift', *given), 'the call behind it', MOTION_TIMEOUT)
-        seen = sum(request.key == key for request in field.bus.requests)
-        calls.again.check(seen <= 1, f'received {seen} times')
+        calls.judge(key, asked.result(PATIENCE), 'the bridge was stopped meanwhile', 'timeout',
+                    MOTION_TIMEOUT + 1.0)
+        calls.received(calls.make('lift', 'behind a stop', 'success'), 1, 'behind a stop')
 
 
 def no_echo(field: Field) -> None:
     """A board that never echoes: silence stands in the place of a fence."""
     calls = Calls(field)
     field.calm()
-    field.bus_line.unplug()
-    field.bus.echoes = False
-    field.bus_line.plug()
-    try:
+    for echoes in (False, True):
+        field.bus_line.unplug()
+        field.bus.echoes = echoes
+        field.bus_line.plug()
         field.wait(lambda: field.robot.call('bus/sync').success, 'SYNC is answered')
         field.wait(lambda: field.robot.call('lift', 0, 255).success, 'a call is served')
         for service in ('lift', 'bus/request', 'press') * 2:
-            given, key = calls.arguments(service)
-            said = calls.judge(key, field.robot.call(service, *given), f'no ECHO, {service}',
-                               MOTION_TIMEOUT)
-            calls.as_was.check(said == 'success', f'no ECHO, {service}: told {said}')
-    except StageError as error:
-        calls.as_was.check(False, f'no ECHO: {error}')
-    finally:
-        field.bus.echoes = True
-        field.bus_line.unplug()
-        field.bus_line.plug()
+            calls.make(service, f'ECHO: {echoes}', 'success')
 
 
 def silent(field: Field) -> None:
@@ -288,8 +280,7 @@ def polls(field: Field) -> None:
     """Two polled functions of one length and the air, every reply twice: none gets another's."""
     row = field.row('bus', 'every polled value is one that the board gave for that function')
     for delay in (0.0, 0.005, 0.04):
-        for messages in field.robot.got.values():
-            messages.clear()
+        field.robot.forget()
         field.bus.rule = lambda request: _ok(field, request, 0, delay)
         for topic in ('~depth', '~height', '~environment'):
             row.wait(lambda: len(field.robot.got[topic]) >= 5, PATIENCE, f'{topic} is polled')

@@ -9,9 +9,8 @@ it on the same line.
 import contextlib
 import signal
 import struct
-import termios
 import time
-from typing import Any, List
+from typing import Any, List, Tuple
 
 import by_definition as codec
 from processes import StageError
@@ -72,7 +71,6 @@ class Drive:
         return self.arrives.wait(taken, PATIENCE, 'a command is taken again')
 
     def none_of(self, values: List[int], name: str, what: str, since: int = 0) -> None:
-        """None of these has arrived."""
         came = set(self.field.car.commands(TYPES[name], since))
         for value in values:
             self.nothing_old.check(value not in came, f'{name} {value}, {what}, reached the board')
@@ -96,29 +94,24 @@ def traffic(field: Field) -> None:
     row = field.row('data', 'serial_msg has every frame, in and out, once and in order')
     drive = Drive(field)
     boards = {'arduino': field.car, 'mcu': field.sensors, 'bus': field.bus}
-
-    def told() -> List[Any]:
-        frames, _end = codec.decode(b''.join(shown['arduino', 1]), codec.arduino_at)
-        return [frame.content[::2] for frame in frames if frame.type != codec.HEARTBEAT]
-
     with field.traffic() as shown:
         field.calm()
-        for frames in shown.values():
-            frames.clear()
         for _ in range(20):
             field.car.measure()
             field.sensors.measure()
             drive.command('steering')
             field.robot.call('bus/echo')
-        with contextlib.suppress(StageError):
-            field.wait(lambda: len(told()) >= len(field.car.packets) and all(
-                len(shown[link, 0]) >= len(board.said) for link, board in boards.items()),
-                '', UNTIL_PUBLISHED)
-    for link, board in boards.items():
-        row.check(shown[link, 0] == board.said, f'{link}: {len(board.said)} frames were sent, '
-                  f'{len(shown[link, 0])} shown')
-    came = [(packet.type, packet.data) for packet in field.car.packets]
-    row.check(told() == came, f'arduino: {came[:3]} ... came, {told()[:3]} ... were shown')
+        came = [codec.arduino_packet(one.type, one.data) for one in field.car.packets]
+
+        def of_now(way: Tuple[str, int], frames: List[bytes]) -> List[bytes]:
+            return [frame for frame in list(shown[way]) if frame in frames]
+
+        for way, frames in ((('arduino', 1), came), *(
+                ((link, 0), board.said) for link, board in boards.items())):
+            with contextlib.suppress(StageError):
+                field.wait(lambda: len(of_now(way, frames)) >= len(frames), '', UNTIL_PUBLISHED)
+            row.check(of_now(way, frames) == frames, f'{way}: {len(frames)} frames passed, '
+                      f'{len(of_now(way, frames))} of them were shown')
 
 
 def commands(field: Field) -> None:
@@ -176,7 +169,6 @@ def stops(field: Field) -> None:
 
 
 def _repeated(field: Field, zero: Packet) -> None:
-    """From this SPEED 0 on."""
     row = field.row('motor', 'every SPEED 0 that ends a motion is repeated: 50 ms apart, for 1 s')
     field.wait(lambda: field.car.beat - field.car.packets[-1].beat > 20, 'the stop is over')
     zeros = field.car.packets[field.car.packets.index(zero):]
@@ -389,21 +381,5 @@ def damaged(field: Field) -> None:
         field.compare(field.car)
 
 
-def settings(field: Field) -> None:
-    """Another program changes the settings of the port."""
-    row = field.row('data', 'settings that another program changed are put right')
-    for _ in range(2):
-        field.calm()
-        wanted = termios.tcgetattr(field.car_line.device)
-        sane = [wanted[0] | termios.ICRNL, wanted[1] | termios.OPOST, wanted[2],
-                wanted[3] | termios.ICANON | termios.ECHO, *wanted[4:]]
-        termios.tcsetattr(field.car_line.device, termios.TCSANOW, sane)
-        began = time.monotonic()
-        row.wait(lambda: termios.tcgetattr(field.car_line.device)[:4] == wanted[:4], PATIENCE,
-                 'they are put right')
-        row.note(time.monotonic() - began, 's')
-        Drive(field).again()
-
-
 SCENARIOS = (measurements, traffic, commands, stops, openings, old_stamps, latched, old_connection,
-             frozen, stopped_bridge, calibration, gap_said, damaged, settings)
+             frozen, stopped_bridge, calibration, gap_said, damaged)

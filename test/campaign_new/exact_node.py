@@ -3,7 +3,6 @@ import contextlib
 import json
 import signal
 import socket
-import termios
 import time
 import xmlrpc.client
 from typing import Any, Dict, FrozenSet, Iterator, Tuple
@@ -116,20 +115,16 @@ def resets(field: Field) -> None:
             for _ in range(5):
                 board.measure()
             board.line.write(begun)
-        given, key = calls.arguments('lift')
-        field.bus.rule = lambda request: Answer([], True)
-        asked = field.robot.calling('lift', *given)
-        calls.timeout.wait(lambda: field.bus.executed[key], PATIENCE, 'the call arrives')
+        key, asked = calls.begin()
         field.bus.in_step, field.bus.rule = False, None
-        calls.judge(key, asked.result(PATIENCE), 'the board resets', MOTION_TIMEOUT)
+        calls.judge(key, asked.result(PATIENCE), 'the board resets', 'timeout', MOTION_TIMEOUT)
         field.let_pass(1.0)
         field.sensors.seq = 0
         for _ in range(5):
             field.car.measure()
             field.sensors.measure()
-        given, key = calls.arguments('lift')
-        said = calls.judge(key, field.robot.call('lift', *given), 'after a reset', MOTION_TIMEOUT)
-        step.check(said == 'success' and field.bus.in_step, f'told {said} after a reset')
+        calls.make('lift', 'after a reset', 'success')
+        step.check(field.bus.in_step, 'no SYNC has come')
     field.compare(field.car, field.sensors)
 
 
@@ -185,7 +180,7 @@ class Ends:
             for line in lines:
                 line.frozen = True
                 line.fill()
-                termios.tcflow(line.device, termios.TCOOFF)
+                line.flow(False)
         else:
             field.bus.rule = lambda request: Answer([], True)
             field.robot.calling('lift', 1, 1)
@@ -199,7 +194,7 @@ class Ends:
                   f'{self.__name__}: {beats - last.beat} heartbeats after {last}')
         row.check(status == 0, f'{self.__name__}: its status is {status}')
         for line in lines if self._hang else ():
-            termios.tcflow(line.device, termios.TCOON)
+            line.flow(True)
             line.frozen = False
             line.drain()
 
@@ -234,7 +229,6 @@ def network(field: Field) -> None:
 
 @contextlib.contextmanager
 def behind_network(field: Field) -> Iterator[None]:
-    """The car is behind a network meanwhile."""
     before = field.car_line, field.car
     field.car_line = NetworkLine(field.path('network'))
     field.car = Car(field.car_line)

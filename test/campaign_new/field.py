@@ -7,13 +7,12 @@ import signal
 import sys
 from typing import Any, Callable, Dict, Iterable, Iterator, List, Tuple
 
-import psutil
-
-from heartbeats import BEAT_MISSED, longest_gap
+from heartbeats import BEAT_MISSED, longest_gap, processor_wait
 from processes import Child, Stage, StageError
 from .boards import CUSTOM, Board, BusBoard, Car, Sensors
 from .lines import Clock, Line
 from .robot import TOPICS, Got, Robot
+from .logs import LogWatch
 from .rows import Row, Table
 
 REPLY_TIMEOUT = 0.3      # s: parameters of the bridge
@@ -34,7 +33,7 @@ POLLED_TOPICS = '~environment', '~depth', '~height'
 
 
 class Disturbed(Exception):
-    """The whole machine stood still, so nobody can tell. The scenario is carried out again."""
+    """This machine was too busy, so nobody can tell. The scenario is carried out again."""
 
 
 class Field(Stage):
@@ -46,6 +45,7 @@ class Field(Stage):
         self.table = table
         self.row = table.row
         self.clock = Clock()
+        self.logs = LogWatch(self.folder, self.row)
         self.bridge_number = 0
 
     def __enter__(self) -> 'Field':
@@ -72,12 +72,14 @@ class Field(Stage):
         self.bridge_number += 1
         self._started = parameters, ports
         wanted = {link: ports.get(link, line.port) for link, line in self.lines.items()}
-        self.child_bridge = self.bridge(wanted, {**PARAMETERS, **parameters},
-                                        f'bridge {self.bridge_number}')
+        name = f'bridge_{self.bridge_number}'
+        self.child_bridge = self.bridge(
+            wanted, {**PARAMETERS, **parameters}, name,
+            [*self.bridge_command, f'__log:={self.logs.folder}/{name}.log'])
         self.wait_for_bridge()
 
     def clear_bridge(self) -> None:
-        """None runs any more."""
+        self.logs.look()
         if self.child_bridge in self.children:
             self.end(self.child_bridge)
 
@@ -93,8 +95,7 @@ class Field(Stage):
 
     def mend(self) -> None:
         """After a scenario that was given up: no users, all lines as before, a working bridge."""
-        for child in [child for child in self.children
-                      if child not in (self.child_bridge, self.witness)]:
+        for child in set(self.children) - {self.child_bridge, self.witness}:
             self.end(child)
         self.child_bridge.send(signal.SIGCONT)
         self.bus.rule, self.bus.echoes, self.bus.in_step = None, True, True
@@ -111,7 +112,6 @@ class Field(Stage):
             self.start(parameters, **ports)
 
     def user(self, role: str, name: str, *arguments: Any, ready: bool = True) -> Child:
-        """A process of children.py."""
         child = self.child(name, [sys.executable, '-m', __package__ + '.children', role, name,
                                   *map(str, arguments)], orders=True)
         if ready:
@@ -137,10 +137,6 @@ class Field(Stage):
         except OSError:
             return False
 
-    def usage(self) -> Dict[str, float]:
-        """Of the bridge: resident MB, threads, open files."""
-        return usage_of(self.child_bridge.pid)
-
     # -- waiting ------------------------------------------------------------------------
 
     def beats(self, number: int) -> None:
@@ -156,22 +152,33 @@ class Field(Stage):
 
     def calm(self) -> None:
         """Until nothing is under way: the motor stands, its stop is no longer repeated, the bus is
-        in step and silent. So what comes from now on is of the next event."""
+        in step and silent, and all that was measured has been published. So what comes from now on
+        is of the next event."""
+        car, sensors = self.car, self.sensors
+
         def quiet() -> bool:
-            last = self.car.packets[-1:]
-            return not last or (last[0].connection, last[0].beat + QUIET_BEATS) < (
-                self.car.connection, self.car.beat) or \
-                self.car.beat - last[0].beat > QUIET_BEATS
+            last = car.packets[-1:]
+            return not last or last[0].connection < car.connection \
+                or car.beat > last[0].beat + QUIET_BEATS
+
+        def published() -> Any:
+            """What has just been measured: on each topic nothing of before can come behind it."""
+            self.forget()
+            car.measure()
+            sensors.measure()
+            sensors.cliff()
+            with contextlib.suppress(StageError):
+                return self.wait(lambda: all(map(self.robot.has, car.sent + sensors.sent)), '', 1.0)
+
         self.bus.rule = None
         self.wait(lambda: self.robot.call('bus/echo').success, 'the bus board is in step')
         self.wait(quiet, 'the car stands', PATIENCE)
-        self.car.packets.clear()
-        self.bus.requests.clear()
-        self.bus.executed.clear()
-        for board in (self.car, self.bus, self.sensors):
-            board.forget()
-        for messages in self.robot.got.values():
-            messages.clear()
+        self.wait(published, 'what is measured is published', PATIENCE)
+        self.forget()
+
+    def forget(self) -> None:
+        for one in (self.car, self.bus, self.sensors, self.robot):
+            one.forget()
 
     def flows(self, topic: str, measure: Callable[[], None], row: Row) -> None:
         """Until what is measured is published again."""
@@ -256,7 +263,6 @@ class Field(Stage):
                 self.judge_stamp(one.wall, message, topic)
 
     def judge_stamp(self, written: float, message: Got, topic: str) -> None:
-        """Of a frame that was written at that time."""
         row = self.row('stamps', 'between the write of the frame and the arrival of the message')
         if message.stamp:
             row.note((message.stamp - written) * 1e3, 'ms behind the write')
@@ -268,39 +274,36 @@ class Field(Stage):
     def heartbeats(self) -> Iterator[None]:
         """No heartbeat is missed meanwhile, and the line is not touched. For a bridge that may
         have real-time priority: to others nothing is promised."""
+        waited = processor_wait(self.child_bridge.pid)
         self.car.beats.clear()
         yield
         stamps = list(self.car.beats)
         gap = longest_gap(stamps, 100.0)
         if not self.has_priority():
             return
-        if gap >= BEAT_MISSED and self.stood_still(stamps[0], gap):
+        if self.was_starved(gap, stamps[0], waited):
             raise Disturbed
         row = self.row('heartbeat', 'no gap of 30 ms, whatever happens beside the open port')
         row.tries += len(stamps) - 2
         row.at_most(gap * 1e3, BEAT_MISSED * 1e3, 'ms', 'the longest gap')
 
-    def stood_still(self, since: float, gap: float) -> bool:
-        """Whether a process that only sleeps was woken late by what the gap is too long."""
-        late = (line.split() for line in self.witness.tail().splitlines())
-        return any(len(words) == 2 and float(words[0]) >= since - 0.1
-                   and float(words[1]) >= gap - BEAT_MISSED for words in late)
+    def was_starved(self, gap: float, since: float, waited: float) -> bool:
+        """Whether this machine may have made a gap too long: it was as late to wake a process that
+        only sleeps, or gave the bridge's threads no processor for as long.
+
+        Args:
+            waited: for how long they had waited for a processor before.
+        """
+        late = [line.split() for line in self.witness.tail().splitlines()]
+        waits = [float(words[1]) for words in late
+                 if len(words) == 2 and float(words[0]) >= since - 0.1]
+        waits.append(processor_wait(self.child_bridge.pid) - waited)
+        return gap >= BEAT_MISSED and max(waits) >= gap - BEAT_MISSED
 
 
 def of_boards(got: Iterable[Got]) -> List[Got]:
     """Without the reports of silence, which no frame is behind."""
     return [one for one in got if one.key is not None]
-
-
-def usage_of(pid: int) -> Dict[str, float]:
-    """Resident MB, threads and open files of a process; empty if it has ended."""
-    try:
-        process = psutil.Process(pid)
-        with process.oneshot():
-            return {'memory': process.memory_info().rss / (1 << 20),
-                    'threads': process.num_threads(), 'files': process.num_fds()}
-    except (OSError, psutil.Error):
-        return {}
 
 
 Scenario = Callable[[Field], None]

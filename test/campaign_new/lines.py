@@ -10,10 +10,11 @@ import os
 import pty
 import select
 import socket
+import termios
 import threading
 import time
 import tty
-from typing import Any, Callable, List, Optional, Tuple
+from typing import Callable, List, Tuple
 
 _POLL = 20               # ms for which a reader waits, at most, before it looks around
 _SIZE = 65536            # bytes that are read at once
@@ -31,7 +32,6 @@ class Clock(threading.Thread):
         self.start()
 
     def after(self, seconds: float, action: Callable[[], None]) -> None:
-        """Call `action` in so many seconds."""
         self.at(time.monotonic() + seconds, action)
 
     def at(self, when: float, action: Callable[[], None]) -> None:
@@ -65,8 +65,8 @@ class Line(threading.Thread):
         self.cut: Callable[[], None] = lambda: None
         self.to_bridge: Callable[[bytes], bytes] = lambda data: data
         self.frozen = False
-        self._master = self._slave = -1
-        self._device = ''
+        self._master = self._listener = -1
+        self._device = ''        # of the bridge's end, which is `_slave`
         self._lock = threading.RLock()
         self._taken = 0          # bytes
         self.plug()
@@ -94,19 +94,12 @@ class Line(threading.Thread):
         with self._lock:
             os.unlink(self.port)
             os.close(self._slave)
-            os.close(self._master)
-            self._master = self._slave = -1
             self.frozen = False
-            self.cut()
+            self._end()
 
     @property
     def plugged(self) -> bool:
         return self._master >= 0
-
-    @property
-    def device(self) -> int:
-        """A descriptor of the bridge's end."""
-        return self._slave
 
     def freeze(self) -> None:
         """The board reads nothing any more, and the line has no room. To be called while the
@@ -127,8 +120,11 @@ class Line(threading.Thread):
         os.close(fd)
         return size
 
+    def flow(self, flows: bool) -> None:
+        """Whether the bridge's end takes anything: flow control."""
+        termios.tcflow(self._slave, termios.TCOON if flows else termios.TCOOFF)
+
     def thaw(self) -> None:
-        """The board reads again."""
         self.frozen = False
 
     def drain(self) -> None:
@@ -147,42 +143,46 @@ class Line(threading.Thread):
         with self._lock:
             data = self.to_bridge(data)
             try:
-                return self.plugged and self._send(data) == len(data)
+                return self._takes and os.write(self._master, data) == len(data)
             except OSError:
                 return False
 
-    def _send(self, data: bytes) -> int:
-        return os.write(self._master, data)
-
-    def _receive(self) -> bytes:
-        return os.read(self._master, _SIZE)
+    @property
+    def _takes(self) -> bool:
+        return self.plugged
 
     def read_all(self) -> None:
-        """Take what there is now."""
         with self._lock:
             while self.plugged and not self.frozen:
                 try:
-                    data = self._receive()
+                    data = os.read(self._master, _SIZE)
                 except OSError:
                     return
                 if not data:
+                    self._end()
                     return
                 self._taken += len(data)
                 self.take(data, time.monotonic())
 
     def run(self) -> None:
         while True:
-            fd = self._fd()
+            fd = self._master if self.plugged else self._listener
             if fd < 0 or self.frozen:
                 time.sleep(_POLL / 1000)
-                continue
-            poll = select.poll()
-            poll.register(fd, select.POLLIN)
-            if poll.poll(_POLL):
+            elif _ready(fd, select.POLLIN, _POLL):
                 self.read_all()
 
-    def _fd(self) -> int:
-        return self._master
+    def _end(self) -> None:
+        with self._lock:
+            os.close(self._master)
+            self._master = -1
+            self.cut()
+
+
+def _ready(fd: int, events: int, milliseconds: int) -> bool:
+    poll = select.poll()
+    poll.register(fd, events)
+    return bool(poll.poll(milliseconds))
 
 
 class NetworkLine(Line):
@@ -192,64 +192,42 @@ class NetworkLine(Line):
     """
 
     def plug(self, another_name: bool = False) -> None:
-        self._listener = socket.create_server(('127.0.0.1', 0))
-        self._listener.setblocking(False)
-        self.port = f'socket://127.0.0.1:{self._listener.getsockname()[1]}'
-        self._connection: Optional[socket.socket] = None
-        self._forgotten: List[Any] = []
+        self._server = socket.create_server(('127.0.0.1', 0))
+        self._server.setblocking(False)
+        self._listener = self._server.fileno()
+        self.port = f'socket://127.0.0.1:{self._server.getsockname()[1]}'
 
     def vanish(self) -> None:
         """The peer knows nothing of its connection any more, and says nothing, not even that."""
         with self._lock:
-            self._forgotten.append(self._connection)
-            self._connection = None
+            self._master = -1       # which stays open
             self.cut()
 
     def freeze(self) -> None:
         self.frozen = True
 
-    @property
-    def plugged(self) -> bool:
-        return self._connection is not None
-
-    def _fd(self) -> int:
-        connection = self._connection
-        return (connection or self._listener).fileno()
-
-    def _send(self, data: bytes) -> int:
-        return 0 if self.frozen else self._connection.send(data)
-
     def thaw(self) -> None:
         with self._lock:
             self.frozen = False
-            if self._connection:
-                self._end_if_ended()
+            self._end_if_ended()
+
+    @property
+    def _takes(self) -> bool:
+        return self.plugged and not self.frozen
 
     def _end_if_ended(self) -> None:
-        poll = select.poll()
-        poll.register(self._connection, select.POLLRDHUP)
-        if poll.poll(0):
+        if self.plugged and _ready(self._master, select.POLLRDHUP, 0):
             self._end()
-
-    def _end(self) -> None:
-        self._connection.close()
-        self._connection = None
-        self.cut()
-
-    def _receive(self) -> bytes:
-        data = self._connection.recv(_SIZE)
-        if not data:
-            self._end()
-        return data
 
     def read_all(self) -> None:
         with self._lock:
-            if not self._connection and not self.frozen:
+            if not self.plugged and not self.frozen:
                 try:
-                    self._connection = self._listener.accept()[0]
+                    connection = self._server.accept()[0]
                 except BlockingIOError:
                     return
-                self._connection.setblocking(False)
-                self._connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                connection.setblocking(False)
+                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._master = connection.detach()
                 self._end_if_ended()        # while the network was frozen
-        super().read_all()
+            super().read_all()

@@ -1,10 +1,11 @@
 """What the bridge logs, read as it is written."""
 import glob
+import os
 import re
 import time
-from typing import Any, Dict, Tuple
+from typing import Any, Callable, Dict, Tuple
 
-_LINE = re.compile(r'\[.*?\]\[(\w+)\] (\d{4}-\d\d-\d\d \d\d:\d\d:\d\d),(\d{3}): (.*)')
+_LINE = re.compile(r'\[(.*?)\]\[\w+\] (\d{4}-\d\d-\d\d \d\d:\d\d:\d\d),(\d{3}): (.*)')
 _CHANGING = re.compile(r'"[^"]*"|/\S+|\b(0x)?[0-9a-f]*\d[0-9a-f.]*\b|\b[0-9a-f]{6,}\b')
 _PERIOD, _JITTER = 10.0, 0.25     # s from one line of a cause to the next; of the log's clock
 _LINKS = 'bus', 'arduino', 'mcu'
@@ -23,23 +24,23 @@ def cause_of(text: str) -> Tuple[str, str]:
 
 
 class LogWatch:
-    """The log files of a campaign's bridges.
+    """The log files of a campaign's bridges, one each, in `folder`.
 
     Args:
-        judge: has the `field`, and `check` of its rows.
+        row: makes a row of the table.
     """
 
-    def __init__(self, judge: Any) -> None:
-        self._judge = judge
-        self._folder = judge.field.path('log')
-        self._rate = judge.field.row('node', 'no cause has more than one log line in 10 s per link')
-        self._fault = judge.field.row('node', 'no traceback, no link that gets stuck')
+    def __init__(self, folder: str, row: Callable[[str, str], Any]) -> None:
+        self.folder = folder
+        self._rate = row('node', 'no cause has more than one log line in 10 s per link')
+        self._fault = row('node', 'no traceback, no link that gets stuck')
         self._read: Dict[str, int] = {}                        # bytes of each file
         self._last: Dict[Tuple[str, str, str], float] = {}     # by file, link and cause
+        self._own = True        # whether the bridge wrote the latest line, not rospy
 
     def look(self) -> None:
         """Judge the lines that have come since."""
-        for path in glob.glob(self._folder + '/serial_communication*.log'):
+        for path in glob.glob(os.path.join(self.folder, 'bridge_*.log')):
             with open(path, 'rb') as file:
                 file.seek(self._read.get(path, 0))
                 lines = file.read()
@@ -49,10 +50,10 @@ class LogWatch:
                 self._line(path, line)
 
     def _line(self, path: str, line: str) -> None:
-        faulty = [word for word in ('Traceback', 'fault in the bridge', 'the bridge is stuck')
-                  if word in line]
-        self._judge.check(self._fault, not faulty, line)
         match = _LINE.match(line)
+        self._own = match.group(1) == 'rosout' if match else self._own
+        self._fault.check(not self._own or not re.search(
+            'Traceback|fault in the bridge|the bridge is stuck', line), f'{path}: {line}')
         link, cause = cause_of(match.group(4)) if match else ('', '')
         if not link:
             return
@@ -60,5 +61,5 @@ class LogWatch:
             + int(match.group(3)) / 1000
         before = self._last.get((path, link, cause), float('-inf'))
         self._last[path, link, cause] = now
-        self._judge.check(self._rate, now - before >= _PERIOD - _JITTER,
-                          f'{now - before:.2f} s after the one before: {line[:200]}')
+        self._rate.check(now - before >= _PERIOD - _JITTER,
+                         f'{now - before:.2f} s after the one before: {line}')

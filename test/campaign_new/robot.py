@@ -17,7 +17,7 @@ from std_srvs.srv import Empty, Trigger
 from serial_communication.msg import (Environment, McuStatus2, SerialMsg, SpeedPWMCommand,
                                       SteeringFeedback, SteeringPWMCommand, Ticks, Voltage)
 from serial_communication.srv import BusRequest, GetEnvironment, Gimbal, Lift
-from .boards import known, range_of, whole
+from .boards import Sent, known, range_of, whole
 
 NODE = '/serial_communication'
 TIMEOUT, NOT_SENT = 254, 253     # status of the bus services
@@ -68,16 +68,6 @@ def _status(message: McuStatus2) -> Any:
             known(angles)) if message.connected else None
 
 
-def _attitude(message: Imu) -> Tuple:
-    """Heading, pitch, roll in 0.01 degrees, of an orientation whose yaw turns the other way."""
-    q = message.orientation
-    roll = math.atan2(2 * (q.w * q.x + q.y * q.z), 1 - 2 * (q.x ** 2 + q.y ** 2))
-    pitch = math.asin(max(-1.0, min(1.0, 2 * (q.w * q.y - q.z * q.x))))
-    yaw = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y ** 2 + q.z ** 2))
-    return (whole(math.degrees(-yaw) % 360 * 100) % 36000,
-            _hundredths(math.degrees(pitch)), _hundredths(math.degrees(roll)))
-
-
 def _range(message: Range) -> Any:
     if math.isinf(message.range):
         return 'far' if message.range > 0 else 'near'
@@ -91,7 +81,7 @@ TOPICS: Dict[str, Tuple[Any, Key]] = {
     '~voltage': (Voltage, lambda message: whole(message.value * 1000)),
     '~counter': (UInt32, _DATA), '~imu': (Imu, _imu),
     '~imu/temperature': (Temperature, lambda m: whole((m.temperature - 36.53) * 340)),
-    'mcu/status': (McuStatus2, _status), 'mcu/imu': (Imu, _attitude), 'mcu/cliff': (UInt32, _DATA),
+    'mcu/status': (McuStatus2, _status), 'mcu/cliff': (UInt32, _DATA),
     'mcu/range_1': (Range, _range), 'mcu/range_2': (Range, _range),
     '~environment': (Environment, lambda m: (m.smoke, _hundredths(m.temperature),
                                              _hundredths(m.humidity))),
@@ -122,8 +112,15 @@ class Robot:
         rospy.Subscriber('/diagnostics', DiagnosticArray, self._diagnosed)
         self._traffic: Optional[rospy.Subscriber] = None
 
+    def forget(self) -> None:
+        for messages in self.got.values():
+            messages.clear()
+
+    def has(self, sent: Sent) -> bool:
+        return any(got.key == sent.key and (not got.stamp or got.stamp >= sent.wall)
+                   for got in list(self.got[sent.topic]))
+
     def keep(self, topic: str, got: Got) -> None:
-        """A message has come."""
         self.got[topic].append(got)
 
     def _take(self, message: Any, what: Tuple[str, Key]) -> None:
@@ -139,7 +136,6 @@ class Robot:
                 {value.key: value.value for value in status.values})
 
     def listen_to_traffic(self, wanted: bool = True) -> None:
-        """Subscribe to serial_msg."""
         if wanted:
             self._traffic = rospy.Subscriber('/serial_msg', SerialMsg,
                                              lambda message: self.on_frame(message),
@@ -164,7 +160,6 @@ class Robot:
 
     @property
     def connected(self) -> bool:
-        """Whether the bridge takes commands."""
         return all(publisher.get_num_connections() for publisher in self._publishers.values())
 
     def hears(self, topics: Iterable[str]) -> bool:
@@ -193,5 +188,4 @@ class Robot:
                     bytes(getattr(answer, 'data', b'')))
 
     def calling(self, service: str, *arguments: Any) -> 'Future[Told]':
-        """The same in another thread."""
         return self._pool.submit(self.call, service, *arguments)

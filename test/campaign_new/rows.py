@@ -46,7 +46,6 @@ class Row:
         return self.check(value <= limit, f'{text}: {value:.4g} {unit}, may be {limit:g} {unit}')
 
     def note(self, value: float, unit: str) -> None:
-        """For the worst case."""
         self.worst, self._unit = max(self.worst, value), unit
 
     def wait(self, condition: Callable[[], Any], seconds: float, text: str) -> Any:
@@ -60,7 +59,6 @@ class Row:
         return value
 
     def count(self) -> None:
-        """Of a row that is counted."""
         self.tries += 1
 
     def not_decided(self) -> None:
@@ -69,7 +67,6 @@ class Row:
 
     @property
     def worst_case(self) -> str:
-        """As text."""
         return f'{self.worst:.4g} {self._unit}' if self.worst > float('-inf') else ''
 
 
@@ -114,13 +111,11 @@ class Table:
         return '\n'.join(lines)
 
     def summary(self) -> str:
-        """One line."""
         judged = [row for row in self.rows if not row.counted]
         return (f'{len(judged)} promises, {len(self.violated)} violated, '
                 f'{sum(row.undecided for row in judged)} tries not decided')
 
     def as_json(self) -> str:
-        """For programs."""
         return json.dumps([{
             'group': row.group, 'promise': row.promise, 'counted': row.counted,
             'tries': row.tries, 'violations': row.violations, 'not decided': row.undecided,

@@ -21,14 +21,14 @@ import threading
 import time
 from typing import Any, Callable, Deque, Dict, List, Optional, Tuple
 
-from heartbeats import BEAT_MISSED, longest_gap
+from heartbeats import BEAT_MISSED, longest_gap, processor_wait
+from processes import usage_of
 import by_definition as codec
 from .boards import (DEPTH, HEIGHT, MEMORY, Answer, BusBoard, Car, Key, Request, Sensors, car_keys,
                      reply, reply_keys, sensor_keys)
 from .exact_bus import WAIT
 from .exact_node import POLLING
 from .field import MOTION_TIMEOUT, POLLED_TOPICS, REPLY_TIMEOUT, SPEED_TIMEOUT, Field
-from .logs import LogWatch
 from .robot import NOT_SENT, TIMEOUT, Got, Told
 from .rows import Row
 
@@ -84,7 +84,6 @@ class Wire:
         return any(fits(frame) for frame in codec.all_frames(stream, self._frame_at))
 
     def might_say(self, key: Key) -> bool:
-        """Whether any valid frame at any place says so."""
         return self.any_frame(lambda frame: key in self._keys(frame), time.time() - _UNDER_WAY)
 
 
@@ -130,7 +129,6 @@ class Storm:
     # -- records ------------------------------------------------------------------------
 
     def record(self, *what: Any) -> None:
-        """Something that happened; kept for a while."""
         self._records.append((round(time.monotonic(), 4), *what))
 
     def check(self, row: Row, holds: Any, text: str) -> bool:
@@ -155,7 +153,7 @@ class Storm:
         listener = field.user('listener', 'storm_listener')
         busy = field.busy(self._busy)
         threads = [threading.Thread(target=self._guarded, args=(loop,), daemon=True) for loop in (
-            self._talk, self._drive, self._steer, self.calls.raw, self.calls.raw, self.calls.lift,
+            self._talk, self._drive, self.calls.raw, self.calls.raw,
             lambda: self._plug('mcu', 4.0), lambda: self._plug('bus', 6.0),
             lambda: self._plug('arduino', 5.0), lambda: self._stop_listener(listener))]
         for thread in threads:
@@ -194,14 +192,11 @@ class Storm:
         field.robot.on_message = self.published.take
         self.bus.rule, self.bus.executed = self._bus_rule, self.calls.executed
         self.car.on_packet, self.bus.on_request = (lambda packet: None), (lambda request: None)
-        for link, board, judge in (('arduino', self.car, self.motor), ('bus', self.bus, self.calls),
-                                   ('mcu', self.sensors, None)):
+        for link, board in (('arduino', self.car), ('bus', self.bus), ('mcu', self.sensors)):
             board.sent = board.said = collections.deque(maxlen=0)
             board.line.to_bridge = functools.partial(self._to_bridge, link)
-            take, cut = board.line.take, board.line.cut
-            if judge:
-                board.line.take = functools.partial(self._to_board, link, judge, take)
-                board.line.cut = lambda judge=judge, cut=cut: (judge.open_anew(), cut())
+            board.line.take = functools.partial(self._to_board, link, board.line.take)
+        self.car.line.cut = lambda: (self.motor.open_anew(), self.car.open_anew())
 
     def _disconnect_lines(self) -> None:
         field = self.field
@@ -224,8 +219,9 @@ class Storm:
             self._damaged.count()
             return damage(data, self._random, twice)
 
-    def _to_board(self, link: str, judge: Any, take: Callable, data: bytes, now: float) -> None:
-        judge.read(data, now)
+    def _to_board(self, link: str, take: Callable, data: bytes, now: float) -> None:
+        if link == 'arduino':
+            self.motor.read(data, now)
         came = self._carry(data, False)
         if data.strip(b'\x02\x0b\x00'):         # not only heartbeats
             self.record(link, 'to the board', data.hex(), came.hex() if came != data else '')
@@ -262,15 +258,6 @@ class Storm:
                 self.motor.command(0 if self._random.random() < 0.05 else value)
                 if not self.wait(self._random.uniform(0.02, 0.1)):
                     return
-
-    def _steer(self) -> None:
-        number = 0
-        while self.wait(0.05):
-            number += 1
-            self.field.robot.command('steering', number % 65536)
-            self.field.robot.command('winch', number % 65536)
-            if number % 40 == 0:
-                self.field.robot.command('led', 'left')
 
     def _plug(self, link: str, seconds: float) -> None:
         line, rand = self.field.lines[link], random.Random(f'{link} {self._random.random()}')
@@ -317,10 +304,10 @@ class MotorJudge:
         self._stopped_at = 0.0
         self._moving_since: Optional[int] = None     # heartbeats since the latest speed but 0
         self._beats: List[float] = []
+        self._waited = 0.0       # for a processor, as these began
         self._lock = threading.RLock()
 
     def command(self, value: int) -> None:
-        """Publish a speed."""
         plugged = self._storm.field.car_line.plugged
         with self._lock:
             if value:
@@ -329,7 +316,6 @@ class MotorJudge:
         self._storm.field.robot.command('speed', value)
 
     def open_anew(self) -> None:
-        """The port has gone."""
         with self._lock:
             self._reader.reset()
             self._connection += 1
@@ -341,13 +327,13 @@ class MotorJudge:
         """The bridge has been stopped, or is to go on now."""
         with self._lock:
             self._beats.clear()
+            self._waited = processor_wait(self._storm.field.child_bridge.pid)
             if stopped:
                 self._stopped_at = time.monotonic()
             elif time.monotonic() - self._stopped_at > 0.6:
                 self._stop_is_next = self._stop_is_next or self._stalled
 
     def read(self, data: bytes, now: float) -> None:
-        """Bytes as the bridge wrote them."""
         with self._lock:
             for frame in self._reader.feed(data, now):
                 speed = struct.unpack('<h', frame.data)[0] if frame.type == codec.SPEED else None
@@ -388,8 +374,9 @@ class MotorJudge:
         """No later than this were they sent, however late they were read. Of a bridge that may
         have no real-time priority nobody can tell whether it, or the machine, was late."""
         gap, field = longest_gap(self._beats, 100.0), self._storm.field
+        waited, self._waited = self._waited, processor_wait(field.child_bridge.pid)
         if gap >= BEAT_MISSED and (not field.has_priority()
-                                   or field.stood_still(self._beats[0], gap)):
+                                   or field.was_starved(gap, self._beats[0], waited)):
             self._gap.not_decided()
             return
         self._gap.tries += len(self._beats) - 2
@@ -407,38 +394,16 @@ class CallJudge:
             'success': row('storm: bus', 'told success: executed exactly once'),
             'refused': row('storm: bus', 'told refused or not sent: not executed'),
             'timeout': row('storm: bus', 'told timeout: executed once or not at all')}
-        self._again = row('storm: bus', 'sent again only after an INVALID on the line')
         self._own = row('storm: bus', 'a raw call is answered with its own data')
         self._blind = row('storm: bus', 'calls told wrong by a valid frame that damage made', True)
         self._answers = row('storm: bus', 'a call always answers (worst case: behind its timeout + '
                             '0.8 s, stops of the bridge included)')
         self.executed: 'collections.Counter[Tuple[int, bytes]]' = collections.Counter()
-        self._sent: Dict[Tuple[int, bytes], float] = {}     # first time, of raw requests
-        self._reader = codec.Reader(codec.request_at, float('inf'))
         self._numbers = iter(range(1, 1 << 32))
         self._open: Deque[Tuple[float, Callable[[], None]]] = collections.deque()
         self._lock = threading.RLock()
 
-    def open_anew(self) -> None:
-        """The port has gone."""
-        self._reader.reset()
-
-    def read(self, data: bytes, now: float) -> None:
-        """Bytes as the bridge wrote them."""
-        for frame in self._reader.feed(data, now):
-            if frame.command == MEMORY:
-                key = frame.command, frame.data
-                first = self._sent.setdefault(key, now)
-                if first == now:
-                    self._again.check(True, '')
-                    continue
-                said = self._storm.wires['bus'].any_frame(
-                    lambda reply: reply.type == codec.INVALID, time.time() - (now - first) - 1e-3)
-                self._storm.check(self._again, said, f'{key} was sent again, {now - first:.3f} s '
-                                  'after the first time')
-
     def raw(self) -> None:
-        """A caller with unique data."""
         while self._storm.wait(0.01):
             with self._lock:
                 key = MEMORY, struct.pack('<I', next(self._numbers))
@@ -452,21 +417,12 @@ class CallJudge:
                 while self._open and self._open[0][0] < time.time() - KEPT / 3:
                     self._open.popleft()[1]()
 
-    def lift(self) -> None:
-        """A caller of the lift, whose moves nobody counts here: the bus is to be shared."""
-        number = 0
-        while self._storm.wait(0.1):
-            number += 1
-            self._storm.field.robot.call('lift', number % 2, number // 2 % 256)
-
     def finish(self) -> None:
-        """Judge what is left."""
         while self._open:
             self._open.popleft()[1]()
 
     def _judge(self, key: Tuple[int, bytes], told: Told, began: float) -> None:
         executed = self.executed.pop(key, 0)
-        self._sent.pop(key, None)
         if not self._storm.check(self._answers, told.status is not None, told.message):
             return
         how = 'success' if told.success else 'timeout' if told.status == TIMEOUT else 'refused'
@@ -503,8 +459,7 @@ class PublishedJudge:
         self._stale = row('storm: node', 'nothing that waited during a stop of over 0.3 s')
 
     def take(self, topic: str, got: Got) -> None:
-        """One message."""
-        if got.key is None or topic == 'mcu/imu':      # the status stands for that
+        if got.key is None:
             return
         link = ('bus' if topic in POLLED_TOPICS else 'mcu' if topic.startswith('mcu/')
                 else 'arduino')
@@ -532,15 +487,14 @@ class NodeJudge:
         self._settled = min(_SETTLING / storm.duration, 1 / 3)
         self._levels = {name: row('storm: node', f'{name} do not grow'.replace(
             'memory do', 'memory does').replace('files', 'open files')) for name in _LEVELS}
-        self._log = LogWatch(storm)
 
     def look(self, share: float) -> None:
         """Once in a while; `share` of the time has passed."""
-        self._log.look()
+        self._field.logs.look()
         if share < self._settled:
             return
         half = int(share > (1 + self._settled) / 2)
-        for name, value in self._field.usage().items():
+        for name, value in usage_of(self._field.child_bridge.pid).items():
             most, (slack, unit) = self._most[name], _LEVELS[name]
             most[half] = max(most[half], value)
             if half:

@@ -105,7 +105,7 @@ def test_boards_know_what_is_to_be_published(line):
     assert [one.key for one in car.sent[:4]] == [1, 1, 1, 1] and car.sent[4].key == imu_of(1)[:10]
     sensors.measure()
     assert [one.key for one in sensors.sent] == [
-        (1, 1, 7, (37, -4499, -1)), 'near', 'near', (37, -4499, -1)]
+        (1, 1, 7, (37, -4499, -1)), 'near', 'near']
     assert known((1, -32768, 2)) is known((None, 1, 2)) is None
     assert [range_of(value) for value in (65535, 29, 30, 2000, 2001)] == [
         'timed out', 'near', 30, 2000, 'far']
@@ -146,24 +146,21 @@ def test_cause_of_a_log_line(text, cause):
     assert cause_of(text) == cause
 
 
-def test_log_rate(tmp_path):
-    from types import SimpleNamespace
+def test_log_lines(tmp_path):
     table = Table()
-    judge = SimpleNamespace(check=lambda row, holds, text: row.check(holds, text),
-                            field=SimpleNamespace(path=lambda name: str(tmp_path), row=table.row))
-    watch = LogWatch(judge)
-    log = tmp_path / 'serial_communication-1.log'
+    watch = LogWatch(str(tmp_path), table.row)
 
-    def say(second, text):
-        with open(str(log), 'a') as file:
-            file.write(f'[rosout][WARNING] 2026-01-01 10:00:{second:02},500: {text}\n')
+    def say(second, text, logger='rosout'):
+        with open(str(tmp_path / 'bridge_1.log'), 'a') as file:
+            file.write(f'[{logger}][WARNING] 2026-01-01 10:00:{second:02},500: {text}\n')
         watch.look()
 
     for second in (0, 10, 20):
         say(second, f'mcu: checksum: {second}')
         say(second, f'arduino: checksum: {second}')
+    say(21, 'no master\nTraceback (most recent call last):', 'rospy.rosout')
     assert table.violated == []
     say(25, 'mcu: checksum: again')
     assert [row.violations for row in table.violated] == [1]
-    say(26, 'Traceback (most recent call last):')
+    say(26, 'bad callback\nTraceback (most recent call last):')
     assert len(table.violated) == 2

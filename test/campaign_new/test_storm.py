@@ -30,7 +30,8 @@ class Stand:
         self.wires = {'arduino': storm.Wire(codec.arduino_at, car_keys),
                       'bus': storm.Wire(codec.reply_at, reply_keys)}
         self.field = SimpleNamespace(
-            row=self.table.row, has_priority=lambda: True, stood_still=lambda since, gap: False,
+            row=self.table.row, has_priority=lambda: True, was_starved=lambda *_: False,
+            child_bridge=SimpleNamespace(pid=0),
             car_line=SimpleNamespace(plugged=True),
             robot=SimpleNamespace(command=lambda name, value: None))
         self.broken = []
@@ -116,7 +117,7 @@ def test_heartbeats(stand, motor):
 
 
 def test_a_gap_in_which_the_machine_stood_still_is_not_decided(stand, motor):
-    stand.field.stood_still = lambda since, gap: since < 101.1 and gap > 0.03
+    stand.field.was_starved = lambda gap, since, waited: since < 101.1 and gap > 0.03
     motor.read(speed(0), 99.0)
     beats(motor, 100)
     beats(motor, 61, 101.05)
@@ -147,18 +148,6 @@ def test_a_caller_told_wrong_by_a_frame_that_damage_made(stand):
     judge.executed[MEMORY, TOKEN] = 1
     judge._judge((MEMORY, TOKEN), Told(False, 3, 0.1, ''), began)
     assert stand.broken == []
-
-
-def test_sent_again(stand):
-    judge = storm.CallJudge(stand)
-    request = codec.bus_frame(bytes((codec.FUNCTION, MEMORY)), TOKEN)
-    judge.read(request, time.monotonic())
-    stand.wires['bus'].carried(b'', codec.bus_frame(b'\xff', b'\x40'), time.time())
-    judge.read(request, time.monotonic())
-    assert stand.broken == []
-    stand.wires['bus'] = storm.Wire(codec.reply_at, reply_keys)
-    judge.read(request, time.monotonic())
-    assert stand.broken == ['sent again only after an INVALID on the line']
 
 
 def test_published_values(stand):
