@@ -1,8 +1,5 @@
 """The three boards at the far ends of the lines. They keep what they were told and what they said.
-
-Everything a board says carries a running number, so that each published value tells which frame
-it came of.
-"""
+Everything a board says has a running number: each published value tells which frame it came of."""
 import math
 import struct
 import time
@@ -13,7 +10,7 @@ import by_definition as codec
 from .lines import Clock, Line
 
 BEAT = 0.01              # s from one heartbeat to the next: the bridge's own clock on the line
-COUNTER, WINCH, ARM = 60, 62, 63      # custom messages of the car: a number up, two commands
+COUNTER, WINCH = 60, 62  # custom messages of the car: a number up, a command
 CLIFF = 0x20             # of the sensor board
 PRESS, PROBE, DEPTH, HEIGHT = 0x60, 0x61, 0x70, 0x71     # functions of the bus board
 MEMORY = 0xF0            # a function of the bus board that only raw requests ask for
@@ -22,9 +19,7 @@ CUSTOM: Dict[str, Dict[str, Any]] = {    # parameters of the bridge for all of t
         'counter': {'type': COUNTER, 'ros_type': 'std_msgs/UInt32', 'layout': '<I',
                     'fields': ['data']},
         'winch': {'type': WINCH, 'direction': 'to_board', 'ros_type': 'std_msgs/UInt16',
-                  'layout': '>H', 'fields': ['data']},
-        'arm': {'type': ARM, 'direction': 'to_board', 'ros_type': 'geometry_msgs/Vector3Stamped',
-                'layout': '<h', 'fields': ['vector.x']}},
+                  'layout': '>H', 'fields': ['data']}},
     'mcu/messages': {
         'cliff': {'type': CLIFF, 'ros_type': 'std_msgs/UInt32', 'layout': '<I',
                   'fields': ['data']}},
@@ -57,7 +52,7 @@ class Packet(NamedTuple):
 
     @property
     def number(self) -> int:
-        layout = {codec.SPEED: '<h', codec.STEERING: '<H', WINCH: '>H', ARM: '<h'}[self.type]
+        layout = {codec.SPEED: '<h', codec.STEERING: '<H', WINCH: '>H'}[self.type]
         return struct.unpack(layout, self.data)[0]
 
     @property
@@ -295,7 +290,6 @@ class BusBoard(Board):
 
     Attributes:
         rule: what it does with a function instead; None: as always.
-        echoes: whether it answers ECHO.
         in_step: False after a reset: it asks for SYNC.
     """
 
@@ -308,7 +302,7 @@ class BusBoard(Board):
         self.requests: List[Request] = []
         self.executed: 'Counter[Tuple[int, bytes]]' = Counter()
         self.rule: Optional[Callable[[Request], Optional[Answer]]] = None
-        self.echoes = self.in_step = True
+        self.in_step = True
         self.readings = 0
         self.on_request: Callable[[Request], None] = self.requests.append
         self._clock = clock
@@ -349,7 +343,7 @@ class BusBoard(Board):
         if not self.in_step:
             return Answer([(0, reply(codec.INVALID, bytes((codec.NOT_SYNCHRONISED,))))])
         if request.cmd1 == codec.ECHO:
-            return Answer([(0, reply(codec.ECHO, request.data))] if self.echoes else [])
+            return Answer([(0, reply(codec.ECHO, request.data))])
         special = self.rule(request) if self.rule else None
         return special or Answer([(0, self.ok(request))], True)
 

@@ -1,4 +1,4 @@
-"""Users of the bridge that are processes of their own, since they are stopped or killed:
+"""Users of the bridge that are processes of their own, since they are stopped:
 
     listener NAME       subscribes to everything
     caller NAME         calls the lift for each line "DIRECTION DISTANCE"
@@ -7,7 +7,6 @@
     witness             says when the machine woke it late, by how many seconds
 """
 import itertools
-import os
 import signal
 import sys
 import time
@@ -16,6 +15,7 @@ import rospy
 
 from serial_communication.msg import SpeedPWMCommand
 from serial_communication.srv import Lift
+from serial_communication.transport.pace import set_priority
 from .robot import NODE, TOPICS
 
 LATE = 0.005         # s that make a witness's wake late
@@ -62,10 +62,7 @@ def driver(first: str) -> None:
 
 def witness() -> None:
     """It only sleeps."""
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
-    except OSError:
-        pass
+    set_priority(_PRIORITY)
     due = time.monotonic()
     while True:
         due = max(due + _PERIOD, time.monotonic())

@@ -1,8 +1,7 @@
 """The exact part: one event after the other, on lines that are quiet between them.
 
-Its scenarios are functions in exact_bus, exact_car, exact_sensors and exact_node. Three bridges
-live one after the other: the first one takes most of it and is killed; the second one polls; the
-third one has its car behind a network.
+Three bridges live one after the other: the first one takes most of it and is killed; the second one
+polls; the third one has its car behind a network.
 """
 import signal
 import sys
@@ -10,8 +9,10 @@ import time
 from typing import Iterable
 
 from . import exact_bus, exact_car, exact_node, exact_sensors
+from .boards import Car
 from .exact_node import Ends
 from .field import Disturbed, Field, Scenario
+from .lines import NetworkLine
 
 FIRST = (*exact_bus.SCENARIOS, *exact_car.SCENARIOS, *exact_sensors.SCENARIOS,
          *exact_node.SCENARIOS)
@@ -31,10 +32,13 @@ def run(field: Field, only: str = '') -> None:
         carry_out(field, (*first, *second))
         field.clear_bridge()
     if third:
-        with exact_node.behind_network(field):
-            field.start(arduino=field.car_line.port)
-            carry_out(field, third)
-            field.clear_bridge()
+        car_line, car = field.car_line, field.car
+        field.car_line = NetworkLine(field.path('network'))
+        field.car = Car(field.car_line)
+        field.start()
+        carry_out(field, third)
+        field.clear_bridge()
+        field.car_line, field.car = car_line, car
 
 
 def name_of(scenario: Scenario) -> str:
@@ -61,7 +65,7 @@ def _trouble_of(field: Field, scenario: Scenario) -> str:
             scenario(field)
             return ''
         except Disturbed:
-            again.count()
+            again.tries += 1
         except Exception as error:  # pylint: disable=broad-except
             return f'{type(error).__name__}: {error}'
     return 'this machine gave the bridge no time, each time'

@@ -1,8 +1,7 @@
 """The bus, exactly: what each caller was told against what the board did.
 
-The board knows of each request that reached it, and what it executed. Each call carries a number
-of its own, so a caller's answer is held against exactly one request. One call is made at a time,
-and the line is quiet before it, unless the scenario says otherwise.
+Each call carries a number of its own, so a caller's answer is held against exactly one request. One
+call is made at a time, and the line is quiet before it, unless the scenario says otherwise.
 """
 import signal
 import struct
@@ -12,11 +11,11 @@ from typing import Callable, List, NamedTuple, Tuple
 
 import by_definition as codec
 from .boards import MEMORY, PRESS, Answer, Request, reply
-from .field import BACK, MOTION_TIMEOUT, PATIENCE, REPLY_TIMEOUT, RETURN, Field
+from .field import BACK, MOTION_TIMEOUT, REPLY_TIMEOUT, RETURN, Field
 from .robot import NOT_SENT, TIMEOUT, Told
+from .rows import PATIENCE
 
 Key = Tuple[int, bytes]     # CMD2 and DATE of a request
-SAID_SILENT = 'a board that falls silent is not OK in /diagnostics, then is OK again'
 WAIT = 0.8               # s that a call may wait for its turn, beside the timeout of its own
 _SLACK = 0.2             # s for ROS, the answer's way included
 _LATE = 0.1              # s after the timeout
@@ -100,7 +99,7 @@ class Calls:
         given, key = self.arguments('lift')
         self.field.bus.rule = lambda request: Answer([], True)
         asked = self.field.robot.calling('lift', *given)
-        self.timeout.wait(lambda: self.field.bus.executed[key], PATIENCE, 'the call arrives')
+        self.timeout.wait(lambda: self.field.bus.executed[key], 'the call arrives')
         return key, asked
 
     def judge(self, key: Key, told: Told, what: str, wanted: str, limit: float) -> None:
@@ -198,13 +197,12 @@ def stopped_caller(field: Field) -> None:
         pair, key = calls.arguments('lift')
         field.bus.rule = lambda request: _ok(field, request, 0.05)
         child.order(f'{pair[0]} {pair[1]}')
-        served.wait(lambda: field.bus.executed[key], PATIENCE, 'the call arrives')
+        served.wait(lambda: field.bus.executed[key], 'the call arrives')
         child.hold()
         for _ in range(3):
             calls.make('bus/request', 'of another caller', 'success')
         child.send(signal.SIGCONT)
-        served.wait(lambda: child.tail().count('told True') > index, PATIENCE,
-                    'the caller that was stopped is told')
+        served.wait(lambda: child.tail().count('told True') > index, 'it is told')
         served.check(field.bus.executed[key] == 1, f'executed {field.bus.executed[key]} times')
     field.end(child)
 
@@ -247,35 +245,6 @@ def stopped_bridge(field: Field) -> None:
         calls.received(calls.make('lift', 'behind a stop', 'success'), 1, 'behind a stop')
 
 
-def no_echo(field: Field) -> None:
-    """A board that never echoes: silence stands in the place of a fence."""
-    calls = Calls(field)
-    field.calm()
-    for echoes in (False, True):
-        field.bus_line.unplug()
-        field.bus.echoes = echoes
-        field.bus_line.plug()
-        field.wait(lambda: field.robot.call('bus/sync').success, 'SYNC is answered')
-        field.wait(lambda: field.robot.call('lift', 0, 255).success, 'a call is served')
-        for service in ('lift', 'bus/request', 'press') * 2:
-            calls.make(service, f'ECHO: {echoes}', 'success')
-
-
-def silent(field: Field) -> None:
-    """A board that answers nothing: calls still do, and /diagnostics says so."""
-    calls = Calls(field)
-    says = field.row('presence', SAID_SILENT)
-    field.calm()
-    take, field.bus_line.take = field.bus_line.take, lambda data, now: None
-    told = [field.robot.call('lift', 1, index) for index in range(3)]
-    for one in told:
-        calls.as_was.check(not one.success, 'told success by a board that heard nothing')
-        calls.in_time.at_most(one.seconds, MOTION_TIMEOUT + WAIT + _SLACK, 's', 'a silent board')
-    says.wait(lambda: field.diagnosed('bus')[0] > 0, PATIENCE, 'silent: not OK')
-    field.bus_line.take = take
-    says.wait(lambda: field.diagnosed('bus')[0] == 0, PATIENCE, 'it answers again: OK')
-
-
 def polls(field: Field) -> None:
     """Two polled functions of one length and the air, every reply twice: none gets another's."""
     row = field.row('bus', 'every polled value is one that the board gave for that function')
@@ -283,7 +252,7 @@ def polls(field: Field) -> None:
         field.robot.forget()
         field.bus.rule = lambda request: _ok(field, request, 0, delay)
         for topic in ('~depth', '~height', '~environment'):
-            row.wait(lambda: len(field.robot.got[topic]) >= 5, PATIENCE, f'{topic} is polled')
+            row.wait(lambda: len(field.robot.got[topic]) >= 5, f'{topic} is polled')
     field.bus.rule = None
     for topic in ('~depth', '~height', '~environment'):
         given = {one.key: one.wall for one in field.bus.sent if one.topic == topic}
@@ -293,5 +262,4 @@ def polls(field: Field) -> None:
                 field.judge_stamp(given[one.key], one, topic)
 
 
-SCENARIOS = (answers, fences, queue, stopped_caller, unplugged_while_asked, stopped_bridge,
-             no_echo, silent)
+SCENARIOS = answers, fences, queue, stopped_caller, unplugged_while_asked, stopped_bridge

@@ -1,10 +1,8 @@
 """The model car, exactly: what reached it against what was commanded.
 
-Every command carries a number of its own, so each packet at the board tells when it was commanded.
-Times on the line are counted in heartbeats, which the bridge sends every 10 ms: however late this
-process reads them, their number between two packets is what it was when they were written. Where
-something must not come, the scenario waits for a later command, or for heartbeats, that come after
-it on the same line.
+Every command carries a number of its own. Times on the line are counted in heartbeats: however late
+this process reads them, their number between two packets is what it was. Where something must not
+come, a later command, or heartbeats, are waited for, which come after it on the same line.
 """
 import contextlib
 import signal
@@ -14,10 +12,10 @@ from typing import Any, List, Tuple
 
 import by_definition as codec
 from processes import StageError
-from .boards import ARM, BEAT, WINCH, Packet
-from .field import BACK, FIRST, LATCHED, PATIENCE, RETURN, SPEED_TIMEOUT, UNTIL_PUBLISHED, Field
+from .boards import BEAT, WINCH, Packet
+from .field import BACK, FIRST, LATCHED, RETURN, SPEED_TIMEOUT, UNTIL_PUBLISHED, Field
 
-TYPES = {'speed': codec.SPEED, 'steering': codec.STEERING, 'winch': WINCH, 'arm': ARM}
+TYPES = {'speed': codec.SPEED, 'steering': codec.STEERING, 'winch': WINCH}
 COUNTED = 'every error is counted by its cause and costs no valid frame'
 _LATE_ZERO = 0.05        # s that SPEED 0 may come later than speed_timeout
 _REPEAT_PERIOD = 0.05    # s
@@ -25,7 +23,6 @@ _REPEATED = 1.0          # s
 _AGE = 0.8               # s, over arduino/command_age
 _AFTER = 60              # heartbeats in which nothing may come
 _STOPPED = 1.2           # s of SIGSTOP
-_SHORT_STOP = 0.15       # s: no stall
 
 
 class Drive:
@@ -47,7 +44,7 @@ class Drive:
         value, since = value or self.next(), len(self.field.car.packets)
         self.field.robot.command(name, value)
         return self.arrives.wait(lambda: self.field.car.packet(TYPES[name], value, since),
-                                 PATIENCE, f'{name} {value} arrives')
+                                 f'{name} {value} arrives')
 
     def in_vain(self, times: int, *names: str) -> List[int]:
         """Publish numbers of which none is to arrive, 50 ms apart; they are returned."""
@@ -68,7 +65,7 @@ class Drive:
             field.beats(3)
             return next((packet for packet in field.car.packets[since:]
                          if packet.type == codec.SPEED and packet.number >= first), None)
-        return self.arrives.wait(taken, PATIENCE, 'a command is taken again')
+        return self.arrives.wait(taken, 'a command is taken again')
 
     def none_of(self, values: List[int], name: str, what: str, since: int = 0) -> None:
         came = set(self.field.car.commands(TYPES[name], since))
@@ -120,7 +117,7 @@ def commands(field: Field) -> None:
     drive = Drive(field)
     field.calm()
     for name, values in (('speed', (1, -2, 999, 1000, -1000)), ('steering', range(1500, 1530)),
-                         ('winch', range(40000, 40010)), ('arm', (-5, -1, 1, 5))):
+                         ('winch', range(40000, 40010))):
         for value in values:
             drive.command(name, value)
         came = [value for value in field.car.commands(TYPES[name]) if value or name != 'speed']
@@ -128,12 +125,10 @@ def commands(field: Field) -> None:
     for given, taken in ((5000, 1000), (-32768, -1000)):
         since = len(field.car.packets)
         field.robot.command('speed', given)
-        row.wait(lambda: field.car.packet(codec.SPEED, taken, since), PATIENCE,
-                 f'SPEED {given} arrives as {taken}')
+        row.wait(lambda: field.car.packet(codec.SPEED, taken, since), f'SPEED {given} as {taken}')
     for text in ('left', 'x' * 31, 'x' * 30, 'ma\u00f1ana', 'disable'):
         field.robot.command('led', text)
-    row.wait(lambda: [one for one in field.car.packets if one.data == b'disable\0'], PATIENCE,
-             'LED disable arrives')
+    row.wait(lambda: b'disable\0' in [one.data for one in field.car.packets], 'LED disable arrives')
     lights = [one.data for one in field.car.packets if one.type == codec.LED]
     row.check(lights == [b'left\0', b'x' * 30 + b'\0', b'disable\0'], f'LED: {lights} arrived')
 
@@ -147,7 +142,7 @@ def stops(field: Field) -> None:
     def left_alone() -> Packet:
         commanded = time.monotonic()
         packet = drive.command()
-        zero = in_time.wait(lambda: field.car.zero_after(packet), PATIENCE, 'SPEED 0')
+        zero = in_time.wait(lambda: field.car.zero_after(packet), 'SPEED 0')
         in_time.at_most((zero.since(packet) - BEAT) * 1e3, (SPEED_TIMEOUT + _LATE_ZERO) * 1e3, 'ms',
                         'by heartbeats')
         early.check(zero.t - commanded > SPEED_TIMEOUT - 0.005,
@@ -160,11 +155,10 @@ def stops(field: Field) -> None:
     field.calm()
     packet = drive.command()
     field.robot.command('speed', 0)
-    _repeated(field, in_time.wait(lambda: field.car.zero_after(packet), PATIENCE, 'SPEED 0'))
+    _repeated(field, in_time.wait(lambda: field.car.zero_after(packet), 'SPEED 0'))
     drive.command()
     field.robot.command('speed', 0)
-    in_time.wait(lambda: field.car.commands(codec.SPEED)[-3:] == [0, 0, 0], PATIENCE,
-                 'SPEED 0 is repeated')
+    in_time.wait(lambda: field.car.commands(codec.SPEED)[-3:] == [0, 0, 0], 'SPEED 0 is repeated')
     left_alone()        # ends the repetitions
 
 
@@ -194,7 +188,7 @@ def openings(field: Field) -> None:
         old += drive.in_vain(5, 'speed')
         since, began = len(field.car.packets), time.monotonic()
         field.car_line.plug(another_name=index > 1)
-        field.wait(lambda: field.car.beat, 'heartbeats', PATIENCE)
+        field.wait(lambda: field.car.beat, 'heartbeats')
         back.at_most(field.car.beats[0] - began, RETURN, 's', 'arduino')
         field.beats(_AFTER)
         one = field.car.first[field.car.connection]
@@ -208,7 +202,7 @@ def old_stamps(field: Field) -> None:
     row = field.row('old commands', 'a stamp over 0.5 s old, or ahead, is refused; SPEED 0 never')
     drive = Drive(field)
     field.calm()
-    for name in ('speed', 'steering', 'arm'):
+    for name in ('speed', 'steering'):
         for age in (_AGE, 3600.0, -_AGE, -3600.0):
             bad = drive.next()
             field.robot.command(name, bad, time.time() - age)
@@ -217,12 +211,11 @@ def old_stamps(field: Field) -> None:
                       f'{name}, its stamp {age:g} s old, arrived')
         value = drive.next()
         field.robot.command(name, value, time.time())
-        row.wait(lambda: field.car.packet(TYPES[name], value), PATIENCE,
-                 f'{name} with a stamp of now arrives')
+        row.wait(lambda: field.car.packet(TYPES[name], value), f'{name} with a stamp of now')
     for age in (3600.0, -3600.0):
         packet = drive.command()
         field.robot.command('speed', 0, time.time() - age)
-        zero = row.wait(lambda: field.car.zero_after(packet), PATIENCE, 'SPEED 0')
+        zero = row.wait(lambda: field.car.zero_after(packet), 'SPEED 0')
         row.check(zero.since(packet) < SPEED_TIMEOUT - 0.05,
                   f'SPEED 0, its stamp {age:g} s old, was refused')
 
@@ -233,9 +226,9 @@ def latched(field: Field) -> None:
     field.calm()
     for first, second, taken in ((101, 102, True), (201, 202, False)):
         child = field.user('latch', 'latcher', first, second)
-        row.wait(lambda: 'connected' in child.tail()[-12:], PATIENCE, 'the bridge connects')
+        row.wait(lambda: 'connected' in child.tail()[-12:], 'the bridge connects')
         child.order('next')     # on the same connection, behind the latched one
-        row.wait(lambda: field.car.packet(codec.SPEED, second), PATIENCE, 'the next one arrives')
+        row.wait(lambda: field.car.packet(codec.SPEED, second), 'the next one arrives')
         times = field.car.commands(codec.SPEED).count(first)
         row.check(times == taken, f'latched by a publisher {"new" if taken else "heard before"}: '
                                   f'arrived {times} times')
@@ -247,10 +240,10 @@ def old_connection(field: Field) -> None:
     row = field.row('old commands', 'of one name only the newest connection is listened to')
     field.calm()
     older = field.user('driver', 'twin', 100)
-    row.wait(lambda: field.car.commands(codec.SPEED), PATIENCE, 'the first one drives')
+    row.wait(lambda: field.car.commands(codec.SPEED), 'the first one drives')
     older.hold()
     newer = field.user('driver', 'twin', 500)
-    row.wait(lambda: max(field.car.commands(codec.SPEED)) >= 500, PATIENCE, 'the second one does')
+    row.wait(lambda: max(field.car.commands(codec.SPEED)) >= 500, 'the second one does')
     since = len(field.car.packets)
     field.beats(10)
     older.send(signal.SIGCONT)
@@ -335,7 +328,7 @@ def calibration(field: Field) -> None:
             drive.command()
         field.robot.call('calibrate_imu')
         request = row.wait(lambda: [one for one in field.car.packets
-                                    if one.type == codec.CALIBRATION], PATIENCE, 'the request')[0]
+                                    if one.type == codec.CALIBRATION], 'the request')[0]
         at = field.car.packets.index(request)
         row.check(not moves or field.car.packets[at - 1].stops,
                   f'{field.car.packets[at - 1:at]} came before it')
@@ -346,18 +339,6 @@ def calibration(field: Field) -> None:
                   f'{field.car.packets[at + 1:at + 3]} came while it calibrated')
         field.car.measure()
         over.check(drive.again(), '')
-
-
-def gap_said(field: Field) -> None:
-    """A short stop of the bridge: too short to be a stall, too long for the board's motor."""
-    row = field.row('heartbeat', 'a gap of over 30 ms is said in /diagnostics: WARN')
-    field.calm()
-    field.diagnosed('arduino')
-    with field.held():
-        field.let_pass(_SHORT_STOP)
-    told = [field.diagnosed('arduino')[1] for _ in range(2)]
-    gaps = [float(text.partition('heartbeat gap of ')[2].split(' ')[0] or 0) for text in told]
-    row.check(max(gaps) >= _SHORT_STOP * 1e3, f'{told} behind a stop of {_SHORT_STOP} s')
 
 
 def damaged(field: Field) -> None:
@@ -382,4 +363,4 @@ def damaged(field: Field) -> None:
 
 
 SCENARIOS = (measurements, traffic, commands, stops, openings, old_stamps, latched, old_connection,
-             frozen, stopped_bridge, calibration, gap_said, damaged)
+             frozen, stopped_bridge, calibration, damaged)

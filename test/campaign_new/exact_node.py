@@ -1,25 +1,22 @@
 """The node, exactly: what happens to it as a process, and beside it."""
-import contextlib
 import json
 import signal
-import socket
 import time
 import xmlrpc.client
-from typing import Any, Dict, FrozenSet, Iterator, Tuple
+from typing import Any, Dict, FrozenSet, Tuple
 
 import rosgraph
 
 import by_definition as codec
-from .boards import CUSTOM, POLLED, Answer, Car
+from .boards import CUSTOM, POLLED, Answer
 from .exact_bus import Calls
-from .exact_car import Drive
-from .field import FIRST, LATCHED, MOTION_TIMEOUT, PATIENCE, Field
-from .lines import NetworkLine
+from .exact_car import Drive, measurements
+from .field import FIRST, LATCHED, MOTION_TIMEOUT, Field
 from .robot import NODE
+from .rows import PATIENCE
 
 ENDING = 2.0             # s
 MASTER_RETURN = 10.0     # s
-PEER = 3.0, 1.5          # s after which a silent peer is closed, and that it may take longer
 NETWORK_AGE = 1.5        # s: about arduino/network_silence
 NETWORK_RETURN = 3.0     # s
 POLLING: Dict[str, Any] = {
@@ -44,29 +41,9 @@ def second_bridge(field: Field) -> None:
 def stopped_subscriber(field: Field) -> None:
     """SIGSTOP of a subscriber of everything."""
     child = field.user('listener', 'stopped_listener')
-    field.calm()
     child.hold()
-    with field.heartbeats():
-        for _ in range(60):
-            field.car.measure()
-            field.sensors.measure()
-            field.beats(1)
-    field.compare(field.car, field.sensors)
+    measurements(field)
     field.end(child)
-
-
-def silent_peer(field: Field) -> None:
-    """Somebody connects to the node's ROS port and says nothing."""
-    row = field.row('node', 'a silent peer at the ROS port holds up nobody; it is closed after 3 s')
-    field.calm()
-    uri = rosgraph.Master('/campaign').lookupNode(NODE)
-    _code, _text, (_tcpros, host, port) = xmlrpc.client.ServerProxy(uri).requestTopic(
-        '/campaign', '/serial_msg', [['TCPROS']])
-    began = time.monotonic()
-    with field.heartbeats(), socket.create_connection((host, port), PATIENCE) as peer:
-        row.check(field.robot.call('lift', 0, 1).success, 'a call was not served')
-        row.check(not peer.recv(1), 'it was told something')
-    row.at_most(time.monotonic() - began, sum(PEER), 's', 'until it was closed')
 
 
 def new_master(field: Field) -> None:
@@ -97,12 +74,11 @@ def _registered() -> FrozenSet[Tuple[str, str]]:
     """What the master knows of the bridge; nothing where none answers."""
     master = rosgraph.Master('/campaign')
     try:
-        state, parameters = master.getSystemState(), master.getParam(NODE)
+        names = [(f'{kind}', name) for kind, entries in enumerate(master.getSystemState())
+                 for name, nodes in entries if NODE in nodes]
+        return frozenset([*names, *(('parameter', key) for key in master.getParam(NODE))])
     except (OSError, rosgraph.MasterException):
         return frozenset()
-    known = {(kind, name) for kind, entries in zip(('publishes', 'subscribes', 'offers'), state)
-             for name, nodes in entries if NODE in nodes}
-    return frozenset(known | {('parameter', key) for key in parameters})
 
 
 def resets(field: Field) -> None:
@@ -145,9 +121,9 @@ def killed(field: Field) -> None:
     field.start(POLLING)
     one = field.car.first[field.car.connection]
     first.check(one.stops, f'{one} was the first')
-    old.wait(lambda: 'connected' in child.tail()[-12:], PATIENCE, 'the bridge connects')
+    old.wait(lambda: 'connected' in child.tail()[-12:], 'the bridge connects')
     child.order('next')
-    old.wait(lambda: field.car.packet(codec.SPEED, 302), PATIENCE, 'the next one arrives')
+    old.wait(lambda: field.car.packet(codec.SPEED, 302), 'the next one arrives')
     old.check(not field.car.packet(codec.SPEED, 301, since), 'latched before the start: arrived')
     drive.none_of([number], 'speed', 'commanded before SIGKILL', since)
     field.end(child)
@@ -215,7 +191,7 @@ def network(field: Field) -> None:
                 commanded[drive.in_vain(1, 'speed')[0]] = now
             field.car_line.thaw()
             returned = time.monotonic()
-            back.wait(lambda: car.connection > connection and car.beat > 5, PATIENCE, 'heartbeats')
+            back.wait(lambda: car.connection > connection and car.beat > 5, 'heartbeats')
             back.at_most(time.monotonic() - returned, NETWORK_RETURN, 's', event.__name__)
             drive.again()
         for packet in car.packets[since:]:
@@ -227,13 +203,4 @@ def network(field: Field) -> None:
                 first.check(car.first[number].stops, f'{car.first[number]} was the first')
 
 
-@contextlib.contextmanager
-def behind_network(field: Field) -> Iterator[None]:
-    before = field.car_line, field.car
-    field.car_line = NetworkLine(field.path('network'))
-    field.car = Car(field.car_line)
-    yield
-    field.car_line, field.car = before
-
-
-SCENARIOS = second_bridge, stopped_subscriber, silent_peer, new_master, resets
+SCENARIOS = second_bridge, stopped_subscriber, new_master, resets

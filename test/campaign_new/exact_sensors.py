@@ -4,9 +4,8 @@ import time
 
 import by_definition as codec
 from .boards import CLIFF
-from .exact_bus import SAID_SILENT
 from .exact_car import COUNTED
-from .field import BACK, PATIENCE, RETURN, Field
+from .field import BACK, RETURN, Field
 
 FRAME_TIMEOUT = 0.05     # s: the default of the bridge
 _PERIOD = 1.3            # s from one report of silence to the next, at most
@@ -54,8 +53,8 @@ def false_starts(field: Field) -> None:
         field.calm()
         field.sensors.line.write(start)
         field.sensors.measure()
-        got = row.wait(lambda: [one for one in field.robot.got['mcu/status'] if one.key],
-                       PATIENCE, 'it is published')[0]
+        statuses = field.robot.got['mcu/status']
+        got = row.wait(lambda: [one for one in statuses if one.key], 'it is published')[0]
         row.check(len(start) == 1 or got.wall - got.stamp >= FRAME_TIMEOUT - 0.005,
                   f'stamped {got.wall - got.stamp:.4f} s before it arrived: as it was given up')
 
@@ -63,15 +62,15 @@ def false_starts(field: Field) -> None:
 def silent(field: Field) -> None:
     """It talks, falls silent, and talks again."""
     row = field.row('presence', 'a silent sensor board: not connected, no old values, each second')
-    says = field.row('presence', SAID_SILENT)
+    says = field.row('presence', 'a board that falls silent is not OK in /diagnostics')
     field.calm()
     with field.talking():
         for link in ('mcu', 'arduino'):
-            says.wait(lambda: 'silent' not in field.diagnosed(link)[1], PATIENCE, f'{link} talks')
+            says.wait(lambda: 'silent' not in field.diagnosed(link)[1], f'{link} talks')
     field.compare(field.car, field.sensors)
     statuses = field.robot.got['mcu/status']
     last = [one for one in statuses if one.key][-1]
-    row.wait(lambda: statuses[-3].wall > last.wall, PATIENCE, 'three reports')
+    row.wait(lambda: statuses[-3].wall > last.wall, 'three reports')
     reports = statuses[-3:]
     for one in reports:
         m = one.message
@@ -81,7 +80,7 @@ def silent(field: Field) -> None:
     for before, after in zip(reports, reports[1:]):
         row.at_most(after.stamp - before.stamp, _PERIOD, 's', 'between two reports')
     for link in ('mcu', 'arduino'):
-        says.wait(lambda: 'silent' in field.diagnosed(link)[1], PATIENCE, f'{link} is silent')
+        says.wait(lambda: 'silent' in field.diagnosed(link)[1], f'{link} is silent')
 
 
 def openings(field: Field) -> None:
@@ -95,10 +94,6 @@ def openings(field: Field) -> None:
         field.mcu_line.plug(another_name=index > 0)
         field.flows('mcu/cliff', field.sensors.cliff, back)
         back.at_most(time.monotonic() - began, RETURN, 's', 'mcu')
-        field.calm()
-        for _ in range(5):
-            field.sensors.measure()
-        field.compare(field.sensors)
 
 
 SCENARIOS = lost_frames, damaged, false_starts, silent, openings

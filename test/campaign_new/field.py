@@ -5,7 +5,7 @@ import json
 import os
 import signal
 import sys
-from typing import Any, Callable, Dict, Iterable, Iterator, List, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Tuple
 
 from heartbeats import BEAT_MISSED, longest_gap, processor_wait
 from processes import Child, Stage, StageError
@@ -26,7 +26,6 @@ BACK = 'ports', "data within 1.5 s of the port's return"
 FIRST = 'motor', 'at every opening of the port SPEED 0 goes out before any heartbeat'
 LATCHED = 'old commands', 'what was latched does not drive; what somebody types now does'
 QUIET_BEATS = 20         # heartbeats with nothing else between them: the car's line is quiet
-PATIENCE = 30.0          # s for what has no limit of its own; waited out only if it never comes
 UNTIL_PUBLISHED = 5.0   # s
 _SAME_CLOCK = 1e-4       # s; rounding of stamps
 POLLED_TOPICS = '~environment', '~depth', '~height'
@@ -60,34 +59,27 @@ class Field(Stage):
         self.witness = self.user('witness', 'witness', ready=False)
         return self
 
-    # -- processes ----------------------------------------------------------------------
-
-    def start(self, parameters: Dict[str, Any] = {}, **ports: str) -> None:
-        """A bridge; returns when it serves every link.
-
-        Args:
-            parameters: beside `PARAMETERS`.
-            ports: instead of those of the lines.
-        """
+    def start(self, parameters: Dict[str, Any] = {}) -> None:
+        """A bridge, with these beside `PARAMETERS`; returns when it serves every link."""
         self.bridge_number += 1
-        self._started = parameters, ports
-        wanted = {link: ports.get(link, line.port) for link, line in self.lines.items()}
+        self._parameters = parameters
+        ports = {'bus': self.bus_line.port, 'arduino': self.car_line.port,
+                 'mcu': self.mcu_line.port}
         name = f'bridge_{self.bridge_number}'
         self.child_bridge = self.bridge(
-            wanted, {**PARAMETERS, **parameters}, name,
+            ports, {**PARAMETERS, **parameters}, name,
             [*self.bridge_command, f'__log:={self.logs.folder}/{name}.log'])
         self.wait_for_bridge()
 
     def clear_bridge(self) -> None:
         self.logs.look()
-        if self.child_bridge in self.children:
-            self.end(self.child_bridge)
+        self.end(self.child_bridge)
 
     def wait_for_bridge(self) -> None:
         """Until it serves every link that has a line, and this node."""
         child = self.child_bridge
         topics = set(TOPICS) - set(POLLED_TOPICS[1:])
-        self.wait(lambda: not child.alive or self.robot.connected and self.robot.hears(topics)
+        self.wait(lambda: not child.alive or self.robot.connected(topics)
                   and (not self.car_line.plugged or self.car.beat > QUIET_BEATS),
                   'the bridge is up')
         self.check(child)
@@ -98,7 +90,7 @@ class Field(Stage):
         for child in set(self.children) - {self.child_bridge, self.witness}:
             self.end(child)
         self.child_bridge.send(signal.SIGCONT)
-        self.bus.rule, self.bus.echoes, self.bus.in_step = None, True, True
+        self.bus.rule, self.bus.in_step = None, True
         self.car_line.frozen = False
         for line in self.lines.values():
             if line.plugged:
@@ -107,9 +99,8 @@ class Field(Stage):
         try:
             self.wait_for_bridge()
         except StageError:
-            parameters, ports = self._started
             self.end(self.child_bridge, signal.SIGKILL)
-            self.start(parameters, **ports)
+            self.start(self._parameters)
 
     def user(self, role: str, name: str, *arguments: Any, ready: bool = True) -> Child:
         child = self.child(name, [sys.executable, '-m', __package__ + '.children', role, name,
@@ -137,12 +128,10 @@ class Field(Stage):
         except OSError:
             return False
 
-    # -- waiting ------------------------------------------------------------------------
-
     def beats(self, number: int) -> None:
         """Until so many heartbeats have come: time on the bridge's own clock."""
         until = self.car.beat + number
-        self.wait(lambda: self.car.beat >= until, f'{number} heartbeats', PATIENCE)
+        self.wait(lambda: self.car.beat >= until, f'{number} heartbeats')
 
     def let_pass(self, seconds: float) -> None:
         """Where the time itself is the event."""
@@ -172,8 +161,8 @@ class Field(Stage):
 
         self.bus.rule = None
         self.wait(lambda: self.robot.call('bus/echo').success, 'the bus board is in step')
-        self.wait(quiet, 'the car stands', PATIENCE)
-        self.wait(published, 'what is measured is published', PATIENCE)
+        self.wait(quiet, 'the car stands')
+        self.wait(published, 'what is measured is published')
         self.forget()
 
     def forget(self) -> None:
@@ -188,7 +177,7 @@ class Field(Stage):
             measure()
             self.beats(2)
             return len(self.robot.got[topic]) > count
-        row.wait(flows, PATIENCE, f'{topic} is published')
+        row.wait(flows, f'{topic} is published')
 
     @contextlib.contextmanager
     def talking(self) -> Iterator[None]:
@@ -244,19 +233,20 @@ class Field(Stage):
         yield shown
         self.robot.listen_to_traffic(False)
 
-    # -- exact comparisons ----------------------------------------------------------------
-
     def compare(self, *boards: Board) -> None:
         """What was published since the last calm is what these boards sent: each once, in order;
         each stamp lies between the write of its frame and the arrival of its message."""
         row = self.row('data', 'every valid frame is published once, in order, with its values')
         for topic, messages in self.robot.got.items():
             wanted = [one for board in boards for one in board.sent if one.topic == topic]
+
+            def got() -> List[Got]:     # without the reports of silence
+                return [one for one in messages if one.key is not None]
             with contextlib.suppress(StageError):
-                self.wait(lambda: len(of_boards(messages)) >= len(wanted), '', UNTIL_PUBLISHED)
-            got = of_boards(messages)
-            row.check(len(wanted) == len(got), f'{topic}: {len(wanted)} sent, {len(got)} published')
-            for one, message in zip(wanted, got):
+                self.wait(lambda: len(got()) >= len(wanted), '', UNTIL_PUBLISHED)
+            row.check(len(wanted) == len(got()),
+                      f'{topic}: {len(wanted)} sent, {len(got())} published')
+            for one, message in zip(wanted, got()):
                 if not row.check(one.key == message.key,
                                  f'{topic}: {one.key} was sent, {message.key} published'):
                     break
@@ -289,21 +279,13 @@ class Field(Stage):
 
     def was_starved(self, gap: float, since: float, waited: float) -> bool:
         """Whether this machine may have made a gap too long: it was as late to wake a process that
-        only sleeps, or gave the bridge's threads no processor for as long.
-
-        Args:
-            waited: for how long they had waited for a processor before.
+        only sleeps, or gave the bridge's threads, which had `waited` so long before, no processor.
         """
         late = [line.split() for line in self.witness.tail().splitlines()]
         waits = [float(words[1]) for words in late
                  if len(words) == 2 and float(words[0]) >= since - 0.1]
         waits.append(processor_wait(self.child_bridge.pid) - waited)
         return gap >= BEAT_MISSED and max(waits) >= gap - BEAT_MISSED
-
-
-def of_boards(got: Iterable[Got]) -> List[Got]:
-    """Without the reports of silence, which no frame is behind."""
-    return [one for one in got if one.key is not None]
 
 
 Scenario = Callable[[Field], None]

@@ -1,52 +1,43 @@
-"""The lines between the bridge and the campaign's boards, whose far ends this process holds.
-
-Whatever can happen to a line is a method here: it is unplugged, comes back under another name,
-takes nothing, or damages what it carries.
-"""
+"""The lines between the bridge and the boards, whose far ends this process holds. Whatever can
+happen to a line is a method here."""
 import contextlib
-import heapq
 import itertools
 import os
 import pty
+import sched
 import select
 import socket
 import termios
 import threading
 import time
 import tty
-from typing import Callable, List, Tuple
+from typing import Callable
 
 _POLL = 20               # ms for which a reader waits, at most, before it looks around
+_TICK = 0.002            # s
 _SIZE = 65536            # bytes that are read at once
 _HANDED_ON = 0.05        # s that a pseudo terminal may take to hand bytes on
 
 
 class Clock(threading.Thread):
-    """Calls functions at their times."""
+    """Calls functions at their times, by `time.monotonic`; of one time, the first first."""
 
     def __init__(self) -> None:
         super().__init__(name='clock', daemon=True)
-        self._due: List[Tuple[float, int, Callable[[], None]]] = []
+        self._due = sched.scheduler(time.monotonic)
         self._numbers = itertools.count()
-        self._changed = threading.Condition()
         self.start()
 
     def after(self, seconds: float, action: Callable[[], None]) -> None:
         self.at(time.monotonic() + seconds, action)
 
     def at(self, when: float, action: Callable[[], None]) -> None:
-        """Call it then, by `time.monotonic`; of one time, the first first."""
-        with self._changed:
-            heapq.heappush(self._due, (when, next(self._numbers), action))
-            self._changed.notify()
+        self._due.enterabs(when, next(self._numbers), action)
 
     def run(self) -> None:
         while True:
-            with self._changed:
-                while not self._due or self._due[0][0] > time.monotonic():
-                    self._changed.wait(self._due[0][0] - time.monotonic() if self._due else None)
-                action = heapq.heappop(self._due)[2]
-            action()
+            self._due.run(blocking=False)
+            time.sleep(_TICK)
 
 
 class Line(threading.Thread):
@@ -57,6 +48,8 @@ class Line(threading.Thread):
         cut: is called as the line is unplugged.
         to_bridge: what becomes of bytes on their way to the bridge.
     """
+
+    _is_network = False
 
     def __init__(self, path: str) -> None:
         super().__init__(name=os.path.basename(path), daemon=True)
@@ -71,8 +64,6 @@ class Line(threading.Thread):
         self._taken = 0          # bytes
         self.plug()
         self.start()
-
-    # -- events -------------------------------------------------------------------------
 
     def plug(self, another_name: bool = False) -> None:
         """It is there; with `another_name` as another device than before."""
@@ -136,20 +127,15 @@ class Line(threading.Thread):
             time.sleep(_HANDED_ON)
             self.read_all()
 
-    # -- bytes --------------------------------------------------------------------------
-
     def write(self, data: bytes) -> bool:
         """From the board; False where the line is unplugged or has no room."""
         with self._lock:
             data = self.to_bridge(data)
             try:
-                return self._takes and os.write(self._master, data) == len(data)
+                is_up = self.plugged and not (self._is_network and self.frozen)
+                return is_up and os.write(self._master, data) == len(data)
             except OSError:
                 return False
-
-    @property
-    def _takes(self) -> bool:
-        return self.plugged
 
     def read_all(self) -> None:
         with self._lock:
@@ -191,6 +177,8 @@ class NetworkLine(Line):
     What a frozen network holds of a connection that has ended meanwhile is lost with it.
     """
 
+    _is_network = True
+
     def plug(self, another_name: bool = False) -> None:
         self._server = socket.create_server(('127.0.0.1', 0))
         self._server.setblocking(False)
@@ -210,10 +198,6 @@ class NetworkLine(Line):
         with self._lock:
             self.frozen = False
             self._end_if_ended()
-
-    @property
-    def _takes(self) -> bool:
-        return self.plugged and not self.frozen
 
     def _end_if_ended(self) -> None:
         if self.plugged and _ready(self._master, select.POLLRDHUP, 0):

@@ -24,11 +24,7 @@ def cause_of(text: str) -> Tuple[str, str]:
 
 
 class LogWatch:
-    """The log files of a campaign's bridges, one each, in `folder`.
-
-    Args:
-        row: makes a row of the table.
-    """
+    """The log files of a campaign's bridges, one each, in `folder`; `row` makes the table's rows."""
 
     def __init__(self, folder: str, row: Callable[[str, str], Any]) -> None:
         self.folder = folder

@@ -8,7 +8,6 @@ from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tu
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Vector3Stamped
 from rospy.impl.registration import Registration, get_registration_listeners
 from sensor_msgs.msg import Imu, Range, Temperature
 from std_msgs.msg import String, UInt16, UInt32
@@ -53,8 +52,7 @@ class Told(NamedTuple):
 def _imu(message: Imu) -> Tuple:
     q, w, a = message.orientation, message.angular_velocity, message.linear_acceleration
     return tuple(whole(each) for each in (
-        q.w * 16384, -q.y * 16384, q.x * 16384, q.z * 16384,
-        -w.y / _GYRO, w.x / _GYRO, w.z / _GYRO,
+        q.w * 16384, -q.y * 16384, q.x * 16384, q.z * 16384, -w.y / _GYRO, w.x / _GYRO, w.z / _GYRO,
         -a.y / _ACCELERATION, a.x / _ACCELERATION, a.z / _ACCELERATION))
 
 
@@ -87,7 +85,7 @@ TOPICS: Dict[str, Tuple[Any, Key]] = {
                                              _hundredths(m.humidity))),
     '~depth': (UInt32, _DATA), '~height': (UInt32, _DATA)}
 COMMANDS = {'speed': SpeedPWMCommand, 'steering': SteeringPWMCommand, 'led': String,
-            'winch': UInt16, 'arm': Vector3Stamped}
+            'winch': UInt16}
 
 
 class Robot:
@@ -143,28 +141,21 @@ class Robot:
         elif self._traffic:
             self._traffic.unregister()
 
-    # -- commands -----------------------------------------------------------------------
-
     def command(self, name: str, value: Any, stamp: float = 0.0) -> None:
         """Publish one; `stamp` is ROS time."""
         message = COMMANDS[name]()
         if stamp:
             message.header.stamp = rospy.Time.from_sec(stamp)
-        if name == 'arm':
-            message.vector.x = value
-        elif hasattr(message, 'value'):
+        if hasattr(message, 'value'):
             message.value = value
         else:
             message.data = value
         self._publishers[name].publish(message)
 
-    @property
-    def connected(self) -> bool:
-        return all(publisher.get_num_connections() for publisher in self._publishers.values())
-
-    def hears(self, topics: Iterable[str]) -> bool:
-        """Whether what the bridge publishes on these comes here."""
-        return all(self._subscribers[topic].get_num_connections() for topic in topics)
+    def connected(self, topics: Iterable[str]) -> bool:
+        """Whether the bridge takes commands, and what it publishes on these comes here."""
+        return all(one.get_num_connections() for one in (
+            *self._publishers.values(), *(self._subscribers[topic] for topic in topics)))
 
     def register_again(self) -> None:
         """With a new master: rospy does it once only."""
@@ -173,8 +164,6 @@ class Robot:
                              (Registration.SUB, manager.get_subscriptions())):
             for name, type_ in topics:
                 get_registration_listeners().notify_added(name, type_, kind)
-
-    # -- calls --------------------------------------------------------------------------
 
     def call(self, service: str, *arguments: Any) -> Told:
         """Call it; what the caller is told. A service error is no success."""

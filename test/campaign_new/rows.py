@@ -6,15 +6,12 @@ from typing import Any, Callable, Dict, List, Tuple
 
 from processes import Stage, StageError
 
+PATIENCE = 30.0      # s for what has no limit of its own; waited out only if it never comes
 _SHOWN = 4      # violations of a row that are kept and printed
 
 
 class Row:
-    """One promise, and how often it was tried.
-
-    Args:
-        counted: it is a measurement: nothing is promised of it.
-    """
+    """One promise, and how often it was tried; or, `counted`, a measurement."""
 
     def __init__(self, group: str, promise: str, counted: bool = False) -> None:
         self.group = group
@@ -22,7 +19,7 @@ class Row:
         self.counted = counted
         self.tries = 0
         self.violations = 0
-        self.undecided = 0
+        self.undecided = 0      # tries of which nobody can tell: none in the exact part
         self.first: List[str] = []          # of the violations
         self.first_at = 0.0
         self.worst = float('-inf')
@@ -48,22 +45,15 @@ class Row:
     def note(self, value: float, unit: str) -> None:
         self.worst, self._unit = max(self.worst, value), unit
 
-    def wait(self, condition: Callable[[], Any], seconds: float, text: str) -> Any:
-        """One try: `condition()` becomes true within `seconds`, or the scenario ends here."""
+    def wait(self, condition: Callable[[], Any], text: str) -> Any:
+        """One try: `condition()` becomes true within `PATIENCE`, or the scenario ends here."""
         try:
-            value = Stage.wait(condition, text, seconds)
+            value = Stage.wait(condition, text, PATIENCE)
         except StageError as error:
             self.check(False, str(error))
             raise
         self.check(True, '')
         return value
-
-    def count(self) -> None:
-        self.tries += 1
-
-    def not_decided(self) -> None:
-        """Nobody can tell. Never in the exact part."""
-        self.undecided += 1
 
     @property
     def worst_case(self) -> str:

@@ -32,8 +32,8 @@ def test_table():
     row.check(True, '')
     assert table.violated == [] and table.row('motor', 'it stops') is row
     row.at_most(3.0, 2.0, 's', 'too late')
-    row.not_decided()
-    table.row('motor', 'seen', counted=True).count()
+    row.undecided += 1
+    table.row('motor', 'seen', counted=True).tries += 1
     table.row('bus', 'never tried')
     assert table.violated == [row] and row.worst_case == '3 s'
     assert table.summary() == '1 promises, 1 violated, 1 tries not decided'
@@ -104,8 +104,7 @@ def test_boards_know_what_is_to_be_published(line):
                                                '~imu', '~imu/temperature']
     assert [one.key for one in car.sent[:4]] == [1, 1, 1, 1] and car.sent[4].key == imu_of(1)[:10]
     sensors.measure()
-    assert [one.key for one in sensors.sent] == [
-        (1, 1, 7, (37, -4499, -1)), 'near', 'near']
+    assert [one.key for one in sensors.sent] == [(1, 1, 7, (37, -4499, -1)), 'near', 'near']
     assert known((1, -32768, 2)) is known((None, 1, 2)) is None
     assert [range_of(value) for value in (65535, 29, 30, 2000, 2001)] == [
         'timed out', 'near', 30, 2000, 'far']

@@ -1,7 +1,6 @@
 """The judges of the statistical part: what they call a violation, and what not."""
 import struct
 import time
-from collections import deque
 from types import SimpleNamespace
 
 import by_definition as codec
@@ -26,15 +25,14 @@ class Stand:
 
     def __init__(self):
         self.table = Table()
-        self.held = deque()
         self.wires = {'arduino': storm.Wire(codec.arduino_at, car_keys),
                       'bus': storm.Wire(codec.reply_at, reply_keys)}
         self.field = SimpleNamespace(
             row=self.table.row, has_priority=lambda: True, was_starved=lambda *_: False,
-            child_bridge=SimpleNamespace(pid=0),
-            car_line=SimpleNamespace(plugged=True),
+            child_bridge=SimpleNamespace(pid=0), car_line=SimpleNamespace(plugged=True),
             robot=SimpleNamespace(command=lambda name, value: None))
         self.broken = []
+        self.blind = self.table.row('storm', 'blind', True)
 
     def record(self, *what):
         pass
@@ -85,15 +83,6 @@ def test_first_packet_of_a_connection(stand, motor, first):
     assert 'at every opening SPEED 0 goes out before any heartbeat' in stand.broken
 
 
-def test_first_packet_after_a_stop_of_the_bridge(stand, motor, monkeypatch):
-    motor.read(speed(0), 100.0)
-    motor.stands(True)
-    monkeypatch.setattr(motor, '_stopped_at', time.monotonic() - 1.0)
-    motor.stands(False)
-    motor.read(HEARTBEAT, 101.0)
-    assert stand.broken == ['after SIGSTOP of over 0.5 s SPEED 0 is first']
-
-
 def test_a_speed_twice_and_one_of_nobody(stand, motor):
     motor.command(300)
     motor.read(speed(0) + speed(300), time.monotonic())
@@ -102,7 +91,7 @@ def test_a_speed_twice_and_one_of_nobody(stand, motor):
     assert stand.broken == ['no speed that was not commanded, none twice'] * 2
 
 
-def test_a_speed_of_before_a_reconnect(stand, motor, monkeypatch):
+def test_a_speed_of_before_a_reconnect(stand, motor):
     motor.command(300)
     motor.open_anew()
     motor.read(speed(0) + speed(300), time.monotonic() + 0.5)
@@ -137,17 +126,19 @@ def test_what_a_caller_is_told(stand, told, executed, broken):
     key = MEMORY, TOKEN
     judge.executed[key] = executed
     judge._judge(key, told, time.time())
-    assert bool(stand.broken) == bool(broken) and all(
-        broken in text for text in stand.broken)
+    assert bool(stand.broken) == bool(broken) and all(broken in text for text in stand.broken)
 
 
 def test_a_caller_told_wrong_by_a_frame_that_damage_made(stand):
     judge = storm.CallJudge(stand)
     began = time.time() - 1
     stand.wires['bus'].carried(b'x', b'\xa5\x20' + codec.bus_frame(b'\3', b'\2\x80'), began + 0.5)
-    judge.executed[MEMORY, TOKEN] = 1
-    judge._judge((MEMORY, TOKEN), Told(False, 3, 0.1, ''), began)
-    assert stand.broken == []
+    for broken in [], ['told refused or not sent: not executed']:
+        judge.executed[MEMORY, TOKEN] = 1
+        judge._judge((MEMORY, TOKEN), Told(False, 3, 0.1, ''), began)
+        assert stand.broken == broken
+        error = codec.bus_frame(b'\3', b'\2\x80')      # which the board has sent to another
+        stand.wires['bus'].carried(error, error, began + 0.5)
 
 
 def test_published_values(stand):
@@ -164,6 +155,3 @@ def test_published_values(stand):
     stand.wires['arduino'].carried(frame, b'\x09' + made, now)
     judge.take('~counter', Got(now, 0.0, 6, None))
     assert len(stand.broken) == 1
-    stand.held.append((now - 0.6, now + 0.6))
-    judge.take('~counter', Got(now, 0.0, 5, None))
-    assert stand.broken[1:] == ['nothing that waited during a stop of over 0.3 s']
