@@ -307,6 +307,7 @@ class BusBoard(Board):
         self.on_request: Callable[[Request], None] = self.requests.append
         self._clock = clock
         self._free_at = 0.0      # when all replies so far have left
+        self._late: Deque[Tuple[int, bytes]] = deque()
 
     def received(self, frame: codec.Frame, now: float) -> None:
         request = Request(now, *frame.content, self.connection)
@@ -319,13 +320,19 @@ class BusBoard(Board):
 
     def _write_in_order(self, seconds: float, reply: bytes) -> None:
         """A line keeps its order: what is late, or comes twice, makes all behind it late."""
-        now, connection = time.monotonic(), self.connection
+        now = time.monotonic()
         self._free_at = max(now + seconds, self._free_at)
-        if self._free_at <= now:
+        if self._free_at <= now and not self._late:
             self.write(reply)
         else:
-            self._clock.at(self._free_at, lambda: self.connection == connection
-                           and self.write(reply))
+            self._late.append((self.connection, reply))
+            self._clock.at(self._free_at, self._write_late)
+
+    def _write_late(self) -> None:
+        connection, reply = self._late[0]
+        if self.connection == connection:
+            self.write(reply)
+        self._late.popleft()
 
     def open_anew(self) -> None:
         super().open_anew()

@@ -30,7 +30,7 @@ def second_bridge(field: Field) -> None:
     field.calm()
     with field.heartbeats():
         second = field.child('second', [*field.bridge_command, f'__name:={NODE[1:]}'])
-        row.wait(lambda: not second.alive, 30.0, 'it ends')
+        row.wait(lambda: not second.alive, 'it ends')
     row.check(second.process.returncode == 3, f'its status is {second.process.returncode}')
     uri = rosgraph.Master('/campaign').lookupNode(NODE)
     row.check(xmlrpc.client.ServerProxy(uri).getPid('/campaign')[2] == field.child_bridge.pid,
@@ -61,7 +61,7 @@ def new_master(field: Field) -> None:
         field.end_master()
         field.start_master()
         began = time.monotonic()
-        back.wait(lambda: _registered() >= before, 2 * MASTER_RETURN, 'all is registered')
+        back.wait(lambda: _registered() >= before, 'all is registered')
         back.at_most(time.monotonic() - began, MASTER_RETURN, 's', 'all is registered')
     field.robot.register_again()
     drive.command()
@@ -74,7 +74,7 @@ def _registered() -> FrozenSet[Tuple[str, str]]:
     """What the master knows of the bridge; nothing where none answers."""
     master = rosgraph.Master('/campaign')
     try:
-        names = [(f'{kind}', name) for kind, entries in enumerate(master.getSystemState())
+        names = [(str(kind), name) for kind, entries in enumerate(master.getSystemState())
                  for name, nodes in entries if NODE in nodes]
         return frozenset([*names, *(('parameter', key) for key in master.getParam(NODE))])
     except (OSError, rosgraph.MasterException):

@@ -24,7 +24,7 @@ def cause_of(text: str) -> Tuple[str, str]:
 
 
 class LogWatch:
-    """The log files of a campaign's bridges, one each, in `folder`; `row` makes the table's rows."""
+    """The log files of a campaign's bridges, one each, in `folder`; `row` makes a row."""
 
     def __init__(self, folder: str, row: Callable[[str, str], Any]) -> None:
         self.folder = folder
