@@ -2,8 +2,8 @@
 
 Tests compare with it, and the fault campaign judges by it, so that a fault of the package's
 decoders cannot hide itself. It is written from doc/protocols.md. A protocol is one function here,
-`frame_at`: which frame begins at this place of the stream? Two things follow from it: `decode`, what
-a decoder has to find, and `all_frames`, every valid frame at any place, which is all that any
+`frame_at`: which frame begins at this place of the stream? Two things follow from it: `decode`,
+what a decoder has to find, and `all_frames`, every valid frame at any place, which is all that any
 decoder can rightly find in damaged bytes. test/boards/test_by_definition.py compares it with the
 package.
 """

@@ -7,10 +7,10 @@ import by_definition as codec
 import pytest
 
 pytest.importorskip('rospy')
-from campaign_new import storm  # noqa: E402
-from campaign_new.boards import COUNTER, MEMORY, car_keys, reply_keys  # noqa: E402
-from campaign_new.robot import NOT_SENT, TIMEOUT, Got, Told  # noqa: E402
-from campaign_new.rows import Table  # noqa: E402
+from campaign import storm  # noqa: E402
+from campaign.boards import COUNTER, MEMORY, car_keys, reply_keys  # noqa: E402
+from campaign.robot import NOT_SENT, TIMEOUT, Got, Told  # noqa: E402
+from campaign.rows import Table  # noqa: E402
 
 HEARTBEAT = codec.arduino_packet(codec.HEARTBEAT)
 TOKEN = struct.pack('<I', 7)

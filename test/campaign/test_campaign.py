@@ -7,11 +7,11 @@ import pytest
 from waiting import until
 
 import by_definition as codec
-from campaign_new.boards import (Answer, BusBoard, Car, Request, Sensors, imu_of, known, range_of,
-                                 reply)
-from campaign_new.lines import Clock, Line, NetworkLine
-from campaign_new.logs import LogWatch, cause_of
-from campaign_new.rows import Table
+from campaign.boards import (Answer, BusBoard, Car, Request, Sensors, imu_of, known, range_of,
+                             reply)
+from campaign.lines import Clock, Line, NetworkLine
+from campaign.logs import LogWatch, cause_of
+from campaign.rows import Table
 
 
 @pytest.fixture
