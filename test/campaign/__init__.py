@@ -13,8 +13,9 @@ and measurement carries a number of its own. So a comparison is an equality of t
 number did not come"; and where something must not come, what comes after it on the same line is
 waited for, not a time. Times on the car's line are counted in heartbeats, of which the bridge sends
 one every 10 ms. Nothing is exempted from any judgement, and no try stays undecided. Where the gaps
-between heartbeats are judged while this machine gives the bridge no time (a process that only
-sleeps tells, or the kernel), the scenario begins anew, and the third time that is a violation.
+between heartbeats are judged while this machine gives ordinary processes no time (one that only
+sleeps tells), or where the bridge had to drop bytes as old since it had none, the scenario begins
+anew, and the third time that is a violation.
 
 The statistical part (storm.py) has everything at once, and damage on every line. It promises only
 what holds whatever the damage was, and counts the rest. There a try may stay undecided: such a gap

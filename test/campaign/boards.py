@@ -203,11 +203,9 @@ class Car(Board):
         self.packets.clear()
 
     def commands(self, type_: int, since: int = 0) -> List[int]:
-        """Their values, in order, from the packet of that index on."""
         return [packet.number for packet in self.packets[since:] if packet.type == type_]
 
     def packet(self, type_: int, value: int, since: int = 0) -> Optional[Packet]:
-        """The first one with this value."""
         return next((packet for packet in self.packets[since:]
                      if packet.type == type_ and packet.number == value), None)
 

@@ -15,11 +15,9 @@ import rospy
 
 from serial_communication.msg import SpeedPWMCommand
 from serial_communication.srv import Lift
-from serial_communication.transport.pace import set_priority
 from .robot import NODE, TOPICS
 
-LATE = 0.005         # s that make a witness's wake late
-_PRIORITY = 10       # real-time, if allowed: below the bridge's
+LATE = 0.01          # s that make a witness's wake late
 _PERIOD = 0.01       # s
 
 
@@ -61,8 +59,7 @@ def driver(first: str) -> None:
 
 
 def witness() -> None:
-    """It only sleeps."""
-    set_priority(_PRIORITY)
+    """As ordinary as the bridge's threads, with whom its heartbeat shares Python's lock."""
     due = time.monotonic()
     while True:
         due = max(due + _PERIOD, time.monotonic())

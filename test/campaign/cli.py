@@ -25,7 +25,6 @@ _WRITE = 10.0            # s from one writing of the table to the next
 
 
 def main(arguments: Optional[List[str]] = None) -> int:
-    """Run what the command line says; the exit status."""
     prepare_output()
     options = _parse(sys.argv[1:] if arguments is None else arguments)
     signal.signal(signal.SIGTERM, signal.default_int_handler)    # as Ctrl-C: end the children

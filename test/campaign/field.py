@@ -7,7 +7,7 @@ import signal
 import sys
 from typing import Any, Callable, Dict, Iterator, List, Tuple
 
-from heartbeats import BEAT_MISSED, longest_gap, processor_wait
+from heartbeats import BEAT_MISSED, longest_gap
 from processes import Child, Stage, StageError
 from .boards import CUSTOM, Board, BusBoard, Car, Sensors
 from .lines import Clock, Line
@@ -121,7 +121,6 @@ class Field(Stage):
             self.child_bridge.send(signal.SIGCONT)
 
     def has_priority(self) -> bool:
-        """Whether the bridge's heartbeat has real-time priority."""
         try:
             return any(os.sched_getscheduler(int(thread)) == os.SCHED_FIFO for thread in
                        os.listdir(f'/proc/{self.child_bridge.pid}/task'))
@@ -134,7 +133,6 @@ class Field(Stage):
         self.wait(lambda: self.car.beat >= until, f'{number} heartbeats')
 
     def let_pass(self, seconds: float) -> None:
-        """Where the time itself is the event."""
         passed: List[bool] = []
         self.clock.after(seconds, lambda: passed.append(True))
         self.wait(lambda: passed, 'the clock')
@@ -164,13 +162,17 @@ class Field(Stage):
         self.wait(quiet, 'the car stands')
         self.wait(published, 'what is measured is published')
         self.forget()
+        self._stale = self._dropped()
 
     def forget(self) -> None:
         for one in (self.car, self.bus, self.sensors, self.robot):
             one.forget()
 
+    def _dropped(self) -> List[str]:
+        """Bytes that each link has dropped as old, since the bridge had no time when they came."""
+        return [report[3]['stale'] for report in list(self.robot.diagnostics.values())]
+
     def flows(self, topic: str, measure: Callable[[], None], row: Row) -> None:
-        """Until what is measured is published again."""
         count = len(self.robot.got[topic])
 
         def flows() -> bool:
@@ -181,7 +183,6 @@ class Field(Stage):
 
     @contextlib.contextmanager
     def talking(self) -> Iterator[None]:
-        """The boards measure all the time."""
         talks = [True]
 
         def talk() -> None:
@@ -244,6 +245,9 @@ class Field(Stage):
                 return [one for one in messages if one.key is not None]
             with contextlib.suppress(StageError):
                 self.wait(lambda: len(got()) >= len(wanted), '', UNTIL_PUBLISHED)
+            if len(wanted) != len(got()) and self.diagnosed('mcu') and \
+                    self._dropped() != self._stale:
+                raise Disturbed
             row.check(len(wanted) == len(got()),
                       f'{topic}: {len(wanted)} sent, {len(got())} published')
             for one, message in zip(wanted, got()):
@@ -264,28 +268,25 @@ class Field(Stage):
     def heartbeats(self) -> Iterator[None]:
         """No heartbeat is missed meanwhile, and the line is not touched. For a bridge that may
         have real-time priority: to others nothing is promised."""
-        waited = processor_wait(self.child_bridge.pid)
         self.car.beats.clear()
         yield
         stamps = list(self.car.beats)
         gap = longest_gap(stamps, 100.0)
         if not self.has_priority():
             return
-        if self.was_starved(gap, stamps[0], waited):
+        if self.was_starved(gap, stamps[0]):
             raise Disturbed
         row = self.row('heartbeat', 'no gap of 30 ms, whatever happens beside the open port')
         row.tries += len(stamps) - 2
         row.at_most(gap * 1e3, BEAT_MISSED * 1e3, 'ms', 'the longest gap')
 
-    def was_starved(self, gap: float, since: float, waited: float) -> bool:
+    def was_starved(self, gap: float, since: float) -> bool:
         """Whether this machine may have made a gap too long: it was as late to wake a process that
-        only sleeps, or gave the bridge's threads, which had `waited` so long before, no processor.
-        """
-        late = [line.split() for line in self.witness.tail().splitlines()]
-        waits = [float(words[1]) for words in late
-                 if len(words) == 2 and float(words[0]) >= since - 0.1]
-        waits.append(processor_wait(self.child_bridge.pid) - waited)
-        return gap >= BEAT_MISSED and max(waits) >= gap - BEAT_MISSED
+        only sleeps."""
+        with open(self.witness.log) as file:
+            late = [line.split() for line in file if line.endswith('\n')]
+        waits = [float(wait) for when, wait in late if float(when) >= since - 0.1]
+        return gap >= BEAT_MISSED and max(waits, default=0.0) >= gap - BEAT_MISSED
 
 
 Scenario = Callable[[Field], None]

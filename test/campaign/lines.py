@@ -186,9 +186,8 @@ class NetworkLine(Line):
         self.port = f'socket://127.0.0.1:{self._server.getsockname()[1]}'
 
     def vanish(self) -> None:
-        """The peer knows nothing of its connection any more, and says nothing, not even that."""
         with self._lock:
-            self._master = -1       # which stays open
+            self._master = -1       # which stays open: it says nothing, not even that it is over
             self.cut()
 
     def freeze(self) -> None:

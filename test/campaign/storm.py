@@ -19,7 +19,7 @@ import threading
 import time
 from typing import Any, Callable, Deque, Dict, List, Optional, Tuple
 
-from heartbeats import BEAT_MISSED, longest_gap, processor_wait
+from heartbeats import BEAT_MISSED, longest_gap
 from processes import usage_of
 import by_definition as codec
 from .boards import (DEPTH, HEIGHT, MEMORY, Answer, BusBoard, Car, Key, Request, Sensors, car_keys,
@@ -290,7 +290,6 @@ class MotorJudge:
         self._is_first = False
         self._moving_since: Optional[int] = None     # heartbeats since the latest speed but 0
         self._beats: List[float] = []
-        self._waited = 0.0       # for a processor, as these began
         self._lock = threading.RLock()
 
     def command(self, value: int) -> None:
@@ -313,7 +312,6 @@ class MotorJudge:
         """The bridge has been stopped, or is to go on now."""
         with self._lock:
             self._beats.clear()
-            self._waited = processor_wait(self._storm.field.child_bridge.pid)
 
     def read(self, data: bytes, now: float) -> None:
         with self._lock:
@@ -356,9 +354,8 @@ class MotorJudge:
         """No later than this were they sent, however late they were read. Of a bridge that may
         have no real-time priority nobody can tell whether it, or the machine, was late."""
         gap, field = longest_gap(self._beats, 100.0), self._storm.field
-        waited, self._waited = self._waited, processor_wait(field.child_bridge.pid)
         if gap >= BEAT_MISSED and (not field.has_priority()
-                                   or field.was_starved(gap, self._beats[0], waited)):
+                                   or field.was_starved(gap, self._beats[0])):
             self._gap.undecided += 1
             return
         self._gap.tries += len(self._beats) - 2
@@ -377,8 +374,7 @@ class CallJudge:
             'refused': row('storm: bus', 'told refused or not sent: not executed'),
             'timeout': row('storm: bus', 'told timeout: executed once or not at all')}
         self._own = row('storm: bus', 'a raw call is answered with its own data')
-        self._answers = row('storm: bus', 'a call always answers (worst case: behind its timeout + '
-                            '0.8 s, stops of the bridge included)')
+        self._answers = row('storm: bus', 'a call always answers (worst: beyond timeout + 0.8 s)')
         self.executed: 'collections.Counter[Tuple[int, bytes]]' = collections.Counter()
         self._numbers = iter(range(1, 1 << 32))
         self._open: Deque[Tuple[float, Callable[[], None]]] = collections.deque()

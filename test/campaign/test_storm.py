@@ -29,7 +29,7 @@ class Stand:
                       'bus': storm.Wire(codec.reply_at, reply_keys)}
         self.field = SimpleNamespace(
             row=self.table.row, has_priority=lambda: True, was_starved=lambda *_: False,
-            child_bridge=SimpleNamespace(pid=0), car_line=SimpleNamespace(plugged=True),
+            car_line=SimpleNamespace(plugged=True),
             robot=SimpleNamespace(command=lambda name, value: None))
         self.broken = []
         self.blind = self.table.row('storm', 'blind', True)
@@ -106,7 +106,7 @@ def test_heartbeats(stand, motor):
 
 
 def test_a_gap_in_which_the_machine_stood_still_is_not_decided(stand, motor):
-    stand.field.was_starved = lambda gap, since, waited: since < 101.1 and gap > 0.03
+    stand.field.was_starved = lambda gap, since: since < 101.1 and gap > 0.03
     motor.read(speed(0), 99.0)
     beats(motor, 100)
     beats(motor, 61, 101.05)
