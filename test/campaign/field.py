@@ -270,6 +270,7 @@ class Field(Stage):
         have real-time priority: to others nothing is promised."""
         self.car.beats.clear()
         yield
+        self.beats(50)      # those behind tell which of the others were only read late
         stamps = list(self.car.beats)
         gap = longest_gap(stamps, 100.0)
         if not self.has_priority():

@@ -35,9 +35,9 @@ _UNDER_WAY = 3.0         # s from a frame to what is published of it, stops incl
 _RATE = 0.03             # of writes that are damaged
 _TALK = 0.02             # s from one measurement to the next
 _LATE_ZERO = 0.05        # s that SPEED 0 may come later than speed_timeout
-_OLD_SPEED = 1.0         # s; a speed that reaches the line later was kept
-_ON_ITS_WAY = 0.3        # s that a command may take to the bridge
-_BEATS = 60              # heartbeats that are looked at together
+_ON_ITS_WAY = 1.5        # s for which a command may be under way, to be read here in the end
+_BEATS = 100             # heartbeats that are looked at together …
+_BEHIND = 400            # … and behind them, where a gap may be none: they were read late
 _LEVELS = {'memory': (4.0, 'MB'), 'threads': (4, 'more'), 'files': (6, 'more')}    # may grow so
 _SETTLING = 60.0         # s, or a third of a shorter part
 _RECORDS = 20000         # that are kept until a violation asks for them
@@ -280,7 +280,7 @@ class MotorJudge:
         row = storm.field.row
         self._storm = storm
         self._commanded = row('storm: motor', 'no speed that was not commanded, none twice')
-        self._age = row('storm: motor', 'no speed of before a reconnect, or of over 1 s ago')
+        self._age = row('storm: motor', 'no speed of before a reconnect')
         self._zero = row('storm: motor', 'SPEED 0 within speed_timeout + 50 ms, by heartbeats')
         self._first = row('storm: motor', 'at every opening SPEED 0 goes out before any heartbeat')
         self._gap = row('storm: motor', 'no gap of 30 ms between heartbeats while the port is open')
@@ -298,7 +298,7 @@ class MotorJudge:
             if value:
                 self._commands[value] = time.monotonic(), self._connection if plugged else -1
         self._storm.record('speed', value)
-        self._storm.field.robot.command('speed', value)
+        self._storm.field.robot.command('speed', value, time.time())
 
     def open_anew(self) -> None:
         with self._lock:
@@ -334,9 +334,9 @@ class MotorJudge:
                 self._age.undecided += 1      # it may have reached the bridge behind the reconnect
                 return
             self._age.note(now - commanded, 's')
-            self._storm.check(self._age, connection == self._connection and (
-                now - commanded <= _OLD_SPEED), f'SPEED {speed} commanded {now - commanded:.3f} s '
-                f'ago at connection {connection}, read at {self._connection}')
+            self._storm.check(self._age, connection == self._connection, f'SPEED {speed} commanded '
+                              f'{now - commanded:.3f} s ago at connection {connection}, read at '
+                              f'{self._connection}')
 
     def _beat(self, now: float) -> None:
         if self._moving_since is not None:
@@ -346,19 +346,21 @@ class MotorJudge:
             self._storm.check(self._zero, self._moving_since <= limit,
                               f'{self._moving_since} heartbeats since the latest speed')
         self._beats.append(now)
-        if len(self._beats) > _BEATS:
+        if len(self._beats) % _BEATS == 0:
             self._judge_gaps()
-            del self._beats[:-1]
 
     def _judge_gaps(self) -> None:
         """No later than this were they sent, however late they were read. Of a bridge that may
         have no real-time priority nobody can tell whether it, or the machine, was late."""
         gap, field = longest_gap(self._beats, 100.0), self._storm.field
-        if gap >= BEAT_MISSED and (not field.has_priority()
-                                   or field.was_starved(gap, self._beats[0])):
+        if gap >= BEAT_MISSED and len(self._beats) < _BEATS + _BEHIND:
+            return
+        since, tries = self._beats[0], len(self._beats) - 1
+        del self._beats[:-1]
+        if gap >= BEAT_MISSED and (not field.has_priority() or field.was_starved(gap, since)):
             self._gap.undecided += 1
             return
-        self._gap.tries += len(self._beats) - 2
+        self._gap.tries += tries - 1
         self._gap.note(gap * 1e3, 'ms')
         self._storm.check(self._gap, gap < BEAT_MISSED, f'{gap * 1e3:.1f} ms')
 
