@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import pytest
 
-from campaign.worst_streams import worst_streams
+from worst_streams import worst_streams
 
 _CALL = 10          # lines
 _SIZE = 8000

@@ -1,4 +1,4 @@
-"""What the worst bytes that anyone can send cost, beside clean traffic: `soak --hostile`.
+"""What the worst bytes that anyone can send cost, beside clean traffic: `bench --hostile`.
 
 Twice: the decoder alone, in nanoseconds a byte; and the whole node, in CPU time a byte from the
 port to its subscribers.
@@ -8,17 +8,19 @@ import os
 import pty
 import select
 import struct
+import sys
 import termios
 import time
 import tty
 from typing import Any, Callable, Dict, List, NamedTuple
 
-from processes import Child, StageError
-from .expected import LINKS
-from .stage import CampaignStage, say
-from .table import Row
-from .worst_streams import worst_streams
+from processes import NODE, Child, Stage, StageError
+from worst_streams import worst_streams
 
+LINKS = 'bus', 'arduino', 'mcu'
+TOPICS = {'arduino': [f'/{NODE}/{name}' for name in (
+    'ticks', 'steering_angle', 'voltage', 'imu', 'imu/temperature')],
+    'mcu': ['/mcu/' + name for name in ('status', 'imu', 'range_1', 'range_2')]}
 LIMIT = 5.0              # times the cost of clean traffic
 READ = 4096              # bytes; what a tty gives at once
 _SIZE = 1 << 20          # bytes for a decoder
@@ -53,51 +55,48 @@ def decoder_costs(size: int = _SIZE) -> List[Cost]:
     return costs
 
 
-def node_costs(stage: CampaignStage, costs: List[Cost]) -> List[Cost]:
-    """Of the streams that cost a decoder most, for a node with a subscriber of everything."""
+def hostile() -> bool:
+    """All of it: prints what each stream costs; whether none costs too much."""
+    decoders = decoder_costs()
+    print(render_costs('decoder', decoders), end='\n\n')
+    stage = Stage('serial_communication_bench_')
+    try:
+        with stage:
+            nodes = node_costs(stage, decoders)
+    finally:
+        stage.discard()
+    print(render_costs('whole node', nodes), end='\n\n')
+    too_much = [f'{cost.link}, {cost.name}: {cost.ratio:.1f} times clean traffic'
+                for cost in decoders + nodes if cost.ratio > LIMIT]
+    print('\n'.join(too_much) or f'every stream costs at most {LIMIT:g} times clean traffic')
+    return not too_much
+
+
+def node_costs(stage: Stage, costs: List[Cost]) -> List[Cost]:
+    """Of the streams that cost a decoder most, for a node with a subscriber of all its topics."""
     found = []
     streams = {(stream.link, stream.name): stream for stream in worst_streams(_NODE_SIZE)}
     for link in LINKS:
         worst = sorted((cost for cost in costs if cost.link == link),
                        key=lambda cost: -cost.worst)[:_NODES_STREAMS]
         feeder = _Feeder(stage, link)
-        records = f'hostile_{link}.bin'
-        recorder = stage.user('recorder', records, 0)
         clean_stream = streams[link, worst[0].name].clean
         if link != 'bus':       # which publishes nothing that nobody asked for
-            _wait_for_subscriber(feeder, clean_stream[:READ], stage.path(records))
+            subscriber = stage.child(f'subscriber {link}', ['rostopic', 'hz', *TOPICS[link]])
+            for _ in range(30):
+                feeder.cost(clean_stream)
+                if 'min_delta' in subscriber.tail():
+                    break
+            else:
+                raise StageError('nothing is published')
         clean = feeder.cost(clean_stream)
         for cost in worst:
-            say(f'{link}: {cost.name}')
+            print(f'{link}: {cost.name}', file=sys.stderr)
             found.append(Cost(link, cost.name, clean,
                               feeder.cost(streams[link, cost.name].worst)))
+        stage.clear()
         feeder.close()
-        stage.end(recorder)
     return found
-
-
-def _wait_for_subscriber(feeder: '_Feeder', stream: bytes, records: str) -> None:
-    """Until much more is published than the reports of silence."""
-    for _ in range(30):
-        feeder.cost(stream)
-        time.sleep(0.6)
-        if os.path.exists(records) and os.path.getsize(records) > 20 * READ:
-            return
-    raise StageError('nothing is published')
-
-
-def rows_of(decoders: List[Cost], nodes: List[Cost]) -> List[Row]:
-    """The table's."""
-    return [_row('decoders', 'the worst stream costs at most 5 times clean traffic', decoders),
-            _row('node', 'the same from the port to the subscribers', nodes)]
-
-
-def _row(group: str, says: str, costs: List[Cost]) -> Row:
-    worst = max(costs, key=lambda cost: cost.ratio)
-    return Row(group, says, len(costs), [
-        (0.0, f'{cost.link}, {cost.name}: {cost.worst:.0f} ns a byte, '
-         f'{cost.ratio:.1f} times clean traffic') for cost in costs
-        if cost.ratio > LIMIT], f'{worst.ratio:.1f} times: {worst.link}, {worst.name}')
 
 
 def render_costs(title: str, costs: List[Cost]) -> str:
@@ -121,8 +120,7 @@ def _nanoseconds(make: Callable[[], Any], stream: bytes) -> float:
 class _Feeder:
     """A node whose port is the end of a pty that we hold."""
 
-    def __init__(self, stage: CampaignStage, link: str) -> None:
-        self._stage = stage
+    def __init__(self, stage: Stage, link: str) -> None:
         self._master, slave = pty.openpty()
         tty.setraw(slave)
         self._slave = slave
@@ -174,6 +172,6 @@ class _Feeder:
             pass
 
     def close(self) -> None:
-        self._stage.end(self._node)
+        """The node has ended."""
         os.close(self._master)
         os.close(self._slave)
