@@ -160,6 +160,13 @@ class Board {
     world_->values.reading("rx_overruns", [this] { return double(mcu_.uart_overruns()); });
     world_->values.reading("tx_flushes", [this] { return double(serial_.flushes()); });
     world_->values.reading("tx_bytes", [this] { return double(sent_bytes_); });
+    world_->values.reading("watchdog_resets", [this] { return double(mcu_.watchdog_resets()); });
+    world_->values.variable("sda_stuck", [this] { return double(mcu_.sda_clocks()); },
+                            [this](double clocks) { mcu_.hold_sda(unsigned(std::fmax(clocks, 0))); });
+    world_->values.variable("scl_stuck", [this] { return double(mcu_.scl_held()); },
+                            [this](double low) { mcu_.hold_scl(low != 0); });
+    world_->values.variable("baud_error", [this] { return 100 * mcu_.baud_error(); },
+                            [this](double percent) { mcu_.set_baud_error(percent / 100); });
     printf("avr_board: %s on %s\n", options.elf.c_str(), serial_.name().c_str());
     fflush(stdout);
   }
@@ -259,11 +266,29 @@ class Board {
       mcu_.power_cycle();
       return "ok";
     }
+    if (command == "dtr") {
+      mcu_.dtr();
+      return "ok";
+    }
+    if (command == "dtr_in_read") {
+      mcu_.dtr_in_read();
+      return "ok";
+    }
+    if (command == "crash") {
+      mcu_.crash();
+      return "ok";
+    }
+    if (command == "stall") {
+      double seconds;
+      if (!(std::istringstream(name) >> seconds) || !(seconds >= 0 && seconds < 1e6)) return "error: stall SECONDS";
+      mcu_.stall(seconds);
+      return "ok";
+    }
     if (command == "quit") {
       stop_requested = 1;
       return "ok";
     }
-    return "error: commands are get, set, history, list, reset, power_cycle, quit";
+    return "error: commands are get, set, history, list, reset, power_cycle, dtr, dtr_in_read, crash, stall, quit";
   }
 
   Mcu mcu_;

@@ -6,6 +6,8 @@ import subprocess
 import pytest
 
 import emulated_board
+from board_ends import Car, Frames, Master
+from emulated_board import EmulatedBoard
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 
@@ -41,3 +43,37 @@ def protocol_driver(tmp_path_factory):
     ) as compiler:
         yield path, compiler
         compiler.kill()
+
+
+@pytest.fixture
+def car(firmware_build):
+    with EmulatedBoard(firmware_build, 'car') as board:
+        car = Car(board)
+        car.wait_for_text('IMU ready')
+        yield car
+        assert board.get('rx_overruns') == 0
+        car.port.close()
+
+
+@pytest.fixture
+def master(firmware_build):
+    with EmulatedBoard(firmware_build, 'ctrl') as board:
+        board.wait_until(lambda: board.time > 0.05, 1)
+        master = Master(board)
+        yield master
+        assert board.get('rx_overruns') == 0
+        master.port.close()
+
+
+@pytest.fixture
+def bus(master):
+    master.sync()
+    return master
+
+
+@pytest.fixture
+def sensors(firmware_build):
+    with EmulatedBoard(firmware_build, 'range') as board:
+        frames = Frames(board)
+        yield frames
+        frames.port.close()
