@@ -49,6 +49,7 @@ class Imu {
 
   // Sums of a running calibration.
   uint16_t samples_;
+  uint8_t failed_reads_;  // since the last good one
   int32_t sum_acceleration_[3];
   int32_t sum_rate_[3];
   int16_t rate_min_[3];

@@ -1,8 +1,8 @@
 // The model car's Arduino Nano: takes speed, steering, LED and heartbeat packets, sends encoder ticks,
 // steering feedback, battery voltage and the IMU's orientation.
 
-#include <Wire.h>
 #include <arduino_packets.h>
+#include <avr_i2c.h>
 #include <avr/sleep.h>
 
 #include "board.h"
@@ -202,15 +202,13 @@ void setup() {
   drive_begin();
   Serial.begin(kBaud);
   Serial.write(uint8_t(0));  // ends a packet that a reset has cut off
-  Wire.begin();
-  Wire.setClock(400000);
-  Wire.setWireTimeout(3000, true);
+  serial_communication::i2c_begin();
   start_imu();
 }
 
 void loop() {
   while (Serial.available() > 0) {
-    const bool complete = decoder.feed(Serial.read(), millis());
+    const bool complete = decoder.feed(drive_read(), millis());
     // A calibrating board takes its input and drops it: nothing may be carried out minutes later.
     if (complete && !calibrating) handle(decoder.packet());
   }

@@ -244,6 +244,21 @@ def test_calibration_of_a_moving_car_is_dropped(car):
     car.wait_for_text('not calibrated')
 
 
+def test_calibration_goes_on_over_a_few_failed_reads(car):
+    car.send(CALIBRATION)
+    car.wait_for_text('IMU calibration')
+    car.board.set('imu_failures', 5)
+    car.wait_for_text('IMU calibrated', seconds=10)
+
+
+@pytest.mark.parametrize('who_am_i', [0x70, 0x98])
+def test_chips_sold_as_an_mpu6050(car, who_am_i):
+    car.board.set('imu_id', who_am_i)
+    car.forget()
+    car.board.reset()
+    car.wait_for_text('IMU ready')
+
+
 def test_imu_that_is_pulled_and_put_back(car):
     car.board.set('imu_present', 0)
     car.wait_for_text('IMU does not answer')
