@@ -1,8 +1,8 @@
 // The main control board: a robot-ctrl-bus Slave with a lift, a gimbal, and smoke, temperature and
 // humidity sensors.
 
-#include <Wire.h>
 #include <avr/sleep.h>
+#include <avr_i2c.h>
 #include <robot_ctrl_bus.h>
 
 #include "board.h"
@@ -15,9 +15,13 @@ struct SerialSink {
   void operator()(const uint8_t* bytes, size_t size) const { Serial.write(bytes, size); }
 };
 
-static const StepperAxis kLift = {kLiftStepPin, kLiftDirectionPin, kLiftStepsPerSecond};
-static const StepperAxis kPan = {kPanStepPin, kPanDirectionPin, kGimbalStepsPerSecond};
-static const StepperAxis kTilt = {kTiltStepPin, kTiltDirectionPin, kGimbalStepsPerSecond};
+// A reset does not turn the gimbal, and opening the port may reset the board: the counts outlive it.
+static StepCount pan_count __attribute__((section(".noinit")));
+static StepCount tilt_count __attribute__((section(".noinit")));
+
+static const StepperAxis kLift = {kLiftStepPin, kLiftDirectionPin, kLiftStepsPerSecond, 0};
+static const StepperAxis kPan = {kPanStepPin, kPanDirectionPin, kGimbalStepsPerSecond, &pan_count};
+static const StepperAxis kTilt = {kTiltStepPin, kTiltDirectionPin, kGimbalStepsPerSecond, &tilt_count};
 
 static Sht3x sht3x;
 
@@ -56,6 +60,8 @@ class ControlBoard : public BusHandler {
         return size == 2 && data[0] <= 3 ? gimbal(data[0], data[1]) : BusResult::failed(kErrorMalformed);
       case kFunctionEnvironment:
         return environment();
+      case kFunctionStop:  // the motion has ended by now
+        return size == 0 ? BusResult::ok() : BusResult::failed(kErrorMalformed);
 #ifdef OWN_MESSAGES
       case kFunctionPump:
         return pump(data, size);
@@ -72,24 +78,31 @@ class ControlBoard : public BusHandler {
     return stepper_steps_missed() == 0 ? BusResult::ok() : BusResult::failed(kErrorOperation);
   }
 
+  // A stop ends the motion, and takes the place of all motions that wait.
+  bool heard(uint8_t cmd2) override {
+    if (cmd2 != kFunctionStop) return false;
+    stepper_stop();
+    return true;
+  }
+
  private:
-  // A closed end switch refuses the move, or stops it.
+  // An open end switch refuses the move, or stops it.
   static BusResult lift(bool up, uint8_t distance_mm) {
     const EndSwitchPin end_switch = up ? kLiftTopPin : kLiftBottomPin;
-    if (digitalRead(end_switch) == LOW) return BusResult::failed(kErrorOperation);
+    if (digitalRead(end_switch) == HIGH) return BusResult::failed(kErrorOperation);
     return start(kLift, up, uint32_t(distance_mm) * kLiftStepsPerMm, end_switch);
   }
 
   // The gimbal has no switches: its position is counted, and a move beyond the limit refused as a whole.
-  BusResult gimbal(uint8_t direction, uint8_t angle) {
+  static BusResult gimbal(uint8_t direction, uint8_t angle) {
     const bool pan = direction <= 1;
     const bool positive = direction == 0 || direction == 2;  // left, tilt up
-    int16_t& position = pan ? pan_ : tilt_;
-    const int16_t limit = pan ? kPanLimit : kTiltLimit;
-    const int16_t target = position + (positive ? angle : -int16_t(angle));
+    const StepperAxis& axis = pan ? kPan : kTilt;
+    const int16_t limit = (pan ? kPanLimit : kTiltLimit) * kGimbalStepsPerDegree;
+    const int16_t steps = angle * kGimbalStepsPerDegree;
+    const int16_t target = axis.count->steps + (positive ? steps : -steps);
     if (target > limit || target < -limit) return BusResult::failed(kErrorOperation);
-    position = target;
-    return start(pan ? kPan : kTilt, positive, uint32_t(angle) * kGimbalStepsPerDegree, 0);
+    return start(axis, positive, steps, 0);
   }
 
   static BusResult start(const StepperAxis& axis, bool positive, uint32_t steps, EndSwitchPin end_switch) {
@@ -106,9 +119,6 @@ class ControlBoard : public BusHandler {
     result.append_uint16(sht3x.humidity());
     return result;
   }
-
-  int16_t pan_ = 0;   // degrees from where it stood at power-on
-  int16_t tilt_ = 0;
 };
 
 static ControlBoard board;
@@ -117,7 +127,7 @@ static RobotCtrlBusSlave<SerialSink, 300> slave{SerialSink(), board};
 static void sleep_until_interrupt() {
   set_sleep_mode(SLEEP_MODE_IDLE);
   cli();
-  if (Serial.available() == 0 || !slave.ready()) {
+  if (Serial.available() == 0) {
     sleep_enable();
     sei();  // the instruction after it still runs before any interrupt: no byte can slip in between
     sleep_cpu();
@@ -132,6 +142,8 @@ void setup() {
     pinMode(axis.step_pin, OUTPUT);
     pinMode(axis.direction_pin, OUTPUT);
   }
+  pan_count.begin();
+  tilt_count.begin();
 #ifdef OWN_MESSAGES
   pinMode(kPumpPin, OUTPUT);
 #endif
@@ -139,14 +151,13 @@ void setup() {
   pinMode(kLiftBottomPin, INPUT_PULLUP);
   stepper_begin();
   Serial.begin(kBaud);
-  Wire.begin();
-  Wire.setClock(400000);
-  Wire.setWireTimeout(3000, true);
+  i2c_begin();
 }
 
 void loop() {
-  slave.poll(millis());
-  while (slave.ready() && Serial.available() > 0) slave.feed(Serial.read(), millis());
+  const uint32_t now = millis();  // whatever arrived before it is fed before poll() looks at the silence
+  while (Serial.available() > 0) slave.feed(Serial.read(), now);
+  slave.poll(now);
   sht3x.poll(millis());
   sleep_until_interrupt();
 }

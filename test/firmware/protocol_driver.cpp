@@ -85,27 +85,19 @@ static std::string run_bus(std::istringstream& tokens) {
   std::string sent, line, token;
   TestBoard board;
   RobotCtrlBusSlave<Collect, 300> slave(Collect{&sent}, board);
-  Bytes waiting;  // the UART's buffer while a motion lasts
   uint32_t now = 1000;
-  const auto run = [&] {
-    slave.poll(now);
-    size_t used = 0;
-    while (used < waiting.size() && slave.ready()) slave.feed(waiting[used++], now);
-    waiting.erase(waiting.begin(), waiting.begin() + long(used));
-  };
   while (tokens >> token) {
     if (token == "!") {
       board.moving = false;
-      run();
+      slave.poll(now);
     } else if (token[0] == '+') {
       for (int i = std::stoi(token.substr(1)); i > 0; --i) {
         ++now;
-        run();
+        slave.poll(now);
       }
     } else {
-      const Bytes bytes = from_hex(token);
-      waiting.insert(waiting.end(), bytes.begin(), bytes.end());
-      run();
+      for (uint8_t byte : from_hex(token)) slave.feed(byte, now);
+      slave.poll(now);
     }
     line += (sent.empty() ? "-" : sent) + " ";
     sent.clear();
