@@ -22,6 +22,7 @@ const uint8_t kEtx = 0x03;
 const uint8_t kTypeAdcStatus = 0x01;
 const uint8_t kTypeSensorStatus = 0x10;
 const uint16_t kRangeTimedOut = 0xFFFF;
+const int16_t kAngleUnknown = -32768;
 
 inline uint8_t stx_etx_crc(const uint8_t* bytes, size_t size) {
   uint8_t crc = 0;
@@ -32,7 +33,7 @@ inline uint8_t stx_etx_crc(const uint8_t* bytes, size_t size) {
 struct SensorStatus {
   uint16_t range_mm[2];  // kRangeTimedOut: no reading
   int32_t yaw;           // 0.01 degree, clockwise, 0 … 35999; wraps in the frame's int16
-  int16_t pitch;         // 0.01 degree
+  int16_t pitch;         // 0.01 degree; kAngleUnknown in both: no attitude, and yaw means nothing
   int16_t roll;          // 0.01 degree
 };
 

@@ -75,5 +75,6 @@ def bus(master):
 def sensors(firmware_build):
     with EmulatedBoard(firmware_build, 'range') as board:
         frames = Frames(board)
+        board.wait_until(lambda: frames.next()[0][4:] == (0, 0), 3)    # all sensors have started
         yield frames
         frames.port.close()

@@ -567,6 +567,40 @@ def test_sensor_that_times_out(sensors, fault):
     board.wait_until(lambda: sensors.next()[0][2] == 333, 3)
 
 
+KNOWN, UNKNOWN = (-1225, 3300), (-32768, -32768)    # pitch and roll
+
+
+def test_angles_are_unknown_while_the_bno055_is_gone(sensors):
+    board = sensors.board
+    board.set('pitch', -12.25)
+    board.set('roll', 33)
+    board.wait_until(lambda: sensors.next()[0][4:] == KNOWN, 3)
+    board.set('bno055_present', 0)
+    board.wait_until(lambda: sensors.next()[0][4:] == UNKNOWN, 1)
+    assert sensors.next()[0][1:3] == (800, 800)
+    board.set('bno055_present', 1)    # without its mode: it answers, and its angles are 0
+    frames = []
+
+    def known():
+        frames.extend(sensors.next())
+        return frames[-1][4:] == KNOWN
+
+    board.wait_until(known, 3)
+    assert {frame[4:] for frame in frames} <= {KNOWN, UNKNOWN}
+
+
+def test_angles_are_unknown_from_the_start(sensors):
+    board = sensors.board
+    board.set('pitch', -12.25)
+    board.set('roll', 33)
+    board.set('bno055_present', 0)
+    board.power_cycle()
+    sensors.forget_a_cut_frame()
+    assert {frame[4:] for frame in sensors.next(10)} == {UNKNOWN}
+    board.set('bno055_present', 1)
+    board.wait_until(lambda: sensors.next()[0][4:] == KNOWN, 3)
+
+
 def test_range_board_restarts(sensors):
     sensors.next(5)
     sensors.board.power_cycle()
