@@ -67,14 +67,18 @@ inline void imu_from_bytes(const uint8_t* in, ImuData* imu) {
   imu->temperature = fields[10];
 }
 
-// Sends packets of any type. `MaxData` bounds the data of one packet; longer text is cut.
+// Sends packets of any type. `MaxData` bounds the data of one packet: longer text is cut, longer data of
+// another type is not sent. Each function returns whether the packet was sent.
 template <class Sink, size_t MaxData = 63>
 class PacketSender {
  public:
   explicit PacketSender(Sink sink) : sink_(sink) {}
 
-  void send(MessageType type, const void* data, size_t size) {
-    if (size > MaxData) size = MaxData;
+  bool send(MessageType type, const void* data, size_t size) {
+    if (size > MaxData) {
+      if (type > MessageType::Error && type != MessageType::LedCmd) return false;
+      size = MaxData;
+    }
     uint8_t packet[1 + MaxData];
     uint8_t wire[cobs_encoded_max(1 + MaxData) + 1];
     packet[0] = static_cast<uint8_t>(type);
@@ -82,44 +86,46 @@ class PacketSender {
     size_t length = cobs_encode(packet, 1 + size, wire);
     wire[length++] = 0;
     sink_(static_cast<const uint8_t*>(wire), length);
+    return true;
   }
 
   // A message of one's own: any packed struct.
   template <class T>
-  void send(uint8_t type, const T& value) {
+  bool send(uint8_t type, const T& value) {
+    check_can_cross_the_wire<T>();
     static_assert(sizeof(T) <= MaxData, "a packet of this sender holds no more");
-    send(static_cast<MessageType>(type), &value, sizeof value);
+    return send(static_cast<MessageType>(type), &value, sizeof value);
   }
 
   // Text of a log message (Debug … Error) or an LED command; its 0x00 is sent too.
-  void send_text(MessageType type, const char* text) { send(type, text, strlen(text) + 1); }
+  bool send_text(MessageType type, const char* text) { return send(type, text, strlen(text) + 1); }
 
-  void send_speed(int16_t speed) { send_uint16(MessageType::SpeedCmd, static_cast<uint16_t>(speed)); }
-  void send_steering(uint16_t pulse_us) { send_uint16(MessageType::SteeringCmd, pulse_us); }
-  void send_steering_angle(uint16_t raw) { send_uint16(MessageType::SteeringAngle, raw); }
-  void send_ticks(uint8_t ticks) { send(MessageType::Ticks, &ticks, 1); }
-  void send_heartbeat() { send(MessageType::Heartbeat, 0, 0); }
-  void send_imu_calibration() { send(MessageType::ImuCalibration, 0, 0); }
+  bool send_speed(int16_t speed) { return send_uint16(MessageType::SpeedCmd, static_cast<uint16_t>(speed)); }
+  bool send_steering(uint16_t pulse_us) { return send_uint16(MessageType::SteeringCmd, pulse_us); }
+  bool send_steering_angle(uint16_t raw) { return send_uint16(MessageType::SteeringAngle, raw); }
+  bool send_ticks(uint8_t ticks) { return send(MessageType::Ticks, &ticks, 1); }
+  bool send_heartbeat() { return send(MessageType::Heartbeat, 0, 0); }
+  bool send_imu_calibration() { return send(MessageType::ImuCalibration, 0, 0); }
 
-  void send_imu(const ImuData& imu) {
+  bool send_imu(const ImuData& imu) {
     uint8_t data[kImuDataSize];
     imu_to_bytes(imu, data);
-    send(MessageType::Imu, data, sizeof data);
+    return send(MessageType::Imu, data, sizeof data);
   }
 
-  void send_voltage(float volts) {
+  bool send_voltage(float volts) {
     static_assert(sizeof(float) == 4, "the wire carries an IEEE 754 float32");
     uint32_t bits;
     memcpy(&bits, &volts, 4);
     const uint8_t data[4] = {static_cast<uint8_t>(bits), static_cast<uint8_t>(bits >> 8),
                              static_cast<uint8_t>(bits >> 16), static_cast<uint8_t>(bits >> 24)};
-    send(MessageType::Voltage, data, sizeof data);
+    return send(MessageType::Voltage, data, sizeof data);
   }
 
  private:
-  void send_uint16(MessageType type, uint16_t value) {
+  bool send_uint16(MessageType type, uint16_t value) {
     const uint8_t data[2] = {static_cast<uint8_t>(value), static_cast<uint8_t>(value >> 8)};
-    send(type, data, sizeof data);
+    return send(type, data, sizeof data);
   }
 
   Sink sink_;
@@ -182,10 +188,14 @@ class PacketDecoder {
 
   explicit PacketDecoder(uint32_t frame_timeout_ms = 50) : counters(), frame_timeout_ms_(frame_timeout_ms) {}
 
-  // Takes a type of one's own (13 … 255), whose data is a T.
+  // Takes a type of one's own (13 … 255), whose data is a T. False: there are MaxOwn types already.
   template <class T>
-  void accept(uint8_t type) {
-    if (own_count_ < MaxOwn) own_[own_count_++] = {type, sizeof(T)};
+  bool accept(uint8_t type) {
+    check_can_cross_the_wire<T>();
+    static_assert(sizeof(T) < MaxPacket && sizeof(T) <= 255, "a packet of this decoder holds no more");
+    if (own_count_ == MaxOwn) return false;
+    own_[own_count_++] = {type, sizeof(T)};
+    return true;
   }
 
   // Returns true when this byte completed a valid packet, which packet() then holds.

@@ -73,6 +73,7 @@ struct BusResult {
   template <class T>
   static BusResult ok(const T& value) {
     BusResult result = ok();
+    check_can_cross_the_wire<T>();
     static_assert(sizeof(T) <= sizeof result.data, "a reply holds no more");
     memcpy(result.data, &value, sizeof value);
     result.size = sizeof value;
@@ -82,9 +83,12 @@ struct BusResult {
   static BusResult failed(uint16_t error) { return BusResult{Error, error, {0}, 0}; }
   static BusResult pending() { return BusResult{Pending, 0, {0}, 0}; }
 
-  void append_uint16(uint16_t value) {
+  // False: the reply is full, and unchanged.
+  bool append_uint16(uint16_t value) {
+    if (size + sizeof value > sizeof data) return false;
     data[size++] = static_cast<uint8_t>(value);
     data[size++] = static_cast<uint8_t>(value >> 8);
+    return true;
   }
 };
 

@@ -44,8 +44,9 @@ class StxEtxSender {
 
   explicit StxEtxSender(Sink sink) : sink_(sink) {}
 
-  void send(uint8_t type, const uint8_t* payload, size_t size) {
-    if (size > kMaxPayload) return;
+  // False: the payload is too long, and nothing was sent.
+  bool send(uint8_t type, const uint8_t* payload, size_t size) {
+    if (size > kMaxPayload) return false;
     uint8_t frame[kMaxPayload + 6];
     frame[0] = kStx;
     frame[1] = static_cast<uint8_t>(2 + size);
@@ -55,13 +56,15 @@ class StxEtxSender {
     frame[4 + size] = stx_etx_crc(frame + 2, 2 + size);
     frame[5 + size] = kEtx;
     sink_(static_cast<const uint8_t*>(frame), size + 6);
+    return true;
   }
 
   // A frame of one's own type: any packed struct.
   template <class T>
-  void send(uint8_t type, const T& value) {
+  bool send(uint8_t type, const T& value) {
+    check_can_cross_the_wire<T>();
     static_assert(sizeof(T) <= kMaxPayload, "a frame of this sender holds no more");
-    send(type, reinterpret_cast<const uint8_t*>(&value), sizeof value);
+    return send(type, reinterpret_cast<const uint8_t*>(&value), sizeof value);
   }
 
   void send_sensor_status(const SensorStatus& status) {

@@ -8,10 +8,13 @@
 //   bus TOKEN…                                    the Slave's replies after each token, then what was executed
 //   skip N | sensor N*5 | adc N*6                 the STX/ETX sender; skip sends N frames to nowhere
 //   own packet|frame N N F                        a packed struct of one's own: int16, uint8, float
+//   watch TOKEN…                                  a heartbeat watch of 31 ticks: after each tick, whether it is alive.
+//                                                 aN: N bytes arrive; rN: N are read; h1: a heartbeat; tN: N ticks
 //
 // A token is HEX (bytes arriving now), +N (N ms pass, polled each ms) or, for the bus, ! (the motion ends).
 
 #include <arduino_packets.h>
+#include <heartbeat_watch.h>
 #include <robot_ctrl_bus.h>
 #include <stx_etx.h>
 
@@ -140,6 +143,21 @@ static std::string run_parse(std::istringstream& tokens) {
   return line + counters.str();
 }
 
+static std::string run_watch(std::istringstream& tokens) {
+  HeartbeatWatch<31> watch;
+  std::string line, token;
+  uint8_t waiting = 0;
+  while (tokens >> token) {
+    for (int left = std::stoi(token.substr(1)); left > 0; --left) {
+      if (token[0] == 'a') ++waiting;
+      if (token[0] == 'r') --waiting, watch.byte_read();
+      if (token[0] == 'h') watch.heartbeat();
+      if (token[0] == 't') watch.tick(waiting), line += watch.alive() ? '1' : '0';
+    }
+  }
+  return line;
+}
+
 int main() {
   std::string line, out;
   PacketSender<Collect, 255> packets(Collect{&out});
@@ -199,6 +217,8 @@ int main() {
       out = run_parse(words);
     } else if (command == "bus") {
       out = run_bus(words);
+    } else if (command == "watch") {
+      out = run_watch(words);
     } else if (command == "skip" && words >> number) {
       for (long i = 0; i < number; ++i) frames.send(0x7F, nullptr, 0);
       out = "ok";

@@ -503,3 +503,39 @@ def test_heading_wraps_and_can_be_restored(driver):
         frame = unhex(driver('sensor 1 2 %d 0 0' % heading))
         yaw = struct.unpack_from('<h', frame, 8)[0]
         assert (yaw + 65536 if yaw < -18000 else yaw) == heading
+
+
+# The heartbeat watch
+
+
+def test_heartbeat_lives_for_31_ticks_from_its_arrival(driver):
+    assert driver('watch a3 r3 h1 t40') == '1' * 30 + '0' * 10
+    assert driver('watch a3 t20 r3 h1 t20') == '0' * 20 + '1' * 10 + '0' * 10
+    assert driver('watch a3 t31 r3 h1 t5') == '0' * 36
+    # One that came late does not make a newer one old.
+    assert driver('watch a6 t9 a3 r9 h1 t40') == '0' * 9 + '1' * 30 + '0' * 10
+
+
+def test_heartbeat_watch_agrees_with_the_model(driver):
+    rng = random.Random(3)
+    for _ in range(100):
+        tokens, expected = [], ''
+        arrivals = []    # at which tick each byte that waits has come
+        now, age = 0, 31
+        for _ in range(300):
+            count = min(rng.randrange(13), 63 - len(arrivals))
+            arrivals += [now] * count
+            tokens.append('a%d' % count)
+            while arrivals and rng.random() < 0.95:
+                arrived = arrivals.pop(0)
+                tokens.append('r1')
+                if rng.random() < 0.02:
+                    age = min(age, now - arrived)
+                    tokens.append('h1')
+            ticks = rng.choice([1, 1, 1, 1, 1, 1, 1, 2, 5, 33, 60])
+            tokens.append('t%d' % ticks)
+            for _ in range(ticks):
+                now, age = now + 1, age + 1
+                expected += '1' if age < 31 else '0'
+        assert driver('watch ' + ' '.join(tokens)) == expected
+        assert '1' in expected and '0' in expected
