@@ -1,11 +1,12 @@
-"""Values <-> the fields of any ROS message, by paths such as ``data`` and ``position[2]``.
+"""Converts values to and from the fields of any ROS message, by paths such as ``position[2]``.
 
-Everything that a path can have wrong is found when a `RosFields` is made.
+Creating a `RosFields` checks the paths completely.
 """
 import difflib
 import glob
 import os
 import re
+import struct
 import sys
 from math import isfinite
 from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple, Union
@@ -13,22 +14,22 @@ from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple, U
 import roslib.message
 
 from ..framing.custom_messages import RowError
-from ..framing.layout import Layout, Value, holds
+from ..framing.layout import FRACTIONS, Layout, Value
 
 _CODES = {'bool': '?', 'int8': 'b', 'byte': 'b', 'uint8': 'B', 'char': 'B', 'int16': 'h',
           'uint16': 'H', 'int32': 'i', 'uint32': 'I', 'int64': 'q', 'uint64': 'Q',
-          'float32': 'f', 'float64': 'd'}      # struct's, of ROS's numbers
-_MOST_ELEMENTS = 1000     # of an array whose elements are named one by one
+          'float32': 'f', 'float64': 'd'}      # struct's codes
+_MOST_ELEMENTS = 1000     # of an array whose elements are named singly, such as position[2]
 _STEP = re.compile(r'([A-Za-z]\w*)(?:\[(\d+)\])?')
 _TYPE = re.compile(r'([\w/]+)(\[(\d*)\])?')
 
 
 def find_type(key: str, name: str, kind: str = 'msg') -> Any:
-    """The class of an installed message (``kind`` 'msg') or service ('srv') type.
+    """Return the class of an installed message (``kind`` 'msg') or service ('srv') type.
 
     Raises:
-        RowError: there is none; the text has the nearest type that there is, or the package that
-            is missing.
+        RowError: the type is not installed; the text suggests a similar type, or names the package
+            that is missing.
     """
     found = _found(name, kind)
     if found is not None:
@@ -40,72 +41,68 @@ def find_type(key: str, name: str, kind: str = 'msg') -> Any:
     elsewhere = [f'{owner}/{each}' for owner, each in installed if each == short]
     near += difflib.get_close_matches(name, elsewhere, cutoff=0.0)
     meant = next((f'; did you mean {each}?' for each in near if _found(each, kind)), '')
-    why = '' if there else \
-        f': a package {package} with such types is not installed, or its workspace not sourced'
-    raise RowError(key, name, f'is no installed type{why}{meant}')
+    why = '' if there else (f': the package {package} is not installed or has no such types, or '
+                            'its workspace is not sourced')
+    raise RowError(key, name, f'is not an installed type{why}{meant}')
 
 
 def _found(name: str, kind: str) -> Any:
-    """The class of a type, or None."""
+    """Return the class of a type, or None."""
     find = roslib.message.get_message_class if kind == 'msg' else roslib.message.get_service_class
     try:
         found = find(name)
     except (Exception, SystemExit):  # pylint: disable=broad-except
-        return None     # a module of that name that is no package of messages, say
+        return None     # the module of that name may be anything
     return found if getattr(found, '_type', '') == name and (
         hasattr(found, '_slot_types') if kind == 'msg' else hasattr(found, '_request_class')
     ) else None
 
 
 def _installed(kind: str) -> List[str]:
-    """The names of all types, by the modules that are generated for them."""
+    """Return the names of all installed types, found by their generated modules."""
     modules = [path.split(os.sep) for folder in sys.path
                for path in glob.glob(os.path.join(glob.escape(folder), '*', kind, '_[A-Z]*.py'))]
     return sorted({f'{path[-3]}/{path[-1][1:-3]}' for path in modules})
 
 
 class _Place(NamedTuple):
-    """Where one value goes."""
+    """The field or array element that holds one value."""
 
-    owner: Tuple[Union[str, int], ...]     # names of fields and indexes of elements on the way
-    last: Union[str, int]                  # … and the last one
-    to_ros: Optional[Callable[[Any], Any]]
-    code: str                              # struct's code of its number; '' for a text
+    owner: Tuple[Union[str, int], ...]     # path to the message or array that has it
+    last: Union[str, int]                  # its field name or index there
+    to_ros: Optional[Callable[[Any], Any]]     # converts the value
+    code: str                              # struct's code of its number; '' for a string
 
 
 class RosFields:
-    """Where the values of a layout stand in messages of one type.
+    """The mapping between the values of a layout and the fields of a ROS message type.
 
     Args:
-        message_class: of ROS.
-        layout: its values are named by their paths; one without a name is left out.
-        key: the parameter that named them.
+        message_class: the ROS message type.
+        layout: each value's name is its path; a value without a name is left out.
+        key: the parameter with the paths, for errors.
 
     Raises:
-        RowError: a path that leads nowhere, or to what cannot hold such a value.
+        RowError: a field does not exist, or cannot hold its value.
     """
 
     def __init__(self, message_class: Any, layout: Layout, key: str) -> None:
         self._class = message_class
-        self._arrays: List[Tuple[Tuple, int, Any]] = []    # to be lengthened in a new message
-        self._places = [self._resolve(key, layout, index) if value.name else None
-                        for index, value in enumerate(layout.values)]
+        self._arrays: List[Tuple[Tuple, int, Any]] = []    # path, length and element in a message
+        self._places = [self._resolve(key, value) if value.name else None
+                        for value in layout.values]
         self._refuse_shared(key, [value.name for value in layout.values])
         self._filled = [(index, place.owner, place.last, isinstance(place.last, int), place.to_ros)
                         for index, place in enumerate(self._places) if place]
 
     def narrowed(self, layout: Layout) -> Layout:
-        """The same layout, which takes what a field cannot hold for implausible."""
-        values: List[Value] = []
-        for index, (value, place) in enumerate(zip(layout.values, self._places)):
-            fits = not place or place.code in ('', 'd')
-            if not fits and (place.code == 'f' or not layout.may_be_nan(index)):
-                fits = all(isfinite(end) and holds(place.code, end) for end in layout.range(index))
-            values.append(value if fits else value._replace(place=place.code))
-        return Layout(layout.layout, values)
+        """Return the layout; there, a value that its field cannot hold is implausible."""
+        codes = ['' if not place or _holds_all(place.code, value) else place.code
+                 for value, place in zip(layout.values, self._places)]
+        return _NarrowedLayout(layout, codes) if any(codes) else layout
 
     def new(self) -> Any:
-        """A message with room for every value."""
+        """Return a message whose arrays are long enough for all values."""
         message = self._class()
         for steps, size, element in self._arrays:
             owner = _walk(message, steps[:-1])
@@ -115,7 +112,7 @@ class RosFields:
         return message
 
     def fill(self, message: Any, values: Sequence) -> Any:
-        """Put the values into a message that `new` made; return it."""
+        """Write the values into a message from `new`, and return it."""
         for index, owner, last, is_element, to_ros in self._filled:
             value = to_ros(values[index]) if to_ros else values[index]
             holder = _walk(message, owner) if owner else message
@@ -126,7 +123,11 @@ class RosFields:
         return message
 
     def read(self, message: Any) -> Tuple:
-        """The values in a message; ValueError where it has not as many elements as are named."""
+        """Return the values in a message.
+
+        Raises:
+            ValueError: one of its arrays is too short.
+        """
         values = []
         for place in self._places:
             try:
@@ -136,12 +137,12 @@ class RosFields:
             values.append(tuple(value) if isinstance(value, (list, bytes)) else value)
         return tuple(values)
 
-    def _resolve(self, key: str, layout: Layout, index: int) -> _Place:
-        path = layout.values[index].name
+    def _resolve(self, key: str, value: Value) -> _Place:
+        path = value.name
         message_class, steps, type_, size = self._class, (), '', None
         for name, element in _STEP.findall(path):
             if message_class is None:
-                raise RowError(key, path, f'may not go on behind {steps[-1]}, which is {type_}')
+                raise RowError(key, path, f'must end at {steps[-1]}, a {type_} without fields')
             fields = dict(zip(message_class.__slots__, message_class._slot_types))
             if name not in fields:
                 raise RowError(key, path, f'{message_class._type} has no field {name}'
@@ -156,10 +157,10 @@ class RosFields:
                                message_class or _default_of(type_))
                 steps += (int(element),)
                 array = None
-        return self._checked(key, layout, index, steps, type_, array, size)
+        return self._checked(key, value, steps, type_, array, size)
 
     def _refuse_shared(self, key: str, paths: List[str]) -> None:
-        """A value that another one replaces in the message, as position[0] by position."""
+        """Raise RowError if a value would overwrite another, as position does with position[0]."""
         taken = {(*place.owner, place.last): path
                  for place, path in zip(self._places, paths) if place}
         for place, path in zip(self._places, paths):
@@ -167,40 +168,78 @@ class RosFields:
             for end in range(1, len(steps) + 1):
                 other = taken.get(steps[:end], path)
                 if other != path:
-                    raise RowError(key, path, f'has its place in that of {other}')
+                    raise RowError(key, path, f'overlaps with {other}')
 
     def _lengthen(self, key: str, path: str, steps: Tuple, element: int, array: Optional[str],
                   size: Optional[str], default: Any) -> None:
         most = int(size) if size else _MOST_ELEMENTS
         if array is None:
-            raise RowError(key, path, f'{steps[-1]} is no array')
+            raise RowError(key, path, f'{steps[-1]} is not an array')
         if element >= most:
             raise RowError(key, path, f'{steps[-1]} has elements 0 to {most - 1}')
         self._arrays.append((steps, element + 1, default))
 
     @staticmethod
-    def _checked(key: str, layout: Layout, index: int, steps: Tuple, type_: str,
-                 array: Optional[str], size: Optional[str]) -> _Place:
-        """The place, if what the layout has fits what stands there."""
-        path, has = layout.values[index].name, layout.kind(index)
+    def _checked(key: str, value: Value, steps: Tuple, type_: str, array: Optional[str],
+                 size: Optional[str]) -> _Place:
+        """Return the place if its type can hold the value; otherwise raise RowError."""
+        path, has = value.name, value.kind
         is_array, is_fixed = array is not None, bool(size)
         there = type_ + (array or '')
         if has == 'text' and (type_ != 'string' or is_array):
-            raise RowError(key, path, f'is {there}; a text needs a string')
+            raise RowError(key, path, f'is {there}; the text (s) in the layout needs a string')
         if has != 'text' and type_ not in _CODES:
-            raise RowError(key, path, f'is {there}, which holds no number')
+            raise RowError(key, path, f'is {there}, which cannot hold a number')
         if has == 'array' and (not is_array or is_fixed):
-            raise RowError(key, path, f'is {there}; a * needs an array of any length')
+            raise RowError(key, path, f'is {there}; the * in the layout needs an array of any '
+                           'length')
         if has == 'number' and is_array:
-            raise RowError(key, path, f'is {there}; one number needs one element, as {path}[0]')
+            raise RowError(key, path, f'is {there}; a single number needs one element, such as '
+                           f'{path}[0]')
         convert = None
         if type_ == 'bool':
             convert = bool
-        elif has != 'text' and type_ not in ('float32', 'float64') and not layout.is_whole(index):
+        elif has != 'text' and type_ not in ('float32', 'float64') and not value.is_whole:
             convert = round
         if convert and has == 'array':
             one, convert = convert, lambda numbers: [one(number) for number in numbers]
         return _Place(steps[:-1], steps[-1], convert, _CODES.get(type_, ''))
+
+
+class _NarrowedLayout(Layout):
+    """A layout whose values must also fit the fields of a ROS message.
+
+    Args:
+        codes: struct's code of each value's field; '' if the field can hold every value.
+    """
+
+    def __init__(self, layout: Layout, codes: List[str]) -> None:
+        super().__init__(layout.layout, layout.values)
+        self._codes = codes
+
+    def implausible(self, values: Sequence) -> str:
+        return super().implausible(values) or next(
+            (f'{value.name} is {number:.6g}, which its ROS field cannot hold'
+             for given, value, code in zip(values, self.values, self._codes) if code
+             for number in (given if isinstance(given, tuple) else (given,))
+             if not _holds(code, number)), '')
+
+
+def _holds_all(code: str, value: Value) -> bool:
+    """Return whether a field with struct's `code` ('' for a string) can hold every value."""
+    if code in ('', 'd'):
+        return True
+    return (code == 'f' or not value.may_be_nan) and all(
+        isfinite(end) and _holds(code, end) for end in value.range)
+
+
+def _holds(code: str, number: float) -> bool:
+    """Return whether a field with struct's `code` can hold a number, rounded for integers."""
+    try:
+        struct.pack('<' + code, number if code in FRACTIONS else round(number))
+    except (struct.error, OverflowError, ValueError):
+        return False
+    return True
 
 
 def _walk(message: Any, steps: Sequence) -> Any:

@@ -213,6 +213,8 @@ def _zeros_by_the_rules(drive: Drive) -> Row:
     owed += [(t - _ORDER, t + stop) for t in drive.zeros + drive.calls]
     owed += [(speed.t, speed.t + drive.speed_timeout + stop)
              for speed in drive.speeds if speed.value]
+    # Those that were on their way as the board began to calibrate it reads at the end of that.
+    owed += [(over, over + _SLACK) for _start, over in drive.deaf.pairs]
     # With the first packet of all the bridge has opened its port, whenever it was started.
     owed += [(t, t + stop) for t in drive.began]
     allowed = Intervals(owed)

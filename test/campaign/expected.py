@@ -66,6 +66,7 @@ class Arrival:
     end: int                  # bytes of the line up to its last one
     reopened: bool = False    # the board's port was closed or opened before it
     made: List[Any] = field(default_factory=list)   # (type, command, data) that damage made
+    beside_noise: bool = False      # what noise made may have come before it
     swallowed_from: Optional[int] = None   # where a made frame begins that has the right checksum
 
 
@@ -121,7 +122,7 @@ def _decode(frames: List[Arrival], kind: str) -> List[Arrival]:
     last, before = 0.0, 0      # when and where the frame before this one ended
     for one in frames:
         recent.append(one.own)
-        damaged = not one.ok or any(decoder.pending for decoder, _patience in decoders)
+        damaged = not one.ok or any(decoder.begun for decoder, _patience in decoders)
         rest = Arrival(last, 0, None, False, 1, b'', before)
         longest = 0
         for decoder, patience in decoders:
@@ -182,6 +183,7 @@ def _shift_noise(frames: List[Arrival], kind: str) -> None:
             damage = before.wire if before and not before.ok else b''
             stream = damage + noise.wire + one.wire
             known = one.own, before.own if before else None
+            one.beside_noise = True
             _add(one, (frame for start in range(len(stream) - len(one.wire))
                        for frame in _DECODERS[kind]().feed(stream[start:])
                        if _of(frame) not in known))
@@ -219,11 +221,11 @@ def expected(frames: List[Arrival], key: Callable[[Any], Any], doubled: bool,
             must = frame.ok and not exempt.holds(frame.t)
             sent = [Sent(frame.t, own, must, 'ok' if frame.ok else 'maybe', frame.n)] * (
                 frame.copies if doubled else 1)
-        out += sent[:1]
-        for made in frame.made:
-            other = key(made)
-            if other is not None and other != own:
-                out.append(Sent(frame.t, other, False, 'blind', frame.n))
+        made = [Sent(frame.t, other, False, 'blind', frame.n) for other in map(key, frame.made)
+                if other is not None and other != own]
+        if frame.beside_noise:
+            out += made
+        out += sent[:1] + made
         out += sent[1:]     # damage before it may have taken the first one
     return out
 

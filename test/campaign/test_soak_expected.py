@@ -69,6 +69,13 @@ def test_noise_that_came_before_a_packet_which_the_records_have_before_it():
     assert not joined.cause and (joined.type, 0, joined.data) in frames[0].made
 
 
+def test_a_frame_in_noise_that_came_before_a_frame_which_the_records_have_before_it():
+    noise = {'t': 1.0001, 'ev': 'chatter', 'wire': 'a5020200000003'}
+    frames = arrivals([status(1.0, 5), noise, status(1.05, 6)], 'mcu')
+    keys = [one.key[:2] for one in expected(frames, lambda own: own, True, Intervals())]
+    assert keys[:2] == [(0, 0), (16, 5)]
+
+
 def status(t, seq, **more):
     message = mcu.SensorStatus(100 + seq, 200, 12.34, 1.0, 2.0)
     return dict({'t': t, 'ev': 'tx', 'n': seq, 'type': 16, 'seq': seq, 'ok': True,

@@ -229,6 +229,12 @@ class TestZerosByTheRules:
     def test_before_a_calibration(self):
         assert not self.found([speed(4.97, 0)], [CALIBRATION])
 
+    def test_as_the_board_has_calibrated_and_reads_what_came_on_the_way_to_it(self):
+        calibration = [{'t': 5.0, 'ev': 'calibrate', 'on': True},
+                       {'t': 8.0, 'ev': 'calibrate', 'on': False, 'kept': '0204010100'}]
+        assert not self.found(calibration + [speed(8.0, 0)], [CALIBRATION])
+        assert self.found(calibration + [speed(9.0, 0)], [CALIBRATION]) == [9.0]
+
     def test_after_a_speed(self):
         assert not self.found([speed(8.0, 300), speed(8.5, 0)], [told(7.99, 300)])
 

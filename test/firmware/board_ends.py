@@ -5,6 +5,7 @@ import struct
 
 import pytest
 import serial
+from by_definition import cobs_encode, xor_of
 
 (
     DEBUG,
@@ -21,17 +22,10 @@ import serial
     HEARTBEAT,
     CALIBRATION,
 ) = range(13)
-FORCE, GRIPPER = 32, 48    # of one's own
-PUMP, TANK = 0x30, 0x32    # likewise, functions of the bus
+FORCE, GRIPPER = 32, 48    # custom messages
+PUMP, TANK = 0x30, 0x32    # custom functions of the bus
 RATE_SCALE = 4000.0 / 65536 * math.pi / 180 * 25  # rad/s
 ACCELERATION_SCALE = 8.0 / 65536 * 9.81  # m/s^2
-
-
-def xor(data):
-    value = 0
-    for byte in data:
-        value ^= byte
-    return value
 
 
 def open_port(board):
@@ -39,14 +33,6 @@ def open_port(board):
 
 
 # The model car
-
-
-def cobs_encode(data):
-    out = b''
-    for block in data.split(b'\x00'):
-        assert len(block) < 254
-        out += bytes([len(block) + 1]) + block
-    return out
 
 
 def cobs_decode(data):
@@ -213,7 +199,7 @@ def request(cmd1, cmd2=0, data=b''):
         else struct.pack('<BB', 0xA5, len(data))
     )
     frame = flag + bytes([cmd1, cmd2]) + data
-    return frame + bytes([xor(frame)])
+    return frame + bytes([xor_of(frame)])
 
 
 class Master(object):
@@ -235,7 +221,7 @@ class Master(object):
         self.board.wait_until(whole, seconds)
         size = self._size()
         frame, self._received = self._received[:size], self._received[size:]
-        assert xor(frame) == 0, frame.hex()
+        assert xor_of(frame) == 0, frame.hex()
         return frame[2 if frame[0] == 0xA5 else 3:-1]
 
     def _size(self):
@@ -297,7 +283,7 @@ class Frames(object):
         while len(self._received) >= 16:
             frame, self._received = self._received[:16], self._received[16:]
             assert (
-                frame[:3] == b'\x02\x0c\x10' and frame[15] == 3 and xor(frame[2:14]) == frame[14]
+                frame[:3] == b'\x02\x0c\x10' and frame[15] == 3 and xor_of(frame[2:14]) == frame[14]
             ), frame.hex()
             self.frames.append((frame[3],) + struct.unpack('<HHhhh', frame[4:14]))
         return self.frames

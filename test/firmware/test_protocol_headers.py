@@ -1,21 +1,15 @@
 """The protocol headers, compiled for the PC, against the wire's examples and a model in Python."""
 
-import json
-import os
 import random
 import struct
 import subprocess
 
 import pytest
+from by_definition import cobs_encode, xor_of
+from protocol_cases import hexed, vectors
 
-HERE = os.path.dirname(os.path.abspath(__file__))
-
-with open(os.path.join(HERE, 'vectors.json')) as _file:
-    VECTORS = json.load(_file)
-
-
-def unhex(text):
-    return bytes.fromhex(text)
+VECTORS = {name: vectors(file) for name, file in (
+    ('cobs', 'cobs'), ('arduino', 'arduino'), ('bus', 'robot_ctrl_bus'), ('mcu', 'mcu'))}
 
 
 def plain(text):
@@ -57,24 +51,8 @@ def driver(program):
 # COBS
 
 
-def cobs_encode(data):
-    out = bytearray()
-    block = bytearray()
-    for index, byte in enumerate(data):
-        if byte:
-            block.append(byte)
-        # A full block at the end needs no other after it.
-        if not byte or (len(block) == 254 and index + 1 < len(data)):
-            out.append(len(block) + 1)
-            out += block
-            block = bytearray()
-    out.append(len(block) + 1)
-    out += block
-    return bytes(out)
-
-
 @pytest.mark.parametrize(
-    'pair', VECTORS['cobs']['pairs'], ids=lambda pair: '%d bytes' % len(unhex(pair['decoded']))
+    'pair', VECTORS['cobs']['pairs'], ids=lambda pair: '%d bytes' % len(hexed(pair['decoded']))
 )
 def test_cobs_both_ways(driver, pair):
     assert driver('encode ' + plain(pair['decoded'])) == plain(pair['encoded'])
@@ -121,7 +99,7 @@ def test_arduino_packets(driver, packet):
     assert driver('packet %d %s' % (kind, plain(packet['payload']))) == plain(packet['wire'])
     if kind == 9:
         command = 'imu ' + ' '.join(
-            str(field) for field in struct.unpack('>11h', unhex(packet['payload']))
+            str(field) for field in struct.unpack('>11h', hexed(packet['payload']))
         )
     else:
         command = SENDERS[kind] % ((packet['value'],) if 'value' in packet else ())
@@ -175,7 +153,7 @@ def test_a_packet_without_its_end_is_given_up(driver):
 OWN = struct.pack('<hBf', -300, 128, 1.5)
 
 
-def test_a_packed_struct_of_ones_own_is_sent_and_taken_as_it_stands(driver):
+def test_a_custom_packed_struct_is_sent_and_taken_as_it_stands(driver):
     wire = cobs_encode(b'\x30' + OWN) + b'\x00'
     assert driver('own packet -300 128 1.5') == wire.hex()
     assert driver('parse ' + wire.hex()).startswith('48:%s=-300/128 |' % OWN.hex())
@@ -186,9 +164,9 @@ def test_a_packed_struct_of_ones_own_is_sent_and_taken_as_it_stands(driver):
         assert answer.startswith('|') and counted in answer
 
 
-def test_a_function_of_ones_own_takes_and_answers_a_packed_struct(driver):
+def test_a_custom_function_takes_and_answers_a_packed_struct(driver):
     def frame(head, data):
-        return (head + data + bytes([xor(head + data)])).hex()
+        return (head + data + bytes([xor_of(head + data)])).hex()
 
     asked = frame(b'\xa5\x07\x55\x30', OWN)
     assert driver('bus a5000000a5 ' + asked).split()[1] == frame(b'\xa5\x07\x02', OWN)
@@ -196,10 +174,10 @@ def test_a_function_of_ones_own_takes_and_answers_a_packed_struct(driver):
     assert driver('bus a5000000a5 ' + asked).split()[1] == frame(b'\xa5\x02\x03', b'\x01\x80')
 
 
-def test_a_frame_of_ones_own_carries_a_packed_struct(driver):
+def test_a_custom_frame_carries_a_packed_struct(driver):
     wire = bytes.fromhex(driver('own frame -300 128 1.5'))
     assert wire[:3] == b'\x02\x09\x30' and wire[4:-2] == OWN
-    assert wire[-1] == 3 and xor(wire[2:-1]) == 0
+    assert wire[-1] == 3 and xor_of(wire[2:-1]) == 0
 
 
 # robot-ctrl-bus
@@ -210,14 +188,7 @@ LIFT_UP_100, OK = 'a50255200064b6', 'a50002a7'
 
 def invalid(code):
     frame = bytes([0xA5, 1, 0xFF, code])
-    return (frame + bytes([xor(frame)])).hex()
-
-
-def xor(data):
-    value = 0
-    for byte in data:
-        value ^= byte
-    return value
+    return (frame + bytes([xor_of(frame)])).hex()
 
 
 def request(cmd1, cmd2=0, data=b''):
@@ -227,7 +198,7 @@ def request(cmd1, cmd2=0, data=b''):
         else struct.pack('<BB', 0xA5, len(data))
     )
     frame = flag + bytes([cmd1, cmd2]) + data
-    return frame + bytes([xor(frame)])
+    return frame + bytes([xor_of(frame)])
 
 
 def bus(driver, *tokens):
@@ -250,11 +221,11 @@ EXPECTED = {
 def test_bus_requests(driver, case):
     frame = plain(case['frame'])
     assert (
-        request(case['cmd1'], case['cmd2'], unhex(case['data'])).hex() == frame
+        request(case['cmd1'], case['cmd2'], hexed(case['data'])).hex() == frame
         or 'documented' in case['name']
     )
     if case['name'].startswith('echo'):
-        expected = reply_of(1, unhex(case['data'])).hex()
+        expected = reply_of(1, hexed(case['data'])).hex()
     else:
         expected = EXPECTED.get(case['name'], '-')  # a lift answers when it has ended
     one_by_one = [frame[i:i + 2] for i in range(0, len(frame), 2)]
@@ -272,14 +243,14 @@ def reply_of(cmd1, data=b''):
         else struct.pack('<BB', 0xA5, len(data))
     )
     frame += bytes([cmd1]) + data
-    return frame + bytes([xor(frame)])
+    return frame + bytes([xor_of(frame)])
 
 
 @pytest.mark.parametrize('case', VECTORS['bus']['replies'], ids=lambda case: case['name'])
 def test_bus_replies(driver, case):
     """Each reply of the examples that this board can be brought to give."""
     frame = plain(case['frame'])
-    assert reply_of(case['cmd1'], unhex(case['data'])).hex() == frame
+    assert reply_of(case['cmd1'], hexed(case['data'])).hex() == frame
     provoke = {
         'sync': [SYNC],
         'ok': [SYNC, request(0x55, 0x21, b'\x00\x1e').hex()],
@@ -291,7 +262,7 @@ def test_bus_replies(driver, case):
         'invalid 0x10: not synchronised': [LIFT_UP_100],
     }
     if case['name'].startswith('echo'):
-        provoke[case['name']] = [SYNC, request(1, 0, unhex(case['data'])).hex()]
+        provoke[case['name']] = [SYNC, request(1, 0, hexed(case['data'])).hex()]
     if case['name'] in provoke:
         assert bus(driver, *provoke[case['name']])[0][-1] == frame
     else:
@@ -407,7 +378,7 @@ class SlaveModel(object):
         end = header + length
         if len(data) <= end:
             return 1, None
-        return (end + 1, 'ok') if xor(data[:end]) == data[end] else (1, 0x40)
+        return (end + 1, 'ok') if xor_of(data[:end]) == data[end] else (1, 0x40)
 
     def execute(self, frame):
         header = 5 if frame[0] == 0x5A else 4
@@ -446,7 +417,7 @@ def random_burst(rng):
         elif kind == 2:
             frame = frame[: rng.randrange(len(frame) + 1)]
         elif kind == 3:
-            frame = unhex('a5025522d0')
+            frame = hexed('a5025522d0')
         # The model knows no motions.
         burst += frame.replace(b'\x55\x20', b'\x55\x21')
     return burst
@@ -494,13 +465,13 @@ def test_stx_etx_frames(driver, case):
 
 
 def test_stx_etx_sequence_counts_modulo_256(driver):
-    sequence = [unhex(driver('adc 1 2 3 4 5 6'))[3] for _ in range(300)]
+    sequence = [hexed(driver('adc 1 2 3 4 5 6'))[3] for _ in range(300)]
     assert sequence == [number % 256 for number in range(300)]
 
 
 def test_heading_wraps_and_can_be_restored(driver):
     for heading in range(0, 36000, 25):
-        frame = unhex(driver('sensor 1 2 %d 0 0' % heading))
+        frame = hexed(driver('sensor 1 2 %d 0 0' % heading))
         yaw = struct.unpack_from('<h', frame, 8)[0]
         assert (yaw + 65536 if yaw < -18000 else yaw) == heading
 

@@ -1,4 +1,4 @@
-"""The sensor board's frames: STX ... ETX, from an ESP32 with range sensors and an IMU.
+"""The sensor board's frames, STX … ETX, from an ESP32 with range sensors and an IMU.
 
     +------+-----+------+-----+-----------+-----+------+
     | 0x02 | LEN | TYPE | SEQ | PAYLOAD … | CRC | 0x03 |
@@ -6,26 +6,28 @@
      STX                                         ETX
 
 LEN counts TYPE, SEQ and PAYLOAD; CRC is the XOR of TYPE, SEQ and PAYLOAD; SEQ counts up by one
-a frame, modulo 256. Little-endian. Only the board talks.
+a frame, modulo 256. Little-endian. Only the board sends.
 """
+import struct
 from math import isnan, nan
-from typing import Any, Iterable, List, NamedTuple
+from typing import Any, Iterable, List, NamedTuple, Union
 
-from ...framing.layout import Layout, Value, message_class
+from ...framing.layout import Layout, Value, layout_methods, message_class
 from ...framing.parts import Part, Parts
-from ...framing.stream import (CHECKSUM, FRAMING, IMPLAUSIBLE, LENGTH, UNKNOWN, Bad, Good, Need,
+from ...framing.stream import (CHECKSUM, IMPLAUSIBLE, LENGTH, NO_FRAME, UNKNOWN, Bad, Good, Need,
                                StreamDecoder, running_xor)
 
 STX = 0x02
 ETX = 0x03
 MIN_LEN = 2            # TYPE and SEQ
 MAX_PAYLOAD = 253      # bytes
-RANGE_TIMED_OUT = 0xFFFF  # what a range sensor that did not answer reads
+RANGE_TIMED_OUT = 0xFFFF  # in place of a range: the sensor timed out
 ANGLE_UNKNOWN = -0x8000   # pitch and roll where the IMU did not answer: no attitude has -327.68°
 
 _WRAP = 655.36         # degrees by which a heading over 327.67 wraps in the int16
 
 
+@layout_methods
 class SensorStatus(NamedTuple):
     """TYPE 0x10: two range sensors and the orientation as Euler angles."""
 
@@ -43,13 +45,17 @@ class SensorStatus(NamedTuple):
 
     @classmethod
     def unpack(cls, data: bytes) -> 'SensorStatus':
-        """From the payload. A yaw under -180° is a heading that wrapped: restored."""
+        """From the payload. A yaw under -180° is a heading that wrapped; it is restored.
+
+        Raises:
+            struct.error: the payload does not have ten bytes.
+        """
         range_1, range_2, yaw, pitch, roll = cls.LAYOUT.raw(data)
         if pitch == roll == ANGLE_UNKNOWN:    # yaw alone cannot tell: it may be a heading
             return cls(range_1, range_2, nan, nan, nan)
         yaw /= 100
-        return cls(range_1, range_2, yaw if yaw >= -180 else round(yaw + _WRAP, 2), pitch / 100,
-                   roll / 100)
+        return tuple.__new__(cls, (range_1, range_2, yaw if yaw >= -180 else round(yaw + _WRAP, 2),
+                                   pitch / 100, roll / 100))
 
     def pack(self) -> bytes:
         """The payload. Angles are rounded to 0.01° and wrap as the board's int16 does."""
@@ -60,10 +66,8 @@ class SensorStatus(NamedTuple):
 
     @classmethod
     def parts(cls, payload: bytes) -> List[Part]:
-        """Which bytes of the payload are which value."""
-        parts = cls.LAYOUT.parts(payload)
-        if cls.LAYOUT.fits(len(payload)):
-            parts = [part._replace(value=value) for part, value in zip(parts, cls.unpack(payload))]
+        """The values of the payload, each with its bytes."""
+        parts = cls.LAYOUT.parts(payload, cls.unpack)
         for index, part in enumerate(parts):
             if part.unit == 'mm' and part.raw == RANGE_TIMED_OUT:
                 parts[index] = part._replace(meaning='the sensor timed out')
@@ -72,10 +76,6 @@ class SensorStatus(NamedTuple):
         if [part.raw for part in parts[3:5]] == [ANGLE_UNKNOWN, ANGLE_UNKNOWN]:
             parts[2:5] = [part._replace(meaning='the IMU did not answer') for part in parts[2:5]]
         return parts
-
-    def implausible(self) -> str:
-        """Why these values cannot be: there are no such."""
-        return ''
 
     @property
     def angles_known(self) -> bool:
@@ -99,27 +99,25 @@ AdcStatus = message_class(
     'TYPE 0x01: six ADC channels, raw.')
 
 MESSAGES = {message.TYPE: message for message in (SensorStatus, AdcStatus)}
-
-_LEN_TOO_SMALL = Bad(2, FRAMING, 'LEN')
-_LEN_OF_ANOTHER = Bad(3, FRAMING, 'LEN')
+_LENS = {type_: MIN_LEN + message.LAYOUT.size for type_, message in MESSAGES.items()}
 
 
 def encode(message: Any, seq: int) -> bytes:
-    """The frame that carries `message` as the board's frame number `seq` (0 … 255)."""
+    """The frame with `message` and the running number `seq` (0 … 255)."""
     return encode_raw(message.TYPE, seq, message.pack())
 
 
 def encode_raw(type_: int, seq: int, payload: bytes) -> bytes:
-    """A frame of any TYPE; `payload` up to 253 bytes."""
+    """A frame of any TYPE, 0 … 255; `payload` has at most `MAX_PAYLOAD` bytes."""
     body = bytes((type_, seq)) + payload
     return bytes((STX, len(body))) + body + bytes((running_xor(body, 0)[-1], ETX))
 
 
 class Decoder(StreamDecoder):
-    """Board -> us. A frame's `message` is None where its TYPE is not known.
+    """Decodes what the board sends. The `message` of a frame of unknown TYPE is None.
 
     Args:
-        messages: classes of messages of one's own, see `message_class`.
+        messages: classes of custom messages: see `message_class`.
     """
 
     STARTS = bytes((STX,))
@@ -131,19 +129,19 @@ class Decoder(StreamDecoder):
         self._messages.update((message.TYPE, message) for message in messages)
 
     def explain(self, frame: bytes) -> List[Part]:
-        """The bytes of one frame, good, bad, incomplete or noise, by name."""
+        """The named parts of one frame, valid or not, incomplete, or of noise."""
         parts = Parts(frame)
         if frame[:1] != bytes((STX,)):
             return parts.take_rest('noise', 'no frame begins so')
         parts.take(1, 'STX')
         kind = self._messages.get(frame[2]) if len(frame) > 2 else None
         length = frame[1] if len(frame) > 1 else MIN_LEN
-        false = '' if length >= MIN_LEN else f'should be {MIN_LEN} at least'
+        error = '' if length >= MIN_LEN else f'should be {MIN_LEN} at least'
         if kind and length >= MIN_LEN and not kind.LAYOUT.fits(length - MIN_LEN):
-            false = f'should be {MIN_LEN} more than {kind.LAYOUT.sizes()}'
-        parts.take(1, 'LEN', 'bytes of TYPE, SEQ and PAYLOAD', false)
+            error = f'should be {MIN_LEN} more than {kind.LAYOUT.sizes()}'
+        parts.take(1, 'LEN', 'bytes of TYPE, SEQ and PAYLOAD', error)
         if length < MIN_LEN:
-            return parts.take_rest('noise', 'bytes behind a false LEN')
+            return parts.take_rest('noise', 'bytes after an invalid LEN')
         parts.take_kind('TYPE', {type_: each.LABEL for type_, each in self._messages.items()})
         parts.take(1, 'SEQ')
         if kind:
@@ -153,37 +151,38 @@ class Decoder(StreamDecoder):
         parts.take_checksum('CRC', frame[2:2 + length])
         parts.take(1, 'ETX', error='' if frame[length + 3:length + 4] in (b'', b'\3')
                    else 'should be 0x03')
-        return parts.take_rest('noise', 'bytes behind the frame')
+        return parts.take_rest('noise', 'bytes after the frame')
 
-    def frame_at(self, at: int) -> Any:
+    def frame_at(self, at: int) -> Union[Good, Bad, Need]:
         buffer = self.buffer
         left = len(buffer) - at
         if left < 2:
             return Need(2)
         length = buffer[at + 1]
         if length < MIN_LEN:
-            return _LEN_TOO_SMALL
+            return NO_FRAME
         if left < 3:
             return Need(3)
         type_ = buffer[at + 2]
-        if type_ in MESSAGES and length != MIN_LEN + MESSAGES[type_].LAYOUT.size:
-            return _LEN_OF_ANOTHER
+        if _LENS.get(type_, length) != length:
+            return NO_FRAME
         size = length + 4
         if left < size:
             return Need(size)
         end = at + size
         if buffer[end - 1] != ETX:
-            return Bad(size, FRAMING, 'ETX')
-        if self.xor(at + 2, end - 1):    # of TYPE … CRC: 0 in a valid frame
+            return NO_FRAME
+        if self.xor(at + 2, end - 1):    # TYPE … CRC: 0 in a valid frame
             return Bad(size, CHECKSUM, 'CRC does not match')
         data = buffer[at + 4:end - 2]
         seq, kind = buffer[at + 3], self._messages.get(type_)
         if kind is None:
             return Good(size, type_, seq, data, None)
-        if not kind.LAYOUT.fits(len(data)):
+        try:
+            message = kind.unpack(data)
+        except struct.error:
             return Good(size, type_, seq, data, None, LENGTH, f'{kind.LABEL} frame with '
                         f'{len(data)} bytes of data where {kind.LAYOUT.sizes()} is right')
-        message = kind.unpack(data)
         reason = message.implausible()
         if reason:
             return Good(size, type_, seq, data, None, IMPLAUSIBLE, f'{kind.LABEL}: {reason}')

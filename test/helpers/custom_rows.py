@@ -1,17 +1,17 @@
-"""Any row of a message of one's own, and an encoder that shares no code with the package's."""
-import math
+"""Hypothesis strategies for rows of custom messages, and an encoder that is not the package's."""
 import struct
 from typing import Any, List
 
 from hypothesis import strategies as st
 
+_CODES = 'bBhHiIlLqQefd?'
 _SIZES = {'b': 1, 'B': 1, 'h': 2, 'H': 2, 'i': 4, 'I': 4, 'l': 4, 'L': 4, 'q': 8, 'Q': 8}
 
 
 def encoded(layout: str, raws: List[Any]) -> bytes:
-    """The bytes of these raw numbers and texts, one value after the other.
+    """The bytes of these raw numbers and texts.
 
-    `layout` has single characters, and a last ``*`` or ``s``; no padding.
+    `layout` has single characters and a last ``*`` or ``s``, but no counts and no padding.
     """
     order = 'little' if layout[0] == '<' else 'big'
     data, codes = b'', layout[1:].replace('*', '')
@@ -30,7 +30,7 @@ def encoded(layout: str, raws: List[Any]) -> bytes:
 
 
 def numbers(code: str) -> Any:
-    """Numbers of one code."""
+    """Strategy: a number of one of struct's codes."""
     if code == '?':
         return st.booleans()
     if code in _SIZES:
@@ -46,26 +46,27 @@ _TEXTS = st.text(st.characters(blacklist_characters='\0', blacklist_categories=(
 
 
 @st.composite
-def row_and_raws(draw, codes='bBhHiIlLqQefd?', fields=None, scaled=True):
-    """A valid entry of arduino/messages, and raw numbers for it."""
-    chosen = draw(st.lists(st.sampled_from(codes), max_size=6))
-    layout, raws = draw(st.sampled_from('<>')) + ''.join(chosen), [draw(numbers(c)) for c in chosen]
+def layout_and_raws(draw):
+    """Strategy: a valid layout, and raw numbers for it."""
+    codes = draw(st.lists(st.sampled_from(_CODES), max_size=6))
+    layout, raws = draw(st.sampled_from('<>')) + ''.join(codes), [draw(numbers(c)) for c in codes]
     ending = draw(st.sampled_from(('', '*', 's')))
     if ending == '*':
-        code = draw(st.sampled_from(codes))
+        code = draw(st.sampled_from(_CODES))
         layout += code + '*'
         raws.append(draw(st.lists(numbers(code), max_size=5)))
     elif ending == 's':
         layout += 's'
         raws.append(draw(_TEXTS))
+    return layout, raws
+
+
+@st.composite
+def row_and_raws(draw):
+    """Strategy: a valid row of arduino/messages, and raw numbers for it."""
+    layout, raws = draw(layout_and_raws())
     paths = [draw(st.sampled_from((f'field{index}', f'list[{index}]', f'a.b{index}', '')))
              for index in range(len(raws))]
-    scale = draw(st.sampled_from((1, 1, 0.01, -0.5, 3))) if scaled else 1
-    offset = draw(st.sampled_from((0, 0, -40, 1.5))) if scaled else 0
     return dict(type=draw(st.integers(13, 255)), ros_type='any/Type', layout=layout,
-                fields=paths, scale=scale, offset=offset), raws
-
-
-def same(one: Any, other: Any) -> bool:
-    """Equal, or both no number."""
-    return one == other or (isinstance(one, float) and math.isnan(one) and math.isnan(other))
+                fields=paths, scale=draw(st.sampled_from((1, 1, 0.01, -0.5, 3))),
+                offset=draw(st.sampled_from((0, 0, -40, 1.5)))), raws
