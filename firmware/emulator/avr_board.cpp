@@ -159,6 +159,7 @@ class Board {
     world_->values.reading("rx_bytes", [this] { return double(mcu_.uart_received()); });
     world_->values.reading("rx_overruns", [this] { return double(mcu_.uart_overruns()); });
     world_->values.reading("tx_flushes", [this] { return double(serial_.flushes()); });
+    world_->values.reading("last_tx_time", [this] { return last_sent_; });
     world_->values.reading("tx_bytes", [this] { return double(sent_bytes_); });
     world_->values.reading("watchdog_resets", [this] { return double(mcu_.watchdog_resets()); });
     world_->values.variable("sda_stuck", [this] { return double(mcu_.sda_clocks()); },
@@ -184,6 +185,7 @@ class Board {
       }
       const std::string sent = mcu_.uart_take_sent();
       sent_bytes_ += sent.size();
+      if (!sent.empty()) last_sent_ = mcu_.seconds();
       serial_.write(sent);
       if (mcu_.seconds() >= next_chores) {
         next_chores = mcu_.seconds() + std::min(kEepromPeriod, kReopenPeriod);
@@ -298,6 +300,7 @@ class Board {
   std::unique_ptr<Control> control_;
   std::vector<pollfd> descriptors_;
   uint64_t sent_bytes_ = 0;
+  double last_sent_ = 0;
   double wall_start_ = 0;
   double origin_ = 0;  // the wall clock at emulated second 0
   double left_out_ = 0;

@@ -363,6 +363,8 @@ class ControlBoard(OnBoard):
     """Lift, gimbal and air."""
 
     WORLD, LINK = 'ctrl', 'bus'
+    PARAMETERS = {'bus/functions': {'stop': {
+        'cmd2': 0x2F, 'srv_type': 'std_srvs/Trigger', 'repeatable': True, 'interrupts': True}}}
     AXES = 'lift', 'pan', 'tilt'
 
     def setUp(self):
@@ -443,6 +445,20 @@ class ControlBoard(OnBoard):
         self.assert_refused(request(0x55, 0x77, b''), bus.ERROR, bus.UNSUPPORTED, before)
         # The other way it goes.
         self.assert_moves(lambda: self.lift(1, 3), lift=(-3, -75, 1))
+
+    def test_a_stop_ends_a_move_whose_outcome_is_then_unknown(self):
+        stop = service(self.own('stop'), Trigger)
+        before = self.settled()['lift']
+        lift = Waiter(self.lift, 1, 100)
+        until(lambda: self.board.get('lift_position') < before[0] - 5, 'the lift moves')
+        answer = stop()
+        self.assertTrue(answer.success, answer.message)
+        stopped = self.board.get('lift_position')
+        self.assertGreater(stopped, before[0] - 99)
+        self.assertEqual(lift.result().status, TIMEOUT)
+        self.assertEqual(self.settled()['lift'][0], stopped)
+        self.assert_moves(lambda: self.lift(0, 2), lift=(2, 50, 1))
+        self.assertTrue(stop().success, 'nothing moves')
 
     def test_readings_of_the_air_are_published_as_they_are_in_the_world(self):
         get = service(self.own('get_environment'), GetEnvironment)

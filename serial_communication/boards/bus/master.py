@@ -32,6 +32,11 @@ again. The rules:
 7. The reported outcome is always true. Success: executed exactly once (a repeatable request: by
    the try with the reply). Refused or not sent: not executed (a repeatable request: not by its
    last try). Timeout: unknown, executed once or not at all.
+8. A call that interrupts, a stop, is the exception from rules 1 and 6. Calls that wait are not
+   sent. If a request of a call is outstanding, its outcome is unknown, and the stop is sent at
+   once; likewise if the link is out of step, and again after every unanswered ECHO or SYNC. No
+   reply to these counts: they are dropped until an ECHO returns. Then the stop is sent in its turn
+   like any repeatable request, and the reply to that is its outcome.
 """
 import enum
 import os
@@ -65,11 +70,13 @@ class Call:
         poll: whether it is a poll, which every call precedes.
         reply_layout: layout of the data in its OK; None: any data; empty: see rule 5.
         on_success: called in the link's thread with a successful outcome.
+        interrupts: whether it is sent at once, whatever is outstanding; see rule 8.
     """
 
     def __init__(self, request: wire.Request, timeout: float, repeatable: bool, tries: int,
                  now: float, poll: bool = False, reply_layout: Optional[Layout] = None,
-                 on_success: Optional[Callable[[Outcome], None]] = None) -> None:
+                 on_success: Optional[Callable[[Outcome], None]] = None,
+                 interrupts: bool = False) -> None:
         self.request = request
         self.timeout = timeout
         self.repeatable = repeatable
@@ -78,6 +85,7 @@ class Call:
         self.poll = poll
         self.reply_layout = reply_layout
         self.on_success = on_success
+        self.interrupts = interrupts
         self.last_try: Optional[Outcome] = None   # outcome of the try before this one
         # Whether the last try ended with an INVALID that the board may have sent because of noise.
         # An ECHO that returns before any other reply confirms that it was for this request.
@@ -185,6 +193,7 @@ class Master:
         self._calls: Deque[Call] = deque()
         self._polls: Deque[Call] = deque()
         self._retry: Optional[Call] = None      # the call to send again, before all others
+        self._at_once: Optional[Call] = None    # the call to send now, whatever is outstanding
         self._exchange: Optional[_Exchange] = None
         self._latest_request: Optional[wire.Request] = None
         self._served_until = 0.0                # when the exchange of the latest call ended
@@ -222,7 +231,7 @@ class Master:
         if exchange is not None and exchange.call:
             exchange.call.finish(Outcome(
                 TIMEOUT, f'the port closed before the reply arrived ({why}): {_UNKNOWN}'))
-        self._queue_submitted()
+        self._queue_submitted(now)
 
     def received(self, frame: Frame, now: float) -> None:
         """A valid reply was received."""
@@ -283,12 +292,14 @@ class Master:
             The request to send now, or None, and the time of the next call at the latest, or None.
             The request counts as outstanding from now on.
         """
-        self._queue_submitted()
+        self._queue_submitted(now)
         exchange = self._exchange
         if exchange is not None and now >= exchange.deadline:
             self._exchange = None
             self._timeout_handlers[exchange.kind](exchange, now)
         self._abandon_overdue(now)
+        if may_send and self._at_once is not None:
+            return self._send_at_once(), now
         request, silent_until = self._next_request(now) if may_send else (None, None)
         times = [self._expiry(call) for call in self._waiting()]
         if silent_until is not None:
@@ -323,7 +334,9 @@ class Master:
     def not_sent(self, why: str) -> None:
         """The request that `step` returned could not be sent."""
         exchange, self._exchange = self._exchange, None
-        if exchange is not None and exchange.call:
+        if exchange is None:
+            self._repeat_interruption()
+        elif exchange.call:
             exchange.call.finish(exchange.call.last_try
                                  or Outcome(NOT_SENT, f'{why}; nothing was sent'))
 
@@ -502,11 +515,13 @@ class Master:
         self.timeouts += 1
         self.state = SessionState.UNSYNCHRONISED
         self._unanswered_syncs += 1
+        self._repeat_interruption()
 
     def _echo_timed_out(self, _exchange: _Exchange, _now: float) -> None:
         self.timeouts += 1
         self.state = SessionState.OUT_OF_STEP
         self._echo_unanswered()
+        self._repeat_interruption()
 
     def _echo_unanswered(self) -> None:
         self._unanswered_echoes += 1
@@ -560,6 +575,31 @@ class Master:
         if outcome.success and call.on_success:
             call.on_success(outcome)
 
+    # -- interruptions; see rule 8 ----------------------------------------------------------
+
+    def _interrupt(self, call: Call, now: float) -> None:
+        """Prepare to send this call at once, unless the board is idle."""
+        exchange = self._exchange
+        if not self.in_step or (exchange is not None and exchange.kind is _Kind.CALL):
+            self._out_of_step(f'{call.request} was called')
+            if exchange is not None and exchange.call:
+                self._repeat_or_finish(exchange, now, Outcome(
+                    TIMEOUT, f'{call.request} was sent before the reply: {_UNKNOWN}'))
+            self._exchange = None
+            self._at_once = call
+        for other in self._waiting():
+            if not other.interrupts:
+                self._abandon(other, f'{call.request} was called')
+
+    def _send_at_once(self) -> wire.Request:
+        call, self._at_once = self._at_once, None
+        call.last_try = Outcome(TIMEOUT, f'no reply is known to be the one to this: {_UNKNOWN}')
+        return call.request
+
+    def _repeat_interruption(self) -> None:
+        """Send the call that interrupts at once again: the line may have lost it."""
+        self._at_once = next((call for call in self._waiting() if call.interrupts), None)
+
     # -- calls that wait ------------------------------------------------------------------
 
     def _next_call(self) -> Optional[Call]:
@@ -575,16 +615,20 @@ class Master:
             waiting.append(self._retry)
         return waiting
 
-    def _queue_submitted(self) -> None:
+    def _queue_submitted(self, now: float) -> None:
         while self._submitted:
             call = self._submitted.popleft()
             call.expires = call.submitted + self._longest_wait
+            if call.interrupts and self.state is not SessionState.CLOSED:
+                self._interrupt(call, now)
             (self._polls if call.poll else self._calls).append(call)
         if self.state is SessionState.CLOSED:
             for call in self._waiting():
                 self._abandon(call, 'the port is closed')
 
     def _remove(self, call: Call) -> None:
+        if call is self._at_once:
+            self._at_once = None
         if call is self._retry:
             self._retry = None
             return
@@ -601,7 +645,8 @@ class Master:
         the board is no longer busy, with a move say.
         """
         exchange = self._exchange
-        if self.in_step or (exchange is not None and exchange.kind is _Kind.CALL):
+        if (self.in_step or call.interrupts
+                or (exchange is not None and exchange.kind is _Kind.CALL)):
             return call.expires
         wait = max(NOT_READY_WAIT, call.timeout) if self.synchronised else NOT_READY_WAIT
         return min(call.expires, max(call.submitted, self._served_until) + wait)
