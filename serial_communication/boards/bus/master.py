@@ -102,12 +102,12 @@ class Call:
         is_probe = self.repeatable and self.request.cmd1 in (wire.SYNC, wire.ECHO)
         return not (self.poll or is_probe)
 
-    def claim(self) -> bool:
+    def claim(self, tries: int = 1) -> bool:
         """Count a try; False if the caller has given up, so it must not be sent."""
         with self._lock:
             if self.outcome is None:
                 self._sent = True
-                self.tries -= 1
+                self.tries -= tries
             return self.outcome is None
 
     def finish(self, outcome: Outcome) -> None:
@@ -193,7 +193,7 @@ class Master:
         self._calls: Deque[Call] = deque()
         self._polls: Deque[Call] = deque()
         self._retry: Optional[Call] = None      # the call to send again, before all others
-        self._at_once: Optional[Call] = None    # the call to send now, whatever is outstanding
+        self._at_once: List[Call] = []          # to be sent now, whatever is outstanding
         self._exchange: Optional[_Exchange] = None
         self._latest_request: Optional[wire.Request] = None
         self._served_until = 0.0                # when the exchange of the latest call ended
@@ -298,7 +298,7 @@ class Master:
             self._exchange = None
             self._timeout_handlers[exchange.kind](exchange, now)
         self._abandon_overdue(now)
-        if may_send and self._at_once is not None:
+        if may_send and self._at_once:
             return self._send_at_once(), now
         request, silent_until = self._next_request(now) if may_send else (None, None)
         times = [self._expiry(call) for call in self._waiting()]
@@ -586,19 +586,19 @@ class Master:
                 self._repeat_or_finish(exchange, now, Outcome(
                     TIMEOUT, f'{call.request} was sent before the reply: {_UNKNOWN}'))
             self._exchange = None
-            self._at_once = call
+            self._at_once.append(call)
         for other in self._waiting():
             if not other.interrupts:
                 self._abandon(other, f'{call.request} was called')
 
-    def _send_at_once(self) -> wire.Request:
-        call, self._at_once = self._at_once, None
+    def _send_at_once(self) -> Optional[wire.Request]:
+        call = self._at_once.pop(0)
         call.last_try = Outcome(TIMEOUT, f'no reply is known to be the one to this: {_UNKNOWN}')
-        return call.request
+        return call.request if call.claim(tries=0) else None
 
     def _repeat_interruption(self) -> None:
-        """Send the call that interrupts at once again: the line may have lost it."""
-        self._at_once = next((call for call in self._waiting() if call.interrupts), None)
+        """Send calls that interrupt at once again: the line may have lost them."""
+        self._at_once = [call for call in self._waiting() if call.interrupts]
 
     # -- calls that wait ------------------------------------------------------------------
 
@@ -627,8 +627,8 @@ class Master:
                 self._abandon(call, 'the port is closed')
 
     def _remove(self, call: Call) -> None:
-        if call is self._at_once:
-            self._at_once = None
+        if call in self._at_once:
+            self._at_once.remove(call)
         if call is self._retry:
             self._retry = None
             return

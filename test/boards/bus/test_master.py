@@ -1470,6 +1470,13 @@ def test_a_stop_that_the_port_did_not_take_is_sent_later(session):
     assert session.next_request() == bus.SYNC_REQUEST
 
 
+def test_a_stop_that_was_sent_at_once_never_counts_as_not_sent(session):
+    moving(session)
+    stop = session.call(STOP)
+    assert session.next_request() == STOP
+    assert stop.wait(0.0).status == TIMEOUT
+
+
 def test_calls_that_wait_are_not_sent_after_a_stop(session):
     moving(session)
     waiting = [session.call(GIMBAL), session.call(AIR, poll=True), session.call(RAW)]
@@ -1506,7 +1513,7 @@ def test_a_stop_is_sent_at_once_while_a_move_with_an_unknown_outcome_may_last(se
 def test_of_two_stops_both_have_an_outcome(session):
     moving(session)
     stops = [session.call(STOP), session.call(STOP)]
-    assert session.next_request() == STOP
+    assert session.next_request() == STOP and session.next_request() == STOP
     session.get_in_step()
     for stop in stops:
         assert session.send_next() == STOP
