@@ -18,7 +18,7 @@ const uint8_t kLiftTopPin = 9;
 const uint8_t kLiftBottomPin = 10;
 const uint8_t kSmokePin = A0;
 // A4 and A5 are the I2C bus of the SHT3x.
-// Of the example of functions of one's own.
+// Of the example of custom functions.
 const uint8_t kPumpPin = 11;
 const uint8_t kTankPin = A1;
 

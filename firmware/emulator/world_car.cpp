@@ -122,7 +122,7 @@ class CarWorld : public World {
     const auto changed = [this] { record_outputs(); };
     for (uint16_t address : {kOcr2a, kOcr2b, kTccr2a, kOcr1al, kTccr1b}) mcu.on_write(address, changed);
     for (int bit : {5, 6, 7}) mcu.on_output_pin('D', bit, [this](bool) { record_outputs(); });
-    for (int bit : {0, 3, 4}) mcu.on_output_pin('B', bit, [this](bool) { record_outputs(); });
+    for (int bit : {0, 3, 4, 5}) mcu.on_output_pin('B', bit, [this](bool) { record_outputs(); });
     record_outputs();
 
     add_angle("yaw", attitude_.yaw);
@@ -188,6 +188,7 @@ class CarWorld : public World {
     values.record("led_left", mcu_.output_pin('D', 5));
     values.record("led_right", mcu_.output_pin('D', 6));
     values.record("led_brake", mcu_.output_pin('B', 4));
+    values.record("led_builtin", mcu_.output_pin('B', 5));
   }
 
   bool floating(char port, int bit) const { return pull_downs_ == 0 && mcu_.input_pin(port, bit); }
@@ -233,7 +234,7 @@ class CarWorld : public World {
   Attitude attitude_;
   Mpu6050 mpu_;
   double battery_ = 14.8;
-  double force_ = 100;           // raw ADC, of the example of messages of one's own
+  double force_ = 100;           // raw ADC, of the example of custom messages
   double forced_feedback_ = -1;  // below 0: the servo's own position
   double servo_position_ = 1500;
   double servo_us_ = 0;

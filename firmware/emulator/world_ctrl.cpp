@@ -178,7 +178,7 @@ class CtrlWorld : public World {
   Axis lift_, pan_, tilt_;
   Sht3x sht3x_;
   double smoke_ = 120;       // raw ADC
-  double tank_ = 300;        // likewise, of the example of functions of one's own
+  double tank_ = 300;        // likewise, of the example of custom functions
   double lift_bottom_ = 0;   // mm
   double lift_top_ = 600;    // mm
   double wires_[2] = {1, 1};  // of the bottom and the top switch; 0: broken

@@ -4,7 +4,6 @@
 
 #include <avr/interrupt.h>
 #include <avr/wdt.h>
-#include <heartbeat_watch.h>
 #include <util/atomic.h>
 
 #include "board.h"
@@ -15,7 +14,7 @@ namespace {
 const uint16_t kTimer1Top = 39999;
 const uint16_t kTimer1Half = 20000;
 
-// Timer0 interrupts every 1.024 ms. The first tick may come right after a heartbeat, and the motor shall
+// Timer0 interrupts every 1.024 ms. The first tick may follow right after a heartbeat, and the motor must
 // not stop before the timeout.
 const uint8_t kHeartbeatTimeoutTicks = kHeartbeatTimeoutMs * 1000UL / 1024 + 2;
 // Both inputs of the bridge stay low for so long before the motor turns the other way. Timer2 takes a new
@@ -23,7 +22,7 @@ const uint8_t kHeartbeatTimeoutTicks = kHeartbeatTimeoutMs * 1000UL / 1024 + 2;
 const uint8_t kPauseTicks = 3;
 
 // Shared with the timer's interrupt, and used with interrupts off alone.
-serial_communication::HeartbeatWatch<kHeartbeatTimeoutTicks> heartbeats;
+HeartbeatWatch heartbeats(kHeartbeatTimeoutTicks);
 int8_t direction = 0;         // of the bridge: 1, -1, or 0 with both inputs low
 int8_t wanted_direction = 0;  // what it is to be after the pause
 uint8_t wanted_duty = 0;
@@ -90,7 +89,8 @@ ISR(INT0_vect) {
   if (encoder_ticks < 255) ++encoder_ticks;
 }
 
-void drive_begin() {
+void drive_begin(PacketLink& link) {
+  link.watch(heartbeats);
   pinMode(kMotorPwmPin, OUTPUT);
   pinMode(kMotorForwardPin, OUTPUT);
   pinMode(kMotorBackwardPin, OUTPUT);
@@ -118,18 +118,6 @@ void drive_begin() {
     EIMSK = _BV(INT0);
   }
   wdt_enable(WDTO_120MS);
-}
-
-int drive_read() {
-  ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-    heartbeats.byte_read();
-    return Serial.read();
-  }
-  return -1;
-}
-
-void drive_heartbeat() {
-  ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { heartbeats.heartbeat(); }
 }
 
 void drive_set_speed(int16_t speed) {

@@ -7,17 +7,12 @@
 #ifndef NANO_CAR_DRIVE_H
 #define NANO_CAR_DRIVE_H
 
-#include <stdint.h>
+#include <PacketLink.h>
 
-void drive_begin();
+// The heartbeats that this link receives keep the motor on.
+void drive_begin(PacketLink& link);
 
-// The next byte of the UART, or -1. Every byte is to be read here, since its age may be a heartbeat's.
-int drive_read();
-
-// Call for each HEARTBEAT, before the next byte is read.
-void drive_heartbeat();
-
-// -1000 … 1000. Does nothing while no heartbeats come. Before the motor turns the other way it is off for
+// -1000 … 1000. Does nothing while no heartbeats arrive. Before the motor turns the other way it is off for
 // two to three milliseconds.
 void drive_set_speed(int16_t speed);
 

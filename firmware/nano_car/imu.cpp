@@ -11,7 +11,6 @@
 
 #include "board.h"
 
-using serial_communication::ImuData;
 using serial_communication::i2c_read_registers;
 using serial_communication::i2c_write_register;
 

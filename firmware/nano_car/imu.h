@@ -3,8 +3,7 @@
 #ifndef NANO_CAR_IMU_H
 #define NANO_CAR_IMU_H
 
-#include <arduino_packets.h>
-#include <stdint.h>
+#include <PacketLink.h>
 
 class Imu {
  public:
@@ -16,7 +15,7 @@ class Imu {
   bool calibrated() const { return calibrated_; }
 
   // Reads the sensor once and turns the orientation by `seconds` of the rate. False: no answer.
-  bool update(float seconds, serial_communication::ImuData* out);
+  bool update(float seconds, ImuData* out);
 
   // The car must stand level and still until calibrate() has returned Done or Moved.
   void start_calibration();

@@ -1,18 +1,12 @@
 // The sensor board: two VL53L0X behind a TCA9548A and a BNO055, reported in a status frame 20 times a second.
 // Meant for an ESP32; the same program runs on an ATmega328P with other sensor access (see sensors.h).
 
-#include <stx_etx.h>
+#include <FrameLink.h>
 
 #include "sensors.h"
 #if defined(ARDUINO_ARCH_AVR)
 #include <avr/sleep.h>
 #endif
-
-using namespace serial_communication;
-
-struct SerialSink {
-  void operator()(const uint8_t* bytes, size_t size) const { Serial.write(bytes, size); }
-};
 
 static const uint32_t kBaud = 115200;
 static const uint32_t kFramePeriodMs = 50;
@@ -20,7 +14,7 @@ static const uint32_t kFramePeriodMs = 50;
 static const uint32_t kRangeTimeoutMs = 200;
 static const uint32_t kRestartMs = 1000;
 
-static StxEtxSender<SerialSink> sender{SerialSink()};
+static FrameLink bridge(Serial);
 static SensorStatus status = {{kRangeTimedOut, kRangeTimedOut}, 0, kAngleUnknown, kAngleUnknown};
 
 static uint32_t read_ms[2];
@@ -76,7 +70,7 @@ void loop() {
     update_range(0, now);
     update_range(1, now);
     update_attitude();
-    sender.send_sensor_status(status);
+    bridge.send_sensor_status(status);
     start_one(now);
   }
 #if defined(ARDUINO_ARCH_AVR)

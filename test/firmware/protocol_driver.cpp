@@ -7,7 +7,7 @@
 //   parse TOKEN…                                  packets out of a stream, then the counters
 //   bus TOKEN…                                    the Slave's replies after each token, then what was executed
 //   skip N | sensor N*5 | adc N*6                 the STX/ETX sender; skip sends N frames to nowhere
-//   own packet|frame N N F                        a packed struct of one's own: int16, uint8, float
+//   custom packet|frame N N F                        a custom packed struct: int16, uint8, float
 //   watch TOKEN…                                  a heartbeat watch of 31 ticks: after each tick, whether it is alive.
 //                                                 aN: N bytes arrive; rN: N are read; h1: a heartbeat; tN: N ticks
 //
@@ -29,7 +29,7 @@ using namespace serial_communication;
 typedef std::vector<uint8_t> Bytes;
 
 // A custom message: type 48 of a packet, 0x30 of a function and of a frame.
-struct PACKED Own {
+struct PACKED Custom {
   int16_t position;
   uint8_t force;
   float speed;
@@ -53,7 +53,10 @@ static std::string to_hex(const uint8_t* bytes, size_t size) {
 
 struct Collect {
   std::string* out;
-  void operator()(const uint8_t* bytes, size_t size) const { *out += to_hex(bytes, size); }
+  bool operator()(const uint8_t* bytes, size_t size) const {
+    *out += to_hex(bytes, size);
+    return true;
+  }
 };
 
 // A board whose lift takes until it is told to end, and whose other functions answer at once.
@@ -73,8 +76,8 @@ class TestBoard : public BusHandler {
       result.append_uint16(4812);
       return result;
     }
-    Own own;
-    if (cmd2 == 0x30) return from_bytes(data, size, &own) ? BusResult::ok(own) : BusResult::failed(kErrorMalformed);
+    Custom custom;
+    if (cmd2 == 0x30) return from_bytes(data, size, &custom) ? BusResult::ok(custom) : BusResult::failed(kErrorMalformed);
     if (cmd2 == kFunctionGimbal) return size == 2 && data[0] <= 3 ? BusResult::ok() : BusResult::failed(kErrorMalformed);
     if (cmd2 != kFunctionLift) return BusResult::failed(kErrorUnsupported);
     moving = true;
@@ -110,7 +113,7 @@ static std::string run_bus(std::istringstream& tokens) {
 
 static std::string run_parse(std::istringstream& tokens) {
   PacketDecoder<256> decoder;
-  decoder.accept<Own>(48);
+  decoder.accept<Custom>(48);
   std::string line, token;
   uint32_t now = 1000;
   while (tokens >> token) {
@@ -131,8 +134,8 @@ static std::string run_parse(std::istringstream& tokens) {
         imu_to_bytes(packet.imu(), again);
         line += "=" + to_hex(again, sizeof again);
       }
-      Own own;
-      if (packet.is(48, &own)) line += "=" + std::to_string(own.position) + "/" + std::to_string(own.force);
+      Custom custom;
+      if (packet.is(48, &custom)) line += "=" + std::to_string(custom.position) + "/" + std::to_string(custom.force);
       line += " ";
     }
   }
@@ -144,7 +147,7 @@ static std::string run_parse(std::istringstream& tokens) {
 }
 
 static std::string run_watch(std::istringstream& tokens) {
-  HeartbeatWatch<31> watch;
+  HeartbeatWatch watch;
   std::string line, token;
   uint8_t waiting = 0;
   while (tokens >> token) {
@@ -226,16 +229,16 @@ int main() {
       SensorStatus status;
       words >> status.range_mm[0] >> status.range_mm[1] >> status.yaw >> status.pitch >> status.roll;
       frames.send_sensor_status(status);
-    } else if (command == "own") {
+    } else if (command == "custom") {
       std::string kind;
       int force;
       float speed;
       words >> kind >> number >> force >> speed;
-      const Own own = {int16_t(number), uint8_t(force), speed};
+      const Custom custom = {int16_t(number), uint8_t(force), speed};
       if (kind == "packet") {
-        packets.send(48, own);
+        packets.send(48, custom);
       } else {
-        frames.send(0x30, own);
+        frames.send(0x30, custom);
       }
     } else if (command == "adc") {
       uint16_t channels[6];

@@ -463,12 +463,12 @@ def test_ctrl_reset_in_mid_motion_recovers(bus):
     assert board.get('lift_steps') == stopped + 250
 
 
-# Messages of one's own: the example behind -DOWN_MESSAGES
+# Custom messages: the example behind -DCUSTOM_MESSAGES
 
 
 @pytest.fixture
-def own_car(firmware_build):
-    with EmulatedBoard(firmware_build, 'car', image='nano_car_own.elf') as board:
+def custom_car(firmware_build):
+    with EmulatedBoard(firmware_build, 'car', image='nano_car_custom.elf') as board:
         car = Car(board)
         car.wait_for_text('IMU ready')
         yield car
@@ -476,26 +476,26 @@ def own_car(firmware_build):
         car.port.close()
 
 
-def test_a_custom_measurement(own_car):
+def test_a_custom_measurement(custom_car):
     for raw in (0, 500, 1023):
-        own_car.board.set('force', raw)
-        own_car.next(FORCE)     # may be of before
-        assert own_car.next(FORCE) == [struct.pack('<h', raw * 29)]
+        custom_car.board.set('force', raw)
+        custom_car.next(FORCE)     # may be of before
+        assert custom_car.next(FORCE) == [struct.pack('<h', raw * 29)]
 
 
-def test_a_custom_command(own_car):
-    board = own_car.board
+def test_a_custom_command(custom_car):
+    board = custom_car.board
     for position, force, pwm in ((1000, 1, 255), (0, 255, 127), (-900, 9, 12), (500, 0, 0)):
-        own_car.send(GRIPPER, struct.pack('<hB', position, force))
+        custom_car.send(GRIPPER, struct.pack('<hB', position, force))
         board.wait_until(lambda: board.get('gripper_pwm') == pwm, 1)
-    own_car.send(GRIPPER, b'\x01')    # too short: dropped
-    own_car.send(STEERING, struct.pack('<H', 1200))
+    custom_car.send(GRIPPER, b'\x01')    # too short: dropped
+    custom_car.send(STEERING, struct.pack('<H', 1200))
     board.wait_until(lambda: board.get('servo_us') == 1200, 1)
     assert board.get('gripper_pwm') == 0
 
 
 def test_custom_functions(firmware_build):
-    with EmulatedBoard(firmware_build, 'ctrl', image='ctrl_board_own.elf') as board:
+    with EmulatedBoard(firmware_build, 'ctrl', image='ctrl_board_custom.elf') as board:
         board.wait_until(lambda: board.time > 0.05, 1)
         master = Master(board)
         master.sync()
@@ -678,7 +678,7 @@ def test_control_channel_answers_one_line(firmware_build):
 def test_roslaunch_arguments_and_clear_errors(firmware_build, tmp_path):
     def run(*arguments):
         result = subprocess.run(
-            [os.path.join(firmware_build, 'avr_board')] + list(arguments),
+            [os.path.join(firmware_build, 'avr_emulator')] + list(arguments),
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             universal_newlines=True,
@@ -688,18 +688,18 @@ def test_roslaunch_arguments_and_clear_errors(firmware_build, tmp_path):
 
     elf = os.path.join(firmware_build, IMAGES['car'])
     extra = ['__name:=car', '__log:=' + str(tmp_path / 'log')]
-    assert run(*extra) == (1, 'avr_board: no ELF file given; --help lists the options')
+    assert run(*extra) == (1, 'avr_emulator: no ELF file given; --help lists the options')
     assert run('--world', 'moon', elf, *extra) == (
         1,
-        'avr_board: --world must be car, ctrl or range, not "moon"',
+        'avr_emulator: --world must be car, ctrl or range, not "moon"',
     )
     assert run('--world', 'car', '/no/such.elf') == (
         1,
-        'avr_board: cannot load the ELF file /no/such.elf',
+        'avr_emulator: cannot load the ELF file /no/such.elf',
     )
     assert (
         run('--world', 'car', '--link', '/no/such/link', elf)[1]
-        == 'avr_board: cannot make the link /no/such/link: No such file or directory'
+        == 'avr_emulator: cannot make the link /no/such/link: No such file or directory'
     )
     assert run('--world', 'car', '--control', '/no/such/socket', elf)[0] == 1
     assert run('--world', 'car', '--frobnicate', elf)[0] == 1

@@ -18,8 +18,9 @@ import rosgraph
 import rospy
 import rostest
 import tf2_ros
+import yaml
 from sensor_msgs.msg import Imu, Range, RelativeHumidity, Temperature
-from std_msgs.msg import Bool, String
+from std_msgs.msg import Bool, String, UInt16
 from std_srvs.srv import Empty, Trigger
 
 from avr_boards import LossyLine, OnBoard, apart, turn, upward
@@ -32,6 +33,7 @@ from serial_communication.boards.bus import wire as bus
 from serial_communication.srv import (BusRequest, GetEnvironment, Gimbal, GimbalRequest, Lift,
                                       LiftRequest)
 
+ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 LOG_WARN = 4     # levels of rosgraph_msgs/Log
 GRAVITY = 9.81
 TRIES = 10       # of a test that a stall of this computer of 30 ms may spoil
@@ -611,6 +613,32 @@ class SensorBoard(OnBoard):
         sent = self.board.get('tx_bytes')
         until(lambda: self.board.get('tx_bytes') != sent, 'the board sends', every=0)
         self.board.reset()
+
+
+class Hello(OnBoard):
+    """The library's first example."""
+
+    WORLD, LINK, IMAGE = 'car', 'arduino', 'Hello.elf'
+    PARAMETERS = {'arduino/messages': {
+        'light': {'type': 32, 'ros_type': 'std_msgs/UInt16', 'layout': '<H', 'fields': ['data']},
+        'lamp': {'type': 33, 'direction': 'to_board', 'ros_type': 'std_msgs/Bool', 'layout': '<?',
+                 'fields': ['data']}}}
+
+    def test_its_rows_are_those_in_its_comment(self):
+        with open(os.path.join(ROOT, 'firmware/protocol/examples/Hello/Hello.ino')) as file:
+            comment = [line[2:] for line in file if line.startswith('//')]
+        rows = yaml.safe_load(''.join(line for line in comment if line.startswith('  ')))
+        self.assertEqual(rows['arduino']['messages'], self.PARAMETERS['arduino/messages'])
+
+    def test_its_value_is_published_and_its_lamp_follows_the_command(self):
+        light = self.collect(Topic(self.own('light'), UInt16))
+        for raw in 700, 12:
+            self.board.set('steering_feedback', raw)     # what is at A0 here
+            light.first(lambda message, raw=raw: message.data == raw)
+        lamp = command_topic(self.own('lamp'), Bool)
+        self.addCleanup(lamp.unregister)
+        for on in True, False:
+            self.until_is('led_builtin', on, doing=lambda on=on: lamp.publish(on))
 
 
 class Launched(unittest.TestCase):

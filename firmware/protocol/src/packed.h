@@ -1,4 +1,4 @@
-// Packed structs as they cross the wire: messages of one's own need no code of theirs.
+// Packed structs as they cross the wire: custom messages, which need no code of their own.
 //
 //   struct PACKED Force { int16_t centinewtons; };
 //
@@ -12,7 +12,9 @@
 #include <stdint.h>
 #include <string.h>
 
+#ifndef PACKED
 #define PACKED __attribute__((packed))
+#endif
 
 namespace serial_communication {
 

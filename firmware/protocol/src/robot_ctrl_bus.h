@@ -7,17 +7,20 @@
 // Datelen counts the DATE bytes. Checksum is the XOR of every byte before it.
 //
 // Rules that keep the Master's view true:
-// - One reply a request. A request that comes while a motion lasts waits in the Slave's buffer and is
-//   answered after it, in order: an ECHO that comes back proves that everything asked before has ended.
-//   When the buffer is full, all whole requests in it are dropped without a reply: the Master has long
-//   stopped waiting for theirs.
-// - The handler hears of a request at once, so that a stop can end the motion; see BusHandler::heard.
+// - One reply a request. A request that is received during a motion waits in the Slave's buffer and is
+//   answered after it, in order: an ECHO that returns proves that everything requested before has ended.
+//   When the buffer is full, all whole requests in it are dropped without a reply: the Master no longer
+//   waits for theirs.
+// - The handler is informed of a request at once, so that a stop can end the motion; see
+//   BusHandler::received_while_pending.
 // - A failed check gives up one byte, not a frame: a frame that begins inside a false start is found.
 //   INVALID goes out only when nothing of the damaged bytes can still become a frame and the line has been
 //   silent for a moment; a valid frame in the same burst of bytes takes its place. Otherwise the Master
-//   would be told "not executed" about a lift that is executed a moment later, and send it again.
-//   For the same reason all bytes that have arrived are to be fed before poll() is called.
-// - A frame cut short is given up in silence after the frame timeout; the Master's own timeout follows.
+//   would take a lift for not executed that is executed a moment later, and send it again.
+//   For the same reason all bytes that have arrived have to be fed before poll() is called.
+// - An incomplete frame is given up without a reply after the frame timeout; then the Master's timeout passes.
+//
+// This is what BusSlave.h is made of; a sketch includes that.
 
 #ifndef SERIAL_COMMUNICATION_ROBOT_CTRL_BUS_H
 #define SERIAL_COMMUNICATION_ROBOT_CTRL_BUS_H
@@ -50,6 +53,7 @@ const uint8_t kFunctionGimbal = 0x21;
 const uint8_t kFunctionEnvironment = 0x22;
 // Not in the protocol's specification: ends the motion under way. Boards may offer it.
 const uint8_t kFunctionStop = 0x2F;
+const uint8_t kFunctionAnnouncement = 0xFF;
 // INVALID: the frame was not accepted
 const uint8_t kInvalidChecksum = 0x40;
 const uint8_t kInvalidTooLong = 0x20;
@@ -59,7 +63,7 @@ const uint16_t kErrorUnsupported = 0x8000;
 const uint16_t kErrorMalformed = 0x8001;
 const uint16_t kErrorOperation = 0x8002;
 
-// What a function came to. OK carries `size` bytes of `data`, Error its `error`.
+// The result of a function. OK carries `size` bytes of `data`, Error its `error`.
 struct BusResult {
   enum Outcome : uint8_t { Ok, Error, Pending };
 
@@ -69,7 +73,7 @@ struct BusResult {
   uint8_t size;
 
   static BusResult ok() { return BusResult{Ok, 0, {0}, 0}; }
-  // OK with a packed struct, for a function of one's own.
+  // OK with a packed struct, for a custom function.
   template <class T>
   static BusResult ok(const T& value) {
     BusResult result = ok();
@@ -95,20 +99,20 @@ struct BusResult {
 // What the board does with requests of CMD1 0x55. Neither call may wait.
 class BusHandler {
  public:
-  // Starts function `cmd2`. Pending: it takes time, and poll() tells when it has ended. The data of a
-  // function of one's own is a packed struct: from_bytes(data, size, &value), else kErrorMalformed.
+  // Starts function `cmd2`. Pending: it takes time, and poll() returns the result when it has ended. The data
+  // of a custom function is a packed struct: from_bytes(data, size, &value), else kErrorMalformed.
   virtual BusResult request(uint8_t cmd2, const uint8_t* data, uint16_t size) = 0;
   // Called by the Slave's poll() while a function is pending.
   virtual BusResult poll() = 0;
-  // Function `cmd2` was requested while another is pending; request() follows after it. True: what was
-  // requested between the two is not to be carried out any more, and gets no reply.
-  virtual bool heard(uint8_t) { return false; }
+  // Function `cmd2` was requested while another one is pending; request() follows after that. True: what was
+  // requested between the two is not executed any more, and gets no reply.
+  virtual bool received_while_pending(uint8_t) { return false; }
 
  protected:
   ~BusHandler() {}
 };
 
-// `Sink` is any callable (const uint8_t* bytes, size_t size); a reply is several calls.
+// `Sink` is any callable (const uint8_t* bytes, size_t size); a reply takes several calls.
 // `MaxData` bounds the DATE of a request, and with it the buffer: 300 hold 34 ECHOs during a motion.
 template <class Sink, uint16_t MaxData = 255>
 class RobotCtrlBusSlave {
@@ -127,7 +131,7 @@ class RobotCtrlBusSlave {
 
   bool synchronised() const { return synchronised_; }
 
-  // To be called for each byte, a function pending or not.
+  // Has to be called for each byte, whether a function is pending or not.
   void feed(uint8_t byte, uint32_t now_ms) {
     last_byte_ms_ = now_ms;
     if (size_ == kBufferSize) {  // only while a function is pending
@@ -137,19 +141,19 @@ class RobotCtrlBusSlave {
     }
     buffer_[size_++] = byte;
     if (pending_) {
-      listen();
+      look_ahead();
     } else {
       scan();
     }
   }
 
-  // To be called often, after feed(): ends a pending function, and gives up frames cut short.
+  // Has to be called often, after feed(): ends a pending function, and gives up incomplete frames.
   void poll(uint32_t now_ms) {
     const uint32_t silence = now_ms - last_byte_ms_;
     if (pending_) {
       while (whole_ < size_ && silence >= frame_timeout_ms_) {
         ++whole_;
-        listen();
+        look_ahead();
       }
       const BusResult result = handler_.poll();
       if (result.outcome == BusResult::Pending) return;
@@ -191,7 +195,7 @@ class RobotCtrlBusSlave {
           drop(frame_size_);
           if (pending_) {
             whole_ = 0;
-            listen();
+            look_ahead();
           }
           break;
         case Check::ChecksumError:
@@ -212,9 +216,9 @@ class RobotCtrlBusSlave {
     }
   }
 
-  // While a function is pending: tells the handler of the requests that wait, each once. `whole_` is behind
+  // While a function is pending: informs the handler of the requests that wait, each once. `whole_` is behind
   // the last of them.
-  void listen() {
+  void look_ahead() {
     while (whole_ < size_) {
       const uint8_t* frame = buffer_ + whole_;
       const bool flag = frame[0] == kFlagStandard || frame[0] == kFlagLong;
@@ -222,7 +226,7 @@ class RobotCtrlBusSlave {
       if (found == Check::Incomplete) return;
       if (found != Check::Complete) {
         ++whole_;
-      } else if (frame[header_size_ - 2] == kCmdFunction && handler_.heard(frame[header_size_ - 1])) {
+      } else if (frame[header_size_ - 2] == kCmdFunction && handler_.received_while_pending(frame[header_size_ - 1])) {
         drop(whole_);
         whole_ = frame_size_;
       } else {
@@ -329,7 +333,7 @@ class RobotCtrlBusSlave {
   uint32_t last_byte_ms_ = 0;
   uint8_t buffer_[kBufferSize];
   uint16_t size_ = 0;
-  uint16_t whole_ = 0;  // while a function is pending: so many bytes have been listened to
+  uint16_t whole_ = 0;  // while a function is pending: so many bytes have been looked at
   // Of the frame that check() looked at last:
   uint16_t header_size_ = 0;
   uint16_t data_size_ = 0;

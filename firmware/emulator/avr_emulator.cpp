@@ -1,4 +1,4 @@
-// avr_board: runs a board's firmware in an emulated ATmega328P at real time, with its UART on a pty or tty
+// avr_emulator: runs a board's firmware in an emulated ATmega328P at real time, with its UART on a pty or tty
 // and a small world attached, which a control socket reads and changes. See firmware/README.md.
 
 #include <poll.h>
@@ -53,7 +53,7 @@ struct Options {
 };
 
 const char kUsage[] =
-    "usage: avr_board --world car|ctrl|range [options] ELF\n"
+    "usage: avr_emulator --world car|ctrl|range [options] ELF\n"
     "  --link PATH     UART on a new pty, with a symbolic link to it at PATH\n"
     "  --port PATH     UART on an existing tty, opened again when it vanishes\n"
     "  --control PATH  Unix socket of the control channel\n"
@@ -127,7 +127,7 @@ class EepromFile {
     const std::vector<uint8_t> content = mcu_.eeprom();
     if (content == saved_) return;
     saved_ = content;
-    if (!write()) fprintf(stderr, "avr_board: cannot write the EEPROM file %s\n", path_.c_str());
+    if (!write()) fprintf(stderr, "avr_emulator: cannot write the EEPROM file %s\n", path_.c_str());
   }
 
  private:
@@ -168,7 +168,7 @@ class Board {
                             [this](double low) { mcu_.hold_scl(low != 0); });
     world_->values.variable("baud_error", [this] { return 100 * mcu_.baud_error(); },
                             [this](double percent) { mcu_.set_baud_error(percent / 100); });
-    printf("avr_board: %s on %s\n", options.elf.c_str(), serial_.name().c_str());
+    printf("avr_emulator: %s on %s\n", options.elf.c_str(), serial_.name().c_str());
     fflush(stdout);
   }
 
@@ -179,7 +179,7 @@ class Board {
     int status = 0;
     while (!stop_requested) {
       if (!mcu_.run_until(mcu_.cycles() + uint64_t(kSlice * mcu_.frequency()))) {
-        fprintf(stderr, "avr_board: the program stopped at %.6f s\n", mcu_.seconds());
+        fprintf(stderr, "avr_emulator: the program stopped at %.6f s\n", mcu_.seconds());
         status = 1;
         break;
       }
@@ -195,7 +195,7 @@ class Board {
       wait_for_wall_clock();
     }
     eeprom_.save();
-    printf("avr_board: %s\n", speed().c_str());
+    printf("avr_emulator: %s\n", speed().c_str());
     return status;
   }
 
@@ -320,7 +320,7 @@ int main(int argc, char** argv) {
     Board board(parse(argc, argv));
     return board.run();
   } catch (const std::exception& error) {
-    fprintf(stderr, "avr_board: %s\n", error.what());
+    fprintf(stderr, "avr_emulator: %s\n", error.what());
     return 1;
   }
 }

@@ -1,14 +1,16 @@
-// Whether heartbeats still come, judged by when they arrived in the UART, not by when loop() read them.
+// Whether heartbeats still arrive, judged by when they arrived in the UART, not by when loop() read them.
 //
 // A loop() that was held up finds old heartbeats in the UART's buffer. They must not keep a motor running.
-// So a timer interrupt notes, about once a millisecond, how many bytes have arrived; later it can be told
-// how old each byte is:
+// So a timer interrupt, about one a millisecond, notes how many bytes have arrived; from that the watch later
+// knows how old each byte is. With a PacketLink:
 //
-//   ISR(TIMER0_COMPA_vect) { watch.tick(Serial.available()); if (!watch.alive()) motor_off(); }
-//   ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { watch.byte_read(); byte = Serial.read(); }   // for every byte
-//   ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { watch.heartbeat(); }                         // for every heartbeat
+//   HeartbeatWatch heartbeats;
+//   ISR(TIMER0_COMPA_vect) { heartbeats.tick(Serial.available()); if (!heartbeats.alive()) motor_off(); }
+//   …
+//   bridge.watch(heartbeats);        // in setup()
+//   TIMSK0 |= _BV(OCIE0A);           // Timer0 counts millis(); its compare interrupt comes every 1.024 ms
 //
-// Everything here is to be called with interrupts off.
+// Everything here has to be called with interrupts off.
 
 #ifndef SERIAL_COMMUNICATION_HEARTBEAT_WATCH_H
 #define SERIAL_COMMUNICATION_HEARTBEAT_WATCH_H
@@ -17,16 +19,20 @@
 
 namespace serial_communication {
 
-// `TimeoutTicks`: a heartbeat that so many ticks have seen is too old.
-template <uint8_t TimeoutTicks>
 class HeartbeatWatch {
  public:
+  // `timeout`: a heartbeat that arrived so many ticks ago is too old; at most 63. The default is 30 ms at
+  // 1.024 ms a tick: the first tick may follow right after a heartbeat.
+  explicit HeartbeatWatch(uint8_t timeout = 31) : timeout_(timeout < kTicks ? timeout : kTicks - 1), age_(timeout_) {}
+
   // `waiting`: the bytes in the UART's buffer, at most 127.
   void tick(uint8_t waiting) {
     now_ = (now_ + 1) % kTicks;
     arrived_[now_] = static_cast<uint8_t>(read_ + waiting);
-    if (age_ < TimeoutTicks) ++age_;
+    if (age_ < timeout_) ++age_;
   }
+
+  bool alive() const { return age_ < timeout_; }
 
   // Together with reading one byte.
   void byte_read() { ++read_; }
@@ -34,15 +40,12 @@ class HeartbeatWatch {
   // When the byte read last was the end of a heartbeat.
   void heartbeat() {
     uint8_t age = 0;
-    while (age < TimeoutTicks && seen_by(age)) ++age;
+    while (age < timeout_ && seen_by(age)) ++age;
     if (age < age_) age_ = age;
   }
 
-  bool alive() const { return age_ < TimeoutTicks; }
-
  private:
   static const uint8_t kTicks = 64;  // a power of two, so that positions may wrap
-  static_assert(TimeoutTicks < kTicks, "the ticks of one timeout are kept");
 
   // Whether the byte read last had arrived at the tick so many before the last one. Counts wrap at 256.
   bool seen_by(uint8_t ticks_ago) const {
@@ -53,7 +56,8 @@ class HeartbeatWatch {
   uint8_t arrived_[kTicks] = {0};
   uint8_t now_ = 0;
   uint8_t read_ = 0;
-  uint8_t age_ = TimeoutTicks;
+  uint8_t timeout_;
+  uint8_t age_;
 };
 
 }  // namespace serial_communication
