@@ -257,6 +257,56 @@ def test_a_handler_too_many_is_reported_to_the_bridge(tmp_path):
 """)
 
 
+def test_a_second_handler_of_a_type_is_reported(tmp_path):
+    run_on_the_pc(tmp_path, """
+  CHECK(packets.on<Force>(48, take_force) && !packets.on<Force>(48, take_force))
+  packets.update();
+  CHECK(sent.find("twice") != std::string::npos)
+  CHECK(bus.on<Force>(48, ask_force) && !bus.on<Force>(48, ask_force))
+  CHECK(!bus.on<Force>(255, ask_force))
+""")
+
+
+def test_bus_functions_answer(tmp_path):
+    run_on_the_pc(tmp_path, """
+  static bool moving = false;
+  static int stops = 0;
+  bus.on<Force>(48, ask_force);
+  bus.on(49, []() { moving = true; return BusResult::pending(); });
+  // Request and reply are frames without their checksum.
+  const auto frame = [](std::string bytes) {
+    uint8_t checksum = 0;
+    for (char byte : bytes) checksum ^= uint8_t(byte);
+    return bytes.empty() ? bytes : bytes + char(checksum);
+  };
+  const auto answers = [&](const std::string& request, const std::string& reply) {
+    sent.clear();
+    received = frame(request);
+    bus.update();
+    return sent == frame(reply);
+  };
+  const std::string sync("\\xa5\\0\\0\\0", 4), move("\\xa5\\0\\x55\\x31", 4);
+  const std::string stop("\\xa5\\0\\x55\\x2f", 4), ok("\\xa5\\0\\x02", 3);
+  const std::string unsupported("\\xa5\\x02\\x03\\0\\x80", 5);
+  const std::string malformed("\\xa5\\x02\\x03\\x01\\x80"), failed("\\xa5\\x02\\x03\\x02\\x80");
+  CHECK(answers(sync, std::string("\\xa5\\0\\0", 3)))
+  CHECK(answers("\\xa5\\x02\\x55\\x30\\x07\\x08", "\\xa5\\x02\\x02\\x07\\x08"))
+  CHECK(answers("\\xa5\\x01\\x55\\x30\\x07", malformed))
+  CHECK(answers(stop, unsupported))
+  bus.on_stop([]() { ++stops; moving = false; });
+  CHECK(answers(stop, ok) && stops == 0)
+  CHECK(answers(move, failed))                                        // there is no on_pending
+  bus.on_pending([]() {
+    return moving ? BusResult::pending() : BusResult::failed(kErrorOperation);
+  });
+  CHECK(answers(move, "") && answers(sync, ""))
+  sent.clear();
+  received = frame(stop);
+  bus.update();
+  CHECK(sent == frame(failed) + frame(ok) && stops == 1)              // the SYNC was dropped
+""")
+
+
 @pytest.mark.parametrize('type_', [0, 4, 12, 255])
 def test_a_handler_for_a_type_of_the_bridge_itself_is_reported(tmp_path, type_):
     run_on_the_pc(tmp_path, """
@@ -286,11 +336,15 @@ def test_commands_reach_their_functions(tmp_path):
   packets.update();
   CHECK(speed == -1000 && pulse == 1500 && led == "left" && calibrations == 1)
   now_ms = 70;
-  CHECK(packets.heartbeat_age() == 70)
+  CHECK(packets.heartbeat_age() == 0xFFFFFFFF)
   received.assign("\\x02\\x0b\\x00", 3);
   packets.update();
   now_ms = 95;
   CHECK(packets.heartbeat_age() == 25)
+  now_ms += 60001;
+  packets.update();
+  now_ms = 70 + 0x100000000;
+  CHECK(packets.heartbeat_age() == 0xFFFFFFFF)
 """)
 
 

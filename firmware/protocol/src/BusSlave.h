@@ -25,7 +25,7 @@ class BusSlave : private BusHandler {
   explicit BusSlave(Stream& port) : port_(port), slave_(StreamSink{&port}, *this) {}
 
   // Calls `handle` for each request of function `cmd2` (0 … 254) whose DATE is a T; a request with another size
-  // gets ERROR 0x8001. False where cmd2 is 255, or there are kMaxHandlers already: the function gets ERROR 0x8000.
+  // gets ERROR 0x8001. False where cmd2 is 255 or has its function, or there are kMaxHandlers.
   template <class T>
   bool on(uint8_t cmd2, BusResult (*handle)(const T&)) {
     check_can_cross_the_wire<T>();
@@ -74,19 +74,24 @@ class BusSlave : private BusHandler {
   }
 
   bool add(uint8_t cmd2, uint8_t size, Call call, void (*handle)()) {
-    if (count_ == kMaxHandlers || cmd2 == kFunctionAnnouncement) return false;
+    if (count_ == kMaxHandlers || cmd2 == kFunctionAnnouncement || find(cmd2)) return false;
     handlers_[count_++] = {cmd2, size, call, handle};
     return true;
   }
 
-  BusResult request(uint8_t cmd2, const uint8_t* data, uint16_t size) override {
+  const Handler* find(uint8_t cmd2) const {
     for (uint8_t i = 0; i < count_; ++i) {
-      const Handler& handler = handlers_[i];
-      if (handler.cmd2 != cmd2) continue;
-      return size == handler.size ? handler.call(handler.handle, data) : BusResult::failed(kErrorMalformed);
+      if (handlers_[i].cmd2 == cmd2) return handlers_ + i;
     }
-    if (cmd2 != kFunctionStop || !stop_) return BusResult::failed(kErrorUnsupported);
-    return size == 0 ? BusResult::ok() : BusResult::failed(kErrorMalformed);  // what was pending has ended
+    return 0;
+  }
+
+  BusResult request(uint8_t cmd2, const uint8_t* data, uint16_t size) override {
+    const Handler* handler = find(cmd2);
+    const bool stops = cmd2 == kFunctionStop && stop_;
+    if (!handler && !stops) return BusResult::failed(kErrorUnsupported);
+    if (size != (handler ? handler->size : 0)) return BusResult::failed(kErrorMalformed);
+    return handler ? handler->call(handler->handle, data) : BusResult::ok();  // what was pending has ended
   }
 
   BusResult poll() override { return ask_ ? ask_() : BusResult::failed(kErrorOperation); }

@@ -30,7 +30,7 @@ class PacketLink : public PacketSender<StreamSink> {
   explicit PacketLink(Stream& port) : PacketSender<StreamSink>(StreamSink{&port}), port_(port) {}
 
   // Calls `handle` for each custom message of this type (13 … 254), whose data is a T. False where the type is
-  // another one, or there are kMaxHandlers already; update() then reports it to the bridge, once.
+  // another one or has its function, or there are kMaxHandlers; update() then reports it to the bridge, once.
   template <class T>
   bool on(uint8_t type, void (*handle)(const T&)) {
     const bool taken = decoder_.accept<T>(type);
@@ -53,9 +53,10 @@ class PacketLink : public PacketSender<StreamSink> {
   void update() {
     if (refused_type_) {
       refused_type_ = false;
-      error(F("on(): the type is not 13 ... 254, or there are too many"));
+      error(F("on(): a type twice, not in 13 ... 254, or one too many"));
     }
     const uint32_t now = millis();
+    if (heartbeat_age() > 60000) had_heartbeat_ = false;  // before the clock has come round
     while (port_.available() > 0) {
       if (decoder_.feed(read(), now)) dispatch(decoder_.packet());
     }
@@ -69,9 +70,9 @@ class PacketLink : public PacketSender<StreamSink> {
   bool warn(const __FlashStringHelper* text) { return send_flash_text(MessageType::Warn, text); }
   bool error(const __FlashStringHelper* text) { return send_flash_text(MessageType::Error, text); }
 
-  // Milliseconds since update() read the last heartbeat; since the start, where there was none. A loop() that
-  // was held up reads old ones: what moves on an AVR is safer with watch().
-  uint32_t heartbeat_age() const { return millis() - heartbeat_ms_; }
+  // Milliseconds since update() read the last heartbeat; 0xFFFFFFFF where there was none for a minute. A loop()
+  // that was held up reads old ones: what moves on an AVR is safer with watch().
+  uint32_t heartbeat_age() const { return had_heartbeat_ ? millis() - heartbeat_ms_ : 0xFFFFFFFF; }
 
 #if defined(__AVR__)
   // The watch learns when heartbeats arrive. Its tick() has to be called by a timer interrupt.
@@ -123,6 +124,7 @@ class PacketLink : public PacketSender<StreamSink> {
 
   void handle_heartbeat() {
     heartbeat_ms_ = millis();
+    had_heartbeat_ = true;
 #if defined(__AVR__)
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
       if (watch_) watch_->heartbeat();
@@ -146,6 +148,7 @@ class PacketLink : public PacketSender<StreamSink> {
   Handler handlers_[kMaxHandlers];
   uint8_t handler_count_ = 0;
   bool refused_type_ = false;
+  bool had_heartbeat_ = false;
   uint32_t heartbeat_ms_ = 0;
   void (*speed_)(int16_t) = 0;
   void (*steering_)(uint16_t) = 0;

@@ -194,13 +194,13 @@ class PacketDecoder {
 
   explicit PacketDecoder(uint32_t frame_timeout_ms = 50) : counters(), frame_timeout_ms_(frame_timeout_ms) {}
 
-  // Takes custom messages of this type (13 … 254), whose data is a T. False: another type, or there are
-  // MaxCustom already.
+  // Takes custom messages of this type (13 … 254), whose data is a T. False: it does so already, the type is
+  // another one, or there are MaxCustom.
   template <class T>
   bool accept(uint8_t type) {
     check_can_cross_the_wire<T>();
     static_assert(sizeof(T) < MaxPacket && sizeof(T) <= 255, "a packet of this decoder holds no more");
-    if (custom_count_ == MaxCustom || !is_custom_type(type)) return false;
+    if (custom_count_ == MaxCustom || !is_custom_type(type) || find_custom(type) != kNone) return false;
     custom_[custom_count_++] = {type, sizeof(T)};
     return true;
   }
