@@ -325,8 +325,7 @@ class StreamDecoder:
 
     def _add_bad(self, start: int, bad: Bad) -> None:
         """Add the invalid frame that begins at `start`."""
-        if self._noise or self._classified < self._offset + start:
-            self._end_noise(start)
+        self._end_noise(start)
         end = start + bad.size
         self.errors[bad.cause] += 1
         self._frames.append(invalid_frame(self.buffer[start:end], bad.cause, bad.error,

@@ -19,7 +19,7 @@ ALLOWED: Dict[str, Set[str]] = {
     'output': set(),
     'transport': set(),
     'framing': set(),
-    'boards': set(),
+    'boards': {'framing'},
     'link': {'framing', 'transport'},
     'simulation': SHARED,
     'ros': {*SHARED, *MESSAGES, 'link'},

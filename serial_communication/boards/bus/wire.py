@@ -274,7 +274,7 @@ class _Decoder(StreamDecoder):
         parts = Parts(frame)
         flag = frame[:1]
         if flag not in (bytes((STANDARD_FLAG,)), bytes((LONG_FLAG,))):
-            return parts.take_rest('noise', 'no frame begins so')
+            return parts.take_rest('noise', 'no frame begins with these bytes')
         is_long = flag[0] == LONG_FLAG
         header = 3 if is_long else 2
         parts.take(1, 'Flag', 'long frame' if is_long else 'standard frame')

@@ -132,7 +132,7 @@ class Decoder(StreamDecoder):
         """The named parts of one frame, valid or not, incomplete, or of noise."""
         parts = Parts(frame)
         if frame[:1] != bytes((STX,)):
-            return parts.take_rest('noise', 'no frame begins so')
+            return parts.take_rest('noise', 'no frame begins with these bytes')
         parts.take(1, 'STX')
         kind = self._messages.get(frame[2]) if len(frame) > 2 else None
         length = frame[1] if len(frame) > 1 else MIN_LEN

@@ -129,7 +129,7 @@ def _topic_line(group: List[TopicState], now: float) -> TextLine:
 
 def _link_line(name: str, link: Optional[LinkState], now: float, width: int) -> TextLine:
     if link is None:
-        return TextLine(f'{name:<7} no report yet', 'warn')
+        return TextLine(f'{name:<7} no status received yet', 'warn')
     level = min(link.level, len(LEVELS) - 1)
     status = f'{name:<7} {LEVELS[level]:<5} {link.summary}'
     if link.stale(now):
