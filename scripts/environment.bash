@@ -28,6 +28,7 @@ bench  | python3-tabulate                            | python3-tabulate
 browser | chromium chromium-driver python3-selenium  |
 avr    | gcc-avr avr-libc arduino-core-avr           | gcc-avr avr-libc arduino-core-avr
 avr    | simavr libsimavr-dev libelf-dev pkg-config  | simavr libsimavr-dev libelf-dev pkg-config
+esp    | gcc-xtensa-lx106                            | gcc-xtensa-lx106
 view   | rviz python3-rviz ros-robot-state-publisher | ros-noetic-rviz ros-noetic-robot-state-publisher
 view   | xvfb                                        | xvfb
 pictures | imagemagick                               | imagemagick

@@ -104,7 +104,8 @@ class BusLink(Link):
 
     def request(self, request: wire.Request, repeatable: bool = False,
                 timeout: Optional[float] = None, reply_layout: Optional[Layout] = None,
-                on_success: Optional[Callable[[Outcome], None]] = None) -> Outcome:
+                on_success: Optional[Callable[[Outcome], None]] = None,
+                interrupts: bool = False) -> Outcome:
         """Send any request and wait for its outcome.
 
         Returns after the timeouts of all its tries at the latest, plus the time that it waits for
@@ -118,6 +119,9 @@ class BusLink(Link):
                 but a board may send some.
             on_success: called in the link's thread with a successful outcome, before or after
                 this returns.
+            interrupts: a repeatable request that is sent at once, also while the reply to another
+                one is expected: a stop. The outcome of that other one is then unknown, and calls
+                that wait for their turn are not sent.
         """
         if len(request.data) > wire.MAX_LENGTH:
             return Outcome(NOT_SENT, f'data is {len(request.data)} bytes long, may be at most '
@@ -125,7 +129,8 @@ class BusLink(Link):
         if not self.port.is_open:
             return Outcome(NOT_SENT, f'the port {self.port.url} is closed '
                            f'({self._trouble or "not opened yet"}); nothing was sent')
-        call = self._call(request, repeatable, timeout, reply_layout, on_success)
+        call = self._call(request, repeatable, timeout, reply_layout, on_success,
+                          interrupts=interrupts)
         self.master.submit(call)
         self.wake()
         return call.wait(max(self.settings.motion_timeout, NOT_READY_WAIT)
@@ -154,13 +159,13 @@ class BusLink(Link):
 
     def _call(self, request: wire.Request, repeatable: bool, timeout: Optional[float],
               reply_layout: Optional[Layout], on_success: Optional[Callable[[Outcome], None]],
-              poll: bool = False) -> Call:
+              poll: bool = False, interrupts: bool = False) -> Call:
         settings = self.settings
         if timeout is None:
             moves = request.cmd1 == wire.FUNCTION and request.cmd2 in _MOVES
             timeout = settings.motion_timeout if moves else settings.reply_timeout
         return Call(request, timeout, repeatable, 1 + settings.retries, time.monotonic(), poll,
-                    reply_layout, on_success)
+                    reply_layout, on_success, interrupts)
 
     def _environment_received(self, outcome: Outcome) -> None:
         if self._on_environment:

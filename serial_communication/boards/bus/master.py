@@ -32,6 +32,11 @@ next call. The rules:
 7. The reported outcome is always true. Success: executed exactly once. Refused or not sent: not
    executed. Timeout: unknown, executed once or not at all. For a repeatable request this describes
    the last try alone.
+8. A call that interrupts, a stop, is the exception to rules 1 and 6. Calls that wait are not sent.
+   If a request of a call is outstanding, its outcome is unknown, and the stop is sent at once;
+   likewise if the link is out of step, and again after each unanswered ECHO or SYNC. All replies
+   are dropped until an ECHO returns. Then the stop is sent in its turn like any repeatable request,
+   and the reply to that is its outcome.
 """
 import enum
 import os
@@ -66,11 +71,13 @@ class Call:
         poll: whether it is a poll, which is sent only when no other call waits.
         reply_layout: layout of the data in its OK; None: any data; empty: see rule 5.
         on_success: called in the link's thread with a successful outcome.
+        interrupts: whether it is sent at once, whatever is outstanding; see rule 8.
     """
 
     def __init__(self, request: wire.Request, timeout: float, repeatable: bool, tries: int,
                  now: float, poll: bool = False, reply_layout: Optional[Layout] = None,
-                 on_success: Optional[Callable[[Outcome], None]] = None) -> None:
+                 on_success: Optional[Callable[[Outcome], None]] = None,
+                 interrupts: bool = False) -> None:
         self.request = request
         self.timeout = timeout
         self.repeatable = repeatable
@@ -79,6 +86,7 @@ class Call:
         self.poll = poll
         self.reply_layout = reply_layout
         self.on_success = on_success
+        self.interrupts = interrupts
         self.last_try = _NOT_TRIED      # outcome of the try before this one
         # Whether the last try ended with an INVALID that the board may have sent because of noise.
         # An ECHO that returns before any other reply confirms that it was for this request.
@@ -95,12 +103,12 @@ class Call:
         is_probe = self.repeatable and self.request.cmd1 in (wire.SYNC, wire.ECHO)
         return not (self.poll or is_probe)
 
-    def claim(self) -> bool:
+    def claim(self, tries: int = 1) -> bool:
         """Count a try; False if the caller has given up, so it must not be sent."""
         with self._lock:
             if self.outcome is None:
                 self._sent = True
-                self.tries -= 1
+                self.tries -= tries
             return self.outcome is None
 
     def finish(self, outcome: Outcome) -> None:
@@ -194,6 +202,7 @@ class Master:
         self._calls: Deque[Call] = deque()
         self._polls: Deque[Call] = deque()
         self._retry: Optional[Call] = None      # the call to send again, before all others
+        self._at_once: List[Call] = []          # to be sent now, whatever is outstanding
         self._exchange: Optional[_Exchange] = None
         self._latest_request: Optional[wire.Request] = None
         self._served_until = 0.0                # when the exchange of the latest call ended
@@ -231,7 +240,7 @@ class Master:
         if isinstance(exchange, _CallExchange):
             exchange.call.finish(Outcome(
                 TIMEOUT, f'the port closed before the reply arrived ({why}): {_UNKNOWN}'))
-        self._queue_submitted()
+        self._queue_submitted(now)
 
     def received(self, frame: Frame, now: float) -> None:
         """A valid reply was received."""
@@ -292,12 +301,14 @@ class Master:
             The request to send now, or None, and the time of the next call at the latest, or None.
             The request counts as outstanding from now on.
         """
-        self._queue_submitted()
+        self._queue_submitted(now)
         exchange = self._exchange
         if exchange is not None and now >= exchange.deadline:
             self._exchange = None
             self._timeout_handlers[exchange.kind](exchange, now)
         self._abandon_overdue(now)
+        if may_send and self._at_once:
+            return self._send_at_once(), now
         request, silent_until = self._next_request(now) if may_send else (None, None)
         times = [self._expiry(call) for call in self._waiting()]
         if silent_until is not None:
@@ -332,7 +343,9 @@ class Master:
     def not_sent(self, why: str) -> None:
         """The request that `step` returned could not be sent."""
         exchange, self._exchange = self._exchange, None
-        if isinstance(exchange, _CallExchange):
+        if exchange is None:
+            self._repeat_interruption()
+        elif isinstance(exchange, _CallExchange):
             last_try = exchange.call.last_try
             exchange.call.finish(Outcome(NOT_SENT, f'{why}; nothing was sent')
                                  if last_try is _NOT_TRIED else last_try)
@@ -512,11 +525,13 @@ class Master:
         self.timeouts += 1
         self.state = SessionState.UNSYNCHRONISED
         self._unanswered_syncs += 1
+        self._repeat_interruption()
 
     def _echo_timed_out(self, _exchange: _Exchange, _now: float) -> None:
         self.timeouts += 1
         self.state = SessionState.OUT_OF_STEP
         self._echo_unanswered()
+        self._repeat_interruption()
 
     def _echo_unanswered(self) -> None:
         self._unanswered_echoes += 1
@@ -570,6 +585,31 @@ class Master:
         if outcome.success and call.on_success:
             call.on_success(outcome)
 
+    # -- interruptions; see rule 8 ----------------------------------------------------------
+
+    def _interrupt(self, call: Call, now: float) -> None:
+        """Prepare to send this call at once, unless the board is idle."""
+        exchange = self._exchange
+        if not self.in_step or isinstance(exchange, _CallExchange):
+            self._out_of_step(f'{call.request} was called')
+            if isinstance(exchange, _CallExchange):
+                self._repeat_or_finish(exchange, now, Outcome(
+                    TIMEOUT, f'{call.request} was sent before the reply: {_UNKNOWN}'))
+            self._exchange = None
+            self._at_once.append(call)
+        for other in self._waiting():
+            if not other.interrupts:
+                self._abandon(other, f'{call.request} was called')
+
+    def _send_at_once(self) -> Optional[wire.Request]:
+        call = self._at_once.pop(0)
+        call.last_try = Outcome(TIMEOUT, f'no reply is known to be the one to this: {_UNKNOWN}')
+        return call.request if call.claim(tries=0) else None
+
+    def _repeat_interruption(self) -> None:
+        """Send calls that interrupt at once again: the line may have lost them."""
+        self._at_once = [call for call in self._waiting() if call.interrupts]
+
     # -- calls that wait ------------------------------------------------------------------
 
     def _next_call(self) -> Optional[Call]:
@@ -585,16 +625,20 @@ class Master:
             waiting.append(self._retry)
         return waiting
 
-    def _queue_submitted(self) -> None:
+    def _queue_submitted(self, now: float) -> None:
         while self._submitted:
             call = self._submitted.popleft()
             call.expires = call.submitted + self._longest_wait
+            if call.interrupts and self.state is not SessionState.CLOSED:
+                self._interrupt(call, now)
             (self._polls if call.poll else self._calls).append(call)
         if self.state is SessionState.CLOSED:
             for call in self._waiting():
                 self._abandon(call, 'the port is closed')
 
     def _remove(self, call: Call) -> None:
+        if call in self._at_once:
+            self._at_once.remove(call)
         if call is self._retry:
             self._retry = None
             return
@@ -611,7 +655,7 @@ class Master:
         finish something, such as a move, before it answers ECHO.
         """
         exchange = self._exchange
-        if self.in_step or isinstance(exchange, _CallExchange):
+        if self.in_step or call.interrupts or isinstance(exchange, _CallExchange):
             return call.expires
         wait = max(NOT_READY_WAIT, call.timeout) if self.synchronised else NOT_READY_WAIT
         return min(call.expires, max(call.submitted, self._served_until) + wait)

@@ -186,7 +186,8 @@ def _service(function: CustomFunction, request_fields: RosFields, reply_fields: 
         except ValueError as error:
             outcome = Outcome(NOT_SENT, f'{error}; nothing was sent')
         else:
-            outcome = link.request(request, function.repeatable, function.timeout, function.reply)
+            outcome = link.request(request, function.repeatable, function.timeout, function.reply,
+                                   interrupts=function.interrupts)
         response = fill_response(reply_fields.new(), outcome)
         if outcome.success:
             reply_fields.fill(response, _values(function, outcome))

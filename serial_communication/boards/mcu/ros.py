@@ -98,7 +98,7 @@ class McuInterface(Interface):
                 out.header.stamp = stamp
                 out.range = _metres(millimetres, out.min_range, out.max_range)
                 topic.publish(out)
-        if self._orientation or wanted(self._imu):
+        if message.angles_known and (self._orientation or wanted(self._imu)):
             turned = quaternion(radians(message.roll), radians(message.pitch),
                                 radians(message.yaw) * self._turn)
             out = self._imu_message

@@ -9,6 +9,7 @@ LEN counts TYPE, SEQ and PAYLOAD; CRC is the XOR of TYPE, SEQ and PAYLOAD; SEQ c
 a frame, modulo 256. Little-endian. Only the board sends.
 """
 import struct
+from math import isnan, nan
 from typing import Iterable, List, NamedTuple, Type, Union
 
 from ...framing.layout import Layout, LayoutMessage, Value, message_class
@@ -21,6 +22,7 @@ ETX = 0x03
 MIN_LEN = 2            # TYPE and SEQ
 MAX_PAYLOAD = 253      # bytes
 RANGE_TIMED_OUT = 0xFFFF  # in place of a range: the sensor timed out
+ANGLE_UNKNOWN = -0x8000   # pitch and roll where the IMU did not answer: no attitude has -327.68°
 
 _WRAP = 655.36         # degrees by which a heading over 327.67 wraps in the int16
 
@@ -28,9 +30,9 @@ _WRAP = 655.36         # degrees by which a heading over 327.67 wraps in the int
 class _SensorValues(NamedTuple):
     range_1: int   # mm; 0xFFFF: the sensor timed out
     range_2: int   # mm; 0xFFFF: the sensor timed out
-    yaw: float     # degrees, heading 0 … 360, clockwise
-    pitch: float   # degrees
-    roll: float    # degrees
+    yaw: float     # degrees, heading 0 … 360, clockwise; NaN: the IMU did not answer
+    pitch: float   # degrees; NaN likewise
+    roll: float    # degrees; NaN likewise
 
 
 class SensorStatus(LayoutMessage, _SensorValues):
@@ -51,14 +53,17 @@ class SensorStatus(LayoutMessage, _SensorValues):
             struct.error: the payload does not have ten bytes.
         """
         range_1, range_2, yaw, pitch, roll = cls.LAYOUT.raw(data)
+        if pitch == roll == ANGLE_UNKNOWN:    # yaw alone cannot tell: it may be a heading
+            return cls(range_1, range_2, nan, nan, nan)
         yaw /= 100
         return tuple.__new__(cls, (range_1, range_2, yaw if yaw >= -180 else round(yaw + _WRAP, 2),
                                    pitch / 100, roll / 100))
 
     def pack(self) -> bytes:
         """The payload. Angles are rounded to 0.01° and wrap as the board's int16 does."""
-        wrapped = [(round(angle * 100) + 0x8000) % 0x10000 - 0x8000
-                   for angle in (self.yaw, self.pitch, self.roll)]
+        wrapped = [0, ANGLE_UNKNOWN, ANGLE_UNKNOWN] if not self.angles_known else [
+            (round(angle * 100) + 0x8000) % 0x10000 - 0x8000
+            for angle in (self.yaw, self.pitch, self.roll)]
         return self.LAYOUT.pack_raw((self.range_1, self.range_2, *wrapped))
 
     @classmethod
@@ -70,18 +75,25 @@ class SensorStatus(LayoutMessage, _SensorValues):
                 parts[index] = part._replace(meaning='the sensor timed out')
             elif part.name == 'yaw' and part.raw is not None and part.raw < -18000:
                 parts[index] = part._replace(meaning='a heading that wrapped')
+        if [part.raw for part in parts[3:5]] == [ANGLE_UNKNOWN, ANGLE_UNKNOWN]:
+            parts[2:5] = [part._replace(meaning='the IMU did not answer') for part in parts[2:5]]
         return parts
 
     @property
+    def angles_known(self) -> bool:
+        """Whether the IMU answered."""
+        return not isnan(self.pitch)
+
+    @property
     def valid(self) -> bool:
-        """Whether neither range sensor timed out."""
-        return self.range_1 != RANGE_TIMED_OUT and self.range_2 != RANGE_TIMED_OUT
+        """Whether all sensors answered."""
+        return RANGE_TIMED_OUT not in (self.range_1, self.range_2) and self.angles_known
 
     def __str__(self) -> str:
         ranges = ' '.join('timed out' if value == RANGE_TIMED_OUT else f'{value} mm'
                           for value in (self.range_1, self.range_2))
-        return (f'sensor status: {ranges}, yaw {self.yaw:.2f} pitch {self.pitch:.2f} '
-                f'roll {self.roll:.2f}')
+        angles = f'yaw {self.yaw:.2f} pitch {self.pitch:.2f} roll {self.roll:.2f}'
+        return f"sensor status: {ranges}, {angles if self.angles_known else 'angles unknown'}"
 
 
 AdcStatus = message_class(

@@ -307,7 +307,8 @@ _WORDS = {
     'serial_communication/McuStatus': lambda m: _status_words(
         m, ' '.join(value.text() for value in _channels(m))),
     'serial_communication/McuStatus2': lambda m: _status_words(
-        m, f'{m.vl53_1} and {m.vl53_2} mm, yaw {m.yaw:.1f} deg'),
+        m, f'{m.vl53_1} and {m.vl53_2} mm, '
+        + ('angles unknown' if m.pitch != m.pitch else f'yaw {m.yaw:.1f} deg')),
     'serial_communication/SerialMsg': lambda m:
         f"{m.link} {'sent' if m.direction else 'received'} {m.error or m.text}",
     'serial_communication/SteeringFeedback': lambda m: f'{m.value} of 1024',

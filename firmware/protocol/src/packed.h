@@ -1,4 +1,4 @@
-// Packed structs as they cross the wire: messages of one's own need no code of theirs.
+// Packed structs as they cross the wire: custom messages, which need no code of their own.
 //
 //   struct PACKED Force { int16_t centinewtons; };
 //
@@ -12,15 +12,35 @@
 #include <stdint.h>
 #include <string.h>
 
+#ifndef PACKED
 #define PACKED __attribute__((packed))
+#endif
 
 namespace serial_communication {
 
 static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "packed structs are sent as they stand");
 
+template <class T>
+struct IsPointer {
+  static const bool value = false;
+};
+template <class T>
+struct IsPointer<T*> {
+  static const bool value = true;
+};
+
+// Does not compile for a T whose bytes are not what is to cross the wire.
+template <class T>
+inline void check_can_cross_the_wire() {
+  static_assert(!IsPointer<T>::value, "this is a pointer: give what it points at");
+  static_assert(__is_trivially_copyable(T), "only plain numbers and structs of them can be sent, no String");
+  static_assert(!__is_class(T) || alignof(T) == 1, "a struct that is sent has to be PACKED");
+}
+
 // False, and `*value` untouched, where the data has another size.
 template <class T>
 inline bool from_bytes(const uint8_t* data, size_t size, T* value) {
+  check_can_cross_the_wire<T>();
   if (size != sizeof *value) return false;
   memcpy(value, data, sizeof *value);
   return true;

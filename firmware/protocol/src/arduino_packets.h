@@ -3,7 +3,9 @@
 //   | COBS of: message type (1 byte), data | 0x00 |
 //
 // Little-endian, except IMU data, whose eleven int16 are big-endian. No checksum.
-// Bytes leave through a sink, any callable (const uint8_t* bytes, size_t size), one call a packet.
+//
+// This is what PacketLink.h is made of; a sketch includes that. Bytes are sent through a sink, any callable
+// (const uint8_t* bytes, size_t size) that returns whether it took them all: one call a packet.
 
 #ifndef SERIAL_COMMUNICATION_ARDUINO_PACKETS_H
 #define SERIAL_COMMUNICATION_ARDUINO_PACKETS_H
@@ -31,7 +33,11 @@ enum class MessageType : uint8_t {
   ImuCalibration = 12,  // to the board: no data
 };
 
-const uint8_t kMessageTypes = 13;  // from here on types are one's own
+const uint8_t kMessageTypes = 13;  // the first type of custom messages
+const uint8_t kAnnouncement = 255;
+
+constexpr bool is_custom_type(uint8_t type) { return type >= kMessageTypes && type != kAnnouncement; }
+
 const uint8_t kImuDataSize = 22;
 const uint8_t kLedTextMax = 30;
 const int16_t kSpeedMax = 1000;
@@ -67,69 +73,75 @@ inline void imu_from_bytes(const uint8_t* in, ImuData* imu) {
   imu->temperature = fields[10];
 }
 
-// Sends packets of any type. `MaxData` bounds the data of one packet; longer text is cut.
+// Sends packets of any type. `MaxData` bounds the data of one packet: longer text is cut, longer data of
+// another type is not sent. Each function returns whether the whole packet was sent.
 template <class Sink, size_t MaxData = 63>
 class PacketSender {
  public:
   explicit PacketSender(Sink sink) : sink_(sink) {}
 
-  void send(MessageType type, const void* data, size_t size) {
-    if (size > MaxData) size = MaxData;
+  bool send(MessageType type, const void* data, size_t size) {
+    if (size > MaxData) {
+      if (type > MessageType::Error && type != MessageType::LedCmd) return false;
+      size = MaxData;
+    }
     uint8_t packet[1 + MaxData];
     uint8_t wire[cobs_encoded_max(1 + MaxData) + 1];
     packet[0] = static_cast<uint8_t>(type);
     if (size > 0) memcpy(packet + 1, data, size);
     size_t length = cobs_encode(packet, 1 + size, wire);
     wire[length++] = 0;
-    sink_(static_cast<const uint8_t*>(wire), length);
+    return sink_(static_cast<const uint8_t*>(wire), length);
   }
 
-  // A message of one's own: any packed struct.
+  // A custom message: any packed struct. False also where the type (13 … 254) is none of a custom message.
   template <class T>
-  void send(uint8_t type, const T& value) {
+  bool send(uint8_t type, const T& value) {
+    check_can_cross_the_wire<T>();
     static_assert(sizeof(T) <= MaxData, "a packet of this sender holds no more");
-    send(static_cast<MessageType>(type), &value, sizeof value);
+    return is_custom_type(type) && send(static_cast<MessageType>(type), &value, sizeof value);
   }
 
   // Text of a log message (Debug … Error) or an LED command; its 0x00 is sent too.
-  void send_text(MessageType type, const char* text) { send(type, text, strlen(text) + 1); }
+  bool send_text(MessageType type, const char* text) { return send(type, text, strlen(text) + 1); }
 
-  void send_speed(int16_t speed) { send_uint16(MessageType::SpeedCmd, static_cast<uint16_t>(speed)); }
-  void send_steering(uint16_t pulse_us) { send_uint16(MessageType::SteeringCmd, pulse_us); }
-  void send_steering_angle(uint16_t raw) { send_uint16(MessageType::SteeringAngle, raw); }
-  void send_ticks(uint8_t ticks) { send(MessageType::Ticks, &ticks, 1); }
-  void send_heartbeat() { send(MessageType::Heartbeat, 0, 0); }
-  void send_imu_calibration() { send(MessageType::ImuCalibration, 0, 0); }
+  bool send_speed(int16_t speed) { return send_uint16(MessageType::SpeedCmd, static_cast<uint16_t>(speed)); }
+  bool send_steering(uint16_t pulse_us) { return send_uint16(MessageType::SteeringCmd, pulse_us); }
+  bool send_steering_angle(uint16_t raw) { return send_uint16(MessageType::SteeringAngle, raw); }
+  bool send_ticks(uint8_t ticks) { return send(MessageType::Ticks, &ticks, 1); }
+  bool send_heartbeat() { return send(MessageType::Heartbeat, 0, 0); }
+  bool send_imu_calibration() { return send(MessageType::ImuCalibration, 0, 0); }
 
-  void send_imu(const ImuData& imu) {
+  bool send_imu(const ImuData& imu) {
     uint8_t data[kImuDataSize];
     imu_to_bytes(imu, data);
-    send(MessageType::Imu, data, sizeof data);
+    return send(MessageType::Imu, data, sizeof data);
   }
 
-  void send_voltage(float volts) {
+  bool send_voltage(float volts) {
     static_assert(sizeof(float) == 4, "the wire carries an IEEE 754 float32");
     uint32_t bits;
     memcpy(&bits, &volts, 4);
     const uint8_t data[4] = {static_cast<uint8_t>(bits), static_cast<uint8_t>(bits >> 8),
                              static_cast<uint8_t>(bits >> 16), static_cast<uint8_t>(bits >> 24)};
-    send(MessageType::Voltage, data, sizeof data);
+    return send(MessageType::Voltage, data, sizeof data);
   }
 
  private:
-  void send_uint16(MessageType type, uint16_t value) {
+  bool send_uint16(MessageType type, uint16_t value) {
     const uint8_t data[2] = {static_cast<uint8_t>(value), static_cast<uint8_t>(value >> 8)};
-    send(type, data, sizeof data);
+    return send(type, data, sizeof data);
   }
 
   Sink sink_;
 };
 
-// One valid packet: a known type with the length that belongs to it, or one of one's own.
+// One valid packet: a known type with the length that belongs to it, or a custom message.
 struct Packet {
   MessageType type;
   const uint8_t* data;  // valid until the decoder's next feed()
   size_t size;
+  uint8_t custom;       // of a custom message: which of the accepted types, from 0; else 255
 
   uint16_t value() const { return static_cast<uint16_t>(data[0] | static_cast<uint16_t>(data[1]) << 8); }
 
@@ -147,10 +159,10 @@ struct Packet {
     return volts;
   }
 
-  // A packet of one's own type; false where it is another one or has another size.
+  // A custom message of this type; false where it is another one or has another size.
   template <class T>
-  bool is(uint8_t own_type, T* value) const {
-    return static_cast<uint8_t>(type) == own_type && from_bytes(data, size, value);
+  bool is(uint8_t custom_type, T* value) const {
+    return static_cast<uint8_t>(type) == custom_type && from_bytes(data, size, value);
   }
 
   ImuData imu() const {
@@ -167,8 +179,8 @@ struct Packet {
 };
 
 // Takes bytes one by one and yields valid packets. `MaxPacket` bounds the decoded packet,
-// type byte included; a longer one is dropped whole. `MaxOwn` bounds the types of one's own.
-template <size_t MaxPacket = 256, uint8_t MaxOwn = 4>
+// type byte included; a longer one is dropped whole. `MaxCustom` bounds the types of custom messages.
+template <size_t MaxPacket = 256, uint8_t MaxCustom = 4>
 class PacketDecoder {
  public:
   // Why packets were dropped.
@@ -182,10 +194,15 @@ class PacketDecoder {
 
   explicit PacketDecoder(uint32_t frame_timeout_ms = 50) : counters(), frame_timeout_ms_(frame_timeout_ms) {}
 
-  // Takes a type of one's own (13 … 255), whose data is a T.
+  // Takes custom messages of this type (13 … 254), whose data is a T. False: it does so already, the type is
+  // another one, or there are MaxCustom.
   template <class T>
-  void accept(uint8_t type) {
-    if (own_count_ < MaxOwn) own_[own_count_++] = {type, sizeof(T)};
+  bool accept(uint8_t type) {
+    check_can_cross_the_wire<T>();
+    static_assert(sizeof(T) < MaxPacket && sizeof(T) <= 255, "a packet of this decoder holds no more");
+    if (custom_count_ == MaxCustom || !is_custom_type(type) || find_custom(type) != kNone) return false;
+    custom_[custom_count_++] = {type, sizeof(T)};
+    return true;
   }
 
   // Returns true when this byte completed a valid packet, which packet() then holds.
@@ -238,12 +255,13 @@ class PacketDecoder {
     packet_.type = static_cast<MessageType>(buffer_[0]);
     packet_.data = buffer_ + 1;
     packet_.size = length - 1;
-    const Own* own = find_own(buffer_[0]);
-    if (buffer_[0] >= kMessageTypes && !own) {
+    packet_.custom = find_custom(buffer_[0]);
+    const bool custom = packet_.custom != kNone;
+    if (buffer_[0] >= kMessageTypes && !custom) {
       ++counters.unknown_type;
       return false;
     }
-    if (own ? packet_.size != own->size : !length_fits(packet_.type, packet_.size)) {
+    if (custom ? packet_.size != custom_[packet_.custom].size : !length_fits(packet_.type, packet_.size)) {
       ++counters.wrong_length;
       return false;
     }
@@ -272,26 +290,27 @@ class PacketDecoder {
     }
   }
 
-  struct Own {
+  static const uint8_t kNone = 255;
+  struct Custom {
     uint8_t type;
     uint8_t size;
   };
 
-  const Own* find_own(uint8_t type) const {
-    for (uint8_t i = 0; i < own_count_; ++i) {
-      if (own_[i].type == type) return own_ + i;
+  uint8_t find_custom(uint8_t type) const {
+    for (uint8_t i = 0; i < custom_count_; ++i) {
+      if (custom_[i].type == type) return i;
     }
-    return 0;
+    return kNone;
   }
 
-  Own own_[MaxOwn];
-  uint8_t own_count_ = 0;
+  Custom custom_[MaxCustom];
+  uint8_t custom_count_ = 0;
   uint8_t buffer_[cobs_encoded_max(MaxPacket)];
   size_t size_ = 0;
   bool overflow_ = false;
   uint32_t frame_timeout_ms_;
   uint32_t last_byte_ms_ = 0;
-  Packet packet_ = {MessageType::Debug, 0, 0};
+  Packet packet_ = {MessageType::Debug, 0, 0, kNone};
 };
 
 }  // namespace serial_communication

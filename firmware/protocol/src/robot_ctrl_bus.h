@@ -7,14 +7,20 @@
 // Datelen counts the DATE bytes. Checksum is the XOR of every byte before it.
 //
 // Rules that keep the Master's view true:
-// - One reply a request. While a motion lasts nothing more is taken in (ready() is false, the bytes
-//   wait in the caller's UART buffer), so a later request is answered after it, in order: an ECHO
-//   that comes back proves that everything asked before has ended.
+// - One reply a request. A request that is received during a motion waits in the Slave's buffer and is
+//   answered after it, in order: an ECHO that returns proves that everything requested before has ended.
+//   When the buffer is full, all whole requests in it are dropped without a reply: the Master no longer
+//   waits for theirs.
+// - The handler is informed of a request at once, so that a stop can end the motion; see
+//   BusHandler::received_while_pending.
 // - A failed check gives up one byte, not a frame: a frame that begins inside a false start is found.
 //   INVALID goes out only when nothing of the damaged bytes can still become a frame and the line has been
 //   silent for a moment; a valid frame in the same burst of bytes takes its place. Otherwise the Master
-//   would be told "not executed" about a lift that is executed a moment later, and send it again.
-// - A frame cut short is given up in silence after the frame timeout; the Master's own timeout follows.
+//   would take a lift for not executed that is executed a moment later, and send it again.
+//   For the same reason all bytes that have arrived have to be fed before poll() is called.
+// - An incomplete frame is given up without a reply after the frame timeout; then the Master's timeout passes.
+//
+// This is what BusSlave.h is made of; a sketch includes that.
 
 #ifndef SERIAL_COMMUNICATION_ROBOT_CTRL_BUS_H
 #define SERIAL_COMMUNICATION_ROBOT_CTRL_BUS_H
@@ -45,6 +51,9 @@ const uint8_t kReplyInvalid = 0xFF;
 const uint8_t kFunctionLift = 0x20;
 const uint8_t kFunctionGimbal = 0x21;
 const uint8_t kFunctionEnvironment = 0x22;
+// Not in the protocol's specification: ends the motion under way. Boards may offer it.
+const uint8_t kFunctionStop = 0x2F;
+const uint8_t kFunctionAnnouncement = 0xFF;
 // INVALID: the frame was not accepted
 const uint8_t kInvalidChecksum = 0x40;
 const uint8_t kInvalidTooLong = 0x20;
@@ -54,7 +63,7 @@ const uint16_t kErrorUnsupported = 0x8000;
 const uint16_t kErrorMalformed = 0x8001;
 const uint16_t kErrorOperation = 0x8002;
 
-// What a function came to. OK carries `size` bytes of `data`, Error its `error`.
+// The result of a function. OK carries `size` bytes of `data`, Error its `error`.
 struct BusResult {
   enum Outcome : uint8_t { Ok, Error, Pending };
 
@@ -64,10 +73,11 @@ struct BusResult {
   uint8_t size;
 
   static BusResult ok() { return BusResult{Ok, 0, {0}, 0}; }
-  // OK with a packed struct, for a function of one's own.
+  // OK with a packed struct, for a custom function.
   template <class T>
   static BusResult ok(const T& value) {
     BusResult result = ok();
+    check_can_cross_the_wire<T>();
     static_assert(sizeof(T) <= sizeof result.data, "a reply holds no more");
     memcpy(result.data, &value, sizeof value);
     result.size = sizeof value;
@@ -77,27 +87,33 @@ struct BusResult {
   static BusResult failed(uint16_t error) { return BusResult{Error, error, {0}, 0}; }
   static BusResult pending() { return BusResult{Pending, 0, {0}, 0}; }
 
-  void append_uint16(uint16_t value) {
+  // False: the reply is full, and unchanged.
+  bool append_uint16(uint16_t value) {
+    if (size + sizeof value > sizeof data) return false;
     data[size++] = static_cast<uint8_t>(value);
     data[size++] = static_cast<uint8_t>(value >> 8);
+    return true;
   }
 };
 
 // What the board does with requests of CMD1 0x55. Neither call may wait.
 class BusHandler {
  public:
-  // Starts function `cmd2`. Pending: it takes time, and poll() tells when it has ended. The data of a
-  // function of one's own is a packed struct: from_bytes(data, size, &value), else kErrorMalformed.
+  // Starts function `cmd2`. Pending: it takes time, and poll() returns the result when it has ended. The data
+  // of a custom function is a packed struct: from_bytes(data, size, &value), else kErrorMalformed.
   virtual BusResult request(uint8_t cmd2, const uint8_t* data, uint16_t size) = 0;
   // Called by the Slave's poll() while a function is pending.
   virtual BusResult poll() = 0;
+  // Function `cmd2` was requested while another one is pending; request() follows after that. True: what was
+  // requested between the two is not executed any more, and gets no reply.
+  virtual bool received_while_pending(uint8_t) { return false; }
 
  protected:
   ~BusHandler() {}
 };
 
-// `Sink` is any callable (const uint8_t* bytes, size_t size); a reply is several calls.
-// `MaxData` bounds the DATE of a request: the whole of the Slave's memory.
+// `Sink` is any callable (const uint8_t* bytes, size_t size); a reply takes several calls.
+// `MaxData` bounds the DATE of a request, and with it the buffer: 300 hold 34 ECHOs during a motion.
 template <class Sink, uint16_t MaxData = 255>
 class RobotCtrlBusSlave {
  public:
@@ -107,34 +123,44 @@ class RobotCtrlBusSlave {
     uint16_t too_long;
     uint16_t garbage_bytes;
     uint16_t timeouts;
+    uint16_t overruns;
   };
 
   RobotCtrlBusSlave(Sink sink, BusHandler& handler, uint32_t frame_timeout_ms = 50)
       : counters(), sink_(sink), handler_(handler), frame_timeout_ms_(frame_timeout_ms) {}
 
-  // Whether feed() may be called: false while a function takes its time.
-  bool ready() const { return !pending_; }
-
   bool synchronised() const { return synchronised_; }
 
+  // Has to be called for each byte, whether a function is pending or not.
   void feed(uint8_t byte, uint32_t now_ms) {
-    poll(now_ms);
-    if (pending_) return;
     last_byte_ms_ = now_ms;
+    if (size_ == kBufferSize) {  // only while a function is pending
+      ++counters.overruns;
+      drop(whole_);
+      whole_ = 0;
+    }
     buffer_[size_++] = byte;
-    scan();
+    if (pending_) {
+      look_ahead();
+    } else {
+      scan();
+    }
   }
 
-  // To be called often: ends a pending function, and gives up frames cut short.
+  // Has to be called often, after feed(): ends a pending function, and gives up incomplete frames.
   void poll(uint32_t now_ms) {
+    const uint32_t silence = now_ms - last_byte_ms_;
     if (pending_) {
+      while (whole_ < size_ && silence >= frame_timeout_ms_) {
+        ++whole_;
+        look_ahead();
+      }
       const BusResult result = handler_.poll();
       if (result.outcome == BusResult::Pending) return;
       pending_ = false;
       reply(result);
       scan();
     }
-    const uint32_t silence = now_ms - last_byte_ms_;
     while (size_ > 0 && !pending_ && silence >= frame_timeout_ms_) {
       ++counters.timeouts;
       drop(1);
@@ -159,7 +185,7 @@ class RobotCtrlBusSlave {
         drop_to_flag();
         continue;
       }
-      switch (check()) {
+      switch (check(0)) {
         case Check::Incomplete:
           return;
         case Check::Complete:
@@ -167,6 +193,10 @@ class RobotCtrlBusSlave {
           ++counters.requests;
           execute();
           drop(frame_size_);
+          if (pending_) {
+            whole_ = 0;
+            look_ahead();
+          }
           break;
         case Check::ChecksumError:
           ++counters.checksum_errors;
@@ -186,31 +216,53 @@ class RobotCtrlBusSlave {
     }
   }
 
-  Check check() {
-    const bool is_long = buffer_[0] == kFlagLong;
+  // While a function is pending: informs the handler of the requests that wait, each once. `whole_` is behind
+  // the last of them.
+  void look_ahead() {
+    while (whole_ < size_) {
+      const uint8_t* frame = buffer_ + whole_;
+      const bool flag = frame[0] == kFlagStandard || frame[0] == kFlagLong;
+      const Check found = flag ? check(whole_) : Check::NoFrame;
+      if (found == Check::Incomplete) return;
+      if (found != Check::Complete) {
+        ++whole_;
+      } else if (frame[header_size_ - 2] == kCmdFunction && handler_.received_while_pending(frame[header_size_ - 1])) {
+        drop(whole_);
+        whole_ = frame_size_;
+      } else {
+        whole_ += frame_size_;
+      }
+    }
+  }
+
+  // What the bytes from `at` on are, which begin with a flag.
+  Check check(uint16_t at) {
+    const uint8_t* frame = buffer_ + at;
+    const uint16_t size = size_ - at;
+    const bool is_long = frame[0] == kFlagLong;
     header_size_ = is_long ? 5 : 4;
-    if (size_ < header_size_ - 2) return Check::Incomplete;
-    data_size_ = buffer_[1];
-    if (is_long) data_size_ |= static_cast<uint16_t>(buffer_[2]) << 8;
+    if (size < header_size_ - 2) return Check::Incomplete;
+    data_size_ = frame[1];
+    if (is_long) data_size_ |= static_cast<uint16_t>(frame[2]) << 8;
     if (is_long ? data_size_ < 255 : data_size_ == 255) return Check::NoFrame;
     if (data_size_ > MaxData) return Check::TooLong;
-    if (size_ < header_size_ + 1) return Check::Incomplete;
+    if (size < header_size_ + 1) return Check::Incomplete;
     // The environment request is documented with Datelen 2 and yet without DATE.
-    if (!is_long && data_size_ == 2 && buffer_[2] == kCmdFunction && buffer_[3] == kFunctionEnvironment &&
-        checksum_fits(4)) {
+    if (!is_long && data_size_ == 2 && frame[2] == kCmdFunction && frame[3] == kFunctionEnvironment &&
+        checksum_fits(frame, 4)) {
       data_size_ = 0;
       frame_size_ = 5;
       return Check::Complete;
     }
     frame_size_ = header_size_ + data_size_ + 1;
-    if (size_ < frame_size_) return Check::Incomplete;
-    return checksum_fits(frame_size_ - 1) ? Check::Complete : Check::ChecksumError;
+    if (size < frame_size_) return Check::Incomplete;
+    return checksum_fits(frame, frame_size_ - 1) ? Check::Complete : Check::ChecksumError;
   }
 
-  bool checksum_fits(uint16_t at) const {
+  static bool checksum_fits(const uint8_t* frame, uint16_t at) {
     uint8_t checksum = 0;
-    for (uint16_t i = 0; i < at; ++i) checksum ^= buffer_[i];
-    return checksum == buffer_[at];
+    for (uint16_t i = 0; i < at; ++i) checksum ^= frame[i];
+    return checksum == frame[at];
   }
 
   void execute() {
@@ -281,6 +333,7 @@ class RobotCtrlBusSlave {
   uint32_t last_byte_ms_ = 0;
   uint8_t buffer_[kBufferSize];
   uint16_t size_ = 0;
+  uint16_t whole_ = 0;  // while a function is pending: so many bytes have been looked at
   // Of the frame that check() looked at last:
   uint16_t header_size_ = 0;
   uint16_t data_size_ = 0;

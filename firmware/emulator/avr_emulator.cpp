@@ -1,4 +1,4 @@
-// avr_board: runs a board's firmware in an emulated ATmega328P at real time, with its UART on a pty or tty
+// avr_emulator: runs a board's firmware in an emulated ATmega328P at real time, with its UART on a pty or tty
 // and a small world attached, which a control socket reads and changes. See firmware/README.md.
 
 #include <poll.h>
@@ -53,7 +53,7 @@ struct Options {
 };
 
 const char kUsage[] =
-    "usage: avr_board --world car|ctrl|range [options] ELF\n"
+    "usage: avr_emulator --world car|ctrl|range [options] ELF\n"
     "  --link PATH     UART on a new pty, with a symbolic link to it at PATH\n"
     "  --port PATH     UART on an existing tty, opened again when it vanishes\n"
     "  --control PATH  Unix socket of the control channel\n"
@@ -127,7 +127,7 @@ class EepromFile {
     const std::vector<uint8_t> content = mcu_.eeprom();
     if (content == saved_) return;
     saved_ = content;
-    if (!write()) fprintf(stderr, "avr_board: cannot write the EEPROM file %s\n", path_.c_str());
+    if (!write()) fprintf(stderr, "avr_emulator: cannot write the EEPROM file %s\n", path_.c_str());
   }
 
  private:
@@ -159,8 +159,16 @@ class Board {
     world_->values.reading("rx_bytes", [this] { return double(mcu_.uart_received()); });
     world_->values.reading("rx_overruns", [this] { return double(mcu_.uart_overruns()); });
     world_->values.reading("tx_flushes", [this] { return double(serial_.flushes()); });
+    world_->values.reading("last_tx_time", [this] { return last_sent_; });
     world_->values.reading("tx_bytes", [this] { return double(sent_bytes_); });
-    printf("avr_board: %s on %s\n", options.elf.c_str(), serial_.name().c_str());
+    world_->values.reading("watchdog_resets", [this] { return double(mcu_.watchdog_resets()); });
+    world_->values.variable("sda_stuck", [this] { return double(mcu_.sda_clocks()); },
+                            [this](double clocks) { mcu_.hold_sda(unsigned(std::fmax(clocks, 0))); });
+    world_->values.variable("scl_stuck", [this] { return double(mcu_.scl_held()); },
+                            [this](double low) { mcu_.hold_scl(low != 0); });
+    world_->values.variable("baud_error", [this] { return 100 * mcu_.baud_error(); },
+                            [this](double percent) { mcu_.set_baud_error(percent / 100); });
+    printf("avr_emulator: %s on %s\n", options.elf.c_str(), serial_.name().c_str());
     fflush(stdout);
   }
 
@@ -171,12 +179,13 @@ class Board {
     int status = 0;
     while (!stop_requested) {
       if (!mcu_.run_until(mcu_.cycles() + uint64_t(kSlice * mcu_.frequency()))) {
-        fprintf(stderr, "avr_board: the program stopped at %.6f s\n", mcu_.seconds());
+        fprintf(stderr, "avr_emulator: the program stopped at %.6f s\n", mcu_.seconds());
         status = 1;
         break;
       }
       const std::string sent = mcu_.uart_take_sent();
       sent_bytes_ += sent.size();
+      if (!sent.empty()) last_sent_ = mcu_.seconds();
       serial_.write(sent);
       if (mcu_.seconds() >= next_chores) {
         next_chores = mcu_.seconds() + std::min(kEepromPeriod, kReopenPeriod);
@@ -186,7 +195,7 @@ class Board {
       wait_for_wall_clock();
     }
     eeprom_.save();
-    printf("avr_board: %s\n", speed().c_str());
+    printf("avr_emulator: %s\n", speed().c_str());
     return status;
   }
 
@@ -259,11 +268,29 @@ class Board {
       mcu_.power_cycle();
       return "ok";
     }
+    if (command == "dtr") {
+      mcu_.dtr();
+      return "ok";
+    }
+    if (command == "dtr_in_read") {
+      mcu_.dtr_in_read();
+      return "ok";
+    }
+    if (command == "crash") {
+      mcu_.crash();
+      return "ok";
+    }
+    if (command == "stall") {
+      double seconds;
+      if (!(std::istringstream(name) >> seconds) || !(seconds >= 0 && seconds < 1e6)) return "error: stall SECONDS";
+      mcu_.stall(seconds);
+      return "ok";
+    }
     if (command == "quit") {
       stop_requested = 1;
       return "ok";
     }
-    return "error: commands are get, set, history, list, reset, power_cycle, quit";
+    return "error: commands are get, set, history, list, reset, power_cycle, dtr, dtr_in_read, crash, stall, quit";
   }
 
   Mcu mcu_;
@@ -273,6 +300,7 @@ class Board {
   std::unique_ptr<Control> control_;
   std::vector<pollfd> descriptors_;
   uint64_t sent_bytes_ = 0;
+  double last_sent_ = 0;
   double wall_start_ = 0;
   double origin_ = 0;  // the wall clock at emulated second 0
   double left_out_ = 0;
@@ -292,7 +320,7 @@ int main(int argc, char** argv) {
     Board board(parse(argc, argv));
     return board.run();
   } catch (const std::exception& error) {
-    fprintf(stderr, "avr_board: %s\n", error.what());
+    fprintf(stderr, "avr_emulator: %s\n", error.what());
     return 1;
   }
 }
