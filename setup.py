@@ -1,4 +1,4 @@
-"""Read by catkin_python_setup() alone; build with catkin."""
+"""Only for catkin_python_setup(); build with catkin."""
 from catkin_pkg.python_setup import generate_distutils_setup
 from setuptools import find_packages, setup
 

@@ -1,14 +1,14 @@
-# What the programs of a checkout have in common: from a machine without ROS to a built and
-# sourced package. To be sourced by them; then call  set_up run  or  set_up run test avr.
+# Set-up that the programs of a checkout share: installs, builds and sources the package. They
+# source this file and call, for example,  set_up run  or  set_up run test avr.
 #
-# Where nothing is missing and nothing has changed it takes a fraction of a second: no network,
-# no package manager, no cmake.
+# If nothing is missing and nothing has changed, this takes a fraction of a second and uses no
+# network, no package manager and no cmake.
 
 checkout=$(dirname "$(dirname "$(readlink -f "${BASH_SOURCE[0]}")")")
 build=$checkout/build
 noetic=/opt/ros/noetic
 
-# The packages, all of them, for what each is needed, and their names on both systems.
+# All packages: what needs them, and their names on both systems.
 packages() {
     cat <<'END'
 # need | Debian 12                                   | Ubuntu 20.04 with /opt/ros/noetic
@@ -20,9 +20,11 @@ test   | python3-rostest python3-rosbag              | ros-noetic-rostest ros-no
 test   | python3-pytest python3-hypothesis           | python3-pytest python3-hypothesis
 test   | catkin-lint python3-flake8                  | catkin-lint python3-flake8
 test   | shellcheck libxml2-utils                    | shellcheck libxml2-utils
+# Ubuntu's mypy is too old.
+test   | mypy                                        |
 bench  | python3-psutil python3-tqdm                 | python3-psutil python3-tqdm
 bench  | python3-tabulate                            | python3-tabulate
-# Ubuntu has chromium as a snap alone, which no driver here starts.
+# Ubuntu has chromium only as a snap, which the driver cannot start.
 browser | chromium chromium-driver python3-selenium  |
 avr    | gcc-avr avr-libc arduino-core-avr           | gcc-avr avr-libc arduino-core-avr
 avr    | simavr libsimavr-dev libelf-dev pkg-config  | simavr libsimavr-dev libelf-dev pkg-config
@@ -39,7 +41,7 @@ fail() {
     exit 1
 }
 
-# set_up NEED...: install what is missing for these, build, and source the result.
+# set_up NEED...: install the missing packages for these needs, build, and source the result.
 set_up() {
     forget_other_ros
     if [[ ! -d $noetic ]]; then
@@ -53,15 +55,15 @@ set_up() {
     [[ ! -d $noetic ]] || source_quietly "$noetic/setup.bash"
     build_if_changed
     source_quietly "$build/devel/setup.bash"
-    name_this_host
-    # Logs stay with the build: the home folder may be missing, or not ours to write to.
+    set_host_name
+    # Logs stay with the build: the home folder may be missing or not writable.
     export ROS_HOME=$build/ros ROS_LOG_DIR=$build/ros/log
     mkdir -p "$ROS_LOG_DIR"
     find "$ROS_LOG_DIR" -mindepth 1 -mtime +7 -delete
 }
 
-# Another ROS, or another Python, that the caller's shell is set up for would mix with this one.
-# Where the master is (ROS_MASTER_URI, ROS_IP, ROS_HOSTNAME) remains the caller's choice.
+# Remove the settings of another ROS or Python in the caller's shell, which would mix with this one.
+# The caller's ROS_MASTER_URI, ROS_IP and ROS_HOSTNAME are kept.
 forget_other_ros() {
     unset AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PKG_CONFIG_PATH \
         PYTHONPATH PYTHONHOME VIRTUAL_ENV ROS_DISTRO ROS_ETC_DIR ROS_PACKAGE_PATH \
@@ -89,8 +91,8 @@ missing_packages() {
         grep -qx "installed $package" <<<"$installed" || built_from_source "$package" ||
             printf '%s ' "$package"
     done
-    # A bare root may have no /etc/hosts; this package gives localhost and the host their names.
-    means_something localhost || printf 'libnss-myhostname '
+    # A minimal system may have no /etc/hosts; this package makes localhost and the host resolve.
+    resolves localhost || printf 'libnss-myhostname '
 }
 
 needed_packages() {
@@ -102,7 +104,7 @@ needed_packages() {
     done
 }
 
-# A ROS that somebody has built needs no package of that name.
+# A ROS built from source has no package of that name.
 built_from_source() {
     local name=${1#ros-noetic-}
     [[ $name != "$1" && -e $noetic/share/${name//-/_}/package.xml ]]
@@ -113,12 +115,12 @@ install() {
     local as_root=() log
     if ((EUID)); then
         may_use_sudo || fail "these packages are missing, and only root may install them: $*;" \
-            "run this as root, or as a user with sudo, or have them installed."
+            "run this as root or as a user with sudo, or ask an administrator to install them."
         as_root=(sudo)
     fi
     log=$(mktemp)
-    say "Installing what is missing ($# packages and what they need): a few minutes, once ..."
-    # The lists are fetched only where they do not do: none yet, or too old.
+    say "Installing $# missing packages and their dependencies: a few minutes, once ..."
+    # The package lists are fetched only if they are missing or too old.
     if ! apt_install "$@" &>"$log"; then
         "${as_root[@]}" apt-get -q update &>>"$log" || true
         apt_install "$@" &>>"$log" || explain_failed_install "$log"
@@ -131,7 +133,7 @@ apt_install() {
         -o DPkg::Lock::Timeout=300 install --no-install-recommends "$@" </dev/null
 }
 
-# sudo may ask for a password, if there is somebody to ask.
+# sudo may ask for a password only on a terminal.
 may_use_sudo() {
     command -v sudo >/dev/null || return 1
     sudo -n true 2>/dev/null || { [[ -t 0 ]] && sudo -v; }
@@ -141,9 +143,9 @@ explain_failed_install() {
     grep -E '^(E|Err):?' "$1" | tail -n 5 >&2 || true
     if grep -qE 'Could not resolve|Temporary failure|Could not connect|Unable to connect' "$1"; then
         fail "the packages cannot be fetched: connect this machine to the network and try" \
-            "again (all that apt-get said: $1)."
+            "again (the output of apt-get: $1)."
     fi
-    fail "apt-get could not install $missing; see above, and $1 for all that it said."
+    fail "apt-get could not install $missing; see above, and $1 for its whole output."
 }
 
 # -- build ---------------------------------------------------------------------------------
@@ -151,29 +153,29 @@ explain_failed_install() {
 build_if_changed() {
     mkdir -p "$build" 2>/dev/null || true
     [[ -w $build ]] ||
-        fail "$build cannot be written to; take a checkout of your own, or give it to $(id -un)."
+        fail "$build cannot be written to; use your own checkout, or make $(id -un) its owner."
     (
         flock 9 ||
-            fail "$build/.lock cannot be locked."
+            fail "$build/.lock cannot be locked; see the message of flock above."
         local wanted log=$build/build.log
         wanted=$(build_inputs)
         if [[ -e $build/devel/setup.bash && $wanted == "$(cat "$build/.built" 2>/dev/null)" ]]; then
             exit 0
         fi
         say "Building in $build ..."
-        # cmake refuses a build folder that has moved, and keeps what is no longer wanted.
+        # cmake refuses a build folder that was moved, and keeps files that are no longer built.
         find "$build" -mindepth 1 -maxdepth 1 ! -name .lock ! -name ros -exec rm -rf {} + ||
             fail "$build holds files of another user; remove it, then try again."
         if ! { cmake -S "$checkout" -B "$build" -DPYTHON_EXECUTABLE=/usr/bin/python3 \
             -DCATKIN_ENABLE_TESTING=OFF && make -C "$build"; } &>"$log"; then
             tail -n 20 "$log" >&2
-            fail "the build failed; see above, and $log for all of it."
+            fail "the build failed; see above, and $log for its whole output."
         fi
         echo "$wanted" >"$build/.built"
     ) 9>"$build/.lock" || exit
 }
 
-# All that the build depends on: where it stands, for which ROS, and the files it reads.
+# A checksum of what the build depends on: its folder, the ROS, and the files it reads.
 build_inputs() {
     (
         cd "$checkout" || exit
@@ -182,7 +184,7 @@ build_inputs() {
     ) | sha256sum
 }
 
-# setup.bash reads variables that may not be set.
+# setup.bash reads unset variables.
 source_quietly() {
     set +u
     # shellcheck disable=SC1090
@@ -190,17 +192,17 @@ source_quietly() {
     set -u
 }
 
-# ROS programs tell each other their host's name, so it has to mean something.
-name_this_host() {
-    means_something localhost ||
-        fail "the name localhost means nothing here: add the line '127.0.0.1 localhost' to" \
+# ROS programs send each other their host's name, so it must resolve.
+set_host_name() {
+    resolves localhost ||
+        fail "the name localhost does not resolve: add the line '127.0.0.1 localhost' to" \
             "/etc/hosts."
     if [[ -z ${ROS_HOSTNAME:-}${ROS_IP:-} ]] &&
-        ! means_something "$(</proc/sys/kernel/hostname)"; then
+        ! resolves "$(</proc/sys/kernel/hostname)"; then
         export ROS_HOSTNAME=localhost
     fi
 }
 
-means_something() {
+resolves() {
     timeout 3 getent ahosts "$1" >/dev/null
 }

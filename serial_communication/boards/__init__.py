@@ -1,13 +1,14 @@
-"""The boards: a folder each, the list of them, and how one is found by its name.
+"""The boards: one folder each, the list of them, and functions that find one by its name.
 
-    boards/NAME/__init__.py     `DESCRIPTION`, by which programs go: see description.py
+    boards/NAME/__init__.py     `DESCRIPTION`, which programs read: see description.py
                 wire.py         bytes <-> typed messages; pure
                 link.py         the open port: session rules, counters; no rospy
                 ros.py          `INTERFACE`, topics and services: see ros/interface.py
-                simulator.py    `BOARD`, the other end of the line: see simulation/board.py
+                simulator.py    `BOARD`, the simulated board: see simulation/board.py
 
-and what only that board has. A board of another package is such a folder elsewhere, and is named as
-Python imports it. Nothing is imported until somebody asks, so that the simulators need no ROS.
+Other files there belong to one board only. A board of another package has the same folder
+elsewhere; its name is the package's import name. A board is imported only when it is asked for, so
+the simulators need no ROS.
 """
 import importlib
 import traceback
@@ -20,17 +21,17 @@ BOARDS: Tuple[str, ...] = ('bus', 'arduino', 'mcu')
 
 
 class BoardError(ImportError):
-    """A board cannot be imported, or is none; the text is one line."""
+    """A board cannot be imported, or its module describes no board; the text is one line."""
 
 
 def description(name: str) -> Description:
     """The description of a board.
 
     Args:
-        name: one of `BOARDS`, or a package with a board, as Python imports it.
+        name: one of `BOARDS`, or the import name of a package with a board.
 
     Raises:
-        BoardError: it cannot be imported, or has no `DESCRIPTION`.
+        BoardError: the module cannot be imported, or has no `DESCRIPTION`.
     """
     found = getattr(load(f'{__name__}.{name}' if name in BOARDS else name), 'DESCRIPTION', None)
     if not isinstance(found, Description):
@@ -39,14 +40,14 @@ def description(name: str) -> Description:
 
 
 def find(name: str, packages: Iterable[str] = ()) -> Description:
-    """The board with the link of this name.
+    """The board whose link has this name.
 
     Args:
-        name: of a link, or of a package with a board.
-        packages: with boards, as the bridge's parameter `boards` names them.
+        name: name of a link, or import name of a package with a board.
+        packages: import names of packages with boards, as in the bridge's parameter `boards`.
 
     Raises:
-        BoardError: there is none.
+        BoardError: there is no such board.
     """
     if name in BOARDS:
         return description(name)
@@ -61,8 +62,8 @@ def load(name: str) -> ModuleType:
     """Import a module.
 
     Raises:
-        BoardError: there is no such module, or it raises whatever it may be (also SystemExit:
-            a module that calls sys.exit).
+        BoardError: there is no such module, or importing it raised any exception (SystemExit
+            included).
     """
     try:
         return importlib.import_module(name)
@@ -71,7 +72,10 @@ def load(name: str) -> ModuleType:
 
 
 def reason(error: BaseException) -> str:
-    """What code of another package raised, and where, in one line; by who has caught it."""
+    """The text of a caught exception and the place that raised it, in one line.
+
+    The caller's own stack frame is left out.
+    """
     what = ' '.join(traceback.format_exception_only(type(error), error)[-1].split())
     if len(what) > 200:
         what = what[:199] + '…'

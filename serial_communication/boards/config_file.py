@@ -1,4 +1,4 @@
-"""A file with parameters of the bridge, for programs that need no ROS."""
+"""Reads a file with parameters of the bridge, for programs without ROS."""
 from typing import Any, Dict
 
 
@@ -6,11 +6,11 @@ def read_parameters(path: str) -> Dict[str, Any]:
     """The parameters in a file, nested as the parameter server holds them.
 
     Raises:
-        OSError: it cannot be read.
-        ValueError: it is no YAML, or has no parameters; the text is one line for a person.
+        OSError: the file cannot be read.
+        ValueError: it is no YAML, or has no parameters; the text is one line.
     """
     try:
-        import yaml     # here alone: boards without a configuration need pyserial and no more
+        import yaml     # not at the top: without a configuration only pyserial is needed
     except ImportError:
         raise ValueError('reading it needs PyYAML (python3-yaml)') from None
     try:
@@ -19,11 +19,11 @@ def read_parameters(path: str) -> Dict[str, Any]:
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ValueError('is no YAML: ' + ' '.join(str(error).split())) from None
     if not isinstance(given, dict):
-        raise ValueError('has no parameters by name')
+        raise ValueError('is no table of parameters (NAME: VALUE)')
     return given
 
 
-def of_board(parameters: Any, name: str) -> Dict[str, Any]:
-    """A board's own ones of nested parameters; none where there is no such group."""
+def board_parameters(parameters: Any, name: str) -> Dict[str, Any]:
+    """The parameters of one board, from all of them; empty if there is no such group."""
     group = parameters.get(name) if isinstance(parameters, dict) else None
     return group if isinstance(group, dict) else {}

@@ -1,81 +1,81 @@
-"""What a board is, in types: all that programs ask of one.
+"""The description of a board: what the programs need to know about it.
 
-A board's folder has one in its `__init__.py`, as `DESCRIPTION`. It imports the board's `wire`
-alone; the modules with the link, with ROS and with the simulator are imported when they are asked
-for.
+The `__init__.py` of a board's folder holds it as `DESCRIPTION` and imports only the board's `wire`.
+The modules with the link, ROS and the simulator are imported on first use.
 """
 import enum
 import importlib
 from dataclasses import dataclass, field
 from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple
 
+from ..framing.stream import Decoder
+
 
 class Topic(NamedTuple):
-    """A topic that the board's data is published on. `name` is relative to the node: ~imu,
-    mcu/status."""
+    """A topic with data of the board. `name` is relative to the node: ~imu, mcu/status."""
 
     name: str
-    type: str                         # as ROS has it: package/Type
-    period: Optional[float] = None    # s from one message to the next; None: not known
-    period_parameter: str = ''        # the board's parameter that has the period
-    ages: bool = True                 # False: comes on change alone, so that no age is too old
+    type: str                         # ROS type: package/Type
+    period: Optional[float] = None    # s between two messages; None: not known
+    period_parameter: str = ''        # name of the board's parameter with the period
+    ages: bool = True                 # False: published on change only, so it never becomes stale
     optional: bool = False            # only some boards send it
 
 
 class CustomRows(NamedTuple):
     """The rows of parameters that make custom messages or functions."""
 
-    parameter: str                        # of the board's, which holds them by name
-    read: Callable[[Any], List[Any]]      # RowError for the first mistake
-    prefix: str                           # before a row's name, for the name of its topic
+    parameter: str                        # the board's parameter that holds the rows by name
+    read: Callable[[Any], List[Any]]      # raises RowError for the first mistake
+    prefix: str                           # prefix + the row's name is the name of its topic
 
 
 class Command(enum.Enum):
-    """What the `command` of a frame is."""
+    """The meaning of a frame's `command`."""
 
     NOTHING = 'nothing'
-    FUNCTION = 'function'    # what is asked; the board sends replies alone, one a request, and
-    #                          the decoder of them has explain(frame, request)
+    FUNCTION = 'function'    # the requested function. The board only replies, once to each request;
+    #                          the decoder of replies has explain(frame, request)
     SEQUENCE = 'sequence'    # a running number, modulo 256
 
 
 class Heartbeat(NamedTuple):
-    """What is to be sent steadily."""
+    """A message that has to be sent at a steady rate."""
 
     type: int
-    longest_gap: float       # s after which the board stops its motor
+    longest_gap: float       # s without one after which the board stops its motor
 
 
 @dataclass(frozen=True)
 class Description:
     """One board."""
 
-    name: str       # of its link, in logs, diagnostics, serial_msg and parameters
-    package: str    # its folder, as Python imports it: __name__
-    # (sent, parameters): a decoder of what is sent to the board, or of what the board sends, as
-    # the board's own parameters have it; RowError for a mistake in them. A name that is not there
-    # has its default.
-    decoder: Callable[[bool, Mapping[str, Any]], Any]
+    name: str       # name of its link in logs, diagnostics, serial_msg and parameters
+    package: str    # import name of its folder: __name__
+    # decoder(sent, parameters) returns a decoder of what is sent to the board (sent is true) or of
+    # what the board sends. `parameters` are the board's; a missing one has its default. Raises
+    # RowError for a mistake in them.
+    decoder: Callable[[bool, Mapping[str, Any]], Decoder]
     title: str = ''    # what it is, for people: model car
     topics: Tuple[Topic, ...] = ()
-    other_names: Tuple[str, ...] = ()        # of topics with commands, and of services
+    other_names: Tuple[str, ...] = ()        # names of command topics and of services
     custom: Optional[CustomRows] = None
-    # Parameters, false by default, that change how the bytes are read: what each means.
+    # Names of parameters, false by default, that change how bytes are decoded; with their meaning.
     wire_flags: Mapping[str, str] = field(default_factory=dict)
     command: Command = Command.NOTHING
     heartbeat: Optional[Heartbeat] = None
-    baud: int = 115200               # of its line, unless somebody says otherwise
-    # Bytes that end a frame, stand nowhere inside one, and may also stand between two.
+    baud: int = 115200               # default of the port's rate
+    # Bytes that end a frame, are never inside one, and may also separate two frames.
     between: bytes = b''
-    first_after_loss: bytes = b''    # is sent first after a part of what was sent has been dropped
-    # s; behind a network, a board that is silent for so long after it was sent something is
-    # connected anew: what it was sent may wait where nobody sees it. 0: never.
+    first_after_loss: bytes = b''    # has to be sent first after some output was dropped
+    # s. If the board is silent for so long after something was sent, a network port is closed and
+    # opened again, since the data may still wait in the network. 0: never.
     network_silence: float = 0.0
-    silent_after: bytes = b''        # a frame, behind which it is silent for long all the same
+    silent_after: bytes = b''        # a frame after which the board is silent for minutes
 
     @property
     def interface(self) -> Any:
-        """Its class on the ROS side: see `ros.interface.Interface`."""
+        """The board's class on the ROS side: see `ros.interface.Interface`."""
         return importlib.import_module(self.package + '.ros').INTERFACE
 
     @property

@@ -1,17 +1,20 @@
 """Bytes <-> frames <-> typed messages. Pure: no I/O, no clock, no thread, no rospy.
 
-Every decoder has the same members: ``feed(data, stamp)`` takes what was read, in whatever chunks
-it came, and returns the frames that are complete now; ``pending`` tells whether there are bytes of
-which no frame has been returned, ``begun`` whether a frame has begun; ``give_up()`` drops that
-beginning and returns what stands behind it, or noise that has ended; ``skip_false_start()`` drops
-it only where a valid frame stands behind, and ``front`` and ``needed`` tell when it is time for
-that; ``explain(frame)`` tells which bytes of a frame are what. A decoder never raises for what a
-line may carry: a bad frame is returned as a `Frame` with a cause, and counted in ``errors`` under
-that cause.
+Every decoder has the members of `stream.Decoder`. The frames that it returns do not depend on how
+the bytes were cut into reads. A decoder never raises for bytes that a line may carry: it returns an
+invalid frame as a `Frame` with a cause, and counts it in ``errors`` under that cause.
 
-Every class of messages has ``TYPE``, ``LABEL`` (its name in words), ``LAYOUT`` (how many bytes of
-data it has and what they are), ``unpack(data)``, ``pack()``, ``implausible()`` (why its values
-cannot be, or '') and ``parts(data)`` (which bytes are which value); ``str(message)`` is a line for
-people. `layout.message_class` makes the simple ones, and `layout.row_methods` gives a class written
-by hand what it does not define itself.
+Every message class has
+
+    TYPE             its type on the wire
+    LABEL            its name, for people
+    LAYOUT           which values its data has, and where
+    unpack(data)     the message
+    pack()           the data
+    implausible()    why its values are impossible, or ''
+    parts(data)      which bytes hold which value
+    str(message)     one line for people
+
+`layout.message_class` makes the simple classes. The others derive from `layout.LayoutMessage` and
+override what differs.
 """

@@ -10,11 +10,14 @@ _BLOCK = 254  # most bytes in one block
 
 
 class CobsError(ValueError):
-    """The bytes are no COBS encoding; the text says why."""
+    """The bytes are not a COBS encoding; the text says why."""
 
 
 def encode(data: bytes) -> bytes:
-    """`data` without zeros, a byte longer for every 254 begun; the ending 0x00 is not added."""
+    """Encode `data`; the result has no zero byte and lacks the 0x00 that ends a packet.
+
+    It is 1 to 1 + len(data) // 254 bytes longer than `data`.
+    """
     out = bytearray()
     runs = bytes(data).split(b'\0')
     last = len(runs) - 1
@@ -34,28 +37,28 @@ def decode(encoded: bytes) -> bytes:
     """The inverse of `encode`.
 
     Raises:
-        CobsError: a zero inside, a code that runs past the end, or no byte at all.
+        CobsError: `encoded` is empty, has a zero byte, or a code that runs past the end.
     """
     if not encoded:
         raise CobsError('no bytes')
     if 0 in encoded:
-        raise CobsError('zero inside')
-    decoded = undo(encoded)
+        raise CobsError('a zero byte')
+    decoded = decode_or_none(encoded)
     if decoded is None:
         raise CobsError('a code runs past the end')
     return decoded
 
 
-def undo(encoded: bytes) -> Optional[bytes]:
-    """`decode` for a decoder's inner loop, which knows that `encoded` has bytes and no zero.
+def decode_or_none(encoded: bytes) -> Optional[bytes]:
+    """`decode` for callers who know that `encoded` is not empty and has no zero.
 
-    None where a code runs past the end: an exception would cost a bad packet more time than all
-    the rest of it.
+    Returns None where a code runs past the end: raising an exception would take longer than the
+    decoding.
     """
     size = len(encoded)
     at = 0
     if size <= _BLOCK:
-        # No block can be full, so each code byte's place is a left-out zero's: write it there.
+        # No block can be full, so every code byte but the first stands where a zero was.
         out = bytearray(encoded)
         while at < size:
             code = out[at]
@@ -73,13 +76,15 @@ def undo(encoded: bytes) -> Optional[bytes]:
     return bytes(out) if at == size else None
 
 
-def trace(encoded: bytes) -> Tuple[bytes, List[int], int]:
-    """What can be decoded, where each byte of it stands in `encoded`, and what is missing.
+def decode_with_places(encoded: bytes) -> Tuple[bytes, List[int], int]:
+    """Decode as far as possible, also where the end is missing.
 
-    A zero stands where the code byte is that tells of it. What is missing is the number of bytes
-    by which the last code runs past the end.
+    Returns:
+        the decoded bytes; for each of them its index in `encoded`, where a decoded zero maps to its
+        code byte; and the number of bytes by which the last code runs past the end.
     """
-    out, places = bytearray(), []
+    out = bytearray()
+    places: List[int] = []
     at = past = 0
     while at < len(encoded):
         code = encoded[at]

@@ -1,15 +1,16 @@
 """Rows of parameters -> custom messages.
 
-A board's ``messages`` hold one entry each by name, with the keys that config/own_messages.yaml
-shows. Here they become message classes and layouts; whatever they have of ROS (types, topics) is
-text here, for others to resolve.
+A board's ``messages`` hold one row for each custom message, by name, with the keys that
+config/custom_messages.yaml shows. This module makes message classes and layouts of them. ROS types
+and topics stay text here; `ros` resolves them.
 """
 import difflib
 import re
 from math import inf, isnan
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Pattern, Sequence, Tuple, Type
 
-from .layout import Layout, LayoutTooLong, Value, brief, count_values, message_class, readable
+from .layout import (Layout, LayoutMessage, LayoutTooLong, Value, brief, count_values,
+                     message_class, readable)
 
 FROM_BOARD, TO_BOARD = 'from_board', 'to_board'
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
@@ -18,15 +19,15 @@ _PATH = re.compile(rf'({_STEP}(\.{_STEP})*)?')
 ROS_TYPE = re.compile(r'[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*')
 LAYOUT_KEYS = ('layout', 'fields', 'scale', 'offset', 'minimum', 'maximum')
 _MESSAGE_KEYS = ('type', 'direction', 'ros_type', 'frame_id') + LAYOUT_KEYS
-_HUGE = 2 ** 64     # no raw number is as big
+_HUGE = 2 ** 64     # greater than any raw number
 
 
 class RowError(ValueError):
-    """An entry that cannot be used; the text is one line.
+    """A row that cannot be used; the text is one line.
 
     Args:
         key: the parameter, as ``arduino/messages/force/layout``.
-        value: what it is; None: it is missing.
+        value: its value; None: it is missing.
         allowed: what it may be, in words.
     """
 
@@ -38,12 +39,12 @@ class RowError(ValueError):
 
 
 class CustomMessage(NamedTuple):
-    """An entry of ``messages``."""
+    """What a row of ``messages`` describes."""
 
     name: str
-    key: str               # of the entry, as arduino/messages/force
-    kind: Any              # the class of the message; its values are named by their fields
-    is_command: bool       # to the board
+    key: str               # of the row, as arduino/messages/force
+    kind: Type[LayoutMessage]    # the names of its values are paths of ROS fields
+    is_command: bool       # sent to the board
     ros_type: str
     frame_id: str
 
@@ -53,14 +54,14 @@ def read_messages(entries: Any, key: str, types: Sequence[int], longest: int,
     """The custom messages of a board.
 
     Args:
-        entries: by their names.
-        key: of all of them among the parameters, as ``arduino/messages``.
-        types: that they may have, sorted.
-        longest: bytes of data.
-        directions: that they may have.
+        entries: the rows, by name.
+        key: their parameter, as ``arduino/messages``.
+        types: the allowed types, sorted.
+        longest: the most bytes of data that a message may have.
+        directions: the allowed directions.
 
     Raises:
-        RowError: for the first mistake.
+        RowError: a row cannot be used; the first of them is reported.
     """
     messages: List[CustomMessage] = []
     for name, row in rows(entries, key, _MESSAGE_KEYS):
@@ -78,7 +79,15 @@ def read_messages(entries: Any, key: str, types: Sequence[int], longest: int,
 
 
 class Row:
-    """One entry's keys and what they may be."""
+    """One row: reads its keys and checks them.
+
+    Every method raises RowError for a value that is not allowed.
+
+    Args:
+        key: of the row, as ``arduino/messages/force``.
+        given: its keys with their values.
+        keys: the allowed keys.
+    """
 
     def __init__(self, key: str, given: Any, keys: Tuple[str, ...]) -> None:
         self.key = key
@@ -88,24 +97,25 @@ class Row:
         for unknown in given:
             if unknown not in keys:
                 near = difflib.get_close_matches(str(unknown), keys, 1)
-                raise RowError(self.name(unknown), given[unknown], 'is no key of an entry; '
+                raise RowError(self.name(unknown), given[unknown], 'is not a key of a row; '
                                + (f'did you mean {near[0]}?' if near else ', '.join(keys)))
 
     def name(self, key: str) -> str:
-        """The whole name of a key."""
+        """The full name of a key's parameter."""
         return f'{self.key}/{key}'
 
     def number(self, key: str, may_be: Callable[[float], bool], allowed: str,
                default: Optional[float] = None, whole: bool = False) -> Any:
-        """A number that `may_be`."""
+        """The number of a key, for which `may_be` is true; `allowed` says which these are."""
         value = self.given.get(key, default)
         is_number = type(value) in ((int,) if whole else (int, float))
         if not is_number or (key in self.given and not may_be(value)):
             raise RowError(self.name(key), value, f'may be {allowed}')
         return value
 
-    def text(self, key: str, pattern: Any, allowed: str, default: Optional[str] = None) -> str:
-        """A text that matches the pattern."""
+    def text(self, key: str, pattern: Optional[Pattern[str]], allowed: str,
+             default: Optional[str] = None) -> str:
+        """The text of a key, which matches the pattern."""
         if default is not None and key not in self.given:
             return default
         value = self.given.get(key)
@@ -114,19 +124,19 @@ class Row:
         return value
 
     def flag(self, key: str) -> bool:
-        """True or false, false by default."""
+        """Whether a key is true; the default is false."""
         value = self.given.get(key, False)
         if type(value) is not bool:
             raise RowError(self.name(key), value, 'may be true or false')
         return value
 
     def refuse_second(self, key: str, value: int, names: Dict[int, str]) -> None:
-        """A number that another entry has already."""
+        """Refuse a number that another row has; `names` are the rows by number."""
         if value in names:
-            raise RowError(self.name(key), value, f'is that of {names[value]}, too')
+            raise RowError(self.name(key), value, f'is already the {key} of {names[value]}')
 
     def layout(self, longest: int) -> Tuple[str, List[Value]]:
-        """The keys that say what the bytes are, at most `longest` of them."""
+        """The format and its values, by the keys `LAYOUT_KEYS`; at most `longest` bytes of data."""
         layout = self.text('layout', None, 'a format of Python\'s struct, as <hB')
         paths = self.given.get('fields')
         if type(paths) is not list or not all(
@@ -152,26 +162,27 @@ class Row:
         offsets = self._each('offset', len(paths), 0, lambda n: abs(n) < inf, 'a number')
         minima = self._each('minimum', len(paths), -inf, lambda n: True, 'a number')
         maxima = self._each('maximum', len(paths), inf, lambda n: True, 'a number')
-        values = [Value(path, '', *numbers) for path, *numbers in zip(
-            paths, scales, offsets, minima, maxima)]
+        values = [Value(path, '', scale, offset, minimum, maximum)
+                  for path, scale, offset, minimum, maximum in zip(
+                      paths, scales, offsets, minima, maxima)]
         self._check_limits(Layout(layout, values))
         return layout, values
 
     def _each(self, key: str, count: int, default: float, may_be: Callable[[float], bool],
               allowed: str) -> List[float]:
-        """A number for each value: one for all, or a list."""
+        """A number for each value, from a list or from one number for all."""
         given = self.given.get(key, default)
         numbers = given if type(given) is list else [given] * count
         if len(numbers) != count or not all(
                 _is_number(number) and may_be(number) for number in numbers):
             raise RowError(self.name(key), given, f'may be {allowed}, or a list of {count}')
-        # A whole number stays one, but no product of it with a raw one is beyond a float.
+        # Whole numbers stay whole, except where a product with a raw number could overflow a float.
         return [number if abs(number) < _HUGE else float(number) for number in numbers]
 
     def _check_limits(self, layout: Layout) -> None:
-        """A limit that its place cannot hold is a mistake, and so is one beyond the other.
+        """Refuse a limit that no raw number reaches, and a minimum above its maximum.
 
-        One number for all values has to fit one of them.
+        One limit for all values has to be in the range of at least one of them.
         """
         limited = [(value, value.range) for value in layout.values
                    if value.name and value.kind != 'text']
@@ -191,7 +202,7 @@ class Row:
 
 
 def _is_number(value: Any) -> bool:
-    """Whether it is one, not NaN, that a float can be."""
+    """Whether it is a number that a float can represent, and not NaN."""
     try:
         return type(value) in (int, float) and not isnan(value)
     except OverflowError:
@@ -199,9 +210,13 @@ def _is_number(value: Any) -> bool:
 
 
 def rows(entries: Any, key: str, keys: Tuple[str, ...]) -> List[Tuple[str, Row]]:
-    """Each entry by its name; RowError where there are none, or one is no group."""
+    """All rows with their names, sorted.
+
+    Raises:
+        RowError: `entries` is not a group of rows, or a row is not a group of the allowed keys.
+    """
     if not isinstance(entries, dict):
-        raise RowError(key, entries, 'may be a group of entries, one a name')
+        raise RowError(key, entries, 'may be a group of rows, each with a name')
     for name in entries:
         if type(name) is not str or not _NAME.fullmatch(name):
             raise RowError(f'{key}/{name}', name, 'may have a name of letters, digits and _ that '

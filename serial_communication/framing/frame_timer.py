@@ -1,16 +1,16 @@
-"""When a frame that stays incomplete is given up. Times come from the caller's one clock."""
+"""When an incomplete frame is given up. All times are seconds of one monotonic clock."""
 from typing import List, Optional
 
 from .stream import Decoder, Frame
 
 
 class FrameTimer:
-    """Watches one decoder; serves both ends of a line.
+    """Watches one decoder, of a link or of a simulated board.
 
-    A frame is given up, and noise has ended, when no byte has come for `timeout`. Where bytes keep
-    coming, but the frame has taken `timeout` longer than its bytes do on the wire, it is given up
-    if a valid one waits behind its start: a false length must not delay valid frames for as long
-    as others follow them.
+    After `timeout` without a byte an incomplete frame is given up, and noise ends. A frame with a
+    false length could still delay valid frames for as long as bytes keep arriving. So a frame that
+    takes `timeout` longer than its bytes need on the wire is given up, too, if a valid frame
+    begins inside it.
 
     Args:
         decoder: whose pending frame is watched.
@@ -22,21 +22,26 @@ class FrameTimer:
         self._decoder = decoder
         self._timeout = timeout
         self._seconds_a_byte = 10.0 / baud
-        self._front: Optional[int] = None  # where the frame begins that is pending …
-        self._front_at = 0.0               # … and since when it does
+        self._front: Optional[int] = None  # where in the stream the pending frame begins
+        self._front_at = 0.0               # when it was first seen there
 
     def reset(self) -> None:
-        """The line is another one."""
+        """Begin again, as after a reconnect."""
         self._front = None
 
     def due(self, last_byte: float, now: float) -> Optional[float]:
-        """When to ask `overdue` at the latest; None while nothing is pending."""
+        """When to call `overdue` at the latest; None while nothing is pending.
+
+        Args:
+            last_byte: when the latest byte was received.
+        """
         if not self._decoder.pending:
             return None
         return min(last_byte + self._timeout, self._overlong_at(now))
 
     def overdue(self, last_byte: float, now: float) -> List[Frame]:
-        """What turns up, good and bad, when what has waited too long is given up."""
+        """Give up a frame that has waited too long; return the frames, valid and invalid, that
+        this completes."""
         decoder = self._decoder
         frames: List[Frame] = []
         if now >= last_byte + self._timeout:

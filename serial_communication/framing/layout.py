@@ -1,8 +1,8 @@
-"""Messages that are rows: a struct format and, for each value in it, its name and its limits.
+"""Messages that a struct format describes, with a name, a scale and limits for each value.
 
-A `Layout` unpacks and packs such a message, says what is implausible, prints it, and tells which
-bytes are which value. `message_class` makes the class of a message from one: the simple messages
-of the three links are made so, and so are those that users add by parameters.
+A `Layout` unpacks, packs, checks and prints such a message, and says which bytes hold which value.
+`message_class` makes the class of a message from one: the simple messages of all links, and the
+custom messages.
 """
 import re
 import struct
@@ -14,7 +14,7 @@ from unicodedata import category
 from .parts import Part
 
 NUMBERS = 'bBhHiIlLqQefd?'     # struct's codes that hold one number each
-FRACTIONS = 'efd'             # of these, the ones that need not be whole
+FRACTIONS = 'efd'             # those of them for floats
 _RANGES = {'?': (0, 1), 'e': (-65504.0, 65504.0), 'f': (-3.4028234663852886e38,
            3.4028234663852886e38), 'd': (-inf, inf), 's': (-inf, inf)}
 
@@ -22,16 +22,16 @@ _RANGES = {'?': (0, 1), 'e': (-65504.0, 65504.0), 'f': (-3.4028234663852886e38,
 class Value(NamedTuple):
     """One value of a message: value = raw * scale + offset."""
 
-    name: str                  # '': left out, packed as 0
+    name: str                  # '': left out when received, packed as 0
     unit: str = ''
     scale: float = 1
     offset: float = 0
     minimum: float = -inf      # of the value, not of the raw number
     maximum: float = inf
-    # Its place, which the `Layout` that has it fills in:
-    code: str = ''             # struct's code, 's' for a text
-    start: int = 0             # in the data
-    end: int = 0               # -1: it goes on to the data's end
+    # Its place in the data, filled in by the `Layout` that has it:
+    code: str = ''             # struct's code; 's': a text
+    start: int = 0             # index of its first byte
+    end: int = 0               # index after its last byte; -1: it extends to the end of the data
 
     @property
     def kind(self) -> str:
@@ -40,35 +40,37 @@ class Value(NamedTuple):
 
     @property
     def room(self) -> Optional[int]:
-        """Bytes of its place; None: as many as there are."""
+        """How many bytes its place has; None: all up to the end of the data."""
         return self.end - self.start if self.end >= 0 else None
 
     @property
     def is_scaled(self) -> bool:
-        """Whether it differs from the raw number. A whole one stays one, also with a scale of
-        1.0."""
+        """Whether the value differs from the raw number.
+
+        A scale of 1.0 counts as none, so an int stays an int.
+        """
         return self.scale != 1 or self.offset != 0
 
     @property
     def is_whole(self) -> bool:
-        """Whether it is a whole number, or several, whatever is sent."""
+        """Whether the value is always a whole number, or an array of them."""
         return self.code not in FRACTIONS + 's' and (
             not self.is_scaled or isinstance(self.scale, int) and isinstance(self.offset, int))
 
     @property
     def may_be_nan(self) -> bool:
-        """Whether it may be no number, or infinite."""
+        """Whether it may be NaN or infinite."""
         return self.code in FRACTIONS
 
     @property
     def range(self) -> Tuple[float, float]:
-        """The least and the largest value that its place holds; without limits for a text."""
+        """The least and the greatest value that its place can hold; infinite for a text."""
         low, high = (raw * self.scale + self.offset
                      for raw in _RANGES.get(self.code) or _whole_range(self.code))
         return min(low, high), max(low, high)
 
     def scaled(self, raw: Any) -> Any:
-        """The value of a number, of each number of a tuple, or the text itself."""
+        """The value of a raw number, or of each number in a tuple; a text stays as it is."""
         if isinstance(raw, str) or not self.is_scaled:
             return raw
         if isinstance(raw, tuple):
@@ -76,8 +78,12 @@ class Value(NamedTuple):
         return raw * self.scale + self.offset
 
     def packed(self, given: Any, order: str) -> bytes:
-        """The data of a value; struct.error, OverflowError, TypeError, ValueError or
-        AttributeError where its place cannot hold it."""
+        """The data of a value, in the byte order '<' or '>'.
+
+        Raises:
+            struct.error, OverflowError, TypeError, ValueError, AttributeError: its place cannot
+                hold the value.
+        """
         if self.code == 's':
             text = given.encode()
             if b'\0' in text or 0 <= self.end < self.start + len(text):
@@ -87,7 +93,7 @@ class Value(NamedTuple):
         return struct.pack(f'{order}{len(numbers)}{self.code}', *map(self._raw, numbers))
 
     def _raw(self, number: Any) -> Any:
-        """The nearest raw number."""
+        """The raw number that is nearest to a value."""
         if not isinstance(number, (int, float)):
             raise TypeError
         if self.is_scaled:
@@ -98,8 +104,8 @@ class Value(NamedTuple):
             return number != 0
         return number if self.code in FRACTIONS else round(number)
 
-    def objection(self, given: Any) -> str:
-        """Why a value, or a number of an array, cannot be, or ''."""
+    def why_implausible(self, given: Any) -> str:
+        """Why a value, or one number of an array, is outside its limits; '' if it is not."""
         for number in given if isinstance(given, tuple) else (given,):
             if not isinstance(number, str) and not self.minimum <= number <= self.maximum \
                     and (self.minimum > -inf or self.maximum < inf):
@@ -107,15 +113,16 @@ class Value(NamedTuple):
         return ''
 
     def _limits(self) -> str:
+        unit = f' {self.unit}'.rstrip()
         if self.maximum == inf:
-            return f'under {self.minimum:g} {self.unit}'.rstrip()
+            return f'below the minimum of {self.minimum:g}{unit}'
         if self.minimum == -inf:
-            return f'over {self.maximum:g} {self.unit}'.rstrip()
-        return f'not within {self.minimum:g} to {self.maximum:g} {self.unit}'.rstrip()
+            return f'above the maximum of {self.maximum:g}{unit}'
+        return f'out of range ({self.minimum:g} … {self.maximum:g}{unit})'
 
 
 class LayoutTooLong(ValueError):
-    """A format with more data than a message can carry."""
+    """The format has more data than a message can carry."""
 
 
 class Layout:
@@ -123,12 +130,13 @@ class Layout:
 
     Args:
         layout: a format of the struct module that begins with ``<`` or ``>``. A last ``*``
-            repeats the character before it to the data's end: one value, a tuple. A last ``s``
-            without a number is text to the data's end or its first 0x00. Texts are UTF-8.
+            repeats the character before it to the end of the data, as one value, a tuple. A last
+            ``s`` without a number is a text to the end of the data or its first 0x00. Texts are
+            UTF-8.
         values: one for each value in the format.
 
     Raises:
-        ValueError: a format that cannot be, or another number of values than it has.
+        ValueError: the format is invalid, or it has another number of values.
     """
 
     def __init__(self, layout: str, values: Sequence[Value]) -> None:
@@ -140,14 +148,15 @@ class Layout:
         self.values = tuple([value._replace(code=code, start=start, end=end)
                              for value, (code, start, end) in zip(values, places)])
         self._struct = struct.Struct(fixed)
-        self.size = self._struct.size      # bytes of data; the least where more are allowed
-        self._step = struct.calcsize(layout[0] + rest) if rest else 0    # bytes more, each time
+        self.size = self._struct.size      # bytes of data, at least
+        # Bytes of one more number or character in the last value; 0: the size is fixed.
+        self._step = struct.calcsize(layout[0] + rest) if rest else 0
         self._scaled = [(index, value) for index, value in enumerate(self.values)
                         if value.is_scaled]
         self._limited = [(index, value.minimum, value.maximum)
                          for index, value in enumerate(self.values) if value.kind != 'text'
                          and (value.minimum > -inf or value.maximum < inf)]
-        # Of each packet one of these is called: struct's own function where that is enough.
+        # Called for every packet, so it is struct's own function where that is enough.
         is_simple = all(value.kind == 'number' for value in self.values)
         self.raw: Callable[[bytes], Tuple] = self._struct.unpack if is_simple else self._raw
         self.unpack: Callable[[bytes], Tuple] = self._unpack if self._scaled else self.raw
@@ -156,30 +165,30 @@ class Layout:
 
     @property
     def is_empty(self) -> bool:
-        """Whether there is no data."""
+        """Whether such a message has no data."""
         return not self.size and not self.values
 
     def fits(self, size: int) -> bool:
-        """Whether data of so many bytes can be such a message."""
+        """Whether such a message may have so many bytes of data."""
         if self._step:
             return size >= self.size and (size - self.size) % self._step == 0
         return size == self.size
 
     def sizes(self) -> str:
-        """How many bytes of data it has, in words."""
+        """How many bytes of data it may have, in words."""
         if not self._step:
             return f'{self.size}'
-        return f'{self.size} or {self._step} more, {2 * self._step} more …'
+        return f'{self.size}, {self.size + self._step}, {self.size + 2 * self._step} …'
 
     def _unpack(self, data: bytes) -> Tuple:
-        """`unpack`: the values; struct.error where `data` has not the right length."""
+        """The general `unpack`: the values; struct.error if `data` has the wrong length."""
         values = list(self.raw(data))
         for index, value in self._scaled:
             values[index] = value.scaled(values[index])
         return tuple(values)
 
     def _raw(self, data: bytes) -> Tuple:
-        """`raw`: the numbers and texts as they were sent; struct.error likewise."""
+        """The general `raw`: raw numbers and texts; struct.error if `data` has the wrong length."""
         if not self.fits(len(data)):
             raise struct.error(f'{len(data)} bytes of data, not {self.sizes()}')
         raw = self._struct.unpack_from(data)
@@ -195,7 +204,7 @@ class Layout:
         """The data of these values.
 
         Raises:
-            ValueError: a value that its place cannot hold, or another number of them.
+            ValueError: a value that its place cannot hold, or the wrong number of values.
         """
         if len(values) != len(self.values):
             raise ValueError(f'{len(values)} values, not {len(self.values)}')
@@ -212,32 +221,32 @@ class Layout:
         return bytes(data)
 
     def pack_raw(self, raw: Sequence) -> bytes:
-        """The data of raw numbers, where nothing goes on to its end; struct.error as in struct."""
+        """The data of raw numbers, for a layout of fixed size; struct.error as in struct."""
         return self._struct.pack(*raw)
 
-    # -- what values say --------------------------------------------------------------------
+    # -- checks and texts -------------------------------------------------------------------
 
     def implausible(self, values: Sequence) -> str:
-        """Why one of these values cannot be; '' where all can."""
+        """Why one of these values is outside its limits; '' if none is."""
         for index, minimum, maximum in self._limited:
             given = values[index]
             if isinstance(given, tuple) or not minimum <= given <= maximum:
-                reason = self.values[index].objection(given)
+                reason = self.values[index].why_implausible(given)
                 if reason:
                     return reason
         return ''
 
     def text(self, values: Sequence) -> str:
-        """The values by name, in one line; a value named ``value`` stands alone."""
+        """The values in one line, as NAME=VALUE UNIT; the name ``value`` is left out."""
         return ' '.join(('' if value.name == 'value' else value.name + '=')
                         + _words(given, value.unit)
                         for given, value in zip(values, self.values) if value.name)
 
     def parts(self, data: bytes, unpack: Optional[Callable[[bytes], Tuple]] = None) -> List[Part]:
-        """Which bytes of `data` are which value, whatever its length is.
+        """The bytes of each value, for `data` of any length.
 
         Args:
-            unpack: what makes the values of the data, where that is not the layout's own.
+            unpack: makes the values of the data; None: as the layout does.
         """
         parts: List[Part] = []
         whole = len(data) if self.fits(len(data)) else self.size
@@ -254,7 +263,7 @@ class Layout:
                                   unit=value.unit).cut_short(missing))
             else:
                 parts.append(Part(start, end, name, data[start:end], raw, given, value.unit,
-                                  error=value.objection(given)))
+                                  error=value.why_implausible(given)))
         self._pad(parts, data, min(self.size, len(data)))
         at = parts[-1].end if parts else 0
         if at < len(data):
@@ -264,14 +273,14 @@ class Layout:
 
     @staticmethod
     def _pad(parts: List[Part], data: bytes, start: int) -> None:
-        """Bytes that hold no value stand before `start`."""
+        """Add the bytes before `start` that hold no value."""
         at, start = parts[-1].end if parts else 0, min(start, len(data))
         if start > at:
             parts.append(Part(at, start, 'padding', data[at:start]))
 
 
 def _split(layout: str) -> Tuple[str, str]:
-    """The format without what goes on to the data's end, and that one's code, or ''."""
+    """Split off the code of a last value that extends to the end of the data; '' if none does."""
     if layout[:1] not in ('<', '>'):
         raise ValueError('it does not begin with < or >')
     fixed, rest = layout.replace(' ', ''), ''
@@ -282,7 +291,8 @@ def _split(layout: str) -> Tuple[str, str]:
     elif fixed.endswith('s') and not fixed[-2:-1].isdigit():
         fixed, rest = fixed[:-1], 's'
     if fixed[-1:].isdigit():
-        raise ValueError('what goes on to the end of the data has no number before it')
+        raise ValueError('a last * or s that extends to the end of the data has no number before '
+                         'it')
     return fixed, rest
 
 
@@ -294,7 +304,7 @@ def _size(fixed: str) -> int:
 
 
 def _places(fixed: str, rest: str) -> List[Tuple[str, int, int]]:
-    """Of each value its code, its start and its end: see `Value`."""
+    """The code, start and end of each value; see `Value`."""
     size = _size(fixed)
     places, at = [], 0
     for number, code in re.findall(r'(\d*)(.)', fixed[1:]):
@@ -305,7 +315,7 @@ def _places(fixed: str, rest: str) -> List[Tuple[str, int, int]]:
             places += [(code, at + index * each, at + (index + 1) * each)
                        for index in range(count)]
         elif code != 'x':
-            raise ValueError(f'{code} holds no number and no text')
+            raise ValueError(f'{code} holds no number or text')
         at += count * each
     return places + [(rest, size, -1)] * bool(rest)
 
@@ -313,10 +323,11 @@ def _places(fixed: str, rest: str) -> List[Tuple[str, int, int]]:
 def count_values(layout: str, longest: int) -> int:
     """How many values a format has.
 
+    The size is checked first, since a few characters can describe more values than memory holds.
+
     Raises:
-        LayoutTooLong: it has more than `longest` bytes of data; found before memory is taken for
-            them, since a few characters can ask for any number of values.
-        ValueError: a format that cannot be.
+        LayoutTooLong: it has more than `longest` bytes of data.
+        ValueError: the format is invalid.
     """
     fixed, rest = _split(layout)
     if _size(fixed) > longest:
@@ -325,7 +336,7 @@ def count_values(layout: str, longest: int) -> int:
 
 
 def _whole_range(code: str) -> Tuple[int, int]:
-    """The least and the largest number of a code for whole ones."""
+    """The least and the greatest number of an integer code."""
     bits = 8 * struct.calcsize('<' + code)
     return (0, 2 ** bits - 1) if code.isupper() else (-2 ** (bits - 1), 2 ** (bits - 1) - 1)
 
@@ -343,7 +354,7 @@ def _words(given: Any, unit: str) -> str:
 
 
 def brief(given: Any, most: int) -> str:
-    """What a value is, in at most so many characters."""
+    """`repr` of a value, cut to `most` characters."""
     try:
         words = repr(given)
     except ValueError:      # Python prints no integer of over 4300 digits
@@ -351,8 +362,12 @@ def brief(given: Any, most: int) -> str:
     return words if len(words) <= most else words[:most - 1] + '…'
 
 
-class Row:
-    """Base of a message that is a row: see `message_class`. A tuple of its values."""
+class LayoutMessage(tuple):
+    """Base of the messages that a layout describes: a message is a tuple of its values.
+
+    `message_class` makes the simple ones. Another one is a class of its own, which also derives
+    from a NamedTuple with its fields.
+    """
 
     __slots__ = ()
     TYPE: int
@@ -361,53 +376,46 @@ class Row:
 
     @classmethod
     def unpack(cls, data: bytes) -> Any:
-        """From the data; struct.error where it has not the right length."""
+        """The message in `data`; struct.error if it has the wrong length."""
         return tuple.__new__(cls, cls.LAYOUT.unpack(data))
 
     def pack(self) -> bytes:
-        """The data; ValueError where a value does not fit its place."""
+        """The data; ValueError for a value that its place cannot hold."""
         return self.LAYOUT.pack(self)
 
     def implausible(self) -> str:
-        """Why these values cannot be, or ''."""
+        """Why a value is outside its limits; '' if none is."""
         return self.LAYOUT.implausible(self)
 
     @classmethod
     def parts(cls, data: bytes) -> List[Part]:
-        """Which bytes of the data are which value, whatever its length is."""
+        """The bytes of each value, for `data` of any length."""
         return cls.LAYOUT.parts(data)
 
     def __str__(self) -> str:
         return f'{self.LABEL} {self.LAYOUT.text(self)}'.rstrip()
 
 
-def row_methods(kind: Any) -> Any:
-    """Decorator of a NamedTuple with TYPE, LABEL and LAYOUT: what it does not define of a message's
-    methods is as in `Row`."""
-    for name in ('unpack', 'pack', 'parts', 'implausible', '__str__'):
-        if name not in vars(kind):
-            setattr(kind, name, vars(Row)[name])
-    return kind
-
-
 def message_class(name: str, type_: int, layout: str, values: Sequence[Value] = (),
                   label: str = '', doc: str = '') -> Any:
-    """The class of a message that is a row.
+    """Make the class of a message that a layout describes.
 
     Args:
         name: of the class.
         type_: the message's type on the wire.
-        layout, values: see `Layout`. Values are attributes of a message where their names can be.
-        label: what the message is called in a line for people; `name` if empty.
+        layout, values: see `Layout`. A value is an attribute of the message if its name is a
+            valid identifier.
+        label: the message's name for people; `name` if empty.
     """
-    # Not by the message's name, which may be a keyword of Python.
-    fields = namedtuple('Values', [value.name for value in values], rename=True)
-    return type(name, (Row, fields), {
+    # Not `name`, which may be a keyword of Python.
+    fields = namedtuple(  # type: ignore[misc]  # mypy wants the names in the source
+        'Values', [value.name for value in values], rename=True)
+    return type(name, (LayoutMessage, fields), {
         '__slots__': (), '__doc__': doc, 'TYPE': type_, 'LABEL': label or name,
         'LAYOUT': Layout(layout, values)})
 
 
 def readable(text: str) -> str:
-    """One line that harms no terminal."""
+    """`text` in one line that is safe to print: control characters are replaced."""
     return ''.join(c if c.isprintable() or category(c) == 'Zs' else '\N{REPLACEMENT CHARACTER}'
                    for c in text)

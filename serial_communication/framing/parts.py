@@ -1,32 +1,31 @@
-"""Which bytes of a frame are what: the answer that explains a frame to a person.
+"""What each byte of a frame means, for programs that explain frames to people.
 
-Every decoder has ``explain(frame)``, which gives the parts of one frame as it knows them, be the
-frame good, bad, incomplete or noise.
+``explain(frame)`` of a decoder returns the parts of one frame, valid, invalid, incomplete or noise.
 """
 from typing import Any, Callable, List, Mapping, NamedTuple, Optional
 
 
 class Part(NamedTuple):
-    """A named stretch of a frame's bytes.
+    """Adjacent bytes of a frame that have one name.
 
-    The parts of a frame stand in order, without gaps, and together are all of its bytes. What is
-    missing is a part without bytes, or with too few, that has an error.
+    The parts of a frame are in order, have no gaps, and together are all of its bytes. Missing
+    bytes are a part that has an error and fewer bytes than it should have, or none.
     """
 
     start: int             # its bytes are frame[start:end]
     end: int
-    name: str              # in the protocol's words, or the name of a value
-    data: bytes            # those bytes; decoded where the wire has them encoded
-    raw: Any = None        # the number or text in them; None where they are just bytes
-    value: Any = None      # what that stands for, in `unit`: scaled, turned, restored
+    name: str              # as the protocol has it, or the name of a value
+    data: bytes            # those bytes, decoded if the wire has them encoded
+    raw: Any = None        # the number or text in them; None: just bytes
+    value: Any = None      # that number scaled and converted, in `unit`
     unit: str = ''
-    meaning: str = ''      # in words, where there is more to say
-    error: str = ''        # what is wrong with it, '' where nothing is
-    missing: int = 0       # so many of its bytes are missing; then `error` says so
-    kind: Optional[str] = None     # what it makes the frame, in words; '': that is not known
+    meaning: str = ''      # more about it, in words
+    error: str = ''        # what is wrong; '': nothing
+    missing: int = 0       # how many of its bytes are missing; `error` says so, too
+    kind: Optional[str] = None     # for a type byte: the frame's kind in words; '': unknown
 
     def cut_short(self, missing: int) -> 'Part':
-        """The same part, of which so many bytes are missing."""
+        """The same part with so many bytes missing."""
         return self._replace(missing=missing,
                              error=f'missing, {missing} byte{"s" * (missing > 1)}')
 
@@ -44,7 +43,7 @@ class Parts:
 
     def __init__(self, frame: bytes) -> None:
         self.found: List[Part] = []
-        self.at = 0             # what stands before it is in `found`
+        self.at = 0             # index of the first byte that is in no part yet
         self._frame = frame
 
     @property
@@ -53,9 +52,9 @@ class Parts:
         return len(self._frame) - self.at
 
     def take(self, size: int, name: str, meaning: str = '', error: str = '') -> int:
-        """The next `size` bytes are one number, little-endian: return it.
+        """Add the next `size` bytes as one little-endian number, and return it.
 
-        Where some are missing, the part says so; what is missing counts as 0.
+        Missing bytes are noted in the part and count as 0.
         """
         number = int.from_bytes(self._frame[self.at:self.at + size], 'little')
         self.take_bytes(size, name, meaning, error, number)
@@ -63,7 +62,7 @@ class Parts:
 
     def take_bytes(self, size: int, name: str, meaning: str = '', error: str = '',
                    number: Any = None) -> None:
-        """The next `size` bytes are one part; where some are missing, it says so."""
+        """Add the next `size` bytes as one part; missing bytes are noted in it."""
         data = self._frame[self.at:self.at + size]
         part = Part(self.at, self.at + len(data), name, data, number, number, '', meaning, error)
         if len(data) < size:
@@ -71,8 +70,12 @@ class Parts:
         self.add(part)
 
     def take_kind(self, name: str, kinds: Mapping[int, str], must_be: bool = False) -> int:
-        """The next byte says of which kind the frame is: return it. It is an error to be none of
-        these where it `must_be` one."""
+        """Add the next byte, which gives the frame's kind, and return it.
+
+        Args:
+            kinds: in words, by number.
+            must_be: whether another number is an error.
+        """
         kind = kinds.get(self._frame[self.at], '') if self.left else None
         unknown = 'not known here' if kind == '' else ''
         number = self.take(1, name, kind or '', unknown) if must_be else \
@@ -81,7 +84,7 @@ class Parts:
         return number
 
     def take_data(self, size: int, parts_of: Callable[[bytes], List[Part]]) -> None:
-        """The next `size` bytes, or as many as there are, have parts of their own."""
+        """Add the parts that `parts_of` finds in the next `size` bytes, or in what is left."""
         begin, data = self.at, self._frame[self.at:self.at + size]
         parts = parts_of(data)
         for part in parts:
@@ -90,26 +93,26 @@ class Parts:
             self.take_bytes(size - len(data), 'data')
 
     def take_checksum(self, name: str, checked: bytes) -> None:
-        """The next byte is the XOR of `checked`, or should be."""
+        """Add the next byte, which should be the XOR of `checked`."""
         is_known = not any(part.missing for part in self.found)
         should_be = 0
         for byte in checked:
             should_be ^= byte
-        told = f'should be 0x{should_be:02x}'
+        expected = f'should be 0x{should_be:02x}'
         if not is_known or not self.left:
-            self.take(1, name, told if is_known else '')
+            self.take(1, name, expected if is_known else '')
         elif self._frame[self.at] == should_be:
             self.take(1, name, 'matches')
         else:
-            self.take(1, name, error=told)
+            self.take(1, name, error=expected)
 
     def take_rest(self, name: str, error: str) -> List[Part]:
-        """All bytes that are left are one part, which should not be there; return all parts."""
+        """Add the bytes that are left, if any, as one part with an error; return all parts."""
         if self.left:
             self.take_bytes(self.left, name, error=error)
         return self.found
 
     def add(self, part: Part) -> None:
-        """A part that is known already."""
+        """Add a part as it is."""
         self.found.append(part)
         self.at = part.end

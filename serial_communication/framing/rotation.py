@@ -1,10 +1,13 @@
-"""Angles into quaternions."""
+"""Angles to quaternions."""
 from math import cos, sin
 from typing import Tuple
 
 
 def quaternion(roll: float, pitch: float, yaw: float) -> Tuple[float, float, float, float]:
-    """x, y, z, w of a turn by roll, pitch, yaw about the fixed axes x, y, z; radians."""
+    """The quaternion (x, y, z, w) of rotations about the fixed axes x, y and z, in that order.
+
+    Angles are in radians.
+    """
     cr, sr = cos(roll / 2), sin(roll / 2)
     cp, sp = cos(pitch / 2), sin(pitch / 2)
     cy, sy = cos(yaw / 2), sin(yaw / 2)

@@ -1,1 +1,1 @@
-"""What every link has: its port's thread, reconnecting, counters, presence. No rospy."""
+"""What all links share: the thread of a port, reconnecting, counters, log. No rospy."""

@@ -1,43 +1,45 @@
-"""What waited in a port while its link's thread stalled: old bytes, to be read and dropped.
+"""The backlog: bytes that waited in a port while its link's thread stalled. They are dropped.
 
-Behind a port stand other buffers (a network peer's kernel, a USB adapter, programs that connect
-pseudo terminals), which hand on what they have only as the port is read. So reading goes on until
-no more comes than the board itself can send.
+Behind the port are other buffers (a network peer's kernel, a USB adapter, socat), which pass on
+their bytes only as the port is read. So bytes are dropped until they arrive no faster than the
+board can send them.
 """
 
-STALL = 0.3            # s from one read to the next that make a stall …
-LONGEST_SLEEP = 0.1    # … of which so many may be planned
-_WINDOW = 0.1, 1.0     # s over which the rate of what comes is looked at: at least, at most …
-_OF_STALL = 0.25       # … and so much of the stall: on a busy computer long queues move unevenly
-_FASTER = 1.5          # times the line's own rate: that waited somewhere
-_LONGEST = 10.0        # s after which even such a line is believed
+STALL = 0.3            # s between two reads; longer is a stall
+LONGEST_SLEEP = 0.1    # s; a link's thread never sleeps longer in a read
+# The rate of the received bytes is measured over a part of the stall, within limits: on a busy
+# computer long queues move unevenly.
+_PART_OF_STALL = 0.25
+_WINDOW = 0.1, 1.0     # s: the shortest, the longest
+_FASTER = 1.5          # times the line's rate; bytes that arrive faster have waited somewhere
+_LONGEST = 10.0        # s after which bytes are accepted at any rate
 
 
 class Backlog:
-    """The old bytes of one stall.
+    """The backlog of one stall.
 
     Args:
-        baud: of the line, which tells how fast a board can send.
-        seconds: that the stall took.
-        now: s of a clock that also runs while the computer is suspended.
+        baud: of the line; gives the rate at which a board can send.
+        seconds: length of the stall.
+        now: seconds of a clock that also runs while the computer is suspended.
     """
 
     def __init__(self, baud: int, seconds: float, now: float) -> None:
         self.size = 0          # bytes dropped
-        self.last = b''        # the latest of them
+        self.last = b''        # the bytes of the latest read that had some
         self.seconds = 0.0
         self._limit = baud / 10.0 * _FASTER      # bytes a second
         self.extend(seconds, now)
 
     def extend(self, seconds: float, now: float) -> None:
-        """There was another stall meanwhile."""
+        """Another stall happened meanwhile: measure the rate again."""
         self.seconds += seconds
-        self._window = min(max(_WINDOW[0], self.seconds * _OF_STALL), _WINDOW[1])
+        self._window = min(max(_WINDOW[0], self.seconds * _PART_OF_STALL), _WINDOW[1])
         self._end = now + _LONGEST
         self._begin_window(now)
 
     def drop(self, data: bytes, now: float) -> bool:
-        """Take what a read returned; whether it was the last one to be dropped."""
+        """Count the bytes of one read as dropped; return whether the backlog ends with them."""
         self.size += len(data)
         self._in_window += len(data)
         self.last = data or self.last

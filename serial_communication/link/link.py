@@ -1,4 +1,4 @@
-"""What every link has: one port, one thread that opens and reads it, and its counters."""
+"""The base of every link: one port, the thread that opens and reads it, and its counters."""
 import logging
 import threading
 import time
@@ -11,22 +11,26 @@ from ..transport import pace
 from ..transport.opener import Opener
 from ..transport.port import Port, PortError
 from .backlog import LONGEST_SLEEP, STALL, Backlog
-from .presence import FIRST_WORD, LOOK_PERIOD, Presence
+from .presence import LOOK_PERIOD, STARTUP_TIME, PresenceLog
 from .sparing_log import SparingLog
 
-OK, WARN, ERROR = 0, 1, 2      # as diagnostic_msgs/DiagnosticStatus has them
-RX, TX = 0, 1                  # as SerialMsg has them
-SILENCE = 1.0                  # s without a frame after which a talking board counts as silent
-_BOTH_END = 0.5                # s in which the bridge may be told to end, too, when a port goes
-_AFTER_FAULT = 0.1             # s until the thread goes on after a fault of its own
+OK, WARN, ERROR = 0, 1, 2      # as in diagnostic_msgs/DiagnosticStatus
+RX, TX = 0, 1                  # as in SerialMsg
+SILENCE = 1.0                  # s without a frame after which a board counts as silent
+_SHUTDOWN_TIME = 0.5           # s within which bridge and simulated boards end if stopped together
+_AFTER_FAULT = 0.1             # s until the thread goes on after an unexpected error
 _NEVER = float('inf')
-_OLD = object()                # in the place of a stamp: what has waited during a stall
+_OLD = object()                # the stamp of bytes that waited during a stall
 
-Tap = Callable[[str, int, Frame], None]
+Tap = Callable[[str, int, Frame], None]      # gets the link's name, RX or TX, and the frame
 
 
 class Refused(Exception):
-    """A command was not sent; the text says why, for a person, and `cause` in a word or two."""
+    """A command was not sent; the text says why.
+
+    Args:
+        cause: why, in a word or two; lines with the same cause are logged sparingly.
+    """
 
     def __init__(self, text: str, cause: str) -> None:
         super().__init__(text)
@@ -34,7 +38,7 @@ class Refused(Exception):
 
 
 class Report(NamedTuple):
-    """How a link is, for /diagnostics."""
+    """The state of a link, for /diagnostics."""
 
     level: int
     summary: str
@@ -42,18 +46,18 @@ class Report(NamedTuple):
 
 
 class Link:
-    """Base of the three links. A subclass overrides the hooks below; all run in the thread.
+    """Base of all links. A subclass overrides the hooks below, which run in the link's thread.
 
     Args:
-        name: bus, arduino or mcu; in logs, `SerialMsg` and diagnostics.
-        port: opened and closed here, nowhere else.
-        decoder: of what the board sends.
-        frame_timeout: seconds without a byte after which an incomplete frame is given up.
-        clock: what stamps a read; not used for anything else.
-        logger: where lines for people go.
+        name: of the board, in logs, `SerialMsg` and diagnostics.
+        port: the link alone opens and closes it.
+        decoder: for the bytes that the board sends.
+        frame_timeout: s without a byte after which an incomplete frame is given up.
+        clock: returns the stamp of each read; it is used for nothing else.
+        logger: None: the logger of this module.
     """
 
-    STOPS_FIRST = False     # True: what it says last must not wait for other links
+    STOPS_FIRST = False     # True: at shutdown this link is stopped before the others
 
     def __init__(self, name: str, port: Port, decoder: Decoder, frame_timeout: float = 0.05,
                  clock: Callable[[], Any] = time.time,
@@ -62,74 +66,85 @@ class Link:
         self.port = port
         self.decoder = decoder
         self.log = SparingLog(name, logger or logging.getLogger(__name__))
-        self.tap: Optional[Tap] = None     # is given every frame in and out; None: nobody listens
-        self.frames_received = 0
+        self.tap: Optional[Tap] = None     # called with every frame in and out; None: no listener
+        self.frames_received = 0           # valid ones
         self.frames_sent = 0
         self.last_frame_at: Optional[float] = None   # monotonic
         self.last_byte_at = 0.0                      # monotonic
-        self.stale = 0                     # bytes that waited while the thread stalled: dropped
-        # When the thread was last seen at work, by `pace.clock`; while it serves no port, never.
+        self.stale = 0                     # bytes dropped because they waited during a stall
+        # When the thread last returned from a read, by `pace.clock`; _NEVER: the port is closed.
         self.awake_at = _NEVER
         self._clock = clock
         self._timer = FrameTimer(decoder, frame_timeout, port.baud)
         self.connections = 0               # how often the port has been opened
         self._trouble = ''                 # why the port is closed
-        self._lost = ''                    # how it was lost, while that is not said yet …
-        self._lost_at = 0.0                # … and when
+        self._lost = ''                    # why the port was lost; '': not lost, or already logged
+        self._lost_at = 0.0                # when; monotonic
         self._opener = Opener(port, name + ' opening', self._port_opened)
         self._stopping = self._opener.ending
         self._thread = threading.Thread(target=self._run, name=name + ' link', daemon=True)
         self._reported_errors = 0
-        self._presence = Presence(self.log)
+        self._presence = PresenceLog(self.log)
         self._opened_at = self._presence_at = 0.0    # monotonic
-        self._backlog: Optional[Backlog] = None      # while old bytes are dropped
-        # Whether the latest read found nothing, and nothing has been delivered since.
+        self._backlog: Optional[Backlog] = None      # None: no bytes are dropped
+        # Whether the latest read returned nothing, and no frame has been delivered since.
         self.drained = False
 
     # -- hooks ------------------------------------------------------------------------
 
     def opened(self, now: float) -> None:
-        """The port is open."""
+        """The port was opened."""
 
     def closed(self, now: float) -> None:
-        """The port has been closed."""
+        """The port was closed."""
 
     def received(self, frame: Frame, now: float) -> None:
-        """A good frame has come."""
+        """A valid frame was received."""
 
     def damaged(self, frame: Frame, now: float) -> None:
-        """Bytes have come that are no good frame; they are counted and logged already."""
+        """An invalid frame or noise was received; it is already counted and logged."""
 
     def stalled(self, seconds: float, now: float) -> None:
-        """The thread was not at work for so long (over `STALL`), whatever kept it from that. What
-        the port has is old: it is dropped, and nothing is `received` until it is through."""
+        """The thread stalled for `seconds`, which are more than `STALL`.
+
+        After this call the backlog is dropped; `received` is not called until that is done.
+        """
 
     def altered(self, now: float) -> None:
-        """Another program changed the tty's settings for a moment: bytes either way may be others
-        than those that were sent."""
+        """Another program had changed the tty's settings, which are restored now.
+
+        Bytes may have changed on the way, in both directions.
+        """
         self.stalled(0.0, now)
 
     def tick(self, now: float) -> Optional[float]:
-        """Do what is due by time; return when to be called next at the latest, or None."""
+        """Do what is due; return the time of the next call at the latest, or None.
+
+        Raises:
+            PortError: to have the port closed and opened again.
+        """
         return None
 
     def idle(self, now: float) -> Optional[float]:
-        """`tick` while the port is closed; asked at least once a second."""
+        """Like `tick`, while the port is closed; called at least once a second."""
         return None
 
     def shown(self, frame: Frame) -> Frame:
-        """A frame that has come, as listeners see it, before it is `received`."""
+        """Return what `tap` gets for a received frame; called before `received`."""
         return frame
 
     def talks(self, now: float) -> Optional[bool]:
-        """Whether the board talks; None where that cannot be told. Looked at while the port is
-        open, and said in the log when it changes; silence not while the board may still start."""
+        """Whether the board talks; None: unknown.
+
+        Asked while the port is open; changes are logged. Silence is not logged while the board
+        may still be starting up.
+        """
         return self.last_frame_at is not None and now - self.last_frame_at <= SILENCE
 
     def silence(self) -> str:
-        """How the log tells of a board that does not talk."""
-        return ('the board is silent; has it power, is it wired, and is '
-                f'{self.port.baud} baud right?')
+        """The log line for a silent board."""
+        return ('the board is silent; check its power, its wiring and the baud rate '
+                f'({self.port.baud})')
 
     @property
     def reconnects(self) -> int:
@@ -137,65 +152,73 @@ class Link:
         return max(self.connections - 1, 0)
 
     @property
-    def drops(self) -> bool:
-        """Whether what comes is dropped now, after a stall."""
+    def is_dropping(self) -> bool:
+        """Whether received bytes are dropped now, after a stall."""
         return self._backlog is not None
 
-    # -- for users --------------------------------------------------------------------
+    # -- for callers ------------------------------------------------------------------
 
     def start(self) -> None:
-        """Start its threads: none is started later."""
+        """Start all threads of the link; none is started later."""
         self._opener.start()
         self._thread.start()
 
     def stop(self) -> None:
-        """Begin to end; returns at once."""
+        """Make the link's threads end; returns at once."""
         self._opener.end()
         self.port.wake()
 
     def join(self, timeout: float = 1.0) -> None:
-        """After `stop`: wait for the thread, which closes the port as it ends."""
+        """Wait after `stop` for the thread to close the port and end, for at most `timeout` s."""
         if self._thread.is_alive():
             self._thread.join(timeout)
 
     def wake(self) -> None:
-        """Have `tick` called soon."""
+        """Make the thread call `tick` soon."""
         self.port.wake()
 
     def send(self, frame: bytes, type_: int, command: int, data: bytes, message: Any) -> None:
-        """Write one frame; PortError or PortBusy where it cannot be."""
+        """Write one frame, count it and pass it to `tap`.
+
+        Raises:
+            PortError, PortBusy: nothing was written.
+        """
         self.port.write(frame)
         self.written(frame, type_, command, data, message)
 
     def written(self, frame: bytes, type_: int, command: int, data: bytes, message: Any) -> None:
-        """Count a frame that the port has taken, and show it to who listens."""
+        """Count a frame that the port has taken, and pass it to `tap`."""
         self.frames_sent += 1
-        tap = self.tap      # another thread may take it away meanwhile
+        tap = self.tap      # another thread may set it to None meanwhile
         if tap:
-            # Guarded, since whoever sends must not take a sent frame for one that was not.
-            self._guarded(lambda: tap(self.name, TX, Frame(frame, type_, command, data, message,
-                                                           self._clock())))
+            # Guarded: an error here would look as if the frame had not been sent.
+            self._guarded(lambda tap: tap(self.name, TX, Frame(
+                frame, type_, command, data, message, self._clock())), tap)
 
     def check_silence(self, now: float, limit: float) -> Optional[float]:
-        """For `tick`: when to look again whether a network port has been silent for `limit` s.
+        """For `tick`: have a network port closed if it has been silent for `limit` s.
 
-        The network and the peer's kernel hide what has not arrived, so a connection on which
-        nothing comes is given up. None: it may be silent (another kind of port, or a limit of 0).
+        That drops unsent bytes, which may wait unseen in the network or in the peer's kernel. A
+        limit of 0 turns the check off.
+
+        Returns:
+            when to check again; None: never, since the port is not a network port or `limit` is 0.
 
         Raises:
-            PortError: nothing has come for so long.
+            PortError: nothing was received for `limit` s.
         """
         if not limit or not self.port.is_network:
             return None
         due = self.last_byte_at + limit
         if now >= due:
-            raise PortError(f'the board has not been heard for {limit:g} s')
+            raise PortError(f'nothing received from the board for {limit:g} s')
         return due
 
     # -- diagnostics ------------------------------------------------------------------
 
     def report(self, now: float) -> Report:
-        """How the link is; to be asked once a second, since errors count from the last time."""
+        """The state of the link, with the errors since the previous call as those of the last
+        second. So it has to be called once a second."""
         errors = self.error_count()
         new_errors, self._reported_errors = errors - self._reported_errors, errors
         level, summary = self.condition(now)
@@ -220,10 +243,10 @@ class Link:
              if self.last_frame_at is not None else 'never'),
         ]
         values += sorted((cause + ' errors', count) for cause, count in counted.items())
-        return Report(level, summary, values + self.own_values())
+        return Report(level, summary, values + self.extra_values())
 
     def condition(self, now: float) -> Tuple[int, str]:
-        """Level and a few words, new errors aside."""
+        """Level and summary, without regard to new errors."""
         if not self.port.is_open:
             return ERROR, f'closed: {self._trouble or "not opened yet"}'
         if self.last_frame_at is None or now - self.last_frame_at > SILENCE:
@@ -231,45 +254,45 @@ class Link:
         return OK, 'open'
 
     def error_count(self) -> int:
-        """All that went wrong on the line so far."""
+        """Errors of all causes so far."""
         return sum(self.decoder.errors.values())
 
-    def own_values(self) -> List[Tuple[str, Any]]:
-        """Key-value pairs that only this kind of link has."""
+    def extra_values(self) -> List[Tuple[str, Any]]:
+        """Further keys and values of this kind of link."""
         return []
 
     # -- the thread -------------------------------------------------------------------
 
     def _run(self) -> None:
-        """Nothing that a hook or a callback raises ends this, nor that no memory is left."""
+        """Run until `stop`; errors of hooks and callbacks, and a lack of memory, do not end it."""
         while not self._stopping.is_set():
             try:
-                self._come_and_go()
+                self._serve_connections()
             except BaseException:  # pylint: disable=broad-except
-                time.sleep(_AFTER_FAULT)    # not even enough to log what was raised
+                time.sleep(_AFTER_FAULT)    # too little memory even to log it
 
-    def _come_and_go(self) -> None:
-        """Connection after connection."""
-        if self.port.is_open:       # where this has ended of a fault
-            self._leave()
+    def _serve_connections(self) -> None:
+        """Open the port, serve it and close it, again and again."""
+        if self.port.is_open:       # an error ended the previous call
+            self._close_port()
         while self._opener.open(self._not_opened, lambda now: self._guarded(self.idle, now)):
             self._guarded(self._serve)
-            self._leave()
+            self._close_port()
 
-    def _leave(self) -> None:
+    def _close_port(self) -> None:
         self.awake_at = _NEVER
         self._guarded(self.port.close)
         self._guarded(self.closed, time.monotonic())
 
     def _port_opened(self) -> None:
-        """In the opener's thread: from now on bytes wait in the port."""
+        """Runs in the opener's thread; from now on bytes can wait in the port."""
         self.awake_at = pace.clock()
 
     def _not_opened(self, trouble: str) -> None:
         self.awake_at = _NEVER
         self._trouble = trouble
-        # Where all ends together, a simulated board's port goes first: that is nobody's trouble.
-        if time.monotonic() >= self._lost_at + _BOTH_END:
+        # If everything is stopped together, a simulated board's port may vanish first: no warning.
+        if time.monotonic() >= self._lost_at + _SHUTDOWN_TIME:
             self._report_loss()
             self.log.warn('closed', f'{self.port.url}: {trouble}')
 
@@ -279,7 +302,8 @@ class Link:
             self._lost = ''
 
     def _guarded(self, function: Callable, *arguments: Any) -> Any:
-        """Call it; what it raises is logged and kept as the link's trouble, and None returned."""
+        """Call a function. If it raises, log that, report it as the link's trouble and return
+        None."""
         try:
             return function(*arguments)
         except PortError as error:
@@ -287,14 +311,14 @@ class Link:
             self._lost = f'{self.port.url}: {error}; opening it again when it returns'
             self._lost_at = time.monotonic()
         except BaseException as error:  # pylint: disable=broad-except
-            # Also what would end this thread alone, as SystemExit does.
+            # Also SystemExit, which would end this thread alone.
             self._trouble = f'fault in the bridge: {error!r}'
             if not self._stopping.is_set():
                 self.log.error('fault', traceback.format_exc())
         return None
 
     def _serve(self) -> None:
-        """Read until the port goes or the link stops."""
+        """Read until the port is lost or the link is stopped."""
         self._report_loss()
         self.connections += 1
         self.log.info('opened', f'{self.port.url}: open')
@@ -313,38 +337,39 @@ class Link:
                 wake_at = due
             if now >= look_at:
                 look_at = now + LONGEST_SLEEP
-                self._look(now)
-            if self.decoder.pending:
-                wake_at = min(wake_at, timer.due(self.last_byte_at, now))
+                self._check_port(now)
+            due = timer.due(self.last_byte_at, now)
+            if due is not None:
+                wake_at = min(wake_at, due)
             data = self.port.read(wake_at - now)
             stamp = self._clock()
             now = time.monotonic()
             self.drained = not data
-            self._look_for_stall(now)
+            self._check_stall(now)
             if self._backlog is not None:
-                self._drop(data, now)
+                self._drop(self._backlog, data, now)
             elif data:
                 self.take(data, stamp, now)
             if self.decoder.pending:
                 self._deliver(timer.overdue(self.last_byte_at, now), now)
 
-    def _look(self, now: float) -> None:
-        """Look at what changes seldom: the settings of the port, and whether the board talks."""
+    def _check_port(self, now: float) -> None:
+        """Check what rarely changes: the settings of the port, and whether the board talks."""
         changed = self.port.restore_settings()
         if changed:
             self.log.warn('settings', f'{self.port.url}: another program changed the settings of '
-                          f'this port ({changed}). They have been put right, and what waited in '
-                          'it was dropped; keep other programs (stty, a serial monitor) off it')
+                          f'this port ({changed}). They are restored, and the bytes that waited in '
+                          'it were dropped; keep other programs (stty, a serial monitor) off it')
             self.decoder.reset()
             self.altered(now)
         if now >= self._presence_at:
             self._presence_at = now + LOOK_PERIOD
             talks = self.talks(now)
             has_talked = self.last_frame_at is not None and self.last_frame_at >= self._opened_at
-            if talks or has_talked or now >= self._opened_at + FIRST_WORD:
-                self._presence.see(talks, self.silence(), now)
+            if talks or has_talked or now >= self._opened_at + STARTUP_TIME:
+                self._presence.update(talks, self.silence(), now)
 
-    def _look_for_stall(self, now: float) -> None:
+    def _check_stall(self, now: float) -> None:
         awake_at = pace.clock()
         seconds = awake_at - self.awake_at
         if seconds > STALL:
@@ -356,9 +381,8 @@ class Link:
             self.stalled(seconds, now)
         self.awake_at = awake_at
 
-    def _drop(self, data: bytes, now: float) -> None:
-        """Take what was read as old."""
-        backlog = self._backlog
+    def _drop(self, backlog: Backlog, data: bytes, now: float) -> None:
+        """Drop the bytes of one read; end the backlog if they are the last of it."""
         self.stale += len(data)
         if data:
             self.last_byte_at = now
@@ -368,14 +392,14 @@ class Link:
         if backlog.size:
             self.log.warn('stalled', f'the bridge stalled for {backlog.seconds:.3g} s: '
                           f'{backlog.size} bytes that waited in the port are old and were dropped')
-        # A frame that began among them ends in what comes next: the rest of it alone could be
-        # taken for another frame where frames carry no checksum.
+        # A frame may begin in the backlog and end in the next read. If it has no checksum, its end
+        # alone could be taken for another frame. So the decoder gets the beginning, too.
         errors = dict(self.decoder.errors)
         self.decoder.feed(backlog.last, _OLD)
         self.decoder.errors.update(errors)
 
     def take(self, data: bytes, stamp: Any, now: float) -> None:
-        """Decode what was read and pass it on."""
+        """Decode the bytes of one read and deliver their frames."""
         self.last_byte_at = now
         self._deliver(self.decoder.feed(data, stamp), now)
 

@@ -1,7 +1,7 @@
-"""What became of a call: as a value, and as a text that carries the value.
+"""The outcome of a call, as a value and as a text that contains the status.
 
-A service's response has a field for the status. Where its type has none, the status stands in a
-text, in a fixed form that is made and read only here:
+Most service responses have a field for the status. If the type has none, the status is put in the
+text, in a form that only this module writes and reads:
 
     status 254 (not known): no reply within 0.5 s: it is not known whether this was executed; …
 """
@@ -10,56 +10,60 @@ import re
 from typing import Any, NamedTuple, Optional, Tuple
 
 
-# The numbers are those of the replies on the bus, and two of our own.
+# A status is the CMD1 of a reply on the bus, or one of the two that the bridge adds.
 _DONE = (0x00, 0x01, 0x02)      # SYNC, ECHO, OK
 _ERROR, _INVALID = 0x03, 0xFF
-NOT_SENT = 253     # refused here: nothing left the port
-TIMEOUT = 254      # the outcome is unknown: executed once or not at all
-LOOK = 'look before you repeat it'
+NOT_SENT = 253     # refused by the bridge: nothing was sent
+TIMEOUT = 254      # not known: executed once or not at all
+LOOK = 'look before you repeat it'      # advice to the caller, where the outcome is not known
 
 _NAMES = {_ERROR: 'ERROR', _INVALID: 'INVALID', NOT_SENT: 'not sent', TIMEOUT: 'not known'}
-# Whoever passes such a text on may put words and a colon before it.
+# A program that passes such a text on may put words and a colon before it.
 _TEXT = re.compile(r'(?:^|: )status (\d{1,3}) \([^)]*\): (.*)', re.DOTALL)
 
 
 class Verdict(enum.Enum):
-    """What a caller has to know first."""
+    """Whether a call was executed."""
 
-    DONE = 'done'              # executed, exactly once
+    DONE = 'done'              # executed exactly once
     REFUSED = 'refused'        # not executed
-    NOT_KNOWN = 'not known'    # executed or not: look before you repeat it
+    NOT_KNOWN = 'not known'    # executed once or not at all
 
 
 class Outcome(NamedTuple):
-    """What became of a call, as it is returned to the caller."""
+    """The outcome of a call, as it is returned to the caller."""
 
     status: int              # the reply's CMD1, NOT_SENT or TIMEOUT
-    message: str             # for a person
+    message: str             # for people
     error_code: int = 0
-    data: bytes = b''
+    data: bytes = b''        # of the reply
     round_trip: float = 0.0  # s
-    as_expected: bool = True   # whether `data` has the length and the values that it may have
-    stamp: Any = None        # of the read that brought the reply
+    as_expected: bool = True   # whether `data` has a valid length and plausible values
+    stamp: Any = None        # of the read that had the reply's last byte
 
     @property
     def success(self) -> bool:
-        """Executed, exactly once, and answered as expected."""
+        """Whether it was executed exactly once, with a reply as expected."""
         return self.status in _DONE and self.as_expected
 
     @property
     def text(self) -> str:
-        """The message behind the status, for where only a text can be returned."""
+        """The status and the message, for responses without a field for the status."""
         name = _NAMES.get(self.status, 'answered, but not as expected')
         return f'status {self.status} ({name}): {self.message}'
 
 
 def read_text(text: str) -> Tuple[Optional[int], str]:
-    """The status and the message in the text of an outcome; None and `text` if it is none."""
+    """The status and the message in `Outcome.text`; None and `text` itself for any other text."""
     found = _TEXT.search(text)
     return (int(found.group(1)), found.group(2)) if found else (None, text)
 
 
 def verdict_of_failure(status: Optional[int]) -> Verdict:
-    """What a status means of a call that was not reported as a success; None: not told."""
+    """The verdict on a call that was reported as failed.
+
+    Args:
+        status: None: it was not reported.
+    """
     refused = status in (NOT_SENT, _ERROR, _INVALID)
     return Verdict.REFUSED if refused else Verdict.NOT_KNOWN

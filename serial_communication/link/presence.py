@@ -1,42 +1,44 @@
-"""Says in the log that a board talks, has fallen silent and is back: each once, when it changes."""
+"""Logs when a board begins to talk, falls silent and is back."""
 from typing import Dict, Optional
 
 from .sparing_log import SparingLog
 
-FIRST_WORD = 3.0      # s after the port opened in which a board is to say something
-LOOK_PERIOD = 0.5     # s from one look at it to the next
-_PERIOD = 10.0        # s from one line to the next that says the same
+STARTUP_TIME = 3.0    # s after the port opened in which a board may still start up silently
+LOOK_PERIOD = 0.5     # s from one `update` to the next
+_PERIOD = 10.0        # s; the same line is not repeated sooner
 
 
-class Presence:
-    """What was said of a board last. A change that was said not long ago is said again later, if
-    it still holds."""
+class PresenceLog:
+    """Logs each change once. If the same line was logged less than 10 s ago, it waits until then,
+    and is left out if it no longer holds."""
 
     def __init__(self, log: SparingLog) -> None:
         self._log = log
-        self._said: Optional[bool] = None
+        self._logged: Optional[bool] = None      # whether it talks, by the latest line
         self._silent_since = 0.0
         self._has_talked = False
-        self._said_at: Dict[str, float] = {}
+        self._logged_at: Dict[str, float] = {}
 
-    def see(self, talks: Optional[bool], silence: str, now: float) -> None:
-        """To be told every `LOOK_PERIOD` seconds whether it talks; None where nobody can tell.
+    def update(self, talks: Optional[bool], silence: str, now: float) -> None:
+        """To be called every `LOOK_PERIOD` seconds.
 
         Args:
-            silence: how its silence is to be told.
-            now: monotonic.
+            talks: whether the board talks; None: unknown.
+            silence: the line that reports its silence.
+            now: s, monotonic.
         """
-        word = 'silent' if not talks else 'back' if self._has_talked else 'ready'
-        if talks is None or talks is self._said \
-                or now < self._said_at.get(word, now - _PERIOD) + _PERIOD:
+        state = 'silent' if not talks else 'back' if self._has_talked else 'ready'
+        if talks is None or talks is self._logged \
+                or now < self._logged_at.get(state, now - _PERIOD) + _PERIOD:
             return
-        self._said_at[word] = now
-        if word == 'silent':
+        self._logged_at[state] = now
+        if state == 'silent':
             self._silent_since = now
             self._log.always_warn(silence)
-        elif word == 'back':
-            self._log.always_info(f'the board is back, after {now - self._silent_since:.3g} s')
+        elif state == 'back':
+            self._log.always_info('the board is back, it was silent for '
+                                  f'{now - self._silent_since:.3g} s')
         else:
             self._log.always_info('ready: the board talks')
         self._has_talked = self._has_talked or talks
-        self._said = talks
+        self._logged = talks

@@ -1,14 +1,19 @@
-"""A log that says a thing once, and then sparingly, however often it happens."""
+"""A log with a limited rate: a cause that repeats is not logged each time."""
 import logging
 import time
 from typing import Callable, Dict, List
 
 
 class SparingLog:
-    """Lines of one link: at most one for each cause in every `period` seconds.
+    """Logs at most one line for each cause in every `period` seconds.
 
-    A line that comes after others were held back says how many they were. Nothing that the
-    logger raises reaches the caller: a link must not end of a log that cannot be written.
+    The next line of a cause says how many were left out. Errors of the logger are ignored: a link
+    must not end because its log cannot be written.
+
+    Args:
+        link: name of the link, put before each line.
+        period: s.
+        clock: returns seconds, monotonic.
     """
 
     def __init__(self, link: str, logger: logging.Logger, period: float = 10.0,
@@ -17,39 +22,39 @@ class SparingLog:
         self._logger = logger
         self._period = period
         self._clock = clock
-        self._causes: Dict[str, List[float]] = {}   # cause -> [said at, held back since]
+        self._causes: Dict[str, List[float]] = {}   # cause -> [logged at, left out since]
 
     def info(self, cause: str, text: str) -> None:
-        self._say(logging.INFO, cause, text)
+        self._log(logging.INFO, cause, text)
 
     def warn(self, cause: str, text: str) -> None:
-        self._say(logging.WARNING, cause, text)
+        self._log(logging.WARNING, cause, text)
 
     def error(self, cause: str, text: str) -> None:
-        self._say(logging.ERROR, cause, text)
+        self._log(logging.ERROR, cause, text)
 
-    def _say(self, level: int, cause: str, text: str) -> None:
+    def _log(self, level: int, cause: str, text: str) -> None:
         now = self._clock()
         last = self._causes.get(cause)
         if last is not None and now - last[0] < self._period:
             last[1] += 1
             return
-        held_back = int(last[1]) if last else 0
+        left_out = int(last[1]) if last else 0
         self._causes[cause] = [now, 0]
-        if held_back:
-            text += f' (and {held_back} more like it)'
+        if left_out:
+            text += f' (and {left_out} more like it)'
         self._write(level, text)
 
     def always_info(self, text: str) -> None:
-        """A line that its caller is sparing with."""
+        """Log a line each time; the caller limits how often."""
         self._write(logging.INFO, text)
 
     def always_warn(self, text: str) -> None:
-        """Likewise, a warning."""
+        """Log a warning each time; the caller limits how often."""
         self._write(logging.WARNING, text)
 
     def _write(self, level: int, text: str) -> None:
         try:
             self._logger.log(level, '%s: %s', self._link, text)
         except Exception:  # pylint: disable=broad-except
-            pass    # there is nowhere to say so
+            pass    # no other place to report it

@@ -1,1 +1,1 @@
-"""The ROS side: parameters, topics, services, tf, diagnostics. The only part that knows rospy."""
+"""What the ROS side of all boards shares: parameters, topics, services, tf, diagnostics."""

@@ -1,34 +1,34 @@
-"""Outcomes in the responses and errors of services, as the bridge writes and callers read them.
+"""Outcomes of bus calls in service responses: the bridge writes them, callers read them.
 
-A response's fields `success`, `status`, `error_code` and `message` are filled where its type has
-them. Where it has no `status`, the message of a failure is the outcome's text; where it has no
-`success`, a failure is a service error with that text.
+An outcome fills the fields `success`, `status`, `error_code` and `message` of a response, where its
+type has them. Without a field `status`, the message of a failed call is the outcome's text. Without
+a field `success`, a failed call raises a service error with that text.
 """
 import ast
-from typing import Any, List, Tuple
+from typing import Any, List, Optional, Tuple
 
 import rospy
 from rospy.exceptions import TransportInitError
 
 from ..link.outcome import LOOK, TIMEOUT, Outcome, Verdict, read_text, verdict_of_failure
 
-_TOLD = {'success': ('bool',), 'status': ('uint8', 'uint16', 'uint32', 'int16', 'int32'),
-         'error_code': ('uint16', 'uint32', 'int32'), 'message': ('string',)}
+_FIELD_TYPES = {'success': ('bool',), 'status': ('uint8', 'uint16', 'uint32', 'int16', 'int32'),
+                'error_code': ('uint16', 'uint32', 'int32'), 'message': ('string',)}
 
 
-def told_fields(response_class: Any) -> List[str]:
-    """The fields of a response that an outcome fills."""
+def outcome_fields(response_class: Any) -> List[str]:
+    """Return the names of the fields of a response that an outcome fills."""
     types = dict(zip(response_class.__slots__, response_class._slot_types))
-    return [name for name, fitting in _TOLD.items() if types.get(name) in fitting]
+    return [name for name, fitting in _FIELD_TYPES.items() if types.get(name) in fitting]
 
 
-def tell(response: Any, outcome: Outcome) -> Any:
-    """Fill a response with an outcome; return it.
+def fill_response(response: Any, outcome: Outcome) -> Any:
+    """Write an outcome into a response, and return the response.
 
     Raises:
-        rospy.ServiceException: the call did not succeed, and the response cannot say so.
+        rospy.ServiceException: the call failed, and the response has no field `success`.
     """
-    names = told_fields(type(response))
+    names = outcome_fields(type(response))
     if not outcome.success and 'success' not in names:
         raise service_error(outcome)
     for name in names:
@@ -39,39 +39,39 @@ def tell(response: Any, outcome: Outcome) -> Any:
 
 
 def service_error(outcome: Outcome) -> rospy.ServiceException:
-    """The service error of a call that did not succeed."""
+    """Return the service error for a failed call."""
     return rospy.ServiceException(outcome.text)
 
 
 def read_response(response: Any) -> Tuple[Verdict, str]:
-    """For a caller: what a response of the bridge says."""
-    names = told_fields(type(response))
+    """Return the verdict and the text of a response of the bridge; for callers."""
+    names = outcome_fields(type(response))
     message = response.message if 'message' in names else ''
     if 'success' not in names or response.success:
         return Verdict.DONE, message or 'done'
-    status, words = read_text(message)
-    return _failure(response.status if 'status' in names else status, words)
+    status, text = read_text(message)
+    return _failure(response.status if 'status' in names else status, text)
 
 
 def read_error(error: rospy.ServiceException) -> Tuple[Verdict, str]:
-    """For a caller: what the error of a call says."""
+    """Return the verdict and the text of a service error; for callers."""
     if isinstance(error.__context__, TransportInitError):      # rospy had not connected yet
         return Verdict.REFUSED, 'nothing was sent: the bridge does not answer'
-    return _failure(*read_text(_said(error)))
+    return _failure(*read_text(_text_of(error)))
 
 
-def _failure(status: Any, words: str) -> Tuple[Verdict, str]:
+def _failure(status: Optional[int], text: str) -> Tuple[Verdict, str]:
     verdict = verdict_of_failure(status)
-    if verdict is Verdict.NOT_KNOWN and status != TIMEOUT:      # … whose message says so itself
-        words = f'{words or "it gave no reason"}; {LOOK}'
-    return verdict, words
+    if verdict is Verdict.NOT_KNOWN and status != TIMEOUT:      # a TIMEOUT's text has LOOK already
+        text = f'{text or "no reason was given"}; {LOOK}'
+    return verdict, text
 
 
-def _said(error: rospy.ServiceException) -> str:
-    """What the other end said, which rospy quotes as bytes; else what rospy says itself."""
+def _text_of(error: rospy.ServiceException) -> str:
+    """Return the service's error text, which rospy quotes as bytes; without one, rospy's text."""
     text = str(error)
     quoted = text.partition(' responded with an error: ')[2]
     try:
         return ast.literal_eval(quoted).decode('utf-8', 'replace')
     except (AttributeError, SyntaxError, ValueError):
-        return quoted or f'no answer came: {text}'
+        return quoted or f'no answer was received: {text}'

@@ -1,8 +1,8 @@
-"""Subscribes to commands, and takes none that may be old.
+"""Subscriptions to commands that refuse commands which may be old.
 
-A command can have waited anywhere: in a publisher that latches it, in a network that was cut, in
-the connection of a process that is dead. Nothing is learned from the commands themselves: each one
-is judged by its connection and its stamp alone.
+A command can wait in many places: at a publisher that latches it, in a network that is cut, in the
+connection of a dead process. Whether it may be old is judged by its connection and its stamp alone,
+never by earlier commands.
 """
 import threading
 from typing import Any, Callable, Dict, Optional, Set
@@ -13,27 +13,28 @@ import rospy
 from ..link.link import Refused
 from ..link.sparing_log import SparingLog
 
-_REMEMBERED = 1000    # names of publishers; each call of rostopic has one of its own
+_MOST_PUBLISHERS = 1000     # names to remember; each call of rostopic has a new one
 
 
 class CommandTopic:
-    """The commands of one topic: each is sent, or refused with a warning.
+    """A subscription whose messages are sent to the board, or refused with a warning.
 
-    - Of the connections of one publisher's name only the newest is listened to: on an older one the
-      network delivers what a dead process wrote.
+    - Only the newest connection of each publisher's name is used. On an older one the network still
+      delivers what a dead process wrote.
     - The first message on a connection of a publisher that latches may be hours old. It is refused
-      if that publisher was there before this subscription, or has been heard before.
-    - A stamp may not differ from ROS time by more than `age_limit`.
+      if that publisher is older than this subscription, or has connected before.
+    - A stamp may differ from ROS time by `age_limit` at most.
 
     Args:
-        name: of the topic, as ``~speed``.
-        message_class: of its messages.
-        send: sends one to the board; Refused or ValueError where it cannot.
-        label: what one is called in a warning, as ``speed 300``.
-        log: of the link.
-        age_limit: s; 0: stamps are not looked at.
-        queue_size: how many that wait count; the newest ones.
-        stops: whether one can only stop the car: it is sent whatever its stamp, latched or not.
+        name: topic, such as ``~speed``.
+        message_class: class of its messages.
+        send: sends one message to the board; raises Refused or ValueError if it cannot.
+        label: returns a message's name for a warning, such as ``speed 300``.
+        log: log of the link.
+        age_limit: s; 0 ignores the stamps.
+        queue_size: how many of the newest messages may wait.
+        stops: whether a message stops the car. Such a message is sent whatever its stamp is, and
+            whether it was latched or not.
     """
 
     def __init__(self, name: str, message_class: Any, send: Callable[[Any], None],
@@ -47,20 +48,20 @@ class CommandTopic:
         self._log = log
         self._age_limit = age_limit if message_class._has_header else 0.0
         self._stops = stops
-        self._heard: Dict[str, Any] = {}    # the connection by publisher, the last one heard last
+        self._latest: Dict[str, Any] = {}   # connection by publisher; the last to send comes last
         self._replaced: Dict[int, Any] = {}     # connections that have newer ones, by their ids
-        self._there_before = _publishers(self._topic)
+        self._older_publishers = _publishers(self._topic)
         self._impl: Any = None
         self._lock = threading.RLock()      # each connection has a thread; they wait for `_impl`
         with self._lock:
-            self._impl = rospy.Subscriber(name, message_class, self._take, queue_size=queue_size,
-                                          tcp_nodelay=True).impl
+            self._impl = rospy.Subscriber(name, message_class, self._received,
+                                          queue_size=queue_size, tcp_nodelay=True).impl
 
-    def _take(self, message: Any) -> None:
+    def _received(self, message: Any) -> None:
         try:
             with self._lock:
                 if self._impl is None:
-                    return      # by the subscribing thread: a repetition of what a connection's has
+                    return      # in the subscribing thread: the connection's has this message, too
                 self._refuse_if_old(message)
             self._send(message)
         except Refused as refused:
@@ -72,28 +73,28 @@ class CommandTopic:
         connection = message._connection_header     # one object for each connection
         sender = connection.get('callerid', '')
         if self._is_replaced(connection, sender):
-            raise Refused(f'{self._label(message)} refused: it came on an old connection of '
-                          f'{sender}; only the newest one to {self._topic} is listened to',
+            raise Refused(f'{self._label(message)} refused: it was received on an old connection '
+                          f'of {sender}; only the newest connection to {self._topic} is used',
                           'old connection')
-        known = sender in self._heard
-        is_first = self._heard.pop(sender, None) is not connection
-        self._heard[sender] = connection
-        if len(self._heard) > _REMEMBERED:
-            del self._heard[next(iter(self._heard))]
+        known = sender in self._latest
+        is_first = self._latest.pop(sender, None) is not connection
+        self._latest[sender] = connection
+        if len(self._latest) > _MOST_PUBLISHERS:
+            del self._latest[next(iter(self._latest))]
         if self._stops(message):
             return
         if is_first and connection.get('latching') == '1' \
-                and (known or self._was_there_before(sender)):
+                and (known or self._is_older(sender)):
             raise Refused(
-                f'{self._label(message)} refused: {sender} latches {self._topic} and has '
-                f'{"connected again" if known else "done so since before the bridge subscribed"}, '
-                'so this may be old; publish it again, with rostopic by "pub -1" or at a rate, '
-                '"pub -r 10"', 'latched')
+                f'{self._label(message)} refused: {sender} latches {self._topic} and '
+                f'{"has connected again" if known else "is older than the subscription"}, so the '
+                'message may be old; publish it again with "rostopic pub -1", or at a rate with '
+                '"rostopic pub -r 10"', 'latched')
         self._refuse_by_stamp(message, sender)
 
     def _is_replaced(self, connection: Any, sender: str) -> bool:
-        """Whether the publisher has made a newer one since; also where that has gone again."""
-        # rospy keeps them in the order in which it made them; without a header, one is being made.
+        """Return whether the publisher has made a newer connection, even if that has closed."""
+        # rospy keeps them in the order in which it made them. One without a header is not ready.
         alive = [each.header for each in self._impl.connections if each.header]
         older = [each for each in alive if each.get('callerid', '') == sender][:-1]
         ids = {id(each) for each in alive}
@@ -101,8 +102,8 @@ class CommandTopic:
                           if id(each) in ids}
         return id(connection) in self._replaced or id(connection) not in ids
 
-    def _was_there_before(self, sender: str) -> bool:
-        return self._there_before is None or sender in self._there_before
+    def _is_older(self, sender: str) -> bool:
+        return self._older_publishers is None or sender in self._older_publishers
 
     def _refuse_by_stamp(self, message: Any, sender: str) -> None:
         stamp = message.header.stamp.to_sec() if self._age_limit else 0.0
@@ -110,15 +111,15 @@ class CommandTopic:
         if stamp and abs(age) > self._age_limit:
             raise Refused(
                 f'{self._label(message)} refused: its stamp is {abs(age):.2f} s '
-                f'{"old" if age > 0 else "ahead of the time here"}, command_age allows '
+                f'{"old" if age > 0 else "in the future"}, command_age allows '
                 f'{self._age_limit:g} s; is the network from {sender} slow, or its clock wrong? '
                 'The clocks of all hosts must agree (chrony)', 'stamp')
 
 
 def _publishers(topic: str) -> Optional[Set[str]]:
-    """Who publishes it, as the master knows; None if the master does not answer."""
+    """Return the names of the topic's publishers; None if the master does not answer."""
     try:
         published = rosgraph.Master(rospy.get_name()).getSystemState()[0]
     except Exception:  # pylint: disable=broad-except
-        return None     # whatever a master that is ending, or no master at all, may answer
+        return None     # a master that is ending, or another server, may answer anything
     return {node for name, nodes in published if name == topic for node in nodes}

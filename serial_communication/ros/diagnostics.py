@@ -1,8 +1,8 @@
-"""/diagnostics: one status a link, once a second of the monotonic clock."""
+"""Publishes /diagnostics: one status for each link, once a second by the monotonic clock."""
 import logging
 import threading
 import time
-from typing import Iterable
+from typing import Any, Callable, Iterable
 
 import rospy
 from diagnostic_updater import Updater
@@ -14,7 +14,10 @@ _PERIOD = 1.0   # s
 
 
 class Diagnostics:
-    """An updater for each link, since the hardware id, the port, is an updater's."""
+    """The diagnostics of all links.
+
+    Each link has an updater, since an updater has one hardware id and a link's is its port.
+    """
 
     def __init__(self, links: Iterable[Link], logger: logging.Logger) -> None:
         self._log = SparingLog('diagnostics', logger)
@@ -28,11 +31,11 @@ class Diagnostics:
         self._thread = threading.Thread(target=self._run, name='diagnostics', daemon=True)
 
     def start(self) -> None:
-        """Publish from now on."""
+        """Start publishing."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Publish no more."""
+        """Stop publishing."""
         self._stopping.set()
 
     def _run(self) -> None:
@@ -41,7 +44,7 @@ class Diagnostics:
             due = max(due + _PERIOD, time.monotonic())
             for updater in self._updaters:
                 try:
-                    # Not update(): that one counts in ROS time, which may stand still.
+                    # update() would count in ROS time, which may stop.
                     updater.force_update()
                 except Exception as error:  # pylint: disable=broad-except
                     if rospy.is_shutdown():
@@ -49,8 +52,8 @@ class Diagnostics:
                     self._log.error('fault', f'fault in the bridge: {error!r}')
 
 
-def _task(link: Link):
-    def run(status):
+def _task(link: Link) -> Callable[[Any], Any]:
+    def run(status: Any) -> Any:
         report = link.report(time.monotonic())
         status.summary(report.level, report.summary)
         for key, value in report.values:

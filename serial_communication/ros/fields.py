@@ -1,6 +1,6 @@
-"""Values <-> the fields of any ROS message, by paths such as ``data`` and ``position[2]``.
+"""Converts values to and from the fields of any ROS message, by paths such as ``position[2]``.
 
-Everything that a path can have wrong is found when a `RosFields` is made.
+Creating a `RosFields` checks the paths completely.
 """
 import difflib
 import glob
@@ -9,7 +9,7 @@ import re
 import struct
 import sys
 from math import isfinite
-from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Iterable, List, NamedTuple, Optional, Sequence, Tuple, Union
 
 import roslib.message
 
@@ -18,18 +18,17 @@ from ..framing.layout import FRACTIONS, Layout, Value
 
 _CODES = {'bool': '?', 'int8': 'b', 'byte': 'b', 'uint8': 'B', 'char': 'B', 'int16': 'h',
           'uint16': 'H', 'int32': 'i', 'uint32': 'I', 'int64': 'q', 'uint64': 'Q',
-          'float32': 'f', 'float64': 'd'}      # struct's, of ROS's numbers
-_MOST_ELEMENTS = 1000     # of an array whose elements are named one by one
+          'float32': 'f', 'float64': 'd'}      # struct's codes
+_MOST_ELEMENTS = 1000     # of an array whose elements are named singly, such as position[2]
 _STEP = re.compile(r'([A-Za-z]\w*)(?:\[(\d+)\])?')
-_TYPE = re.compile(r'([\w/]+)(\[(\d*)\])?')
 
 
 def find_type(key: str, name: str, kind: str = 'msg') -> Any:
-    """The class of an installed message (``kind`` 'msg') or service ('srv') type.
+    """Return the class of an installed message (``kind`` 'msg') or service ('srv') type.
 
     Raises:
-        RowError: there is none; the text has the nearest type that there is, or the package that
-            is missing.
+        RowError: the type is not installed; the text suggests a similar type, or names the package
+            that is missing.
     """
     found = _found(name, kind)
     if found is not None:
@@ -41,68 +40,69 @@ def find_type(key: str, name: str, kind: str = 'msg') -> Any:
     elsewhere = [f'{owner}/{each}' for owner, each in installed if each == short]
     near += difflib.get_close_matches(name, elsewhere, cutoff=0.0)
     meant = next((f'; did you mean {each}?' for each in near if _found(each, kind)), '')
-    why = '' if there else \
-        f': a package {package} with such types is not installed, or its workspace not sourced'
-    raise RowError(key, name, f'is no installed type{why}{meant}')
+    why = '' if there else (f': the package {package} is not installed or has no such types, or '
+                            'its workspace is not sourced')
+    raise RowError(key, name, f'is not an installed type{why}{meant}')
 
 
 def _found(name: str, kind: str) -> Any:
-    """The class of a type, or None."""
+    """Return the class of a type, or None."""
     find = roslib.message.get_message_class if kind == 'msg' else roslib.message.get_service_class
     try:
         found = find(name)
     except (Exception, SystemExit):  # pylint: disable=broad-except
-        return None     # a module of that name that is no package of messages, say
+        return None     # the module of that name may be anything
     return found if getattr(found, '_type', '') == name and (
         hasattr(found, '_slot_types') if kind == 'msg' else hasattr(found, '_request_class')
     ) else None
 
 
 def _installed(kind: str) -> List[str]:
-    """The names of all types, by the modules that are generated for them."""
+    """Return the names of all installed types, found by their generated modules."""
     modules = [path.split(os.sep) for folder in sys.path
                for path in glob.glob(os.path.join(glob.escape(folder), '*', kind, '_[A-Z]*.py'))]
     return sorted({f'{path[-3]}/{path[-1][1:-3]}' for path in modules})
 
 
 class _Place(NamedTuple):
-    """Where one value goes."""
+    """The field or array element that holds one value."""
 
-    owner: Tuple[Union[str, int], ...]     # names of fields and indexes of elements on the way
-    last: Union[str, int]                  # … and the last one
-    to_ros: Optional[Callable[[Any], Any]]
-    code: str                              # struct's code of its number; '' for a text
+    owner: Tuple[Union[str, int], ...]     # path to the message or array that has it
+    last: Union[str, int]                  # its field name or index there
+    to_ros: Optional[Callable[[Any], Any]]     # converts the value
+    code: str                              # struct's code of its number; '' for a string
 
 
 class RosFields:
-    """Where the values of a layout stand in messages of one type.
+    """The mapping between the values of a layout and the fields of a ROS message type.
 
     Args:
-        message_class: of ROS.
-        layout: its values are named by their paths; one without a name is left out.
-        key: the parameter that named them.
+        message_class: the ROS message type.
+        layout: each value's name is its path; a value without a name is left out.
+        key: the parameter with the paths, for errors.
 
     Raises:
-        RowError: a path that leads nowhere, or to what cannot hold such a value.
+        RowError: a field does not exist, or cannot hold its value.
     """
 
     def __init__(self, message_class: Any, layout: Layout, key: str) -> None:
         self._class = message_class
-        self._arrays: List[Tuple[Tuple, int, Any]] = []    # to be lengthened in a new message
+        self._arrays: List[Tuple[Tuple, int, Any]] = []    # path, length and element in a message
         self._places = [self._resolve(key, value) if value.name else None
                         for value in layout.values]
         self._refuse_shared(key, [value.name for value in layout.values])
-        self._filled = [(index, place.owner, place.last, isinstance(place.last, int), place.to_ros)
-                        for index, place in enumerate(self._places) if place]
+        self._filled: List[Tuple] = [
+            (index, place.owner, place.last, isinstance(place.last, int), place.to_ros)
+            for index, place in enumerate(self._places) if place]
 
     def narrowed(self, layout: Layout) -> Layout:
-        """The same layout, which takes what a field cannot hold for implausible."""
+        """Return the layout; there, a value that its field cannot hold is implausible."""
         codes = ['' if not place or _holds_all(place.code, value) else place.code
                  for value, place in zip(layout.values, self._places)]
         return _NarrowedLayout(layout, codes) if any(codes) else layout
 
     def new(self) -> Any:
-        """A message with room for every value."""
+        """Return a message whose arrays are long enough for all values."""
         message = self._class()
         for steps, size, element in self._arrays:
             owner = _walk(message, steps[:-1])
@@ -112,7 +112,7 @@ class RosFields:
         return message
 
     def fill(self, message: Any, values: Sequence) -> Any:
-        """Put the values into a message that `new` made; return it."""
+        """Write the values into a message from `new`, and return it."""
         for index, owner, last, is_element, to_ros in self._filled:
             value = to_ros(values[index]) if to_ros else values[index]
             holder = _walk(message, owner) if owner else message
@@ -123,11 +123,18 @@ class RosFields:
         return message
 
     def read(self, message: Any) -> Tuple:
-        """The values in a message; ValueError where it has not as many elements as are named."""
+        """Return the values in a message.
+
+        Raises:
+            ValueError: one of its arrays is too short.
+        """
         values = []
         for place in self._places:
+            if place is None:
+                values.append(0)
+                continue
             try:
-                value = _walk(message, (*place.owner, place.last)) if place else 0
+                value = _walk(message, (*place.owner, place.last))
             except IndexError:
                 raise ValueError(f'{place.owner[-1]} has no element {place.last}') from None
             values.append(tuple(value) if isinstance(value, (list, bytes)) else value)
@@ -135,15 +142,17 @@ class RosFields:
 
     def _resolve(self, key: str, value: Value) -> _Place:
         path = value.name
-        message_class, steps, type_, size = self._class, (), '', None
+        message_class, type_, array, size = self._class, '', '', ''
+        steps: Tuple[Union[str, int], ...] = ()
         for name, element in _STEP.findall(path):
             if message_class is None:
-                raise RowError(key, path, f'may not go on behind {steps[-1]}, which is {type_}')
+                raise RowError(key, path, f'must end at {steps[-1]}, a {type_} without fields')
             fields = dict(zip(message_class.__slots__, message_class._slot_types))
             if name not in fields:
                 raise RowError(key, path, f'{message_class._type} has no field {name}'
                                + _nearest(name, list(fields)))
-            type_, array, size = _TYPE.fullmatch(fields[name]).groups()
+            type_, bracket, size = fields[name].rstrip(']').partition('[')
+            array = bracket and f'[{size}]'
             message_class = None if type_ in _CODES or type_ in ('string', 'time', 'duration') \
                 else roslib.message.get_message_class(
                     'std_msgs/Header' if type_ == 'Header' else type_)
@@ -152,11 +161,11 @@ class RosFields:
                 self._lengthen(key, path, steps, int(element), array, size,
                                message_class or _default_of(type_))
                 steps += (int(element),)
-                array = None
+                array = ''
         return self._checked(key, value, steps, type_, array, size)
 
     def _refuse_shared(self, key: str, paths: List[str]) -> None:
-        """A value that another one replaces in the message, as position[0] by position."""
+        """Raise RowError if a value would overwrite another, as position does with position[0]."""
         taken = {(*place.owner, place.last): path
                  for place, path in zip(self._places, paths) if place}
         for place, path in zip(self._places, paths):
@@ -164,47 +173,49 @@ class RosFields:
             for end in range(1, len(steps) + 1):
                 other = taken.get(steps[:end], path)
                 if other != path:
-                    raise RowError(key, path, f'has its place in that of {other}')
+                    raise RowError(key, path, f'overlaps with {other}')
 
-    def _lengthen(self, key: str, path: str, steps: Tuple, element: int, array: Optional[str],
-                  size: Optional[str], default: Any) -> None:
+    def _lengthen(self, key: str, path: str, steps: Tuple, element: int, array: str, size: str,
+                  default: Any) -> None:
         most = int(size) if size else _MOST_ELEMENTS
-        if array is None:
-            raise RowError(key, path, f'{steps[-1]} is no array')
+        if not array:
+            raise RowError(key, path, f'{steps[-1]} is not an array')
         if element >= most:
             raise RowError(key, path, f'{steps[-1]} has elements 0 to {most - 1}')
         self._arrays.append((steps, element + 1, default))
 
     @staticmethod
-    def _checked(key: str, value: Value, steps: Tuple, type_: str, array: Optional[str],
-                 size: Optional[str]) -> _Place:
-        """The place, if the value fits what stands there."""
+    def _checked(key: str, value: Value, steps: Tuple, type_: str, array: str,
+                 size: str) -> _Place:
+        """Return the place if its type can hold the value; otherwise raise RowError."""
         path, has = value.name, value.kind
-        is_array, is_fixed = array is not None, bool(size)
-        there = type_ + (array or '')
+        is_array, is_fixed = bool(array), bool(size)
+        there = type_ + array
         if has == 'text' and (type_ != 'string' or is_array):
-            raise RowError(key, path, f'is {there}; a text needs a string')
+            raise RowError(key, path, f'is {there}; the text (s) in the layout needs a string')
         if has != 'text' and type_ not in _CODES:
-            raise RowError(key, path, f'is {there}, which holds no number')
+            raise RowError(key, path, f'is {there}, which cannot hold a number')
         if has == 'array' and (not is_array or is_fixed):
-            raise RowError(key, path, f'is {there}; a * needs an array of any length')
+            raise RowError(key, path, f'is {there}; the * in the layout needs an array of any '
+                           'length')
         if has == 'number' and is_array:
-            raise RowError(key, path, f'is {there}; one number needs one element, as {path}[0]')
-        convert = None
+            raise RowError(key, path, f'is {there}; a single number needs one element, such as '
+                           f'{path}[0]')
+        convert: Optional[Callable[[Any], Any]] = None
         if type_ == 'bool':
             convert = bool
         elif has != 'text' and type_ not in ('float32', 'float64') and not value.is_whole:
             convert = round
         if convert and has == 'array':
-            one, convert = convert, lambda numbers: [one(number) for number in numbers]
+            convert = _for_each(convert)
         return _Place(steps[:-1], steps[-1], convert, _CODES.get(type_, ''))
 
 
 class _NarrowedLayout(Layout):
-    """A layout whose values have to fit the fields of a ROS message, too.
+    """A layout whose values must also fit the fields of a ROS message.
 
     Args:
-        codes: for each value struct's code of its field; '' where that holds whatever comes.
+        codes: struct's code of each value's field; '' if the field can hold every value.
     """
 
     def __init__(self, layout: Layout, codes: List[str]) -> None:
@@ -213,14 +224,14 @@ class _NarrowedLayout(Layout):
 
     def implausible(self, values: Sequence) -> str:
         return super().implausible(values) or next(
-            (f'{value.name} is {number:.6g}, which its place in the message cannot hold'
+            (f'{value.name} is {number:.6g}, which its ROS field cannot hold'
              for given, value, code in zip(values, self.values, self._codes) if code
              for number in (given if isinstance(given, tuple) else (given,))
              if not _holds(code, number)), '')
 
 
 def _holds_all(code: str, value: Value) -> bool:
-    """Whether a field of struct's `code`, '' for a text, holds whatever may be sent."""
+    """Return whether a field with struct's `code` ('' for a string) can hold every value."""
     if code in ('', 'd'):
         return True
     return (code == 'f' or not value.may_be_nan) and all(
@@ -228,7 +239,7 @@ def _holds_all(code: str, value: Value) -> bool:
 
 
 def _holds(code: str, number: float) -> bool:
-    """Whether a field of struct's `code` can hold a number, rounded where it holds integers."""
+    """Return whether a field with struct's `code` can hold a number, rounded for integers."""
     try:
         struct.pack('<' + code, number if code in FRACTIONS else round(number))
     except (struct.error, OverflowError, ValueError):
@@ -244,6 +255,10 @@ def _walk(message: Any, steps: Sequence) -> Any:
 
 def _default_of(type_: str) -> Callable[[], Any]:
     return str if type_ == 'string' else bool if type_ == 'bool' else int
+
+
+def _for_each(convert: Callable[[Any], Any]) -> Callable[[Iterable], list]:
+    return lambda numbers: [convert(number) for number in numbers]
 
 
 def _nearest(name: str, names: List[str]) -> str:

@@ -1,4 +1,4 @@
-"""The frames that the sensors stand in, and those that they measure."""
+"""Transforms: where the sensors are mounted, and the orientations that they measure."""
 from math import sqrt
 from typing import Dict, List, Sequence
 
@@ -12,7 +12,7 @@ from .publishing import wanted
 
 def transform(parent: str, child: str, translation: Sequence[float],
               rotation: Sequence[float], stamp: rospy.Time) -> TransformStamped:
-    """A transform message; `rotation` as x, y, z, w."""
+    """Return a transform message; `translation` in m, `rotation` a quaternion x, y, z, w."""
     message = TransformStamped()
     message.header.stamp = stamp
     message.header.frame_id = parent
@@ -25,9 +25,9 @@ def transform(parent: str, child: str, translation: Sequence[float],
 
 
 def publish_mounts(base: str, mounts: Dict[str, List[float]]) -> tf2_ros.StaticTransformBroadcaster:
-    """Say once, for good, where each frame stands in `base`: x y z in m, roll pitch yaw in rad.
+    """Publish each frame's static transform in `base`: x y z in m, roll pitch yaw in rad.
 
-    The returned broadcaster has to be kept.
+    The transforms last as long as the returned broadcaster.
     """
     broadcaster = tf2_ros.StaticTransformBroadcaster()
     now = rospy.Time.now()
@@ -37,7 +37,7 @@ def publish_mounts(base: str, mounts: Dict[str, List[float]]) -> tf2_ros.StaticT
 
 
 class OrientationBroadcaster:
-    """A measured orientation as a frame of its own, a child of the sensor's frame."""
+    """Publishes a measured orientation as a child frame of the sensor's frame."""
 
     def __init__(self, parent: str, child: str) -> None:
         self._broadcaster = tf2_ros.TransformBroadcaster()
@@ -45,7 +45,10 @@ class OrientationBroadcaster:
         self._child = child
 
     def send(self, orientation: Sequence[float], stamp: rospy.Time) -> None:
-        """Quaternion x, y, z, w, of any length: tf2 takes none whose norm is off by 0.5 %."""
+        """Publish a quaternion x, y, z, w of any norm but 0.
+
+        It is normalised first: tf2 refuses a norm that is wrong by 0.5 %.
+        """
         norm = sqrt(sum(part * part for part in orientation))
         if norm and wanted(self._broadcaster.pub_tf):
             self._broadcaster.sendTransform(transform(

@@ -1,49 +1,54 @@
-"""What a board must be to the node."""
+"""The interface between the node and a board."""
 import logging
-from typing import Any, Callable, Dict, List, NamedTuple, Protocol, Tuple
+from abc import ABC, abstractmethod
+from typing import Any, Callable, Dict, List, NamedTuple, Tuple
 
 from ..link.link import Link
 from .parameter import Parameters
 
 
-class Common(NamedTuple):
-    """What every link is given by the node: arguments of `Link`."""
+class LinkOptions(NamedTuple):
+    """The arguments of `Link` that the node gives to every link."""
 
     frame_timeout: float           # s
-    clock: Callable[[], Any]       # stamps each read with a rospy.Time
+    clock: Callable[[], Any]       # returns the rospy.Time that stamps a read
     logger: logging.Logger
 
 
-class Interface(Protocol):
+class Interface(ABC):
     """One board on the ROS side: its parameters and frames, its link, its topics and services.
 
-    A subclass stands as `INTERFACE` in its module. The node checks the board's parameters, makes
-    the interface if the board has a port, publishes where its frames stand, starts its link,
-    and then calls `advertise`. Diagnostics and serial_msg follow from the link.
+    The module `ros` of a board has a subclass as `INTERFACE`. The node checks the board's
+    parameters, creates the interface if the board has a port, publishes its mounts, starts its
+    link, and then calls `advertise`. Diagnostics and serial_msg need only the link.
 
     Args:
-        parameters: the checked values: the board's own by their names in `PARAMETERS`, beside them
-            publish_tf, base_frame_id and frame_prefix. Frame ids have the prefix already.
-        common: to be passed on to the link.
+        parameters: the checked values of `PARAMETERS`, and of publish_tf, base_frame_id and
+            frame_prefix. Frame ids have the prefix already.
+        link_options: arguments for the link.
     """
 
     NAME: str                      # of the link, in logs, diagnostics, serial_msg and parameters
-    PARAMETERS: Parameters         # `port` and `baud` among them
-    MOUNTS: Tuple[str, ...] = ()   # x, where a sensor stands: x_frame_id and x_mount are parameters
+    PARAMETERS: Parameters         # including `port` and `baud`
+    MOUNTS: Tuple[str, ...] = ()   # for each sensor x, x_frame_id and x_mount are parameters
     link: Link
 
-    def __init__(self, parameters: Dict[str, Any], common: Common) -> None:
-        ...
+    @abstractmethod
+    def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
+        """Create the link and the topics from the board."""
 
     @staticmethod
     def problem(parameters: Dict[str, Any]) -> str:
-        """What no single parameter can tell, beginning with the name of one; '' if all is well."""
+        """Return what is wrong with several parameters together; '' if nothing is.
+
+        The text begins with the name of one of them.
+        """
         return ''
 
     @staticmethod
-    def own_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
-        """The topics and services that parameters add: (name, the parameter that adds it)."""
+    def custom_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
+        """Return the topics and services that parameters add: (name, the parameter's name)."""
         return []
 
     def advertise(self) -> None:
-        """Subscribe and offer services; the link runs already."""
+        """Subscribe to commands and offer services; the link has started."""

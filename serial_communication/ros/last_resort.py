@@ -1,4 +1,4 @@
-"""Ends a process that does not end by itself."""
+"""Ends a process even if something hangs."""
 import os
 import threading
 import time
@@ -6,13 +6,12 @@ from typing import Callable
 
 
 class LastResort:
-    """Ends the process soon after its end has begun, whatever keeps it alive: a thread in a dead
-    connection, say, or a terminal that takes nothing.
+    """Ends the process a fixed time after its shutdown has begun, even if a thread hangs.
 
-    Its thread is there from the start: where no memory is left, starting one may never return.
+    Its thread starts at once, since starting a thread may never return when memory runs out.
 
     Args:
-        seconds: from `begin` until the process ends.
+        seconds: time from `begin` until the process ends.
         end: ends the process with a status.
     """
 
@@ -24,7 +23,7 @@ class LastResort:
         threading.Thread(target=self._run, name='last resort', daemon=True).start()
 
     def begin(self, status: int = 0) -> None:
-        """The end has begun, with this status."""
+        """Start the countdown; the process will end with this status."""
         self._status = status
         self._begun.set()
 

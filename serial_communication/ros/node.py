@@ -1,11 +1,11 @@
-"""The node: reads the parameters, puts the links together with ROS, and ends them in order."""
+"""The node: checks the parameters, connects the links with ROS, and stops them in order."""
 import logging
 import os
 import signal
 import sys
 import time
 from contextlib import contextmanager
-from typing import Iterator
+from typing import Iterator, Type
 
 import rospy
 
@@ -17,35 +17,35 @@ from ..transport.pace import set_priority_of_all
 from . import parameters, starting
 from .diagnostics import Diagnostics
 from .geometry import publish_mounts
-from .interface import Common
+from .interface import Interface, LinkOptions
 from .last_resort import LastResort
 from .parameter import ParameterError
 from .rospy_mends import background_logging, direct, handshake, log_file, remapping, shortage
 from .rospy_mends.master_watch import MasterWatch
 from .traffic import Traffic
 
-_SWITCH_INTERVAL = 0.0005   # s that a busy thread may keep the interpreter from the heartbeat
-_NAME = 'serial_communication'    # unless the command line gives another one
-_PRIORITY = 1               # real-time, where the system allows it
-_SHUTDOWN = 1.0             # s for the links to end in
-_LAST_RESORT = 1.5          # s from a signal until the process ends, whatever hangs
-_LOGGER = logging.getLogger('rosout')    # rospy's own, for terminal, file and /rosout
+_SWITCH_INTERVAL = 0.0005   # s; so that a busy thread does not delay the heartbeat
+_NAME = 'serial_communication'    # the default
+_PRIORITY = 1               # real-time priority of all threads, if the system allows it
+_SHUTDOWN = 1.0             # s for all links to end
+_LAST_RESORT = 1.5          # s from a signal until the process ends, even if something hangs
+_LOGGER = logging.getLogger('rosout')    # rospy's, for terminal, file and /rosout
 
 
 def main() -> None:
-    """Run until ROS or a signal ends it, and exit."""
+    """Run until ROS or a signal ends the node, then exit."""
     prepare_output()
     starting.check_arguments(sys.argv[1:])
     sys.setswitchinterval(_SWITCH_INTERVAL)
     background_logging.install()
     start = starting.Start(_NAME)
-    last_resort = LastResort(_LAST_RESORT, start.end_at_last)
+    last_resort = LastResort(_LAST_RESORT, start.force_exit)
     status = 1
     try:
         status = _run(start, last_resort)
     finally:
         written = background_logging.finish()
-        start.start_again_if_displaced()
+        start.restart_if_displaced()
         if not written:
             os._exit(status)
     last_resort.begin(status)
@@ -53,26 +53,25 @@ def main() -> None:
 
 
 def _run(start: starting.Start, last_resort: LastResort) -> int:
-    ended = start.may_begin()
-    if ended is not None:
-        return ended
+    status = start.wait_until_allowed()
+    if status is not None:
+        return status
     log = SparingLog('ROS', _LOGGER)
     handshake.install(log)
     shortage.install(log)
     try:
         log_file.init_node(_NAME)
-    except rospy.ROSInitException:      # a signal came before the master had answered
+    except rospy.ROSInitException:      # a signal arrived before the master answered
         return 0
     finally:
         start.registered()
     direct.install(_LOGGER)
     remapping.install()
-    # From here on a signal ends the process, though a module of another package, or the master,
-    # hangs before there is a bridge to stop.
+    # From now on a signal ends the process, even if the import of a board or the master hangs
+    # before there is a bridge to stop.
     rospy.on_shutdown(last_resort.begin)
-    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:    # as nohup has it
-        signal.signal(signal.SIGHUP, lambda *_: (
-            start.stopping.set(), rospy.signal_shutdown('the terminal has gone')))
+    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:    # nohup ignores it
+        signal.signal(signal.SIGHUP, lambda *_: _hang_up(start))
     bridge = None
     try:
         given = rospy.get_param('~', {})
@@ -81,7 +80,7 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
             rospy.logwarn(warning)
         bridge = Bridge(values)
         rospy.on_shutdown(bridge.stop)
-        if not rospy.core.is_shutdown_requested():      # or the hook may have come too late
+        if not rospy.core.is_shutdown_requested():      # otherwise nothing may call `stop` later
             bridge.start()
             MasterWatch(given, _LOGGER).start()
     except rospy.ROSInterruptException:
@@ -90,19 +89,24 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
         if bridge:
             bridge.stop()
         rospy.logfatal(remapping.explained(error))
-        starting.linger()
+        starting.wait_under_roslaunch()
         return 1
     rospy.spin()
     return 0
 
 
+def _hang_up(start: starting.Start) -> None:
+    start.stopping.set()
+    rospy.signal_shutdown('the terminal has gone')
+
+
 @contextmanager
-def _code_of(board: type) -> Iterator[None]:
-    """What a board's code raises as the node starts is one line, which names the board."""
+def _errors_naming(board: Type[Interface]) -> Iterator[None]:
+    """Turn what a board's code raises at the start into a ParameterError that names the board."""
     try:
         yield
     except remapping.NAME_ERRORS:
-        raise       # its text is for a person
+        raise       # its text names the topic or service
     except (Exception, SystemExit) as error:  # pylint: disable=broad-except
         named_by = '' if board in parameters.BUILT_IN else \
             f'parameter {rospy.resolve_name("~boards")}: '
@@ -111,59 +115,59 @@ def _code_of(board: type) -> Iterator[None]:
 
 
 class Bridge:
-    """The links that have a port, and what belongs to all of them.
+    """All links that have a port, with their diagnostics, transforms and serial_msg.
 
     Args:
-        p: the parameters, checked.
+        p: the checked parameters.
     """
 
     def __init__(self, p: dict) -> None:
-        common = Common(p['frame_timeout'], rospy.Time.now, _LOGGER)
-        boards = [(board, own) for board, own in (
-            (board, parameters.of_board(board, p)) for board in p['boards']) if own['port']]
+        link_options = LinkOptions(p['frame_timeout'], rospy.Time.now, _LOGGER)
+        boards = [(board, values) for board, values in (
+            (board, parameters.of_board(board, p)) for board in p['boards']) if values['port']]
         self._interfaces, self._links = [], []
-        for board, own in boards:
-            with _code_of(board):
-                interface = board(own, common)
+        for board, values in boards:
+            with _errors_naming(board):
+                interface = board(values, link_options)
                 if not isinstance(interface.link, Link):
-                    raise TypeError(f'its link is {interface.link!r}, may be a Link')
+                    raise TypeError(f'its link is {interface.link!r}, must be a Link')
                 self._interfaces.append(interface)
                 self._links.append(interface.link)
         if not self._links:
             ports = ', '.join(f'{board.NAME}/port' for board in p['boards'])
-            rospy.logwarn(f'no port is set ({ports}): nothing to do')
+            rospy.logwarn(f'no port is set ({ports}): the bridge has nothing to do')
         off = [board.NAME for board in p['boards'] if not parameters.of_board(board, p)['port']]
         if self._links and off:
-            rospy.loginfo(f'off, since no port is given for it: {", ".join(off)} (bridge.launch: '
-                          'where one port is named, those that are not count as empty)')
+            rospy.loginfo(f'off, because no port is set: {", ".join(off)} (bridge.launch: if a '
+                          'port is given as an argument, links without a port argument are off)')
         self._mounts = publish_mounts(p['base_frame_id'], {
-            own[f'{name}_frame_id']: own[f'{name}_mount']
-            for board, own in boards for name in board.MOUNTS})
+            values[f'{name}_frame_id']: values[f'{name}_mount']
+            for board, values in boards for name in board.MOUNTS})
         self._traffic = Traffic(self._links, _LOGGER)
         self._diagnostics = Diagnostics(self._links, _LOGGER)
 
     def start(self) -> None:
-        """Open the ports and take calls."""
-        # Not the heartbeat's thread alone: any other may hold the interpreter's lock while it waits
-        # for the processor, and the heartbeat with it.
+        """Open the ports, subscribe to commands and offer services."""
+        # Not only the heartbeat's thread gets it: while any thread holds the interpreter's lock
+        # and waits for the processor, the heartbeat waits, too.
         set_priority_of_all(_PRIORITY)
         for interface in self._interfaces:
-            with _code_of(type(interface)):
+            with _errors_naming(type(interface)):
                 interface.link.start()
         for interface in self._interfaces:
-            with _code_of(type(interface)):
+            with _errors_naming(type(interface)):
                 interface.advertise()
         self._diagnostics.start()
 
     def stop(self) -> None:
-        """SPEED 0 first, then everything ends; in 1 s even where a port hangs."""
+        """Send SPEED 0 first, then stop everything; takes 1 s at most, even if a port hangs."""
         for link in sorted(self._links, key=lambda link: not link.STOPS_FIRST):
             link.stop()
         deadline = time.monotonic() + _SHUTDOWN
         for link in self._links:
             link.join(max(0.0, deadline - time.monotonic()))
         self._diagnostics.stop()
-        # rospy's thread for the calls of others turns in circles once its socket is closed, and
-        # would keep a processor from those that it waits for. And a process that starts again in
-        # the place of this one would inherit the priority.
+        # After its socket is closed, rospy's server thread runs in a busy loop. With real-time
+        # priority it would keep the processor from the threads that it waits for. Also, a process
+        # that replaces this one (execve) would inherit the priority.
         set_priority_of_all(0)

@@ -1,6 +1,6 @@
-"""Boards of other packages: they are imported, and what they say of themselves is checked.
+"""Imports the boards of other packages and checks their interfaces.
 
-Whatever is wrong there is told in one line: a traceback would hide which parameter is meant.
+Every mistake there is reported in one line, since a traceback would not name the parameter.
 """
 import re
 import threading
@@ -14,21 +14,21 @@ from ..framing.layout import brief
 from .interface import Interface
 from .parameter import Parameter
 
-_LOOK_EVERY = 0.1     # s; whether it was imported, and whether the node has to end
-_SLOW = 3.0           # s that an import takes before a person is told of it
+_LOOK_EVERY = 0.1     # s between checks whether the import or the node has ended
+_SLOW = 3.0           # s after which an import is reported as slow
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
 
 
 def board_interfaces(names: Any, taken: Iterable[str]) -> List[Type[Interface]]:
-    """The interfaces of the boards in these packages.
+    """Return the interfaces of the boards in these packages.
 
     Args:
-        names: of packages with a DESCRIPTION, or, as up to 1.1, of modules with an INTERFACE.
+        names: packages with a DESCRIPTION, or modules with an INTERFACE (up to version 1.1).
         taken: names that no board may have.
 
     Raises:
         ValueError: one of them cannot be used; the text is one line.
-        rospy.ROSInterruptException: the node has to end, and an import goes on.
+        rospy.ROSInterruptException: the node was stopped during an import.
     """
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise ValueError
@@ -43,21 +43,21 @@ def board_interfaces(names: Any, taken: Iterable[str]) -> List[Type[Interface]]:
 
 
 def _load(name: str) -> Tuple[str, Any]:
-    """The name in its DESCRIPTION, '' where it has none, and its INTERFACE or None.
+    """Return the name in its DESCRIPTION ('' without one) and its INTERFACE (None without one).
 
-    It is imported in a thread of its own, so that a signal ends the node though an import hangs.
+    The import runs in a thread, so that a signal ends the node even if the import hangs.
     """
     outcome: List[Any] = []
     thread = threading.Thread(target=_import, args=(name, outcome), name=f'import {name}',
                               daemon=True)
     thread.start()
-    began, said = time.monotonic(), False
+    began, reported = time.monotonic(), False
     while thread.is_alive():
         thread.join(_LOOK_EVERY)
         if rospy.is_shutdown():
             raise rospy.ROSInterruptException(f'while {name} was imported')
-        if not said and time.monotonic() > began + _SLOW:
-            said = True
+        if not reported and time.monotonic() > began + _SLOW:
+            reported = True
             rospy.logwarn(f'parameter {rospy.resolve_name("~boards")}: the module {name!r} is '
                           f'still being imported after {_SLOW:g} s; Ctrl-C ends the node')
     if isinstance(outcome[0], BoardError):
@@ -77,7 +77,7 @@ def _import(name: str, outcome: List[Any]) -> None:
 
 
 def _wrong(described: str, interface: Any, taken: Iterable[str]) -> str:
-    """What an INTERFACE is instead of what it must be, or ''."""
+    """Return what is wrong with an INTERFACE, or ''."""
     if interface is None:
         return 'its ros.py has no INTERFACE' if described else \
             'it has neither a DESCRIPTION of a board nor an INTERFACE'
@@ -86,26 +86,26 @@ def _wrong(described: str, interface: Any, taken: Iterable[str]) -> str:
                       'serial_communication.ros.interface.Interface')
     name = getattr(interface, 'NAME', None)
     if not isinstance(name, str) or not _NAME.fullmatch(name):
-        return _other('.NAME', name, 'letters, digits and _ that begin with a letter')
+        return _other('.NAME', name, 'letters, digits and _, a letter first')
     if name in taken:
-        return _other('.NAME', name, 'a name that no other board and no parameter has')
+        return _other('.NAME', name, 'a name that no other board or parameter has')
     if described and described != name:
         return _other('.NAME', name, f'{described!r}, the name in its DESCRIPTION')
     parameters = getattr(interface, 'PARAMETERS', None)
     if not isinstance(parameters, dict):
-        return _other('.PARAMETERS', parameters, 'a dict of Parameter by name')
+        return _other('.PARAMETERS', parameters, 'a dict from name to Parameter')
     for key, parameter in parameters.items():
         wrong = _wrong_parameter(key, parameter)
         if wrong:
             return wrong
     if 'port' not in parameters or not isinstance(parameters['port'].default, str):
-        return _other(".PARAMETERS['port']", parameters.get('port'), 'PORT, which it must have')
-    return _wrong_mounts(interface.MOUNTS, parameters)
+        return _other(".PARAMETERS['port']", parameters.get('port'), 'PORT, which is required')
+    return _wrong_mounts(getattr(interface, 'MOUNTS', None), parameters)
 
 
 def _wrong_parameter(key: Any, parameter: Any) -> str:
     if not isinstance(key, str) or not _NAME.fullmatch(key):
-        return _other('.PARAMETERS', key, 'a dict of Parameter by names of letters, digits and _')
+        return _other('.PARAMETERS', key, 'a dict from name (letters, digits and _) to Parameter')
     where = f'.PARAMETERS[{key!r}]'
     if not isinstance(parameter, Parameter):
         return _other(where, parameter, 'a Parameter')
@@ -114,17 +114,17 @@ def _wrong_parameter(key: Any, parameter: Any) -> str:
         return _other(where + '.default', default, 'true or false, text, a number, a list or a '
                       'group')
     if parameter.parse is None and (default == [] or isinstance(default, dict)):
-        return _other(where + '.parse', None, 'a function, where the default is empty or a group')
+        return _other(where + '.parse', None, 'a function if the default is empty or a group')
     return ''
 
 
 def _wrong_mounts(mounts: Any, parameters: dict) -> str:
     if not isinstance(mounts, (tuple, list)) or not all(isinstance(each, str) for each in mounts):
-        return _other('.MOUNTS', mounts, 'a tuple of names of sensors')
+        return _other('.MOUNTS', mounts, 'a tuple of sensor names')
     for each in mounts:
         for key in f'{each}_frame_id', f'{each}_mount':
             if key not in parameters:
-                return _other('.MOUNTS', mounts, f'names of sensors; PARAMETERS has no {key}')
+                return _other('.MOUNTS', mounts, f'sensor names; PARAMETERS has no {key}')
     return ''
 
 

@@ -1,4 +1,4 @@
-"""What one parameter is and what it may be, and the kinds that every board has."""
+"""A parameter's type and range, and the parameters that several boards share."""
 from math import inf, isfinite
 from typing import Any, Callable, Dict, NamedTuple, Optional, Tuple
 
@@ -7,17 +7,17 @@ from ..transport.port import check_url
 
 
 class ParameterError(ValueError):
-    """A parameter that cannot be used; the text is one line for a person."""
+    """A parameter's value is wrong; the text is one line for users."""
 
     def __init__(self, text: str) -> None:
         super().__init__(readable(text))
 
 
 class Parameter(NamedTuple):
-    """One parameter: its type is that of its default.
+    """One parameter. Its type is that of its default.
 
-    A list is one of as many numbers as its default has; of an empty one, and of a group (a dict),
-    `parse` alone says what it may be.
+    A list has as many numbers as its default. An empty list and a group (a dict) are checked by
+    `parse` alone.
     """
 
     default: Any
@@ -25,10 +25,10 @@ class Parameter(NamedTuple):
     high: float = inf
     choices: Tuple = ()
     unit: str = ''
-    parse: Optional[Callable[[Any], Any]] = None    # makes the value; ValueError if it may not be
+    parse: Optional[Callable[[Any], Any]] = None    # returns the value; ValueError if it is wrong
 
     def allowed(self) -> str:
-        """What it may be, in words."""
+        """Return the allowed values as text, such as ``may be a number from 0 to 1 (s)``."""
         if self.choices:
             return 'may be ' + ' or '.join(repr(choice) for choice in self.choices)
         if isinstance(self.default, list):
@@ -45,8 +45,12 @@ class Parameter(NamedTuple):
         return f'may be {kind}{bounds}{unit}'
 
     def check(self, value: Any) -> Any:
-        """The value in its own type; ValueError if it may not be."""
-        if self.default in ({}, []):
+        """Return the value as the parameter's type.
+
+        Raises:
+            ValueError: it has another type, or is out of range.
+        """
+        if self.parse and self.default in ({}, []):
             return self.parse(value)
         wanted = type(self.default)
         if wanted is float and type(value) is int:
@@ -65,21 +69,21 @@ class Parameter(NamedTuple):
         return self.parse(value) if self.parse else value
 
 
-Parameters = Dict[str, Parameter]     # by name; a board's without its group
+Parameters = Dict[str, Parameter]     # by name; a board's without the prefix ``BOARD/``
 
 
 def seconds(default: float, low: float, high: float) -> Parameter:
-    """A time."""
+    """Return a parameter that is a time; all values in s."""
     return Parameter(default, low, high, unit='s')
 
 
 def frame_id(default: str) -> Parameter:
-    """The name of a frame; `frame_prefix` comes before it."""
+    """Return a parameter that is a frame id; the node puts `frame_prefix` before it."""
     return Parameter(default, parse=not_empty)
 
 
 def not_empty(text: str) -> str:
-    """The text; ValueError if there is none."""
+    """Return the text; raise ValueError if it is empty."""
     if not text:
         raise ValueError
     return text

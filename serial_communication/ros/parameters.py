@@ -1,6 +1,6 @@
-"""The node's private parameters: those of the node itself, and those of every board.
+"""The private parameters of the node and of every board.
 
-config/bridge.yaml documents them for users; a test holds the two together.
+config/bridge.yaml documents them for users; a test compares the two.
 """
 import difflib
 from typing import Any, Dict, List, Tuple, Type
@@ -17,7 +17,7 @@ from .parameter import Parameter, ParameterError, Parameters, frame_id, not_empt
 
 
 def _other_boards(names: Any) -> List[Type[Interface]]:
-    """The interfaces of boards of other packages, from the names of their modules."""
+    """Return the interfaces of boards of other packages, from the names of their modules."""
     return board_interfaces(names, {*BOARDS, *NODE_PARAMETERS})
 
 
@@ -32,7 +32,7 @@ BUILT_IN: List[Type[Interface]] = [description(name).interface for name in BOARD
 
 
 def table(interfaces: List[Type[Interface]]) -> Parameters:
-    """Every parameter, by its full name: a board's are in a group of the board's name."""
+    """Return all parameters by full name; a board's are in a group with the board's name."""
     return {**NODE_PARAMETERS, **{f'{interface.NAME}/{name}': parameter
                                   for interface in interfaces
                                   for name, parameter in interface.PARAMETERS.items()}}
@@ -42,15 +42,16 @@ PARAMETERS = table(BUILT_IN)
 
 
 def check(given: Dict[str, Any], namespace: str) -> Tuple[Dict[str, Any], List[str]]:
-    """Every parameter's value, and a warning for each name that is none of the parameters.
+    """Return the values of all parameters, and a warning for each unknown name.
 
-    Frame ids come with `frame_prefix` before them; `boards` are the interfaces of all boards.
+    Frame ids have `frame_prefix` before them. `boards` has the interfaces of all boards.
 
     Args:
-        given: what the parameter server holds under `namespace`, nested as it holds it.
+        given: the tree that the parameter server holds under `namespace`.
 
     Raises:
-        ParameterError: names the parameter, what it is and what it may be.
+        ParameterError: a value is wrong; the text names the parameter, its value and what it may
+            be.
     """
     if not isinstance(given, dict):
         raise _not_a_group(namespace, given)
@@ -70,7 +71,7 @@ def check(given: Dict[str, Any], namespace: str) -> Tuple[Dict[str, Any], List[s
 
 
 def of_board(interface: Type[Interface], values: Dict[str, Any]) -> Dict[str, Any]:
-    """The values that an interface is made with: its own, without its group, and the node's."""
+    """Return the values for an interface: the board's without their group, and the node's."""
     own = {name: values[f'{interface.NAME}/{name}'] for name in interface.PARAMETERS}
     return {**{name: values[name] for name in NODE_PARAMETERS}, **own}
 
@@ -83,7 +84,7 @@ def _value(name: str, parameter: Parameter, value: Any, namespace: str) -> Any:
     except rospy.ROSInterruptException:
         raise
     except (Exception, SystemExit) as error:  # pylint: disable=broad-except
-        # `parse` may be of another package, and raise anything.
+        # The `parse` of another package may raise anything.
         why = str(error) if isinstance(error, ValueError) else reason(error)
         raise ParameterError(f'parameter {namespace}/{name} is {brief(value, 120)} '
                              f'({type(value).__name__}), {parameter.allowed()}'
@@ -98,26 +99,26 @@ def _check_together(interfaces: List[Type[Interface]], values: Dict[str, Any],
         own = of_board(interface, values)
         try:
             problem = interface.problem(own)
-            own_names = [(name, key) for name, key in interface.own_names(own)]
+            custom_names = [(name, key) for name, key in interface.custom_names(own)]
         except (Exception, SystemExit) as error:  # pylint: disable=broad-except
-            raise ParameterError(f'parameter {namespace}/boards: the board {interface.NAME} cannot '
-                                 f'check its parameters: {reason(error)}') from None
+            raise ParameterError(f'parameter {namespace}/boards: the board {interface.NAME} failed '
+                                 f'to check its parameters: {reason(error)}') from None
         if problem:
             raise ParameterError(f'parameter {namespace}/{interface.NAME}/{problem}')
         _refuse_second(f'{namespace}/{interface.NAME}/port', own['port'], ports)
-        for name, key in own_names:
+        for name, key in custom_names:
             if name in names:
-                raise ParameterError(f'parameter {namespace}/{key} is named as {names[name]} '
-                                     f'is: both make {name}, which may be made once')
+                raise ParameterError(f'parameter {namespace}/{key} has the name of {names[name]}: '
+                                     f'both add {name}; rename one of them')
             names[name] = key
 
 
 def _refuse_second(key: str, url: str, ports: Dict[Any, str]) -> None:
-    """A port that another link has already: one of them would wait for the other for ever."""
+    """Refuse a port that another link has: one of the two would wait for it for ever."""
     port = identity(url) if url and isinstance(url, str) else None
     if port in ports:
-        raise ParameterError(f'parameter {key} is {url!r}, the port of {ports[port]}, too; a port '
-                             'has one link')
+        raise ParameterError(f'parameter {key} is {url!r}, which is also the port of '
+                             f'{ports[port]}; each link needs its own port')
     if port is not None:
         ports[port] = f'{key} ({url!r})'
 
@@ -141,4 +142,4 @@ def _not_a_group(name: str, value: Any) -> ParameterError:
 def _unknown(namespace: str, name: str, parameters: Parameters) -> str:
     near = difflib.get_close_matches(name, parameters, 1)
     meant = f'; did you mean {near[0]}?' if near else ''
-    return readable(f'parameter {namespace}/{name} is not known here and has no effect{meant}')
+    return readable(f'parameter {namespace}/{name} is unknown and has no effect{meant}')

@@ -1,21 +1,23 @@
-"""Publishers as this node uses them."""
+"""Publishers with the options that this node needs."""
+from typing import Any
+
 import rospy
 
 
-def publisher(name: str, message_class, **options) -> rospy.Publisher:
-    """A publisher whose slow subscribers lose messages and hold up nobody.
+def publisher(name: str, message_class: Any, **options: Any) -> rospy.Publisher:
+    """Return a publisher whose slow subscribers lose messages, but do not delay anybody else.
 
-    A hundred messages queue for each subscriber; what comes then pushes the oldest out. Small
-    messages leave at once instead of waiting for a subscriber's acknowledgement.
+    Up to 100 messages wait for each subscriber; a newer one replaces the oldest. Small messages
+    are sent at once (TCP_NODELAY), without waiting for a subscriber's acknowledgement.
     """
     return rospy.Publisher(name, message_class, queue_size=100, tcp_nodelay=True, **options)
 
 
 def wanted(topic: rospy.Publisher) -> bool:
-    """Whether anybody subscribes; asked for every message, so without rospy's lock."""
+    """Return whether the topic has subscribers; lock-free, since it is called for every message."""
     return bool(topic.impl.connections)
 
 
 def diagonal(x: float, y: float, z: float) -> list:
-    """A covariance matrix, row by row."""
+    """Return a diagonal covariance matrix, in row-major order."""
     return [x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, z]

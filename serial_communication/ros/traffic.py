@@ -1,8 +1,8 @@
-"""serial_msg: every frame of every link, while somebody looks."""
+"""Publishes serial_msg: every frame of every link, while the topic has subscribers."""
 import logging
 import queue
 import threading
-from typing import Iterable
+from typing import Callable, Iterable, Tuple
 
 import rospy
 
@@ -13,35 +13,37 @@ from ..link.link import Link
 from ..link.sparing_log import SparingLog
 from .publishing import publisher
 
-_QUEUED = 2000   # frames that wait for this thread at most; newer ones are left out
+_QUEUED = 2000   # frames that may wait for the thread; newer ones are dropped
 
 
 class Traffic(rospy.SubscribeListener):
-    """Publishes from a thread of its own, so that looking on slows down nothing.
+    """Publishes from a separate thread, so that subscribers do not slow down the links.
 
-    While nobody subscribes, the links are not listened to at all.
+    Without subscribers, the links do not pass their frames on at all.
     """
 
     def __init__(self, links: Iterable[Link], logger: logging.Logger) -> None:
         super().__init__()
         self._log = SparingLog('serial_msg', logger)
         self._links = {link.name: link for link in links}
-        self._queue: queue.SimpleQueue = queue.SimpleQueue()   # its put never waits
+        # put() never blocks.
+        self._queue: 'queue.SimpleQueue[Tuple[str, int, Frame, int]]' = queue.SimpleQueue()
         threading.Thread(target=self._run, name='serial_msg', daemon=True).start()
         self._topic = publisher('serial_msg', SerialMsg, subscriber_listener=self)
 
-    def peer_subscribe(self, topic_name, topic_publish, peer_publish) -> None:
-        """Somebody looks."""
+    def peer_subscribe(self, topic_name: str, topic_publish: Callable,
+                       peer_publish: Callable) -> None:
+        """Pass on the frames of all links; called by rospy."""
         for link in self._links.values():
-            link.tap = self._take
+            link.tap = self._enqueue
 
-    def peer_unsubscribe(self, topic_name, num_peers) -> None:
-        """Somebody looks no more."""
+    def peer_unsubscribe(self, topic_name: str, num_peers: int) -> None:
+        """Stop that if there is no subscriber left; called by rospy."""
         if not num_peers:
             for link in self._links.values():
                 link.tap = None
 
-    def _take(self, link: str, direction: int, frame: Frame) -> None:
+    def _enqueue(self, link: str, direction: int, frame: Frame) -> None:
         if self._queue.qsize() < _QUEUED:
             self._queue.put((link, direction, frame, self._links[link].connections))
 
@@ -59,8 +61,8 @@ class Traffic(rospy.SubscribeListener):
                             command=frame.command, data=frame.data, frame=frame.raw,
                             text=frame.text, error=frame.trouble)
         message.header.stamp = frame.stamp or rospy.Time.now()
-        # A reader that counts SEQ has to know that the port was opened again: what is lost
-        # meanwhile is no loss on the line. A frame stands nowhere, so its frame_id is free for
-        # that; a field of its own would change the type, and no older bag could be read.
+        # A reader that counts lost frames by SEQ has to know when the port was opened again, since
+        # frames missed in between were not lost on the line. frame_id is free for this; another
+        # field would change the message's type, and older bags could not be read.
         message.header.frame_id = f'connection {connection}'
         self._topic.publish(message)

@@ -1,6 +1,7 @@
-"""The other end of each protocol: boards that move, measure and refuse as real ones do.
+"""Simulated boards, which move, measure and refuse as real ones do, and the line between them and
+the bridge.
 
-A board is a state machine without I/O: it is given bytes and the time, and emits frames. A
-`Line` stands between it and its port: there are the faults on demand, the line's speed and the
-journal. A `Runner` drives the two on one port. ``scripts/simulator`` makes it a program.
+A `Board` is a state machine without I/O: it gets bytes and the time, and sends frames. A
+`SimulatedLine` connects it with a port; it adds the faults, the line's speed and the journal. A
+`Runner` drives both on a real port. ``scripts/simulator`` is the program.
 """

@@ -1,76 +1,79 @@
-"""What every simulated board has, and the runner that drives one on a port."""
+"""The base of simulated boards, and the runner that drives one on a port."""
 import argparse
 import time
 from typing import Any, Callable, Optional
 
 from ..framing.frame_timer import FrameTimer
-from ..framing.stream import Frame
+from ..framing.stream import Decoder, Frame
 from ..transport.opener import Opener
 from ..transport.pace import set_priority
 from ..transport.port import Port, PortError
-from .line import Line
+from .line import SimulatedLine
 
 FRAME_TIMEOUT = 0.05     # s without a byte after which an incomplete frame is given up
-_LATE = 0.01             # s; being woken later than this goes into the journal
-_REALTIME_PRIORITY = 10  # below the bridge's heartbeat
+_LATE = 0.01             # s; being woken later than this is noted in the journal
+_REALTIME_PRIORITY = 10  # lower than that of the bridge's heartbeat
 
 
 def positive(text: str) -> float:
-    """An option's number above 0.
+    """The positive, finite number of a command line option.
 
     Raises:
-        argparse.ArgumentTypeError: it is none.
+        argparse.ArgumentTypeError: it is out of range.
     """
     value = float(text)
     if not 0 < value < float('inf'):
-        raise argparse.ArgumentTypeError(f'{text} is not above 0')
+        raise argparse.ArgumentTypeError(f'{text} is out of range (above 0)')
     return value
 
 
 class Board:
-    """Base of the boards: a state machine in the time that it is given. No I/O, no clock.
+    """Base of the boards: a state machine. It has no I/O and no clock: times are passed in.
 
-    A subclass overrides the hooks, says what it is in the attributes below, and stands as `BOARD`
-    in its module, whose docstring is its page of the simulator's --help.
+    A subclass overrides the hooks and the attributes below. Its module has it as `BOARD`; the
+    module's docstring is the board's page in the simulator's --help.
 
     Args:
-        decoder: of what it receives; None: it reads nothing.
+        decoder: for the bytes that it receives; None: it reads nothing.
     """
 
     NAME = ''
-    SUMMARY = ''                         # what it is, in a line of --help
-    FAULTS = ''                          # what ``--fault all`` is: see faults.py
-    READS = True                         # False: it only talks
-    MEASURES_PACE = False                # it has to be woken in time: a heartbeat, say
-    CHATTER = b''                        # what it babbles at a reset
-    DELIMITER: Optional[bytes] = None    # what has to stand before a frame for it to be found
+    SUMMARY = ''                         # one line for --help
+    FAULTS = ''                          # the faults of ``--fault all``: see faults.py
+    READS = True                         # False: it only sends
+    MEASURES_PACE = False                # True: it needs to be woken in time, as for heartbeats
+    CHATTER = b''                        # bytes that it sends at a reset
+    DELIMITER: Optional[bytes] = None    # byte that a decoder needs before a frame; None: nothing
+    line: SimulatedLine                  # which sets it
 
     @classmethod
     def add_options(cls, parser: argparse.ArgumentParser) -> None:
-        """Its own options on the simulator's command line."""
+        """Add this board's options to the simulator's command line."""
 
     @classmethod
     def from_options(cls, options: argparse.Namespace) -> 'Board':
-        """The board that these options describe; `options.seed` is a number, and
-        `options.config` are the custom messages, where the board may have some."""
+        """Make the board that these options describe.
+
+        `options.seed` is always a number. `options.config` has the custom messages, if the board's
+        description allows some.
+        """
         return cls()
 
-    def __init__(self, decoder: Any = None) -> None:
-        self.line: Any = None            # set by the Line
+    def __init__(self, decoder: Optional[Decoder] = None) -> None:
         self.decoder = decoder
         self._timer = FrameTimer(decoder, FRAME_TIMEOUT) if decoder is not None else None
         self._last_byte = 0.0
 
-    # -- what happens to it ---------------------------------------------------------------
+    # -- called by the line ---------------------------------------------------------------
 
     def power_on(self, now: float) -> None:
-        """It starts, or restarts: what it knew is gone, things stand where they stood."""
+        """Start, or restart: the memory is lost, mechanical parts keep their positions."""
 
     def power_off(self, now: float) -> None:
-        """The moment of a reset."""
+        """A reset begins."""
 
     def receive(self, data: bytes, now: float) -> None:
-        """Bytes have come."""
+        """Decode received bytes."""
         if self.decoder is None:
             return
         self._last_byte = now
@@ -89,57 +92,57 @@ class Board:
     # -- hooks ----------------------------------------------------------------------------
 
     def frame(self, frame: Frame, now: float) -> None:
-        """A frame has come, good or bad."""
+        """A frame was received, valid or invalid."""
 
     def advance(self, now: float) -> Optional[float]:
-        """Move on to `now`; return when to be called next at the latest, or None."""
+        """Advance the state to `now`; return when to be called next at the latest, or None."""
         return None
 
     def fields(self, frame: bytes, message: Any) -> dict:
-        """What the journal says of a frame that is sent."""
+        """The fields of the journal for a frame that is sent."""
         raise NotImplementedError
 
     # -- for subclasses ---------------------------------------------------------------------
 
     def send(self, frame: bytes, message: Any) -> None:
-        """The one way out."""
+        """Send a frame; boards send in no other way."""
         self.line.send(frame, self.fields(frame, message))
 
     def note(self, event: str, **fields: Any) -> None:
-        """A line for the journal."""
+        """Write a line to the journal."""
         self.line.note(event, **fields)
 
     def say(self, text: str) -> None:
-        """A line for a person."""
+        """Print a line for people."""
         self.line.say(text)
 
 
 class Runner:
-    """Drives one board on one port until `stop`: opens it again whenever it vanishes.
+    """Drives one board on one port until `stop`; opens the port again whenever it vanishes.
 
-    Nothing is polled: it sleeps until bytes come or something is due.
+    It sleeps until bytes are received or something is due.
 
     Args:
-        board: switched on when the port opens for the first time.
-        port: opened and closed here, nowhere else.
-        say: is called with lines for a person.
-        realtime: ask for real-time priority, for a board that measures the other end's pace.
-        line_arguments: as `Line` has them.
+        board: switched on when the port is opened for the first time.
+        port: the runner alone opens and closes it.
+        say: called with lines for people.
+        realtime: ask for real-time priority, for a board that measures intervals.
+        line_arguments: those of `SimulatedLine`.
     """
 
     def __init__(self, board: Board, port: Port, say: Callable[[str], None] = lambda text: None,
                  realtime: bool = False, **line_arguments: Any) -> None:
         self.port = port
-        self.line = Line(board, port.write, say=say, **line_arguments)
+        self.line = SimulatedLine(board, port.write, say=say, **line_arguments)
         self._say = say
         self._realtime = realtime
         self._opener = Opener(port, 'board opening')
         self._stopping = self._opener.ending
-        self._trouble = ''         # what was said last: why the port is closed
+        self._trouble = ''         # why the port is closed, as it was printed last
         self._powered = False
 
     def stop(self) -> None:
-        """Make `run` return at once; from any other thread."""
+        """Make `run` return soon; to be called from another thread."""
         self._opener.end()
         self.port.wake()
 
@@ -152,7 +155,7 @@ class Runner:
             self._trouble = ''
             self._say(f'{self.port.url}: open')
             self.line.opened(time.monotonic())
-            if not self._powered:     # by its own USB plug, as it were
+            if not self._powered:     # the first opening is as if its USB plug were put in
                 self._powered = True
                 self.line.start(time.monotonic())
             try:
@@ -168,7 +171,7 @@ class Runner:
             self._say(f'{self.port.url}: {trouble}{remedy}')
 
     def _idle(self, now: float) -> Optional[float]:
-        """The port is closed; a board that is on lives on."""
+        """Run the board while the port is closed."""
         return self.line.tick(now) if self._powered else None
 
     def _serve(self) -> None:
@@ -176,7 +179,7 @@ class Runner:
         while not self._stopping.is_set():
             due = self.line.tick(now)
             if due is not None:
-                due = max(due, now)     # nobody is late for what was due before it was known
+                due = max(due, now)     # else an event that was already due would count as late
             timeout = None if due is None else due - now
             if self.line.stalled(now):
                 self._stopping.wait(timeout)

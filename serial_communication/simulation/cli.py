@@ -20,39 +20,39 @@ from .custom_messages import add_option
 from .journal import Journal
 
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_BURST, _RATE = 20, 2.0      # lines for people: in a burst, and a second after that
-_LONGEST = 150               # characters of one
+_BURST, _RATE = 20, 2.0      # printed lines: in a burst, and per second after that
+_LONGEST = 150               # characters of a line
 
 _EXAMPLES = """\
 examples (each with  rosrun serial_communication  before it, or in a checkout with  scripts/):
-  socat_pair /tmp/ttyV0 /tmp/ttyV1 &            two linked ports: one for the bridge, one for us
+  socat_pair /tmp/ttyV0 /tmp/ttyV1 &            two linked ports, the first for the bridge
   simulator bus --port /tmp/ttyV1
   simulator bus --port /tmp/ttyV1 --fault late=0.05 --fault reset=1/min
   simulator arduino --port /tmp/ttyV3 --calibration-time 60
   simulator mcu --port /tmp/ttyV5 --adc --rate 50 --journal mcu.jsonl
   simulator arduino --port /tmp/ttyV3 --fault all --seed 7
-  simulator my_package --port /tmp/ttyV7              another package's: see doc/developing.md
+  simulator my_package --port /tmp/ttyV7        a board of another package: see doc/developing.md
 
-It waits for a port that is absent and comes back to one that vanished. Ctrl-C ends it.
+It waits for a port that is absent, and opens it again if it vanishes. Ctrl-C ends it.
 """
 
 
 def main(arguments: Optional[List[str]] = None) -> int:
-    """Run what the command line says; the exit status."""
+    """Run the program; return its exit status."""
     prepare_output()
     options = _parse(sys.argv[1:] if arguments is None else arguments)
-    say = _Voice(options.board)
+    say = _Printer(options.board)
     try:
         journal = Journal(options.journal) if options.journal else None
     except OSError as error:
         print(f'journal {options.journal}: {error.strerror}', file=sys.stderr)
         return 1
-    # Threads inherit the mask, so that only sigwait below takes these signals.
+    # Threads inherit the mask, so only sigwait below receives these signals.
     signal.pthread_sigmask(signal.SIG_BLOCK, _STOPS)
-    sabotage = faults.Faults(options.rates, options.seed)
+    board_faults = faults.Faults(options.rates, options.seed)
     board = options.board_class.from_options(options)
     runner = Runner(board, Port(options.port, options.baud), say, board.MEASURES_PACE,
-                    faults=sabotage, journal=journal,
+                    faults=board_faults, journal=journal,
                     baud=options.baud if options.baud_pace else 0)
     rates = {name: str(rate) for name, rate in options.rates.items()}
     if rates:
@@ -73,12 +73,12 @@ def main(arguments: Optional[List[str]] = None) -> int:
     thread.join(1.0)
     if journal:
         journal.write(time.monotonic(), 'end', {'frames': runner.line.frames,
-                                                'faults': sabotage.counts})
+                                                'faults': board_faults.counts})
         journal.close()
         if journal.trouble:
             say(journal.trouble)
     if rates:
-        counts = ', '.join(f'{name} {count}' for name, count in sabotage.counts.items())
+        counts = ', '.join(f'{name} {count}' for name, count in board_faults.counts.items())
         say(f'{runner.line.frames} frames; faults: {counts or "none"}')
     say.end()
     return status[0] if status else 0
@@ -93,8 +93,8 @@ def _run(runner: Runner, status: List[int]) -> None:
         raise
 
 
-class _Voice:
-    """Lines for people, not more than they can read. A reader that has gone does not matter."""
+class _Printer:
+    """Prints lines at a readable rate; ignores a closed standard output."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -108,7 +108,7 @@ class _Voice:
         if len(text) > _LONGEST:
             text = text[:_LONGEST] + ' …'
         if self._left_out:
-            text += f' ({self._left_out} more left out before this)'
+            text += f' ({self._left_out} lines left out before this)'
             self._left_out = 0
         try:
             print(f'{self._name}: {text}', flush=True)
@@ -116,7 +116,7 @@ class _Voice:
             pass
 
     def end(self) -> None:
-        """Leave nothing that the interpreter would fail to flush."""
+        """Flush standard output; if it is closed, discard the rest, which Python would report."""
         try:
             sys.stdout.flush()
         except (OSError, ValueError):
@@ -127,19 +127,19 @@ class _Voice:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says in one line what is wrong, where argparse would have its whole usage before it."""
+    """Reports a wrong argument in one line, without the usage."""
 
     def error(self, message: str) -> NoReturn:
         signal.pthread_sigmask(signal.SIG_BLOCK, _STOPS)
         print(f'{self.prog}: {message}. Try: {self.prog} --help', file=sys.stderr, flush=True)
         if any(each.startswith('__log:=') for each in sys.argv):
-            # By roslaunch, which would start it again, with the same arguments and to say the same.
+            # Started by roslaunch, which would start it again and again with the same arguments.
             signal.sigwait(_STOPS)
         sys.exit(2)
 
 
 def _parse(arguments: List[str]) -> argparse.Namespace:
-    # What roslaunch adds: __name:=… and remappings.
+    # Without those that roslaunch adds: __name:=… and remappings.
     arguments = [each for each in arguments if not re.match(r'[\w/~]+:=', each)]
     parser = _Parser(
         prog='simulator', epilog=_EXAMPLES,
@@ -150,8 +150,8 @@ def _parse(arguments: List[str]) -> argparse.Namespace:
         try:
             _add(boards, name, description(name))
         except BoardError as error:
-            parser.error(f'there is no board {name}, only {", ".join(BOARDS)}; and as a package '
-                         f'with a board: {error}')
+            parser.error(f'there is no board {name}, only {", ".join(BOARDS)}, and it is not a '
+                         f'package with a board: {error}')
     options = parser.parse_args(arguments)
     try:
         options.rates = faults.parse(
@@ -165,7 +165,7 @@ def _parse(arguments: List[str]) -> argparse.Namespace:
 
 
 def _of_another_package(arguments: List[str]) -> List[str]:
-    """The module that the first argument names, if it names one."""
+    """The first argument, if it may be the name of another package's board."""
     return [name for name in arguments[:1] if re.fullmatch(r'\w+(\.\w+)*', name)
             and name not in BOARDS]
 
@@ -180,27 +180,27 @@ def _add(boards: Any, name: str, described: Description) -> None:
         description=module.__doc__, epilog=_fault_help(board))
     parser.set_defaults(board_class=board)
     parser.add_argument('--port', required=True, type=_port,
-                        help='a device, or whatever pyserial opens')
+                        help='a device or a URL that pyserial opens')
     parser.add_argument('--baud', type=int, default=115200, help='(%(default)d)')
     parser.add_argument('--baud-pace', action='store_true',
-                        help='send no faster than that; a pseudo terminal has no speed of its own')
+                        help='send no faster than --baud; a pseudo terminal has no speed itself')
     parser.add_argument('--fault', action='append', default=[], metavar='KIND=RATE[:S]',
                         help='see below; may be given more than once')
     parser.add_argument('--faults', default='', metavar="'KIND=RATE …'",
-                        help='several at once, of which those that do not fit this board are left '
-                             'out: what a launch file gives to all of them')
+                        help='several faults for boards of any kind; those that this board cannot '
+                             'have are left out')
     parser.add_argument('--seed', type=int, metavar='N',
-                        help='of faults and noise, so that a run can be repeated')
+                        help='of faults and noise; the same seed repeats a run')
     parser.add_argument('--journal', metavar='FILE',
-                        help='append what happens, a JSON object a line (described in '
+                        help='append all events, one JSON object per line (described in '
                              'serial_communication/simulation/journal.py)')
-    parser.add_argument('--duration', type=positive, metavar='S', help='end after that')
+    parser.add_argument('--duration', type=positive, metavar='S', help='end after S seconds')
     board.add_options(parser)
     add_option(parser, described)
 
 
 def _fault_help(board: Type[Board]) -> str:
-    lines = ['faults: KIND=RATE[:SECONDS], as flip=0.01 (of a hundred frames one) or '
+    lines = ['faults: KIND=RATE[:SECONDS], as flip=0.01 (one frame in a hundred) or '
              'silence=2/min:0.5-2']
     for name, kind in faults.KINDS.items():
         if faults.fits(name, board):

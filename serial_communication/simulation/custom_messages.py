@@ -1,52 +1,52 @@
-"""Custom messages and functions, as simulated boards play and answer them.
+"""Custom messages that simulated boards send, and values for replies to custom functions.
 
-Values wander between their minimum and maximum, or between -100 and 100 where they have none.
+Values oscillate between their minimum and maximum, or between -100 and 100 without limits.
 """
 import argparse
 import math
 from typing import Any, Iterable, List, Optional, Tuple
 
-from ..boards.config_file import of_board, read_parameters
+from ..boards.config_file import board_parameters, read_parameters
 from ..boards.description import Description
 from ..framing.custom_messages import CustomMessage
 from ..framing.layout import Layout, Value
 from ..transport.pace import Every
 
-PERIOD = 0.1      # s from one message of a kind to the next
-_UNLIMITED = 100.0
-_TURN = 10.0      # s in which a value comes round
+PERIOD = 0.1      # s between two messages of a kind
+_UNLIMITED = 100.0     # the maximum of a value that has none
+_OSCILLATION = 10.0    # s; period of a value
 
 
 def add_option(parser: argparse.ArgumentParser, board: Description) -> None:
-    """--config FILE, in which the board's custom messages are read."""
-    custom = board.custom
-    if custom is None:
-        # Taken for what a launch file gives to all of them.
+    """Add the option --config FILE, whose value is the list of the board's custom messages."""
+    if board.custom is None:
+        # Accepted, since a launch file passes it to all boards.
         parser.add_argument('--config', metavar='FILE',
-                            help='parameters of the bridge; this board needs none of them')
+                            help='parameters of the bridge; not used by this board')
         return
+    parameter, read_rows, _ = board.custom
 
     def read(path: str) -> List[Any]:
         try:
-            return custom.read(of_board(read_parameters(path), board.name).get(custom.parameter)
-                               or {})
+            given = board_parameters(read_parameters(path), board.name)
+            return read_rows(given.get(parameter) or {})
         except (OSError, ValueError) as error:
             raise argparse.ArgumentTypeError(f'{path}: {error}') from None
 
     parser.add_argument('--config', type=read, default=[], metavar='FILE',
-                        help=f'parameters of the bridge: its {board.name}/{custom.parameter}, '
-                             'too, are played')
+                        help='parameters of the bridge; the board has the custom messages in '
+                             f'{board.name}/{parameter}')
 
 
-class Player:
-    """Which custom messages a board sends when.
+class CustomMessagePlayer:
+    """Makes the custom messages that a board sends, one of each kind every `PERIOD` s.
 
     Args:
-        messages: commands among them are left out.
+        messages: commands among them are ignored.
     """
 
     def __init__(self, messages: Iterable[CustomMessage]) -> None:
-        self._kinds = [own.kind for own in messages if not own.is_command]
+        self._kinds = [custom.kind for custom in messages if not custom.is_command]
         self._beat = Every(PERIOD, 0.0)
 
     def power_on(self, now: float) -> None:
@@ -54,18 +54,18 @@ class Player:
         self._beat = Every(PERIOD, now)
 
     def due(self) -> Optional[float]:
-        """When `messages` has the next ones."""
+        """When the next messages are due; None: never."""
         return self._beat.due if self._kinds else None
 
     def messages(self, now: float) -> List[Any]:
-        """What is to be sent now."""
+        """The messages to send now."""
         if not self._kinds or not self._beat.passed(now):
             return []
-        return [kind(*wandering(kind.LAYOUT, now)) for kind in self._kinds]
+        return [kind(*simulated_values(kind.LAYOUT, now)) for kind in self._kinds]
 
 
-def wandering(layout: Layout, now: float) -> Tuple:
-    """Values that a message may have at that time."""
+def simulated_values(layout: Layout, now: float) -> Tuple:
+    """Values within their limits, which depend on the time; an array has 4 numbers."""
     return tuple(_text(value, now) if value.kind == 'text'
                  else _number(value, index, now) if value.kind == 'number'
                  else tuple(_number(value, index, now + element) for element in range(4))
@@ -80,10 +80,11 @@ def _number(value: Value, index: int, now: float) -> float:
     if math.isinf(high):
         high = max(low, -_UNLIMITED) + 2 * _UNLIMITED
     low, high = max(low, least), min(high, most)
-    number = low + (high - low) * (0.5 + 0.49 * math.sin(2 * math.pi * now / _TURN + index))
+    phase = 2 * math.pi * now / _OSCILLATION + index
+    number = low + (high - low) * (0.5 + 0.49 * math.sin(phase))
     if value.may_be_nan:
         return number
-    # The nearest whole raw number within the limits.
+    # Round to a raw number within the limits.
     ends = sorted(((low - value.offset) / value.scale, (high - value.offset) / value.scale))
     raw = min(max(round((number - value.offset) / value.scale), math.ceil(ends[0] - 1e-9)),
               math.floor(ends[1] + 1e-9))

@@ -1,12 +1,12 @@
-"""Faults on demand, for rehearsing a bad day: seeded, so that a run can be repeated.
+"""Faults on demand, for tests. They are seeded, so a run can be repeated.
 
 A fault is written KIND=RATE[:SECONDS]. RATE is a probability for each frame (0.01) or a number
-of events a minute (2/min). SECONDS, for the kinds that last, is a number or a range (0.5-2).
-``all`` is the board's own mix of the kinds that fit it; a later KIND=RATE changes one of it.
+of events per minute (2/min). SECONDS, for the kinds with a duration, is a number or a range
+(0.5-2). ``all`` stands for the board's default mix; a later KIND=RATE changes one of its kinds.
 
-The n-th frame of two runs with one seed meets the same faults: each kind has random numbers of
-its own and takes the same number of them for each frame. A frame is changed by one kind at most
-(the first in `KINDS`' order); a delay may come on top.
+In two runs with the same seed the n-th frame has the same faults: each kind has its own random
+numbers, and uses the same number of them for each frame. At most one kind changes a frame (the
+first in the order of `KINDS`), and it may be delayed as well.
 """
 import re
 from random import Random
@@ -20,38 +20,37 @@ class Kind(NamedTuple):
 
     where: str                                     # SENT, RECEIVED or EVENT
     text: str                                      # what it does, for --help
-    seconds: Optional[Tuple[float, float]] = None  # how long it lasts if nobody says
+    seconds: Optional[Tuple[float, float]] = None  # default duration; None: it has no duration
 
 
 KINDS: Dict[str, Kind] = {
-    'drop': Kind(SENT, 'a frame is lost as a whole'),
-    'cut': Kind(SENT, 'a frame ends too early'),
+    'drop': Kind(SENT, 'a frame is lost'),
+    'cut': Kind(SENT, 'the end of a frame is lost'),
     'lose': Kind(SENT, 'one to three bytes of a frame are lost'),
     'flip': Kind(SENT, 'one bit of a frame is flipped'),
-    'insert': Kind(SENT, 'one to three bytes get into or around a frame'),
+    'insert': Kind(SENT, 'one to three bytes are inserted in, before or after a frame'),
     'double': Kind(SENT, 'a frame is sent twice, in one write'),
-    'repeat': Kind(SENT, 'a frame is sent again a little later, before all behind it',
-                   (0.002, 0.03)),
-    'delay': Kind(SENT, 'a frame is held back, and all behind it', (0.02, 0.2)),
-    'late': Kind(SENT, 'the same for so long that a Master has given up', (0.6, 1.0)),
-    'rx-drop': Kind(RECEIVED, 'what one read gives is lost before it reaches the board'),
-    'rx-lose': Kind(RECEIVED, 'one to three bytes of it are lost'),
-    'rx-flip': Kind(RECEIVED, 'one bit of it is flipped'),
-    'rx-insert': Kind(RECEIVED, 'one to three bytes get into or around it'),
-    'silence': Kind(EVENT, 'nothing of what the board sends leaves it', (0.5, 2.0)),
+    'repeat': Kind(SENT, 'a frame is sent again later, before the next frame', (0.002, 0.03)),
+    'delay': Kind(SENT, 'a frame and all frames behind it are delayed', (0.02, 0.2)),
+    'late': Kind(SENT, 'the same, longer than a Master waits for a reply', (0.6, 1.0)),
+    'rx-drop': Kind(RECEIVED, 'the bytes of one read are lost before the board gets them'),
+    'rx-lose': Kind(RECEIVED, 'one to three bytes of a read are lost'),
+    'rx-flip': Kind(RECEIVED, 'one bit of a read is flipped'),
+    'rx-insert': Kind(RECEIVED, 'one to three bytes are inserted in, before or after a read'),
+    'silence': Kind(EVENT, 'nothing that the board sends gets out', (0.5, 2.0)),
     'stall': Kind(EVENT, 'the board reads nothing, and the buffers fill up', (0.3, 2.0)),
-    'reset': Kind(EVENT, 'the board restarts with a babble and has forgotten all', (0.3, 1.0)),
+    'reset': Kind(EVENT, 'the board sends noise, restarts and loses its memory', (0.3, 1.0)),
 }
 
 _RATE = re.compile(r'([a-z-]+)=(\d*\.?\d+)(/min)?(?::(\d*\.?\d+)(?:-(\d*\.?\d+))?)?$')
 
 
 class Rate(NamedTuple):
-    """How often a kind strikes: one of the two numbers is 0."""
+    """How often a kind of fault happens; probability or per_minute is 0."""
 
-    probability: float
+    probability: float               # for each frame or read, 0 … 1
     per_minute: float
-    seconds: Tuple[float, float]
+    seconds: Tuple[float, float]     # the shortest and the longest duration
 
     def __str__(self) -> str:
         often = f'{self.per_minute:g}/min' if self.per_minute else f'{self.probability:g}'
@@ -61,18 +60,18 @@ class Rate(NamedTuple):
 
 
 class Target(Protocol):
-    """What a board says of itself to whom faults are to happen."""
+    """The attributes of a board that decide which faults it can have."""
 
     NAME: str
-    FAULTS: str    # its mix for ``all``
-    READS: bool    # False: it never reads, so it cannot misread
+    FAULTS: str    # the faults of ``all``
+    READS: bool    # False: it never reads, so nothing that it receives can be changed
 
 
 def parse(texts: Iterable[str], board: Target) -> Dict[str, Rate]:
-    """From what stands behind each ``--fault``.
+    """Rates by kind, from the arguments of ``--fault``.
 
     Raises:
-        ValueError: no such fault, or one that makes no sense for this board; for a person.
+        ValueError: an unknown fault, or one that this board cannot have.
     """
     rates: Dict[str, Rate] = {}
     for text in texts:
@@ -86,7 +85,7 @@ def parse(texts: Iterable[str], board: Target) -> Dict[str, Rate]:
 
 
 class EveryBoard:
-    """The target of faults that are meant for every board."""
+    """Stands for all boards when faults for every board are checked."""
 
     NAME = 'every'
     FAULTS = ''
@@ -94,11 +93,13 @@ class EveryBoard:
 
 
 def for_every_board(text: str, board: Target) -> List[str]:
-    """Of faults that are meant for every board, as 'flip=0.02 cut=0.01', those that fit this one;
-    none of them for 'none' or an empty text.
+    """Those faults for every board that this one can have.
+
+    Args:
+        text: as 'flip=0.02 cut=0.01'; empty or 'none': no faults.
 
     Raises:
-        ValueError: as `parse`.
+        ValueError: an unknown or invalid fault.
     """
     parts = [] if text == 'none' else text.split()
     parse(parts, EveryBoard)
@@ -107,7 +108,7 @@ def for_every_board(text: str, board: Target) -> List[str]:
 
 
 def fits(name: str, board: Target) -> bool:
-    """Whether that kind makes sense for this board: one that reads nothing cannot misread."""
+    """Whether the board can have this kind of fault: some need a board that reads."""
     return board.READS or not (KINDS[name].where == RECEIVED or name == 'stall')
 
 
@@ -124,37 +125,37 @@ def _parse_one(text: str, board: Target) -> Tuple[str, Rate]:
         raise ValueError(f'fault {name!r}: the {board.NAME} board reads nothing anyway')
     amount = float(number)
     if kind.where == EVENT and not per_minute and amount:
-        raise ValueError(f'fault {name!r} comes by the minute: write {name}={number}/min')
+        raise ValueError(f'fault {name!r} needs a rate per minute: write {name}={number}/min')
     if not per_minute and amount > 1:
-        raise ValueError(f'fault {name!r}: a probability is 0 to 1, or write '
-                         f'{name}={number}/min')
+        raise ValueError(f'fault {name!r}: a probability is 0 to 1, not {number}; for a rate per '
+                         f'minute write {name}={number}/min')
     if low and kind.seconds is None:
-        raise ValueError(f'fault {name!r} lasts no time: leave the seconds out')
+        raise ValueError(f'fault {name!r} has no duration: leave out the seconds')
     seconds = kind.seconds or (0.0, 0.0)
     if low:
         seconds = (float(low), float(high or low))
         if seconds[1] < seconds[0]:
-            raise ValueError(f'fault {name!r}: {low}-{high} is no range')
+            raise ValueError(f'fault {name!r}: the range {low}-{high} s is empty')
     return name, Rate(0.0 if per_minute else amount, amount if per_minute else 0.0, seconds)
 
 
 class _Trigger:
-    """When one kind strikes, and the numbers it needs then."""
+    """Decides when one kind of fault happens, and has the random numbers for its details."""
 
     def __init__(self, name: str, rate: Rate, seed: int) -> None:
         self.name = name
         self.rate = rate
         self.details = Random(f'{seed} {name} details')
-        self.due: Optional[float] = None     # of the next event, where it comes by the minute
+        self.due: Optional[float] = None     # when it happens next; None: it has a probability
         self._random = Random(f'{seed} {name}')
 
     def start(self, now: float) -> None:
-        """The minutes count from here."""
+        """Start the time of the rates per minute."""
         if self.rate.per_minute:
             self.due = now + self._gap()
 
-    def strikes(self, now: float) -> bool:
-        """To be asked once for each frame (or, for an event, at any time)."""
+    def happens(self, now: float) -> bool:
+        """Whether it happens now; to be called once for each frame, or at any time for an event."""
         if self.due is None:
             return self._random.random() < self.rate.probability
         if now < self.due:
@@ -169,17 +170,17 @@ class _Trigger:
         return self._random.expovariate(self.rate.per_minute / 60)
 
 
-class Fate(NamedTuple):
-    """What becomes of a frame."""
+class Transmission(NamedTuple):
+    """How a frame is sent, after the faults."""
 
-    wire: bytes              # what goes out; b'' if nothing does
-    faults: Tuple[str, ...]  # what struck
+    wire: bytes              # the bytes to send; b'': none
+    faults: Tuple[str, ...]  # the kinds that happened
     delay: float             # s
-    repeat_after: float = 0.0    # s from then to a second time; 0: none
+    repeat_after: float = 0.0    # s from then until it is sent again; 0: never
 
 
 class Faults:
-    """The faults of one board. Without rates nothing ever happens."""
+    """The faults of one board; none without rates."""
 
     def __init__(self, rates: Optional[Dict[str, Rate]] = None, seed: int = 0) -> None:
         self.rates = rates or {}
@@ -192,53 +193,53 @@ class Faults:
 
     @property
     def on_input(self) -> bool:
-        """Whether what a board receives may be changed."""
+        """Whether bytes that the board receives may be changed."""
         return bool(self._received)
 
     def start(self, now: float) -> None:
-        """The minutes count from here."""
+        """Start the time of the rates per minute."""
         for trigger in self._sent + self._received + self._events:
             trigger.start(now)
 
-    def sent(self, frame: bytes, now: float) -> Fate:
-        """What becomes of a frame that the board sends."""
+    def sent(self, frame: bytes, now: float) -> Transmission:
+        """How to send a frame of the board."""
         wire, faults, delay, repeat_after = frame, [], 0.0, 0.0
         for trigger in self._sent:
-            if not trigger.strikes(now):
+            if not trigger.happens(now):
                 continue
             if trigger.name in ('delay', 'late'):
                 delay = max(delay, trigger.seconds())
             elif wire is not frame:
-                continue     # one change is enough
+                continue     # another kind has changed it
             elif trigger.name == 'repeat':
                 repeat_after = trigger.seconds()
             else:
                 wire = _change(trigger.name, frame, trigger.details)
             self._count(trigger.name)
             faults.append(trigger.name)
-        return Fate(wire, tuple(faults), delay, repeat_after)
+        return Transmission(wire, tuple(faults), delay, repeat_after)
 
     def received(self, data: bytes, now: float) -> Tuple[bytes, List[str]]:
-        """What one read gave: what the board gets of it, and what struck."""
+        """The bytes that the board gets of one read, and the kinds of fault that happened."""
         changed, faults = data, []
         for trigger in self._received:
-            if trigger.strikes(now) and changed is data:
+            if trigger.happens(now) and changed is data:
                 changed = _change(trigger.name[3:], data, trigger.details)
                 self._count(trigger.name)
                 faults.append(trigger.name)
         return changed, faults
 
     def events(self, now: float) -> List[Tuple[str, float]]:
-        """What begins now: (kind, seconds it lasts)."""
+        """The events that begin now: (kind, duration in s)."""
         begun = []
         for trigger in self._events:
-            if trigger.strikes(now):
+            if trigger.happens(now):
                 self._count(trigger.name)
                 begun.append((trigger.name, trigger.seconds()))
         return begun
 
     def next_event(self) -> Optional[float]:
-        """When `events` has to be asked next."""
+        """When to call `events` next; None: never."""
         return min((t.due for t in self._events if t.due is not None), default=None)
 
     def _count(self, name: str) -> None:
@@ -246,7 +247,7 @@ class Faults:
 
 
 def _change(name: str, frame: bytes, random: Random) -> bytes:
-    """`frame` after that fault: other bytes than before, whatever it is."""
+    """`frame` changed by a fault; the result always differs from `frame`."""
     size = len(frame)
     if name == 'drop':
         return b''

@@ -1,7 +1,7 @@
-"""What lies between a simulated board and its port: faults, the line's speed, the journal.
+"""The line between a simulated board and its port: faults, the line's speed, the journal.
 
-Frames leave in the order in which they were sent, as on any serial line: one that is held back
-holds back all behind it.
+Frames leave in the order in which they were sent, as on any serial line: a delayed frame delays
+all frames behind it.
 """
 from collections import deque
 from dataclasses import dataclass
@@ -11,38 +11,38 @@ from ..transport.port import PortBusy, PortError
 from .faults import Faults
 from .journal import Journal
 
-_PIECE = 16            # bytes that cross the line at once where its speed counts
-_MOST_WAITING = 65536  # bytes; what is held back longer than this is lost
-_RECENT = 70000        # bytes of input that are kept for `came`: the longest frame
+_PIECE = 16            # bytes that are written at once where the line has a speed
+_MOST_WAITING = 65536  # bytes; with more in the queue a frame is lost
+_RECENT = 70000        # bytes of input that `is_unaltered` knows: more than the longest frame
 
 
 class _Output(NamedTuple):
-    """Bytes on their way out: a frame, or with the line's speed a piece of one."""
+    """Bytes to write: a frame, or a piece of one where the line has a speed."""
 
-    ready: float
+    ready: float            # when to write them
     data: bytes
-    event: str              # for the journal, with the last piece; else ''
+    event: str              # for the journal; '': not the last piece
     fields: dict
 
 
 @dataclass
 class _Leaving:
-    """A frame on its way through the port, piece by piece."""
+    """A frame that is being written, piece by piece."""
 
-    findable: bool         # what left before it ended as it should
-    whole: bool = True     # no piece of it was lost
+    findable: bool         # whether the bytes before it let a decoder find it
+    whole: bool = True     # whether no piece of it was lost
 
 
-class Line:
-    """One board's line. All times are seconds of one monotonic clock, given as `now`.
+class SimulatedLine:
+    """One board's line. All times are seconds of one monotonic clock, passed in as `now`.
 
     Args:
-        board: its end; it gets this as its ``line``.
-        write: takes bytes to the port; PortBusy or PortError if it cannot.
-        faults: what goes wrong.
-        journal: where all of it is written down.
-        say: is called with a line for a person.
-        baud: the speed to keep, 8 data bits and no parity; 0: as fast as the port takes it.
+        board: gets this object as its ``line``.
+        write: writes bytes to the port; raises PortBusy or PortError if it cannot.
+        faults: None: no faults.
+        journal: None: no journal.
+        say: called with lines for people.
+        baud: the speed of the line, 8N1; 0: as fast as the port takes the bytes.
     """
 
     def __init__(self, board: Any, write: Callable[[bytes], None],
@@ -50,20 +50,20 @@ class Line:
                  say: Callable[[str], None] = lambda text: None, baud: int = 0) -> None:
         self.board = board
         self.faults = faults or Faults()
-        self.frames = 0                # handed over, or lost on purpose
+        self.frames = 0                # sent by the board, those that faults lost included
         self._write = write
         self._journal = journal
         self.say = say
         self._byte_time = 10.0 / baud if baud else 0.0
         self._now = 0.0
         self._queue: Deque[_Output] = deque()
-        self._waiting = 0              # bytes in it
-        self._free = 0.0               # when the last byte of the queue has left
-        self._last = b''               # the last byte that left, b'': none since the port opened
-        self._leaving: Optional[_Leaving] = None   # a frame of which a piece is still to leave
+        self._waiting = 0              # bytes in the queue
+        self._free = 0.0               # when the queue is empty
+        self._last = b''               # the last byte written; b'': none since the port opened
+        self._leaving: Optional[_Leaving] = None   # a frame that is written in part
         self._silent_until = 0.0
         self._stalled_until = 0.0
-        self._up_at: Optional[float] = None    # the board restarts and is up again then
+        self._up_at: Optional[float] = None    # when a reset ends; None: there is none now
         self._recent = b''
         board.line = self
 
@@ -76,13 +76,13 @@ class Line:
         self._power_on(now)
 
     def opened(self, now: float) -> None:
-        """The port is open."""
+        """The port was opened."""
         self._now = now
         self._last = b''
         self.note('port', open=True)
 
     def closed(self, now: float) -> None:
-        """The port has closed: what was on its way is lost."""
+        """The port was closed: the queue is lost."""
         self._now = now
         while self._queue:
             self._put(self._queue.popleft(), 'closed')
@@ -90,7 +90,7 @@ class Line:
         self.note('port', open=False)
 
     def receive(self, data: bytes, now: float) -> None:
-        """Bytes have come."""
+        """Pass received bytes to the board, after the faults."""
         self._now = now
         if self._up_at is not None:
             self.note('rx-lost', data=data.hex(), why='reset')
@@ -98,15 +98,15 @@ class Line:
         if self.faults.on_input:
             begun = self.board.decoder is not None and self.board.decoder.begun
             self._recent = (self._recent + data)[-_RECENT:] if begun else data
-            came = data
-            data, faults = self.faults.received(came, now)
+            given = data
+            data, faults = self.faults.received(given, now)
             if faults:
-                self.note('rx-fault', faults=faults, came=came.hex(), became=data.hex())
+                self.note('rx-fault', faults=faults, came=given.hex(), became=data.hex())
         if data:
             self.board.receive(data, now)
 
     def tick(self, now: float) -> Optional[float]:
-        """Do what is due, send what can go; return when to be called next at the latest."""
+        """Do what is due, write what is ready; return when to be called next at the latest."""
         self._now = now
         for kind, seconds in self.faults.events(now):
             self._begin(kind, seconds)
@@ -126,46 +126,47 @@ class Line:
         return min((time for time in times if time is not None), default=None)
 
     def stalled(self, now: float) -> bool:
-        """Whether nothing is to be read from the port."""
+        """Whether a fault keeps the board from reading the port."""
         return now < self._stalled_until
 
     # -- for the board ------------------------------------------------------------------
 
     def send(self, frame: bytes, fields: dict) -> None:
-        """Put a frame on its way; `fields` tells the journal what it is."""
+        """Send a frame; `fields` describe it in the journal."""
         self.frames += 1
-        fate = self.faults.sent(frame, self._now)
+        sending = self.faults.sent(frame, self._now)
         fields = dict(fields, n=self.frames)
-        if fate.faults:
-            fields['faults'] = list(fate.faults)
+        if sending.faults:
+            fields['faults'] = list(sending.faults)
         if self._now < self._silent_until:
             self._lost(fields, 'silence')
-        elif not fate.wire:
+        elif not sending.wire:
             self._lost(fields, 'drop')
         elif self._waiting > _MOST_WAITING:
             self._lost(fields, 'busy')
         else:
-            if fate.wire == frame + frame or fate.repeat_after:
+            if sending.wire == frame + frame or sending.repeat_after:
                 fields['copies'] = 2
-            elif fate.wire != frame:
-                fields['wire'] = fate.wire.hex()
-            self._enqueue(fate.wire, self._now + fate.delay, 'tx', fields)
-            if fate.repeat_after:
-                self._enqueue(fate.wire, self._now + fate.delay + fate.repeat_after, 'copy',
+            elif sending.wire != frame:
+                fields['wire'] = sending.wire.hex()
+            ready = self._now + sending.delay
+            self._enqueue(sending.wire, ready, 'tx', fields)
+            if sending.repeat_after:
+                self._enqueue(sending.wire, ready + sending.repeat_after, 'copy',
                               {'n': self.frames})
 
     def send_raw(self, data: bytes) -> None:
-        """Put bytes that are no frame on their way."""
+        """Send bytes that are not a frame."""
         if self._now >= self._silent_until:
             self._enqueue(data, self._now, 'chatter', {'wire': data.hex()})
 
     def note(self, event: str, **fields: Any) -> None:
-        """A line for the journal, if there is one."""
+        """Write a line to the journal, if there is one."""
         if self._journal is not None:
             self._journal.write(self._now, event, fields)
 
-    def came(self, raw: bytes) -> bool:
-        """Whether these bytes came from the port so, and not by a fault of ours."""
+    def is_unaltered(self, raw: bytes) -> bool:
+        """Whether a received frame is as the bridge sent it, not made by a fault on the way."""
         return not self.faults.on_input or raw in self._recent
 
     # -- inside -------------------------------------------------------------------------

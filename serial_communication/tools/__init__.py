@@ -1,1 +1,1 @@
-"""Programs for people: the live table, the fault campaign, the bench."""
+"""Programs for people: the demo's table, the monitor, the web page, `wire`."""

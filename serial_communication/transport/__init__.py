@@ -1,1 +1,1 @@
-"""A port and its pace, for both ends of a line: links and simulated boards."""
+"""Serial ports, and timing: for links, simulated boards and tools."""

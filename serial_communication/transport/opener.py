@@ -1,6 +1,6 @@
-"""Opens a port again and again, for whoever reads it: a link, a simulated board, a tool.
+"""Opens a port, again after each failure, for its reader: a link, a simulated board, a tool.
 
-An opening runs in a thread of its own: over a network it takes seconds, and some devices hang.
+Opening runs in a separate thread: over a network it takes seconds, and some devices hang.
 """
 import queue
 import threading
@@ -9,7 +9,7 @@ from typing import Callable, Optional
 
 from .port import Port, PortError
 
-_BACK_OFF = (0.1, 1.0)    # s from one try to the next: first, last
+_BACK_OFF = (0.1, 1.0)    # s between two tries: the first pause, the longest
 
 
 def _nothing_is_due(_now: float) -> Optional[float]:
@@ -17,14 +17,15 @@ def _nothing_is_due(_now: float) -> Optional[float]:
 
 
 class Opener:
-    """Opens one port whenever it is asked to, until it is told to end.
+    """Opens one port on request, until `end`.
 
-    Its thread is there from the start: where no memory is left, starting one may never return.
+    Its thread is started once, at the beginning: starting a thread when memory has run out may
+    never return.
 
     Args:
-        port: what is to be opened; whoever reads it closes it.
+        port: the port to open; its reader closes it.
         name: of the thread.
-        opened: is called in the thread as soon as the port is open.
+        opened: called in the thread as soon as the port is open.
     """
 
     def __init__(self, port: Port, name: str, opened: Callable[[], None] = lambda: None) -> None:
@@ -32,9 +33,9 @@ class Opener:
         self._port = port
         self._opened = opened
         self._pause = 0.0                    # s until the next try
-        self._trouble = ''                   # why the latest one failed; '': the port is open
-        self._tried = threading.Event()      # it has come to its end
-        self._orders: queue.SimpleQueue = queue.SimpleQueue()   # waiting there takes no memory
+        self._trouble = ''                   # why the latest try failed; '': the port is open
+        self._tried = threading.Event()      # that try has ended
+        self._orders: queue.SimpleQueue = queue.SimpleQueue()   # its get() takes no memory
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self) -> None:
@@ -42,19 +43,19 @@ class Opener:
         self._thread.start()
 
     def end(self) -> None:
-        """Open it no more; returns at once, also where an opening hangs."""
+        """Stop opening the port; returns at once, also while an opening hangs."""
         self.ending.set()
         self._orders.put(False)
         self._tried.set()
 
     def open(self, failed: Callable[[str], None],
              idle: Callable[[float], Optional[float]] = _nothing_is_due) -> bool:
-        """Return True as soon as the port is open, and False when `end` is called.
+        """Open the port; return True as soon as it is open, or False after `end`.
 
         Args:
-            failed: is called after each try that failed, with the reason.
-            idle: is called meanwhile with the time, by time.monotonic; returns when to be called
-                next at the latest, or None.
+            failed: called with the reason after each try that failed.
+            idle: called meanwhile with the time (time.monotonic); returns when to call it next at
+                the latest, or None.
         """
         if self._port.is_open:
             return True
@@ -86,22 +87,22 @@ class Opener:
 
     def _run(self) -> None:
         while self._orders.get() and not self.ending.is_set():
-            self._trouble = 'there is no memory left to open it'
+            self._trouble = 'out of memory while opening it'
             try:
                 self._trouble = self._try()
             except BaseException:  # pylint: disable=broad-except
-                pass        # not even enough for the text of what was raised
+                pass        # too little memory even for the text of the error
             if self.ending.is_set():
-                self._port.close()      # nobody waits for it any more
+                self._port.close()      # `open` has returned already
             self._tried.set()
 
     def _try(self) -> str:
         try:
-            if not self._port.is_open:      # by an order whose end nobody waited for
+            if not self._port.is_open:      # an earlier order may have opened it
                 self._port.open()
             self._opened()
         except PortError as error:
             return str(error)
         except BaseException as error:  # pylint: disable=broad-except
-            return f'fault as it was opened: {error!r}'
+            return f'fault while opening it: {error!r}'
         return ''

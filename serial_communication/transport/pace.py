@@ -1,6 +1,6 @@
-"""How often, and how promptly: what a link and a simulated board need alike of a clock.
+"""Clocks, deadlines, rate limits and thread priorities, for links and simulated boards.
 
-Times are the caller's, in seconds of one monotonic clock.
+Times are passed in by the caller, in seconds of one monotonic clock.
 """
 import os
 import threading
@@ -13,8 +13,14 @@ def clock() -> float:
 
 
 class Every:
-    """Deadlines a period apart from a start: no drift; after a stall the next one is a whole
-    period later, so that nothing comes in a burst."""
+    """Periodic deadlines that do not drift.
+
+    After a stall the next deadline is one whole period later, so there is no burst.
+
+    Args:
+        period: s.
+        now: the first deadline is one period later.
+    """
 
     def __init__(self, period: float, now: float) -> None:
         self.due = now + period
@@ -23,7 +29,7 @@ class Every:
         self._count = 1     # of periods from the start to `due`
 
     def passed(self, now: float) -> bool:
-        """Whether the deadline has come; if so it moves on, past `now`."""
+        """Whether the deadline has passed; if so, set the next one, after `now`."""
         if now < self.due:
             return False
         self._count += 1
@@ -34,7 +40,12 @@ class Every:
 
 
 class Allowance:
-    """So many of something in a burst, and so many a second after that."""
+    """A rate limit: a token bucket.
+
+    Args:
+        burst: how many are allowed at once.
+        rate: how many are allowed per second after that.
+    """
 
     def __init__(self, burst: int, rate: float) -> None:
         self._burst = burst
@@ -43,7 +54,7 @@ class Allowance:
         self._asked_at = 0.0
 
     def take(self, now: float) -> bool:
-        """Whether there may be one more."""
+        """Whether one more is allowed at `now`; if so, count it."""
         self._left = min(self._burst, self._left + (now - self._asked_at) * self._rate)
         self._asked_at = now
         if self._left < 1:
@@ -53,9 +64,11 @@ class Allowance:
 
 
 def set_priority(priority: int, thread: int = 0) -> bool:
-    """Real-time priority for a thread, or this one, where the system allows it; whether it does.
+    """Give a thread a real-time priority; return whether the system allowed it.
 
-    0 is none: the ordinary one.
+    Args:
+        priority: of SCHED_FIFO, 1 … 99; 0: ordinary scheduling.
+        thread: its native id; 0: the calling thread.
     """
     policy = os.SCHED_FIFO if priority else os.SCHED_OTHER
     try:
@@ -67,6 +80,6 @@ def set_priority(priority: int, thread: int = 0) -> bool:
 
 
 def set_priority_of_all(priority: int) -> None:
-    """The same for every thread of this process, and for those that they start."""
+    """Give every thread of this process a priority, as `set_priority`; new threads inherit it."""
     for thread in os.listdir('/proc/self/task'):
         set_priority(priority, int(thread))

@@ -1,11 +1,11 @@
-"""A serial port that can be waited on and never makes a writer wait.
+"""A serial port whose reads can be woken and whose writes never block.
 
-A port is anything pyserial opens. Where it is a file descriptor (every device, and socket://),
-reading sleeps in poll() until a byte comes; other kinds (rfc2217://, loop://) are read in slices
-of 50 ms. Writing hands over what the kernel takes at once, of a device or of a connection.
+A port is anything that pyserial opens. If it has a file descriptor (devices, socket://), reading
+sleeps in poll() until a byte is received. Other kinds (rfc2217://, loop://) are read in slices of
+50 ms. Writing hands over what the kernel takes at once.
 
-A connection (socket://, rfc2217://) notices a peer that vanished, and what it has not sent as it
-closes is dropped, not delivered later.
+A connection (socket://, rfc2217://) detects a peer that vanished. What it has not sent when it is
+closed is dropped, not delivered later.
 """
 import errno
 import fcntl
@@ -29,40 +29,40 @@ from . import tty_settings
 
 _READ_SIZE = 65536
 _READABLE = select.POLLIN | select.POLLHUP | select.POLLERR
-_SLICE = 0.05      # s
-_STALLED = 0.1     # s of wire time that wait to be sent as the port closes
-_NOT_SENT = 0x894B     # SIOCOUTQNSD, which no module of Python names
-NETWORK = 'socket', 'rfc2217'       # the schemes that name a host
-_VANISHED = 4      # s without a sign of life after which a connection's peer has vanished
-_IAC = b'\xff'     # of telnet, which rfc2217 is: doubled where it is data
-_PTMX = os.makedev(5, 2)             # the device that makes a new pseudo terminal at each opening
-_PTY = range(136, 144)               # major numbers of pseudo terminals' ends
+_SLICE = 0.05      # s; longest wait of pyserial's reads and writes
+_STALLED = 0.1     # s of wire time; with a longer backlog a tty counts as held when it closes
+_NOT_SENT = 0x894B     # SIOCOUTQNSD, which no Python module defines
+NETWORK = 'socket', 'rfc2217'       # the schemes with a host
+_VANISHED = 4      # s without an answer after which a connection's peer has vanished
+_IAC = b'\xff'     # RFC 2217 is telnet, where this byte is doubled in data
+_PTMX = os.makedev(5, 2)             # /dev/ptmx
+_PTY = range(136, 144)               # major numbers of /dev/pts/*
 
 
 class PortError(Exception):
-    """The port cannot be opened or has gone; the text is for a person."""
+    """The port cannot be opened, or is gone; the text is for people."""
 
 
 class PortBusy(Exception):
-    """The port takes no bytes now; none of this write has left."""
+    """The port takes no bytes now; nothing of this write was sent."""
 
 
 def read_url(url: str) -> Tuple[str, str]:
-    """A port's URL with its scheme in small letters, and that scheme; '' where it is a path.
+    """A port's URL with its scheme in lower case, and that scheme; '' for a path.
 
-    pyserial takes a scheme in any case, so every decision by scheme has to go by this one.
+    pyserial accepts schemes in any case, so every comparison of schemes has to use this one.
     """
     scheme, found, rest = url.partition('://')
     return (scheme.lower() + found + rest, scheme.lower()) if found else (url, '')
 
 
 def check_url(url: str) -> None:
-    """Raise ValueError where no port can be behind it. Opens nothing."""
+    """Raise ValueError for a URL that can never be opened; the text says why. Opens nothing."""
     url, scheme = read_url(url)
     try:
         port = serial.serial_for_url(url, do_not_open=True)
     except serial.SerialException:
-        return    # the kind is known, only the device is not there (hwgrep://)
+        return    # a valid URL whose device is absent (hwgrep://)
     except re.error as error:
         raise ValueError(f'hwgrep:// takes a regular expression: {error}') from None
     if scheme in NETWORK:
@@ -74,10 +74,10 @@ def _check_device(path: str) -> None:
     try:
         device = os.stat(path).st_rdev
     except (OSError, TypeError, ValueError):
-        return      # not there, or no path
+        return      # absent, or not a path
     if device == _PTMX:
-        raise ValueError(f'{path} makes a new pseudo terminal at each opening, which nothing '
-                         'else knows; name the pseudo terminal itself, as in /dev/pts/3')
+        raise ValueError(f'{path} makes a new pseudo terminal at each opening, which no other '
+                         'program has; name an existing one, as in /dev/pts/3')
 
 
 def _check_network_url(url: str, port: serial.SerialBase) -> None:
@@ -89,23 +89,29 @@ def _check_network_url(url: str, port: serial.SerialBase) -> None:
         number = 0
     if not parts.hostname or not number:
         wrong = ('the host is missing' if not parts.hostname else
-                 'the port is missing' if number is None else 'the port is none of 1 to 65535')
+                 'the port is missing' if number is None else
+                 'the port is out of range (1 … 65535)')
         raise ValueError(f'{form}; {wrong}')
     try:
         port.from_url(url)
-    except (ValueError, KeyError, OSError):    # pyserial's own texts of this are broken
-        raise ValueError(f'{form}; "?{parts.query}" is no option of it') from None
+    except (ValueError, KeyError, OSError):    # pyserial's texts for this are unusable
+        raise ValueError(f'{form}; "?{parts.query}" is not an option of it') from None
 
 
 class Port:
-    """One port, opened exclusively, again and again as it comes and goes.
+    """A port that can be opened and closed any number of times; other programs are kept out.
 
     One thread opens, reads and closes; any thread may write or wake.
+
+    Args:
+        url: a path, or a URL as pyserial has it.
+        baud: bits per second.
+        reset_on_open: pulse DTR at each opening, which resets many boards.
     """
 
     def __init__(self, url: str, baud: int = 115200, reset_on_open: bool = False) -> None:
         self.url, self._scheme = read_url(url)
-        # Whether it leads to another computer's port, which hides what has not left it.
+        # Whether the port is on another computer, which hides how much it has not sent.
         self.is_network = self._scheme in NETWORK
         self.baud = baud
         self.bytes_received = 0
@@ -114,25 +120,25 @@ class Port:
         self._serial: Optional[serial.SerialBase] = None
         self._fd = -1                    # to poll and read; -1: closed, or there is none
         self._out = -1                   # to write to; -1: closed, or there is none
-        self._settings = b''             # that the tty is to have; b'': it is none
-        self._doomed = ''                # why this connection must be given up
-        self._lock = threading.Lock()    # writing, and the port's coming and going
-        self._rest = b''                 # of a frame that the kernel took in part
+        self._settings = b''             # which the tty should have; b'': not a tty
+        self._failure = ''               # why this connection was given up
+        self._lock = threading.Lock()    # held to write, open and close
+        self._rest = b''                 # the unsent rest of a frame that the kernel took in part
         self._wake_read, self._wake_write = os.pipe()
         os.set_blocking(self._wake_read, False)
         os.set_blocking(self._wake_write, False)
         self._poll = select.poll()
-        self._polls_output = False       # whether that poll waits for room to write, too
+        self._polls_output = False       # whether `_poll` also waits for room to write
 
     @property
     def is_open(self) -> bool:
         return self._serial is not None
 
     def open(self) -> None:
-        """Open it.
+        """Open the port.
 
         Raises:
-            PortError: it cannot be opened now.
+            PortError: it cannot be opened now; the text says why.
         """
         path = ''
         try:
@@ -141,7 +147,7 @@ class Port:
             _check_device(path)
             opened.baudrate = self.baud
             opened.timeout = _SLICE
-            if self._scheme != 'rfc2217':     # which has none
+            if self._scheme != 'rfc2217':     # which has no write timeout
                 opened.write_timeout = _SLICE
             if self._scheme not in NETWORK + ('loop',):
                 opened.exclusive = True
@@ -169,14 +175,14 @@ class Port:
             self._poll.register(fd, select.POLLIN)
         with self._lock:
             self._rest = b''
-            self._doomed = ''
+            self._failure = ''
             self._settings = settings
             self._fd = fd
             self._out = out
             self._serial = opened
 
     def close(self) -> None:
-        """Close it; nothing that was written and not yet sent is kept."""
+        """Close the port; what was written but not sent is dropped."""
         with self._lock:
             stalled = self.backlog() > _STALLED or self._rest
             unsent = self.on_its_way()
@@ -188,12 +194,11 @@ class Port:
             return
         try:
             if self.is_network:
-                # Else the kernel goes on sending it for minutes, and the board gets it then.
+                # Else the kernel goes on sending for minutes, and the board gets old commands.
                 if unsent:
                     _drop_as_it_closes(closing)
             elif out >= 0 and stalled:
-                # A tty's close waits for its output to drain, up to half a minute where the
-                # line is held: drop what does not flow.
+                # Closing a tty waits up to 30 s for its output to drain: drop what is held.
                 _flush_output(out)
             _let_others_open(out)
             closing.close()
@@ -201,18 +206,22 @@ class Port:
             pass
 
     def read(self, timeout: Optional[float]) -> bytes:
-        """Sleep until bytes come, and return all that came; b'' after `timeout` s or `wake`.
+        """Sleep until bytes are received, and return all of them.
 
-        None waits without end.
+        Args:
+            timeout: s; None: no limit.
+
+        Returns:
+            b'' after the timeout or `wake`.
 
         Raises:
-            PortError: the port has gone.
+            PortError: the port is gone.
         """
         if self._fd < 0:
             return self._read_sliced(timeout)
         fd = self._fd
-        if self._doomed:
-            raise PortError(self._doomed)
+        if self._failure:
+            raise PortError(self._failure)
         milliseconds = None if timeout is None else max(timeout, 0) * 1000
         try:
             if bool(self._rest) != self._polls_output:
@@ -234,8 +243,8 @@ class Port:
                 if event & select.POLLOUT:
                     with self._lock:
                         self._send_rest()
-            if self._doomed:
-                raise PortError(self._doomed)
+            if self._failure:
+                raise PortError(self._failure)
         except BlockingIOError:
             return b''
         except OSError as error:
@@ -246,10 +255,12 @@ class Port:
     def _read_sliced(self, timeout: Optional[float]) -> bytes:
         deadline = None if timeout is None else time.monotonic() + timeout
         port = self._serial
+        if port is None:
+            raise PortError('the port is closed')
         try:
             while True:
-                if self._doomed:
-                    raise PortError(self._doomed)
+                if self._failure:
+                    raise PortError(self._failure)
                 if self._rest:
                     with self._lock:
                         self._send_rest()
@@ -266,26 +277,26 @@ class Port:
             raise PortError(_explain(error)) from None
 
     def write(self, frame: bytes) -> None:
-        """Hand over one whole frame; never waits.
+        """Write one whole frame; never blocks.
 
-        What the kernel does not take at once of a frame that it took in part goes out before
-        anything else does, so frames neither interleave nor stay half done.
+        If the kernel takes only a part of it, the rest is sent before any other frame, so frames
+        are neither mixed nor cut.
 
         Raises:
-            PortBusy: the kernel takes nothing now; nothing of this frame has left.
-            PortError: the port is closed or has gone.
+            PortBusy: the kernel takes nothing now; nothing of this frame was sent.
+            PortError: the port is closed or gone.
         """
         with self._lock:
             if self._serial is None:
                 raise PortError('the port is closed')
-            if self._doomed:
-                raise PortError(self._doomed)
+            if self._failure:
+                raise PortError(self._failure)
             try:
                 if self._out < 0:       # loop://
                     self._serial.write(frame)
                     self.bytes_sent += len(frame)
                     return
-                if self._fd < 0:        # rfc2217:// by its own socket: pyserial would wait
+                if self._fd < 0:        # rfc2217:// by its socket: pyserial's write would block
                     frame = frame.replace(_IAC, _IAC * 2)
                 if self._rest:
                     self._send_rest()
@@ -310,12 +321,12 @@ class Port:
         self._rest = self._rest[sent:]
 
     def backlog(self) -> float:
-        """Seconds of wire time that wait in the kernel to be sent; 0.0 where it cannot tell."""
+        """The bytes that wait in the kernel to be sent, as s of wire time; 0.0 if unknown."""
         return self._waiting(_NOT_SENT if self.is_network else termios.TIOCOUTQ)
 
     def on_its_way(self) -> bool:
-        """Whether anything written has not left yet, or by a connection has not arrived."""
-        return self._waiting(termios.TIOCOUTQ) > 0     # of a connection: not acknowledged
+        """Whether written bytes are not sent yet; for a connection, not yet acknowledged."""
+        return self._waiting(termios.TIOCOUTQ) > 0
 
     def _waiting(self, queue: int) -> float:
         out = self._out
@@ -328,11 +339,12 @@ class Port:
         return (waiting + len(self._rest)) * 10.0 / self.baud
 
     def discard_output(self) -> bool:
-        """Drop what was written and has not been sent. Of a connection that cannot be done: it
-        is given up, with all that waits in it, and the next `read` says so.
+        """Drop what was written but not sent.
+
+        A connection cannot do that. It is given up instead, and the next `read` raises PortError.
 
         Returns:
-            whether it has been dropped, and the port goes on.
+            whether the port is still usable.
         """
         with self._lock:
             self._rest = b''
@@ -340,16 +352,18 @@ class Port:
                 if self._out >= 0:
                     _flush_output(self._out)
                 return True
-            self._doomed = 'the peer takes no data'
+            self._failure = 'the peer takes no data'
         self.wake()
         return False
 
     def restore_settings(self) -> str:
-        """Put the settings of a tty right that another program has changed. The thread that reads
-        calls this; what waited to be read may have been altered by them, and is dropped.
+        """Restore the settings of a tty if another program has changed them.
+
+        Only the reading thread may call this. Bytes that wait to be read are dropped then, since
+        the other settings may have changed them.
 
         Returns:
-            what the other program had changed, for a person; '' if nothing.
+            the changed settings, for people; '' if there are none.
         """
         wanted, fd = self._settings, self._fd
         if not wanted or fd < 0:
@@ -359,15 +373,15 @@ class Port:
             if found == wanted:
                 return ''
             tty_settings.write(fd, wanted)
-            # A device may refuse some of them: then it is not asked for them again and again.
+            # Read back, since a device may refuse some of them: do not try again each time.
             self._settings = tty_settings.read(fd)
             termios.tcflush(fd, termios.TCIFLUSH)
         except (OSError, termios.error):
-            return ''       # it goes away, and reading says so
+            return ''       # the device is gone; the next read reports it
         return tty_settings.changes(wanted, found)
 
     def wake(self) -> None:
-        """Make a `read` that sleeps return."""
+        """Make a sleeping `read` return, or the next one."""
         try:
             os.write(self._wake_write, b'.')
         except BlockingIOError:
@@ -375,21 +389,22 @@ class Port:
 
     @staticmethod
     def _set_up_connection(opened: serial.SerialBase) -> int:
-        """Small packets leave at once, a peer that vanished is noticed; its descriptor."""
+        """Send small packets at once and detect a vanished peer; return its descriptor."""
         connection = _socket_of(opened)
         tcp = socket.IPPROTO_TCP
         for level, option, value in (
                 (tcp, socket.TCP_NODELAY, 1), (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1),
                 (tcp, socket.TCP_KEEPIDLE, 1), (tcp, socket.TCP_KEEPINTVL, 1),
                 (tcp, socket.TCP_KEEPCNT, _VANISHED - 1),
-                (tcp, socket.TCP_USER_TIMEOUT, _VANISHED * 1000)):
+                # mypy does not know this one.
+                (tcp, socket.TCP_USER_TIMEOUT, _VANISHED * 1000)):  # type: ignore[attr-defined]
             connection.setsockopt(level, option, value)
         return connection.fileno()
 
     def _set_up_tty(self, opened: serial.SerialBase, fd: int) -> bytes:
-        """What pyserial leaves to others; the settings as they stand then."""
+        """Set up what pyserial does not; return the settings, or b'' if they are unknown."""
         try:
-            opened.set_low_latency_mode(True)   # an FTDI chip sits on data for 16 ms otherwise
+            opened.set_low_latency_mode(True)   # else an FTDI chip holds data back for 16 ms
         except (AttributeError, OSError, ValueError, NotImplementedError):
             pass
         try:
@@ -403,14 +418,14 @@ class Port:
         try:
             return tty_settings.set_raw(fd, self.baud)
         except (OSError, struct.error):
-            return b''      # as pyserial has set it: a processor with other numbers for this
+            return b''      # the ioctl has another number on this processor; pyserial's settings do
 
 
 def _keep_others_out(fd: int) -> None:
-    """Refuse the tty to programs that ignore pyserial's lock (root's are not refused).
+    """Lock the tty also against programs that ignore pyserial's lock, except those of root.
 
-    Not a pseudo terminal: the kernel keeps this for as long as the other end is open, so after a
-    SIGKILL this user could not open the port again.
+    A pseudo terminal is left unlocked. The kernel would keep the lock for as long as the other end
+    is open, so after a SIGKILL this user could not open the port again.
     """
     try:
         if os.major(os.fstat(fd).st_rdev) not in _PTY:
@@ -420,7 +435,7 @@ def _keep_others_out(fd: int) -> None:
 
 
 def _let_others_open(fd: int) -> None:
-    """Another program may have the tty open still, and would keep it closed to all others."""
+    """Unlock the tty: the lock would stay while any other program has the tty open."""
     if fd < 0:
         return
     try:
@@ -430,16 +445,16 @@ def _let_others_open(fd: int) -> None:
 
 
 def _socket_of(connection: serial.SerialBase) -> socket.socket:
-    return connection._socket       # pyserial has no other name for it
+    return connection._socket       # pyserial has no public name for it
 
 
 def _drop_as_it_closes(connection: serial.SerialBase) -> None:
-    """Have the kernel reset the connection, rather than deliver what waits and then end it."""
+    """Make closing reset the connection, which drops its unsent bytes."""
     try:
         _socket_of(connection).setsockopt(socket.SOL_SOCKET, socket.SO_LINGER,
                                           struct.pack('ii', 1, 0))
     except (OSError, AttributeError):
-        pass    # gone already
+        pass    # already gone
 
 
 def _flush_output(fd: int) -> None:
@@ -467,7 +482,7 @@ _HINTS = {
     errno.ENETUNREACH: 'the host cannot be reached; is the network up?',
 }
 
-# Parts of pyserial's texts, and what they mean.
+# Parts of pyserial's error texts, and their meaning.
 _TEXTS = (
     ('Inappropriate ioctl', _HINTS[errno.ENOTTY]),
     ('does not seem to support RFC2217', 'the other side does not speak RFC 2217; '
@@ -484,11 +499,11 @@ _TEXTS = (
 
 
 def _who_may_open(path: str) -> str:
-    """What somebody needs who may not open this device."""
+    """Why permission to open this device was denied, and how to get it."""
     try:
         status = os.stat(path)
         group, owner = grp.getgrgid(status.st_gid).gr_name, pwd.getpwuid(status.st_uid).pw_name
-    except (OSError, KeyError):     # a folder above it is closed, or nobody has that number
+    except (OSError, KeyError):     # an unreadable folder, or a user or group without a name
         return 'permission denied'
     if status.st_mode & 0o060 == 0o060 and group != 'root':
         return ('permission denied; join the group that owns it '
@@ -498,15 +513,15 @@ def _who_may_open(path: str) -> str:
 
 
 def _explain(error: BaseException, path: str = '') -> str:
-    """What is wrong, for a person, and what to do where that is known.
+    """What is wrong, for people, and what to do about it if that is known.
 
     Args:
         path: of the device, if it is one.
     """
     if isinstance(error, (AttributeError, TypeError)):
-        return 'the connection has gone'     # closed while it was read
+        return 'the connection has gone'     # pyserial raises these if it is closed during a read
     cause: Optional[BaseException] = error
-    while cause is not None:      # pyserial wraps the system's error in a text of its own
+    while cause is not None:      # pyserial hides the system's error behind its own
         if isinstance(cause, socket.gaierror):
             return 'no host of that name is known'
         if isinstance(cause, (OSError, termios.error)) and cause.args:

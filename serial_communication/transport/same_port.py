@@ -1,7 +1,7 @@
-"""Which port a URL leads to, whatever it is called there."""
+"""Finds out whether two URLs name the same port."""
 import os
 import stat
-from typing import Any
+from typing import Hashable, Optional
 from urllib.parse import urlsplit
 
 import serial
@@ -9,10 +9,11 @@ import serial
 from .port import NETWORK, read_url
 
 
-def identity(url: str) -> Any:
-    """Equal for two URLs that lead to one port; None where each opening has a port of its own.
+def identity(url: str) -> Optional[Hashable]:
+    """A value that is equal for two URLs of the same port.
 
-    A device that is not there now is known by its path alone.
+    None: each opening leads to a different port (loop://). A device that is absent is identified
+    by its path.
     """
     url, scheme = read_url(url)
     rest = url.partition('://')[2]
@@ -25,11 +26,11 @@ def identity(url: str) -> Any:
         return rest
     path = url
     try:
-        path = serial.serial_for_url(url, do_not_open=True).port    # of spy:// and alt:// as well
+        path = serial.serial_for_url(url, do_not_open=True).port    # also of spy:// and alt://
         found = os.stat(path)
     except OSError:
         return os.path.realpath(path)
     except ValueError:
-        return url      # nothing that can be opened
-    # By its number: links, and a second name of the same device in a container.
+        return url      # not a port; opening it reports why
+    # The device number is the same for links and for other names of the device in a container.
     return found.st_rdev if stat.S_ISCHR(found.st_mode) else os.path.realpath(path)

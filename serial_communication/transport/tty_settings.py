@@ -1,6 +1,6 @@
-"""The settings of a tty as Linux keeps them: to set, compare, put back and tell apart.
+"""Reads, sets, restores and compares the settings of a tty, as Linux keeps them.
 
-All of them in one call each way, any baud rate included, which the termios module cannot express.
+One ioctl has all of them, any baud rate included, which the termios module cannot express.
 """
 import fcntl
 import struct
@@ -19,20 +19,20 @@ _FLAGS = (
 
 
 def read(fd: int) -> bytes:
-    """The settings of the tty that is open there; OSError where it is none."""
+    """The settings of an open tty; OSError if `fd` is not a tty."""
     return fcntl.ioctl(fd, _GET, bytes(_FORM.size))
 
 
 def write(fd: int, settings: bytes) -> None:
-    """Have them take effect at once."""
+    """Apply settings from `read` at once; OSError if `fd` is not a tty."""
     fcntl.ioctl(fd, _SET, settings)
 
 
 def set_raw(fd: int, baud: int) -> bytes:
-    """Bytes pass unchanged both ways, 8N1 without flow control; the settings as they are then.
+    """Make the tty raw, 8N1, without flow control; return its settings as `read` does.
 
-    Without HUPCL, closing leaves DTR alone, so opening again does not reset a board whose reset
-    hangs on DTR.
+    HUPCL is off, so that closing the port leaves DTR as it is. Opening it again then does not
+    reset a board whose reset line is connected to DTR.
     """
     line, characters = _FORM.unpack(read(fd))[4:6]
     characters = bytearray(characters)
@@ -44,7 +44,7 @@ def set_raw(fd: int, baud: int) -> bytes:
 
 
 def changes(before: bytes, after: bytes) -> str:
-    """What differs, in stty's words: "icanon, echo, -clocal, 9600 baud"."""
+    """The settings that differ, named as stty does: "icanon, echo, -clocal, 9600 baud"."""
     return ', '.join(_changes(_FORM.unpack(before), _FORM.unpack(after))) or 'others'
 
 

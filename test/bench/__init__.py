@@ -1,1 +1,1 @@
-"""Measures the bridge beside other programs: see cli.py."""
+"""Measures the bridge and compares it with other nodes, see cli.py."""

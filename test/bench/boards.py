@@ -1,8 +1,8 @@
-"""The boards of the bench, each a child process at the master end of a pty.
+"""The boards of the bench, each a child process at the controlling end of a pseudo terminal.
 
-    talker   sends a board's packets: at jittered times, or back to back
-    listener blocks in read and stamps each heartbeat
-    bus      answers requests, at the pace of a wire
+    talker   sends a board's packets, at jittered times or back to back
+    listener reads and stamps each heartbeat
+    bus      answers requests at the speed of a wire
 """
 import os
 import select
@@ -14,40 +14,40 @@ from typing import Callable, Dict, List
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.mcu import wire as mcu
-from .child import be_a_board, jittered, serve, sleep_until, wait_until
+from .child import jittered, serve, set_board_priority, sleep_until, wait_until
 
-BITS = 10              # of a byte on the wire, start and stop bit included
-COUNT = 1024           # a running number in a packet is modulo this
+BITS = 10              # for a byte on the wire, with start and stop bit
+COUNT = 1024           # modulus of the running number in a packet
 _BAUD = 115200         # of the bus
-_CHUNK = 0.001         # s of wire time in one write, as a USB adapter hands it over
-_CATCH_UP = 0.004      # s of wire time in one write at most, after the talker itself was late
+_CHUNK = 0.001         # s of wire time in one write, as from a USB adapter
+_CATCH_UP = 0.004      # s of wire time in one write at most, if the talker is late
 _FULL = 1 << 16        # bytes in one write at most
 
 
 def arduino_turn(n: int) -> List[bytes]:
-    """What the car sends each 10 ms. The IMU's and the steering's packet hold the number."""
+    """Return the packets of the car for one 10 ms turn; IMU and steering contain the number."""
     return [arduino.encode(message) for message in (
         arduino.Imu(16384, 0, 0, 0, 10, -20, 30, 100, -200, n % COUNT, -1290),
         arduino.SteeringAngle(n % COUNT), arduino.Ticks(n % 256), arduino.Voltage(n % 8192 / 128))]
 
 
 def mcu_turn(n: int) -> List[bytes]:
-    """What the sensor board sends each 50 ms."""
+    """Return the frames of the sensor board for one 50 ms turn."""
     return [mcu.encode(mcu.SensorStatus(n % COUNT, 500, 12.34, -2.43, 2.43), n % 256)]
 
 
 def imu_count(acceleration_z: float) -> int:
-    """The running number in an Imu message."""
+    """Return the running number in an Imu message, from its acceleration in m/s²."""
     return round(acceleration_z / (8 / 65536 * 9.81))
 
 
-# Of each board that sends by itself: its packets, and its turns a second.
+# For each board that sends unasked: its packets, and its turns in Hz.
 TURNS: Dict[str, Callable[[int], List[bytes]]] = {'arduino': arduino_turn, 'mcu': mcu_turn}
 RATES = {'arduino': 100.0, 'mcu': 20.0}
 
 
 class Talker:
-    """Sends; what comes the other way is the listener's."""
+    """Sends a board's packets. The listener reads the other direction."""
 
     def __init__(self, fd: int, link: str) -> None:
         self._fd = fd
@@ -55,7 +55,7 @@ class Talker:
         self._rate = RATES[link]
 
     def talk(self, seconds: float) -> List[List[float]]:
-        """Turns at jittered times, a write a packet; the times of writing of each turn."""
+        """Send turns at jittered times, one write per packet; return the times of each turn."""
         sent = []
         for n, due in enumerate(jittered(time.monotonic(), self._rate, seconds)):
             packets = self._turn(n)
@@ -68,7 +68,7 @@ class Talker:
         return sent
 
     def flood(self, baud: int, seconds: float) -> Dict[str, int]:
-        """Whole packets without a gap; what the port does not take at once is lost."""
+        """Send packets without gaps; count bytes as lost that the port does not take at once."""
         turns = round(baud / BITS * seconds / len(b''.join(self._turn(0))))
         data = memoryview(b''.join(packet for n in range(turns) for packet in self._turn(n)))
         os.set_blocking(self._fd, False)
@@ -90,7 +90,7 @@ class Talker:
 
 
 class Listener:
-    """Stamps what the node sends: a heartbeat is all that the bench has it send."""
+    """Stamps the heartbeats of a node, which sends nothing else in the bench."""
 
     HEARTBEAT = arduino.encode(arduino.Heartbeat())
 
@@ -101,19 +101,19 @@ class Listener:
 
     def _run(self) -> None:
         while True:
-            select.select([self._fd], [], [])    # the talker may have made it non-blocking
+            select.select([self._fd], [], [])    # the talker may have set it to non-blocking
             data = os.read(self._fd, 4096)
             now = time.monotonic()
             self._stamps.extend([now] * data.count(self.HEARTBEAT))
 
     def take(self) -> List[float]:
-        """Times of the heartbeats since it was asked before."""
+        """Return the times of the heartbeats since the last call."""
         stamps, self._stamps = self._stamps, []
         return stamps
 
 
 class BusBoard:
-    """Answers every request when its bytes and the reply's have crossed the wire."""
+    """Answers each request after the wire time of its bytes and the reply's."""
 
     def __init__(self, fd: int) -> None:
         self._fd = fd
@@ -122,8 +122,8 @@ class BusBoard:
         threading.Thread(target=self._run, daemon=True).start()
 
     def take(self) -> List[tuple]:
-        """Since it was asked before: (when a request's first byte was read, when its reply's last
-        byte was about to be written)."""
+        """Return the exchanges since the last call: (time at which the request's first byte was
+        read, time just before the reply was written)."""
         exchanges, self._exchanges = self._exchanges, []
         return exchanges
 
@@ -155,8 +155,8 @@ def main() -> None:
     """boards ROLE FD [LINK]."""
     role, fd = sys.argv[1], int(sys.argv[2])
     sys.setswitchinterval(0.0005)
-    # The listener is above the bridge's heartbeat, or it would stamp it late.
-    be_a_board(30 if role == 'listener' else 5)
+    # The listener has a higher priority than the bridge's heartbeats, so that it stamps in time.
+    set_board_priority(30 if role == 'listener' else 5)
     if role == 'talker':
         talker = Talker(fd, sys.argv[3])
         serve(talk=talker.talk, flood=talker.flood)

@@ -1,7 +1,7 @@
-"""The child side of the bench: a process that takes orders on stdin, one JSON object a line.
+"""The child side of the bench: a process that reads orders from stdin, one JSON object per line.
 
-Boards and ROS nodes of the bench are children of one program, since what is measured must not
-share an interpreter with what measures it. Pure Python, no rospy: a board needs none.
+The bench runs its boards and ROS nodes as child processes, since a measured program must not share
+an interpreter with the program that measures it. No rospy here, since boards do not need it.
 """
 import ctypes
 import json
@@ -12,13 +12,13 @@ import time
 from typing import Callable, Iterator
 
 _PR_SET_TIMERSLACK = 29
-_SPIN = 0.0002       # s before a deadline that are spent looking at the clock
+_SPIN = 0.0002       # s of busy waiting before a deadline
 
 
 def serve(**handlers: Callable) -> None:
-    """Carry out orders until stdin ends; {"do": NAME, ...} calls handlers[NAME](...).
+    """Execute orders until stdin ends; {"do": NAME, ...} calls handlers[NAME](...).
 
-    Only the answers go to stdout: what else is printed goes where stderr goes.
+    Only answers go to stdout; other output goes to stderr.
     """
     answers = os.fdopen(os.dup(1), 'w')
     os.dup2(2, 1)
@@ -34,10 +34,10 @@ def serve(**handlers: Callable) -> None:
     os._exit(0)
 
 
-def be_a_board(priority: int) -> None:
-    """Real-time priority and exact sleeps, as far as the system allows it.
+def set_board_priority(priority: int) -> None:
+    """Set real-time priority (1 … 99) and exact sleeps, as far as the system allows it.
 
-    A board is another computer: what the robot's computer is busy with does not delay it.
+    A board is another computer, so load on the robot's computer must not delay it.
     """
     ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
     try:
@@ -47,18 +47,18 @@ def be_a_board(priority: int) -> None:
 
 
 def sleep_until(due: float) -> None:
-    """Until that monotonic time, give or take the system."""
+    """Sleep until a monotonic time."""
     time.sleep(max(0.0, due - time.monotonic()))
 
 
 def wait_until(due: float) -> None:
-    """Until that monotonic time, to a few µs, by looking at the clock at the end."""
+    """Wait until a monotonic time, to within a few µs, with busy waiting at the end."""
     sleep_until(due - _SPIN)
     while time.monotonic() < due:
         pass
 
 
 def jittered(start: float, rate: float, seconds: float) -> Iterator[float]:
-    """Times at `rate` on average, each anywhere in its own period: in phase with nothing."""
+    """Yield times at `rate` Hz on average, each at a random place in its period."""
     for index in range(round(rate * seconds)):
         yield start + (index + random.random()) / rate

@@ -1,9 +1,9 @@
-"""How fast, how even and how cheap the bridge is on this machine. Takes about six minutes.
+"""Measures latency, jitter and CPU time of the bridge on this machine. Takes about six minutes.
 
-It starts all it needs: a roscore of its own, the bridge, boards behind ptys, and what the bridge is
-compared with: a node that polls its port, one that only publishes (the floor), and with --against
-the bridge of a kept version. They take rounds of six seconds in turn; the best of four counts.
-Exit status 0 if the bench worked, whatever it measured.
+The bench starts its own roscore, the bridge, boards behind pseudo terminals, and the references: a
+node that polls its port, a node that only publishes, and with --against the bridge of another
+commit. All take turns in rounds of six seconds, and the best of four rounds counts. The exit status
+is 0 if the bench worked, whatever it measured.
 """
 import argparse
 import json
@@ -24,11 +24,11 @@ from .stage import BenchStage
 
 
 def main(arguments: Optional[List[str]] = None) -> int:
-    """Run it; returns the exit status."""
+    """Run the bench and return the exit status."""
     prepare_output()
     options = _parser().parse_args(arguments)
     plan = Plan(1.0, 2, 2) if options.short else Plan(6.0, 4, 10)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)    # as Ctrl-C: end the children
+    signal.signal(signal.SIGTERM, signal.default_int_handler)    # the children end
     before, load = psutil.cpu_times(), os.getloadavg()[0]
     try:
         if options.hostile:
@@ -38,7 +38,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
         print('stopped', file=sys.stderr)
         return 130
     except StageError as error:
-        print(f'the bench does not work: {error}', file=sys.stderr)
+        print(f'bench: {error}', file=sys.stderr)
         return 1
     after = psutil.cpu_times()
     stolen = 100 * (after.steal - before.steal) / (sum(after) - sum(before))
@@ -55,7 +55,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
 
 
 def measure(names: List[str], plan: Plan, against: str) -> Dict[str, Results]:
-    """The results of the sections of these names."""
+    """Return the results of these sections, by name."""
     results = {}
     with BenchStage(against) as stage:
         for name in names:
@@ -70,14 +70,14 @@ def _parser() -> argparse.ArgumentParser:
         prog='bench', description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--short', action='store_true',
-                        help='two rounds of a second each: to see that it works')
+                        help='two rounds of one second each, only to check that the bench works')
     parser.add_argument('--against', metavar='COMMIT', default='',
-                        help='build this commit, and measure its bridge in the same rounds')
+                        help='build this commit and measure its bridge in the same rounds')
     parser.add_argument('--only', metavar='SECTION,...', type=_sections, default=list(SECTIONS),
-                        help='measure these alone, of ' + ', '.join(SECTIONS))
+                        help='measure only these sections, of ' + ', '.join(SECTIONS))
     parser.add_argument('--hostile', action='store_true',
-                        help='instead: what the worst bytes cost, beside clean traffic')
-    parser.add_argument('--json', metavar='FILE', help='the figures, for programs')
+                        help='instead, measure the most expensive bytes beside normal traffic')
+    parser.add_argument('--json', metavar='FILE', help='write the figures to this file')
     return parser
 
 
@@ -85,5 +85,5 @@ def _sections(text: str) -> List[str]:
     names = text.split(',')
     for name in names:
         if name not in SECTIONS:
-            raise argparse.ArgumentTypeError(f"{name!r} is none of {', '.join(SECTIONS)}")
+            raise argparse.ArgumentTypeError(f"{name!r} is not one of {', '.join(SECTIONS)}")
     return names

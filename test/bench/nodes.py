@@ -1,7 +1,7 @@
-"""The ROS nodes that the bench sets beside the bridge, each a child process.
+"""The other ROS nodes of the bench, each a child process.
 
-    polling     polls its port 200 times a second, as many drivers do
-    floor       publishes ready-made messages: what rospy itself costs
+    polling     a reference: polls its port 200 times a second, as many drivers do
+    publishing  a reference: only publishes prepared messages, the cost of rospy itself
     subscriber  stamps IMU and steering as they arrive
     counter     counts the messages on every topic of a node
     caller      calls the bus services, several at once
@@ -32,13 +32,13 @@ HEARTBEAT_EVERY = 2        # polls
 
 
 def topics_of_boards() -> Dict[str, str]:
-    """The topics of every board, by their names relative to the node, with their types."""
+    """Return the type of each topic of every board, by the name relative to the node."""
     return {topic.name: topic.type for name in BOARDS
             for topic in description(name).topics if not topic.optional}
 
 
 class Polling:
-    """Read what is there, publish, sleep."""
+    """Reads the bytes available, publishes, and sleeps."""
 
     def __init__(self, port: str) -> None:
         self._port = serial.Serial(port, 115200, timeout=0)
@@ -73,19 +73,19 @@ class Polling:
             self._imu.publish(out)
 
 
-class Floor:
-    """The bridge's messages at the bridge's rates from plain sleep loops, and nothing else."""
+class Publishing:
+    """Publishes the bridge's messages at the bridge's rates from sleep loops, and does no more."""
 
     def __init__(self) -> None:
-        # As the bridge has its publishers, so that the comparison is of the rest.
+        # With the publishers' settings of the bridge, so that only the rest is compared.
         self._topics = {name: (rospy.Publisher(name, kind, queue_size=100, tcp_nodelay=True),
-                               _ready_made(kind))
+                               _prepared(kind))
                         for name, kind in [('diagnostics', DiagnosticArray)] + [
                             (name, get_message_class(type_))
                             for name, type_ in topics_of_boards().items()]}
 
     def publish(self, rates: Dict[str, int], seconds: float) -> bool:
-        """For so long; `rates` by the topics' names relative to the node."""
+        """Publish for `seconds`; `rates` in Hz by the topics' names relative to the node."""
         loops: Dict[int, list] = {}
         for name, rate in rates.items():
             loops.setdefault(rate, []).append(self._topics[name])
@@ -101,9 +101,9 @@ class Floor:
             sleep_until(start + turn / rate)
 
 
-def _ready_made(kind: type) -> Any:
+def _prepared(kind: type) -> Any:
     message = kind()
-    if kind is DiagnosticArray:     # as long as the bridge's
+    if kind is DiagnosticArray:     # of the size of the bridge's
         values = [KeyValue(f'bytes received {n}', '1234567') for n in range(15)]
         message.status = [DiagnosticStatus(0, 'serial_communication: bus link', 'open',
                                            '/dev/ttyUSB0', values)]
@@ -133,13 +133,13 @@ class Subscriber:
             tcp_nodelay=True))
 
     def missing(self) -> List[str]:
-        """The topics that nobody publishes to it yet."""
+        """Return the topics without a connected publisher."""
         return [subscriber.resolved_name for subscriber in self._subscribers
                 if not subscriber.get_num_connections()]
 
     def take(self, node: str) -> List[list]:
-        """[place of the packet in its turn, running number, time of the callback] of what has
-        come since it was asked before."""
+        """Return [index of the packet in its turn, running number, time of the callback] of each
+        message since the last call."""
         count = len(self._received[node])
         taken = self._received[node][:count]
         del self._received[node][:count]
@@ -153,7 +153,7 @@ class Caller:
         self._proxies: Dict[str, list] = {}
 
     def ready(self, node: str, callers: int) -> bool:
-        """Connect, each caller for itself; whether the bus answers."""
+        """Connect each caller; return whether the bus answers."""
         for name, kind in (('get_environment', GetEnvironment), ('bus/echo', Trigger)):
             rospy.wait_for_service(f'{node}/{name}', 20)
             self._proxies[f'{node}/{name}'] = [
@@ -161,7 +161,7 @@ class Caller:
         return self._proxies[f'{node}/bus/echo'][0]().success
 
     def call(self, service: str, seconds: float) -> List[tuple]:
-        """Call as fast as it goes; (time of the call, of the answer, whether it succeeded)."""
+        """Call as fast as possible; return (time of the call, of the answer, success) of each."""
         calls: List[tuple] = []
         until = time.monotonic() + seconds
 
@@ -176,7 +176,7 @@ class Caller:
 
 
 def _at_once(target: Callable, arguments: List[tuple]) -> None:
-    """Call it in a thread each; returns when all have returned."""
+    """Call `target` in one thread for each set of arguments; return when all have returned."""
     threads = [threading.Thread(target=target, args=each) for each in arguments]
     for thread in threads:
         thread.start()
@@ -188,16 +188,16 @@ def main() -> None:
     """nodes ROLE [ARGUMENT…]."""
     role, arguments = sys.argv[1], sys.argv[2:]
     sys.setswitchinterval(0.0005)
-    if role == 'counter':     # no rospy: a subscriber that gives up late
+    if role == 'counter':     # without rospy: see tcpros
         counter = Counter()
         serve(connect=counter.connect, waiting=counter.waiting, take=counter.take)
-    name = NODE if role in ('polling', 'floor') else role
+    name = NODE if role in ('polling', 'publishing') else role
     rospy.init_node(name, argv=[name], disable_signals=True)
     if role == 'polling':
         Polling(*arguments)
         serve()
-    elif role == 'floor':
-        serve(publish=Floor().publish)
+    elif role == 'publishing':
+        serve(publish=Publishing().publish)
     elif role == 'subscriber':
         subscriber = Subscriber(arguments)
         serve(missing=subscriber.missing, take=subscriber.take)

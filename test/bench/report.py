@@ -1,34 +1,34 @@
-"""From measured times to figures, from figures to goals and tables. Pure."""
+"""Computes figures from measured times, and goals and tables from figures. No I/O."""
 from bisect import bisect_right
 from math import ceil
 from typing import Any, Callable, Dict, List, NamedTuple, Sequence, Tuple
 
 from tabulate import tabulate
 
-Figures = Dict[str, float]      # by what they are; the less, the better
+Figures = Dict[str, float]      # by name; less is better
 Results = Dict[str, Figures]    # of one section, by side
-_SHOWN = 5.0                    # ms in 10 s below which a thread is not shown
+_SHOWN = 5.0                    # ms in 10 s; a thread that needs less is not shown
 
 
 def percentile(values: Sequence[float], percent: float) -> float:
-    """The least of the values that so many of them do not exceed."""
+    """Return the least value that `percent` % of the values do not exceed."""
     return sorted(values)[max(0, ceil(len(values) * percent / 100) - 1)]
 
 
 def best(rounds: Sequence[Figures]) -> Figures:
-    """The least of each figure."""
+    """Return the least value of each figure."""
     return {name: min(each[name] for each in rounds if name in each)
             for name in {name: None for each in rounds for name in each}}
 
 
 def latencies(sent: Sequence[Sequence[float]],
               received: Sequence[Tuple[int, int, float]]) -> List[float]:
-    """In s, of each packet that arrived.
+    """Return the latency in s of each packet that was received.
 
     Args:
-        sent: the times of writing of a turn's packets, by the turn's number.
-        received: (place of the packet in its turn, the turn's number, time). What came before it
-            was sent is of an earlier round.
+        sent: the times at which a turn's packets were written, by the turn's number.
+        received: (index of the packet in its turn, the turn's number, time). One that was received
+            before it was sent is of an earlier round.
     """
     found = {}
     for packet, number, at in received:
@@ -39,10 +39,10 @@ def latencies(sent: Sequence[Sequence[float]],
 
 def gaps_in_queue(exchanges: Sequence[Tuple[float, float]],
                   calls: Sequence[Tuple[float, float, Any]], margin: float) -> List[float]:
-    """From a reply's last byte to the next request's first, where a call waited.
+    """Return the seconds from a reply's last byte to the next request's first, if a call waited.
 
-    One is known to wait at a reply if more calls had begun, `margin` s before it, than there are
-    replies up to it.
+    A call waited if more calls had begun, `margin` s before the reply, than there were replies
+    up to it.
     """
     begun = sorted(start for start, _, _ in calls)
     return [following[0] - one[1]
@@ -53,7 +53,7 @@ def gaps_in_queue(exchanges: Sequence[Tuple[float, float]],
 # -- goals ------------------------------------------------------------------------------------
 
 class Goal(NamedTuple):
-    """A row of the table of goals: met, if the figure is at most the limit."""
+    """A goal, which is met if the figure is at most the limit."""
 
     what: str
     limit: float
@@ -67,42 +67,45 @@ def _ratio(figure: str, one: str, other: str) -> Callable[[Results], float]:
 
 _CPU = 'CPU, % of a core'
 GOALS = (
-    Goal('latency p50, against polling', 0.20, 'latency', _ratio('p50, ms', 'bridge', 'polling')),
-    Goal('latency p99, likewise', 0.60, 'latency', _ratio('p99, ms', 'bridge', 'polling')),
-    Goal("heartbeat's standard deviation, likewise", 0.5, 'latency',
+    Goal('latency p50, relative to polling', 0.20, 'latency',
+         _ratio('p50, ms', 'bridge', 'polling')),
+    Goal('latency p99, relative to polling', 0.60, 'latency',
+         _ratio('p99, ms', 'bridge', 'polling')),
+    Goal("heartbeat's standard deviation, relative to polling", 0.5, 'latency',
          _ratio('heartbeat: deviation, ms', 'bridge', 'polling')),
     Goal('heartbeat beside two busy processes, p99.9 in ms', 15, 'busy',
          lambda results: results['bridge']['heartbeat: p99.9, ms']),
-    Goal('CPU with subscribers, against the floor', 1.25, 'cpu', _ratio(_CPU, 'bridge', 'floor')),
-    Goal('CPU without subscribers, against the floor', 0.35, 'cpu',
-         _ratio(_CPU, 'bridge, no subscriber', 'floor')),
+    Goal('CPU with subscribers, relative to publishing', 1.25, 'cpu',
+         _ratio(_CPU, 'bridge', 'publishing')),
+    Goal('CPU without subscribers, relative to publishing', 0.35, 'cpu',
+         _ratio(_CPU, 'bridge, no subscriber', 'publishing')),
     Goal('bus: gap between exchanges while calls wait, p50 in ms', 0.3, 'bus',
          lambda results: max(value for name, value in results['bridge'].items() if 'gap' in name)),
     Goal('1 Mbaud back to back: messages and bytes lost', 0, 'flood',
          lambda results: sum(value for name, value in results['bridge'].items()
                              if 'lost' in name)),
-    Goal('CPU of each of several bridges, against one', 1.10, 'bridges',
+    Goal('CPU of each of several bridges, relative to one', 1.10, 'bridges',
          _ratio('CPU of each, % of a core', 'all', 'one')),
 )
 
 
 def judge(results: Dict[str, Results]) -> List[tuple]:
-    """(goal, limit, figure, whether it is met) of each section that was run."""
+    """Return (goal, limit, figure, 'met' or 'NOT MET') for each goal of the sections that ran."""
     found = [(goal, goal.measure(results[goal.section])) for goal in GOALS
              if goal.section in results]
     return [(goal.what, goal.limit, value, 'met' if value <= goal.limit else 'NOT MET')
             for goal, value in found]
 
 
-# -- for people -------------------------------------------------------------------------------
+# -- for users --------------------------------------------------------------------------------
 
 def render(facts: str, results: Dict[str, Results], titles: Dict[str, str], against: str) -> str:
-    """The whole report.
+    """Return the whole report.
 
     Args:
         facts: about the machine.
         titles: of the sections.
-        against: the side with which the bridge is compared, or ''.
+        against: the commit with which the bridge is compared, or ''.
     """
     goals = tabulate(judge(results), ('goal', 'at most', 'measured', ''), floatfmt='.2f')
     return '\n\n'.join([facts, goals] + [f'{titles[name]}\n{_table(sides, against)}'
@@ -110,7 +113,7 @@ def render(facts: str, results: Dict[str, Results], titles: Dict[str, str], agai
 
 
 def _table(sides: Results, against: str) -> str:
-    """A row a figure, a column a side."""
+    """The table of a section: a line for each figure, a column for each side."""
     rows = []
     for figure in {name: None for figures in sides.values() for name in figures}:
         values = [figures.get(figure) for figures in sides.values()]

@@ -1,8 +1,7 @@
-"""What the bench measures: one function a section.
+"""What the bench measures: one function for each section.
 
-The sides of a comparison are up at the same time and take rounds in turn, A B C A B C …; of each
-figure the best round counts, so that the machine's other work does not decide. A figure is the
-better the less it is.
+The sides of a comparison run at the same time and take turns, A B C A B C …. The best round of each
+figure counts, so that other load on the machine has little effect. Less is better for all figures.
 """
 import time
 from math import inf
@@ -19,25 +18,25 @@ from .nodes import topics_of_boards
 from .report import Figures, Results, best, gaps_in_queue, latencies, percentile
 from .stage import BenchStage, Servant, Side
 
-_SETTLE = 0.2          # s for what is under way to arrive
+_SETTLE = 0.2          # s until messages under way have arrived
 _CALLERS = 8
-_IN_QUEUE = 0.002      # s after which a call surely stands in the node's queue
+_IN_QUEUE = 0.002      # s after which a call is certainly in the node's queue
 _FLOOD = 1000000       # baud
 
 
 class Plan(NamedTuple):
-    """How long."""
+    """The duration and size of a measurement."""
 
-    seconds: float     # a round
+    seconds: float     # for each round
     rounds: int
-    bridges: int       # at once, in the section of that name
+    bridges: int       # at the same time, in the section `bridges`
 
 
 Measure = Callable[[], Figures]
 
 
 def _in_turn(plan: Plan, sides: Dict[str, Measure]) -> Results:
-    """The best figures of each side."""
+    """Measure the sides in turn; return the best figures of each."""
     found: Dict[str, List[Figures]] = {name: [] for name in sides}
     for _ in tqdm(range(plan.rounds), 'rounds', leave=False, disable=None):
         for name, measure in sides.items():
@@ -46,7 +45,7 @@ def _in_turn(plan: Plan, sides: Dict[str, Measure]) -> Results:
 
 
 def _cost(children: Sequence[Child], work: Callable[[], Any]) -> Tuple[float, Any]:
-    """CPU of each child while `work` is done, in % of a core, and what it returns."""
+    """Return the CPU time of each child during `work` in % of a core, and the result of `work`."""
     spent, start = sum(child.cpu_seconds() for child in children), time.monotonic()
     result = work()
     spent = sum(child.cpu_seconds() for child in children) - spent
@@ -54,14 +53,14 @@ def _cost(children: Sequence[Child], work: Callable[[], Any]) -> Tuple[float, An
 
 
 def _figure(function: Callable[[List[float]], float], seconds: List[float]) -> float:
-    """In ms; infinite where nothing came."""
+    """Return a function of seconds in ms; infinite without values."""
     return 1e3 * function(seconds) if seconds else inf
 
 
 # -- one board, IMU and steering subscribed -------------------------------------------------------
 
 def latency(stage: BenchStage, plan: Plan, busy: int = 0) -> Results:
-    """From the board's write to the subscriber's callback; heartbeats; CPU by thread."""
+    """Latency from the board's write to the subscriber's callback; heartbeats; CPU by thread."""
     sides = {name: stage.side(name, ('arduino',)) for name in (*stage.bridges, 'polling')}
     subscriber = stage.servant('nodes', 'subscriber', *[side.node for side in sides.values()])
     stage.wait(lambda: not subscriber.ask('missing'), 'IMU and steering are connected')
@@ -93,7 +92,7 @@ def _latency(side: Side, subscriber: Servant, seconds: float) -> Figures:
 
 
 def _threads(pid: int) -> Dict[str, int]:
-    """CPU time of the threads so far, in ns, by their names."""
+    """Return the CPU time of the threads so far, in ns, by name."""
     spent: Dict[str, int] = {}
     for task in Path(f'/proc/{pid}/task').iterdir():
         try:
@@ -106,50 +105,52 @@ def _threads(pid: int) -> Dict[str, int]:
 
 
 def busy(stage: BenchStage, plan: Plan) -> Results:
-    """The same beside two busy processes."""
+    """The same with two busy processes."""
     return latency(stage, plan, busy=2)
 
 
 # -- every board, every topic subscribed, or none -------------------------------------------------
 
 def cpu(stage: BenchStage, plan: Plan) -> Results:
-    """CPU with every topic subscribed and with none, and of the floor."""
+    """CPU with every topic subscribed, with none, and of the node that only publishes."""
     counter = stage.servant('nodes', 'counter')
-    heard = {name: stage.side(name) for name in stage.bridges}
-    unheard = {name: stage.side(name) for name in stage.bridges}
-    floor = stage.servant('nodes', 'floor', namespace='/floor')
-    for side in heard.values():
+    subscribed = {name: stage.side(name) for name in stage.bridges}
+    unsubscribed = {name: stage.side(name) for name in stage.bridges}
+    publishing = stage.servant('nodes', 'publishing', namespace='/publishing')
+    for side in subscribed.values():
         _connect(stage, counter, side.node, [*topics_of_boards(), 'diagnostics'])
-    _connect(stage, counter, '/floor/serial_communication', [*topics_of_boards(), 'diagnostics'])
-    for side in [*heard.values(), *unheard.values()]:
+    _connect(stage, counter, '/publishing/serial_communication',
+             [*topics_of_boards(), 'diagnostics'])
+    for side in [*subscribed.values(), *unsubscribed.values()]:
         _first_messages(stage, side)
-    rates = _rates(counter, heard['bridge'], plan.seconds)
+    rates = _rates(counter, subscribed['bridge'], plan.seconds)
 
     def work(child: Child, load: Callable[[], Any]) -> Measure:
         return lambda: {'CPU, % of a core': _cost([child], load)[0]}
 
     return _in_turn(plan, {
         **{name: work(side.child, lambda side=side: side.talk(plan.seconds))
-           for name, side in heard.items()},
+           for name, side in subscribed.items()},
         **{f'{name}, no subscriber': work(side.child, lambda side=side: side.talk(plan.seconds))
-           for name, side in unheard.items()},
-        'floor': work(floor, lambda: floor.ask('publish', rates=rates, seconds=plan.seconds))})
+           for name, side in unsubscribed.items()},
+        'publishing': work(publishing, lambda: publishing.ask(
+            'publish', rates=rates, seconds=plan.seconds))})
 
 
 def _connect(stage: BenchStage, counter: Servant, node: str, topics: Iterable[str]) -> None:
     names = [resolve_name(topic, node) for topic in topics]
-    stage.wait(lambda: counter.ask('connect', node=node, topics=names), f'{node} is up')
+    stage.wait(lambda: counter.ask('connect', node=node, topics=names), f'{node} runs')
     stage.wait(lambda: not counter.ask('waiting'), f'every topic of {node} is connected')
 
 
 def _first_messages(stage: BenchStage, side: Side) -> None:
-    """Until the node has opened its ports: its heartbeats come, and what is sent is read."""
+    """Wait until the node has opened its ports: it sends heartbeats and reads its boards."""
     stage.wait(lambda: side.others['listener'].ask('take'), f'the first heartbeat of {side.node}')
     side.talk(0.5)
 
 
 def _rates(counter: Servant, side: Side, seconds: float) -> Dict[str, int]:
-    """Messages a second on each topic with some, by its name relative to the node."""
+    """Return the rate in Hz of each topic with messages, by its name relative to the node."""
     counter.ask('take')
     side.talk(seconds)
     counts = counter.ask('take')
@@ -179,7 +180,7 @@ def bridges(stage: BenchStage, plan: Plan) -> Results:
 
 
 def flood(stage: BenchStage, plan: Plan) -> Results:
-    """Packets back to back at 1 Mbaud, every topic subscribed: what is lost."""
+    """Losses with packets back to back at 1 Mbaud and every topic subscribed."""
     counter = stage.servant('nodes', 'counter')
     topics = [topic.name for topic in description('arduino').topics
               if topic.ages and not topic.optional]
@@ -202,7 +203,7 @@ def flood(stage: BenchStage, plan: Plan) -> Results:
 
 
 def _settled(counter: Servant) -> Dict[str, int]:
-    """The messages by topic, when no more come."""
+    """Return the number of messages by topic, once no more arrive."""
     total: Dict[str, int] = {}
     while True:
         counts = counter.ask('take')
@@ -215,7 +216,7 @@ def _settled(counter: Servant) -> Dict[str, int]:
 # -- the bus --------------------------------------------------------------------------------------
 
 def bus(stage: BenchStage, plan: Plan) -> Results:
-    """From a reply's last byte to the next request's first while other calls wait."""
+    """The gap from a reply's last byte to the next request's first while other calls wait."""
     sides = {name: stage.side(name, ('bus',), {'bus/environment_period': 0.0})
              for name in stage.bridges}
     caller = stage.servant('nodes', 'caller')

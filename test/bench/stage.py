@@ -1,4 +1,4 @@
-"""What the bench has beside the roscore: children that take orders, nodes with their boards."""
+"""The processes of the bench beside the roscore: children that take orders, nodes with boards."""
 import json
 import os
 import pty
@@ -16,7 +16,7 @@ from .boards import TURNS
 
 ROOT = Path(__file__).resolve().parents[2]
 _ANSWER = 120.0   # s that an order may take
-# Runs a program of Python's with the names of its threads known to the kernel.
+# Runs a Python program and gives its threads' names to the kernel.
 _NAMED_THREADS = '''
 import ctypes, runpy, sys, threading
 bootstrap = threading.Thread._bootstrap
@@ -34,17 +34,17 @@ class Servant(Child):
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, orders=True, stdout=subprocess.PIPE, **options)
-        self._introduced = False
+        self._ready = False
 
-    def tell(self, do: str, **arguments: Any) -> None:
-        """Give an order."""
-        if not self._introduced:
-            self._introduced = True
+    def begin(self, do: str, **arguments: Any) -> None:
+        """Give an order without waiting for its answer."""
+        if not self._ready:
+            self._ready = True
             self.answer()
         self.order(json.dumps(dict(arguments, do=do)))
 
     def answer(self) -> Any:
-        """Of the order before."""
+        """Return the answer to the last order."""
         if not select.select([self.process.stdout], [], [], _ANSWER)[0]:
             raise self.fault()
         line = self.process.stdout.readline()
@@ -53,12 +53,12 @@ class Servant(Child):
         return json.loads(line)
 
     def ask(self, do: str, **arguments: Any) -> Any:
-        """`tell` and `answer`."""
-        self.tell(do, **arguments)
+        """Give an order and return its answer."""
+        self.begin(do, **arguments)
         return self.answer()
 
     def ask_to_end(self, number: int = signal.SIGTERM) -> None:
-        """By the end of its orders."""
+        """Request the end of the process, by closing its stdin."""
         try:
             self.process.stdin.close()
         except OSError:
@@ -66,10 +66,13 @@ class Servant(Child):
 
 
 class Side:
-    """A node and its boards, which others are compared with.
+    """A node and its boards: one side of a comparison.
 
     Args:
         node: its name in ROS.
+        child: its process.
+        talkers: the boards that send unasked, by link.
+        others: the bus board and the listener.
     """
 
     def __init__(self, node: str, child: Child, talkers: Dict[str, Servant],
@@ -77,25 +80,25 @@ class Side:
         self.node = node
         self.child = child
         self.talkers = talkers
-        self.others = others        # the bus board and the listener
+        self.others = others
 
     def talk(self, seconds: float) -> Dict[str, list]:
-        """Every board that sends by itself does, for so long: what they sent."""
+        """Let the talkers send for `seconds`; return the times of what they sent, by link."""
         self.begin_talking(seconds)
         return self.end_talking()
 
     def begin_talking(self, seconds: float) -> None:
-        """The first half of `talk`, so that other boards can talk at the same time."""
+        """The first half of `talk`, so that boards of other sides can send at the same time."""
         for talker in self.talkers.values():
-            talker.tell('talk', seconds=seconds)
+            talker.begin('talk', seconds=seconds)
 
     def end_talking(self) -> Dict[str, list]:
-        """The second half."""
+        """The second half of `talk`."""
         return {link: talker.answer() for link, talker in self.talkers.items()}
 
 
 class BenchStage(Stage):
-    """One section after the other; what a section has ends with `clear`.
+    """Runs one section after another. `clear` ends the processes of a section.
 
     Args:
         against: a commit whose bridge is measured in the same rounds, or ''.
@@ -129,14 +132,14 @@ class BenchStage(Stage):
 
     def servant(self, module: str, role: str, *arguments: Any, namespace: str = '',
                 **options: Any) -> Servant:
-        """A module of the bench that takes orders."""
+        """Start a module of the bench that takes orders."""
         command = [sys.executable, '-m', f'{__package__}.{module}', role, *map(str, arguments)]
         return self.add(Servant(f'{namespace} {role}', command, self.folder,
                                 self._env({'namespace': namespace}), **options))
 
     def side(self, name: str, links: Sequence[str] = BOARDS,
              parameters: Optional[Dict[str, Any]] = None) -> Side:
-        """A bridge of `self.bridges`, or the node that polls, with boards of its own."""
+        """Start a bridge of `self.bridges`, or the polling node, with its own boards."""
         namespace = f'/side{len(self._fds)}'
         ports, talkers, others = {}, {}, {}
         for link in links:
@@ -163,7 +166,7 @@ class BenchStage(Stage):
 
 
 def _build(commit: str, source: Path, build: Path) -> None:
-    """Build what the commit has; nothing of it is imported here."""
+    """Build a commit in its own folder; nothing of it is imported here."""
     source.mkdir()
     for command in (f'git -C "{ROOT}" archive "$0" | tar -x -C "{source}"',
                     f'cmake -S "{source}" -B "{build}" -DPYTHON_EXECUTABLE=/usr/bin/python3 '

@@ -1,7 +1,7 @@
-"""A subscriber that only counts: it reads TCPROS without rospy.
+"""A subscriber that only counts messages: it reads TCPROS without rospy.
 
-A rospy subscriber gives up long before a fast publisher does. This one costs about what a C++
-subscriber costs, so that what the bench finds lost was lost by the node.
+A rospy subscriber is much slower than a fast publisher. This one needs about as much CPU time as a
+C++ subscriber, so that losses found by the bench are losses of the node.
 """
 import selectors
 import socket
@@ -17,7 +17,7 @@ _LENGTH = struct.Struct('<I')
 
 
 class Counter:
-    """Counts the messages of nodes' topics."""
+    """Counts the messages on topics of several nodes."""
 
     def __init__(self) -> None:
         self._counts: Dict[str, int] = {}
@@ -26,11 +26,11 @@ class Counter:
         threading.Thread(target=self._run, daemon=True).start()
 
     def connect(self, node: str, topics: List[str]) -> bool:
-        """Subscribe to these topics of a node; whether it publishes all of them already."""
+        """Subscribe to topics of a node; False if it does not publish all of them yet."""
         try:
             api = xmlrpc.client.ServerProxy(rosgraph.Master(_ID).lookupNode(node))
             protocols = {topic: api.requestTopic(_ID, topic, [['TCPROS']])[2] for topic in topics}
-        except (OSError, rosgraph.MasterException):     # not there, or still the one before it
+        except (OSError, rosgraph.MasterException):     # not running, or still the one before it
             return False
         if not all(protocols.values()):
             return False
@@ -48,11 +48,11 @@ class Counter:
         return True
 
     def waiting(self) -> List[str]:
-        """The topics whose publisher has not answered yet."""
+        """Return the topics whose publisher has not answered yet."""
         return sorted(self._waiting)
 
     def take(self) -> Dict[str, int]:
-        """Messages by topic since it was asked before."""
+        """Return the number of messages by topic since the last call."""
         counts, self._counts = self._counts, dict.fromkeys(self._counts, 0)
         return counts
 

@@ -1,4 +1,4 @@
-"""Which bytes of a frame are what, for good frames, bad ones, incomplete ones and noise."""
+"""`explain` names the parts of valid, invalid and incomplete frames, and of noise."""
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -21,7 +21,7 @@ GOOD = (
 
 
 def check_whole(frame, parts):
-    """The parts stand in order, without gaps, and are all of the frame's bytes."""
+    """The parts are in order, without gaps, and cover the whole frame."""
     at = 0
     for part in parts:
         assert part.start == at and part.end >= at and part.name
@@ -34,7 +34,7 @@ def errors_of(parts):
 
 
 @pytest.mark.parametrize('make, text', GOOD, ids=lambda value: getattr(value, '__name__', value))
-def test_every_part_of_a_good_frame_is_sound(make, text):
+def test_no_part_of_a_valid_frame_has_an_error(make, text):
     frame = hexed(text)
     parts = make().explain(frame)
     check_whole(frame, parts)
@@ -42,13 +42,13 @@ def test_every_part_of_a_good_frame_is_sound(make, text):
 
 
 @pytest.mark.parametrize('make, text', GOOD, ids=lambda value: getattr(value, '__name__', value))
-def test_a_frame_cut_short_is_explained_as_far_as_it_goes(make, text):
+def test_an_incomplete_frame_is_explained_as_far_as_it_goes(make, text):
     frame = hexed(text)
     for size in range(1, len(frame)):
         parts = make().explain(frame[:size])
         check_whole(frame[:size], parts)
         if make is bus.RequestDecoder and frame[:5] == bytes.fromhex('a5025522d0'):
-            continue    # whole already
+            continue    # it is complete
         assert any('missing' in error for error in errors_of(parts))
 
 
@@ -56,31 +56,31 @@ def test_a_frame_cut_short_is_explained_as_far_as_it_goes(make, text):
 @given(frame=st.binary(max_size=60), start=st.sampled_from((
     b'', b'\xa5', b'\xa5\2\x55\x20', b'\x5a', b'\2\x0c\x10', b'\2\x0e\1', b'\2\2', b'\6\x0a',
     b'\3\x09', b'\5\1\xff', b'\0\0\2\x09')))
-def test_any_bytes_are_explained_whole(kind, frame, start):
+def test_the_parts_of_any_bytes_are_complete(kind, frame, start):
     frame = start + frame
     check_whole(frame, kind.make().explain(frame))
 
 
 @pytest.mark.parametrize('kind', ALL, ids=name_of)
 @given(frame=st.binary(max_size=60))
-def test_what_is_no_good_frame_has_an_error(kind, frame):
+def test_an_invalid_frame_has_a_part_with_an_error(kind, frame):
     parts = kind.make().explain(frame)
     frames, errors = decode(kind, frame)
     if not errors_of(parts) and frame.strip(b'\0'):
-        # Sound as far as anyone can see: then so says the decoder.
+        # The damage left a valid frame: then the decoder accepts it, too.
         assert [good.raw for good in frames] == [frame.lstrip(b'\0')]
 
 
 @pytest.mark.parametrize('damage, name', [
     (1, 'Datelen'), (2, 'Checksum'), (5, 'Checksum'), (6, 'Checksum')])
-def test_damage_of_a_request_is_told_where_it_shows(damage, name):
+def test_the_damaged_part_of_a_request_has_the_error(damage, name):
     frame = bytearray(bus.encode_request(bus.lift(0, 100)))
     frame[damage] ^= 0xFD if damage == 1 else 0x10
     parts = bus.RequestDecoder().explain(bytes(frame))
     assert [part.name for part in parts if part.error][0] == name
 
 
-def test_the_words_of_a_request():
+def test_the_parts_of_a_request():
     parts = bus.RequestDecoder().explain(bus.encode_request(bus.lift(1, 100)))
     assert [(part.name, part.value, part.unit, part.meaning) for part in parts] == [
         ('Flag', 0xA5, '', 'standard frame'), ('Datelen', 2, '', 'bytes of DATE'),
@@ -89,9 +89,9 @@ def test_the_words_of_a_request():
         ('Checksum', 0xB7, '', 'matches')]
 
 
-def test_the_words_of_replies():
+def test_the_parts_of_replies():
     reading = bus.encode_reply(bus.Reply(bus.OK, bus.Environment(350, 25.63, 48.12).pack()))
-    for request, meaning in ((None, 'if of an environment reply'),
+    for request, meaning in ((None, 'if it is an environment reply'),
                              (bus.ENVIRONMENT_REQUEST, '')):
         parts = BUS.make().explain(reading, request)
         assert [(part.name, part.value, part.meaning) for part in parts[3:6]] == [
@@ -111,17 +111,17 @@ def test_an_environment_request_has_no_date_whatever_its_datelen_says():
         assert errors_of(parts) == []
 
 
-def test_the_words_of_a_sensor_status():
+def test_the_parts_of_a_sensor_status():
     parts = mcu.Decoder().explain(mcu.encode(mcu.SensorStatus(47, 0xFFFF, 350.0, 1.0, -2.0), 9))
-    told = [(part.name, part.raw, part.value, part.unit, part.meaning) for part in parts[3:-2]]
-    assert told == [
+    shown = [(part.name, part.raw, part.value, part.unit, part.meaning) for part in parts[3:-2]]
+    assert shown == [
         ('SEQ', 9, 9, '', ''), ('range_1', 47, 47, 'mm', ''),
         ('range_2', 0xFFFF, 0xFFFF, 'mm', 'the sensor timed out'),
         ('yaw', -30536, 350.0, 'degrees', 'a heading that wrapped'),
         ('pitch', 100, 1.0, 'degrees', ''), ('roll', -200, -2.0, 'degrees', '')]
 
 
-def test_a_cobs_code_that_stands_for_a_zero_belongs_to_the_value():
+def test_a_cobs_code_that_replaces_a_zero_belongs_to_the_value():
     frame = arduino.encode(arduino.Voltage(12.0))
     parts = arduino.Decoder().explain(frame)
     assert [(part.start, part.end, part.name, part.data, part.value) for part in parts] == [
@@ -129,18 +129,18 @@ def test_a_cobs_code_that_stands_for_a_zero_belongs_to_the_value():
         (2, 6, 'value', b'\0\0\x40\x41', 12.0), (6, 7, 'end', b'\0', 0)]
 
 
-def test_values_that_cannot_be_are_told_where_they_stand():
+def test_the_part_with_an_impossible_value_has_the_error():
     parts = arduino.Decoder().explain(arduino.encode(arduino.SteeringAngle(2000)))
     assert [(part.name, part.error) for part in parts if part.error] == [
-        ('value', 'value is 2000, not within 0 to 1024')]
+        ('value', 'value is 2000, out of range (0 … 1024)')]
     parts = arduino.Decoder().explain(arduino.encode(arduino.Imu(*[0] * 11)))
     assert [part.name for part in parts if part.error] == ['quaternion w']
 
 
-# -- a decoder that does not say it itself, as one of another package ---------------------------
+# -- a decoder without an `explain`, as another package's may be ---------------------------
 
 
-def test_what_stands_around_the_payload_is_told_without_a_decoder_of_its_own():
+def test_the_parts_around_the_payload_without_an_explain_of_the_decoder():
     for frame in map(hexed, ('a50255200064b6', '020c109c2f003a0000000dfff3009803')):
         kind = bus.RequestDecoder if frame[0] == 0xA5 else mcu.Decoder
         good, = kind().feed(frame)
@@ -155,7 +155,7 @@ def test_what_stands_around_the_payload_is_told_without_a_decoder_of_its_own():
 
 @pytest.mark.parametrize('kind', CHECKSUMMED, ids=name_of)
 @given(frame=st.binary(max_size=60), start=st.sampled_from((b'', b'\xa5', b'\x5a', b'\2\x0c\x10')))
-def test_any_bytes_have_parts_and_nothing_that_is_pending_changes(kind, frame, start):
+def test_explaining_any_bytes_does_not_change_the_pending_ones(kind, frame, start):
     frame, decoder = start + frame, kind.make()
     decoder.feed(kind.false_start)
     before = decoder.front, decoder.needed, dict(decoder.errors)
@@ -166,7 +166,7 @@ def test_any_bytes_have_parts_and_nothing_that_is_pending_changes(kind, frame, s
     assert frame == b'' or bool(errors_of(parts)) == ([good.raw for good in frames] != [frame])
 
 
-def test_a_decoder_of_another_kind_shows_a_frame_as_one_part():
+def test_a_decoder_that_is_no_stream_decoder_shows_a_frame_as_one_part():
     class Other(Decoder):
         pass
 

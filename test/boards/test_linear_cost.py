@@ -1,7 +1,8 @@
-"""The cost of a byte does not grow with what came before it, however it was chosen.
+"""The cost of a byte does not grow with the bytes before it, in any stream.
 
-Counted, not timed, where that says it all: lines of Python run, and calls made, of which each
-costs about as much as ten lines. What C code does inside one call is timed, against itself.
+Where possible the cost is counted, not timed: lines of Python that run, and calls, each of which
+costs about as much as ten lines. C code inside one call is timed: the time per byte of a long read
+is compared with that of short reads.
 """
 import sys
 import time
@@ -14,7 +15,7 @@ from worst_streams import worst_streams
 _CALL = 10          # lines
 _SIZE = 8000
 _LIMIT = 5          # times the cost of clean traffic
-_TURNS = 15         # of what is timed
+_TURNS = 15         # measurements of each time
 
 _STREAMS = worst_streams(_SIZE)
 
@@ -25,7 +26,7 @@ def pieces(stream, size):
 
 @lru_cache(maxsize=None)        # clean traffic is the same for many cases
 def work(make, stream, chunk):
-    """Lines, and calls counted as lines, that decoding takes for each byte."""
+    """Lines a byte that decoding takes; a call counts as ten lines."""
     counts = {'line': 0, 'call': 0, 'c_call': 0}
 
     def count(_frame, event, _argument):
@@ -77,10 +78,10 @@ def seconds(make, chunks):
         'STX and ETX in turn', 'no end', 'log texts of control characters')],
     ids=lambda case: '%s: %s' % (case.link, case.name))
 def test_a_byte_costs_the_same_in_one_read_of_a_megabyte(case):
-    """As in reads of four kilobytes, within a factor of three.
+    """The cost is that in reads of four kilobytes, within a factor of three.
 
-    What else a machine does only ever adds to a time, so the least of several counts. A cost
-    that grows with the read would be 256 times as much every time.
+    Other work of the machine only adds to a time, so the least of several times counts. A cost that
+    grows with the size of the read would be 256 times as high.
     """
     part = case.worst[:1 << 17]
     small = large = float('inf')

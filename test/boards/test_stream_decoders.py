@@ -1,4 +1,4 @@
-"""What holds for every decoder, whatever the line carries."""
+"""Properties of every decoder for any bytes on the line."""
 import random
 
 import by_definition
@@ -7,8 +7,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from protocol_cases import (ALL, ARDUINO, BOARD_BUS, BUS, CHECKSUMMED, MCU, check_counted,
-                            chunkings, decode, feed, give_up, good, held, name_of, random_chunks,
-                            total)
+                            chunkings, decode, feed, give_up, held, name_of, random_chunks,
+                            total, valid)
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
@@ -18,7 +18,7 @@ every_decoder = pytest.mark.parametrize('kind', ALL, ids=name_of)
 every_checksummed = pytest.mark.parametrize('kind', CHECKSUMMED, ids=name_of)
 seeds = st.integers(0, 1 << 30)
 
-# Bytes that mean something on one of the wires are far more common than others.
+# Bytes with a meaning in one of the protocols are more frequent than others.
 spiteful = st.one_of(
     st.binary(max_size=300),
     st.lists(st.sampled_from((0, 1, 2, 3, 4, 9, 12, 14, 0x10, 0x55, 0x22, 0xA5, 0x5A, 0xD0, 254,
@@ -29,6 +29,8 @@ spiteful = st.one_of(
              max_size=60).map(b''.join))
 
 
+# -- a reference decoder, which has the whole stream -----------------
+
 FRAME_AT = {BUS: by_definition.reply_at, BOARD_BUS: by_definition.request_at,
             MCU: by_definition.mcu_at}
 
@@ -37,14 +39,14 @@ def frame_at(kind, stream, at):
     return FRAME_AT.get(kind, lambda stream, at: by_definition.bus_at(stream, at, 2))(stream, at)
 
 
-def sound_at(kind, stream, at):
-    """Where a sound frame that begins at `at` ends; 0 where none does."""
+def valid_frame_end(kind, stream, at):
+    """The end of the valid frame that begins at `at`, or 0."""
     found = frame_at(kind, stream, at)
     return found.end if isinstance(found, by_definition.Frame) else 0
 
 
 def frames_by_definition(kind, stream):
-    """The bytes of every frame: after a failed check the search goes on one byte later."""
+    """The bytes of every frame: after a failed check the search continues one byte later."""
     found, _end = by_definition.decode(
         stream, lambda stream, at: frame_at(kind, stream, at), True)
     return [stream[frame.start:frame.end] for frame in found]
@@ -60,7 +62,7 @@ def test_running_xor(data, before):
     for byte in data:
         value ^= byte
         expected.append(value)
-    # The number before stands in front of the first byte.
+    # The initial value precedes the first byte.
     assert running_xor(data, before) == bytes(expected)
 
 
@@ -68,16 +70,16 @@ def test_running_xor(data, before):
 
 @every_decoder
 @given(stream=spiteful)
-def test_any_bytes_give_the_same_in_any_chunks(kind, stream):
-    """No exception, and frames and counts that do not depend on the chunks; see `decode`."""
+def test_any_bytes_give_the_same_frames_in_any_chunks(kind, stream):
+    """Without exceptions; frames and counts do not depend on the chunks: see `decode`."""
     decode(kind, stream)
     decode(kind, stream, end=False)
 
 
 @every_decoder
 @given(stream=spiteful, seed=seeds)
-def test_one_bad_frame_is_shown_for_each_error_that_is_counted(kind, stream, seed):
-    """At all times, whatever happens between two reads."""
+def test_one_invalid_frame_is_returned_for_each_counted_error(kind, stream, seed):
+    """At any time, after any events between two reads."""
     decoder, chance, frames = kind.make(), random.Random(seed), []
     for chunk in random_chunks(stream, seed):
         frames += decoder.feed(chunk)
@@ -87,7 +89,7 @@ def test_one_bad_frame_is_shown_for_each_error_that_is_counted(kind, stream, see
 
 
 @every_checksummed
-def test_noise_is_one_error_that_is_returned_whole_when_a_frame_or_a_silence_ends_it(kind):
+def test_noise_is_one_error_returned_when_a_frame_or_a_silence_ends_it(kind):
     wire, noise = sample_wires(kind)[0], kind.quiet * 9
     for chunks in chunkings(noise):
         decoder = kind.make()
@@ -99,8 +101,8 @@ def test_noise_is_one_error_that_is_returned_whole_when_a_frame_or_a_silence_end
 
 
 @every_checksummed
-def test_noise_without_an_end_is_an_error_for_every_1100_bytes(kind):
-    """Else a line at a false baud rate would have none, and memory would grow."""
+def test_endless_noise_is_one_error_for_every_1100_bytes(kind):
+    """Otherwise a line at a wrong baud rate would show no error, and memory would grow."""
     noise = bytes(value for value in range(6, 90)) * 40
     for chunks in chunkings(noise):
         decoder = kind.make()
@@ -112,7 +114,7 @@ def test_noise_without_an_end_is_an_error_for_every_1100_bytes(kind):
 
 
 @every_checksummed
-def test_noise_has_the_stamp_of_the_read_that_brought_its_last_byte(kind):
+def test_noise_has_the_stamp_of_its_last_byte(kind):
     wire, decoder = sample_wires(kind)[0], kind.make()
     for number, data in enumerate((kind.quiet, kind.quiet, wire[:1], wire[1:])):
         frames = decoder.feed(data, number)
@@ -125,8 +127,8 @@ def test_noise_has_the_stamp_of_the_read_that_brought_its_last_byte(kind):
 @every_checksummed
 @pytest.mark.parametrize('begin', [b'\x02\x00', b'\x02\x0c\x01', b'\xa5\xff', b'\x5a\xfe\0'],
                          ids=bytes.hex)
-def test_a_false_length_is_refused_with_its_last_byte(kind, begin):
-    """However the bytes are cut into reads."""
+def test_an_invalid_length_is_detected_with_its_last_byte(kind, begin):
+    """In any chunks."""
     decode(kind, begin, end=False)
 
 
@@ -139,7 +141,7 @@ def test_any_bytes_give_the_frames_of_the_definition(kind, stream):
 
 @every_decoder
 @given(stream=spiteful, seed=seeds)
-def test_what_is_held_never_grows_past_one_frame_and_some_noise(kind, stream, seed):
+def test_a_decoder_holds_at_most_one_frame_and_some_noise(kind, stream, seed):
     decoder = kind.make()
     for chunk in random_chunks(stream * 8, seed):
         decoder.feed(chunk)
@@ -149,11 +151,11 @@ def test_what_is_held_never_grows_past_one_frame_and_some_noise(kind, stream, se
 
 def held_bytes(decoder):
     return [value for value in vars(decoder).values()
-            if isinstance(value, bytes) and len(value) > 1]     # one: the XOR of what came
+            if isinstance(value, bytes) and len(value) > 1]     # one byte: the XOR so far
 
 
 @every_decoder
-def test_a_hundred_thousand_reads_of_a_byte_leave_nothing_behind(kind):
+def test_memory_does_not_grow_with_the_number_of_reads(kind):
     for unit in (kind.quiet, b'\xa5\x05\x5a', b'\2\5', b'\1'):
         decoder = kind.make()
         for value in unit * (100000 // 4 // len(unit)):
@@ -163,7 +165,7 @@ def test_a_hundred_thousand_reads_of_a_byte_leave_nothing_behind(kind):
 
 @every_decoder
 @given(stream=spiteful)
-def test_giving_up_comes_to_an_end_and_leaves_a_fresh_decoder(kind, stream):
+def test_giving_up_ends_with_nothing_pending(kind, stream):
     decoder = kind.make()
     decoder.feed(stream)
     before = total(decoder.errors)
@@ -171,28 +173,28 @@ def test_giving_up_comes_to_an_end_and_leaves_a_fresh_decoder(kind, stream):
     give_up(decoder)
     assert not decoder.pending and decoder.give_up() == []
     if was_pending and before == 0:
-        assert total(decoder.errors) >= 1 or good(kind.make().feed(stream))
+        assert total(decoder.errors) >= 1 or valid(kind.make().feed(stream))
     for wire in sample_wires(kind):
-        assert [frame.raw for frame in good(decoder.feed(wire))] == [wire]
+        assert [frame.raw for frame in valid(decoder.feed(wire))] == [wire]
 
 
 @every_decoder
 @given(stream=spiteful)
-def test_reset_forgets_the_pending_bytes_alone(kind, stream):
+def test_reset_forgets_only_the_pending_bytes(kind, stream):
     decoder = kind.make()
     decoder.feed(stream)
     errors = dict(decoder.errors)
     decoder.reset()
     assert not decoder.pending and decoder.errors == errors
     for wire in sample_wires(kind):
-        assert [frame.raw for frame in good(decoder.feed(wire))] == [wire]
+        assert [frame.raw for frame in valid(decoder.feed(wire))] == [wire]
     assert decoder.errors == errors
 
 
-# -- a bad frame never takes a good one with it ---------------------------------------------------
+# -- an invalid frame never hides a valid one ---------------------------------------------------
 
 def sample_wires(kind):
-    """Two good frames of each kind of decoder."""
+    """Two valid frames of each kind of decoder."""
     if kind is MCU:
         return [mcu.encode(mcu.SensorStatus(47, 58, 0.0, -2.43, 2.43), 156),
                 mcu.encode(mcu.AdcStatus(0, 0, 15, 0, 543, 144), 2)]
@@ -212,7 +214,7 @@ contents = st.one_of(st.binary(max_size=20), st.binary(min_size=240, max_size=25
 
 
 def any_frame(kind):
-    """A good frame's bytes."""
+    """The bytes of a valid frame."""
     byte = st.integers(0, 255)
     if kind is MCU:
         return st.one_of(
@@ -228,8 +230,8 @@ def any_frame(kind):
 
 
 @st.composite
-def broken(draw, frames):
-    """A frame that is damaged, one that is cut, or noise."""
+def damaged(draw, frames):
+    """A damaged frame, an incomplete one, or noise."""
     what = draw(st.sampled_from(('damaged', 'cut', 'noise')))
     if what == 'noise':
         return draw(st.one_of(st.binary(min_size=1, max_size=12),
@@ -248,18 +250,18 @@ def broken(draw, frames):
 def test_every_undamaged_frame_is_found_between_damaged_ones(kind, data):
     frames = any_frame(kind)
     pieces = data.draw(st.lists(st.one_of(
-        st.tuples(st.just(True), frames), st.tuples(st.just(False), broken(frames))),
+        st.tuples(st.just(True), frames), st.tuples(st.just(False), damaged(frames))),
         min_size=1, max_size=8))
     stream, planted = b'', {}
     for is_good, piece in pieces:
         if is_good:
             planted[len(stream)] = piece
         stream += piece
-    # An XOR of 8 bits lets some damage pass: streams with a sound frame that nobody sent,
-    # across one that somebody did, say nothing here.
+    # An XOR of 8 bits does not detect all damage. So leave out streams in which a valid frame that
+    # was never sent overlaps one that was.
     covered = {place for at, frame in planted.items() for place in range(at, at + len(frame))}
     for at in range(len(stream)):
-        end = sound_at(kind, stream, at)
+        end = valid_frame_end(kind, stream, at)
         if end and at not in planted:
             inside = [start for start, frame in planted.items()
                       if start < at and end <= start + len(frame)]
@@ -277,8 +279,8 @@ packet_bodies = st.binary(min_size=1, max_size=40)
     st.tuples(st.just(True), st.integers(0, 1024)),
     st.tuples(st.just(False), st.one_of(st.binary(max_size=30), st.just(b'\1' * 300)))),
     min_size=1, max_size=12))
-def test_every_packet_that_follows_a_zero_is_found(pieces):
-    """Its neighbours may be what they like."""
+def test_every_packet_after_a_zero_is_found(pieces):
+    """Between any neighbours."""
     stream, angles = b'', []
     for is_good, piece in pieces:
         if is_good:
@@ -296,27 +298,27 @@ def test_every_packet_that_follows_a_zero_is_found(pieces):
 
 
 @every_checksummed
-def test_a_frame_inside_a_false_one_that_fails_is_found_at_once(kind):
-    """Not after a timeout, where the false one is complete."""
+def test_a_frame_inside_an_invalid_one_is_found_at_once(kind):
+    """Without a timeout if the invalid frame is complete."""
     wire = sample_wires(kind)[0]
     false_start = {'mcu': bytes((2, 2 + 20, 0x63, 0))}.get(kind.name, b'\xa5\x14')
-    # Of this one, nothing but the checksum is wrong.
+    # Only the checksum of this frame is wrong.
     outer = {'mcu': lambda: mcu.encode_raw(0x63, 0, wire)[:-2] + b'\xff\x03'}.get(
         kind.name, lambda: bytes((0xA5, len(wire), 9, 9)) + wire + b'\xff\xff')()
     for stream in (false_start + wire + b'\x11' * 30, outer):
         decoder = kind.make()
         frames = decoder.feed(stream)
-        assert wire in [frame.raw for frame in good(frames)]
+        assert wire in [frame.raw for frame in valid(frames)]
 
 
 @every_checksummed
-def test_a_false_start_holds_until_it_is_given_up(kind):
-    """The frames behind it wait, all of them come out of one `give_up`, in order."""
+def test_a_false_start_delays_frames_until_it_is_given_up(kind):
+    """The frames after it wait; one `give_up` returns all of them, in order."""
     wires = sample_wires(kind)
     for chunks in chunkings(kind.false_start + b''.join(wires)):
         decoder = kind.make()
-        assert good(feed(decoder, chunks)) == [] and decoder.pending
-        assert [frame.raw for frame in good(decoder.give_up())] == wires
+        assert valid(feed(decoder, chunks)) == [] and decoder.pending
+        assert [frame.raw for frame in valid(decoder.give_up())] == wires
         assert not decoder.pending
         assert decoder.errors[FRAMING] == 1 and total(decoder.errors) == 1
 
@@ -327,22 +329,22 @@ def test_false_starts_inside_a_false_start_are_given_up_one_by_one(kind):
     decoder.feed(kind.false_start * 3 + sample_wires(kind)[0])
     rounds = []
     while decoder.pending:
-        rounds.append([frame.raw for frame in good(decoder.give_up())])
+        rounds.append([frame.raw for frame in valid(decoder.give_up())])
     assert rounds == [[], [], [sample_wires(kind)[0]]]
 
 
 @every_checksummed
-def test_the_frames_behind_a_false_start_are_found(kind):
+def test_the_frames_after_a_false_start_are_found(kind):
     wires = sample_wires(kind)
     for starts in (1, 3):
         decoder = kind.make()
-        assert good(decoder.feed(kind.false_start * starts + b''.join(wires))) == []
-        assert [frame.raw for frame in good(decoder.skip_false_start())] == wires
+        assert valid(decoder.feed(kind.false_start * starts + b''.join(wires))) == []
+        assert [frame.raw for frame in valid(decoder.skip_false_start())] == wires
         assert not decoder.pending and decoder.errors[FRAMING] >= 1
 
 
 @every_checksummed
-def test_a_frame_that_is_only_slow_is_no_false_start(kind):
+def test_a_slow_frame_is_no_false_start(kind):
     wire = sample_wires(kind)[0]
     for size in range(1, len(wire)):
         decoder = kind.make()
@@ -354,7 +356,7 @@ def test_a_frame_that_is_only_slow_is_no_false_start(kind):
 
 
 @every_checksummed
-def test_nothing_is_no_false_start(kind):
+def test_an_empty_decoder_has_no_false_start(kind):
     decoder = kind.make()
     assert decoder.skip_false_start() == []
     decoder.feed(sample_wires(kind)[0])
@@ -362,7 +364,7 @@ def test_nothing_is_no_false_start(kind):
 
 
 @every_checksummed
-def test_the_front_moves_only_as_frames_are_decided(kind):
+def test_the_front_moves_only_when_a_frame_is_decided(kind):
     wire = sample_wires(kind)[0]
     decoder = kind.make()
     decoder.feed(wire + wire[:3])
@@ -377,7 +379,7 @@ def test_the_front_moves_only_as_frames_are_decided(kind):
     (BUS, bus.encode_reply(bus.Reply(bus.OK, b'\xa5\x5a\x11' * 20))),
     (BOARD_BUS, bus.encode_request(bus.Request(bus.ECHO, 0, b'\xa5\x5a\x11' * 20))),
     (MCU, mcu.encode_raw(0x63, 0, b'\2\3\2\x10\2' * 12))], ids=('bus', 'board side', 'mcu'))
-def test_damage_counts_once_however_many_false_starts_it_holds(kind, wire):
+def test_noise_with_many_false_starts_counts_once(kind, wire):
     damaged = bytearray(wire)
     damaged[-1 if kind is not MCU else -2] ^= 0x80
     frames, errors = decode(kind, bytes(damaged) + sample_wires(kind)[0])
@@ -388,7 +390,7 @@ def test_damage_counts_once_however_many_false_starts_it_holds(kind, wire):
 # -- stamps ---------------------------------------------------------------------------------------
 
 @every_decoder
-def test_a_frame_carries_the_stamp_of_the_read_that_brought_its_last_byte(kind):
+def test_a_frame_has_the_stamp_of_its_last_byte(kind):
     first, second = sample_wires(kind)
     decoder = kind.make()
     stream = first + second
@@ -403,7 +405,7 @@ def test_a_frame_carries_the_stamp_of_the_read_that_brought_its_last_byte(kind):
 
 
 @every_checksummed
-def test_a_frame_that_waited_behind_a_false_start_keeps_its_own_stamp(kind):
+def test_a_frame_after_a_false_start_has_the_stamp_of_its_last_byte(kind):
     first, second = sample_wires(kind)
     decoder = kind.make()
     decoder.feed(kind.false_start, 'false')
@@ -418,7 +420,7 @@ def test_a_frame_that_waited_behind_a_false_start_keeps_its_own_stamp(kind):
 
 
 def false_frame(kind, inside):
-    """What a frame around these bytes would begin and end with; its checksum is wrong."""
+    """The begin and the end of a frame around these bytes, with a wrong checksum."""
     if kind is MCU:
         begin, filler, end = bytes((2, len(inside) + 3, 0x63, 0)), b'\x11', b'\3'
         right = by_definition.xor_of(begin[2:] + inside + filler)
@@ -430,7 +432,7 @@ def false_frame(kind, inside):
 
 
 @every_checksummed
-def test_a_frame_inside_a_false_one_that_fails_later_keeps_its_own_stamp(kind):
+def test_a_frame_inside_an_invalid_one_has_the_stamp_of_its_last_byte(kind):
     for inside in [[wire] for wire in sample_wires(kind)] + [sample_wires(kind)]:
         begin, end = false_frame(kind, b''.join(inside))
         decoder = kind.make()
@@ -444,7 +446,7 @@ def test_a_frame_inside_a_false_one_that_fails_later_keeps_its_own_stamp(kind):
 
 
 def check_stamps(kind, stream, seed):
-    """In random chunks, each good frame has the stamp of the read that brought its last byte."""
+    """In random chunks, each valid frame has the stamp of the read with its last byte."""
     decoder, ends, fed, frames = kind.make(), [], 0, []
     for number, chunk in enumerate(random_chunks(stream, seed)):
         fed += len(chunk)
@@ -455,8 +457,8 @@ def check_stamps(kind, stream, seed):
     for frame in frames:
         if frame.cause:
             continue
-        # Where it stands in the stream: the search of the definition finds the same frames.
-        while sound_at(kind, stream, at) != at + len(frame.raw) or not stream.startswith(
+        # Its place in the stream: the reference decoder finds the same frames.
+        while valid_frame_end(kind, stream, at) != at + len(frame.raw) or not stream.startswith(
                 frame.raw, at):
             at += 1
         at += len(frame.raw)
@@ -466,15 +468,15 @@ def check_stamps(kind, stream, seed):
 
 @every_checksummed
 @given(seed=seeds, stream=spiteful)
-def test_stamps_are_those_of_the_last_bytes_in_any_stream(kind, seed, stream):
+def test_stamps_in_any_stream(kind, seed, stream):
     wires = sample_wires(kind)
     check_stamps(kind, stream + wires[0] + stream[:40] + wires[1], seed)
 
 
 @every_checksummed
 @given(seed=seeds, data=st.data())
-def test_stamps_are_those_of_the_last_bytes_inside_false_frames(kind, seed, data):
+def test_stamps_inside_invalid_frames(kind, seed, data):
     small = any_frame(kind).filter(lambda frame: len(frame) < 60)
-    inside = b''.join(data.draw(st.lists(st.one_of(small, broken(small)), max_size=3)))
+    inside = b''.join(data.draw(st.lists(st.one_of(small, damaged(small)), max_size=3)))
     begin, end = false_frame(kind, inside)
     check_stamps(kind, begin + inside + end + sample_wires(kind)[0], seed)

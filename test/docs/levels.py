@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""Prints each status of a link as it comes on /diagnostics: its name, then OK, WARN or ERROR."""
+"""Prints each link status from /diagnostics: the link's name, then OK, WARN or ERROR."""
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 
@@ -7,13 +7,13 @@ WORDS = ('OK', 'WARN', 'ERROR', 'STALE')
 
 
 def show(message: DiagnosticArray) -> None:
-    """A line for each link; the updater's own word, that the node starts, has no values."""
+    """Print a line for each link. The updater's notice that the node starts has no values."""
     for status in message.status:
         if status.values:
             # Some versions of genpy have bytes here.
             level = ord(status.level) if isinstance(status.level, bytes) else status.level
             if status.message.startswith('heartbeat gap'):
-                level = 0       # a busy machine makes heartbeats late: that is no fault of a page
+                level = 0       # heartbeats are late on a busy machine, which is no error of a page
             print(status.name.rpartition(': ')[2].split()[0], WORDS[level], flush=True)
 
 

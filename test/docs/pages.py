@@ -1,4 +1,4 @@
-"""The pages for people, and what stands in them: headings, links, commands."""
+"""The pages of the documentation, with their headings, links and commands."""
 import re
 from pathlib import Path
 from typing import List, NamedTuple
@@ -14,19 +14,19 @@ class Block(NamedTuple):
     """A fenced block of a page."""
 
     page: Path
-    line: int         # where it begins
-    language: str     # what stands behind its first fence
-    mark: str         # the comment right before it, which says how it is run
+    line: int         # of its first fence
+    language: str     # after its first fence
+    mark: str         # the comment right before it, which tells how to run it
     text: str
 
     @property
     def id(self) -> str:
-        """As a test's name."""
+        """The id of a test."""
         return f'{self.page.relative_to(ROOT)}:{self.line}'
 
 
 def blocks(page: Path) -> List[Block]:
-    """Every fenced block of a page, without its indentation."""
+    """Return every fenced block of a page, without its indentation."""
     text = page.read_text()
     found = []
     for match in _FENCE.finditer(text):
@@ -39,13 +39,13 @@ def blocks(page: Path) -> List[Block]:
 
 
 def prose(page: Path) -> str:
-    """A page without its fenced blocks and its code."""
+    """Return a page without fenced blocks and code."""
     text = _FENCE.sub('', page.read_text())
     return re.sub(r'`[^`\n]*`', '', text)
 
 
 def anchors(page: Path) -> List[str]:
-    """What a link to a heading of the page may say behind its #, as GitHub makes it."""
+    """Return the anchors of a page's headings, as GitHub generates them."""
     found: List[str] = []
     for heading in re.findall(r'^#+ +(.*)$', _FENCE.sub('', page.read_text()), re.MULTILINE):
         heading = re.sub(r'\[([^\]]*)\]\([^)]*\)', r'\1', heading).strip().lower()

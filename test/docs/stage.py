@@ -1,4 +1,4 @@
-"""A ROS master and a bridge for the commands of the pages, and ways to run them."""
+"""A ROS master for the commands of the pages, and functions to run them."""
 import contextlib
 import os
 import signal
@@ -12,12 +12,12 @@ from xmlrpc.client import ServerProxy
 
 import rosgraph
 
-PATIENCE = 60.0     # s; only a command that fails takes as long
+PATIENCE = 60.0     # s; only a failing command takes so long
 LEVELS = Path(__file__).with_name('levels.py')
 
 
 def until(condition, what: str, seconds: float = PATIENCE) -> None:
-    """Wait for a condition; AssertionError after `seconds`."""
+    """Wait until `condition()` is true; AssertionError after `seconds`."""
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, f'not within {seconds:g} s: {what}'
@@ -25,10 +25,10 @@ def until(condition, what: str, seconds: float = PATIENCE) -> None:
 
 
 class Stage:
-    """An environment for commands, in which a master of its own runs.
+    """An environment for commands, with its own master.
 
     Args:
-        folder: where outputs and the simulated boards' ports go.
+        folder: for output and the ports of simulated boards.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -40,12 +40,12 @@ class Stage:
             os.environ, ROS_MASTER_URI=f'http://localhost:{port}', ROS_HOSTNAME='localhost',
             ROS_LOG_DIR=str(folder / 'log'), PATH=f'/usr/bin:{os.environ["PATH"]}')
         self._port = port
-        self._levels = folder / 'levels'      # what levels.py prints …
-        self._began_at = 0                    # … and how long that was as the background began
+        self._levels = folder / 'levels'      # the output of levels.py …
+        self._began_at = 0                    # … and its length at the start of `background`
 
     @contextlib.contextmanager
     def master(self) -> Iterator['Stage']:
-        """With a roscore, and what looks at the links."""
+        """Run a roscore, and levels.py, until the block ends."""
         self._levels.touch()
         master = rosgraph.Master('/docs', self.environment['ROS_MASTER_URI'])
         with self.background([f'roscore -p {self._port}']):
@@ -55,7 +55,7 @@ class Stage:
 
     @contextlib.contextmanager
     def background(self, commands: List[str]) -> Iterator[None]:
-        """Commands that run until the block ends, started in their order."""
+        """Start commands in order, and end them with the block."""
         running = []
         self._began_at = self._levels.stat().st_size if self._levels.exists() else 0
         try:
@@ -72,29 +72,29 @@ class Stage:
                 _end(process)
 
     def run(self, script: str) -> 'subprocess.CompletedProcess[str]':
-        """A block of commands, one after the other, as in a terminal; the first failure ends it."""
+        """Run a block of commands in order, as in a terminal; the first failure ends it."""
         return subprocess.run(
             ['bash', '-e', '-o', 'pipefail', '-c', script], env=self.environment,
             cwd=str(self.folder), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT, text=True, timeout=PATIENCE * 3, check=False)
 
     def links_are_ok(self, *links: str, or_warn: bool = False) -> bool:
-        """Whether the last status of each of these links says so, or that it merely warns.
+        """Whether the last status of each of these links is OK; with `or_warn`, or WARN.
 
-        Only what has come since the commands in the background were started counts.
+        Only statuses since the start of the commands in the background count.
         """
         levels = ('OK', 'WARN') if or_warn else ('OK',)
-        said = self._levels.read_text()[self._began_at:]
-        last = dict(line.split() for line in said.splitlines(True) if line.endswith('\n'))
+        levels_since = self._levels.read_text()[self._began_at:]
+        last = dict(line.split() for line in levels_since.splitlines(True) if line.endswith('\n'))
         return all(last.get(link) in levels for link in links)
 
-    def node_lives(self, name: str) -> bool:
-        """Whether a node of this name answers."""
+    def node_answers(self, name: str) -> bool:
+        """Whether a node with this name answers."""
         master = rosgraph.Master('/docs', self.environment['ROS_MASTER_URI'])
         return _answers(lambda: ServerProxy(master.lookupNode(name)).getPid('/docs'))
 
     def output(self) -> str:
-        """What the commands in the background have said."""
+        """Return the output of the commands in the background."""
         path = self.folder / 'output'
         return path.read_text(errors='replace') if path.exists() else ''
 

@@ -1,18 +1,18 @@
-"""Every command in the pages does what its page says, or is marked as one that needs a board.
+"""Runs every command of the pages, except those marked as needing a board.
 
-A comment right before a block of commands says how it is run:
+A comment right before a block of commands tells how to run it:
 
-    <!-- run: alone -->        one after the other, with nothing else
+    <!-- run: alone -->        one after another, with nothing else
     <!-- run: bridge -->       beside a bridge with simulated boards
     <!-- run: launch -->       each line starts a bridge, whose links all become OK
-    <!-- run: background -->   all at once; then the bus link becomes OK
-    <!-- run: play -->         all at once, the last with a bridge that waits and a recording
-                               drive.bag; then the arduino link becomes OK
+    <!-- run: background -->   all at the same time; then the bus link becomes OK
+    <!-- run: play -->         all at the same time, the last after the bridge has opened, with
+                               a recording drive.bag; then the arduino link becomes OK
     <!-- run: panel -->        a bridge, whose links become OK, and the page at its address
     <!-- run: avr -->          beside a bridge with emulated boards, their folder in $SIM_DIR
     <!-- run by: PART -->      by that part of scripts/test
     <!-- file: NAME -->        not a command: by test/ros/other_board_test.py
-    <!-- needs a board -->     by nobody, likewise `needs a screen`
+    <!-- needs a board -->     not run; likewise `needs a screen`
 """
 import re
 import sys
@@ -34,14 +34,14 @@ NODE = '/serial_communication'
 
 
 def marked(mark):
-    """The blocks of commands with this mark, as parameters of a test."""
+    """Parametrize a test with the blocks of commands that have this mark."""
     return pytest.mark.parametrize('block', [
         block for block in BLOCKS if block.language == 'sh' and block.mark == mark],
         ids=lambda block: getattr(block, 'id', 'none'))
 
 
 def lines(block):
-    """The commands of a block that stand alone in their lines."""
+    """Return the commands of a block with one command per line."""
     return [line.partition('  #')[0].strip() for line in block.text.splitlines() if line.strip()]
 
 
@@ -63,12 +63,12 @@ def bridge(tmp_path_factory):
 
 @pytest.fixture(scope='module')
 def beside(bridge):
-    """What each block beside the bridge does, by its id. They are run three at a time, since most
-    of them only wait."""
+    """The results of the blocks beside the bridge, by id. Three run at a time, since most only
+    wait."""
     def run(block):
         if block.language == 'sh':
             done = bridge.run(block.text)
-            # Without real-time priority a busy machine makes the heartbeat late now and then.
+            # Without real-time priority heartbeats are sometimes late on a busy machine.
             return bridge.run(block.text) if 'heartbeat gap of' in done.stdout else done
         program = bridge.folder / f'example_{block.line}.py'
         program.write_text(block.text)
@@ -78,7 +78,7 @@ def beside(bridge):
         yield {block.id: pool.submit(run, block) for block in BESIDE}
 
 
-def test_every_block_of_commands_says_how_it_is_run():
+def test_every_block_of_commands_has_a_valid_mark():
     parts = re.search(r'^parts=\(([^)]*)\)$', (ROOT / 'scripts' / 'test').read_text(), re.M)
     for block in BLOCKS:
         if block.language != 'sh':
@@ -90,35 +90,35 @@ def test_every_block_of_commands_says_how_it_is_run():
 
 
 @marked('run: alone')
-def test_alone(block, tmp_path):
+def test_a_block_alone_succeeds(block, tmp_path):
     done = Stage(tmp_path).run(block.text)
     assert done.returncode == 0, done.stdout
 
 
 @marked('run: bridge')
-def test_beside_a_bridge(block, beside):
+def test_a_block_beside_a_bridge_succeeds(block, beside):
     done = beside[block.id].result()
     assert done.returncode == 0, done.stdout
 
 
-_LAUNCHED = set()     # lines that have been tried
+_LAUNCHED = set()     # lines that have run
 
 
 @marked('run: launch')
-def test_launch(block, master):
+def test_each_launched_bridge_becomes_ok(block, master):
     for line in lines(block):
         if 'sim:=avr' in line or line in _LAUNCHED:
-            continue        # by test_with_emulated_boards, or for another page
+            continue        # needs emulated boards, or has run for another page
         with master.background([f'{line} sim_dir:={master.folder}/launch']):
-            # Where the lines are made bad, errors are what is to be seen.
+            # With faults on the lines, errors are expected.
             until(lambda: master.links_are_ok(*LINKS, or_warn='faults:=' in line),
                   f'all links are OK: {master.output()}')
-        until(lambda: not master.node_lives(NODE), 'the bridge has ended')
+        until(lambda: not master.node_answers(NODE), 'the bridge has ended')
         _LAUNCHED.add(line)
 
 
 @marked('run: panel')
-def test_with_the_page(block, master):
+def test_the_panel_serves_its_page(block, master):
     line, = lines(block)
     with master.background([f'{line} sim_dir:={master.folder}/panel '
                             'panel_args:="--port 0"']):
@@ -130,13 +130,13 @@ def test_with_the_page(block, master):
 
 
 @marked('run: background')
-def test_in_the_background(block, master):
+def test_commands_in_the_background_make_a_link_ok(block, master):
     with master.background(lines(block)):
         until(lambda: master.links_are_ok('bus'), f'the link is OK: {master.output()}')
 
 
 @marked('run: play')
-def test_with_a_recording(block, master, bridge):
+def test_a_recording_makes_a_link_ok(block, master, bridge):
     done = bridge.run(f'rosbag record --duration 5 -O {master.folder}/drive.bag /serial_msg')
     assert done.returncode == 0, done.stdout
     *there, play = lines(block)
@@ -147,8 +147,8 @@ def test_with_a_recording(block, master, bridge):
 
 
 @marked('run: avr')
-def test_with_emulated_boards(block, master):
-    build_firmware()    # on a busy machine it takes longer than a launch is waited for
+def test_a_block_beside_emulated_boards_succeeds(block, master):
+    build_firmware()    # may take longer than `until` waits for a launch
     folder = master.folder / 'avr'
     master.environment['SIM_DIR'] = str(folder)
     with master.background([
@@ -159,6 +159,6 @@ def test_with_emulated_boards(block, master):
 
 
 @pytest.mark.parametrize('block', PYTHON, ids=lambda block: getattr(block, 'id', 'none'))
-def test_python(block, beside):
+def test_a_python_example_succeeds(block, beside):
     done = beside[block.id].result()
     assert done.returncode == 0 and 'Traceback' not in done.stdout, done.stdout

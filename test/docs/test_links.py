@@ -1,4 +1,4 @@
-"""Every link in the pages leads somewhere, and pages that name each other do so both ways."""
+"""Every link in the pages has a target, and README and pages link to each other."""
 import re
 
 import pytest
@@ -8,12 +8,12 @@ _LINK = re.compile(r'!?\[[^\]]*\]\(([^)\s]+)\)')
 
 
 def links(page):
-    """What the links of a page say, those to other hosts left out."""
+    """Return the targets of a page's links, except those to other hosts."""
     return [link for link in _LINK.findall(prose(page)) if '://' not in link]
 
 
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_links_lead_somewhere(page):
+def test_every_link_has_a_target(page):
     for link in links(page):
         path, _, anchor = link.partition('#')
         target = (page.parent / path).resolve() if path else page
@@ -26,13 +26,13 @@ def test_every_page_is_linked_from_the_readme_and_back():
     readme = ROOT / 'README.md'
     named = {(readme.parent / link.partition('#')[0]).resolve() for link in links(readme)}
     for page in PAGES:
-        if page != readme:
+        if page != readme and len(page.read_text().splitlines()) > 1:    # else it is a pointer
             assert page in named, f'README.md does not name {page.name}'
             back = {(page.parent / link.partition('#')[0]).resolve() for link in links(page)}
             assert readme in back, f'{page.name} does not lead back to README.md'
 
 
-def test_anchors_are_made_as_github_makes_them(tmp_path):
+def test_anchors_are_those_of_github(tmp_path):
     page = tmp_path / 'page.md'
     page.write_text('# mcu: STX … ETX\n## `code` and [a link](x.md)\n## Twice\n## Twice\n'
                     '```sh\n# no heading\n```\n')

@@ -25,7 +25,7 @@ using namespace serial_communication;
 
 typedef std::vector<uint8_t> Bytes;
 
-// A message of one's own: type 48 of a packet, 0x30 of a function and of a frame.
+// A custom message: type 48 of a packet, 0x30 of a function and of a frame.
 struct PACKED Own {
   int16_t position;
   uint8_t force;

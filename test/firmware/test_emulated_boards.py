@@ -726,14 +726,14 @@ def own_car(firmware_build):
         car.port.close()
 
 
-def test_a_measurement_of_ones_own(own_car):
+def test_a_custom_measurement(own_car):
     for raw in (0, 500, 1023):
         own_car.board.set('force', raw)
         own_car.next(FORCE)     # may be of before
         assert own_car.next(FORCE) == [struct.pack('<h', raw * 29)]
 
 
-def test_a_command_of_ones_own(own_car):
+def test_a_custom_command(own_car):
     board = own_car.board
     for position, force, pwm in ((1000, 1, 255), (0, 255, 127), (-900, 9, 12), (500, 0, 0)):
         own_car.send(GRIPPER, struct.pack('<hB', position, force))
@@ -744,7 +744,7 @@ def test_a_command_of_ones_own(own_car):
     assert board.get('gripper_pwm') == 0
 
 
-def test_functions_of_ones_own(firmware_build):
+def test_custom_functions(firmware_build):
     with EmulatedBoard(firmware_build, 'ctrl', image='ctrl_board_own.elf') as board:
         board.wait_until(lambda: board.time > 0.05, 1)
         master = Master(board)

@@ -153,7 +153,7 @@ def test_a_packet_without_its_end_is_given_up(driver):
 OWN = struct.pack('<hBf', -300, 128, 1.5)
 
 
-def test_a_packed_struct_of_ones_own_is_sent_and_taken_as_it_stands(driver):
+def test_a_custom_packed_struct_is_sent_and_taken_as_it_stands(driver):
     wire = cobs_encode(b'\x30' + OWN) + b'\x00'
     assert driver('own packet -300 128 1.5') == wire.hex()
     assert driver('parse ' + wire.hex()).startswith('48:%s=-300/128 |' % OWN.hex())
@@ -164,7 +164,7 @@ def test_a_packed_struct_of_ones_own_is_sent_and_taken_as_it_stands(driver):
         assert answer.startswith('|') and counted in answer
 
 
-def test_a_function_of_ones_own_takes_and_answers_a_packed_struct(driver):
+def test_a_custom_function_takes_and_answers_a_packed_struct(driver):
     def frame(head, data):
         return (head + data + bytes([xor_of(head + data)])).hex()
 
@@ -174,7 +174,7 @@ def test_a_function_of_ones_own_takes_and_answers_a_packed_struct(driver):
     assert driver('bus a5000000a5 ' + asked).split()[1] == frame(b'\xa5\x02\x03', b'\x01\x80')
 
 
-def test_a_frame_of_ones_own_carries_a_packed_struct(driver):
+def test_a_custom_frame_carries_a_packed_struct(driver):
     wire = bytes.fromhex(driver('own frame -300 128 1.5'))
     assert wire[:3] == b'\x02\x09\x30' and wire[4:-2] == OWN
     assert wire[-1] == 3 and xor_of(wire[2:-1]) == 0

@@ -1,11 +1,11 @@
-"""Messages of one's own: from a row of parameters to bytes and back, and every mistake in it."""
+"""Custom messages: from a row of parameters to bytes and back, and every mistake in a row."""
 import math
 import tracemalloc
 
 import pytest
 from hypothesis import assume, given
 
-from own_rows import encoded, row_and_raws
+from custom_rows import encoded, row_and_raws
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
@@ -21,11 +21,11 @@ PUMP = {'cmd2': 48, 'srv_type': 'std_srvs/SetBool',
         'request': {'layout': '<?', 'fields': ['data']}}
 
 
-def one(entry, **changes):
-    """The message of an entry with some keys changed; None takes one away."""
-    entry = {key: value for key, value in dict(entry, **changes).items() if value is not None}
-    make = bus_functions if 'cmd2' in changes or 'cmd2' in entry else arduino_messages
-    return make({'name': entry})[0]
+def one(row, **changes):
+    """The message of a row with some keys changed; None removes a key."""
+    row = {key: value for key, value in dict(row, **changes).items() if value is not None}
+    make = bus_functions if 'cmd2' in changes or 'cmd2' in row else arduino_messages
+    return make({'name': row})[0]
 
 
 def message(layout, fields, **changes):
@@ -38,7 +38,7 @@ def wire(kind, data):
 
 
 def received(kind, data):
-    """The message that a decoder makes of a packet's data, and its errors."""
+    """The message that a decoder makes of a packet with this data, and the errors it counts."""
     decoder = arduino.Decoder(messages=[kind])
     frame, = decoder.feed(wire(kind, data))
     return frame.message, {cause: count for cause, count in decoder.errors.items() if count}
@@ -46,11 +46,11 @@ def received(kind, data):
 
 # -- values ---------------------------------------------------------------------------------------
 
-def test_a_row_as_the_tutorial_has_it():
-    own = one(FORCE)
-    assert (own.name, own.ros_type, own.is_command, own.frame_id) == (
+def test_the_row_of_the_tutorial():
+    custom = one(FORCE)
+    assert (custom.name, custom.ros_type, custom.is_command, custom.frame_id) == (
         'name', 'std_msgs/Float32', False, '')
-    got, errors = received(own.kind, b'\x39\x30')
+    got, errors = received(custom.kind, b'\x39\x30')
     assert got == (pytest.approx(123.45),) and not errors
     assert str(got) == 'name data=123.45'
     assert got.pack() == b'\x39\x30'
@@ -92,7 +92,7 @@ def test_any_row_and_any_numbers_survive_the_wire(case):
         right = tuple(right) if isinstance(right, list) else right
         assert value == right or math.isnan(value) and math.isnan(right)
     str(got)
-    # And the other way, as far as a float has the digits.
+    # Packing is exact only without a scale: a float has too few digits.
     if row['scale'] == 1 and row['offset'] == 0 and '' not in row['fields']:
         assert got.pack() == data
     parts = kind.parts(data)
@@ -118,7 +118,7 @@ def test_an_empty_field_leaves_a_value_out():
 
 @pytest.mark.parametrize('layout, data', [
     ('<h', '01'), ('<h', '010000'), ('<BH*', ''), ('<BH*', '0102'), ('<4s', '6162'), ('<', '00')])
-def test_another_length_is_a_length_error(layout, data):
+def test_a_wrong_length_is_a_length_error(layout, data):
     kind = message(layout, ['a', 'b'][:len(layout.replace('4', '').replace('*', '')) - 1])
     assert received(kind, bytes.fromhex(data)) == (None, {LENGTH: 1})
 
@@ -127,24 +127,24 @@ def test_another_length_is_a_length_error(layout, data):
     ({'minimum': 0, 'maximum': 3}, 0, True), ({'minimum': 0, 'maximum': 3}, 3, True),
     ({'minimum': 0, 'maximum': 3}, 4, False), ({'minimum': 0}, -1, False),
     ({'minimum': 0}, 32767, True), ({'maximum': -5}, -4, False), ({'maximum': -5}, -5, True)])
-def test_a_value_beyond_its_limits_is_implausible(limits, raw, plausible):
+def test_a_value_outside_its_limits_is_implausible(limits, raw, plausible):
     kind = message('<h', ['data'], **limits)
     data = raw.to_bytes(2, 'little', signed=True)
     assert received(kind, data)[1] == ({} if plausible else {IMPLAUSIBLE: 1})
     assert bool(kind(raw).implausible()) != plausible
-    # The check is the row's own: check_plausibility is about what this package knows.
+    # A row's limits hold without check_plausibility, which is for built-in messages.
     decoder = arduino.Decoder(check_plausibility=False, messages=[kind])
     frame, = decoder.feed(arduino.encode_raw(kind.TYPE, data))
     assert (not frame.cause) == plausible
 
 
-def test_each_number_of_an_array_has_the_limits():
+def test_limits_hold_for_each_number_of_an_array():
     kind = message('<B*', ['ranges'], maximum=9)
     assert received(kind, b'\1\x09')[1] == {}
     assert received(kind, b'\1\x0a')[1] == {IMPLAUSIBLE: 1}
 
 
-def test_no_number_is_within_limits():
+def test_nan_is_implausible_where_there_are_limits():
     assert received(message('<f', ['data'], minimum=0), b'\0\0\xc0\x7f')[1] == {IMPLAUSIBLE: 1}
     assert received(message('<f', ['data']), b'\0\0\xc0\x7f')[1] == {}
 
@@ -160,25 +160,25 @@ def test_a_value_that_its_place_cannot_hold_is_not_packed(layout, values):
     assert str(refusal.value).startswith('data is ')
 
 
-def test_a_number_that_is_not_0_is_true():
+def test_any_number_but_0_is_packed_as_true():
     for value, byte in ((0, b'\0'), (0.0, b'\0'), (1, b'\1'), (-0.3, b'\1'), (2**70, b'\1')):
         assert message('<?', ['data'])(value).pack() == byte
 
 
 @pytest.mark.parametrize('name', ['class', 'None', 'def', 'print', 'count'])
-def test_any_base_name_of_ros_names_a_message(name):
-    own, = arduino_messages({name: FORCE})
-    got, errors = received(own.kind, b'\x39\x30')
+def test_any_ros_base_name_may_name_a_message(name):
+    custom, = arduino_messages({name: FORCE})
+    got, errors = received(custom.kind, b'\x39\x30')
     assert str(got) == f'{name} data=123.45' and not errors
     assert repr(got).startswith(f'{name}(')
     assert arduino_messages({'a': dict(FORCE, fields=[name])})[0].kind(1).pack() == b'\x64\0'
-    assert bus_functions({name: PUMP})[0].ask((1,)).data == b'\1'
+    assert bus_functions({name: PUMP})[0].make_request((1,)).data == b'\1'
 
 
-def test_mcu_frames_of_ones_own():
-    own, = mcu_messages({'line': dict(FORCE, type=0x20)})
-    decoder = mcu.Decoder([own.kind])
-    frame, = decoder.feed(mcu.encode(own.kind(12.5), 7))
+def test_custom_mcu_frames():
+    custom, = mcu_messages({'line': dict(FORCE, type=0x20)})
+    decoder = mcu.Decoder([custom.kind])
+    frame, = decoder.feed(mcu.encode(custom.kind(12.5), 7))
     assert (frame.message, frame.type, frame.command) == ((12.5,), 0x20, 7)
     frames = decoder.feed(mcu.encode_raw(0x20, 8, b'\1') + mcu.encode_raw(0x20, 9, b'\xff\xff'))
     assert [frame.cause for frame in frames] == [LENGTH, IMPLAUSIBLE]
@@ -187,11 +187,11 @@ def test_mcu_frames_of_ones_own():
 
 
 @pytest.mark.parametrize('read', [40, 16, 1], ids='{} bytes a read'.format)
-def test_a_false_len_that_the_checksum_fits_costs_no_frame_behind_it(read):
-    """One bit of LEN makes one frame of three: two alike cancel out of an XOR."""
-    own, = mcu_messages({'line': dict(FORCE, type=0x20)})
-    decoder = mcu.Decoder([own.kind])
-    wire = bytearray(mcu.encode(own.kind(12.5), 7))
+def test_frames_behind_a_false_len_are_found_though_its_checksum_matches(read):
+    """A flipped bit of LEN makes one frame of three, since equal bytes cancel out of an XOR."""
+    custom, = mcu_messages({'line': dict(FORCE, type=0x20)})
+    decoder = mcu.Decoder([custom.kind])
+    wire = bytearray(mcu.encode(custom.kind(12.5), 7))
     wire[1] ^= 0x20
     statuses = [mcu.SensorStatus(470, 580, 0.0, 0.0, roll) for roll in (1.0, 2.0)]
     wire += mcu.encode(statuses[0], 8) + mcu.encode(statuses[1], 9)
@@ -205,36 +205,36 @@ def test_a_false_len_that_the_checksum_fits_costs_no_frame_behind_it(read):
     assert not decoder.pending
 
 
-def test_a_function_of_ones_own():
+def test_a_custom_function():
     pump = one(PUMP)
-    assert pump.ask((True,)) == bus.Request(bus.FUNCTION, 48, b'\1')
-    assert str(pump.ask((True,))) == 'name data=true'
+    assert pump.make_request((True,)) == bus.Request(bus.FUNCTION, 48, b'\1')
+    assert str(pump.make_request((True,))) == 'name data=true'
     assert (pump.timeout, pump.repeatable, pump.reply.size) == (None, False, 0)
     polled, = bus_functions({'level': {
         'cmd2': 49, 'ros_type': 'std_msgs/Float32', 'period': 2, 'timeout': 0.2,
         'reply': {'layout': '<H', 'fields': ['data'], 'scale': 0.1}}})
     assert (polled.repeatable, polled.period, polled.timeout) == (True, 2, 0.2)
     assert polled.reply.unpack(b'\x0a\0') == (1.0,)
-    assert polled.ask(()) == bus.Request(bus.FUNCTION, 49)
-    assert str(polled.answer(bus.Reply(bus.OK, b'\x0a\0'))) == 'level OK data=1'
+    assert polled.make_request(()) == bus.Request(bus.FUNCTION, 49)
+    assert str(polled.name_reply(bus.Reply(bus.OK, b'\x0a\0'))) == 'level OK data=1'
     for other in bus.Reply(bus.OK, b'\x0a'), bus.Reply(bus.ERROR, b'\2\x80'):
-        assert str(polled.answer(other)) == str(other)
+        assert str(polled.name_reply(other)) == str(other)
 
 
-def test_functions_of_ones_own_are_explained_by_name():
+def test_custom_functions_are_explained_by_name():
     pump = one(PUMP, reply={'layout': '<H', 'fields': ['message'], 'scale': 0.1})
-    request = pump.ask((True,))
-    told = bus.RequestDecoder(functions=[pump]).explain(bus.encode_request(request))
-    assert [(part.name, part.value, part.meaning) for part in told[3:5]] == [
+    request = pump.make_request((True,))
+    parts = bus.RequestDecoder(functions=[pump]).explain(bus.encode_request(request))
+    assert [(part.name, part.value, part.meaning) for part in parts[3:5]] == [
         ('CMD2', 48, 'name'), ('data', True, '')]
-    told = bus.ReplyDecoder(functions=[pump]).explain(
+    parts = bus.ReplyDecoder(functions=[pump]).explain(
         bus.encode_reply(bus.Reply(bus.OK, b'\x0a\0')), request)
-    assert [(part.name, part.value) for part in told[3:4]] == [('message', 1.0)]
+    assert [(part.name, part.value) for part in parts[3:4]] == [('message', 1.0)]
 
 
 # -- mistakes -------------------------------------------------------------------------------------
 
-@pytest.mark.parametrize('entry, changes, key, said', [
+@pytest.mark.parametrize('row, changes, key, words', [
     (FORCE, {'type': None}, 'type', 'is missing, may be a whole number from 13 to 255'),
     (FORCE, {'type': 12}, 'type', 'is 12 (int), may be'),
     (FORCE, {'type': 256}, 'type', 'may be a whole number from 13'),
@@ -275,7 +275,7 @@ def test_functions_of_ones_own_are_explained_by_name():
     (FORCE, {'minimum': 200, 'maximum': 100}, 'minimum', 'at most the maximum, 100'),
     (FORCE, {'frame_id': 5}, 'frame_id', 'may be text'),
     (FORCE, {'ros_typ': 'x'}, 'ros_typ', 'did you mean ros_type?'),
-    (FORCE, {'whatever': 1}, 'whatever', 'is no key of an entry'),
+    (FORCE, {'whatever': 1}, 'whatever', 'is not a key of a row'),
     (FORCE, {'fields': ['data[' + '9' * 5000 + ']']}, 'fields', 'may be a list with the path'),
     (FORCE, {'scale': 10**400}, 'scale', 'may be a number but 0'),
     (FORCE, {'offset': -10**400}, 'offset', 'may be a number, or a list of 1'),
@@ -302,56 +302,56 @@ def test_functions_of_ones_own_are_explained_by_name():
     (PUMP, {'srv_type': None, 'ros_type': 'std_msgs/Bool', 'period': 1}, 'request/fields',
      'empty texts only'),
 ])
-def test_every_mistake_is_told_in_one_line(entry, changes, key, said):
+def test_every_mistake_in_a_row_is_reported_in_one_line(row, changes, key, words):
     with pytest.raises(RowError) as mistake:
-        one(entry, **changes)
-    what = 'bus/functions' if 'cmd2' in entry else 'arduino/messages'
+        one(row, **changes)
+    what = 'bus/functions' if 'cmd2' in row else 'arduino/messages'
     assert str(mistake.value).startswith(f'{what}/name/{key}'.rstrip('/') + ' ')
-    assert said in str(mistake.value) and '\n' not in str(mistake.value)
+    assert words in str(mistake.value) and '\n' not in str(mistake.value)
     assert len(str(mistake.value)) < 400
 
 
-@pytest.mark.parametrize('make, entries, key, said', [
-    (arduino_messages, {'a': FORCE, 'b': FORCE}, 'b/type', 'is that of a, too'),
-    (bus_functions, {'a': PUMP, 'b': PUMP}, 'b/cmd2', 'is that of a, too'),
+@pytest.mark.parametrize('make, entries, key, words', [
+    (arduino_messages, {'a': FORCE, 'b': FORCE}, 'b/type', 'is already the type of a'),
+    (bus_functions, {'a': PUMP, 'b': PUMP}, 'b/cmd2', 'is already the cmd2 of a'),
     (mcu_messages, {'a': dict(FORCE, type=0x10)}, 'a/type', '0 to 255'),
     (mcu_messages, {'a': dict(FORCE, direction='to_board')}, 'a/direction', 'may be from_board'),
     (mcu_messages, {'a': dict(FORCE, layout='<254xh')}, 'a/layout', '253'),
     (arduino_messages, {'2nd': FORCE}, '2nd', 'letter'),
     (arduino_messages, {'a/b': FORCE}, 'a/b', 'letter'),
     (arduino_messages, {'a': 5}, 'a', 'a group with the keys type'),
-    (arduino_messages, [FORCE], '', 'a group of entries')])
-def test_mistakes_of_names_and_numbers(make, entries, key, said):
+    (arduino_messages, [FORCE], '', 'a group of rows')])
+def test_mistakes_in_names_and_numbers_are_reported(make, entries, key, words):
     with pytest.raises(RowError) as mistake:
         make(entries)
     assert f'/{key}'.rstrip('/') + ' ' in str(mistake.value)
-    assert said in str(mistake.value)
+    assert words in str(mistake.value)
 
 
 @pytest.mark.parametrize('type_', [
     '', 5, 'std_msgs', '/x', 'a/b/c', 'std_msgs/', ['std_msgs/Bool']])
-def test_what_is_no_name_of_a_type_is_refused(type_):
+def test_an_invalid_type_name_is_refused(type_):
     polled = dict(PUMP, request=None, srv_type=None, period=1)
-    for entry, key in ((FORCE, 'ros_type'), (polled, 'ros_type'), (PUMP, 'srv_type')):
+    for row, key in ((FORCE, 'ros_type'), (polled, 'ros_type'), (PUMP, 'srv_type')):
         with pytest.raises(RowError) as mistake:
-            one(entry, **{key: type_})
+            one(row, **{key: type_})
         assert f'/name/{key} is {type_!r} ({type(type_).__name__}), may be a ' in str(
             mistake.value)
 
 
-@pytest.mark.parametrize('make, entry, longest', [
+@pytest.mark.parametrize('make, row, longest', [
     (arduino_messages, FORCE, 255), (mcu_messages, FORCE, 253),
     (bus_functions, {'cmd2': 1, 'srv_type': 'a/B'}, 1024)])
 @pytest.mark.parametrize('layout', [
     '<50000000h', '>900000000d', '<50000000x', '<50000000s', '<50000000hs', '<9999999hB*'])
-def test_a_layout_beyond_what_a_frame_carries_takes_no_memory(make, entry, longest, layout):
-    """Its values are not made first: fifty million of them take minutes and gigabytes."""
+def test_a_layout_too_long_for_a_frame_takes_no_memory(make, row, longest, layout):
+    """Its size is checked before its values are made: fifty million take minutes and gigabytes."""
     part = {'layout': layout, 'fields': ['data']}
-    entry = dict(entry, reply=part) if make is bus_functions else dict(entry, type=32, **part)
+    row = dict(row, reply=part) if make is bus_functions else dict(row, type=32, **part)
     tracemalloc.start()
     try:
         with pytest.raises(RowError) as mistake:
-            make({'name': entry})
+            make({'name': row})
         _now, most = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
@@ -359,25 +359,25 @@ def test_a_layout_beyond_what_a_frame_carries_takes_no_memory(make, entry, longe
     assert most < 10**6
 
 
-def test_a_name_that_cannot_be_is_told_in_one_line():
+def test_an_invalid_name_is_reported_in_one_line():
     with pytest.raises(RowError) as mistake:
         arduino_messages({'a\n\x1b\ud800': FORCE})
     assert str(mistake.value).startswith("arduino/messages/a\ufffd\ufffd\ufffd is 'a\\n")
 
 
-def test_a_scale_that_is_a_great_whole_number_keeps_values_within_a_float():
+def test_a_very_large_integer_scale_makes_a_value_infinite():
     kind = message('<q', ['data'], scale=10**300)
     value, = kind.unpack(b'\xff' * 7 + b'\x7f')
     assert math.isinf(value) and str(kind(value)) == 'name data=inf'
     assert message('<q', ['data'], scale=10**9).unpack(b'\7' + bytes(7)) == (7 * 10**9,)
 
 
-def test_one_limit_for_several_values_has_to_fit_one_of_them():
+def test_one_limit_for_several_values_has_to_be_in_the_range_of_one_of_them():
     kind = message('<BBh', ['', 'a', 'b'], maximum=1000)
     assert received(kind, b'\xff\xff\xe8\3')[1] == {}
     assert received(kind, b'\xff\xff\xe9\3')[1] == {IMPLAUSIBLE: 1}
     message('<Bh', ['', 'a'], maximum=[1000, 5])
 
 
-def test_no_entries_are_no_messages():
+def test_no_rows_make_no_messages():
     assert arduino_messages({}) == mcu_messages({}) == bus_functions({}) == []

@@ -1,16 +1,16 @@
-"""What the fuzz tests share: bytes that are made to hurt."""
+"""Byte streams for the fuzz tests."""
 from hypothesis import strategies as st
 
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
 
-# Bytes that mean something to one of the protocols, and their neighbours.
-TELLING = sorted({bus.STANDARD_FLAG, bus.LONG_FLAG, mcu.STX, mcu.ETX, 0, 1, 2, 3, 4, 7, 8, 9, 10,
+# Bytes with a meaning in one of the protocols, and their neighbours.
+SPECIAL = sorted({bus.STANDARD_FLAG, bus.LONG_FLAG, mcu.STX, mcu.ETX, 0, 1, 2, 3, 4, 7, 8, 9, 10,
                   11, 12, 14, 16, 23, 24, 0x55, 0x20, 0x21, 0x22, 0xFD, 0xFE, 0xFF})
 
-telling = st.lists(st.sampled_from(TELLING), min_size=1, max_size=40).map(bytes)
-sound = st.one_of(
+special = st.lists(st.sampled_from(SPECIAL), min_size=1, max_size=40).map(bytes)
+valid = st.one_of(
     st.builds(lambda cmd1, data: bus.encode_reply(bus.Reply(cmd1, data)),
               st.sampled_from((0, 1, 2, 3, 0xFF)), st.binary(max_size=300)),
     st.builds(lambda cmd1, cmd2, data: bus.encode_request(bus.Request(cmd1, cmd2, data)),
@@ -24,19 +24,19 @@ sound = st.one_of(
 
 @st.composite
 def damaged(draw):
-    """A sound frame with a byte changed, taken away, or put in."""
-    frame = bytearray(draw(sound))
+    """A valid frame with a byte changed, removed, or inserted."""
+    frame = bytearray(draw(valid))
     at = draw(st.integers(0, len(frame) - 1))
-    kind = draw(st.sampled_from(('change', 'take', 'put')))
+    kind = draw(st.sampled_from(('change', 'remove', 'insert')))
     if kind == 'change':
         frame[at] ^= draw(st.integers(1, 255))
-    elif kind == 'take':
+    elif kind == 'remove':
         del frame[at]
     else:
         frame.insert(at, draw(st.integers(0, 255)))
     return bytes(frame)
 
 
-garbage = st.lists(st.one_of(st.binary(max_size=60), telling, sound, damaged(),
-                             st.builds(lambda unit, n: unit * n, telling, st.integers(1, 40))),
+garbage = st.lists(st.one_of(st.binary(max_size=60), special, valid, damaged(),
+                             st.builds(lambda unit, n: unit * n, special, st.integers(1, 40))),
                    max_size=20).map(b''.join)

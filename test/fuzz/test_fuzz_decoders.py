@@ -1,15 +1,15 @@
-"""Any bytes at all into each decoder: nothing is raised, nothing grows, nothing gets stuck.
+"""Any bytes into each decoder: it raises nothing, does not grow, and never gets stuck.
 
-And a search for the stream that costs most, in work counted and not timed: hypothesis is told
-what each unit costs and looks for a dearer one. SERIAL_COMMUNICATION_FUZZ_EXAMPLES=100000 makes
-it look for hours.
+The last test searches for the most expensive stream, by counting work instead of measuring time:
+hypothesis gets the cost of each stream and looks for a more expensive one. With
+SERIAL_COMMUNICATION_FUZZ_EXAMPLES=100000 it searches for hours.
 """
 import sys
 from functools import lru_cache
 
 import hypothesis
 import pytest
-from fuzz_streams import TELLING, garbage
+from fuzz_streams import SPECIAL, garbage
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -18,12 +18,12 @@ from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
 from serial_communication.framing.stream import MAX_REPORTED
 
-# Hypothesis 4, which Ubuntu 20.04 has, cannot be guided: it looks at random there.
+# Hypothesis 4 (Ubuntu 20.04) has no target(): it searches at random.
 _PREFER = getattr(hypothesis, 'target', None)
-_LONGEST = 1030          # bytes of the longest frame there is
-_LIMIT = 5               # times the work of clean traffic
-_CALL = 10               # lines that a call counts as
-_SIZE = 1500             # bytes whose work is counted
+_LONGEST = 1030          # bytes of the longest frame
+_LIMIT = 5               # times the work for valid frames
+_CALL = 10               # a call counts as this many lines
+_SIZE = 1500             # bytes of the stream
 
 DECODERS = {
     'bus': (bus.ReplyDecoder, bus.encode_reply(
@@ -42,12 +42,12 @@ every_decoder = pytest.mark.parametrize('name', DECODERS)
 
 
 def held(decoder):
-    """Bytes, frames and stamps that it keeps."""
+    """How many bytes, frames and stamps the decoder keeps."""
     return sum(len(value) for value in vars(decoder).values() if hasattr(value, '__len__'))
 
 
 def settle(decoder):
-    """Give up whatever is pending; how often that took."""
+    """Drop all pending bytes; return how many calls of `give_up` that took."""
     count = 0
     while decoder.pending:
         decoder.give_up()
@@ -58,7 +58,7 @@ def settle(decoder):
 
 @every_decoder
 @given(pieces=st.lists(garbage, max_size=6))
-def test_any_bytes(name, pieces):
+def test_any_bytes_raise_nothing_and_the_next_valid_frame_is_found(name, pieces):
     make, clean = DECODERS[name]
     decoder = make()
     for piece in pieces:
@@ -66,7 +66,7 @@ def test_any_bytes(name, pieces):
         assert sum(len(frame.raw) for frame in frames) <= len(piece) + 3 * _LONGEST
         for frame in frames:
             str(frame.message)      # as serial_msg prints it
-        # Stamps and counters beside the bytes of one frame, twice (each has an XOR), and noise.
+        # Twice the bytes of a frame (each has an XOR), noise, stamps and counters.
         assert held(decoder) <= 2 * _LONGEST + MAX_REPORTED + len(frames) + 20
     settle(decoder)
     assert [frame.raw for frame in decoder.feed(b'\0' + clean) if not frame.cause]
@@ -75,7 +75,7 @@ def test_any_bytes(name, pieces):
 
 @every_decoder
 @given(data=garbage)
-def test_a_good_frame_behind_garbage_is_found_after_a_pause(name, data):
+def test_a_valid_frame_after_garbage_and_a_pause_is_found(name, data):
     make, clean = DECODERS[name]
     decoder = make()
     decoder.feed(data)
@@ -86,7 +86,7 @@ def test_a_good_frame_behind_garbage_is_found_after_a_pause(name, data):
 
 @lru_cache(maxsize=8)        # clean traffic is counted once
 def work(make, stream):
-    """Lines of Python run, and calls counted as lines, for each byte, in reads of 500."""
+    """The lines of Python executed per byte, with _CALL lines for each call, in reads of 500."""
     counts = {'line': 0, 'call': 0, 'c_call': 0}
 
     def count(_frame, event, _argument):
@@ -110,12 +110,12 @@ def work(make, stream):
 
 
 @every_decoder
-@given(unit=st.lists(st.one_of(st.sampled_from(TELLING), st.integers(0, 255)), min_size=1,
+@given(unit=st.lists(st.one_of(st.sampled_from(SPECIAL), st.integers(0, 255)), min_size=1,
                      max_size=24).map(bytes))
-def test_no_stream_is_much_dearer_than_clean_traffic(name, unit):
+def test_no_stream_costs_much_more_than_valid_frames(name, unit):
     make, clean = DECODERS[name]
-    dear = work(make, (unit * (_SIZE // len(unit) + 1))[:_SIZE])
-    ratio = dear / work(make, (clean * (_SIZE // len(clean) + 1))[:_SIZE])
+    cost = work(make, (unit * (_SIZE // len(unit) + 1))[:_SIZE])
+    ratio = cost / work(make, (clean * (_SIZE // len(clean) + 1))[:_SIZE])
     if _PREFER:
         _PREFER(ratio, label=name)
     assert ratio <= _LIMIT

@@ -1,4 +1,4 @@
-"""Any bytes at all into the three ports of a running node: it lives, and good frames still come."""
+"""Any bytes into the three ports of a running node: it keeps running and receives valid frames."""
 import os
 import pty
 import threading
@@ -23,8 +23,8 @@ from processes import Stage, usage_of  # noqa: E402
 
 NODE = '/serial_communication'
 PATIENCE = 10.0          # s; only a test that fails waits as long
-_GIVEN_UP = 0.08         # s after which the node has given up what was incomplete
-_GROWTH = 8.0            # MB that a node may grow by under fire
+_GIVEN_UP = 0.08         # s after which the node has dropped an incomplete frame
+_GROWTH = 8.0            # MB by which the node's memory may grow
 
 _number = [0]            # of the example
 until = partial(waiting.until, seconds=PATIENCE, every=0.02)
@@ -39,8 +39,8 @@ class Far:
         self.name = os.ttyname(slave)
         threading.Thread(target=self._run, daemon=True).start()
 
-    def come(self, data):
-        """Bytes have come."""
+    def received(self, data):
+        """Handle received bytes; subclasses override this."""
 
     def write(self, data):
         while data:
@@ -52,7 +52,7 @@ class Far:
                 data = os.read(self._master, 4096)
             except OSError:
                 return
-            self.come(data)
+            self.received(data)
 
 
 class BusFar(FakeBus, Far):
@@ -65,7 +65,7 @@ class BusFar(FakeBus, Far):
         self._decoder = bus.RequestDecoder()
         Far.__init__(self)
 
-    def come(self, data):
+    def received(self, data):
         for frame in self._decoder.feed(data):
             if not frame.cause:
                 self.take(frame)
@@ -88,11 +88,11 @@ class Scene:
         rospy.Subscriber('/serial_msg', SerialMsg, lambda m: None)
         rospy.wait_for_service(NODE + '/bus/request', PATIENCE)
         self.request = rospy.ServiceProxy(NODE + '/bus/request', BusRequest)
-        self.good_frames_come()
+        self.check_valid_frames()
         self.memory = usage_of(self.bridge.pid)['memory']
 
-    def good_frames_come(self):
-        """Something of each board gets through, and it is what the board sent."""
+    def check_valid_frames(self):
+        """Each board's next valid frame is received, with the values that the board sent."""
         _number[0] += 1
         number = _number[0]
         ticks, status = number % 250 + 1, mcu.SensorStatus(number % 2000 + 30, 500, 1.0, 2.0, 3.0)
@@ -127,16 +127,16 @@ def scene(tmp_path_factory):
 
 
 @given(for_bus=garbage, for_arduino=garbage, for_mcu=garbage)
-def test_the_node_lives_and_good_frames_still_come(scene, for_bus, for_arduino, for_mcu):
+def test_the_node_keeps_running_and_receives_valid_frames(scene, for_bus, for_arduino, for_mcu):
     scene.ports['bus'].write(for_bus)
     scene.ports['arduino'].write(for_arduino)
     scene.ports['mcu'].write(for_mcu)
     time.sleep(_GIVEN_UP)
     assert scene.bridge.alive, scene.bridge.tail()
-    scene.good_frames_come()
+    scene.check_valid_frames()
 
 
-def test_the_node_has_not_grown_and_says_nothing_of_a_fault(scene):
+def test_the_node_needs_no_more_memory_and_has_logged_no_fault(scene):
     assert scene.bridge.alive
     assert usage_of(scene.bridge.pid)['memory'] - scene.memory < _GROWTH
     with open(scene.bridge.log, errors='replace') as log:
@@ -144,6 +144,6 @@ def test_the_node_has_not_grown_and_says_nothing_of_a_fault(scene):
     assert 'Traceback' not in text and 'fault in the bridge' not in text, text[-3000:]
 
 
-def test_the_scene_can_fail(scene):
+def test_until_fails_if_the_condition_stays_false(scene):
     with pytest.raises(AssertionError):
         until(lambda: False, 'never', seconds=0.1)

@@ -1,5 +1,5 @@
-"""Rows of any content: each is taken, or refused in one line that names it; nothing else is raised,
-and what is taken can be told and published whatever the board sends."""
+"""Any rows: each is accepted, or refused with one line that names it. Nothing else is raised, and
+an accepted row can be shown and published whatever the board sends."""
 from io import BytesIO
 
 import pytest
@@ -20,7 +20,7 @@ LAYOUTS = st.one_of(
               st.sampled_from(('', '', 's', 'B*', 'd*', '?*'))),
     st.text('<>@bBhqefd?sxpcnP*0129 \n\0é', max_size=6),
     st.sampled_from(('<50000000h', '>99999999999999999999h', '<256B', '<1025x')))
-# Of each type, paths that are there, and two that share a place.
+# For each type, paths that exist, and two that overlap.
 PATHS = {
     'std_msgs/Bool': ('data',), 'std_msgs/Float32': ('data',), 'std_msgs/String': ('data',),
     'sensor_msgs/JointState': ('position', 'position[2]', 'position[02]', 'name[1]', 'velocity'),
@@ -36,7 +36,7 @@ ODD_PATHS = st.one_of(st.text('ab[0].\n', max_size=5), st.just(f'data[{"9" * 500
 
 @st.composite
 def part(draw, paths):
-    """The keys that say what the bytes are."""
+    """The keys for the layout of the bytes."""
     found = {'layout': draw(LAYOUTS)}
     count = sum(code in 'bBhHqQefd?s' for code in found['layout'])
     found['fields'] = draw(st.permutations((*paths, '', '', '')))[:count]
@@ -50,7 +50,7 @@ def part(draw, paths):
 
 @st.composite
 def rows(draw):
-    """The group of a row, its name, and the row, of which a key or two may be anything."""
+    """The group of a row, its name, and the row, in which one key may have any value."""
     group = draw(st.sampled_from(('arduino/messages', 'mcu/messages', 'bus/functions')))
     kind, paths = draw(st.sampled_from(sorted(PATHS.items())))
     if group == 'bus/functions':
@@ -70,7 +70,7 @@ def rows(draw):
 
 
 @given(rows(), st.binary(max_size=64))
-def test_any_row_is_taken_or_refused_in_one_line(case, data):
+def test_any_row_is_accepted_or_refused_with_one_line(case, data):
     group, name, row = case
     section, rows_of = group.split('/')
     try:
@@ -79,12 +79,13 @@ def test_any_row_is_taken_or_refused_in_one_line(case, data):
         assert str(error).startswith(f'parameter /node/{group}'), error
         assert str(error) == readable(str(error)) and len(str(error)) < 1000, error
         return
-    taken, = values[group]
-    layout, fields = (taken.kind.LAYOUT, taken.fields) if rows_of == 'messages' else \
-        (taken.own.reply, taken.reply)
-    is_command = rows_of == 'messages' and taken.own.is_command
+    accepted, = values[group]
+    custom = accepted[0]
+    layout, fields = (accepted.kind.LAYOUT, accepted.fields) if rows_of == 'messages' else \
+        (custom.reply, accepted.reply)
+    is_command = rows_of == 'messages' and custom.is_command
     message = fields.new()
-    for size in layout.size, layout.size + 8:      # twice: a message is used again and again
+    for size in layout.size, layout.size + 8:      # twice, since the message is reused
         received = (data * 100)[:size] or bytes(size)
         if layout.fits(len(received)):
             values = layout.unpack(received)
@@ -92,8 +93,8 @@ def test_any_row_is_taken_or_refused_in_one_line(case, data):
             layout.parts(received)
             if not is_command and not layout.implausible(values):
                 fields.fill(message, values).serialize(BytesIO())
-    back = layout if rows_of == 'messages' else taken.own.request
-    source = fields if rows_of == 'messages' else taken.request
+    back = layout if rows_of == 'messages' else custom.request
+    source = fields if rows_of == 'messages' else accepted.request
     if source:
         try:
             back.pack(source.read(source.new()))

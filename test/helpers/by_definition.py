@@ -55,12 +55,12 @@ def xor_of(data: bytes) -> int:
 
 
 def cobs_encode(data: bytes) -> bytes:
-    """The encoding, without the 0x00 that ends a packet."""
+    """The COBS encoding, without the 0x00 that ends a packet."""
     out, block = bytearray(), bytearray()
     for index, byte in enumerate(data):
         if byte:
             block.append(byte)
-        # A full block at the end needs no other after it.
+        # A full block at the end needs no block after it.
         if not byte or len(block) == 254 and index + 1 < len(data):
             out.append(len(block) + 1)
             out += block

@@ -1,7 +1,6 @@
-"""The other end of a link's port, for tests: a real tty, and boards that do as they are told.
+"""The board's end of a link's port, for tests: a real tty, and boards that a test controls.
 
-The boards are not those of the simulation: they are as simple as can be, so that a test shows
-all that they do.
+The boards are much simpler than the simulated ones, so that a test shows all that they do.
 """
 import os
 import pty
@@ -26,7 +25,7 @@ until = partial(waiting.until, seconds=PATIENCE, every=0.002)
 
 
 class Line:
-    """A pty under a path of its own, which can vanish and return as another device."""
+    """A pseudo terminal with a fixed path; it can vanish, and return as another device."""
 
     def __init__(self, path):
         self.path = str(path)
@@ -39,7 +38,7 @@ class Line:
         new = self.path + '.new'
         os.symlink(os.ttyname(slave), new)
         os.replace(new, self.path)
-        self._slave = slave       # held, so that a port that is closed is no hang-up here
+        self._slave = slave       # kept open: else a closed port would be a hang-up here
         return self
 
     def unplug(self):
@@ -50,14 +49,14 @@ class Line:
             os.close(fd)
 
     def write(self, data):
-        """All of it; the other side must read."""
+        """Write all of it; the other end has to read."""
         while data:
             _, writable, _ = select.select([], [self.fd], [], PATIENCE)
             assert writable, 'nobody reads'
             data = data[os.write(self.fd, data):]
 
     def read(self, seconds=0.0):
-        """What has come by now, or comes first; b'' if nothing does."""
+        """The bytes received, or the first ones within `seconds`; b'': none."""
         readable, _, _ = select.select([self.fd], [], [], seconds)
         try:
             return os.read(self.fd, 65536) if readable else b''
@@ -65,7 +64,7 @@ class Line:
             return b''
 
     def read_all(self, quiet=0.1):
-        """Until nothing has come for so long."""
+        """The bytes received until there are none for `quiet` s."""
         data = b''
         while True:
             part = self.read(quiet)
@@ -75,7 +74,7 @@ class Line:
 
 
 class Board:
-    """A thread that decodes what comes and calls `take` with each good frame."""
+    """A thread that decodes received bytes and calls `take` with each valid frame."""
 
     def __init__(self, line, decoder, name):
         self.line = line
@@ -87,15 +86,15 @@ class Board:
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def messages(self, kind=None):
-        """What has come so far."""
+        """The messages received so far."""
         return [frame.message for frame in list(self.seen)
                 if kind is None or isinstance(frame.message, kind)]
 
     def take(self, frame):
-        """For subclasses."""
+        """A valid frame was received; for subclasses."""
 
     def idle(self):
-        """For subclasses: called a hundred times a second or so."""
+        """Called about a hundred times a second; for subclasses."""
 
     def start(self):
         self._thread.start()
@@ -107,7 +106,7 @@ class Board:
 
     @contextmanager
     def unplugged(self):
-        """The port is away as long as this lasts."""
+        """Context in which the port is absent."""
         self._paused.set()
         assert self._idle.wait(PATIENCE)
         self.line.unplug()
@@ -143,16 +142,16 @@ class BusBoard(FakeBus, Board):
         return [request for request in self.messages() if cmd1 in (None, request.cmd1)]
 
     def moves(self):
-        """Lifts, turns and raw requests, in their order."""
+        """Lift, gimbal and raw requests, in their order."""
         return [request for request in self.requests(bus.FUNCTION)
                 if request != bus.ENVIRONMENT_REQUEST]
 
 
 class CarBoard(Board):
-    """Keeps what it is sent; with `streaming` it sends an IMU packet as often as it can.
+    """Records what it receives; with `streaming` it sends IMU packets as fast as possible.
 
-    It stands as the test begins, so a SPEED 0 before any other speed, and one after another, are
-    repetitions: `seen` has them, `commands` leaves them out.
+    Its speed is 0 at first. A SPEED 0 while the speed is 0 is a repetition: `seen` has it,
+    `commands` does not.
     """
 
     IMU = arduino.encode(arduino.Imu(16384, *[0] * 10))
@@ -180,17 +179,17 @@ class CarBoard(Board):
         return len(self.messages(arduino.Heartbeat))
 
     def commands(self):
-        """All but the heartbeats and SPEED 0 that is repeated."""
+        """All messages but heartbeats and repetitions of SPEED 0."""
         return list(self._commands)
 
     def forget(self):
-        """Begin the records anew."""
+        """Clear the records."""
         del self.seen[:], self._commands[:]
 
 
 class Rfc2217Server:
-    """A server of one connection; who comes later is refused at once, so that no link is left
-    waiting for an answer as a test ends."""
+    """A server for one connection. Later ones are refused at once, so that no link still waits for
+    an answer when a test ends."""
 
     def __init__(self, listening, path):
         self.url = 'rfc2217://127.0.0.1:%d' % listening.getsockname()[1]
@@ -207,8 +206,8 @@ class Rfc2217Server:
     def alive(self):
         return self._thread.is_alive()
 
-    def stand_still(self):
-        """From the return of this on it takes nothing, until `go_on`."""
+    def stop_reading(self):
+        """Stop reading; it has stopped when this returns, until `go_on`."""
         self._standing.clear()
         self._going.clear()
         assert self._standing.wait(PATIENCE)
@@ -241,19 +240,19 @@ class Rfc2217Server:
                 except OSError:
                     break
                 if not data:
-                    break       # ended, not reset: the other end knew that all had arrived
+                    break       # closed, not reset: the peer knew that all had arrived
                 device.write(b''.join(manager.filter(data)))
 
 
 class _Device(serial.Serial):
-    """A pty has no modem lines."""
+    """A pseudo terminal, which has no modem lines."""
 
     cts = dsr = ri = cd = False
     rts = dtr = True
 
 
 class _Connection:
-    """What a PortManager writes its own words to."""
+    """What a PortManager writes its answers to."""
 
     def __init__(self, peer):
         self._peer = peer
@@ -262,4 +261,4 @@ class _Connection:
         try:
             self._peer.sendall(data)
         except OSError:
-            pass    # nobody is there to read it; what came from there can be read all the same
+            pass    # the peer no longer reads; what it sent can still be read

@@ -1,6 +1,6 @@
-"""The main control board as the tests play it, on whatever line a test gives it.
+"""A main control board for tests, on any line.
 
-It is not that of the simulation: it is as simple as can be, so that a test shows all that it does.
+It is much simpler than the simulated one, so that a test shows all that it does.
 """
 from collections import deque
 
@@ -10,26 +10,30 @@ AIR = bus.Environment(350, 25.63, 48.12)
 
 
 class FakeBus:
-    """Answers SYNC and ECHO and obeys, or does as it is told.
+    """Answers every request as usual, or as `rule` and `script` say.
 
-    To be inherited from beside a class that has the line: it calls `take` with each valid frame
-    of a `RequestDecoder`, and its `write` puts bytes on the line.
+    A mixin: the other base class has the line. It calls `take` with each valid frame of a
+    `RequestDecoder`, and has `write`, which writes bytes to the line.
 
-    `rule` is asked first, with each request; then, for what is neither SYNC nor ECHO, `script`
-    holds what the next ones get. Both give a Reply, or bytes, of which b'' is no answer at all;
-    None is the usual answer. In `script` a function of the request may stand for one of these.
+    `rule` is called first, with each request. Requests other than SYNC and ECHO then take the next
+    element of `script`. Either gives a Reply, bytes (b'': no answer), or None (the usual answer).
+    An element of `script` may be a function that gets the request and returns one of these.
+
+    Args:
+        has_cmd2: replies have CMD2.
+        polled: requests for the environment take nothing from `script`.
     """
 
     def __init__(self, has_cmd2=False, polled=False):
         self.rule = lambda request: None
         self.script = deque()
         self.air = AIR
-        self.executed = []           # the functions that it has carried out: it has all of them
+        self.executed = []           # the executed function requests; every function exists
         self._has_cmd2 = has_cmd2
-        self._polled = polled        # then the environment is none of the script's
+        self._polled = polled
 
     def take(self, frame):
-        """A valid frame has come."""
+        """Answer a valid frame."""
         request = frame.message
         answer = self.rule(request)
         if answer is None and self.script and self._is_scripted(request):
@@ -46,7 +50,7 @@ class FakeBus:
             self.write(answer)
 
     def usual(self, request):
-        """Do what is asked; the Reply to it."""
+        """Execute a request; return the usual Reply."""
         if request.cmd1 in (bus.SYNC, bus.ECHO):
             return bus.Reply(request.cmd1, request.data, request.cmd2)
         if request.cmd1 != bus.FUNCTION:

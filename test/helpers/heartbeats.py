@@ -1,11 +1,11 @@
-"""What the times at which heartbeats were read say of when they were sent."""
+"""Finds out when heartbeats were sent, from the times at which they were read."""
 import glob
 
 BEAT_MISSED = 0.030   # s without a heartbeat after which the board stops its motor
 
 
 class HeartbeatWatch:
-    """Whether a bridge misses a heartbeat from now on.
+    """Checks that from now on a bridge sends its heartbeats in time.
 
     Args:
         car: the board's end of the line, with `forget` and `longest_gap`.
@@ -18,28 +18,27 @@ class HeartbeatWatch:
         car.forget()
 
     def check(self):
-        """AssertionError if it has missed one by its own fault."""
+        """AssertionError if a gap was too long, not counting the wait for a processor."""
         gap, waited = self._car.longest_gap(), processor_wait(self._pid) - self._waited
-        said = (f'longest gap between heartbeats {gap * 1e3:.1f} ms, waited for a processor '
-                f'{waited * 1e3:.1f} ms')
-        print(said)
-        assert gap - waited < BEAT_MISSED, said
+        result = (f'longest gap between heartbeats {gap * 1e3:.1f} ms, waited for a processor '
+                  f'{waited * 1e3:.1f} ms')
+        print(result)
+        assert gap - waited < BEAT_MISSED, result
 
 
 def longest_gap(stamps, rate):
-    """Between two heartbeats as they were sent: no less than this, in s.
+    """The longest gap between two heartbeats when they were sent, in s: at least this long.
 
-    That this test was late to read them, or the line to pass them on, is not counted. Neither can
-    hold a heartbeat back without those behind it, and a bridge that was late does not make up for
-    those that it missed: so each left at least as many periods before a later one as it has places
-    before it, however they came, in one read or in several.
+    Delays of the line and of this test's reads do not count. They delay all heartbeats behind one,
+    too, and a late bridge does not catch up on missed heartbeats. So a heartbeat that is n places
+    before another one was sent at least n periods earlier, in however many reads they arrived.
 
     Args:
         stamps: when each was read, in s.
-        rate: heartbeats a second.
+        rate: heartbeats per second.
     """
     stamps = sorted(stamps)
-    longest, sent = 0.0, stamps[-1]      # the latest moment at which it can have left
+    longest, sent = 0.0, stamps[-1]      # the latest time at which it can have been sent
     for stamp, before in zip(stamps[:0:-1], stamps[-2::-1]):
         sent = min(stamp, sent)
         longest = max(longest, sent - before)
@@ -48,10 +47,10 @@ def longest_gap(stamps, rate):
 
 
 def processor_wait(pid):
-    """For how long a process's threads have waited for a processor so far, in s.
+    """How long the threads of a process have waited for a processor so far, in s.
 
-    A user who may not have real-time priority shares the processor with whatever else runs: what a
-    heartbeat waited for it is none of the bridge's doing. With that priority it is next to nothing.
+    Without real-time priority the bridge shares the processor with other programs, so a heartbeat
+    may be late through no fault of the bridge. With real-time priority the wait is close to 0.
     """
     waited = 0
     for path in glob.glob('/proc/%d/task/*/schedstat' % pid):

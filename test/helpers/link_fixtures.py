@@ -1,4 +1,4 @@
-"""For every test of a link: a time limit, and nothing left running."""
+"""Fixtures for tests of links: a time limit, a check for running threads, a line, a log."""
 import faulthandler
 import logging
 import signal
@@ -17,7 +17,7 @@ _LIMIT = 20.0      # s for one test
 
 @pytest.fixture(autouse=True)
 def time_limit():
-    """A test that hangs fails, and says where every thread was."""
+    """Let a test that hangs fail, and print where every thread was."""
     def expired(_number, _frame):
         faulthandler.dump_traceback(sys.__stderr__)
         raise TimeoutError('the test took more than %g s' % _LIMIT)
@@ -31,7 +31,7 @@ def time_limit():
 
 @pytest.fixture(autouse=True)
 def every_thread_ends():
-    """Every thread that a test starts has a name, and ends within a second of the test."""
+    """Check that every thread that a test starts has a name and ends within 1.5 s of the test."""
     before = set(threading.enumerate())
     yield
     deadline = time.monotonic() + 1.5
@@ -46,7 +46,7 @@ def every_thread_ends():
 
 @pytest.fixture
 def line(tmp_path):
-    """A real tty whose other end is the test's."""
+    """A real tty; the test has its other end."""
     made = Line(tmp_path / 'port').plug()
     yield made
     made.unplug()
@@ -54,7 +54,7 @@ def line(tmp_path):
 
 @pytest.fixture
 def port(line):
-    """A port that is open on it."""
+    """A port that is open on `line`."""
     made = Port(line.path)
     made.open()
     yield made
@@ -63,23 +63,23 @@ def port(line):
 
 @pytest.fixture
 def logger(request, caplog):
-    """A logger of the test's own, whose lines `lines` gives."""
+    """A logger for this test; `lines` returns its lines."""
     caplog.set_level(logging.DEBUG)
     return logging.getLogger('test.' + request.node.name)
 
 
 @pytest.fixture
 def lines(caplog):
-    """The warnings and errors so far that hold a text."""
-    def said(text='', level=logging.WARNING):
+    """A function: the log lines so far, from `level` on, that contain a text."""
+    def find(text='', level=logging.WARNING):
         return [record.getMessage() for record in list(caplog.records)
                 if record.levelno >= level and text in record.getMessage()]
-    return said
+    return find
 
 
 @pytest.fixture
 def running():
-    """Starts links and boards; ends them as the test ends."""
+    """A function that starts a link or a board, which is stopped when the test ends."""
     started = []
 
     def start(thing):

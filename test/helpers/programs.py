@@ -1,9 +1,11 @@
-"""Programs that a test starts."""
+"""Starts programs for a test, and ends them with it."""
 
 
 def started(make):
-    """For a fixture: a function that starts one as `make` does, whose `process` ends with the
-    test."""
+    """For a fixture: yields a function that starts a program by `make`.
+
+    `make` returns an object with a `process`, which is killed when the test ends.
+    """
     begun = []
 
     def begin(*arguments):

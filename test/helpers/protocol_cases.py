@@ -1,4 +1,4 @@
-"""What every decoder test shares: the ways in which one stream of bytes may arrive."""
+"""Helpers for tests of decoders: the protocols, and all ways in which a stream may be read."""
 import json
 import os
 import random
@@ -14,14 +14,14 @@ _SEEDS = (1, 2, 3)      # of the random chunks
 
 
 class DecoderKind(NamedTuple):
-    """A decoder, and what the tests must know of its wire."""
+    """A decoder and the properties of its protocol."""
 
     name: str
     make: Callable[[], Any]
-    longest: int          # bytes of the longest frame or packet, its end included
-    quiet: bytes          # bytes that begin no frame
-    false_start: bytes    # bytes that begin one, and keep a decoder waiting
-    checksummed: bool     # whether it finds frames inside damaged ones
+    longest: int          # bytes of the longest frame or packet, with its end
+    quiet: bytes          # bytes with which no frame begins
+    false_start: bytes    # the start of a frame that is never completed
+    checksummed: bool     # whether frames inside damaged ones are found
 
 
 BUS = DecoderKind('bus', bus.ReplyDecoder, 1029, b'\x00\x11\xff', b'\xa5\xc8', True)
@@ -60,7 +60,7 @@ def hexed(text: str) -> bytes:
 
 
 def random_chunks(stream: bytes, seed: int) -> List[bytes]:
-    """The stream in pieces: mostly short, some long, some empty."""
+    """The stream in chunks of random sizes: mostly short, some long, some empty."""
     chance = random.Random(seed)
     chunks, at = [], 0
     while at < len(stream):
@@ -71,37 +71,39 @@ def random_chunks(stream: bytes, seed: int) -> List[bytes]:
 
 
 def chunkings(stream: bytes) -> List[Sequence[bytes]]:
-    """Whole, byte by byte, and in random chunks."""
+    """The stream in one chunk, byte by byte, and in random chunks."""
     bytewise = [stream[at:at + 1] for at in range(len(stream))]
     return [[stream], bytewise] + [random_chunks(stream, seed) for seed in _SEEDS]
 
 
 def feed(decoder: Any, chunks: Iterable[bytes]) -> List[Frame]:
-    """All frames, good and bad, of chunks fed one after the other."""
+    """All frames, valid and invalid, of chunks that are fed one after the other."""
     return [frame for chunk in chunks for frame in decoder.feed(chunk)]
 
 
 def give_up(decoder: Any) -> List[Frame]:
-    """What a link does when no more bytes come: until nothing is pending."""
+    """Call give_up() until nothing is pending, as a link does after its frame timeout."""
     frames: List[Frame] = []
     for _ in range(5000):
         if not decoder.pending:
             return frames
         frames += decoder.give_up()
-    raise AssertionError('give_up() does not come to an end')
+    raise AssertionError('give_up() leaves bytes pending for ever')
 
 
-def good(frames: Iterable[Frame]) -> List[Frame]:
-    """The good ones, without their stamps."""
+def valid(frames: Iterable[Frame]) -> List[Frame]:
+    """The valid frames, without their stamps."""
     return [frame._replace(stamp=None) for frame in frames if not frame.cause]
 
 
 def decode(kind: DecoderKind, stream: bytes, end: bool = True) -> Tuple[List[Frame], dict]:
-    """Good frames and error counts of a stream, which do not depend on its chunking.
+    """The valid frames and the error counts of a stream.
 
-    Neither does where among the good frames the bad ones stand, of which cause they are, or which
-    bytes they quote (but for a packet that is too long). With `end`, what is still pending behind
-    the last byte is given up.
+    Checks that they do not depend on the chunks, and neither do the order, the causes and the
+    bytes of invalid frames (except the bytes of a packet that is too long).
+
+    Args:
+        end: give up what is pending after the last byte.
     """
     outcomes = []
     for chunks in chunkings(stream):
@@ -111,7 +113,7 @@ def decode(kind: DecoderKind, stream: bytes, end: bool = True) -> Tuple[List[Fra
             frames += give_up(decoder)
         check_reported(stream, frames)
         check_counted(kind, frames, decoder.errors)
-        outcomes.append((good(frames), dict(decoder.errors), decoder.pending,
+        outcomes.append((valid(frames), dict(decoder.errors), decoder.pending,
                          [(frame.cause, frame.raw if kind.checksummed else b'')
                           for frame in frames]))
     for other in outcomes[1:]:
@@ -120,7 +122,8 @@ def decode(kind: DecoderKind, stream: bytes, end: bool = True) -> Tuple[List[Fra
 
 
 def check_reported(stream: bytes, frames: Sequence[Frame]) -> None:
-    """Every frame's bytes stand in the stream, in order; a bad one says why it is bad."""
+    """Check that the bytes of all frames are in the stream, in order, and that invalid ones have
+    a cause and an error."""
     at = 0
     for frame in frames:
         found = stream.find(frame.raw.rstrip(b'\0') if frame.cause else frame.raw, at)
@@ -132,22 +135,25 @@ def check_reported(stream: bytes, frames: Sequence[Frame]) -> None:
 
 
 def check_counted(kind: DecoderKind, frames: Iterable[Frame], errors: Dict[str, int]) -> None:
-    """One bad frame for each error. (An mcu frame of an unknown type is a good one.)"""
+    """Check that there is one invalid frame for each error.
+
+    An mcu frame of an unknown type is valid, though it is counted.
+    """
     shown = Counter(frame.cause for frame in frames if frame.cause)
     assert shown == Counter({cause: count for cause, count in errors.items()
                              if count and not (kind is MCU and cause == UNKNOWN)})
 
 
 def total(errors: Dict[str, int]) -> int:
-    """Errors of all causes."""
+    """The number of errors of all causes."""
     return sum(errors.values())
 
 
 def check_case(kind: DecoderKind, wire: bytes, message: Any, type_: int, command: int = 0,
                data: bytes = b'') -> None:
-    """One good frame: alone, twice, after garbage, and with bytes behind it.
+    """Check that a valid frame is found: alone, twice, after noise, and with noise behind it.
 
-    Each in every chunking, with the same frame and the errors that are the garbage's own.
+    Each in all chunkings; the noise is counted as one error.
     """
     expected = Frame(wire, type_, command, data, message)
     assert decode(kind, wire, end=False) == ([expected], no_errors(kind))
@@ -164,7 +170,7 @@ def check_case(kind: DecoderKind, wire: bytes, message: Any, type_: int, command
         assert frames == [expected] * 2
         assert total(errors) == 2
     if kind.false_start:
-        # The frame stands inside what looks like a longer one, until that is given up.
+        # The frame is inside an apparently longer one until that is given up.
         frames, errors = decode(kind, kind.false_start + wire)
         if len(wire) < 180:
             assert frames == [expected]
@@ -172,24 +178,24 @@ def check_case(kind: DecoderKind, wire: bytes, message: Any, type_: int, command
 
 
 def garbage_before(kind: DecoderKind) -> List[bytes]:
-    """Damage that counts as one error and cannot begin a frame."""
+    """Noise that counts as one error and cannot begin a frame."""
     return [kind.quiet, kind.quiet[:1], kind.quiet * 50]
 
 
 def check_rejected(kind: DecoderKind, wire: bytes, cause: str, **others: int) -> None:
-    """No frame, and exactly one error of this cause besides the others'."""
+    """Check that there is no frame, one error of this cause, and the given counts of others."""
     frames, errors = decode(kind, wire)
     assert frames == []
     assert errors == dict(no_errors(kind), **dict(others, **{cause: 1}))
 
 
 def no_errors(kind: DecoderKind) -> Dict[str, int]:
-    """The counts of a decoder that has seen nothing."""
+    """The error counts of a new decoder."""
     return dict(kind.make().errors)
 
 
 def held(decoder: Any) -> int:
-    """Bytes and stamps that a decoder keeps from one feed to the next."""
+    """The size of the largest buffer that a decoder keeps from one feed to the next."""
     sizes = [len(value) for value in vars(decoder).values()
              if hasattr(value, '__len__') and not isinstance(value, (list, dict))]
     return max(sizes, default=0)

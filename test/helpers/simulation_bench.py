@@ -1,4 +1,4 @@
-"""A bench for a board under a clock of its own, and real ports for boards under the real one."""
+"""Runs simulated boards for tests: with simulated time, or on real ports in real time."""
 import contextlib
 import os
 import subprocess
@@ -9,10 +9,10 @@ import waiting
 
 from serial_communication.transport.port import Port, PortBusy, PortError
 from serial_communication.simulation.board import Runner
-from serial_communication.simulation.line import Line
+from serial_communication.simulation.line import SimulatedLine
 
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
-PATIENCE = 10.0   # s; far beyond what anything here takes
+PATIENCE = 10.0   # s; only a failing test waits as long
 until = partial(waiting.until, seconds=PATIENCE, every=0.002)
 
 
@@ -30,7 +30,7 @@ class Notes(list):
 
 
 class Bench:
-    """A board on a line, where time passes only as far as it is told to."""
+    """A board on a line with simulated time, which `run` advances."""
 
     def __init__(self, board, decoder, **line_arguments):
         self.board = board
@@ -40,8 +40,8 @@ class Bench:
         self.said = []
         self.notes = Notes()
         self.busy = self.closed = False
-        self.line = Line(board, self._write, journal=self.notes, say=self.said.append,
-                         **line_arguments)
+        self.line = SimulatedLine(board, self._write, journal=self.notes, say=self.said.append,
+                                  **line_arguments)
         self.line.opened(self.now)
         self.line.start(self.now)
         self._taken = 0
@@ -54,13 +54,16 @@ class Bench:
         self.wire.append((self.now, data))
 
     def run(self, seconds, until=None):
-        """Let time pass, waking the board whenever it wants; False if `until` did not come."""
+        """Advance the time by `seconds`, or until `until` is true; False if it never was.
+
+        The board is called whenever it asked for it.
+        """
         end = self.now + seconds
         while True:
             due = self.line.tick(self.now)
             if until and until():
                 return True
-            assert due is None or due > self.now, 'it wants to be woken in the past'
+            assert due is None or due > self.now, 'the board asked to be called in the past'
             if due is None or due > end:
                 self.now = end
                 return not until
@@ -77,14 +80,14 @@ class Bench:
         return data
 
     def messages(self, kind=None):
-        """What the other end decodes of that."""
+        """The messages decoded from the bytes written since the last call."""
         frames = self.decoder.feed(self.output())
         return [frame.message for frame in frames if frame.message is not None
                 and (kind is None or isinstance(frame.message, kind))]
 
 
 class Cable:
-    """A socat pair, which can be pulled out and put back."""
+    """A socat pair, which can be unplugged and plugged in again."""
 
     def __init__(self, directory):
         self.a = str(directory / 'near' / 'ttyA')
@@ -103,7 +106,7 @@ class Cable:
 
 @contextlib.contextmanager
 def running(board, port, **line_arguments):
-    """The board on a real port, in a thread."""
+    """Context in which the board runs on a real port, in a thread; yields its journal."""
     notes = Notes()
     runner = Runner(board, Port(port), journal=notes, **line_arguments)
     thread = threading.Thread(target=runner.run, name='board')

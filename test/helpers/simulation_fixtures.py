@@ -1,4 +1,4 @@
-"""The fixture of the tests of simulated boards that cross a real tty."""
+"""The fixture for tests of simulated boards on a real tty."""
 import pytest
 from simulation_bench import Cable
 

@@ -1,14 +1,14 @@
-"""To wait for a condition, with a deadline, instead of for a time."""
+"""Waits for conditions and blocking calls, with a deadline."""
 import threading
 import time
 
-PATIENCE = 15.0     # s; only a test that fails waits as long
+PATIENCE = 15.0     # s; only a failing test waits as long
 
 
 def until(condition, what='the condition', seconds=PATIENCE, doing=None, every=0.01):
-    """Wait for `condition()`, which is returned; AssertionError after `seconds`.
+    """Wait until `condition()` is true, and return its value; AssertionError after `seconds`.
 
-    `doing` is called meanwhile, every `every` seconds, the first time at once.
+    The condition is checked every `every` s; `doing` is called before each check.
     """
     deadline = time.monotonic() + seconds
     while True:
@@ -23,7 +23,7 @@ def until(condition, what='the condition', seconds=PATIENCE, doing=None, every=0
 
 
 class Waiter(threading.Thread):
-    """A blocking call made elsewhere, so that the test can act while it waits."""
+    """Runs a blocking call in a thread, so that the test can act meanwhile."""
 
     def __init__(self, function, *arguments):
         super().__init__(daemon=True)
@@ -42,7 +42,7 @@ class Waiter(threading.Thread):
         self.took = time.monotonic() - began
 
     def result(self, seconds=PATIENCE):
-        """What the call returned."""
+        """Wait for the call; return its result, or raise its exception."""
         self.join(seconds)
         assert not self.is_alive(), f'the call has not returned within {seconds:g} s'
         if self.error:

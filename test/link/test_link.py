@@ -1,4 +1,4 @@
-"""What every link has: a log that is sparing, counters, threads with names that end."""
+"""What all links share: the sparing log, counters, reconnecting, threads that end."""
 import logging
 import os
 import threading
@@ -21,10 +21,10 @@ every_link = pytest.mark.parametrize('kind, names', [
     (ArduinoLink, {'arduino link', 'arduino opening', 'arduino heartbeat'}),
     (McuLink, {'mcu link', 'mcu opening'})], ids=('bus', 'arduino', 'mcu'))
 
-# A frame of each link's board that is good at any time.
-GOOD = {BusLink: bus.encode_reply(bus.Reply(bus.SYNC, b'')),
-        ArduinoLink: arduino.encode(arduino.Ticks(1)),
-        McuLink: mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 1)}
+# For each link a frame that is valid at any time.
+VALID = {BusLink: bus.encode_reply(bus.Reply(bus.SYNC, b'')),
+         ArduinoLink: arduino.encode(arduino.Ticks(1)),
+         McuLink: mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 1)}
 
 
 # -- the log --------------------------------------------------------------------------------------
@@ -37,7 +37,7 @@ def log(logger):
     return made
 
 
-def test_a_cause_is_said_once_in_ten_seconds_with_the_number_held_back(log, lines):
+def test_a_cause_is_logged_once_in_10_s_with_the_number_left_out(log, lines):
     for tenth in range(0, 205):
         log.clock[0] = tenth / 10
         log.warn('noise', 'noise again')
@@ -45,7 +45,7 @@ def test_a_cause_is_said_once_in_ten_seconds_with_the_number_held_back(log, line
                        'bus: noise again (and 99 more like it)']
 
 
-def test_causes_do_not_hold_each_other_back(log, lines):
+def test_causes_are_limited_separately(log, lines):
     log.warn('one', 'first')
     log.error('two', 'second')
     log.info('three', 'third')
@@ -53,14 +53,14 @@ def test_causes_do_not_hold_each_other_back(log, lines):
     assert lines(level=logging.INFO) == ['bus: first', 'bus: second', 'bus: third']
 
 
-def test_a_cause_that_rests_long_enough_is_said_without_a_number(log, lines):
+def test_a_cause_that_returns_after_10_s_is_logged_without_a_number(log, lines):
     log.warn('one', 'first')
     log.clock[0] = 10.0
     log.warn('one', 'second')
     assert lines() == ['bus: first', 'bus: second']
 
 
-def test_levels_are_those_of_the_names(log, caplog):
+def test_each_method_logs_at_its_level(log, caplog):
     for name, level in (('info', logging.INFO), ('warn', logging.WARNING),
                         ('error', logging.ERROR)):
         getattr(log, name)(name, 'text')
@@ -68,16 +68,16 @@ def test_levels_are_those_of_the_names(log, caplog):
 
 
 class _Broken(logging.Logger):
-    """What rospy's logger is where the terminal has gone."""
+    """Raises as rospy's logger does when the terminal is gone."""
 
     def log(self, *_arguments, **_options):
         raise OSError(5, 'Input/output error')
 
 
-def test_a_logger_that_raises_reaches_nobody():
+def test_errors_of_the_logger_do_not_reach_the_caller():
     log = SparingLog('bus', _Broken('broken'))
-    for say in log.info, log.warn, log.error:
-        say(say.__name__, 'text')
+    for method in log.info, log.warn, log.error:
+        method(method.__name__, 'text')
 
 
 # -- every link -----------------------------------------------------------------------------------
@@ -88,7 +88,7 @@ def threads():
 
 @every_link
 @pytest.mark.parametrize('present', [True, False], ids=('port open', 'port absent'))
-def test_threads_have_names_and_end_within_a_second_of_stop(line, logger, kind, names, present):
+def test_threads_have_names_and_end_within_1_s_of_stop(line, logger, kind, names, present):
     link = kind(Port(line.path if present else line.path + '.absent'), logger=logger)
     assert not names & threads()
     link.start()
@@ -102,7 +102,7 @@ def test_threads_have_names_and_end_within_a_second_of_stop(line, logger, kind, 
 
 
 @every_link
-def test_an_absent_port_is_warned_of_once(line, logger, running, lines, kind, names):
+def test_an_absent_port_is_logged_once(line, logger, running, lines, kind, names):
     link = running(kind(Port(line.path + '.absent'), logger=logger))
     assert link.report(time.monotonic()).summary.startswith('closed: ')
     until(lambda: lines())
@@ -113,8 +113,8 @@ def test_an_absent_port_is_warned_of_once(line, logger, running, lines, kind, na
 
 
 @every_link
-def test_a_port_that_flaps_is_opened_each_time_and_logged_sparingly(line, logger, running, lines,
-                                                                    kind, names):
+def test_a_port_that_flaps_is_opened_each_time_and_logged_sparingly(
+        line, logger, running, lines, kind, names):
     link = running(kind(Port(line.path), logger=logger))
     for count in range(3):
         until(lambda: link.port.is_open and link.reconnects == count)
@@ -126,8 +126,8 @@ def test_a_port_that_flaps_is_opened_each_time_and_logged_sparingly(line, logger
     assert len(lines('permission')) == 0
 
 
-def test_a_port_is_found_within_a_second_and_a_half_of_its_return(line, logger, running):
-    """However long it was away: the pauses between tries do not grow without end."""
+def test_a_port_is_opened_within_1_5_s_of_its_return(line, logger, running):
+    """However long it was absent: the pauses between tries have a limit."""
     link = running(McuLink(Port(line.path), logger=logger))
     until(lambda: link.port.is_open)
     line.unplug()
@@ -139,8 +139,8 @@ def test_a_port_is_found_within_a_second_and_a_half_of_its_return(line, logger, 
     assert time.monotonic() - back < 1.5
 
 
-class _Odd(Port):
-    """A port whose opening does as the test says."""
+class _CustomOpening(Port):
+    """A port that calls a function of the test before it is opened."""
 
     def __init__(self, url, opening):
         super().__init__(url)
@@ -151,20 +151,21 @@ class _Odd(Port):
         super().open()
 
 
-def test_whatever_an_opening_raises_is_said_and_it_is_tried_again(line, logger, running, lines):
+def test_an_unexpected_error_of_opening_is_logged_and_opening_is_tried_again(
+        line, logger, running, lines):
     troubles = [NotImplementedError('odd'), KeyError('odder')]
 
     def opening():
         if troubles:
             raise troubles.pop()
 
-    link = running(McuLink(_Odd(line.path, opening), logger=logger))
+    link = running(McuLink(_CustomOpening(line.path, opening), logger=logger))
     until(lambda: link.port.is_open)
     assert lines('odder')
 
 
 @every_link
-def test_a_log_that_raises_ends_no_link(line, running, kind, names):
+def test_a_log_that_raises_does_not_end_a_link(line, running, kind, names):
     link = running(kind(Port(line.path), logger=_Broken('broken')))
     for count in range(2):
         until(lambda: link.port.is_open and link.reconnects == count)
@@ -177,7 +178,7 @@ def test_a_log_that_raises_ends_no_link(line, running, kind, names):
 
 
 def raising(kind):
-    """A function that raises this once, and then does nothing."""
+    """A function that raises `kind` once, and then does nothing."""
     troubles = [kind]
 
     def function(*_arguments):
@@ -189,24 +190,24 @@ def raising(kind):
 @every_link
 @pytest.mark.parametrize('hook', ['opened', 'closed', 'received', 'damaged', 'tick', 'idle'])
 @pytest.mark.parametrize('trouble', [RuntimeError, SystemExit])
-def test_whatever_a_hook_raises_ends_no_link(line, logger, running, monkeypatch, kind, names,
-                                             hook, trouble):
+def test_an_error_in_a_hook_does_not_end_a_link(
+        line, logger, running, monkeypatch, kind, names, hook, trouble):
     link = kind(Port(line.path), logger=logger)
-    trap, rest = raising(trouble), getattr(link, hook)
+    raise_once, original = raising(trouble), getattr(link, hook)
     raised = threading.Event()
 
-    def trapped(*arguments):
+    def replacement(*arguments):
         try:
-            trap()
+            raise_once()
         except BaseException:
             raised.set()
             raise
-        return rest(*arguments)
+        return original(*arguments)
 
-    monkeypatch.setattr(link, hook, trapped)
+    monkeypatch.setattr(link, hook, replacement)
     running(link)
     until(lambda: link.port.is_open or raised.is_set())
-    until_raised = {'received': GOOD[kind], 'damaged': b'noise\0noise\0'}.get(hook)
+    until_raised = {'received': VALID[kind], 'damaged': b'noise\0noise\0'}.get(hook)
     if until_raised:
         until(lambda: raised.is_set() or line.write(until_raised))
     elif hook in ('closed', 'idle'):
@@ -216,38 +217,38 @@ def test_whatever_a_hook_raises_ends_no_link(line, logger, running, monkeypatch,
     until(raised.is_set)
     until(lambda: link.port.is_open)
     received = link.frames_received
-    until(lambda: link.frames_received > received or line.write(GOOD[kind]))
+    until(lambda: link.frames_received > received or line.write(VALID[kind]))
     assert names <= threads()
 
 
-def test_a_heartbeat_that_raises_is_followed_by_others(line, logger, running, monkeypatch, lines):
+def test_heartbeats_go_on_after_one_that_raises(line, logger, running, monkeypatch, lines):
     link = ArduinoLink(Port(line.path), logger=logger)
-    rest, trap = link._heart._work, raising(RuntimeError)
-    monkeypatch.setattr(link._heart, '_work', lambda beat: trap() or rest(beat))
+    original, raise_once = link._heartbeat._work, raising(RuntimeError)
+    monkeypatch.setattr(link._heartbeat, '_work', lambda due: raise_once() or original(due))
     running(link)
     until(lambda: link.heartbeats_sent > 20)
     assert lines('of a test')
 
 
 @every_link
-def test_a_tap_that_raises_takes_nothing_from_the_link(line, logger, running, kind, names):
+def test_a_tap_that_raises_does_not_disturb_the_link(line, logger, running, kind, names):
     link = kind(Port(line.path), logger=logger)
-    told = []
+    calls = []
 
     def tap(*arguments):
-        told.append(arguments)
+        calls.append(arguments)
         raise RuntimeError('of a test')
 
     link.tap = tap
     running(link)
     until(lambda: link.port.is_open)
-    until(lambda: link.frames_received > 3 or line.write(GOOD[kind]))
-    assert len(told) > 3 and link.reconnects == 0 and link.port.is_open
+    until(lambda: link.frames_received > 3 or line.write(VALID[kind]))
+    assert len(calls) > 3 and link.reconnects == 0 and link.port.is_open
 
 
 @every_link
-def test_no_thread_is_started_after_the_beginning(line, logger, running, monkeypatch, kind, names):
-    """Where no memory is left, Thread.start may never return."""
+def test_no_thread_is_started_after_start(line, logger, running, monkeypatch, kind, names):
+    """When memory has run out, Thread.start may never return."""
     link = running(kind(Port(line.path), logger=logger))
     until(lambda: link.port.is_open)
     forever = threading.Event()
@@ -258,11 +259,11 @@ def test_no_thread_is_started_after_the_beginning(line, logger, running, monkeyp
         line.plug()
         until(lambda: link.port.is_open and link.reconnects == count)
     received = link.frames_received
-    until(lambda: link.frames_received > received or line.write(GOOD[kind]))
+    until(lambda: link.frames_received > received or line.write(VALID[kind]))
     forever.set()
 
 
-def test_a_link_lives_on_where_no_memory_is_left_for_a_while(line, logger, running, monkeypatch):
+def test_a_link_survives_a_temporary_lack_of_memory(line, logger, running, monkeypatch):
     link = running(McuLink(Port(line.path), logger=logger))
     until(lambda: link.port.is_open)
     raised = []
@@ -276,7 +277,7 @@ def test_a_link_lives_on_where_no_memory_is_left_for_a_while(line, logger, runni
         patch.setattr(link.log, 'error', out_of_memory)
         patch.setattr(link.port, 'open', out_of_memory)
         line.unplug()
-        # Not by waiting for an Event, which is out of order.
+        # `until` is not used here, nor an Event, whose wait() raises.
         deadline = time.monotonic() + 8.0
         while len(raised) < 3:
             assert time.monotonic() < deadline
@@ -284,11 +285,11 @@ def test_a_link_lives_on_where_no_memory_is_left_for_a_while(line, logger, runni
         line.plug()
     until(lambda: link.port.is_open)
     received = link.frames_received
-    until(lambda: link.frames_received > received or line.write(GOOD[McuLink]))
+    until(lambda: link.frames_received > received or line.write(VALID[McuLink]))
 
 
 @every_link
-def test_a_fault_that_cannot_even_be_logged_closes_the_port_and_opens_it_anew(
+def test_after_an_error_that_cannot_be_logged_the_port_is_closed_and_opened_again(
         line, logger, running, monkeypatch, kind, names):
     link = kind(Port(line.path), logger=logger)
     raise_once, closed = raising(MemoryError), []
@@ -298,28 +299,28 @@ def test_a_fault_that_cannot_even_be_logged_closes_the_port_and_opens_it_anew(
     monkeypatch.setattr(link, 'closed', lambda now: closed.append(now) or rest(now))
     running(link)
     until(lambda: link.port.is_open)
-    until(lambda: closed or line.write(GOOD[kind]))
+    until(lambda: closed or line.write(VALID[kind]))
     until(lambda: link.port.is_open and link.reconnects)
 
 
-def test_a_port_that_hangs_as_it_opens_leaves_the_link_alive(line, logger, running):
+def test_idle_is_called_while_opening_hangs(line, logger, running):
     free = threading.Event()
     silences = []
-    link = running(McuLink(_Odd(line.path, free.wait), timeout=0.1, logger=logger,
-                           on_silence=lambda *told: silences.append(told)))
+    link = running(McuLink(_CustomOpening(line.path, free.wait), timeout=0.1, logger=logger,
+                           on_silence=lambda *status: silences.append(status)))
     until(lambda: len(silences) >= 2)
     free.set()
     until(lambda: link.port.is_open)
 
 
-def test_a_port_that_hangs_as_it_opens_does_not_hold_up_the_end(line, logger):
+def test_a_link_ends_while_opening_hangs(line, logger):
     free, entered = threading.Event(), threading.Event()
 
     def opening():
         entered.set()
         free.wait()
 
-    link = McuLink(_Odd(line.path, opening), logger=logger)
+    link = McuLink(_CustomOpening(line.path, opening), logger=logger)
     link.start()
     until(entered.is_set)
     begun = time.monotonic()
@@ -328,17 +329,17 @@ def test_a_port_that_hangs_as_it_opens_does_not_hold_up_the_end(line, logger):
     assert time.monotonic() - begun < 1.0 and 'mcu link' not in threads()
     free.set()
     until(lambda: 'mcu opening' not in threads())
-    assert not link.port.is_open, 'it opened for nobody, and stays closed'
+    assert not link.port.is_open, 'the port was opened after the end and left open'
 
 
-def test_noise_is_counted_reported_and_logged_sparingly(line, logger, running, lines):
+def test_errors_are_counted_reported_and_logged_sparingly(line, logger, running, lines):
     link = running(McuLink(Port(line.path), timeout=20.0, logger=logger))
     until(lambda: link.port.is_open)
-    good = mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 1)
-    bad = good[:-2] + bytes((good[-2] ^ 1, 3))
+    valid = mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 1)
+    invalid = valid[:-2] + bytes((valid[-2] ^ 1, 3))
     for _ in range(50):
-        line.write(bad + b'noise')
-    line.write(good)
+        line.write(invalid + b'noise')
+    line.write(valid)
     until(lambda: link.frames_received)
     report = link.report(time.monotonic())
     values = dict(report.values)
@@ -346,7 +347,7 @@ def test_noise_is_counted_reported_and_logged_sparingly(line, logger, running, l
     assert (report.level, report.summary) == (1, '100 errors in the last second')
     assert link.report(time.monotonic()).level == 0
     assert len(lines('checksum: ')) == len(lines('framing: ')) == 1
-    assert values['bytes received'] == 50 * (len(bad) + 5) + len(good)
+    assert values['bytes received'] == 50 * (len(invalid) + 5) + len(valid)
     assert values['port'] == line.path and float(values['last frame age [s]']) < 20
 
 
@@ -360,25 +361,25 @@ def test_a_silent_board_is_reported(line, logger, running):
     assert link.condition(time.monotonic() + 1.1)[0] == 1
 
 
-def test_a_link_leaves_no_file_open(line, logger):
+def test_an_ended_link_leaves_no_file_open(line, logger):
     def descriptors():
         return len(os.listdir('/proc/self/fd'))
 
     before = None
     for _ in range(3):
         link = McuLink(Port(line.path), logger=logger)
-        own = descriptors()          # the port's pipe, for waking, is as old as the port
+        unopened = descriptors()     # has the port's pipe, which exists from the beginning
         link.start()
         until(lambda: link.port.is_open)
         link.stop()
         link.join()
-        until(lambda: descriptors() <= own)
-        before = before or own
+        until(lambda: descriptors() <= unopened)
+        before = before or unopened
     assert descriptors() <= before + 4
 
 
-def test_a_false_start_holds_nothing_back_though_frames_keep_coming(line, logger, running):
-    """A length of 255 would take sixteen of these frames, and no pause between them ends it."""
+def test_a_false_start_does_not_delay_frames_that_follow_without_a_pause(line, logger, running):
+    """Its length of 255 would span sixteen frames, and no pause between them is long enough."""
     taken = []
     link = running(McuLink(Port(line.path), timeout=20.0, logger=logger,
                            on_status=lambda message, seq, stamp: taken.append(seq)))
@@ -387,14 +388,14 @@ def test_a_false_start_holds_nothing_back_though_frames_keep_coming(line, logger
     for seq in range(10):
         if taken:
             break
-        threading.Event().wait(0.04)     # under frame_timeout
+        threading.Event().wait(0.04)     # less than frame_timeout
         line.write(mcu.encode(mcu.SensorStatus(400, 500, 1.0, 2.0, 3.0), seq))
     until(lambda: taken)
     assert taken[0] == 0 and len(taken) < 10
 
 
-def test_a_frame_that_is_only_slow_is_waited_for(line, logger, running):
-    """It takes longer than frame_timeout in all, with never as long a pause."""
+def test_a_slow_frame_is_received(line, logger, running):
+    """It takes longer than frame_timeout as a whole, but no pause in it is as long."""
     taken = []
     link = running(McuLink(Port(line.path), timeout=20.0, logger=logger, frame_timeout=1.0,
                            on_status=lambda message, seq, stamp: taken.append(seq)))

@@ -1,4 +1,4 @@
-"""What a status means, and the text that carries it where there is no field for it."""
+"""The verdict of a status, and the text that contains it where there is no field for it."""
 import pytest
 
 from serial_communication.link.outcome import (NOT_SENT, TIMEOUT, Outcome, Verdict, read_text,
@@ -15,7 +15,7 @@ NO_REPLY = Outcome(TIMEOUT, 'no reply within 0.5 s: look')
     (Outcome(bus.INVALID, 'refused', 0x40), 'status 255 (INVALID): refused'),
     (Outcome(bus.OK, '4 bytes', as_expected=False),
      'status 2 (answered, but not as expected): 4 bytes')], ids=lambda each: str(each)[:12])
-def test_the_text_of_an_outcome_begins_with_its_status(outcome, text):
+def test_the_text_of_an_outcome_has_its_status_and_message(outcome, text):
     assert outcome.text == text
     assert read_text(text) == (outcome.status, outcome.message)
 
@@ -23,12 +23,12 @@ def test_the_text_of_an_outcome_begins_with_its_status(outcome, text):
 @pytest.mark.parametrize('before', [
     'service cannot process request: ', 'service [/a] responded with an error: ',
     'service [/a/status 3] responded with an error: service cannot process request: '])
-def test_it_is_found_behind_the_words_of_those_who_passed_it_on(before):
+def test_the_status_is_found_behind_words_that_others_put_before_it(before):
     assert read_text(before + NO_REPLY.text) == (TIMEOUT, NO_REPLY.message)
 
 
 @pytest.mark.parametrize('message', ['', 'two\nlines', 'of: status 3 (ERROR): another', 'für 20 °'])
-def test_any_message_comes_back(message):
+def test_any_message_can_be_read_back(message):
     assert read_text(NO_REPLY._replace(message=message).text) == (TIMEOUT, message)
 
 
@@ -43,5 +43,5 @@ def test_a_text_of_another_form_has_no_status(text):
     (NOT_SENT, Verdict.REFUSED), (bus.ERROR, Verdict.REFUSED), (bus.INVALID, Verdict.REFUSED),
     (TIMEOUT, Verdict.NOT_KNOWN), (bus.OK, Verdict.NOT_KNOWN), (bus.SYNC, Verdict.NOT_KNOWN),
     (77, Verdict.NOT_KNOWN), (None, Verdict.NOT_KNOWN)])
-def test_only_what_surely_was_not_executed_counts_as_refused(status, verdict):
+def test_only_a_call_that_was_certainly_not_executed_counts_as_refused(status, verdict):
     assert verdict_of_failure(status) is verdict

@@ -1,5 +1,5 @@
-"""What the log says of a board that talks, falls silent and is back: once each, and on every link
-alike; and of the heartbeat's priority."""
+"""The log lines about a board that stops sending and starts again, about the heartbeat's priority,
+and about a lost port."""
 import logging
 import os
 import time
@@ -12,7 +12,7 @@ from serial_communication.boards.arduino.calibration import Calibration
 from serial_communication.boards.bus.link import BusLink, BusSettings
 from serial_communication.link.link import SILENCE
 from serial_communication.boards.mcu.link import McuLink
-from serial_communication.link.presence import FIRST_WORD, LOOK_PERIOD, Presence
+from serial_communication.link.presence import LOOK_PERIOD, STARTUP_TIME, PresenceLog
 from serial_communication.link.sparing_log import SparingLog
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
@@ -24,7 +24,7 @@ QUICK = BusSettings(reply_timeout=0.15, motion_timeout=0.3, environment_period=0
 
 @pytest.fixture
 def said(lines):
-    """The lines so far that hold one of the words, without the link's name."""
+    """Returns the lines so far that have "the board" in them, without the link's name."""
     def find():
         return [line.split(': ', 1)[1] for line in lines('', logging.INFO)
                 if 'the board' in line]
@@ -33,35 +33,35 @@ def said(lines):
 
 @pytest.fixture
 def presence(logger):
-    return Presence(SparingLog('mcu', logger))
+    return PresenceLog(SparingLog('mcu', logger))
 
 
-def test_each_change_is_said_once(presence, said):
+def test_each_change_is_logged_once(presence, said):
     for at, talks in enumerate((None, True, True, False, False, None, True)):
-        presence.see(talks, 'the board is silent', float(at))
+        presence.update(talks, 'the board is silent', float(at))
     assert said() == ['ready: the board talks', 'the board is silent',
-                      'the board is back, after 3 s']
+                      'the board is back, it was silent for 3 s']
 
 
-def test_a_board_that_talks_late_is_ready_then(presence, said):
-    presence.see(False, 'the board is silent', 0.0)
-    presence.see(True, '', 60.0)
+def test_a_board_that_starts_late_is_logged_as_ready(presence, said):
+    presence.update(False, 'the board is silent', 0.0)
+    presence.update(True, '', 60.0)
     assert said() == ['the board is silent', 'ready: the board talks']
 
 
-def test_of_a_board_that_comes_and_goes_it_says_little_and_in_the_end_the_truth(presence, said):
+def test_frequent_changes_are_logged_sparingly_and_the_last_state_is_logged(presence, said):
     changes = 1000
     for at in range(changes):
-        presence.see(at % 2 == 0, 'the board is silent', at * LOOK_PERIOD)
-    # One line in 10 s that it is silent, and one that it is back.
+        presence.update(at % 2 == 0, 'the board is silent', at * LOOK_PERIOD)
+    # In 10 s one line that it is silent, and one that it is back.
     assert 10 < len(said()) <= 5 + 2 * changes * LOOK_PERIOD / 10
     end = changes * LOOK_PERIOD
     for late in range(0, 40):
-        presence.see(False, 'the board is silent', end + late * LOOK_PERIOD)
+        presence.update(False, 'the board is silent', end + late * LOOK_PERIOD)
     assert said()[-1] == 'the board is silent'
 
 
-def test_the_car(line, running, logger, said):
+def test_a_car_that_talks_falls_silent_and_is_back_is_logged(line, running, logger, said):
     talking = [True]
 
     class Car(CarBoard):
@@ -74,14 +74,14 @@ def test_the_car(line, running, logger, said):
     until(lambda: said() == ['ready: the board talks'])
     talking[0] = False
     until(lambda: len(said()) == 2)
-    assert said()[1] == ('the board is silent; has it power, is it wired, and is 115200 baud '
-                         'right?')
+    assert said()[1] == ('the board is silent; check its power, its wiring and the baud rate '
+                         '(115200)')
     talking[0] = True
     until(lambda: len(said()) == 3)
-    assert said()[2].startswith('the board is back, after ')
+    assert said()[2].startswith('the board is back, it was silent for ')
 
 
-def test_the_car_is_not_silent_while_it_calibrates(line, logger):
+def test_a_car_that_calibrates_does_not_count_as_silent(line, logger):
     link = ArduinoLink(Port(line.path), logger=logger)
     now = time.monotonic()
     link.last_frame_at = link._opened_at = now
@@ -91,18 +91,19 @@ def test_the_car_is_not_silent_while_it_calibrates(line, logger):
     assert link.talks(later) is None
 
 
-def test_a_board_that_never_spoke(line, running, logger, said):
+def test_silence_from_the_beginning_is_logged_after_the_startup_time(line, running, logger, said):
     began = time.monotonic()
     running(McuLink(Port(line.path), timeout=0.1, logger=logger))
     until(said)
-    assert time.monotonic() >= began + FIRST_WORD
+    assert time.monotonic() >= began + STARTUP_TIME
     assert said()[0].startswith('the board is silent')
     talk = mcu.encode(mcu.SensorStatus(1, 2, 0.0, 0.0, 0.0), 0)
     until(lambda: line.write(talk) or len(said()) >= 2)
     assert said()[1] == 'ready: the board talks'
 
 
-def test_the_bus_when_sync_is_answered_after_it_was_not(line, running, logger, said):
+def test_a_bus_board_that_does_not_answer_sync_and_then_does_is_logged(
+        line, running, logger, said):
     mute = [False]
 
     board = running(BusBoard(line))
@@ -117,7 +118,7 @@ def test_the_bus_when_sync_is_answered_after_it_was_not(line, running, logger, s
 
 
 @pytest.mark.parametrize('granted', [True, False])
-def test_whether_the_heartbeat_has_real_time_priority_is_said_once(
+def test_whether_the_heartbeat_has_real_time_priority_is_logged_once(
         line, running, logger, lines, monkeypatch, granted):
     def schedule(*_arguments):
         if not granted:
@@ -131,7 +132,7 @@ def test_whether_the_heartbeat_has_real_time_priority_is_said_once(
     assert ('rtprio' in said) == (not granted)
 
 
-def test_a_port_that_goes_as_the_bridge_is_ended_is_not_told(line, running, logger, lines):
+def test_a_port_lost_while_the_bridge_ends_is_not_logged(line, running, logger, lines):
     link = running(McuLink(Port(line.path), logger=logger))
     until(lambda: link.port.is_open)
     line.unplug()
@@ -141,7 +142,8 @@ def test_a_port_that_goes_as_the_bridge_is_ended_is_not_told(line, running, logg
     assert not lines()
 
 
-def test_a_port_that_goes_otherwise_is_told_in_order(line, running, logger, lines):
+def test_a_port_lost_at_another_time_is_logged_in_order_and_sparingly(
+        line, running, logger, lines):
     link = running(McuLink(Port(line.path), logger=logger))
     until(lambda: link.port.is_open)
     line.unplug()
@@ -153,4 +155,4 @@ def test_a_port_that_goes_otherwise_is_told_in_order(line, running, logger, line
     line.unplug()
     line.plug()
     until(lambda: link.reconnects == 2)
-    assert len(lines()) == before       # the same again within 10 s
+    assert len(lines()) == before       # the same loss within 10 s is not logged again

@@ -1,5 +1,5 @@
-"""What waited in a port while its link stalled is dropped: real ttys, chains of them and sockets,
-links in processes that are suspended, and values that carry running numbers."""
+"""The backlog of a stall is dropped: over real ttys, chains of them and sockets, with links in
+suspended processes, and with values that are running numbers."""
 import os
 import signal
 import socket
@@ -28,7 +28,7 @@ PROGRAM = Path(__file__).with_name('one_link.py')
 
 
 class OneLink:
-    """A link in a process of its own."""
+    """A link in another process; see one_link.py."""
 
     def __init__(self, kind, url):
         self.values = []
@@ -52,7 +52,7 @@ class OneLink:
                 self.stale = int(text)
 
     def suspend(self):
-        """Returns when all its threads stand still."""
+        """Returns when all its threads have stopped."""
         self.process.send_signal(signal.SIGSTOP)
         tasks = Path(f'/proc/{self.process.pid}/task')
         until(lambda: all((task / 'stat').read_text().rpartition(')')[2].split()[0] == 'T'
@@ -62,7 +62,7 @@ class OneLink:
         self.process.send_signal(signal.SIGCONT)
 
     def end(self):
-        """End it; the bytes that it has dropped."""
+        """End it; return the number of bytes that it dropped."""
         self.resume()
         self.process.stdin.close()
         self.process.wait(PATIENCE)
@@ -88,9 +88,9 @@ def one_link():
 
 
 class Numbers:
-    """A board that sends running numbers, as fast as `pause` says, to a non-blocking descriptor.
+    """A board that sends running numbers, one every `pause` s, to a non-blocking descriptor.
 
-    What `sent` says has left the board completely.
+    `sent` is the latest number that was sent as a whole.
     """
 
     def __init__(self, fd, pause=0.005):
@@ -126,7 +126,7 @@ class Numbers:
 
 @pytest.fixture
 def socat(tmp_path):
-    """Two more pseudo terminals behind one another: the way from the board is longer."""
+    """Two connected pseudo terminals: the path of the near one, the descriptor of the far one."""
     near, far = str(tmp_path / 'near'), str(tmp_path / 'far')
     process = subprocess.Popen(['socat', f'pty,raw,echo=0,link={near}',
                                 f'pty,raw,echo=0,link={far}'])
@@ -148,8 +148,8 @@ def server():
 
 
 @pytest.fixture
-def way(request, line, server):
-    """Where the link finds the board, and what gives the board's descriptor once it is open."""
+def connection(request, line, server):
+    """The URL for the link, and a function that returns the board's descriptor once it is open."""
     kind = request.param
     if kind == 'tty':
         yield line.path, lambda: line.fd
@@ -173,18 +173,18 @@ def way(request, line, server):
             peer.close()
 
 
-@pytest.mark.parametrize('way, burst', [
+@pytest.mark.parametrize('connection, burst', [
     ('tty', False), ('chain', False), ('socket', False), ('rfc2217', False),
-    ('tty', True), ('chain', True), ('socket', True)], indirect=['way'],
-    ids=lambda each: {False: 'as a line', True: 'all that goes in'}.get(each, each))
-def test_nothing_that_was_sent_while_the_bridge_was_suspended_is_published(
-        way, burst, one_link, running):
-    url, fd = way
+    ('tty', True), ('chain', True), ('socket', True)], indirect=['connection'],
+    ids=lambda each: {False: 'at the rate of a line', True: 'as fast as possible'}.get(each, each))
+def test_values_sent_while_the_bridge_was_suspended_are_not_published(
+        connection, burst, one_link, running):
+    url, fd = connection
     link = one_link('mcu', url)
     board = running(Numbers(fd()))
     until(lambda: len(link.values) > 20)
     link.suspend()
-    first = board.sent + 2      # the one after that which may be half sent now
+    first = board.sent + 2      # the next one may be sent in part already
     began = time.monotonic()
     board.pause = 0.0 if burst else 0.005
     until(lambda: time.monotonic() > began + 1.5)
@@ -200,16 +200,17 @@ def test_nothing_that_was_sent_while_the_bridge_was_suspended_is_published(
     old = [value for value in link.values if first <= value <= last]
     assert not old, f'{len(old)} of the values {first} … {last}'
     assert link.values == sorted(set(link.values))
-    said = [text for text in link.log if 'stalled' in text]
-    assert len(said) == 1 and 'bytes that waited in the port are old and were dropped' in said[0]
+    logged = [text for text in link.log if 'stalled' in text]
+    assert len(logged) == 1
+    assert 'bytes that waited in the port are old and were dropped' in logged[0]
     assert stale >= (last - first) * 10 if not burst else stale > 20000
 
 
-def test_a_reading_that_waited_is_not_published_and_the_bus_is_out_of_step(
+def test_a_reply_that_waited_is_not_published_and_the_bus_is_out_of_step(
         line, one_link, running):
     board = BusBoard(line)
     link = one_link('bus', line.path)
-    asked = []          # the requests for a reading, each with what came before it
+    asked = []          # for each request for a reading, the other requests before it
     others = []
     wait_for = 10
 
@@ -231,7 +232,7 @@ def test_a_reading_that_waited_is_not_published_and_the_bus_is_out_of_step(
     link.resume()
     until(lambda: link.values and link.values[-1] > wait_for)
     assert wait_for not in link.values
-    assert bus.ECHO in [request.cmd1 for request in asked[wait_for]], 'before it is asked again'
+    assert bus.ECHO in [request.cmd1 for request in asked[wait_for]], 'no ECHO before the next'
     assert link.end() >= len(bus.encode_reply(bus.Reply(bus.OK, bytes(6))))
     assert any('out of step: the bridge stalled' in text for text in link.log)
 
@@ -239,26 +240,26 @@ def test_a_reading_that_waited_is_not_published_and_the_bus_is_out_of_step(
 # -- one link, whose clock jumps ------------------------------------------------------------------
 
 class Clock:
-    """In the place of the links' clock: it can jump, and stand still."""
+    """Replaces the clock of the links; it can jump and stop."""
 
     def __init__(self):
         self._real = pace.clock
         self._ahead = 0.0
-        self._stands_at = None
+        self._stopped_at = None
 
     def __call__(self):
-        return self._real() + self._ahead if self._stands_at is None else self._stands_at
+        return self._real() + self._ahead if self._stopped_at is None else self._stopped_at
 
     def begin_stall(self, link, seconds):
-        """The link's thread wakes from a stall, and drops what it reads until `end`."""
-        self._stands_at = self() + seconds
+        """Let the link's thread wake from a stall; it drops what it reads until `end`."""
+        self._stopped_at = self() + seconds
         link.wake()
-        until(lambda: link.drops)
+        until(lambda: link.is_dropping)
 
     def end(self, link):
-        self._ahead = self._stands_at - self._real()
-        self._stands_at = None
-        until(lambda: not link.drops)
+        self._ahead = self._stopped_at - self._real()
+        self._stopped_at = None
+        until(lambda: not link.is_dropping)
 
 
 @pytest.fixture
@@ -268,7 +269,7 @@ def clock(monkeypatch):
     return made
 
 
-def test_a_stall_on_an_idle_line_says_nothing(line, logger, running, lines, clock):
+def test_a_stall_on_an_idle_line_is_not_logged(line, logger, running, lines, clock):
     link = running(McuLink(Port(line.path), timeout=60.0, logger=logger))
     until(lambda: link.port.is_open)
     for _ in range(2):
@@ -278,7 +279,7 @@ def test_a_stall_on_an_idle_line_says_nothing(line, logger, running, lines, cloc
     assert not lines('stalled')
 
 
-def test_stale_bytes_are_counted_and_their_frames_are_lost_ones_as_any_gap_in_seq(
+def test_stale_bytes_are_counted_and_their_frames_count_as_lost(
         line, logger, running, lines, clock):
     got = []
     link = running(McuLink(Port(line.path), timeout=60.0, logger=logger,
@@ -286,7 +287,7 @@ def test_stale_bytes_are_counted_and_their_frames_are_lost_ones_as_any_gap_in_se
     frame = mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 1)
     until(lambda: got or line.write(frame))
     clock.begin_stall(link, 2.0)
-    before = link.stale     # of the frame that was written until one had come
+    before = link.stale     # more than one copy of the first frame may have been written
     line.write(b''.join(mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), seq) for seq in range(2, 9)))
     until(lambda: link.stale == before + 7 * len(frame))
     clock.end(link)
@@ -299,9 +300,9 @@ def test_stale_bytes_are_counted_and_their_frames_are_lost_ones_as_any_gap_in_se
     assert len(lines('stalled for 2')) == 1
 
 
-def test_the_rest_of_a_packet_that_began_among_old_bytes_is_no_packet(
+def test_the_rest_of_a_packet_that_began_in_the_backlog_is_not_received(
         line, logger, running, clock):
-    """Without a checksum the tail of a long packet can be a valid short one."""
+    """Without a checksum the end of a long packet can look like a valid short one."""
     got = []
     link = running(ArduinoLink(Port(line.path), logger=logger, frame_timeout=5.0,
                                on_message=lambda message, stamp: got.append(message)))
@@ -315,9 +316,9 @@ def test_the_rest_of_a_packet_that_began_among_old_bytes_is_no_packet(
     assert got == [arduino.Ticks(5)]
 
 
-def test_an_old_frame_behind_a_false_start_is_not_received_when_that_is_given_up(
+def test_an_old_frame_inside_a_false_one_is_not_received_when_that_is_given_up(
         line, logger, running, clock):
-    """It is found after the stall, but has waited during it."""
+    """It is found after the stall, but waited during it."""
     got = []
     link = running(McuLink(Port(line.path), timeout=60.0, logger=logger,
                            on_status=lambda message, seq, stamp: got.append(seq)))
@@ -335,22 +336,23 @@ def test_an_old_frame_behind_a_false_start_is_not_received_when_that_is_given_up
     assert set(got) == {1, 3}
 
 
-def test_the_hook_is_called_before_anything_is_received(line, logger, running, clock, monkeypatch):
-    told = []
+def test_the_hook_stalled_is_called_before_a_frame_is_received(
+        line, logger, running, clock, monkeypatch):
+    calls = []
     link = McuLink(Port(line.path), timeout=60.0, logger=logger,
-                   on_status=lambda message, seq, stamp: told.append(seq))
-    monkeypatch.setattr(link, 'stalled', lambda seconds, now: told.append(seconds))
+                   on_status=lambda message, seq, stamp: calls.append(seq))
+    monkeypatch.setattr(link, 'stalled', lambda seconds, now: calls.append(seconds))
     running(link)
-    until(lambda: told or line.write(mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 1)))
-    del told[:]
+    until(lambda: calls or line.write(mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 1)))
+    del calls[:]
     clock.begin_stall(link, 40.0)
-    assert told[-1] == pytest.approx(40.0, abs=5.0)
+    assert calls[-1] == pytest.approx(40.0, abs=5.0)
     clock.end(link)
-    until(lambda: told[-1] == 2 or line.write(mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 2)))
+    until(lambda: calls[-1] == 2 or line.write(mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 2)))
 
 
-def test_a_callback_that_takes_long_is_a_stall(line, logger, running):
-    """Its frame has the stamp of its read; what came meanwhile would get a later one."""
+def test_a_slow_callback_is_a_stall(line, logger, running):
+    """Frames that arrive meanwhile would get a stamp that is too late."""
     got = []
     free = threading.Event()
 
@@ -369,11 +371,11 @@ def test_a_callback_that_takes_long_is_a_stall(line, logger, running):
     assert 2 not in got
 
 
-def test_ticks_and_stop_go_on_while_old_bytes_are_dropped(line, logger, clock):
-    """However much of it there is."""
+def test_tick_is_called_and_stop_works_while_a_backlog_without_end_is_dropped(
+        line, logger, clock):
     silences = []
     link = McuLink(Port(line.path), timeout=0.1, logger=logger,
-                   on_silence=lambda *told: silences.append(told))
+                   on_silence=lambda *status: silences.append(status))
     link.start()
     board = Numbers(line.fd, 0.0)
     board.start()
@@ -381,7 +383,7 @@ def test_ticks_and_stop_go_on_while_old_bytes_are_dropped(line, logger, clock):
     clock.begin_stall(link, 5.0)
     del silences[:]
     until(lambda: silences)
-    assert link.drops
+    assert link.is_dropping
     began = time.monotonic()
     link.stop()
     link.join()
@@ -389,7 +391,7 @@ def test_ticks_and_stop_go_on_while_old_bytes_are_dropped(line, logger, clock):
     board.stop()
 
 
-def test_no_request_leaves_while_replies_are_dropped(line, logger, running, clock):
+def test_no_request_is_sent_while_replies_are_dropped(line, logger, running, clock):
     link = running(BusLink(Port(line.path), BusSettings(environment_period=0.0), logger=logger))
     board = running(BusBoard(line))
     until(lambda: link.master.in_step)
@@ -403,29 +405,29 @@ def test_no_request_leaves_while_replies_are_dropped(line, logger, running, cloc
         assert len(board.seen) == seen
         clock.end(link)
         assert caller.result().success and len(board.moves()) == moves + 1
-    assert link.master.timeouts == 0, 'an ECHO whose reply was dropped'
+    assert link.master.timeouts == 0, 'the reply to an ECHO was dropped'
 
 
-# -- how much is old ------------------------------------------------------------------------------
+# -- when a backlog ends --------------------------------------------------------------------------
 
 def drop(backlog, now, period, size):
-    """Read so many bytes every `period` s from `now` on; when the last old ones were read."""
+    """Drop so many bytes every `period` s from `now` on; return when the backlog ended."""
     for count in range(1, 100000):
         if backlog.drop(bytes(size), now + count * period):
             return now + count * period
-    raise AssertionError('for ever')
+    raise AssertionError('the backlog does not end')
 
 
-@pytest.mark.parametrize('stall, believed', [(0.31, 0.1), (2.0, 0.5), (60.0, 1.0)])
-def test_a_line_is_believed_the_later_the_longer_the_stall_was(stall, believed):
+@pytest.mark.parametrize('stall, seconds', [(0.31, 0.1), (2.0, 0.5), (60.0, 1.0)])
+def test_the_longer_the_stall_the_later_its_backlog_ends(stall, seconds):
     assert drop(Backlog(115200, stall, 50.0), 50.0, 0.01, 115) == pytest.approx(
-        50.0 + believed, abs=0.011)
+        50.0 + seconds, abs=0.011)
     assert drop(Backlog(115200, stall, 50.0), 50.0, 0.1, 0) == pytest.approx(
-        50.0 + believed, abs=0.101)
+        50.0 + seconds, abs=0.101)
     assert drop(Backlog(115200, stall, 50.0), 50.0, 1.5, 17000) == pytest.approx(51.5)
 
 
-def test_what_comes_faster_than_the_line_waited_somewhere():
+def test_bytes_that_arrive_faster_than_the_line_can_send_are_dropped():
     backlog = Backlog(115200, 0.31, 50.0)
     for count in range(1, 31):      # 40 kB in 0.3 s
         assert not backlog.drop(bytes(1400), 50.0 + count * 0.01)
@@ -433,11 +435,11 @@ def test_what_comes_faster_than_the_line_waited_somewhere():
     assert backlog.size > 42000
 
 
-def test_a_line_that_is_faster_than_its_baud_rate_says_is_believed_in_the_end():
+def test_on_a_line_faster_than_its_baud_rate_a_backlog_ends_after_10_s():
     assert drop(Backlog(9600, 0.31, 50.0), 50.0, 0.01, 1000) == pytest.approx(60.0, abs=0.2)
 
 
-def test_another_stall_meanwhile_begins_anew():
+def test_another_stall_extends_the_backlog():
     backlog = Backlog(115200, 1.0, 50.0)
     assert not backlog.drop(b'old', 50.09)
     backlog.extend(2.0, 52.0)

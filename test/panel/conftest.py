@@ -1,4 +1,4 @@
-"""One roscore for all tests of the panel, and the boards of the ROS tests at the lines' ends."""
+"""One roscore and one robot for all tests of the panel."""
 import os
 import sys
 import tempfile
@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'ros'))
-pytest.register_assert_rewrite('panel_stage')
+pytest.register_assert_rewrite('panel_helpers')
 
-from panel_stage import TOKEN, Core, Panel, Robot, free_port  # noqa: E402
+from panel_helpers import TOKEN, Core, Panel, Robot, free_port  # noqa: E402
 
 
 @pytest.fixture(scope='session')
 def core():
-    """A roscore, which a test may end and start again; this process is a node of it."""
+    """A roscore, which a test may restart; this process is a node."""
     os.environ['ROS_MASTER_URI'] = f'http://localhost:{free_port()}'
     os.environ['ROS_HOSTNAME'] = 'localhost'
     core = Core()
@@ -27,7 +27,7 @@ def core():
 
 @pytest.fixture(scope='session')
 def started_robot(core):
-    """The robot, as the last test has left it; for `robot` and the panels."""
+    """The robot in the state of the last test; for `robot` and the panels."""
     with tempfile.TemporaryDirectory(prefix='panel_') as folder:
         robot = Robot(folder)
         yield robot
@@ -36,23 +36,23 @@ def started_robot(core):
 
 @pytest.fixture(scope='module')
 def robot(started_robot):
-    """A bridge with three boards that do what the test says, on lines that can be cut."""
-    started_robot.rest()
+    """A bridge with three boards that a test controls, on lines that can be unplugged."""
+    started_robot.reset()
     return started_robot
 
 
 @pytest.fixture(scope='session')
 def panel(started_robot):
-    """One that only looks."""
-    panel = Panel(name='panel_looks')
+    """A panel that is read-only."""
+    panel = Panel(name='panel_read_only')
     yield panel
     assert panel.end() == 0
     assert 'Traceback' not in panel.output()
 
 
 @pytest.fixture(scope='session')
-def controls(started_robot):
-    """One that takes commands."""
+def control_panel(started_robot):
+    """A panel that takes commands."""
     panel = Panel('--control', '--token', TOKEN, name='panel_control')
     yield panel
     assert panel.end() == 0

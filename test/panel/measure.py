@@ -1,11 +1,11 @@
-"""How long from a topic to the page, and what a panel costs; run by hand:
+"""Measures the time from a topic to the page, and the load of a panel; run by hand:
 
     . build/devel/setup.bash; python3 test/panel/measure.py [SECONDS]
 
-Starts a master, the simulated boards with their bridge, a panel and a browser. From topic to page:
-this process publishes a number on a topic of its own at times of no pattern, and the page notes
-when its text changes; both on this machine's clock. CPU: of the panel's process, at the boards'
-own rates, with nobody looking, with a page, and with the wire open.
+Starts a master, the simulated boards with their bridge, a panel and a browser. Time: this process
+publishes numbers at random times, and the page records when its text changes, by the same clock.
+Load: of the panel's process, at the usual rates of the boards, without a page, with one page, and
+with the wire open.
 """
 import os
 import random
@@ -18,7 +18,7 @@ from pathlib import Path
 
 sys.path[:0] = [str(Path(__file__).resolve().parents[1] / 'ros'), str(Path(__file__).parent)]
 
-import panel_stage  # noqa: E402
+import panel_helpers  # noqa: E402
 import rospy  # noqa: E402
 from boards import until  # noqa: E402
 from panel_browser import Browser  # noqa: E402
@@ -33,7 +33,7 @@ _WATCH = '''
 
 
 def cpu(process, seconds):
-    """Of one core, in percent."""
+    """The load of a process in percent of a core."""
     def used():
         fields = Path(f'/proc/{process.pid}/stat').read_text().rsplit(')', 1)[1].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
@@ -43,9 +43,9 @@ def cpu(process, seconds):
 
 
 def latencies(browser, number):
-    """In ms, from before publishing to the text on the page."""
+    """The times in ms from before publishing to the text on the page, and how many were sent."""
     probe = rospy.Publisher('~probe', Float32, queue_size=1, tcp_nodelay=True)
-    panel = panel_stage.Panel('--node', rospy.get_name(), name='panel_measured')
+    panel = panel_helpers.Panel('--node', rospy.get_name(), name='panel_measured')
     browser.open(panel.url)
     until(lambda: browser.all('[data-reading="~probe:data"]'), 'the topic is on the page',
           doing=lambda: probe.publish(-1.0), every=0.2)
@@ -55,7 +55,7 @@ def latencies(browser, number):
         time.sleep(random.uniform(0.05, 0.2))
         sent[str(count)] = time.time() * 1e3
         probe.publish(float(count))
-    browser.wait(lambda page: str(number) in page.script('return seen'), 'the last is there')
+    browser.wait(lambda page: str(number) in page.script('return seen'), 'the last number is shown')
     seen = browser.script('return seen')
     panel.end()
     return sorted(seen[each] - sent[each] for each in sent if each in seen), number
@@ -64,19 +64,19 @@ def latencies(browser, number):
 def main():
     """Measure and print."""
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 20.0
-    os.environ['ROS_MASTER_URI'] = f'http://localhost:{panel_stage.free_port()}'
+    os.environ['ROS_MASTER_URI'] = f'http://localhost:{panel_helpers.free_port()}'
     os.environ.setdefault('ROS_HOSTNAME', 'localhost')
-    core = panel_stage.Core()
+    core = panel_helpers.Core()
     rospy.init_node('measure', disable_signals=True)
     with tempfile.TemporaryDirectory() as folder:
         launch = subprocess.Popen(
             ['roslaunch', 'serial_communication', 'bridge.launch', 'sim:=true',
              'sim_dir:=' + folder], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        rospy.wait_for_service(panel_stage.NODE + '/calibrate_imu', 30)
-        panel = panel_stage.Panel()
+        rospy.wait_for_service(panel_helpers.NODE + '/calibrate_imu', 30)
+        panel = panel_helpers.Panel()
         time.sleep(5)
-        print(f'load of the machine {os.getloadavg()[0]:.1f}, {os.cpu_count()} cores')
-        print(f'panel, nobody looks     {cpu(panel.process, seconds):5.1f} % of a core')
+        print(f'load average {os.getloadavg()[0]:.1f}, {os.cpu_count()} cores')
+        print(f'panel, no page          {cpu(panel.process, seconds):5.1f} % of a core')
         browser = Browser()
         browser.open(panel.url)
         browser.wait_for_text('#connection', 'live')

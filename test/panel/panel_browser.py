@@ -1,4 +1,4 @@
-"""Chromium, headless, by its driver: what the tests look at and press."""
+"""Headless Chromium, controlled through its driver."""
 import base64
 import contextlib
 import tempfile
@@ -18,7 +18,7 @@ _FLAGS = ('--headless=new', '--no-sandbox', '--disable-gpu', '--disable-quic', '
 
 
 class Browser:
-    """One window of a browser with a fresh profile."""
+    """One window of a browser with an empty profile."""
 
     def __init__(self, width=1600, height=1000):
         self._profile = tempfile.TemporaryDirectory(prefix='panel_browser_')
@@ -34,70 +34,70 @@ class Browser:
         self.scheme('light')
 
     def quit(self):
-        """Close it."""
+        """Close the browser."""
         self._driver.quit()
         self._profile.cleanup()
 
     def open(self, url):
-        """Go to this address."""
+        """Open this address."""
         self._driver.get(url)
 
     def resize(self, width, height, scale=1):
-        """The page's size, in its pixels."""
+        """Set the size of the page in CSS pixels."""
         self._driver.execute_cdp_cmd('Emulation.setDeviceMetricsOverride', {
             'width': width, 'height': height, 'deviceScaleFactor': scale,
             'mobile': width < 600})
 
     def scheme(self, scheme):
-        """What the system prefers: light or dark."""
+        """Set the preference of the system: light or dark."""
         self._driver.execute_cdp_cmd('Emulation.setEmulatedMedia', {
             'features': [{'name': 'prefers-color-scheme', 'value': scheme}]})
 
-    # -- looking ---------------------------------------------------------------------------
+    # -- content ---------------------------------------------------------------------------
 
     @property
     def title(self):
-        """The tab's."""
+        """The title of the tab."""
         return self._driver.title
 
     def script(self, text, *arguments):
-        """What it returns."""
+        """Run JavaScript; return its result."""
         return self._driver.execute_script(text, *arguments)
 
     def all(self, selector):
-        """Every such element."""
+        """Every element that matches."""
         return self._driver.find_elements(By.CSS_SELECTOR, selector)
 
     def text(self, selector):
-        """What the first such element shows; nothing where there is none."""
+        """The text of the first element that matches; empty if none does."""
         return self.script("return document.querySelector(arguments[0])?.innerText ?? ''",
                            selector).strip()
 
     def texts(self, selector):
-        """What every such element shows."""
+        """The text of every element that matches."""
         return self.script("return [...document.querySelectorAll(arguments[0])]"
                            ".map(each => each.innerText)", selector)
 
     def picture(self, selector=''):
-        """A PNG of what is to be seen, or of one element alone."""
+        """A PNG of the visible page, or of one element."""
         if selector:
             return self.all(selector)[0].screenshot_as_png
         shot = self._driver.execute_cdp_cmd('Page.captureScreenshot', {'format': 'png'})
         return base64.b64decode(shot['data'])
 
     def attribute(self, selector, name):
-        """An attribute of the first such element; None where there is none."""
+        """An attribute of the first element that matches; None if none does."""
         return self.script(
             "return document.querySelector(arguments[0])?.getAttribute(arguments[1])",
             selector, name)
 
     def readings(self):
-        """Every number that is shown: topic:field."""
+        """Every visible reading as topic:field."""
         return self.script("return [...document.querySelectorAll('[data-reading]')]"
                            ".filter(e => e.checkVisibility()).map(e => e.dataset.reading)")
 
     def wait(self, condition, what, seconds=20, doing=None):
-        """Until `condition(self)`; `doing` is done meanwhile."""
+        """Wait for `condition(self)`; call `doing` repeatedly until then."""
         def holds():
             try:
                 return condition(self)
@@ -106,7 +106,7 @@ class Browser:
         return until(holds, f'{what}; the page is titled {self.title!r}', seconds, doing, 0.05)
 
     def wait_for_text(self, selector, text):
-        """Until the first such element shows this."""
+        """Wait until the first element that matches has this text."""
         shown = []
 
         def holds():
@@ -118,7 +118,7 @@ class Browser:
             raise AssertionError(f'{selector} shows {shown[0]!r}, not {text!r}') from None
 
     def wait_for_updates(self, number):
-        """Until the page has been drawn so many times more."""
+        """Wait for this number of updates: three frames of the browser each."""
         self._driver.set_script_timeout(20)
         self._driver.execute_async_script('''
             let left = arguments[0];
@@ -128,44 +128,44 @@ class Browser:
             next();''', number * 3)
 
     def errors(self):
-        """What the console holds since the last time, but for plain words."""
+        """The warnings and errors in the console since the last call."""
         return [entry for entry in self._driver.get_log('browser')
                 if entry['level'] in ('SEVERE', 'WARNING')]
 
     def accessibility(self):
-        """What a screen reader is given."""
+        """The nodes of the accessibility tree, as screen readers get them."""
         tree = self._driver.execute_cdp_cmd('Accessibility.getFullAXTree', {})['nodes']
         return [node for node in tree if not node.get('ignored')]
 
-    # -- doing -----------------------------------------------------------------------------
+    # -- input -----------------------------------------------------------------------------
 
     def _actions(self):
-        """Mouse and keys; the mouse is there in 10 ms, not in a quarter of a second."""
+        """Mouse and keys; a movement takes 10 ms instead of 250 ms."""
         return ActionChains(self._driver, duration=10)
 
     def click(self, selector):
-        """Click the first such element."""
+        """Click the first element that matches."""
         self.all(selector)[0].click()
 
     def hover(self, selector):
-        """Point at the first such element."""
+        """Point at the first element that matches."""
         element = self.all(selector)[0]
         self.script("arguments[0].scrollIntoView({block: 'center'})", element)
         self._actions().move_to_element(element).perform()
 
     def double_click(self, selector):
-        """Double-click it."""
+        """Double-click the first element that matches."""
         self._actions().double_click(self.all(selector)[0]).perform()
 
     def press_at(self, selector, right, down):
-        """Press there, from the element's middle, and hold."""
+        """Press and hold the mouse at this offset in px from the middle of the element."""
         element = self.all(selector)[0]
         self.script("arguments[0].scrollIntoView({block: 'center'})", element)
         self._actions().move_to_element_with_offset(
             element, right, down).click_and_hold().perform()
 
     def release(self):
-        """Let go."""
+        """Release the mouse."""
         self._actions().release().perform()
 
     def press(self, key):
@@ -177,7 +177,7 @@ class Browser:
         self._key('keyDown', key)
 
     def key_up(self, key):
-        """Let go of it."""
+        """Release a key."""
         self._key('keyUp', key)
 
     def _key(self, what, key):
@@ -186,14 +186,19 @@ class Browser:
         self.key_event(what, name, name, windowsVirtualKeyCode=number)
 
     def key_event(self, what, key, code, **more):
-        """What a keyboard may do: keyDown or keyUp, the key as text and by its place, and more of
-        Input.dispatchKeyEvent."""
+        """Send a key event.
+
+        Args:
+            what: keyDown or keyUp.
+            key, code: the key by its text and by its position.
+            more: further arguments of Input.dispatchKeyEvent.
+        """
         self._driver.execute_cdp_cmd('Input.dispatchKeyEvent', {
             'type': what, 'key': key, 'code': code, **more})
 
     @contextlib.contextmanager
     def other_tab(self):
-        """Another tab is in front."""
+        """Inside this block, another tab is in front."""
         here = self._driver.current_window_handle
         self._driver.switch_to.new_window('tab')
         try:
@@ -202,8 +207,8 @@ class Browser:
             self._driver.close()
             self._driver.switch_to.window(here)
 
-    def in_frame(self, selector, condition):
-        """Whether something holds in that frame."""
+    def assert_in_frame(self, selector, condition):
+        """Assert `condition(self)` inside this frame."""
         self._driver.switch_to.frame(self.all(selector)[0])
         try:
             assert condition(self)
@@ -211,6 +216,6 @@ class Browser:
             self._driver.switch_to.default_content()
 
     def forget_cookies(self, url):
-        """All of this site's."""
+        """Delete all cookies of this site."""
         self._driver.get(url)
         self._driver.delete_all_cookies()

@@ -1,6 +1,6 @@
 """Makes the pictures of the documentation; scripts/pictures calls it with their folder.
 
-Each is of simulated boards: first of sound lines, then of a bad one.
+The boards are simulated: first with intact lines, then with a bad cable.
 """
 import contextlib
 import html
@@ -19,11 +19,11 @@ from pathlib import Path
 
 sys.path[:0] = [str(Path(__file__).resolve().parents[1] / 'ros'), str(Path(__file__).parent)]
 
-import panel_stage  # noqa: E402
+import panel_helpers  # noqa: E402
 from boards import Bridge, Line, program  # noqa: E402
 from panel_browser import Browser  # noqa: E402
 
-HISTORY = 45            # s that run before a picture, so that there is something to be seen
+HISTORY = 45            # s before a picture, so that the plots have data
 COLUMNS, ROWS = 100, 34  # of the terminal
 SPEED, STEERING = 300, 1650
 
@@ -37,7 +37,7 @@ _TERMINAL = '''<style>
 
 @contextlib.contextmanager
 def running(*command, **options):
-    """A program, from here to the end of the block."""
+    """Run a program until the end of the block."""
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
                                **options)
     try:
@@ -51,7 +51,7 @@ def running(*command, **options):
 
 
 def save(picture, path):
-    """As few colours as do, so that the file is small."""
+    """Save a PNG with few colours, so that the file is small."""
     subprocess.run(['convert', '-', '-strip', '-dither', 'None', '-colors', '128',
                     '-define', 'png:compression-level=9', f'png8:{path}'],
                    input=picture, check=True)
@@ -59,16 +59,16 @@ def save(picture, path):
 
 
 def driving(stack):
-    """Somebody drives in a circle."""
+    """Drive in a circle."""
     for name, kind, value in (('speed', 'SpeedPWMCommand', SPEED),
                               ('steering', 'SteeringPWMCommand', STEERING)):
         stack.enter_context(running(
-            'rostopic', 'pub', '-r', '10', f'{panel_stage.NODE}/{name}',
+            'rostopic', 'pub', '-r', '10', f'{panel_helpers.NODE}/{name}',
             f'serial_communication/{kind}', f'{{value: {value}}}'))
 
 
 def terminal(folder):
-    """What `monitor` shows, as the browser draws it."""
+    """The output of `monitor` as a file of HTML."""
     near, far = pty.openpty()
     ioctl(far, termios.TIOCSWINSZ, struct.pack('HHHH', ROWS, COLUMNS, 0, 0))
     shown = bytearray()
@@ -81,7 +81,7 @@ def terminal(folder):
             shown += os.read(near, 65536)
             if time.monotonic() > end - 1 and process.poll() is None:
                 break
-    whole = bytes(shown).decode().split('\033[H')[-2]        # the last that is complete
+    whole = bytes(shown).decode().split('\033[H')[-2]        # the last complete one
     process.terminate()
     with contextlib.suppress(OSError):
         while os.read(near, 65536):
@@ -97,7 +97,7 @@ def terminal(folder):
 
 
 def take_terminal(browser, folder, out):
-    """Its picture, as large as its text."""
+    """Take the picture of the terminal, as large as its text."""
     browser.open(terminal(folder).as_uri())
     width, height = browser.script(
         'return [document.body.scrollWidth, document.body.scrollHeight]')
@@ -105,8 +105,8 @@ def take_terminal(browser, folder, out):
     save(browser.picture(), out / 'terminal.png')
 
 
-def sound(browser, out):
-    """The page wide and on a phone, and rviz."""
+def take_intact(browser, out):
+    """Take the page on a wide screen and on a phone, and rviz."""
     reading, writing = os.pipe()
     with contextlib.ExitStack() as stack:
         stack.enter_context(running('Xvfb', '-displayfd', str(writing), '-screen', '0',
@@ -117,17 +117,17 @@ def sound(browser, out):
         stack.enter_context(running('roslaunch', 'serial_communication', 'view.launch',
                                     'sim:=true', env={**os.environ, 'DISPLAY': display}))
         driving(stack)
-        panel = panel_stage.Panel('--control')
+        panel = panel_helpers.Panel('--control')
         stack.callback(panel.end)
         browser.resize(1600, 1000)
         browser.open(panel.url)
-        browser.wait(lambda page: page.attribute('[data-link="bus"]', 'data-look') == 'ok',
+        browser.wait(lambda page: page.attribute('[data-link="bus"]', 'data-health') == 'ok',
                      'the bridge runs', 60)
         time.sleep(HISTORY)
         for service, button in (('~gimbal', 2), ('~lift', 1)):
             browser.click(f'[data-service="{service}"] button:nth-of-type({button})')
             browser.wait(lambda page: page.all(f'[data-service="{service}"] button')[0]
-                         .is_enabled(), 'the answer is there')
+                         .is_enabled(), 'the call is answered')
         save(browser.picture(), out / 'panel.png')
         browser.resize(390, 844, 2)
         time.sleep(1)
@@ -136,8 +136,8 @@ def sound(browser, out):
                             stdout=subprocess.PIPE, check=True).stdout, out / 'rviz.png')
 
 
-def bad(browser, folder, out):
-    """The page in the dark, the wire, and the terminal; with a bad cable and one that is out."""
+def take_faulty(browser, folder, out):
+    """Take the page in dark mode, the wire and the terminal; one cable is bad, one unplugged."""
     lines = {name: Line(str(folder / name)).plug() for name in ('bus', 'arduino', 'mcu')}
     with contextlib.ExitStack() as stack:
         for name, line in lines.items():
@@ -148,21 +148,21 @@ def bad(browser, folder, out):
         bridge = Bridge(parameters={f'{name}/port': line.near for name, line in lines.items()})
         stack.callback(bridge.end)
         driving(stack)
-        panel = panel_stage.Panel()
+        panel = panel_helpers.Panel()
         stack.callback(panel.end)
         browser.resize(1600, 1000)
         browser.scheme('dark')
         browser.open(panel.url)
-        browser.wait(lambda page: page.attribute('[data-link="arduino"]', 'data-look') == 'warn',
+        browser.wait(lambda page: page.attribute('[data-link="arduino"]', 'data-health') == 'warn',
                      'the cable is bad', 60)
         time.sleep(HISTORY)
         lines['mcu'].unplug()
-        browser.wait(lambda page: page.attribute('[data-link="mcu"]', 'data-look') == 'error',
-                     'the other is out')
+        browser.wait(lambda page: page.attribute('[data-link="mcu"]', 'data-health') == 'error',
+                     'the other is unplugged')
         save(browser.picture(), out / 'panel_dark.png')
         browser.scheme('light')
         browser.click('#card-wire > summary')
-        browser.wait(lambda page: page.all('.frame[data-error]'), 'a damaged frame', 60)
+        browser.wait(lambda page: page.all('.frame[data-error]'), 'a damaged frame is shown', 60)
         browser.script("document.querySelector('.frame[data-error]').click();"
                        "document.getElementById('card-wire').scrollIntoView()")
         browser.wait(lambda page: page.all('.fields'), 'it is explained')
@@ -171,16 +171,16 @@ def bad(browser, folder, out):
 
 
 def main():
-    """All of them."""
+    """Take all pictures."""
     out = Path(sys.argv[1])
-    os.environ['ROS_MASTER_URI'] = f'http://localhost:{panel_stage.free_port()}'
+    os.environ['ROS_MASTER_URI'] = f'http://localhost:{panel_helpers.free_port()}'
     os.environ['ROS_HOSTNAME'] = 'localhost'
-    core = panel_stage.Core()
+    core = panel_helpers.Core()
     browser = Browser()
     with tempfile.TemporaryDirectory(prefix='pictures_') as folder:
         try:
-            sound(browser, out)
-            bad(browser, Path(folder), out)
+            take_intact(browser, out)
+            take_faulty(browser, Path(folder), out)
         finally:
             browser.quit()
             core.stop()

@@ -1,14 +1,15 @@
 """The dead man's switch, without a clock and without a browser."""
 import pytest
-from serial_communication.tools.panel.dead_man import FRESH, SILENCE, DeadMan, Refused
+from serial_communication.tools.panel.dead_man import (MAX_AGE, SILENCE, CommandRefused,
+                                                       DeadManSwitch)
 
 
 class Car:
-    """Counts how often it was told to stop."""
+    """Counts how often it was stopped."""
 
     def __init__(self):
         self.stops = 0
-        self.man = DeadMan(self.stop)
+        self.switch = DeadManSwitch(self.stop)
 
     def stop(self):
         self.stops += 1
@@ -22,85 +23,83 @@ def car():
 def test_drives_while_held(car):
     for step in range(10):
         now = 100 + step * 0.05
-        car.man.command('one', 1, now - 0.03, now)
-        car.man.check(now)
-    assert car.man.hold and not car.stops
+        car.switch.command('one', 1, now - 0.03, now)
+        car.switch.check(now)
+    assert car.switch.hold and not car.stops
 
 
-def test_silence_stops_once_and_what_comes_of_that_hold_later_does_not_drive(car):
-    car.man.command('one', 1, 100, 100)
-    car.man.check(100 + SILENCE * 0.99)
+def test_silence_stops_once_and_ends_the_hold(car):
+    car.switch.command('one', 1, 100, 100)
+    car.switch.check(100 + SILENCE * 0.99)
     assert not car.stops
-    car.man.check(100 + SILENCE)
-    car.man.check(101)
+    car.switch.check(100 + SILENCE)
+    car.switch.check(101)
     assert car.stops == 1
-    with pytest.raises(Refused, match='let go and press again'):
-        car.man.command('one', 1, 101, 101)
-    car.man.command('one', 2, 101, 101)
-    assert car.man.hold and car.stops == 1
+    with pytest.raises(CommandRefused, match='let go and press again'):
+        car.switch.command('one', 1, 101, 101)
+    car.switch.command('one', 2, 101, 101)
+    assert car.switch.hold and car.stops == 1
 
 
-def test_silence_counts_also_where_nobody_has_looked_meanwhile(car):
-    """The process was suspended, and finds the next command as it wakes."""
-    car.man.command('one', 1, 100, 100)
-    with pytest.raises(Refused):
-        car.man.command('one', 1, 104.9, 105)
+def test_a_command_after_silence_stops_even_without_a_check_in_between(car):
+    """As after the process was suspended."""
+    car.switch.command('one', 1, 100, 100)
+    with pytest.raises(CommandRefused):
+        car.switch.command('one', 1, 104.9, 105)
     assert car.stops == 1
 
 
-@pytest.mark.parametrize('seen', [100 - FRESH - 0.01, 95, 0, 100.5, float('nan'), float('inf')])
-def test_what_a_network_has_kept_back_does_not_drive(car, seen):
-    with pytest.raises(Refused, match='too slow'):
-        car.man.command('one', 1, seen, 100)
-    assert not car.man.hold
-    with pytest.raises(Refused, match='let go'):
-        car.man.command('one', 1, 100, 100)
+@pytest.mark.parametrize('seen', [100 - MAX_AGE - 0.01, 95, 0, 100.5, float('nan'), float('inf')])
+def test_a_delayed_command_does_not_drive_and_ends_its_hold(car, seen):
+    with pytest.raises(CommandRefused, match='too slow'):
+        car.switch.command('one', 1, seen, 100)
+    assert not car.switch.hold
+    with pytest.raises(CommandRefused, match='let go'):
+        car.switch.command('one', 1, 100, 100)
 
 
 def test_a_connection_that_becomes_slow_stops(car):
-    car.man.command('one', 1, 100, 100)
-    with pytest.raises(Refused, match='too slow'):
-        car.man.command('one', 1, 99.8, 100.15)
-    assert car.stops == 1 and not car.man.hold
+    car.switch.command('one', 1, 100, 100)
+    with pytest.raises(CommandRefused, match='too slow'):
+        car.switch.command('one', 1, 99.8, 100.15)
+    assert car.stops == 1 and not car.switch.hold
 
 
 def test_release_stops_once(car):
-    car.man.command('one', 1, 100, 100)
-    car.man.release('one', 1)
-    car.man.release('one', 1)
+    car.switch.command('one', 1, 100, 100)
+    car.switch.release('one', 1)
+    car.switch.release('one', 1)
     assert car.stops == 1
-    with pytest.raises(Refused):
-        car.man.command('one', 1, 100.01, 100.01)
+    with pytest.raises(CommandRefused):
+        car.switch.command('one', 1, 100.01, 100.01)
 
 
-def test_a_release_that_overtakes_nothing(car):
-    """The release of an older hold does not end a newer one."""
-    car.man.command('one', 2, 100, 100)
-    car.man.release('one', 1)
-    assert car.man.hold and not car.stops
+def test_the_release_of_an_older_hold_does_not_end_a_newer_one(car):
+    car.switch.command('one', 2, 100, 100)
+    car.switch.release('one', 1)
+    assert car.switch.hold and not car.stops
 
 
-def test_one_browser_drives(car):
-    car.man.command('one', 1, 100, 100)
-    with pytest.raises(Refused, match='another browser'):
-        car.man.command('other', 7, 100.05, 100.05)
-    car.man.release('other', 7)
-    assert car.man.hold.who == 'one' and not car.stops
-    car.man.release('one', 1)
-    car.man.command('other', 8, 100.1, 100.1)
-    assert car.man.hold.who == 'other'
+def test_only_one_page_drives(car):
+    car.switch.command('one', 1, 100, 100)
+    with pytest.raises(CommandRefused, match='another page drives'):
+        car.switch.command('other', 7, 100.05, 100.05)
+    car.switch.release('other', 7)
+    assert car.switch.hold.page == 'one' and not car.stops
+    car.switch.release('one', 1)
+    car.switch.command('other', 8, 100.1, 100.1)
+    assert car.switch.hold.page == 'other'
 
 
-def test_a_browser_that_goes_stops(car):
-    car.man.command('one', 1, 100, 100)
-    car.man.forget('other')
+def test_a_page_that_is_closed_stops(car):
+    car.switch.command('one', 1, 100, 100)
+    car.switch.forget('other')
     assert not car.stops
-    car.man.forget('one')
-    assert car.stops == 1 and not car.man.hold
+    car.switch.forget('one')
+    assert car.stops == 1 and not car.switch.hold
 
 
-def test_a_release_that_was_lost(car):
-    """A new press of the same browser is a new hold; the car stops between them."""
-    car.man.command('one', 1, 100, 100)
-    car.man.command('one', 2, 100.1, 100.1)
-    assert car.stops == 1 and car.man.hold.number == 2
+def test_a_new_press_after_a_lost_release_stops_in_between(car):
+    car.switch.command('one', 1, 100, 100)
+    car.switch.command('one', 2, 100.1, 100.1)
+    assert car.stops == 1 and car.switch.hold.number == 2

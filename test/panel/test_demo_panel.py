@@ -8,7 +8,7 @@ import urllib.request
 from pathlib import Path
 
 from boards import until
-from panel_stage import free_port
+from panel_helpers import free_port
 
 DEMO = Path(__file__).resolve().parents[2] / 'scripts' / 'demo'
 
@@ -20,14 +20,14 @@ def run(output):
         env={**os.environ, 'ROS_MASTER_URI': f'http://localhost:{free_port()}'})
 
 
-def test_the_demo_prints_the_pages_address():
+def test_the_demo_prints_the_address_of_its_page():
     with tempfile.TemporaryFile('w+') as output:
         demo = run(output)
         try:
             def address():
                 output.seek(0)
                 return re.search(r'In a browser:  (http://127.0.0.1:\d+/)', output.read())
-            found = until(lambda: address() or demo.poll() is not None, 'it prints one', 60)
+            found = until(lambda: address() or demo.poll() is not None, 'it is printed', 60)
             with urllib.request.urlopen(found.group(1), timeout=15) as page:
                 assert '<title>panel</title>' in page.read().decode()
         finally:

@@ -1,5 +1,4 @@
-"""The server, seen by programs that play the browser: who is let in, what costs what, and what
-moves the robot."""
+"""The panel, tested with clients without a browser: access, limits, subscriptions and commands."""
 import contextlib
 import json
 import os
@@ -15,8 +14,8 @@ import pytest
 import rosgraph
 import rospy
 from boards import PATIENCE, program, ranges, until
-from panel_stage import (NODE, TOKEN, Page, Panel, free_port, publishers_and_subscribers,
-                         subscribed)
+from panel_helpers import (NODE, TOKEN, Page, Panel, free_port, publishers_and_subscribers,
+                           subscribed)
 
 from std_msgs.msg import String
 
@@ -24,37 +23,39 @@ from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.msg import SerialMsg
 
-LOOKS = ['~imu', '~voltage', '~environment', 'mcu/range_1', '~nothing']
+TOPICS = ['~imu', '~voltage', '~environment', 'mcu/range_1', '~nothing']
 
 
 @pytest.fixture
 def page(panel):
-    page = Page(panel, watch=LOOKS)
+    page = Page(panel, watch=TOPICS)
     yield page
     page.close()
 
 
 @pytest.fixture(scope='module')
 def two_pages(panel):
-    """One that takes nothing, and one that does: what becomes of them takes 5 s, in which other
-    tests run."""
+    """A page that acknowledges nothing, and one that does.
+
+    The first is dropped after 5 s, during which other tests run.
+    """
     slow, other = Page(panel, acknowledges=False), Page(panel)
     yield slow, other
     other.close()
 
 
 @pytest.fixture
-def driver(controls, robot):
-    """A page that may drive, and whose commands the bridge hears."""
-    page = Page(controls, TOKEN)
-    page.until(lambda page: 'node' in page.known, 'the panel speaks')
-    until(lambda: robot.car.connected, 'the car is there')
-    until(lambda: controls.node in publishers_and_subscribers()[0].get(NODE + '/speed', ()),
+def driver(control_panel, robot):
+    """A page that may drive, and whose commands the bridge receives."""
+    page = Page(control_panel, TOKEN)
+    page.until(lambda page: 'node' in page.known, 'the panel sends updates')
+    until(lambda: robot.car.connected, 'the car is connected')
+    until(lambda: control_panel.node in publishers_and_subscribers()[0].get(NODE + '/speed', ()),
           'the panel publishes speeds')
     robot.car.forget()
     yield page
     page.close()
-    until(lambda: not page.known.get('drive', {}).get('held') or page.closed, 'nobody drives')
+    until(lambda: not page.known.get('drive', {}).get('held') or page.closed, 'no page drives')
 
 
 # -- the command line -------------------------------------------------------------------------
@@ -66,7 +67,7 @@ def run(*arguments):
                           env={**os.environ, 'ROS_MASTER_URI': 'http://127.0.0.1:1'})
 
 
-def test_help():
+def test_help_names_every_option():
     done = run('--help')
     assert done.returncode == 0 and done.stdout.startswith('usage: panel') and not done.stderr
     for word in ('--port', '--bind', '--control', '--token', '--node'):
@@ -74,29 +75,29 @@ def test_help():
 
 
 @pytest.mark.parametrize('arguments, words', [
-    (['--port', '99999'], "'99999', may be a number from 0 to 65535"),
-    (['--port', 'x'], "'x', may be a number"), (['--fast'], 'unrecognized arguments: --fast'),
-    (['--token', 'short'], '5 characters, may be at least 12'),
-    (['--token', 'with a space in it'], 'may be at least 12 of A-Z')])
-def test_wrong_arguments(arguments, words):
+    (['--port', '99999'], "'99999' is not a port (0 … 65535)"),
+    (['--port', 'x'], "'x' is not a port"), (['--fast'], 'unrecognized arguments: --fast'),
+    (['--token', 'short'], 'invalid token of 5 characters: it must have 12 … 200 of A-Z'),
+    (['--token', 'with a space in it'], 'invalid token of 18 characters')])
+def test_a_wrong_argument_ends_with_status_2_and_a_message(arguments, words):
     done = run(*arguments)
     assert done.returncode == 2 and words in done.stderr and not done.stdout
 
 
-@pytest.mark.usefixtures('two_pages')       # so that their time begins
-def test_an_address_that_cannot_be_had(panel):
+@pytest.mark.usefixtures('two_pages')       # so that their 5 s begin
+def test_a_port_in_use_ends_with_status_1_and_one_line(panel):
     done = run('--port', str(panel.port))
     assert done.returncode == 1
     assert done.stderr.startswith('panel: cannot listen on 127.0.0.1 port') \
         and len(done.stderr.splitlines()) == 1
 
 
-def test_without_a_master_it_says_so_serves_and_ends():
+def test_without_a_master_the_panel_serves_pages_that_say_so():
     panel = Panel(environment={'ROS_MASTER_URI': 'http://127.0.0.1:1'})
     panel.wait_for('panel: waiting for the ROS master at http://127.0.0.1:1; start one with')
     page = Page(panel)
     page.until(lambda page: 'no answer from the ROS master' in page.known.get('trouble', ''),
-               'the page is told')
+               'the page shows it')
     page.close()
     assert panel.end(signal.SIGINT) == 0
     assert 'Traceback' not in panel.output()
@@ -116,45 +117,45 @@ sys.exit(cli.main(['--port', '0']))
 @pytest.mark.usefixtures('robot')
 @pytest.mark.parametrize('meanwhile', [
     "raise rospy.ROSInitException('init_node interrupted before it could complete')",
-    'begin(*arguments, **keywords); rospy.core._in_shutdown = True'    # its hooks have been run
+    'begin(*arguments, **keywords); rospy.core._in_shutdown = True'    # its hooks have run
 ], ids=['before', 'after'])
-def test_a_name_that_is_taken_as_it_registers_ends_the_panel(meanwhile):
+def test_a_name_taken_during_registration_ends_the_panel(meanwhile):
     done = subprocess.run(['/usr/bin/python3', '-c', _NAME_TAKEN % meanwhile], text=True,
                           timeout=30, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert done.returncode == 1, done.stderr
     assert done.stderr.count('ROS has ended this node') == 1 and 'Traceback' not in done.stderr
 
 
-def test_a_second_panel_of_the_same_name_leaves_the_first_alone(panel):
-    second = Panel(name='panel_looks')
+def test_a_second_panel_of_the_same_name_ends_and_the_first_continues(panel):
+    second = Panel(name='panel_read_only')
     assert second.process.wait(30) == 3
-    second.wait_for('another node is named /panel_looks')
+    second.wait_for('another node is named /panel_read_only')
     assert 'Traceback' not in second.output()
-    page = Page(panel, watch=LOOKS)
-    page.until(lambda page: '~imu' in page.rows, 'the first one lives on')
+    page = Page(panel, watch=TOPICS)
+    page.until(lambda page: '~imu' in page.samples, 'the first continues')
     page.close()
 
 
-def test_a_name_that_somebody_else_takes_ends_the_panel(robot):
+def test_a_name_taken_later_ends_the_panel(robot):
     panel = Panel(name='panel_taken')
-    until(lambda: rosnode_is_known('/panel_taken'), 'it is registered')
+    until(lambda: is_registered('/panel_taken'), 'it is registered')
     rosgraph.Master('/panel_taken').registerSubscriber(
         '/chatter', 'std_msgs/String', 'http://localhost:1/')
     assert panel.process.wait(30) == 1
     panel.wait_for('panel: ROS has ended this node')
 
 
-def rosnode_is_known(name):
+def is_registered(name):
     try:
         return rosgraph.Master('/panel_test').lookupNode(name)
     except rosgraph.MasterError:
         return False
 
 
-# -- who is let in ----------------------------------------------------------------------------
+# -- access -----------------------------------------------------------------------------------
 
 
-def test_the_page_loads_nothing_from_elsewhere_and_nothing_inline(panel):
+def test_the_policy_forbids_foreign_and_inline_content(panel):
     status, headers, text = panel.get('/')
     assert status == 200 and '<title>' in text
     policy = headers['Content-Security-Policy']
@@ -168,84 +169,80 @@ def test_the_page_loads_nothing_from_elsewhere_and_nothing_inline(panel):
 
 @pytest.mark.parametrize('path', ['/../cli.py', '/%2e%2e/cli.py', '/cards/../../cli.py',
                                   '/nothing.js', '/cards/'])
-def test_no_other_files(panel, path):
+def test_files_outside_the_web_folder_are_not_served(panel, path):
     assert panel.get(path)[0] in (403, 404)
 
 
-def test_foreign_host(panel):
+def test_a_foreign_host_is_refused(panel):
     status, _headers, text = panel.get('/', Host='evil.example')
-    assert status == 403 and 'is no name of this machine' in text
+    assert status == 403 and 'is not a name of this machine' in text
     assert Page(panel, host='evil.example:80').status == 403
-    panel.wait_for('is no name of this machine')
+    panel.wait_for('is not a name of this machine')
 
 
 @pytest.mark.parametrize('origin', ['http://evil.example', 'null', None])
-def test_foreign_origin(panel, origin):
+def test_a_connection_with_a_foreign_or_missing_origin_is_refused(panel, origin):
     assert Page(panel, origin=origin).status == 403
 
 
-def test_foreign_origin_of_a_file(panel):
+def test_a_file_is_refused_to_a_foreign_origin_only(panel):
     assert panel.get('/app.js', Origin='http://evil.example')[0] == 403
     assert panel.get('/app.js', Origin=f'http://127.0.0.1:{panel.port}')[0] == 200
 
 
-def test_token(controls):
-    assert controls.url.endswith(f'?token={TOKEN}')
-    status, headers, text = controls.get('/')
+def test_every_request_needs_the_token_or_its_cookie(control_panel):
+    assert control_panel.url.endswith(f'?token={TOKEN}')
+    status, headers, text = control_panel.get('/')
     assert status == 401 and 'with its token' in text and 'Set-Cookie' not in headers
-    assert controls.get('/app.js')[0] == 401
-    assert controls.get('/?token=not-the-right-one')[0] == 401
-    assert Page(controls).status == 401
-    assert Page(controls, 'not-the-right-one').status == 401
-    status, headers, _text = controls.get(f'/?token={TOKEN}')
+    assert control_panel.get('/app.js')[0] == 401
+    assert control_panel.get('/?token=not-the-right-one')[0] == 401
+    assert Page(control_panel).status == 401
+    assert Page(control_panel, 'not-the-right-one').status == 401
+    status, headers, _text = control_panel.get(f'/?token={TOKEN}')
     cookie = headers['Set-Cookie']
     assert status == 200 and 'HttpOnly' in cookie and 'SameSite=Strict' in cookie
-    assert controls.get('/app.js', Cookie=cookie.split(';')[0])[0] == 200
-    page = Page(controls, TOKEN)
+    assert control_panel.get('/app.js', Cookie=cookie.split(';')[0])[0] == 200
+    page = Page(control_panel, TOKEN)
     assert page.status == 101
     page.close()
-    # Said once, as the address; not with any request.
-    assert controls.output().count(TOKEN) == 1
+    # Printed once, in the address, and never logged.
+    assert control_panel.output().count(TOKEN) == 1
 
 
 @pytest.mark.parametrize('arguments', [['--control'], ['--bind', '0.0.0.0']])
-def test_what_may_do_harm_gets_a_token_of_its_own(arguments):
+def test_control_and_other_addresses_need_a_new_token(arguments):
     one, other = Panel(*arguments, name='one'), Panel(*arguments, name='other')
     assert len(one.token) >= 20 and one.token != other.token
     assert one.get('/')[0] == 401
     assert one.end() == other.end() == 0
 
 
-def test_a_page_that_asks_too_often_or_talks_nonsense_is_dropped(panel):
-    for message, why in ((b'{', 'says what no page says'), (b'[1]', 'says what no page says'),
-                         (b'{"watch": 5}', 'says what no page says'), (b'{"drive": 1}', 'no page'),
-                         (b'{"seen": NaN}', 'no page'), (b'{"seen": 1e999}', 'no page'),
-                         (b'{"release": {"hold": 1e999}}', 'no page'),
-                         (b'{"release": {"hold": -Infinity}}', 'no page'),
-                         (b'{"seen": 1%s, "led": {"text": ""}}' % bytes(400).replace(
-                             b'\0', b'0'), 'no page'),
-                         (b'[' * 4000, 'no page')):
+def test_a_page_that_sends_too_often_or_invalid_messages_is_dropped(panel):
+    for message in (b'{', b'[1]', b'{"watch": 5}', b'{"drive": 1}', b'{"seen": NaN}',
+                    b'{"seen": 1e999}', b'{"release": {"hold": 1e999}}',
+                    b'{"release": {"hold": -Infinity}}',
+                    b'{"seen": 1%s, "led": {"text": ""}}' % (b'0' * 400), b'[' * 4000):
         page = Page(panel)
         page.write(message)
-        until(lambda: why in page.closed, f'{message} is refused')
+        until(lambda: 'sent an invalid message' in page.closed, f'{message} is refused')
     page = Page(panel)
     for _ in range(400):
         page.write(b'{"seen": 0}')
-    until(lambda: 'says too much' in page.closed, 'it is dropped')
+    until(lambda: 'more than 120 frames a second' in page.closed, 'it is dropped')
     page = Page(panel)
     page.write(json.dumps({'watch': ['x' * 5000]}).encode())
-    until(lambda: page.closed, 'a message that is too long ends it')
+    until(lambda: page.closed, 'a message that is too long closes the connection')
 
 
 @pytest.fixture
-def bystander(panel):
-    """A page to which nothing of what another one does may happen."""
-    page = Page(panel, watch=LOOKS)
-    page.until(lambda page: '~imu' in page.rows, 'it is told what is new')
+def other_page(panel):
+    """A page that must continue whatever another one does."""
+    page = Page(panel, watch=TOPICS)
+    page.until(lambda page: '~imu' in page.samples, 'updates are received')
     yield page
     assert not page.closed
     seen = page.now
-    page.until(lambda page: page.now > seen + 0.5, 'it is told what is new')
+    page.until(lambda page: page.now > seen + 0.5, 'updates are received')
     page.close()
 
 
@@ -256,23 +253,23 @@ MASK = bytes(4)
     b'\x89\x80' + MASK, b'\x89\xfd' + MASK + bytes(125), b'\x8a\x80' + MASK, b'\x00\x80' + MASK],
     ids=['pings', 'long pings', 'pongs', 'fragments'])
 @pytest.mark.parametrize('reads', [True, False])
-def test_a_flood_of_frames_that_are_no_messages_is_dropped(panel, bystander, frame, reads):
+def test_a_page_that_floods_with_other_frames_is_dropped(panel, other_page, frame, reads):
     page = Page(panel, reads=reads)
     if frame[0] == 0:
-        page.flood(b'\x01\x80' + MASK)         # a message begins
+        page.send_raw(b'\x01\x80' + MASK)         # a message begins
     ended = threading.Event()
 
     def flood():
         while not ended.is_set():
-            page.flood(frame * 1000)
-    seen = bystander.now
+            page.send_raw(frame * 1000)
+    seen = other_page.now
     thread = threading.Thread(target=flood, daemon=True)
     thread.start()
     try:
-        bystander.until(lambda page: page.now > seen + 1, 'others are told what is new')
+        other_page.until(lambda page: page.now > seen + 1, 'others receive updates')
         if reads:
             until(lambda: page.closed, 'it is dropped')
-            assert 'too much' in page.closed or page.closed == 'gone'
+            assert 'more than 120 frames' in page.closed or page.closed == 'gone'
     finally:
         ended.set()
         page.close()
@@ -281,32 +278,32 @@ def test_a_flood_of_frames_that_are_no_messages_is_dropped(panel, bystander, fra
 
 def test_a_ping_is_answered(page):
     page.write(b'x', 0x89)
-    page.until(lambda page: page.pongs, 'the answer comes')
+    page.until(lambda page: page.pongs, 'the answer is received')
 
 
-@pytest.mark.parametrize('says', [
-    {}, {'seen': 1e18}], ids=['nothing', 'that it has seen everything'])
-def test_a_page_that_reads_nothing_is_dropped_whatever_it_says(robot, says):
+@pytest.mark.parametrize('message', [
+    {}, {'seen': 1e18}], ids=['nothing', 'everything'])
+def test_a_page_that_reads_nothing_is_dropped_whatever_it_acknowledges(robot, message):
     panel = Panel(name='panel_unread')
-    page = Page(panel, watch=[*LOOKS, 'serial_msg'], reads=False)
-    until(lambda: 'dropped a page at 127.0.0.1: it does not take' in panel.output(),
+    page = Page(panel, watch=[*TOPICS, 'serial_msg'], reads=False)
+    until(lambda: 'dropped a page at 127.0.0.1: it does not read' in panel.output(),
           'it is dropped', seconds=60,
-          doing=lambda: says and page.say(**says), every=0.1)
+          doing=lambda: message and page.send(**message), every=0.1)
     page.close()
     assert panel.end() == 0
 
 
-def test_idle_connections_keep_nobody_out(robot):
+def test_idle_connections_do_not_keep_other_pages_out(robot):
     panel = Panel(name='panel_crowded')
-    before = Page(panel, watch=LOOKS)
-    before.until(lambda page: '~imu' in page.rows, 'numbers come')
+    before = Page(panel, watch=TOPICS)
+    before.until(lambda page: '~imu' in page.samples, 'numbers are received')
     resource.prlimit(panel.process.pid, resource.RLIMIT_NOFILE, (160, 160))
     idle = [socket.create_connection(('127.0.0.1', panel.port)) for _ in range(300)]
-    later = Page(panel, watch=LOOKS)
-    later.until(lambda page: '~imu' in page.rows, 'another page is served')
+    later = Page(panel, watch=TOPICS)
+    later.until(lambda page: '~imu' in page.samples, 'another page is served')
     assert panel.get('/app.js')[0] == 200
     seen = before.now
-    before.until(lambda page: page.now > seen + 0.5, 'the first is told what is new')
+    before.until(lambda page: page.now > seen + 0.5, 'the first receives updates')
     assert not before.closed
     for each in idle:
         each.close()
@@ -314,31 +311,31 @@ def test_idle_connections_keep_nobody_out(robot):
     assert 'Too many open files' not in panel.output()
 
 
-def another_page(panel, pages):
+def open_silent_page(panel, pages):
     pages.append(Page(panel, reads=False))
     return pages[-1].status == 101
 
 
-def test_pages_that_are_dropped_and_stay_keep_nobody_out(panel, bystander):
+def test_dropped_pages_that_stay_connected_do_not_keep_others_out(panel, other_page):
     pages = []
     for _ in range(80):
-        until(lambda: another_page(panel, pages), 'there is room')
+        until(lambda: open_silent_page(panel, pages), 'another page is accepted')
         pages[-1].write(b'{')
-    later = Page(panel, watch=LOOKS)
-    later.until(lambda page: '~imu' in page.rows, 'another page is served')
+    later = Page(panel, watch=TOPICS)
+    later.until(lambda page: '~imu' in page.samples, 'another page is served')
     for page in [*pages, later]:
         page.close()
 
 
 def test_a_slow_page_is_dropped_and_the_others_are_not(panel, two_pages):
     slow, other = two_pages
-    until(lambda: 'does not take' in slow.closed, 'the slow one is dropped')
+    until(lambda: 'does not read' in slow.closed, 'the slow one is dropped')
     assert not other.closed
-    panel.wait_for('it does not take what is sent to it')
+    panel.wait_for('it does not read what is sent to it')
     other.close()
 
 
-def test_only_so_many_pages(panel):
+def test_the_17th_page_is_refused(panel):
     pages = [Page(panel) for _ in range(16)]
     try:
         assert {page.status for page in pages} == {101}
@@ -346,50 +343,51 @@ def test_only_so_many_pages(panel):
     finally:
         for page in pages:
             page.close()
-    until(lambda: retry_page(panel), 'there is room again')
+    until(lambda: open_and_close_page(panel), 'another page is accepted again')
 
 
-def retry_page(panel):
+def open_and_close_page(panel):
     page = Page(panel)
     page.close()
     return page.status == 101
 
 
-# -- what it costs, and what it tells ---------------------------------------------------------
+# -- subscriptions and updates ----------------------------------------------------------------
 
 
-def test_no_browser_no_subscription(panel):
+def test_only_the_topics_that_pages_show_are_subscribed_to(panel):
     until(lambda: not subscribed(panel.node), 'nothing is subscribed to')
-    page = Page(panel, watch=LOOKS)
+    page = Page(panel, watch=TOPICS)
     wanted = {NODE + '/imu', NODE + '/voltage', NODE + '/environment', '/mcu/range_1',
               '/diagnostics', '/rosout_agg'}
-    until(lambda: subscribed(panel.node) == wanted, 'the topics that the page shows, and no other')
-    page.say(watch=LOOKS + ['serial_msg'])
-    until(lambda: subscribed(panel.node) == wanted | {'/serial_msg'}, 'the wire is looked at')
-    page.until(lambda page: page.known.get('wire', {}).get('frames'), 'frames come')
-    page.say(watch=LOOKS)
-    until(lambda: subscribed(panel.node) == wanted, 'the wire is looked at no longer')
+    until(lambda: subscribed(panel.node) == wanted, 'the topics of the page are subscribed to')
+    page.send(watch=TOPICS + ['serial_msg'])
+    until(lambda: subscribed(panel.node) == wanted | {'/serial_msg'}, 'the wire is subscribed to')
+    page.until(lambda page: page.known.get('wire', {}).get('frames'), 'frames are received')
+    page.send(watch=TOPICS)
+    until(lambda: subscribed(panel.node) == wanted, 'the wire is not subscribed to any more')
     page.close()
     until(lambda: not subscribed(panel.node), 'nothing is subscribed to')
 
 
-def test_values_and_links(page, robot):
+def test_pages_receive_values_and_links(page, robot):
     robot.others[0] = arduino.Voltage(6.25)
-    page.until(lambda page: page.rows.get('~voltage', {}).get('voltage') == 6.25, 'the voltage')
+    page.until(lambda page: page.samples.get('~voltage', {}).get('voltage') == 6.25, 'the voltage')
     robot.others[0] = arduino.Voltage(7.4)
-    page.until(lambda page: page.rows.get('~imu', {}).get('acceleration z') is not None, 'the IMU')
-    assert page.rows['~imu']['acceleration z'] == pytest.approx(9.81, abs=1e-3)
-    page.until(lambda page: page.rows.get('~environment', {}).get('smoke') == 350, 'the air')
-    page.until(lambda page: page.rows.get('mcu/range_1', {}).get('range') == 0.47, 'a range')
+    page.until(lambda page: page.samples.get('~imu', {}).get('acceleration z') is not None,
+               'the IMU')
+    assert page.samples['~imu']['acceleration z'] == pytest.approx(9.81, abs=1e-3)
+    page.until(lambda page: page.samples.get('~environment', {}).get('smoke') == 350, 'the air')
+    page.until(lambda page: page.samples.get('mcu/range_1', {}).get('range') == 0.47, 'a range')
     page.until(lambda page: {'bus', 'arduino', 'mcu'} <= set(page.known.get('links', {})),
                'all links')
     assert page.known['links']['arduino']['values']['port'] == robot.lines['arduino'].near
     assert page.known['node'] == NODE and page.known['trouble'] == ''
 
 
-def test_a_page_that_is_opened_later_gets_the_history(page, panel):
-    page.until(lambda page: '~environment' in page.rows, 'the air')
-    later = Page(panel, watch=LOOKS)
+def test_a_page_opened_later_receives_the_history(page, panel):
+    page.until(lambda page: '~environment' in page.samples, 'the air')
+    later = Page(panel, watch=TOPICS)
     later.until(lambda page: page.updates, 'the first update')
     first = later.updates[0]
     assert '~environment' in first['topics'] and 'smoke' in first['topics'][
@@ -397,11 +395,11 @@ def test_a_page_that_is_opened_later_gets_the_history(page, panel):
     later.close()
 
 
-def test_what_a_range_may_read_beside_numbers_is_json(page, robot):
+def test_ranges_that_are_not_finite_are_valid_json(page, robot):
     for millimetres, word in ((65535, 'NaN'), (5000, 'Infinity'), (10, '-Infinity')):
         robot.ranges = ranges(millimetres)
-        page.until(lambda page: page.rows.get('mcu/range_1', {}).get('range') == word,
-                   f'{word} comes')
+        page.until(lambda page: page.samples.get('mcu/range_1', {}).get('range') == word,
+                   f'{word} is received')
     robot.ranges = ranges()
 
 
@@ -422,8 +420,8 @@ DESCRIPTION = Description('gauge', __name__, decoder, 'rain gauge', heartbeat=He
 '''
 
 
-def test_the_board_of_another_package_is_known_and_its_frames_are_explained(core, tmp_path):
-    """This process plays the bridge."""
+def test_frames_of_a_board_of_another_package_are_explained(core, tmp_path):
+    """This process simulates the bridge."""
     (tmp_path / 'rain_gauge').mkdir()
     (tmp_path / 'rain_gauge' / '__init__.py').write_text(_GAUGE)
     rospy.set_param('~boards', ['rain_gauge', 'not_installed'])
@@ -436,7 +434,7 @@ def test_the_board_of_another_package_is_known_and_its_frames_are_explained(core
         page.until(lambda page: 'gauge' in page.known.get('boards', {}), 'the board is known')
         assert page.known['boards']['gauge'] == {'title': 'rain gauge', 'longest_gap': 0.5}
         assert page.known['boards']['bus'] == {'title': 'control board', 'longest_gap': None}
-        until(lambda: page.known.get('wire', {}).get('frames'), 'frames come', every=0.1,
+        until(lambda: page.known.get('wire', {}).get('frames'), 'frames are received', every=0.1,
               doing=lambda: traffic.publish(link='gauge', frame=b'\1\2', text='rain'))
         assert page.known['wire']['frames'][0][6:] == ['0102', [['rain', 0, 2, '0.7 mm', '']]]
         page.close()
@@ -451,28 +449,28 @@ def test_the_board_of_another_package_is_known_and_its_frames_are_explained(core
 # -- commands ---------------------------------------------------------------------------------
 
 
-def test_a_panel_that_only_looks_takes_no_commands(page, robot):
-    before = len(robot.lifts)
-    page.say(call={'key': 'a', 'name': '~lift', 'arguments': {'direction': 0, 'distance': 5}})
+def test_a_read_only_panel_takes_no_commands(page, robot):
+    before = len(robot.lift_requests)
+    page.send(call={'key': 'a', 'name': '~lift', 'arguments': {'direction': 0, 'distance': 5}})
     page.until(lambda page: page.known.get('refused'), 'it is refused')
-    assert 'only looks' in page.known['refused']['words'] and len(robot.lifts) == before
+    assert 'read-only' in page.known['refused']['words'] and len(robot.lift_requests) == before
     assert 'controls' not in page.known
-    assert not any('/panel_looks' in publishers_and_subscribers()[0].get(NODE + name, ())
+    assert not any('/panel_read_only' in publishers_and_subscribers()[0].get(NODE + name, ())
                    for name in ('/speed', '/steering', '/led'))
 
 
 def lift(page, key, distance=5):
-    page.say(call={'key': key, 'name': '~lift',
-                   'arguments': {'direction': 0, 'distance': distance}})
+    page.send(call={'key': key, 'name': '~lift',
+                    'arguments': {'direction': 0, 'distance': distance}})
 
 
-def test_a_call_and_its_answer(driver, robot):
+def test_a_call_is_executed_and_answered(driver, robot):
     robot.bus.forget()
     lift(driver, 'one', 17)
     driver.until(lambda page: page.calls.get('one', {}).get('outcome'), 'the answer')
     assert driver.calls['one']['outcome'] == 'done' and 'lift up 17 mm' in driver.calls['one'][
         'words']
-    assert [request.data for request in robot.lifts] == [bytes((0, 17))]
+    assert [request.data for request in robot.lift_requests] == [bytes((0, 17))]
 
 
 def test_a_double_click_moves_once(driver, robot):
@@ -480,32 +478,32 @@ def test_a_double_click_moves_once(driver, robot):
     for key in ('first', 'second', 'third'):
         lift(driver, key)
     driver.until(lambda page: page.calls.get('first', {}).get('outcome'), 'the answer')
-    lift(driver, 'fourth')     # at once after the answer
+    lift(driver, 'fourth')     # immediately after the answer
     driver.until(lambda page: page.known.get('refused', {}).get('key') == 'fourth', 'refused')
-    assert len(robot.lifts) == 1
+    assert len(robot.lift_requests) == 1
     assert not {'second', 'third', 'fourth'} & set(driver.calls)
 
 
-def test_not_known_is_told_as_that(driver, robot):
+def test_the_outcome_of_a_call_without_reply_is_not_known(driver, robot):
     until(lambda: time.monotonic() - driver.now < 1, 'the page is up to date')
     robot.bus.script.append(b'')
-    driver.until(lambda page: try_lift(page, 'lost'), 'the call is taken')
+    driver.until(lambda page: try_lift(page, 'lost'), 'the call is accepted')
     driver.until(lambda page: page.calls['lost'].get('outcome'), 'the answer')
     assert driver.calls['lost']['outcome'] == 'not known'
 
 
-def call_own(page, name):
-    """Call a function of the configuration, and wait for its answer."""
+def call_custom(page, name):
+    """Call a custom function, and wait for its answer."""
     page.until(lambda page: name in page.known.get('controls', {}).get('services', ()), name)
-    key = f'{name} at {time.monotonic()}'        # a page is told of calls before it, too
-    page.say(call={'key': key, 'name': name, 'arguments': {}})
+    key = f'{name} at {time.monotonic()}'        # a page also receives earlier calls
+    page.send(call={'key': key, 'name': name, 'arguments': {}})
     page.until(lambda page: page.calls.get(key, {}).get('outcome'), 'the answer')
     return page.calls[key]
 
 
 @pytest.mark.parametrize('name', ['~beep', '~dock'])
-def test_what_was_executed_and_answered_too_late_is_told_as_not_known(driver, robot, name):
-    """The response's type has no status."""
+def test_the_outcome_of_a_call_answered_too_late_is_not_known(driver, robot, name):
+    """Also if the type of the response has no status."""
     answered = threading.Event()
 
     def late(request):
@@ -513,7 +511,7 @@ def test_what_was_executed_and_answered_too_late_is_told_as_not_known(driver, ro
         return robot.bus.usual(request)
     robot.bus.script.append(late)
     try:
-        call = call_own(driver, name)
+        call = call_custom(driver, name)
     finally:
         answered.set()
     assert call['outcome'] == 'not known'
@@ -522,23 +520,23 @@ def test_what_was_executed_and_answered_too_late_is_told_as_not_known(driver, ro
 
 
 @pytest.mark.parametrize('name', ['~beep', '~dock'])
-def test_what_the_board_refused_is_told_as_that(driver, robot, name):
+def test_a_call_that_the_board_refused_is_shown_as_refused(driver, robot, name):
     robot.bus.script.append(bus.Reply(bus.ERROR, b'\2\x80'))
-    call = call_own(driver, name)
+    call = call_custom(driver, name)
     assert (call['outcome'], call['words']) == (
         'refused', 'the board refused: 0x8002: the operation failed')
 
 
-def test_a_bridge_that_dies_in_the_middle_of_a_call_leaves_it_not_known(driver, robot):
+def test_the_outcome_of_a_call_is_not_known_if_the_bridge_dies(driver, robot):
     until(lambda: time.monotonic() - driver.now < 1, 'the page is up to date')
     robot.bus.script.append(lambda request: robot.bridge.process.kill() or b'')
-    call = call_own(driver, '~beep')
+    call = call_custom(driver, '~beep')
     robot.start_bridge()
     assert call['outcome'] == 'not known' and 'look before you repeat it' in call['words']
 
 
 def try_lift(page, key):
-    """A call that a page of this test may still be too early for."""
+    """Call, unless an earlier try was accepted: the page may not be up to date yet."""
     if key not in page.calls:
         lift(page, key)
         time.sleep(0.2)
@@ -549,12 +547,12 @@ def try_lift(page, key):
     ('~lift', {'direction': 0}, 'takes direction, distance'),
     ('~lift', {'direction': 0, 'distance': 300}, '~lift'),
     ('~lift', {'direction': 0, 'distance': 'x'}, '~lift'),
-    ('~get_loggers', {}, 'no service'), ('/rosout/get_loggers', {}, 'no service')])
-def test_calls_that_are_none(driver, robot, name, arguments, words):
+    ('~get_loggers', {}, 'not a service'), ('/rosout/get_loggers', {}, 'not a service')])
+def test_invalid_calls_are_refused(driver, robot, name, arguments, words):
     robot.bus.forget()
-    driver.say(call={'key': 'wrong', 'name': name, 'arguments': arguments})
+    driver.send(call={'key': 'wrong', 'name': name, 'arguments': arguments})
     driver.until(lambda page: page.known.get('refused', {}).get('key') == 'wrong', 'refused')
-    assert words in driver.known['refused']['words'] and not robot.lifts
+    assert words in driver.known['refused']['words'] and not robot.lift_requests
 
 
 _SERVICE = """
@@ -569,7 +567,7 @@ class Set:
 
 @pytest.fixture
 def floats(core, tmp_path):
-    """A panel of a bridge, which this process plays, with a service that takes a number."""
+    """A panel of a bridge, simulated here, with a service that takes a number."""
     module = tmp_path / 'floats' / 'srv'
     module.mkdir(parents=True)
     (tmp_path / 'floats' / '__init__.py').touch()
@@ -586,8 +584,8 @@ def floats(core, tmp_path):
 
 @pytest.mark.parametrize('number, is_json', [
     ('NaN', False), ('1e999', False), ('-Infinity', False), ('1e39', True),
-    ('1' + '0' * 400, True)], ids=['nan', 'overflow', 'infinity', 'beyond float32', 'an integer'])
-def test_a_number_that_is_none_silences_nobody(floats, number, is_json):
+    ('1' + '0' * 400, True)], ids=['nan', 'overflow', 'infinity', 'beyond float32', 'integer'])
+def test_a_call_with_an_invalid_number_does_not_disturb_other_pages(floats, number, is_json):
     page, other = Page(floats, TOKEN), Page(floats, TOKEN)
     page.until(lambda page: '~set' in page.known.get('controls', {}).get('services', ()),
                'the service is offered')
@@ -597,22 +595,22 @@ def test_a_number_that_is_none_silences_nobody(floats, number, is_json):
         page.until(lambda page: page.known.get('refused', {}).get('key') == 'odd', 'refused')
         assert not page.closed
     else:
-        until(lambda: 'no page says' in page.closed, 'it is dropped')
+        until(lambda: 'invalid message' in page.closed, 'it is dropped')
     seen = other.now
-    other.until(lambda page: page.now > seen + 0.5, 'others are told what is new')
+    other.until(lambda page: page.now > seen + 0.5, 'others receive updates')
     assert not other.closed and 'odd' not in other.calls
     page.close()
     other.close()
 
 
-def test_led(driver, robot):
-    driver.until(lambda page: send_led(page, robot), 'the car shows it')
-    driver.say(led={'key': 'long', 'text': 'x' * 31})
+def test_led_text_is_sent_and_too_long_a_one_is_refused(driver, robot):
+    driver.until(lambda page: send_led(page, robot), 'the car receives it')
+    driver.send(led={'key': 'long', 'text': 'x' * 31})
     driver.until(lambda page: page.known.get('refused', {}).get('key') == 'long', 'refused')
 
 
 def send_led(page, robot):
-    page.say(led={'key': 'led', 'text': 'left'})
+    page.send(led={'key': 'led', 'text': 'left'})
     time.sleep(0.05)
     return arduino.encode(arduino.LedCommand('left')) in robot.car.commands
 
@@ -621,14 +619,14 @@ def send_led(page, robot):
 
 
 def drive(page, hold, speed=150, seen=None, steering=1600):
-    page.say(drive={'key': 'drive', 'hold': hold, 'seen': page.now if seen is None else seen,
-                    'speed': speed, 'steering': steering})
+    page.send(drive={'key': 'drive', 'hold': hold, 'seen': page.now if seen is None else seen,
+                     'speed': speed, 'steering': steering})
 
 
 def drive_until(page, condition, what, speed=150):
-    """Hold until something is so, ten and more times a second; the number of the hold.
+    """Hold the pad until the condition is true; return the number of the hold.
 
-    Where the machine stands still for too long meanwhile, the hold ends; then another.
+    If the machine stalls for too long, the hold ends, and another one begins.
     """
     def hold_on():
         if 'refused' in page.known:
@@ -644,15 +642,15 @@ def drives(robot, speed=150):
     return lambda: speed in robot.car.speeds
 
 
-def stands(robot):
-    """Whether the last that the car was told is to stand, and that it did drive before."""
+def has_stopped(robot):
+    """Whether the latest speed that the car has received is 0."""
     return lambda: robot.car.speeds and robot.car.speeds[-1] == 0
 
 
-def test_release_stops(driver, robot):
+def test_release_stops_the_car(driver, robot):
     hold = drive_until(driver, drives(robot), 'the car drives')
-    driver.say(release={'hold': hold})
-    until(stands(robot), 'the car stands')
+    driver.send(release={'hold': hold})
+    until(has_stopped(robot), 'the car stops')
     count = len(robot.car.speeds)
     drive(driver, hold)
     driver.until(lambda page: 'press again' in page.known.get('refused', {}).get('words', ''),
@@ -660,22 +658,22 @@ def test_release_stops(driver, robot):
     assert robot.car.speeds[count:] in ([], [0])
 
 
-def test_silence_stops(driver, robot):
+def test_silence_stops_the_car(driver, robot):
     drive_until(driver, drives(robot), 'the car drives')
-    until(stands(robot), 'the car stands')
+    until(has_stopped(robot), 'the car stops')
     driver.until(lambda page: page.known['drive'] == {
-        'held': False, 'words': 'the browser fell silent: stopped'}, 'the page is told')
-    # The panel said so, long before the bridge's own timeout of 0.5 s had to.
+        'held': False, 'words': 'stopped: no command from the page for 0.2 s'}, 'the page shows it')
+    # The panel stopped the car before the bridge's own timeout of 0.5 s had to.
     assert robot.car.frames[-1].stamp
 
 
-def test_a_lost_connection_stops(driver, robot):
+def test_a_lost_connection_stops_the_car(driver, robot):
     drive_until(driver, drives(robot), 'the car drives')
     driver.close()
-    until(stands(robot), 'the car stands')
+    until(has_stopped(robot), 'the car stops')
 
 
-def test_old_commands_do_not_drive(driver, robot):
+def test_delayed_commands_do_not_drive(driver, robot):
     old = driver.now
     driver.until(lambda page: page.now > old + 1, 'a second passes')
     for _ in range(5):
@@ -683,47 +681,47 @@ def test_old_commands_do_not_drive(driver, robot):
     driver.until(lambda page: any('too slow' in update.get('refused', {}).get('words', '')
                                   for update in list(page.updates)), 'they are refused')
     driver.holds = 1
-    drive_until(driver, drives(robot, 120), 'what is fresh drives', speed=120)
+    drive_until(driver, drives(robot, 120), 'recent commands drive', speed=120)
     assert 150 not in robot.car.speeds
 
 
-def test_a_panel_that_was_suspended_does_not_drive_on(driver, controls, robot):
+def test_a_panel_that_was_suspended_does_not_continue_to_drive(driver, control_panel, robot):
     hold = drive_until(driver, drives(robot), 'the car drives')
-    os.kill(controls.process.pid, signal.SIGSTOP)
+    os.kill(control_panel.process.pid, signal.SIGSTOP)
     try:
         for _ in range(20):
             drive(driver, hold, speed=170)     # waits in the panel's socket
-        until(stands(robot), "the bridge's own timeout stops the car")
+        until(has_stopped(robot), "the bridge's own timeout stops the car")
         robot.car.forget()
     finally:
-        os.kill(controls.process.pid, signal.SIGCONT)
+        os.kill(control_panel.process.pid, signal.SIGCONT)
     seen = driver.now
-    driver.until(lambda page: page.now > seen + 0.3, 'the panel lives on')
+    driver.until(lambda page: page.now > seen + 0.3, 'the panel continues')
     assert not [speed for speed in robot.car.speeds if speed]
 
 
-def test_two_pages_do_not_drive_at_once(driver, controls, robot):
-    other = Page(controls, TOKEN)
-    other.until(lambda page: page.now, 'the other page is there')
+def test_two_pages_do_not_drive_at_once(driver, control_panel, robot):
+    other = Page(control_panel, TOKEN)
+    other.until(lambda page: page.now, 'the other page receives updates')
     hold = drive_until(driver, drives(robot), 'the car drives')
 
     def both():
         drive(driver, hold)
         drive(other, 1, speed=-90)
-    until(lambda: 'another browser drives' in other.known.get('refused', {}).get('words', ''),
+    until(lambda: 'another page drives' in other.known.get('refused', {}).get('words', ''),
           'the other is refused', doing=both, every=0.04)
     assert -90 not in robot.car.speeds
     other.close()
 
 
-def test_the_panels_end_stops(robot):
+def test_the_car_stops_when_the_panel_ends(robot):
     panel = Panel('--control', '--token', TOKEN, name='panel_third')
     page = Page(panel, TOKEN)
-    page.until(lambda page: page.now, 'the page is there')
+    page.until(lambda page: page.now, 'the page receives updates')
     robot.car.forget()
     drive_until(page, drives(robot), 'the car drives')
     panel.process.send_signal(signal.SIGTERM)
-    until(stands(robot), 'the car stands')
+    until(has_stopped(robot), 'the car stops')
     assert panel.end() == 0
 
 
@@ -735,79 +733,79 @@ def wait(seconds):
     until(lambda: time.monotonic() - began > seconds, 'the time has passed')
 
 
-def test_a_master_that_hangs_holds_up_neither_pages_nor_the_car(driver, controls, robot, core):
-    other = Page(controls, TOKEN)
-    other.until(lambda page: 'node' in page.known, 'the other page is there')
+def test_pages_and_driving_continue_while_the_master_hangs(driver, control_panel, robot, core):
+    other = Page(control_panel, TOKEN)
+    other.until(lambda page: 'node' in page.known, 'the other page receives updates')
     hold = drive_until(driver, drives(robot), 'the car drives')
     with core.hung():
-        other.say(watch=LOOKS + ['serial_msg'])
+        other.send(watch=TOPICS + ['serial_msg'])
         wait(0.5)
         seen = other.now
-        other.until(lambda page: page.now > seen + 0.5, 'pages are told what is new')
+        other.until(lambda page: page.now > seen + 0.5, 'pages receive updates')
         robot.car.forget()
-        hold = drive_until(driver, drives(robot), 'the car drives on')
-        driver.say(release={'hold': hold})
-        until(stands(robot), 'the car stands')
+        hold = drive_until(driver, drives(robot), 'the car drives while the master hangs')
+        driver.send(release={'hold': hold})
+        until(has_stopped(robot), 'the car stops')
         robot.car.forget()
         drive_until(driver, drives(robot), 'the car drives again')
-        until(stands(robot), 'the car stands as its page falls silent')
-    other.until(lambda page: page.known.get('wire', {}).get('frames'), 'frames come after it')
+        until(has_stopped(robot), 'the car stops without commands of the page')
+    other.until(lambda page: page.known.get('wire', {}).get('frames'), 'frames are received')
     other.close()
 
 
-def test_publishers_follow_who_looks_though_the_master_hung_meanwhile(controls, robot, core):
+def test_publishers_exist_only_while_a_page_is_open(control_panel, robot, core):
     def publishes():
-        return controls.node in publishers_and_subscribers()[0].get(NODE + '/speed', ())
-    page = Page(controls, TOKEN)
-    until(publishes, 'somebody looks')
+        return control_panel.node in publishers_and_subscribers()[0].get(NODE + '/speed', ())
+    page = Page(control_panel, TOKEN)
+    until(publishes, 'the panel publishes')
     with core.hung():
         page.close()
         wait(2)
-        page = Page(controls, TOKEN)
-        page.until(lambda page: 'node' in page.known, 'the page is there')
+        page = Page(control_panel, TOKEN)
+        page.until(lambda page: 'node' in page.known, 'the page receives updates')
     robot.car.forget()
     drive_until(page, drives(robot), 'the car drives')
     page.close()
-    until(lambda: not publishes(), 'nobody looks')
+    until(lambda: not publishes(), 'the panel publishes no more')
 
 
 def nothing(_panel):
     pass
 
 
-def look(panel):
-    """Have it register what the wire needs."""
+def show_wire(panel):
+    """Let the panel subscribe to serial_msg."""
     Page(panel, TOKEN, watch=['serial_msg'])
     wait(0.3)
 
 
 def call(panel):
-    """Have it look a service up."""
+    """Let the panel look up a service."""
     page = Page(panel, TOKEN)
-    page.until(lambda page: page.now, 'the page is there')
+    page.until(lambda page: page.now, 'the page receives updates')
     lift(page, 'key')
     page.until(lambda page: 'key' in page.calls, 'the call is under way')
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize('what', [nothing, look, call])
-def test_a_signal_ends_it_while_the_master_hangs(robot, core, number, what):
+@pytest.mark.parametrize('action', [nothing, show_wire, call])
+def test_a_signal_ends_the_panel_while_the_master_hangs(robot, core, number, action):
     panel = Panel('--control', '--token', TOKEN, name='panel_hung')
     page = Page(panel, TOKEN)
-    page.until(lambda page: page.known.get('trouble') == '', 'it is registered, and looks')
+    page.until(lambda page: page.known.get('trouble') == '', 'it is registered and subscribes')
     with core.hung():
-        what(panel)
+        action(panel)
         assert panel.end(number) == 0
     assert 'Traceback' not in panel.output()
 
 
-def test_a_signal_ends_it_as_it_starts_while_the_master_hangs(core):
+def test_a_signal_ends_a_panel_that_starts_while_the_master_hangs(core):
     with core.hung():
         panel = Panel(name='panel_hung')
         assert panel.end() == 0
 
 
-def test_a_terminal_that_takes_nothing_holds_up_no_page(robot):
+def test_a_terminal_that_reads_nothing_does_not_delay_pages(robot):
     reads, writes = os.pipe()
     port = free_port()
     panel = subprocess.Popen([program('panel'), '--port', str(port), '__name:=panel_mute'],
@@ -816,15 +814,15 @@ def test_a_terminal_that_takes_nothing_holds_up_no_page(robot):
         until(lambda: b'http://' in os.read(reads, 1000), 'it listens')
         place = types.SimpleNamespace(port=port)
         page = Page(place)
-        page.until(lambda page: page.known.get('trouble') == '', 'it is a node and logs as one')
+        page.until(lambda page: page.known.get('trouble') == '', 'it is a node and logs')
         os.set_blocking(writes, False)
         with contextlib.suppress(BlockingIOError):
             while True:
                 os.write(writes, bytes(1000))
-        os.set_blocking(writes, True)       # this holds for the panel's end, too
-        assert Page(place, origin='http://evil.example').status == 403     # a line of its log
+        os.set_blocking(writes, True)       # the panel's output shares this setting
+        assert Page(place, origin='http://evil.example').status == 403     # is logged
         seen = page.now
-        page.until(lambda page: page.now > seen + 0.5, 'the page is told what is new')
+        page.until(lambda page: page.now > seen + 0.5, 'the page receives updates')
         panel.send_signal(signal.SIGINT)
         assert panel.wait(PATIENCE) == 0
     finally:
@@ -833,7 +831,7 @@ def test_a_terminal_that_takes_nothing_holds_up_no_page(robot):
         os.close(writes)
 
 
-def test_what_a_master_that_hung_kept_back_moves_nothing(driver, robot, core):
+def test_a_call_delayed_by_the_master_moves_nothing(driver, robot, core):
     robot.bus.forget()
     with core.hung():
         lift(driver, 'late')
@@ -843,10 +841,10 @@ def test_what_a_master_that_hung_kept_back_moves_nothing(driver, robot, core):
     driver.until(lambda page: page.calls['late'].get('outcome'), 'the answer')
     assert driver.calls['late']['outcome'] == 'refused'
     assert 'nothing was sent' in driver.calls['late']['words']
-    assert not robot.lifts
+    assert not robot.lift_requests
 
 
-def test_what_a_bridge_that_hung_kept_back_moves_nothing(driver, robot):
+def test_a_call_delayed_by_the_bridge_moves_nothing(driver, robot):
     robot.bus.forget()
     os.kill(robot.bridge.process.pid, signal.SIGSTOP)
     try:
@@ -858,21 +856,21 @@ def test_what_a_bridge_that_hung_kept_back_moves_nothing(driver, robot):
     driver.until(lambda page: page.calls['late'].get('outcome'), 'the answer')
     assert driver.calls['late']['outcome'] == 'refused'
     assert 'nothing was sent' in driver.calls['late']['words']
-    assert not robot.lifts
+    assert not robot.lift_requests
 
 
-def test_what_a_panel_that_was_suspended_finds_moves_nothing(driver, controls, robot):
+def test_a_call_delayed_by_the_panel_moves_nothing(driver, control_panel, robot):
     robot.bus.forget()
     led = arduino.encode(arduino.LedCommand('old'))
-    os.kill(controls.process.pid, signal.SIGSTOP)
+    os.kill(control_panel.process.pid, signal.SIGSTOP)
     try:
         lift(driver, 'late')
-        driver.say(led={'key': 'old', 'text': 'old'})
+        driver.send(led={'key': 'old', 'text': 'old'})
         wait(2.5)
     finally:
-        os.kill(controls.process.pid, signal.SIGCONT)
+        os.kill(control_panel.process.pid, signal.SIGCONT)
     for key in ('late', 'old'):
         driver.until(lambda page, key=key: any(
             update.get('refused', {}).get('key') == key for update in list(page.updates)),
             f'{key} is refused')
-    assert not robot.lifts and led not in robot.car.commands
+    assert not robot.lift_requests and led not in robot.car.commands

@@ -20,13 +20,13 @@ from serial_communication.msg import (SpeedPWMCommand, SteeringFeedback, Steerin
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.ros.answers import read_error
 
-# A board's packet, byte by byte; its quaternion is far from 1.
+# A packet of a real board; the norm of its quaternion is far from 1.
 IMU_PACKET = bytes.fromhex('05092d41e00210020801040affec021e0564ff382003faf600')
 XYZ = 'x', 'y', 'z'
 
 
 def setUpModule():
-    """The boards, and what the nodes say."""
+    """Start the boards, and record the log."""
     global BOARDS, ROSOUT
     line = rospy.get_param('~line')
     BOARDS = {PACKAGE: CarBoard(line + '_board'), 'tuned': CarBoard(line + '_tuned_board')}
@@ -34,7 +34,7 @@ def setUpModule():
 
 
 class ArduinoTest(unittest.TestCase):
-    """The car at the end of one line."""
+    """A car on one line."""
 
     node = PACKAGE
 
@@ -58,7 +58,7 @@ class ArduinoTest(unittest.TestCase):
         return self.board.commands[:number]
 
     def drive(self, *speeds):
-        """Each when the one before is on the wire: of those that wait only the newest counts."""
+        """Send each when the one before is on the wire, since only the newest may wait."""
         for number, value in enumerate(speeds, 1):
             self.speed.publish(value=value)
             self.sent(number)
@@ -84,7 +84,7 @@ class Measurements(ArduinoTest):
 
     def test_an_imu_packet_arrives_in_the_axes_and_units_of_ros(self):
         topic, temperature = self.topic('imu', Imu), self.topic('imu/temperature', Temperature)
-        # Quaternion w x y z = 1/2 each but for signs; rates 100 200 300; 1 g along board x.
+        # Quaternion w x y z: 1/2 each, with signs; rates 100 200 300; 1 g along the board's x.
         packet = arduino.Imu(8192, 8192, -8192, 8192, 100, 200, 300, 8192, 4096, -8192, 3400)
         since = rospy.Time.now()
         message = topic.first(doing=lambda: self.board.say(packet))
@@ -127,12 +127,12 @@ class Measurements(ArduinoTest):
         self.board.say(arduino.Voltage(100.0))
         self.board.say(arduino.SteeringAngle(0))
         self.board.say(level_imu()._replace(qw=16000))
-        # Each on a connection of its own: that one has come says nothing of the others.
+        # Each topic has its own connection, so each has to be waited for.
         topics[0].first(lambda m: m.value == 100.0)
         topics[1].first(lambda m: m.value == 0)
         self.assertEqual(topics[2].first(lambda m: m.orientation.w < 1).orientation.w,
                          16000 / 16384)
-        # Of the good ones before, a few may still have been on their way.
+        # A few of the valid messages before may have arrived late.
         self.assertTrue({m.value for m in topics[0].messages} <= {12.0, 100.0})
         self.assertTrue({m.value for m in topics[1].messages} <= {1024, 0})
         self.assertTrue({m.orientation.w for m in topics[2].messages} <= {1.0, 16000 / 16384})
@@ -148,7 +148,7 @@ class Measurements(ArduinoTest):
 
 
 class Commands(ArduinoTest):
-    """Speed, steering, LED and the heartbeat."""
+    """Commands for speed, steering and LED, and the heartbeat."""
 
     def test_commands_have_their_exact_bytes(self):
         self.drive(400, -1000, 0)
@@ -165,16 +165,16 @@ class Commands(ArduinoTest):
         self.drive(1001, 32767, -1001, -32768, 0)
         self.assertEqual(self.sent(5), [bytes.fromhex('0404e80300')] * 2
                          + [bytes.fromhex('040418fc00')] * 2 + [SPEED_0_PACKET])
-        ROSOUT.wait_for(self.node, 'speed 1001 is beyond', Log.WARN)
-        self.assertEqual(len(ROSOUT.lines(self.node, 'is beyond')), 1)
+        ROSOUT.wait_for(self.node, 'speed 1001 is out of range (-1000 … 1000), sent 1000', Log.WARN)
+        self.assertEqual(len(ROSOUT.lines(self.node, 'is out of range')), 1)
 
-    def test_heartbeats_come_a_hundred_a_second(self):
+    def test_heartbeats_are_sent_a_hundred_times_a_second(self):
         self.board.wait_for_heartbeat_rate(40, 130)
 
     def test_a_speed_that_is_not_renewed_ends_in_one_speed_0(self):
         self.speed.publish(value=300)
         self.sent(2)
-        command, end = self.board.told
+        command, end = self.board.command_frames
         self.assertEqual(end.raw, SPEED_0_PACKET)
         self.assertGreater(end.stamp - command.stamp, 0.45)
         self.assertLess(end.stamp - command.stamp, 2.0)
@@ -195,10 +195,10 @@ class Commands(ArduinoTest):
     def speed_0_frames(self):
         return [frame for frame in self.board.frames if frame.raw == SPEED_0_PACKET]
 
-    def test_a_speed_that_is_renewed_goes_on(self):
+    def test_a_speed_that_is_renewed_is_kept(self):
         until(lambda: len(self.board.commands) > 12, 'a dozen commands', every=0.1,
               doing=lambda: self.speed.publish(value=100))
-        commands = self.board.told
+        commands = self.board.command_frames
         for before, after in zip(commands, commands[1:]):
             self.assertTrue(after.message.value == 100 or after.stamp - before.stamp > 0.45)
         self.speed.publish(value=0)
@@ -206,9 +206,9 @@ class Commands(ArduinoTest):
 
 
 class Calibration(ArduinoTest):
-    """calibrate_imu and what it holds back."""
+    """calibrate_imu, and the commands that it blocks."""
 
-    def test_a_calibration_from_its_beginning_to_its_end(self):
+    def test_a_calibration_stops_the_car_and_blocks_commands_until_it_ends(self):
         topic = self.topic('imu/calibrating', Bool)
         self.assertFalse(topic.first().data)         # latched
         self.speed.publish(value=200)
@@ -224,12 +224,12 @@ class Calibration(ArduinoTest):
         self.steering.publish(value=1000)
         self.led.publish('brake')
         for command in ('speed 500', 'steering 1000', 'LED brake'):
-            ROSOUT.wait_for(self.node, command + ' refused: the IMU is being calibrated',
+            ROSOUT.wait_for(self.node, command + ' refused: the board calibrates its IMU',
                             Log.WARN)
         self.board.say(arduino.Voltage(12.0))        # no IMU data: goes on
         self.assertEqual([m.data for m in late.messages], [True])
 
-        # After a silence, that is; data that was under way as it began does not end it.
+        # IMU data ends it only after a silence: data already on its way does not.
         until(lambda: not late.messages[-1].data, 'the calibration is over',
               doing=lambda: self.board.say(level_imu()), every=2.5)
         self.assertEqual(len(self.board.commands), 3)
@@ -237,7 +237,7 @@ class Calibration(ArduinoTest):
         self.assertEqual(self.sent(4)[3], bytes.fromhex('0405d20400'))
         self.assertEqual(self.board.speeds, [200, 0])
 
-    def test_it_is_a_service_error_where_the_port_is_closed(self):
+    def test_calibrate_imu_is_a_service_error_if_the_port_is_closed(self):
         with self.assertRaises(rospy.ServiceException) as caught:
             service('/closed/calibrate_imu', Empty)()
         self.assertRegex(str(caught.exception), r'status 253 \(not sent\): .* closed')
@@ -245,9 +245,9 @@ class Calibration(ArduinoTest):
 
 
 class Logs(ArduinoTest):
-    """What the board says to people."""
+    """The board's log lines."""
 
-    def test_lines_of_the_board_keep_their_severity(self):
+    def test_log_lines_of_the_board_keep_their_severity(self):
         service('/serial_communication/set_logger_level', SetLoggerLevel)('rosout', 'debug')
         for severity, level in enumerate((Log.DEBUG, Log.INFO, Log.WARN, Log.ERROR)):
             text = 'a line of severity %d' % severity
@@ -255,12 +255,12 @@ class Logs(ArduinoTest):
             ROSOUT.wait_for(self.node, text, level)
         service('/serial_communication/set_logger_level', SetLoggerLevel)('rosout', 'info')
 
-    def test_a_line_as_the_board_ends_it(self):
+    def test_the_zero_byte_that_ends_a_log_line_is_removed(self):
         self.board.write(bytes.fromhex('0c01444d50207265616479210100'))
         line = ROSOUT.wait_for(self.node, 'DMP ready!', Log.INFO)
         self.assertTrue(line.endswith('DMP ready!'), line)
 
-    def test_control_characters_and_bad_utf_8_are_replaced(self):
+    def test_control_characters_and_invalid_utf_8_are_replaced(self):
         self.board.write(arduino.encode_raw(2, b'odd \x1b[31m\xff\xfe at its tail\x00'))
         line = ROSOUT.wait_for(self.node, 'at its tail', Log.WARN)
         self.assertTrue(line.isprintable(), line)
@@ -268,11 +268,11 @@ class Logs(ArduinoTest):
 
 
 class Tuned(ArduinoTest):
-    """With every parameter changed."""
+    """Every parameter differs from its default."""
 
     node = 'tuned'
 
-    def test_an_imu_packet_is_published_unchecked_with_the_parameters_given(self):
+    def test_an_imu_packet_is_published_unchecked_with_the_configured_parameters(self):
         topic, temperature = self.topic('imu', Imu), self.topic('imu/temperature', Temperature)
         message = topic.first(doing=lambda: self.board.write(IMU_PACKET))
         self.assertEqual(values_of(message.orientation, 'x', 'y', 'z', 'w'),
@@ -294,7 +294,7 @@ class Tuned(ArduinoTest):
         self.assertEqual(self.topic('voltage', Voltage).first(
             doing=lambda: self.board.say(arduino.Voltage(250.0))).value, 250.0)
 
-    def test_the_heartbeat_has_the_rate_given(self):
+    def test_the_heartbeat_has_the_configured_rate(self):
         self.board.wait_for_heartbeat_rate(10, 50, number=40)
 
     def test_a_speed_timeout_of_0_never_stops_the_motor(self):

@@ -1,6 +1,4 @@
-"""What the tests with emulated AVR boards need beside `boards`: the firmware, built; one board
-and one bridge on it; and rotations, put together here from the turns that they are made of.
-"""
+"""Helpers for tests with emulated AVR boards: an emulated board with a bridge, and rotations."""
 import os
 import pty
 import select
@@ -23,11 +21,11 @@ from emulated_board import (  # noqa: E402  pylint: disable=wrong-import-positio
 
 
 class OnBoard(unittest.TestCase):
-    """One emulated board in a world at rest, and a bridge with that link alone."""
+    """An emulated board in a world at rest, and a bridge with only that link."""
 
     WORLD = ''           # car, ctrl or range
     LINK = ''            # the link's name in the parameters
-    PARAMETERS = {}      # of the bridge, beside the port
+    PARAMETERS = {}      # of the bridge, without the port
 
     @classmethod
     def setUpClass(cls):
@@ -39,14 +37,14 @@ class OnBoard(unittest.TestCase):
 
     @classmethod
     def start_bridge(cls):
-        """A bridge, if none runs."""
+        """Start a bridge, unless one is running."""
         if cls.bridge is None or not cls.bridge.alive:
             cls.bridge = Bridge(parameters=dict(cls.PARAMETERS,
                                                 **{cls.LINK + '/port': cls.board.port}))
 
     @classmethod
     def end_bridge(cls):
-        """End it, whatever state it is in."""
+        """End the bridge, even if it is suspended or dead."""
         if cls.bridge is None:
             return
         try:
@@ -62,32 +60,32 @@ class OnBoard(unittest.TestCase):
         self.assertEqual(self.board.get('rx_overruns'), 0, 'the bridge sends too fast')
 
     def kill_bridge(self):
-        """SIGKILL: not a byte more."""
+        """Kill the bridge with SIGKILL, so that it sends nothing more."""
         self.bridge.process.kill()
         self.bridge.process.wait(10)
 
     def own(self, name):
-        """A name in the bridge's namespace."""
+        """A private name of the bridge."""
         return '/%s/%s' % (PACKAGE, name)
 
     def collect(self, topic):
-        """That Topic, closed at the end of the test."""
+        """A Topic, closed at the end of the test."""
         self.addCleanup(topic.close)
         return topic
 
     def until_is(self, name, value, doing=None):
-        """Wait until the board's world has that value."""
+        """Wait until a quantity of the board's world has that value."""
         until(lambda: self.board.get(name) == value,
               '%s is %g' % (name, value), doing=doing, every=0.005)
 
     def until_emulated(self, seconds):
-        """Wait for so many seconds of the board's time to pass."""
+        """Wait for a number of seconds of emulated time."""
         end = self.board.time + seconds
         until(lambda: self.board.time >= end, '%g emulated seconds' % seconds, every=0.0005)
 
     @contextmanager
     def about(self, **case):
-        """What fails inside is about this case. (rostest overlooks what fails in a subTest.)"""
+        """Name the case in failures. (rostest does not report failures in a subTest.)"""
         try:
             yield
         except AssertionError as error:
@@ -95,7 +93,7 @@ class OnBoard(unittest.TestCase):
 
 
 class LossyLine(threading.Thread):
-    """A line to a board's port that loses the first SPEED 0 after each other speed."""
+    """A line to a board's port that loses the first SPEED 0 after each different speed."""
 
     def __init__(self, port):
         super().__init__(name='lossy line', daemon=True)
@@ -104,7 +102,7 @@ class LossyLine(threading.Thread):
         tty.setraw(slave)
         self.near = os.ttyname(slave)
         self.lost = 0
-        self._slave = slave      # held, so that a bridge that ends is no hang-up here
+        self._slave = slave      # kept open, since the line must not hang up when the bridge ends
         self._moving = False
         self._packet = b''
         self._ending = threading.Event()
@@ -142,7 +140,7 @@ class LossyLine(threading.Thread):
 
 
 def times(p, q):
-    """The quaternion p q: first q, then p; w, x, y, z."""
+    """The product p q of two quaternions w, x, y, z: rotation q, then p."""
     a, b, c, d = p
     w, x, y, z = q
     return (a * w - b * x - c * y - d * z, a * x + b * w + c * z - d * y,
@@ -150,7 +148,7 @@ def times(p, q):
 
 
 def turn(yaw, pitch, roll):
-    """That yaw about z, on it that pitch about y, on it that roll about x; in degrees."""
+    """The quaternion of yaw about z, then pitch about y, then roll about x, in degrees."""
     def about(axis, angle):
         half = radians(angle) / 2
         return (cos(half),) + tuple(sin(half) * part for part in axis)
@@ -158,7 +156,7 @@ def turn(yaw, pitch, roll):
 
 
 def upward(orientation):
-    """Where "up" is for a body turned so: x, y, z."""
+    """The direction "up" in the frame of a body with this orientation: x, y, z."""
     w, x, y, z = orientation
     return times(times((w, -x, -y, -z), (0, 0, 0, 1)), orientation)[1:]
 

@@ -1,8 +1,8 @@
 #!/usr/bin/python3
-"""The bridge and real firmware: boards that are emulated microcontrollers, end to end.
+"""The bridge with real firmware on emulated microcontrollers, end to end.
 
-What a command does is looked up in the emulated world (registers, pins, steps), and what the
-world does is looked for on the topics. What is timed is timed in emulated seconds.
+The tests check the effect of commands in the emulated world (registers, pins, steps), and the
+effect of the world on the topics. They measure time in emulated seconds.
 """
 import os
 import shutil
@@ -34,8 +34,8 @@ from serial_communication.srv import (BusRequest, GetEnvironment, Gimbal, Gimbal
 
 LOG_WARN = 4     # levels of rosgraph_msgs/Log
 GRAVITY = 9.81
-TRIES = 10       # of what a computer that stalls for 30 ms may spoil
-STOP = 0.040     # s, emulated, from the last heartbeat's arrival to a motor that is off
+TRIES = 10       # of a test that a stall of this computer of 30 ms may spoil
+STOP = 0.040     # emulated s from the last heartbeat until the motor is off
 
 
 def orientation(message):
@@ -45,12 +45,12 @@ def orientation(message):
 
 
 def errors_between(first, last):
-    """How many errors, of any kind, were counted from one status' keys to another's."""
+    """How many errors of any kind were counted between two statuses, given their keys."""
     return sum(int(last[key]) - int(first[key]) for key in last if key.endswith(' errors'))
 
 
 class CarBench(OnBoard):
-    """What tests of the model car have in common."""
+    """What the tests of the model car share."""
 
     WORLD, LINK, PARAMETERS = 'car', 'arduino', {'publish_tf': True}
 
@@ -64,7 +64,7 @@ class CarBench(OnBoard):
         return self.command('speed', SpeedPWMCommand)
 
     def drive_until_pwm(self, speed, value, pwm):
-        """Command that speed until the register has what belongs to it."""
+        """Command that speed until the PWM register has its value."""
         self.until_is('motor_pwm', pwm, doing=lambda: speed.publish(value=value))
 
     def pwm(self):
@@ -72,7 +72,7 @@ class CarBench(OnBoard):
         return self.board.history('motor_pwm')
 
     def wait_for_heartbeats(self, number):
-        """That many, or other commands as long, from now; as the board's UART has it."""
+        """Wait until the board's UART has received as many bytes as that many heartbeats have."""
         end = self.board.get('rx_bytes') + 3 * number
         until(lambda: self.board.get('rx_bytes') >= end, '%d heartbeats' % number)
 
@@ -80,7 +80,7 @@ class CarBench(OnBoard):
         return self.collect(Topic(self.own('imu'), Imu))
 
     def drift(self, imu):
-        """By how many degrees the orientation turns in one emulated second: a hundred packets."""
+        """How many degrees the orientation drifts in one emulated second, i.e. 100 packets."""
         imu.forget()
         until(lambda: len(imu.messages) > 100, 'a hundred IMU messages')
         return apart(orientation(imu.messages[0]), orientation(imu.messages[100]))
@@ -104,7 +104,7 @@ class Car(CarBench):
             self.assertEqual(self.board.get('motor_direction'), direction)
         ticks.first(lambda m: 0 < m.value <= 12)
 
-    def test_the_motor_stops_after_the_speed_timeout_and_keeps_still(self):
+    def test_the_motor_stops_after_the_speed_timeout_and_stays_off(self):
         speed, traffic = self.speed(), self.collect(Topic('/serial_msg', SerialMsg))
         for _ in range(TRIES):
             traffic.forget()
@@ -113,18 +113,18 @@ class Car(CarBench):
             speed.publish(value=400)
             until(lambda: len(self.pwm()) >= len(before) + 2, 'the motor goes on and off')
             (on, pwm), (off, _) = self.pwm()[len(before):][:2]
-            # What the board logs leaves before what it measures next.
+            # The board sends its log lines before its next measurement.
             begun = len(traffic.messages)
             until(lambda: len([m for m in traffic.messages[begun:] if m.direction == RX]) > 20,
                   'the board sends on')
             if any(b'heartbeat lost' in m.data for m in list(traffic.messages)):
-                continue     # the bridge was kept from running: the board itself stopped it
+                continue     # the bridge stalled, so the board itself stopped the motor
             self.assertEqual(pwm, 102)
             speeds = [m.data for m in traffic.messages if m.direction == TX and m.type == 4]
             driven = speeds.index(b'\x90\x01')
             self.assertEqual(speeds.count(b'\x90\x01'), 1)
             self.assertEqual(set(speeds[driven + 1:]), {b'\x00\x00'})
-            # Emulated time may be shorter than the bridge's, by what was left out.
+            # Emulated time may be shorter than real time, by what was left out.
             self.assertGreater(off - on + self.left_out() - left_out, 0.48)
             self.assertLess(off - on, 0.7)
             self.wait_for_heartbeats(20)
@@ -133,14 +133,14 @@ class Car(CarBench):
         self.fail('heartbeats come too late, every time')
 
     def left_out(self):
-        """Seconds of real time that the emulator could not keep up with."""
+        """How many seconds the emulator is behind real time."""
         return float(self.board.ask('get speed').split()[-2])
 
-    def test_killed_while_driving_and_started_again(self):
+    def test_a_bridge_killed_while_driving_and_started_again_leaves_the_motor_off(self):
         rounds = 0
         for _ in range(TRIES):
             rounds += self.kill_while_driving()
-            # Heartbeats again, but no command: the motor stays off.
+            # Heartbeats are sent again, but no command, so the motor stays off.
             changes = self.pwm()
             self.start_bridge()
             self.wait_for_heartbeats(60)
@@ -152,11 +152,11 @@ class Car(CarBench):
         self.drive_until_pwm(self.speed(), 700, 179)
 
     def kill_while_driving(self):
-        """Whether it was the last heartbeat that decided when the motor stopped."""
+        """Kill the bridge; return whether the missing heartbeat was what stopped the motor."""
         speed = command_topic(self.own('speed'), SpeedPWMCommand)
         self.drive_until_pwm(speed, 700, 179)
         speed.unregister()
-        # So the last byte that arrives is a heartbeat's, not a command's.
+        # Wait, so that the last byte received is a heartbeat's, not a command's.
         self.wait_for_heartbeats(8)
         self.kill_bridge()
         self.until_is('motor_pwm', 0)
@@ -164,12 +164,12 @@ class Car(CarBench):
         (when, pwm), heard = self.pwm()[-1], self.board.get('last_rx_time')
         self.assertEqual(pwm, 0)
         self.assertLessEqual(when - heard, STOP)
-        # Sooner: a stall, or the speed timeout of a computer that stalls, came before the kill.
+        # If it stopped sooner, a stall of this computer or the speed timeout was the cause.
         return when - heard >= 0.030
 
     # -- servo, lamps, battery, logs ------------------------------------------------------
 
-    def test_servo_and_lamps_do_what_the_topics_say(self):
+    def test_servo_and_lamps_follow_the_commands(self):
         steering, led = self.command('steering', SteeringPWMCommand), self.command('led', String)
         angle = self.collect(Topic(self.own('steering_angle'), SteeringFeedback))
         for pulse, servo, feedback in ((1300, 1300, 392), (900, 1000, 212), (1500, 1500, 512)):
@@ -179,7 +179,7 @@ class Car(CarBench):
             led.publish(text)
             self.until_is('led_right', lit)
 
-    def test_battery_and_temperature_are_the_worlds(self):
+    def test_battery_voltage_and_temperature_are_published_as_they_are_in_the_world(self):
         voltage = self.collect(Topic(self.own('voltage'), Voltage))
         temperature = self.collect(Topic(self.own('imu/temperature'), Temperature))
         self.addCleanup(self.board.set, 'battery', 14.8)
@@ -197,7 +197,7 @@ class Car(CarBench):
                         doing=self.reset_now_and_then)
 
     def reset_now_and_then(self):
-        """Until the subscription to /rosout stands."""
+        """Reset the board every 0.5 s, until the subscription to /rosout is complete."""
         if self.board.time - getattr(self, '_reset_at', 0) > 0.5:
             self._reset_at = self.board.time
             self.board.reset()
@@ -205,7 +205,7 @@ class Car(CarBench):
     # -- the IMU ------------------------------------------------------------------------
 
     def turn_to(self, imu, yaw, pitch, roll):
-        """Turn the car there, axis after axis; the messages of that are in `imu`."""
+        """Turn the car, one axis after another, while `imu` records the messages."""
         imu.next()
         imu.forget()
         for name, angle in (('yaw', yaw), ('pitch', pitch), ('roll', roll)):
@@ -215,7 +215,7 @@ class Car(CarBench):
         still = len(imu.messages) + 5
         until(lambda: len(imu.messages) > still, 'IMU messages of the car at rest')
 
-    def test_a_rotation_of_the_world_is_that_rotation_on_imu_and_tf(self):
+    def test_a_rotation_of_the_car_is_published_on_imu_and_tf(self):
         imu = self.imu()
         transforms = tf2_ros.Buffer()
         listener = tf2_ros.TransformListener(transforms)
@@ -246,16 +246,16 @@ class Car(CarBench):
 
     # -- resets -------------------------------------------------------------------------
 
-    def test_a_reset_in_mid_traffic_recovers(self):
+    def test_the_link_recovers_from_a_reset_of_the_car_amid_traffic(self):
         speed, imu, diagnostics = self.speed(), self.imu(), self.collect(Diagnostics())
         traffic = self.collect(Topic('/serial_msg', SerialMsg))
-        traffic.next(lambda m: True)        # from now on every error is shown
+        traffic.next(lambda m: True)        # from now on it records every error
         first = diagnostics.fresh('arduino', lambda s: s.level == OK, 'OK').keys
 
         def cut():
             return [m for m in list(traffic.messages) if m.error and m.direction == RX]
         resets = 0
-        # At another moment of the board's 10 ms each time; some are in the middle of a packet.
+        # At different moments of the board's 10 ms cycle; some are in the middle of a packet.
         while resets < 3 or not cut():
             self.assertLess(resets, 60, 'no reset has cut a packet')
             self.drive_until_pwm(speed, 600, 153)
@@ -267,7 +267,7 @@ class Car(CarBench):
         self.drive_until_pwm(speed, 600, 153)
         self.assertLess(apart(orientation(imu.next()), (1, 0, 0, 0)), 2.0)
         self.assertLessEqual(len(cut()), resets)
-        # A status that is older than the last of this may still be on its way.
+        # An older status may still be on its way.
         last = diagnostics.fresh('arduino', lambda s: s.level == OK and errors_between(
             first, s.keys) == len(cut()), '%d errors' % len(cut())).keys
         self.assertEqual(last['reconnects'], '0')
@@ -275,7 +275,7 @@ class Car(CarBench):
 
 
 class LostStop(CarBench):
-    """A car behind a line that loses the packet that should stop it."""
+    """A car on a line that loses the packet that should stop it."""
 
     @classmethod
     def start_bridge(cls):
@@ -297,14 +297,14 @@ class LostStop(CarBench):
             off, pwm = self.pwm()[-1]
             self.assertEqual((pwm, self.line.lost), (0, lost + 1))
             if not rosout.lines(PACKAGE, 'heartbeat lost') and off - begun < 0.15:
-                return      # else a computer that stalls, or the board itself, was in the way
+                return      # otherwise this computer stalled, or the board stopped the motor
         self.fail('the motor ran on for 0.15 s, or heartbeats come too late, every time')
 
 
 class Calibration(CarBench):
-    """A car whose gyro is off."""
+    """A car whose gyro has a bias."""
 
-    def test_a_calibration_takes_the_bias_away_for_good(self):
+    def test_a_calibration_removes_the_bias_permanently(self):
         board, imu, rosout = self.board, self.imu(), self.collect(Rosout())
         calibrating = self.collect(Topic(self.own('imu/calibrating'), Bool))
         speed, steering = self.speed(), self.command('steering', SteeringPWMCommand)
@@ -316,7 +316,7 @@ class Calibration(CarBench):
         self.until_emulated(0.1)
         self.assertGreater(self.drift(imu), 3.0)
 
-        # From a car that drives: it stops, and obeys nobody until the calibration is over.
+        # The car drives at first. It stops, and accepts no command until the calibration ends.
         self.drive_until_pwm(speed, 500, 128)
         calibrate()
         calibrating.first(lambda m: m.data, what='turns true')
@@ -324,13 +324,13 @@ class Calibration(CarBench):
         rosout.wait_for(PACKAGE, 'arduino says: IMU calibration: do not move the car')
         changes = board.history('motor_pwm')
         imu.forget()
-        rosout.wait_for(PACKAGE, 'speed 500 refused: the IMU is being calibrated', LOG_WARN,
+        rosout.wait_for(PACKAGE, 'speed 500 refused: the board calibrates its IMU', LOG_WARN,
                         doing=lambda: (speed.publish(value=500), steering.publish(value=1900)))
         with self.assertRaises(rospy.ServiceException):
             calibrate()
         self.assertEqual([m.data for m in calibrating.messages], [False, True])
         self.assertEqual(imu.messages, [])
-        # Latched: whoever comes later is told too.
+        # The state is latched, so a later subscriber gets it, too.
         self.assertTrue(self.collect(Topic(self.own('imu/calibrating'), Bool)).first().data)
 
         until(lambda: len(calibrating.messages) == 3, 'the calibration is over')
@@ -340,7 +340,7 @@ class Calibration(CarBench):
         self.assertEqual(board.get('servo_us'), 1500)
         self.assert_level(imu)
 
-        # The RAM goes, the EEPROM stays, the sensor's bias too.
+        # A reset clears the RAM; the EEPROM and the sensor's bias stay.
         rosout.forget()
         board.power_cycle()
         rosout.wait_for(PACKAGE, 'arduino says: IMU ready')
@@ -373,19 +373,19 @@ class ControlBoard(OnBoard):
         self.gimbal = service(self.own('gimbal'), Gimbal)
 
     def state(self):
-        """Position, steps and motions of every axis."""
+        """The position, steps and motions of every axis."""
         return {axis: tuple(self.board.get(axis + part)
                             for part in ('_position', '_steps', '_moves')) for axis in self.AXES}
 
     def settled(self):
-        """The same, when nothing has moved for a while."""
+        """The same, once nothing has moved for a while."""
         before = self.state()
         self.until_emulated(0.15)
         after = self.state()
         return after if after == before else self.settled()
 
     def assert_moves(self, call, **by):
-        """`call` succeeds, and moves each axis by so many (units, steps, motions)."""
+        """`call` succeeds and moves each axis by these (units, steps, motions)."""
         before = self.settled()
         answer = call()
         self.assertTrue(answer.success, answer.message)
@@ -394,7 +394,7 @@ class ControlBoard(OnBoard):
         for axis in self.AXES:
             for was, now, wanted in zip(before[axis], done[axis], by.get(axis, (0, 0, 0))):
                 self.assertAlmostEqual(now - was, wanted, 6)
-        # The answer came when it had ended, and nothing comes after it.
+        # The answer was sent at the end of the motion, and nothing moves afterwards.
         self.assertEqual(self.settled(), done)
 
     def assert_refused(self, answer, status, code, before):
@@ -402,8 +402,8 @@ class ControlBoard(OnBoard):
         self.assertEqual((answer.status, answer.error_code), (status, code), answer.message)
         self.assertEqual(self.settled(), before)
 
-    def test_the_lift_moves_by_what_was_asked_once(self):
-        # The longest move of all fits into the default timeout.
+    def test_the_lift_moves_once_by_the_requested_distance(self):
+        # Even the longest move ends within the default timeout.
         for direction, distance in ((LiftRequest.UP, 255), (LiftRequest.DOWN, 100),
                                     (LiftRequest.UP, 1)):
             with self.about(direction=direction, distance=distance):
@@ -412,7 +412,7 @@ class ControlBoard(OnBoard):
                                   lift=(signed, 25 * signed, 1))
         self.assert_moves(lambda: self.lift(0, 0))
 
-    def test_the_gimbal_turns_by_what_was_asked_once(self):
+    def test_the_gimbal_turns_once_by_the_requested_angle(self):
         for direction, angle, axis, sign in (
                 (GimbalRequest.LEFT, 30, 'pan', 1), (GimbalRequest.RIGHT, 45, 'pan', -1),
                 (GimbalRequest.UP, 20, 'tilt', 1), (GimbalRequest.DOWN, 31, 'tilt', -1)):
@@ -420,16 +420,16 @@ class ControlBoard(OnBoard):
                 self.assert_moves(lambda d=direction, a=angle: self.gimbal(d, a),
                                   **{axis: (sign * angle, sign * angle * 10, 1)})
 
-    def test_calls_at_once_are_each_done_once(self):
+    def test_concurrent_calls_are_each_executed_once(self):
         def all_at_once():
-            # No two in one direction: without a pause between them they would look like one.
+            # All in different directions: without a pause, two in one would look like one move.
             calls = [Waiter(self.lift, 1, 8), Waiter(self.gimbal, 0, 6), Waiter(self.lift, 0, 5),
                      Waiter(self.gimbal, 3, 5), Waiter(self.gimbal, 1, 7)]
             answers = [call.result() for call in calls]
             return next((a for a in answers if not a.success), answers[0])
         self.assert_moves(all_at_once, lift=(-3, -75, 2), pan=(-1, -10, 2), tilt=(-5, -50, 1))
 
-    def test_what_is_refused_moves_nothing(self):
+    def test_a_refused_call_moves_nothing(self):
         before = self.settled()
         self.addCleanup(self.board.set, 'lift_top', 600)
         self.board.set('lift_top', self.board.get('lift_position') - 0.01)
@@ -444,7 +444,7 @@ class ControlBoard(OnBoard):
         # The other way it goes.
         self.assert_moves(lambda: self.lift(1, 3), lift=(-3, -75, 1))
 
-    def test_the_air_is_the_worlds(self):
+    def test_readings_of_the_air_are_published_as_they_are_in_the_world(self):
         get = service(self.own('get_environment'), GetEnvironment)
         topics = [self.collect(Topic(self.own(name), message_class)) for name, message_class in (
             ('environment', Environment), ('environment/temperature', Temperature),
@@ -465,13 +465,13 @@ class ControlBoard(OnBoard):
             topics[1].first(lambda m, t=air.temperature: abs(m.temperature - t) < 1e-4)
             topics[2].first(lambda m, h=air.humidity: abs(m.relative_humidity - h / 100) < 1e-4)
 
-    def test_a_reset_between_two_calls_is_not_even_noticed(self):
+    def test_a_reset_between_two_calls_affects_neither(self):
         for _ in range(2):
             self.board.reset()
             self.until_emulated(0.05)
             self.assert_moves(lambda: self.gimbal(1, 2), pan=(-2, -20, 1))
 
-    def test_a_reset_in_mid_motion_recovers(self):
+    def test_a_reset_during_a_motion_is_a_timeout_and_the_link_recovers(self):
         diagnostics = self.collect(Diagnostics())
         air = self.collect(Topic(self.own('environment'), Environment))
         first = diagnostics.fresh('bus', lambda s: s.level == OK, 'OK').keys
@@ -483,7 +483,7 @@ class ControlBoard(OnBoard):
         stopped = self.settled()['lift']
         self.assertLess(stopped[0], before[0] - 1)
         self.assertGreater(stopped[0], before[0] - 99)
-        # What is true: nobody knows.
+        # The outcome is not known.
         answer = call.result()
         self.assertFalse(answer.success)
         self.assertEqual(answer.status, TIMEOUT, answer.message)
@@ -510,11 +510,11 @@ class SensorBoard(OnBoard):
         return self.collect(Topic('/mcu/range_%d' % number, Range))
 
     def restore(self, **values):
-        """At the end of the test."""
+        """Restore the world at the end of the test."""
         for name, value in values.items():
             self.addCleanup(self.board.set, name, value)
 
-    def test_ranges(self):
+    def test_ranges_are_published_as_they_are_in_the_world(self):
         first, second = self.range(1), self.range(2)
         self.restore(range1=800, range2=800)
         for left, right, metres, more_metres in ((470, 1234, 0.47, 1.234),
@@ -527,13 +527,13 @@ class SensorBoard(OnBoard):
                 got = topic.next(lambda m, w=wanted: m.range == w or abs(m.range - w) < 1e-6)
                 self.assertEqual(got.header.frame_id, topic.name.split('/')[-1])
 
-    def test_heading_pitch_and_roll(self):
+    def test_heading_pitch_and_roll_are_published_as_they_are_in_the_world(self):
         imu = self.collect(Topic('/mcu/imu', Imu))
         transforms = tf2_ros.Buffer()
         listener = tf2_ros.TransformListener(transforms)
         self.addCleanup(listener.unregister)
         self.restore(heading=0, pitch=0, roll=0)
-        # 350 does not fit the frame's int16, and ROS turns the other way.
+        # 350 degrees is wrapped in the frame's int16, and ROS counts yaw counter-clockwise.
         for heading, pitch, roll in ((350, 0, 0), (179.5, 30, -40)):
             with self.about(heading=heading, pitch=pitch, roll=roll):
                 for name, value in (('heading', heading), ('pitch', pitch), ('roll', roll)):
@@ -551,7 +551,7 @@ class SensorBoard(OnBoard):
                 found = transforms.lookup_transform('mcu_imu', 'mcu_imu_orientation', stamp)
                 self.assertLess(apart(orientation(found), wanted), 0.1)
 
-    def test_a_reset_in_mid_frame_recovers(self):
+    def test_the_link_recovers_from_a_reset_in_the_middle_of_a_frame(self):
         diagnostics = self.collect(Diagnostics())
         traffic = self.collect(Topic('/serial_msg', SerialMsg))
 
@@ -577,13 +577,13 @@ class SensorBoard(OnBoard):
             self.reset_while_sending()
             resets += 1
             self.status.next(lambda m: m.connected and m.valid and m.vl53_1 == 800)
-        # Statuses and traffic come on two ways: once nothing is under way they say the same.
+        # Statuses and traffic use different connections; they agree once both are idle.
         last = settled(lambda keys: errors_between(first, keys) == len(damaged())
                        and int(keys['frames lost']) - int(first['frames lost']) == lost(pairs()),
                        'the errors and the losses that serial_msg shows').keys
         self.assertEqual(pairs()[0][0].command, began)
-        # Frame 0 of two starts in a row is the same, byte for byte, and no doubled one: the
-        # starts are further apart than the 10 ms of those. Unless this machine slept meanwhile.
+        # Frame 0 has the same bytes after each of two starts, but is not a doubled frame: these
+        # are less than 10 ms apart, the starts are more, unless this machine stalls.
         at_once = sum(was.frame == now.frame and (now.header.stamp - was.header.stamp).to_sec()
                       < 0.02 for was, now in pairs())
         self.assertLessEqual(int(last['frames doubled']) - int(first['frames doubled']), at_once)
@@ -591,14 +591,14 @@ class SensorBoard(OnBoard):
         self.assertTrue(self.status.next().valid)
 
     def reset_while_sending(self):
-        """Reset the board as soon as it has begun a frame."""
+        """Reset the board as soon as it has started to send a frame."""
         sent = self.board.get('tx_bytes')
         until(lambda: self.board.get('tx_bytes') != sent, 'the board sends', every=0)
         self.board.reset()
 
 
 class Launched(unittest.TestCase):
-    """bridge.launch sim:=avr: all three boards at once, and a bridge that is started again."""
+    """bridge.launch sim:=avr: all three boards, and a bridge that is started again."""
 
     NAMESPACE = '/launched'
     NODE = NAMESPACE + '/' + PACKAGE
@@ -615,7 +615,7 @@ class Launched(unittest.TestCase):
         self.addCleanup(self.end)
 
     def end(self):
-        """Ctrl-C; returns what it has said, and with which status it ended."""
+        """Send Ctrl-C; return the output and the exit status."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
         status = self.process.wait(2 * PATIENCE)
@@ -623,7 +623,7 @@ class Launched(unittest.TestCase):
         return self.output.read(), status
 
     def ask(self, link, line):
-        """A line to the control channel of that link's board."""
+        """Send a line to the control channel of a link's board; return the answer."""
         with socket.socket(socket.AF_UNIX) as control:
             control.settimeout(PATIENCE)
             control.connect(os.path.join(self.folder, link + '.control'))
@@ -634,7 +634,7 @@ class Launched(unittest.TestCase):
         return float(self.ask(link, 'get ' + name))
 
     def bridge_pid(self):
-        """Of the bridge that answers; 0 where none does."""
+        """The process id of the bridge; 0 if it does not answer."""
         try:
             uri = rosgraph.Master('/avr_test').lookupNode(self.NODE)
             return ServerProxy(uri).getPid('/avr_test')[2]

@@ -1,8 +1,7 @@
-"""What the tests of the ROS side share.
+"""Helpers for the tests of the ROS side.
 
-The boards at the far ends of the lines, played here so that exact bytes can be asserted; lines
-and bridges that a test starts and ends itself; and ways to wait for a condition, with a
-deadline, instead of for a time.
+They have fake boards, so that tests can check exact bytes; lines and bridges that a test starts and
+ends; and functions that wait for a condition, with a deadline, instead of a fixed time.
 """
 import os
 import re
@@ -37,7 +36,7 @@ PACKAGE = 'serial_communication'
 OK, WARN, ERROR = 0, 1, 2        # levels of diagnostics
 RX, TX = 0, 1                    # directions of SerialMsg
 NOT_SENT, TIMEOUT = 253, 254     # statuses of a bus service beside a reply's CMD1
-GIVE_UP = 0.3                    # s after which a board drops a frame cut short
+GIVE_UP = 0.3                    # s after which a board drops an incomplete frame
 
 SYNC_FRAME = bytes.fromhex('a5000000a5')
 HEARTBEAT_PACKET = bytes.fromhex('020b00')
@@ -49,12 +48,12 @@ CALIBRATION_PACKET = bytes.fromhex('020c00')
 
 
 class Board:
-    """The far end of a line: takes all that comes, and opens the port again when it returns."""
+    """A board at the far end of a line; it opens the port again when the port returns."""
 
     def __init__(self, path, decoder):
         self.wire = bytearray()      # all bytes since `forget`
-        self.frames = []             # the good ones; stamped in seconds of time.monotonic()
-        self.bad = []
+        self.frames = []             # the valid ones; stamped with time.monotonic()
+        self.bad = []                # the invalid ones
         self._path = path
         self._decoder = decoder
         self._port = None
@@ -71,19 +70,19 @@ class Board:
 
     @property
     def raws(self):
-        """The good frames as they were on the wire."""
+        """The bytes of the valid frames."""
         return [frame.raw for frame in self.frames]
 
     def forget(self):
-        """Begin the records anew."""
+        """Clear the records."""
         self.wire, self.frames, self.bad = bytearray(), [], []
 
     def unread(self):
-        """How many bytes wait for the thread, which may ask this from `take`."""
+        """How many bytes are not read yet; `take` may call this."""
         return self._port.in_waiting
 
     def write(self, data):
-        """Put bytes on the line; False where there is none just now."""
+        """Write bytes; False if the port is closed."""
         with self._writing:
             try:
                 self._port.write(data)
@@ -92,18 +91,18 @@ class Board:
                 return False
 
     def close(self):
-        """Leave the line."""
+        """Close the port and end the thread."""
         self._closing.set()
         self._thread.join(5)
 
     def take(self, frame):
-        """A good frame has come."""
+        """Handle a valid frame; subclasses override this."""
 
     def _run(self):
         while not self._closing.is_set():
             try:
-                # Exclusively: a program that holds a link whose device has another owner now
-                # must not take this line's bytes.
+                # Exclusive, since another program may still use a link to a device that is now
+                # another line's, and must not read this line's bytes.
                 self._port = serial.Serial(self._path, 115200, timeout=0.05, exclusive=True)
             except (OSError, ValueError):
                 self._closing.wait(0.02)
@@ -153,32 +152,32 @@ class BusBoard(FakeBus, Board):
 
 
 class CarBoard(Board):
-    """The model car. It stands at first."""
+    """The model car, which does not move at first."""
 
     def __init__(self, path):
-        self.told = []       # the frames that are neither heartbeats nor a SPEED 0 repeated
+        self.command_frames = []     # neither heartbeats nor repetitions of SPEED 0
         self._speed = 0
         super().__init__(path, arduino.BoardDecoder())
 
     @property
     def heartbeats(self):
-        """When each came, in seconds of time.monotonic()."""
+        """When each was received, by time.monotonic()."""
         return [frame.stamp for frame in self.frames if frame.raw == HEARTBEAT_PACKET]
 
     @property
     def commands(self):
-        """The packets that are neither heartbeats nor a SPEED 0 repeated."""
-        return [frame.raw for frame in self.told]
+        """The packets that are neither heartbeats nor repetitions of SPEED 0."""
+        return [frame.raw for frame in self.command_frames]
 
     @property
     def speeds(self):
-        """The speed commands among them, as numbers."""
-        return [frame.message.value for frame in self.told
+        """The values of the speed commands among them."""
+        return [frame.message.value for frame in self.command_frames
                 if isinstance(frame.message, arduino.SpeedCommand)]
 
     def forget(self):
         super().forget()
-        self.told = []
+        self.command_frames = []
 
     def take(self, frame):
         if isinstance(frame.message, arduino.SpeedCommand):
@@ -186,25 +185,25 @@ class CarBoard(Board):
             if before == self._speed == 0:
                 return
         if frame.raw != HEARTBEAT_PACKET:
-            self.told.append(frame)
+            self.command_frames.append(frame)
 
     def say(self, message):
         """Send a typed message."""
         self.write(arduino.encode(message))
 
     def wait_for_heartbeats(self, number):
-        """Time as the board has it: `number` heartbeats from now."""
+        """Wait for that many heartbeats from now on."""
         wanted = len(self.heartbeats) + number
         until(lambda: len(self.heartbeats) >= wanted, '%d heartbeats' % number)
 
     def longest_gap(self, rate=100.0):
-        """Between two heartbeats as the bridge sent them, at the least, in s."""
+        """The longest time between two heartbeats, in s, at least, as the bridge sent them."""
         return longest_gap(self.heartbeats, rate)
 
     def wait_for_heartbeat_rate(self, least, most, number=100):
-        """Until it is within that, in Hz, over `number` heartbeats.
+        """Wait until the rate of `number` heartbeats is between these limits, in Hz.
 
-        A machine that stands still makes one such stretch look slower, and no other one.
+        A stall of this machine lowers only the rate of the heartbeats that it delays.
         """
         def measured():
             self.forget()
@@ -215,7 +214,7 @@ class CarBoard(Board):
 
 
 class SensorBoard(Board):
-    """The board with the range sensors. It hears nothing: `wire` must stay empty."""
+    """The board with the range sensors. Nothing is sent to it: `wire` must stay empty."""
 
     def __init__(self, path):
         self.seq = 0
@@ -237,7 +236,7 @@ def ranges(first=470, second=580, yaw=0.0, pitch=0.0, roll=0.0):
     return mcu.SensorStatus(first, second, yaw, pitch, roll)
 
 
-# -- lines and bridges of a test's own ----------------------------------------------------
+# -- lines and bridges that a test starts -------------------------------------------------
 
 
 def program(name):
@@ -248,12 +247,12 @@ def program(name):
 
 
 def own_folder():
-    """A new folder for ports, short enough for every name in it."""
+    """A new folder for ports; its path is short, since socket names are limited."""
     return tempfile.mkdtemp(prefix='rostest_')
 
 
 class Line:
-    """A socat pair that can be cut and mended."""
+    """A socat pair that can be unplugged and plugged in again."""
 
     def __init__(self, near):
         self.near = near
@@ -269,10 +268,10 @@ class Line:
         return self
 
     def unplug(self):
-        """Cut it; both ports are gone when this returns."""
+        """Disconnect both ends; both ports have vanished when this returns."""
         if self._process is None:
             return
-        # The links first: never do they point to a device that is another's by now.
+        # The links first, so that they never point to a device that another program has got.
         for path in (self.near, self.far):
             if os.path.lexists(path):
                 os.unlink(path)
@@ -282,16 +281,18 @@ class Line:
 
 
 def pid_of(node):
-    """The process of a node that runs."""
+    """The process id of a running node."""
     with xmlrpc.client.ServerProxy(rosgraph.Master('/test').lookupNode('/' + node)) as proxy:
         return proxy.getPid('/test')[2]
 
 
 class Bridge:
-    """A bridge that the test starts and ends, with parameters and a name of its own.
+    """A bridge process with a name and parameters.
 
-    It prints into a file, unless `stdout` says where; `before` is what stands before the
-    program on its command line, and `master` the URI of another master than the test's.
+    Args:
+        stdout: where it prints; a temporary file by default.
+        before: arguments before the program on its command line.
+        master: URI of its master; the test's by default.
     """
 
     def __init__(self, name=PACKAGE, parameters=None, arguments=(), stdout=None, before=(),
@@ -310,14 +311,14 @@ class Bridge:
             env=dict(os.environ, ROS_MASTER_URI=master or rosgraph.get_master_uri()))
 
     def output(self):
-        """What it has printed so far, without colours."""
+        """Its output so far, without colours."""
         self._output.seek(0)
         return re.sub('\033\\[[0-9;]*m', '', self._output.read())
 
     def wait_for(self, words):
-        """The first line with `words` that it has printed, or prints soon.
+        """Wait for a line of its output with `words`, and return the first one.
 
-        What a node says as it starts, a subscriber of /rosout is late for.
+        Use this for lines of the start, which a subscriber of /rosout would miss.
         """
         def find():
             return [line for line in self.output().split('\n') if words in line]
@@ -346,11 +347,11 @@ class Bridge:
 
 
 class Topic:
-    """A topic's messages from now on; returns when somebody publishes it, unless told not to."""
+    """Records a topic's messages; with `wait`, waits first until the topic is published."""
 
     def __init__(self, name, message_class, wait=True):
         self.messages = []
-        self.arrivals = []     # when each came, in seconds of time.monotonic()
+        self.arrivals = []     # when each was received, by time.monotonic()
         self.name = name
         self._subscriber = rospy.Subscriber(name, message_class, self._take, queue_size=5000,
                                             tcp_nodelay=True)
@@ -362,28 +363,28 @@ class Topic:
         self.messages.append(message)
 
     def forget(self):
-        """Begin the record anew."""
+        """Clear the record."""
         self.messages, self.arrivals = [], []
 
     def first(self, condition=lambda message: True, doing=None, what='', seconds=PATIENCE):
-        """The first message that meets `condition`; `doing` is done until it is there."""
+        """Wait for the first message that meets `condition`; call `doing` again and again."""
         def find():
             return next(([m] for m in list(self.messages) if condition(m)), None)
         return until(find, '%s %s' % (self.name, what or 'carries such a message'), seconds,
                      doing, every=0.02)[0]
 
     def next(self, condition=lambda message: True, **arguments):
-        """The first such message from now on."""
+        """Wait for the first such message from now on."""
         self.forget()
         return self.first(condition, **arguments)
 
     def close(self):
-        """Subscribe no more."""
+        """Unsubscribe."""
         self._subscriber.unregister()
 
 
 class Rosout(Topic):
-    """What nodes say to people."""
+    """Records the log lines of all nodes."""
 
     def __init__(self):
         super().__init__('/rosout', Log, wait=False)
@@ -394,35 +395,35 @@ class Rosout(Topic):
                 if m.name == '/' + node and words in m.msg and level in (0, m.level)]
 
     def wait_for(self, node, words, level=0, doing=None):
-        """The first such line."""
+        """Wait for such a line and return the first one."""
         return until(lambda: self.lines(node, words, level), '%s says "%s"' % (node, words),
                      doing=doing, every=0.05)[0]
 
 
 def stamped(stamp, since):
-    """Whether that time lies between `since` and now, in rospy's time."""
+    """Whether a stamp lies between `since` and now, in rospy's time."""
     return since <= stamp <= rospy.Time.now()
 
 
 class Status(NamedTuple):
-    """A status of one link, as it came on /diagnostics."""
+    """A status of one link on /diagnostics."""
 
     level: int
     message: str
     hardware_id: str
     keys: Dict[str, str]
-    stamp: float     # seconds, by the bridge
+    stamp: float     # s, by the bridge's clock
 
 
 class Diagnostics(Topic):
-    """The statuses of one node."""
+    """Records the statuses of one node."""
 
     def __init__(self, node=PACKAGE):
         self._node = node
         super().__init__('/diagnostics', DiagnosticArray, wait=False)
 
     def statuses(self, link):
-        """Those of one link that came so far; the word that the node starts is left out."""
+        """The statuses of one link so far, without the one that says that the node starts."""
         return [Status(ord(s.level) if isinstance(s.level, bytes) else s.level, s.message,
                        s.hardware_id, {value.key: value.value for value in s.values},
                        message.header.stamp.to_sec())
@@ -430,7 +431,7 @@ class Diagnostics(Topic):
                 if s.name == '%s: %s link' % (self._node, link) and s.values]
 
     def wait_for(self, link, condition, what, doing=None):
-        """The first status of `link` that meets `condition`."""
+        """Wait for the first status of `link` that meets `condition`."""
         return self.wait_for_all((link,), lambda status, _link: condition(status), what,
                                  doing)[link]
 
@@ -440,7 +441,7 @@ class Diagnostics(Topic):
         return self.wait_for(link, condition, what, doing)
 
     def wait_for_all(self, links, condition, what, doing=None):
-        """For each of `links` the first status with which `condition(status, link)` holds."""
+        """Wait for the first status of each link for which `condition(status, link)` is true."""
         found = {}
 
         def complete():
@@ -463,20 +464,20 @@ class Diagnostics(Topic):
 
 
 def service(name, service_class):
-    """A caller of a service that is there."""
+    """Wait for a service and return its proxy."""
     rospy.wait_for_service(name, PATIENCE)
     return rospy.ServiceProxy(name, service_class)
 
 
 def command_topic(name, message_class):
-    """A publisher that the bridge listens to."""
+    """A publisher; waits until the bridge has subscribed."""
     topic = rospy.Publisher(name, message_class, queue_size=100, tcp_nodelay=True)
     until(topic.get_num_connections, 'the bridge subscribes to %s' % name)
     return topic
 
 
 def settle(node, board):
-    """The bus of `node` is in step, and nothing waits; `board` has forgotten all before."""
+    """Wait until the bus of `node` is in step and idle; clear the records of `board`."""
     board.script.clear()
     board.rule = lambda request: None
     echo = service('/%s/bus/echo' % node, Trigger)

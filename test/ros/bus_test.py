@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""The bus link: every service, the exact bytes, and what the caller is told."""
+"""The bus link: every service, its exact bytes, and its answers."""
 import re
 import time
 import unittest
@@ -52,22 +52,22 @@ class BusTest(unittest.TestCase):
         self.assertNotIn('\n', answer.message)
 
     def assert_wire(self, *expected):
-        """These are the exact bytes on the wire, but for the ECHOs that stand as fences."""
+        """These are the exact bytes on the wire, apart from the ECHOs that are fences."""
         self.assertEqual([frame.raw for frame in self.board.frames if frame.type != bus.ECHO],
                          list(expected))
         self.assertEqual(bytes(self.board.wire), b''.join(self.board.raws))
 
     def assert_nothing_was_sent(self):
-        """Nothing stands on the wire before this very ECHO."""
+        """Nothing was sent before this ECHO."""
         self.assertTrue(self.echo().success)
         self.assertEqual([frame.type for frame in self.board.frames], [bus.ECHO])
         self.assertEqual(bytes(self.board.wire), self.board.raws[0])
 
 
 class Moves(BusTest):
-    """Lift and gimbal. What follows which reply is for test/boards/bus."""
+    """Lift and gimbal; test/boards/bus has the tests of all replies."""
 
-    def test_each_has_its_exact_bytes(self):
+    def test_lift_and_gimbal_requests_have_their_exact_bytes(self):
         self.assert_answer(self.lift(LiftRequest.UP, 100), True, bus.OK)
         self.assert_answer(self.lift(LiftRequest.DOWN, 255), True, bus.OK)
         for direction in (GimbalRequest.LEFT, GimbalRequest.RIGHT, GimbalRequest.UP,
@@ -84,12 +84,12 @@ class Moves(BusTest):
             self.assertIn('direction is %d' % direction, answer.message)
         self.assert_nothing_was_sent()
 
-    def test_an_error_of_the_board_is_told(self):
+    def test_an_error_of_the_board_is_returned(self):
         self.board.script += [bus.Reply(bus.ERROR, bytes.fromhex('0280'))]
         self.assert_answer(self.lift(0, 100), False, bus.ERROR, 0x8002)
         self.assertEqual(self.board.others, [LIFT_UP_100])
 
-    def test_no_reply_is_told_after_the_timeout_of_its_kind_and_nothing_is_sent_again(self):
+    def test_a_call_without_reply_times_out_and_is_not_sent_again(self):
         for timeout, call, frame in (
                 (0.8, lambda: self.lift(0, 100), LIFT_UP_100),
                 (0.8, lambda: self.gimbal(0, 30), bytes.fromhex('a5025521001ecd')),
@@ -139,7 +139,7 @@ class Air(BusTest):
         self.assertEqual(humidity.next(lambda m: m.relative_humidity > 0.5,
                                        doing=self.get_environment).relative_humidity, 1.0)
 
-    def test_a_reading_that_fails_is_told_and_has_no_values(self):
+    def test_a_failed_reading_is_an_error_without_values(self):
         self.board.script += [bus.Reply(bus.ERROR, bytes.fromhex('0080')),
                               bus.Reply(bus.OK, bytes.fromhex('01020304'))]
         refused, too_short = self.get_environment(), self.get_environment()
@@ -173,7 +173,7 @@ class Raw(BusTest):
         self.assertIn('1024', answer.message)
         self.assert_nothing_was_sent()
 
-    def test_echo_tells_the_round_trip_in_milliseconds(self):
+    def test_echo_returns_the_round_trip_in_milliseconds(self):
         began = time.monotonic()
         answer = self.echo()
         took = (time.monotonic() - began) * 1e3
@@ -182,7 +182,7 @@ class Raw(BusTest):
         self.assertTrue(number, answer.message)
         self.assertTrue(0 < float(number.group(1)) < took, answer.message)
 
-    def test_sync_has_its_exact_bytes_and_is_repeated_before_it_is_told(self):
+    def test_sync_has_its_exact_bytes_and_is_repeated_before_it_fails(self):
         answer = self.sync()
         self.assertTrue(answer.success)
         self.assertTrue(answer.message)
@@ -196,18 +196,18 @@ class Raw(BusTest):
 
 
 class Strict(BusTest):
-    """The board that counts Datelen strictly and whose replies carry CMD2; it is polled."""
+    """A polled board that counts Datelen strictly and whose replies have CMD2."""
 
     node = 'strict'
 
-    def test_replies_with_cmd2_are_understood(self):
+    def test_replies_with_cmd2_are_decoded(self):
         self.assert_answer(self.lift(0, 100), True, bus.OK)
         self.board.script += [lambda request: bus.Reply(bus.OK, b'\x05', request.cmd2)]
         answer = self.request(0x55, 0x30, b'\x07')
         self.assert_answer(answer, True, bus.OK)
         self.assertEqual(answer.data, b'\x05')
 
-    def test_polls_come_once_a_period_with_datelen_0_and_are_published(self):
+    def test_readings_are_polled_once_a_period_with_datelen_0_and_published(self):
         BOARDS[PACKAGE].forget()
         topic = Topic('/strict/environment', Environment)
         temperature = Topic('/strict/environment/temperature', Temperature)
@@ -229,7 +229,7 @@ class Strict(BusTest):
 
 
 class Closed(unittest.TestCase):
-    """A port that is not there: every service answers, at once and truthfully."""
+    """A port that is absent: every service answers at once."""
 
     def test_every_service_answers_not_sent_at_once(self):
         calls = (('lift', Lift, (0, 1)), ('gimbal', Gimbal, (0, 1)),

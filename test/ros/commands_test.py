@@ -1,6 +1,6 @@
 #!/usr/bin/python3
-"""Which commands are taken: none that a publisher latched long ago, that came on an old connection,
-that is old by its stamp, or that waited while the bridge was stopped."""
+"""Commands that may be old are refused: latched long ago, received on an old connection, old by
+their stamps, or left waiting while the bridge was suspended."""
 import os
 import shutil
 import signal
@@ -29,7 +29,7 @@ HOUR = 3600.0
 
 
 def speed(value, ago=None):
-    """A command whose stamp is so many seconds old; without one where None."""
+    """A command whose stamp is that many seconds old; None: no stamp."""
     message = SpeedPWMCommand(value=value)
     if ago is not None:
         message.header.stamp = rospy.Time.now() - rospy.Duration(ago)
@@ -37,7 +37,7 @@ def speed(value, ago=None):
 
 
 class CommandsTest(unittest.TestCase):
-    """A car, and a bridge that each test starts when it likes."""
+    """A car, and a bridge that each test starts."""
 
     def setUp(self):
         self.folder = own_folder()
@@ -49,7 +49,7 @@ class CommandsTest(unittest.TestCase):
         self.bridge = None
 
     def start_bridge(self, **parameters):
-        """Its topics are registered as this returns."""
+        """Start the bridge, and wait until its topics are registered."""
         self.bridge = Bridge(parameters={'arduino/port': self.line.near, 'arduino/messages': OWN,
                                          **{'arduino/' + key: value
                                             for key, value in parameters.items()}})
@@ -58,28 +58,28 @@ class CommandsTest(unittest.TestCase):
         until(lambda: self.car.heartbeats, 'a heartbeat')
 
     def publisher(self, name='/driver', topic='speed', message_class=SpeedPWMCommand, **more):
-        """A publisher of the test's own."""
+        """A FakePublisher, which ends with the test."""
         made = FakePublisher(name, NODE + '/' + topic, message_class, **more)
         self.addCleanup(made.close)
         return made
 
     def assert_drives(self, publisher, value, ago=None, seconds=PATIENCE):
-        """The speed, said until it is there, reaches the board."""
+        """A speed, published again and again, reaches the board."""
         until(lambda: value in self.car.speeds, 'speed %d' % value, seconds,
               doing=lambda: publisher.say(speed(value, ago)), every=0.1)
 
     def assert_said(self, *words):
-        """One line of the bridge's has all of these."""
+        """One line of the bridge's output has all of these."""
         line = self.bridge.wait_for(words[0])
         for each in words:
             self.assertIn(each, line)
 
 
 class Latched(CommandsTest):
-    """`rostopic pub` latches unless it is told otherwise."""
+    """Latched commands; `rostopic pub` latches by default."""
 
     def rostopic(self, value, *options):
-        """A process that publishes one speed."""
+        """Start a `rostopic pub` of one speed."""
         process = subprocess.Popen(['rostopic', 'pub', *options, NODE + '/speed',
                                     PACKAGE + '/SpeedPWMCommand', '{value: %d}' % value],
                                    stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -90,21 +90,21 @@ class Latched(CommandsTest):
         self.addCleanup(end)
         return process
 
-    def test_what_rostopic_latched_before_the_bridge_came_does_not_drive(self):
+    def test_a_speed_that_rostopic_latched_before_the_start_of_the_bridge_is_refused(self):
         self.rostopic(500)
         master = rospy.get_master()
         until(lambda: any(name == NODE + '/speed' for name, _ in master.getSystemState()[2][0]),
               'rostopic publishes')
         self.start_bridge()
         self.assert_said('speed 500 refused', '/rostopic_', 'latches %s/speed' % NODE,
-                         'since before the bridge subscribed', 'pub -1')
-        # What somebody types now is taken, each time.
+                         'is older than the subscription', 'pub -1')
+        # Commands published now are accepted, each time.
         for value in (101, 102):
             self.rostopic(value, '-1')
             until(lambda v=value: v in self.car.speeds, 'speed %d' % value)
         self.assertNotIn(500, self.car.speeds)
 
-    def test_every_kind_of_command_that_was_latched_before_is_refused(self):
+    def test_every_kind_of_command_latched_before_the_start_is_refused(self):
         made = [self.publisher('/steerer', 'steering', SteeringPWMCommand, latching=True,
                                latched=SteeringPWMCommand(value=1600)),
                 self.publisher('/lights', 'led', String, latching=True, latched=String('left')),
@@ -115,7 +115,7 @@ class Latched(CommandsTest):
         for words in 'steering 1600', "LED 'left'", 'heater temperature=30', 'horn data=7':
             self.assert_said(words + ' refused: /', 'latches')
         self.assertEqual(self.car.commands, [])
-        # The second message on that connection was published just now.
+        # The second message on each connection is new.
         made[0].say(SteeringPWMCommand(value=1700))
         made[1].say(String('right'))
         made[2].say(Temperature(temperature=31))
@@ -126,7 +126,7 @@ class Latched(CommandsTest):
             arduino.encode_raw(60, bytes((31, 0))), arduino.encode_raw(61, bytes((8,))))),
             'the new ones')
 
-    def test_a_latched_message_is_taken_once_however_often_its_publisher_connects(self):
+    def test_a_latched_message_is_accepted_once_however_often_its_publisher_connects(self):
         self.start_bridge()
         driver = self.publisher(latching=True, latched=speed(500)).connected()
         until(lambda: 500 in self.car.speeds, 'it has just been published')
@@ -138,18 +138,18 @@ class Latched(CommandsTest):
             self.assertNotIn(500, self.car.speeds)
         self.assert_said('speed 500 refused', '/driver', 'connected again')
 
-    def test_who_was_there_before_and_was_never_heard_is_refused_as_it_connects_again(self):
+    def test_an_older_publisher_that_never_sent_is_refused_when_it_reconnects(self):
         driver = self.publisher(latching=True)
         self.start_bridge()
         driver.connected()
         driver._latched = speed(500)
         driver.reconnect()
-        self.assert_said('speed 500 refused', 'since before the bridge subscribed')
+        self.assert_said('speed 500 refused', 'is older than the subscription')
         self.assert_drives(driver, 501)
         self.assertNotIn(500, self.car.speeds)
 
-    def test_a_stop_is_taken_though_it_was_latched(self):
-        """It may be what somebody published while the network was away."""
+    def test_a_latched_stop_is_accepted(self):
+        """It may have been published while the network was cut."""
         self.start_bridge(speed_timeout=0.0)
         driver = self.publisher(latching=True).connected()
         self.assert_drives(driver, 300)
@@ -157,7 +157,7 @@ class Latched(CommandsTest):
         driver.reconnect()
         until(lambda: self.car.speeds[-1] == 0, 'it stops')
 
-    def test_who_does_not_latch_may_connect_as_often_as_it_likes(self):
+    def test_a_publisher_that_does_not_latch_may_reconnect(self):
         driver = self.publisher()
         self.start_bridge()
         driver.connected().say(speed(300))
@@ -168,9 +168,9 @@ class Latched(CommandsTest):
 
 
 class WithoutMaster(unittest.TestCase):
-    """Where the master does not say who was there before."""
+    """The master does not answer when the bridge subscribes."""
 
-    def test_every_publisher_counts_as_there_before(self):
+    def test_every_publisher_counts_as_older_than_the_subscription(self):
         class Silent:
             """A master that does not answer."""
 
@@ -195,9 +195,9 @@ class WithoutMaster(unittest.TestCase):
 
 
 class Connections(CommandsTest):
-    """Two of one publisher's name: the older one's process is dead."""
+    """Two connections of one publisher's name: the older one's process is dead."""
 
-    def test_only_the_newest_connection_of_a_name_is_listened_to(self):
+    def test_only_the_newest_connection_of_a_name_is_used(self):
         self.start_bridge()
         old = self.publisher().connected()
         self.assert_drives(old, 300)
@@ -211,7 +211,7 @@ class Connections(CommandsTest):
         until(lambda: 401 in self.car.speeds, 'the newest one')
         self.assertNotIn(301, self.car.speeds)
 
-    def test_an_old_connection_stays_old_when_the_newer_one_has_gone(self):
+    def test_an_old_connection_is_still_refused_when_the_newer_one_has_closed(self):
         self.start_bridge()
         old = self.publisher().connected()
         self.assert_drives(old, 300)
@@ -232,38 +232,38 @@ class Connections(CommandsTest):
 
 
 class Stamps(CommandsTest):
-    """The age of a command, by its stamp."""
+    """The age of a command by its stamp."""
 
     def setUp(self):
         super().setUp()
         self.start_bridge()
         self.driver = self.publisher().connected()
 
-    def test_stamps_that_are_3_s_old_steadily_never_drive(self):
+    def test_stamps_that_are_always_3_s_old_are_always_refused(self):
         for value in range(1, 61):
             self.driver.say(speed(value, ago=3.0))
             threading.Event().wait(0.02)
         self.assert_said('speed 1 refused: its stamp is ', ' s old', 'allows 0.5 s', '/driver',
                          'chrony')
         self.assert_drives(self.driver, 300, ago=0.0)
-        self.assertEqual(set(self.car.speeds) - {0}, {300})     # said until it is there
+        self.assertEqual(set(self.car.speeds) - {0}, {300})     # published again and again
 
-    def test_a_publisher_earns_nothing_by_being_in_time_nor_by_being_idle(self):
+    def test_a_late_command_is_refused_after_punctual_ones(self):
         self.assert_drives(self.driver, 100, ago=0.0)
         self.driver.say(speed(700, ago=1.4))
         self.assert_said('speed 700 refused: its stamp is ')
         self.assertNotIn(700, self.car.speeds)
 
-    def test_one_stamp_2_h_ahead_holds_up_nothing(self):
+    def test_a_stamp_2_h_in_the_future_does_not_affect_later_commands(self):
         self.assert_drives(self.driver, 100, ago=0.0)
         self.driver.say(speed(700, ago=-2 * HOUR))
-        self.assert_said('speed 700 refused: its stamp is ', ' s ahead of the time here')
+        self.assert_said('speed 700 refused: its stamp is ', ' s in the future')
         self.assert_drives(self.driver, 200, ago=0.0, seconds=4.0)
         self.driver.say(speed(0, ago=0.0))
         until(lambda: self.car.speeds[-1] == 0, 'the stop')
         self.assertNotIn(700, self.car.speeds)
 
-    def test_speed_0_is_taken_whatever_its_stamp_is(self):
+    def test_speed_0_is_accepted_whatever_its_stamp_is(self):
         self.bridge.end()
         self.start_bridge(speed_timeout=0.0)
         self.driver.connected(2)
@@ -273,7 +273,7 @@ class Stamps(CommandsTest):
             self.driver.say(speed(0, ago=ago))
             until(lambda: self.car.commands[-1] == SPEED_0_PACKET, 'it stops')
 
-    def test_steering_and_own_commands_with_a_header_are_judged_alike(self):
+    def test_steering_and_custom_commands_with_a_header_follow_the_same_rules(self):
         def stamped(message, ago):
             message.header.stamp = rospy.Time.now() - rospy.Duration(ago)
             return message
@@ -301,13 +301,13 @@ class Stamps(CommandsTest):
 class Parameters(CommandsTest):
     """command_age and speed_timeout."""
 
-    def test_a_command_age_of_0_takes_any_stamp(self):
+    def test_a_command_age_of_0_accepts_any_stamp(self):
         self.start_bridge(command_age=0.0)
         driver = self.publisher().connected()
         self.assert_drives(driver, 300, ago=HOUR)
         self.assert_drives(driver, 301, ago=-HOUR)
 
-    def test_without_a_speed_timeout_a_bridge_that_was_stopped_takes_nothing_of_before(self):
+    def test_without_a_speed_timeout_a_suspended_bridge_drops_the_commands_that_waited(self):
         self.start_bridge(speed_timeout=0.0)
         driver = self.publisher().connected()
         self.assert_drives(driver, 619)
@@ -319,12 +319,12 @@ class Parameters(CommandsTest):
             threading.Event().wait(0.1)
         self.car.forget()
         process.send_signal(signal.SIGCONT)
-        self.assert_said('stood still for')
+        self.assert_said(' s: SPEED 0 is sent first')
         until(lambda: len(self.car.heartbeats) > 10, 'heartbeats')
-        # The signal may have come between the decision to send a heartbeat and its write.
+        # The signal may have arrived between the decision to send a heartbeat and its write.
         self.assertIn(SPEED_0_PACKET, self.car.raws[:2])
         self.assert_drives(driver, 400, ago=0.0)
-        # Both are said until they are there.
+        # Both are published again and again.
         self.assertEqual((self.car.speeds[0], set(self.car.speeds)), (0, {0, 400}))
 
 

@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""/diagnostics: the names, the keys, and a level that follows what happens on the line."""
+"""/diagnostics: names, keys, and levels."""
 import os
 import signal
 import threading
@@ -26,7 +26,7 @@ BAD_CHECKSUM = {'bus': bytes.fromhex('a50002a6'),
 
 
 def setUpModule():
-    """The three boards, and a record of all that comes while the tests run."""
+    """Start the three boards, and record all statuses."""
     global LINE, BOARDS, RECORD
     LINE = rospy.get_param('~line')
     BOARDS = {'bus': BusBoard(LINE + '_bus_board', polled=True),
@@ -36,12 +36,12 @@ def setUpModule():
 
 
 def number(status, key):
-    """The value of a key that is a number."""
+    """The value of a key, as a number."""
     return float(status.keys[key])
 
 
 class DiagnosticsTest(unittest.TestCase):
-    """Three boards that talk, and one who reads the statuses."""
+    """Three boards that send data, and a subscriber of the statuses."""
 
     def setUp(self):
         settle(PACKAGE, BOARDS['bus'])
@@ -52,16 +52,16 @@ class DiagnosticsTest(unittest.TestCase):
 
     @staticmethod
     def talk():
-        """What the boards that talk by themselves say."""
+        """Send a message from each board that sends without a request."""
         BOARDS['arduino'].say(level_imu())
         BOARDS['mcu'].say(ranges())
 
     def fresh(self, link, condition, what, doing=None):
-        """The first such status of one link from now on, while all boards talk."""
+        """Wait for the first such status of one link from now on, while all boards send."""
         return self.diagnostics.fresh(link, condition, what, doing or self.talk)
 
     def fresh_of_all(self, level, links=LINKS, doing=None):
-        """The first status of each link at that level from now on, while all boards talk."""
+        """Wait for a status of each link at that level from now on, while all boards send."""
         return self.diagnostics.fresh_of_all(links, lambda s, _link: s.level == level,
                                              'level %d' % level, doing or self.talk)
 
@@ -75,16 +75,16 @@ class DiagnosticsTest(unittest.TestCase):
                  if s.name.startswith(PACKAGE)}
         self.assertEqual(names, {'serial_communication: %s link' % link for link in LINKS})
 
-    def test_a_status_comes_once_a_second(self):
+    def test_each_status_is_published_once_a_second(self):
         for link in LINKS:
-            # Not less often than every two seconds …
+            # At least every two seconds …
             until(lambda name=link: len(RECORD.statuses(name)) >= 8, 'eight statuses')
-            # … and not more often than every second, but that the first may have come late.
+            # … and at most every second; only the first may have been late.
             times = [status.stamp for status in RECORD.statuses(link)]
             self.assertLess(times[-1] - times[-8], PATIENCE)
             self.assertGreater(times[-1] - times[0], len(times) - 2.1, times)
 
-    def test_links_that_talk_are_ok_and_count_what_they_carry(self):
+    def test_links_with_traffic_are_ok_and_count_frames_and_bytes(self):
         first, later = self.fresh_of_all(OK), self.fresh_of_all(OK)
         for link in LINKS:
             for key in ('frames received', 'bytes received') + (
@@ -100,7 +100,7 @@ class DiagnosticsTest(unittest.TestCase):
         p50, most = (number(later['bus'], 'round trip %s [ms]' % key) for key in ('p50', 'max'))
         self.assertTrue(0.0 < p50 <= most < 1000.0, (p50, most))
 
-    def test_errors_in_the_last_second_are_a_warning_and_counted_by_cause(self):
+    def test_errors_in_the_last_second_are_a_warning_and_are_counted_by_cause(self):
         for key, damage in ('framing errors', NOISE), ('checksum errors', BAD_CHECKSUM):
             before = self.fresh_of_all(OK)
             for link in damage:
@@ -133,7 +133,7 @@ class DiagnosticsTest(unittest.TestCase):
         self.assertLess(number(after, 'heartbeat gap [ms]'), 30.0)
         self.assertGreater(number(after, 'heartbeat max gap [ms]'), 200.0, 'since the port opened')
 
-    def test_frames_lost_are_counted_and_no_error(self):
+    def test_lost_frames_are_counted_but_are_not_an_error(self):
         board = BOARDS['mcu']
         before = self.fresh('mcu', lambda s: s.level == OK, 'OK')
         board.seq = (board.seq + 5) % 256
@@ -142,7 +142,7 @@ class DiagnosticsTest(unittest.TestCase):
         self.assertEqual(number(after, 'frames lost'), number(before, 'frames lost') + 5)
         self.assertEqual(after.level, OK)
 
-    def test_an_unknown_type_with_a_sound_checksum_is_counted(self):
+    def test_an_unknown_type_with_a_valid_checksum_is_counted(self):
         before = self.fresh('mcu', lambda s: s.level == OK, 'OK')
         board = BOARDS['mcu']
         board.write(mcu.encode_raw(0x55, board.seq, b'\x01'))

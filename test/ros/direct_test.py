@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""A subscriber that stops reading, over a real TCP connection, while others read on."""
+"""Subscribers that stop reading, over real TCP connections, while others continue."""
 import io
 import logging
 import socket
@@ -18,11 +18,11 @@ from std_msgs.msg import String
 from boards import PACKAGE, PATIENCE, Topic, Waiter, until
 from serial_communication.ros.rospy_mends import direct
 
-_BIG = 'x' * (32 << 20)      # more than the kernel holds for one connection
+_BIG = 'x' * (32 << 20)      # bytes; more than the kernel buffers for one connection
 
 
 def setUpModule():
-    """rospy's own connection, and the one that takes its place."""
+    """Keep rospy's connection class, and install ours."""
     global QUEUED, INSTALLED
     QUEUED = rospy.topics.QueuedConnection
     direct.install(logging.getLogger('rosout'))
@@ -30,7 +30,7 @@ def setUpModule():
 
 
 class RawSubscriber:
-    """A connection to a publisher of this process, from which nothing is read unasked."""
+    """A connection to a publisher of this process that reads only on request."""
 
     def __init__(self, topic, name='/raw'):
         uri = rosgraph.Master('/raw').lookupNode(rospy.get_name())
@@ -42,11 +42,11 @@ class RawSubscriber:
         self.socket.sendall(encode_ros_handshake_header(
             {'callerid': name, 'topic': topic, 'type': String._type,
              'md5sum': String._md5sum}))
-        # One byte at a time: what follows the header is a message's.
+        # Read one byte at a time: the bytes after the header belong to a message.
         read_ros_handshake_header(self.socket, io.BytesIO(), 1)
 
     def read(self):
-        """The next message."""
+        """Read the next message."""
         size, = struct.unpack('<I', self._read(4))
         return String().deserialize(self._read(size)).data
 
@@ -60,7 +60,7 @@ class RawSubscriber:
 
 
 class SlowSubscriber(unittest.TestCase):
-    """Each test on a topic of its own."""
+    """A subscriber that does not read; each test has its own topic."""
 
     def begin(self, queue_size):
         self.topic = rospy.resolve_name(f'~{self._testMethodName}')
@@ -75,16 +75,16 @@ class SlowSubscriber(unittest.TestCase):
         return [each for each in self.publisher.impl.connections if each._is_slow]
 
     def listen(self):
-        """Another subscriber, which reads."""
+        """Add another subscriber, which reads."""
         other = Topic(self.topic, String)
         self.addCleanup(other.close)
         return other
 
     def publish(self, text):
-        """In a thread that may be held up, but must not."""
+        """Publish in a thread, which fails the test if it blocks."""
         Waiter(self.publisher.publish, text).result()
 
-    def test_what_it_has_not_read_is_complete_and_in_order_and_holds_up_nobody(self):
+    def test_it_gets_all_messages_in_order_and_delays_no_other_subscriber(self):
         self.begin(queue_size=0)
         other, sent = self.listen(), []
         until(lambda: self.publisher.get_num_connections() == 2, 'both are connected')
@@ -105,7 +105,7 @@ class SlowSubscriber(unittest.TestCase):
         self.assertEqual(self.slow.read(), sent[-1])
         self.assertEqual(self.slow_subscribers(), [])
 
-    def test_a_queue_drops_its_oldest_and_never_the_rest_of_a_message(self):
+    def test_a_full_queue_drops_its_oldest_message_and_never_part_of_one(self):
         self.begin(queue_size=2)
         self.publish(_BIG)
         self.assertEqual(len(self.slow_subscribers()), 1)
@@ -114,7 +114,7 @@ class SlowSubscriber(unittest.TestCase):
         self.assertTrue(self.slow.read() == _BIG)
         self.assertEqual([self.slow.read(), self.slow.read()], ['8', '9'])
 
-    def test_a_slow_subscriber_does_not_hold_up_another_slow_one(self):
+    def test_a_slow_subscriber_does_not_delay_another_slow_one(self):
         self.begin(queue_size=2)
         other = RawSubscriber(self.topic, '/another')
         self.addCleanup(other.socket.close)
@@ -129,7 +129,7 @@ class SlowSubscriber(unittest.TestCase):
         self.assertEqual(self.slow.read(), 'behind it')
 
     def test_no_thread_is_started_for_it(self):
-        """Where no memory is left, Thread.start may never return."""
+        """Thread.start may never return when memory runs out."""
         self.begin(queue_size=2)
 
         def never_returns(thread):
@@ -142,7 +142,7 @@ class SlowSubscriber(unittest.TestCase):
             self.assertTrue(self.slow.read() == _BIG)
             self.assertEqual(self.slow.read(), 'behind it')
 
-    def test_one_that_goes_is_forgotten_and_the_others_go_on(self):
+    def test_a_subscriber_that_disconnects_is_removed_and_the_others_continue(self):
         self.begin(queue_size=2)
         self.publish(_BIG)
         self.slow.socket.close()
@@ -156,7 +156,7 @@ class SlowSubscriber(unittest.TestCase):
 
 
 class Another:
-    """A QueuedConnection as no rospy that we know has it."""
+    """A QueuedConnection of an unknown rospy."""
 
     def __init__(self, connection, queue_size):
         self._connection = connection
@@ -164,23 +164,23 @@ class Another:
 
 
 class AnotherRospy(unittest.TestCase):
-    """What it was not written against stays as it is, and a line says so."""
+    """An unknown rospy is not patched, and a warning is logged."""
 
-    def test_another_connection_is_left_alone(self):
+    def test_an_unknown_connection_class_is_not_patched(self):
         with mock.patch('rospy.topics.QueuedConnection', Another), \
                 self.assertLogs('another', logging.WARNING) as log:
             direct.install(logging.getLogger('another'))
             self.assertIs(rospy.topics.QueuedConnection, Another)
         self.assertEqual(len(log.output), 1)
 
-    def test_a_transport_without_a_socket_is_left_alone(self):
+    def test_a_transport_without_a_socket_is_not_patched(self):
         with mock.patch('rospy.topics.QueuedConnection', QUEUED), \
                 mock.patch.object(direct, 'TCPROSTransport', Another), \
                 self.assertLogs('another', logging.WARNING):
             direct.install(logging.getLogger('another'))
             self.assertIs(rospy.topics.QueuedConnection, QUEUED)
 
-    def test_the_one_that_is_installed_here_fits(self):
+    def test_the_installed_rospy_is_patched(self):
         self.assertIs(INSTALLED, direct.DirectConnection)
 
 

@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""Several robots under one master: no bridge sees, says or moves anything of another."""
+"""Several robots under one master: each bridge reads and moves only its own boards."""
 import os
 import shutil
 import signal
@@ -35,7 +35,7 @@ _ROBOT = """
 
 
 def launch_file(folder, ports):
-    """One that includes bridge.launch for each robot, with the arguments that `ports` gives it."""
+    """Write a launch file that includes bridge.launch for each robot, with arguments by `ports`."""
     path = os.path.join(folder, 'fleet.launch')
     with open(path, 'w', encoding='utf-8') as file:
         file.write('<launch>%s\n</launch>\n' % ''.join(_ROBOT.format(
@@ -45,12 +45,12 @@ def launch_file(folder, ports):
     return path
 
 
-# The first two have one name, in namespaces of their own; the third has a name of its own.
+# The first two have the same name in different namespaces; the third has another name.
 NAMES = {1: PACKAGE, 2: PACKAGE, 3: 'bridge'}
 
 
 class Robot:
-    """One of them: three boards whose every value tells which it is."""
+    """A robot: three boards whose values all show which robot it is."""
 
     def __init__(self, folder, number):
         self.number = number
@@ -63,14 +63,14 @@ class Robot:
         self.sensors = SensorBoard(self.lines['mcu'].far)
 
     def say(self):
-        """What its car and its sensors measure."""
+        """Send measurements from its car and its sensors."""
         self.car.say(arduino.Voltage(10.0 + self.number))
         self.car.say(arduino.Ticks(self.number))
         self.car.say(level_imu())
         self.sensors.say(ranges(first=100 * self.number, second=100 * self.number + 50))
 
     def close(self):
-        """Take boards and lines away."""
+        """Close its boards and lines."""
         for board in self.bus, self.car, self.sensors:
             board.close()
         for line in self.lines.values():
@@ -102,11 +102,11 @@ class Fleet(unittest.TestCase):
         shutil.rmtree(cls.folder)
 
     def topics(self, name, message_class, private=True):
-        """That topic of each robot."""
+        """The topic of each robot."""
         return [Topic('/%s/%s' % (robot.node if private else 'robot_%d' % robot.number, name),
                       message_class) for robot in self.robots]
 
-    def test_no_value_of_one_stands_on_a_topic_of_another(self):
+    def test_each_robot_publishes_only_its_own_values(self):
         expected = (
             (self.topics('voltage', Voltage), lambda m, n: m.value == 10.0 + n),
             (self.topics('ticks', Ticks), lambda m, n: m.value == n),
@@ -135,7 +135,7 @@ class Fleet(unittest.TestCase):
                     and m.type == arduino.Voltage.TYPE}
             self.assertEqual(read, {arduino.encode(arduino.Voltage(10.0 + robot.number))})
 
-    def test_a_call_and_a_command_reach_their_own_boards_alone(self):
+    def test_calls_and_commands_reach_only_the_robot_that_they_are_for(self):
         for robot in self.robots:
             robot.bus.forget()
             robot.car.forget()
@@ -151,7 +151,7 @@ class Fleet(unittest.TestCase):
             self.assertEqual(moves, {robot.number})
             self.assertEqual(set(robot.car.speeds) - {0}, {robot.number})
 
-    def test_diagnostics_and_frames_tell_whose_they_are(self):
+    def test_diagnostics_and_frame_ids_name_their_robot(self):
         for robot in self.robots:
             found = Diagnostics(robot.node).wait_for_all(LINKS, lambda s, _link: True, 'any level')
             self.assertEqual({link: status.hardware_id for link, status in found.items()},
@@ -166,7 +166,7 @@ class Fleet(unittest.TestCase):
             self.assertEqual(frames(), {(prefix + 'base_link', prefix + child) for child in (
                 'imu', 'mcu_imu', 'range_1', 'range_2')})
 
-    def test_simulated_boards_of_one_launch_have_nothing_in_common(self):
+    def test_simulated_boards_of_several_robots_have_different_ports_and_names(self):
         folder = own_folder()
         try:
             path = launch_file(folder, lambda number: [('sim', 'true')])

@@ -36,7 +36,7 @@ SIMULATED_TOPICS = (
 
 
 class Launch(unittest.TestCase):
-    """roslaunch, started and ended as by hand."""
+    """roslaunch, started and ended as a user does."""
 
     def setUp(self):
         self.folder = own_folder()
@@ -53,13 +53,13 @@ class Launch(unittest.TestCase):
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def launch(self, *arguments):
-        """roslaunch serial_communication bridge.launch, with these arguments."""
+        """Run roslaunch serial_communication bridge.launch with these arguments."""
         self.output = tempfile.TemporaryFile('w+')
         self.process = subprocess.Popen(['roslaunch', PACKAGE, 'bridge.launch'] + list(arguments),
                                         stdout=self.output, stderr=subprocess.STDOUT)
 
     def end(self):
-        """Ctrl-C; the bridge then has nothing to complain of, though its boards may end first."""
+        """Send Ctrl-C; the bridge then logs no warning, even if its boards end first."""
         before = len(self.output_so_far())
         self.process.send_signal(signal.SIGINT)
         status = self.process.wait(PATIENCE)
@@ -72,12 +72,12 @@ class Launch(unittest.TestCase):
         self.assertNotIn('[ERROR]', text[before:])
 
     def output_so_far(self):
-        """What roslaunch and the bridge have printed."""
+        """The output of roslaunch and the bridge."""
         self.output.seek(0)
         return self.output.read()
 
     def launch_with_two_ports(self, *arguments):
-        """With a bus board and a car on lines of the test's own; both work when it returns."""
+        """Launch with a bus board and a car; both work when this returns."""
         self.lines = [Line(os.path.join(self.folder, name)).plug() for name in ('bus', 'arduino')]
         bus_board, car = BusBoard(self.lines[0].far), CarBoard(self.lines[1].far)
         self.boards = [bus_board, car]
@@ -92,7 +92,7 @@ class Launch(unittest.TestCase):
 
     def test_ports_on_the_command_line_are_used_and_ctrl_c_ends_with_speed_0(self):
         car = self.launch_with_two_ports()
-        # What stands in the config file is loaded beside.
+        # The config file is loaded, too.
         self.assertEqual(rospy.get_param('/serial_communication/mcu/max_range'), 2.0)
         self.assertEqual(rospy.get_param('/serial_communication/arduino/heartbeat_rate'), 100.0)
         command_topic('/serial_communication/speed', SpeedPWMCommand).publish(value=300)
@@ -107,20 +107,20 @@ class Launch(unittest.TestCase):
         self.assertEqual([name for name, nodes in state if name.startswith('/mcu')
                           and '/serial_communication' in nodes], [])
 
-    def test_naming_one_port_says_which_links_are_off(self):
+    def test_with_one_port_argument_the_log_names_the_links_that_are_off(self):
         self.launch('arduino_port:=' + os.path.join(self.folder, 'arduino'))
-        until(lambda: 'off, since no port is given for it: bus, mcu' in self.output_so_far(),
+        until(lambda: 'off, because no port is set: bus, mcu' in self.output_so_far(),
               'it says so')
         until(lambda: 'waiting for it' in self.output_so_far(), 'the other one is looked for')
         self.end()
 
     @staticmethod
     def parameters(*arguments):
-        """What this launch would set, by name."""
+        """The parameters that this launch would set, by name."""
         return yaml.safe_load(subprocess.check_output(
             ['roslaunch', '--dump-params', PACKAGE, 'bridge.launch', *arguments]))
 
-    def test_what_sim_may_be(self):
+    def test_values_of_sim_turn_the_simulation_on_or_off(self):
         for value, simulated in (('1', True), ('YES', True), ('on', True), ('True', True),
                                  ('avr', True), ('0', False), ('No', False), ('off', False),
                                  ('FALSE', False)):
@@ -129,7 +129,7 @@ class Launch(unittest.TestCase):
                 self.assertEqual(port.startswith('/tmp/serial_communication-'), simulated, port)
                 self.assertEqual(port == '/dev/ttyS0', not simulated, port)
 
-    def test_ports_that_are_named_and_those_that_are_not(self):
+    def test_port_arguments_override_the_config_file_and_turn_the_other_links_off(self):
         for arguments, ports in (
                 ([], ['/dev/ttyS0', '/dev/ttyUSB0', '/dev/ttyUSB1']),
                 (['mcu_port:='], ['/dev/ttyS0', '/dev/ttyUSB0', '/dev/ttyUSB1']),
@@ -141,7 +141,7 @@ class Launch(unittest.TestCase):
                 self.assertEqual([given[f'/serial_communication/{link}/port']
                                   for link in ('bus', 'arduino', 'mcu')], ports)
 
-    def test_another_value_of_sim_ends_the_launch_with_a_clear_word(self):
+    def test_a_wrong_value_of_sim_ends_the_launch_with_a_clear_error(self):
         for value in 'maybe', '2', 'simulated':
             with self.subTest(sim=value):
                 self.launch('sim:=' + value)
@@ -152,14 +152,14 @@ class Launch(unittest.TestCase):
                               'or off' % value, text)
                 self.assertNotIn('process[', text, 'nothing was started')
 
-    def test_no_two_launches_share_the_folder_of_their_boards(self):
+    def test_two_launches_use_different_folders_for_their_boards(self):
         ports = [self.parameters('sim:=true')['/serial_communication/bus/port']
                  for _ in range(2)]
         self.assertNotEqual(*map(os.path.dirname, ports))
-        # A control socket's name, the longest of them, has to be shorter than 108 characters.
+        # The longest path there, of a control socket, must be shorter than 108 characters.
         self.assertLess(len(os.path.dirname(ports[0])), 80)
 
-    def test_simulated_boards_in_a_folder_and_with_a_name_of_their_own(self):
+    def test_a_simulated_bridge_with_another_name_and_a_frame_prefix(self):
         self.launch('sim:=1', 'name:=other', 'frame_prefix:=other/')
         imu = Topic('/other/imu', Imu).first()
         self.assertEqual(imu.header.frame_id, 'other/imu')
@@ -168,7 +168,7 @@ class Launch(unittest.TestCase):
         self.assertTrue(os.path.exists(port))
         self.end()
 
-    def test_simulated_boards_carry_data_on_every_topic_and_obey(self):
+    def test_with_simulated_boards_every_topic_has_data_and_every_service_works(self):
         self.launch('sim:=true', 'sim_dir:=' + self.folder, 'publish_tf:=true')
         topics = [Topic(name, message_class) for name, message_class in SIMULATED_TOPICS]
         for topic in topics:

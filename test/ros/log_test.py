@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""A bridge whose log cannot be written: its links go on as if nothing were."""
+"""A bridge whose log cannot be written: its links work as usual."""
 import os
 import shutil
 import subprocess
@@ -24,7 +24,7 @@ NOBODY = 65534
 
 
 class Unwritable:
-    """Both output streams of a bridge; each test is the same for each kind of them."""
+    """A bridge whose stdout and stderr cannot be written; the subclasses say why."""
 
     def setUp(self):
         self.folder = own_folder()
@@ -43,7 +43,7 @@ class Unwritable:
         self.spoil()
 
     def spoil(self):
-        """From now on the output cannot be written, if it could so far."""
+        """Make the output unwritable, if it is not."""
 
     def tearDown(self):
         self.voltage.close()
@@ -59,7 +59,7 @@ class Unwritable:
         shutil.rmtree(self.folder)
 
     def assert_data_flows(self):
-        """A measurement comes through."""
+        """A measurement is published."""
         self.voltage.next(doing=lambda: self.car.say(arduino.Voltage(12.0)))
 
     def test_a_port_that_returns_carries_data_again(self):
@@ -74,7 +74,7 @@ class Unwritable:
         self.assert_data_flows()
         until(lambda: lift(0, 1).success, 'the lift answers')
 
-    def test_measurements_go_on_after_the_warning_of_a_speed_timeout(self):
+    def test_measurements_continue_after_the_warning_of_a_speed_timeout(self):
         speed = command_topic('/serial_communication/speed', SpeedPWMCommand)
         for value in 300, 310:
             speed.publish(value=value)
@@ -90,8 +90,8 @@ class Unwritable:
         answer = lift(0, 2)
         self.assertTrue(answer.success, answer.message)
 
-    def test_heartbeats_go_on_and_the_end_is_orderly(self):
-        self.bus.write(bytes(1000))      # noise, which is worth a line
+    def test_heartbeats_continue_and_the_bridge_ends_in_order(self):
+        self.bus.write(bytes(1000))      # noise, which is logged
         self.lines['bus'].unplug()
         self.car.forget()
         self.car.wait_for_heartbeats(100)
@@ -102,7 +102,7 @@ class Unwritable:
 
 
 class ClosedPipe(Unwritable, unittest.TestCase):
-    """Whoever read it has gone."""
+    """The reader of the pipe has exited."""
 
     def output(self):
         self.descriptors += os.pipe()
@@ -113,12 +113,12 @@ class ClosedPipe(Unwritable, unittest.TestCase):
 
 
 class FullPipe(Unwritable, unittest.TestCase):
-    """Whoever should read it does not, as a terminal after Ctrl-S."""
+    """The reader of the pipe does not read, like a terminal after Ctrl-S."""
 
     output = ClosedPipe.output
 
     def spoil(self):
-        # Opened once more, since whether writing waits is shared with the bridge otherwise.
+        # Open it again, since O_NONBLOCK would otherwise apply to the bridge, too.
         writing = os.open('/proc/self/fd/%d' % self.descriptors[1], os.O_WRONLY | os.O_NONBLOCK)
         for size in 4096, 1:
             try:
@@ -130,7 +130,7 @@ class FullPipe(Unwritable, unittest.TestCase):
 
 
 class FullDisk(Unwritable, unittest.TestCase):
-    """A file that takes nothing more."""
+    """A file on a full disk."""
 
     def output(self):
         self.descriptors.append(os.open('/dev/full', os.O_WRONLY))
@@ -138,9 +138,9 @@ class FullDisk(Unwritable, unittest.TestCase):
 
 
 class NoLogFile(unittest.TestCase):
-    """A bridge whose log file cannot be made: it runs, and says where its log goes.
+    """A bridge whose log file cannot be created: it runs, and prints where its log goes.
 
-    As root it is started without root's right to write everywhere.
+    If the test runs as root, the bridge is started without root's right to write everywhere.
     """
 
     def setUp(self):
@@ -153,7 +153,7 @@ class NoLogFile(unittest.TestCase):
                        f'TMPDIR={self.temporary}']
 
     def lock(self, path):
-        """From now on it is not the bridge's to write."""
+        """Make a path unwritable for the bridge."""
         if os.getuid():
             os.chmod(path, 0o500)
             self.addCleanup(os.chmod, path, 0o700)
@@ -163,7 +163,7 @@ class NoLogFile(unittest.TestCase):
             self.before += [] if 'setpriv' in self.before else ['setpriv', '--bounding-set=-all']
 
     def start(self, *arguments):
-        """It runs; what it says of its log."""
+        """Start the bridge; return its line about the log."""
         self.bridge = Bridge('no_log', arguments=arguments, before=self.before)
         self.addCleanup(self.bridge.end)
         service('/no_log/get_loggers', GetLoggers)()
@@ -175,7 +175,7 @@ class NoLogFile(unittest.TestCase):
         return line
 
     def assert_in_a_new_folder(self, line, name):
-        """The log is where the line says."""
+        """The log is in the file that the line names."""
         folder, = os.listdir(self.temporary)
         path = os.path.join(self.temporary, folder, name)
         self.assertIn(f'it goes to {path}. ', line)
@@ -187,7 +187,7 @@ class NoLogFile(unittest.TestCase):
         until(written, 'the log is written there')
         self.assertEqual(self.bridge.end()[1], 0)
 
-    def test_a_file_that_belongs_to_somebody_else(self):
+    def test_the_log_file_belongs_to_another_user(self):
         path = os.path.join(self.home, 'log', 'no_log.log')
         open(path, 'w').close()
         self.lock(path)
@@ -195,19 +195,19 @@ class NoLogFile(unittest.TestCase):
         self.assertIn(f'the log cannot be written to {path} (Permission denied)', line)
         self.assert_in_a_new_folder(line, 'no_log.log')
 
-    def test_a_file_as_roslaunch_names_it(self):
+    def test_a_log_file_named_by_roslaunch_cannot_be_created(self):
         run = os.path.join(self.home, 'log', 'run')
         os.mkdir(run)
         self.lock(run)
         line = self.start(f'__log:={run}/no_log-2.log')
         self.assert_in_a_new_folder(line, 'no_log-2.log')
 
-    def test_a_home_that_cannot_be_written(self):
+    def test_ros_home_cannot_be_written(self):
         os.rmdir(os.path.join(self.home, 'log'))
         self.lock(self.home)
         self.assert_in_a_new_folder(self.start(), 'no_log.log')
 
-    def test_no_inode_left(self):
+    def test_the_disk_has_no_free_inode(self):
         mounts = ['unshare', '--mount', 'sh', '-c',
                   'mount -t tmpfs -o nr_inodes=1 tmpfs "$0" && exec "$@"', self.home]
         if subprocess.run(mounts + ['true'], stderr=subprocess.DEVNULL).returncode:
@@ -217,7 +217,7 @@ class NoLogFile(unittest.TestCase):
         self.assertIn('(No space left on device)', line)
         self.assert_in_a_new_folder(line, 'no_log.log')
 
-    def test_logging_that_is_set_up_to_fail(self):
+    def test_the_logging_configuration_is_wrong(self):
         mine = os.path.join(self.folder, 'python_logging.conf')
         with open(mine, 'w') as file:
             file.write('[loggers]\nkeys=none\n')
@@ -226,21 +226,21 @@ class NoLogFile(unittest.TestCase):
         self.assertIn('it goes to the terminal alone', line)
         self.assertEqual(self.bridge.end()[1], 0)
 
-    def test_the_monitor_likewise(self):
+    def test_the_monitor_runs_without_a_log_file_too(self):
         self.lock(os.path.join(self.home, 'log'))
         self.start()
         done = subprocess.run(self.before + [program('monitor'), '--once', '--node', 'no_log'],
                               stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
                               timeout=4 * PATIENCE)
-        self.assertIn('monitor: ', done.stderr)     # which has looked for the links' statuses
+        self.assertIn('monitor: ', done.stderr)     # it waited for the links' statuses
         self.assertIn('the log cannot be written to ', done.stderr)
         self.assertNotIn('Traceback', done.stderr)
 
 
 class AnotherRosgraph(unittest.TestCase):
-    """What it was not written against stays as it is, and a line says so."""
+    """An unknown rosgraph is not patched, and a warning is logged."""
 
-    def test_it_is_left_alone(self):
+    def test_an_unknown_rosgraph_is_not_patched(self):
         before = rosgraph.roslogging.configure_logging
         with mock.patch.object(log_file, '_configure', lambda name: None), \
                 mock.patch.object(rospy, 'init_node') as begun, \
@@ -248,7 +248,7 @@ class AnotherRosgraph(unittest.TestCase):
             log_file.init_node('any', anonymous=True)
         begun.assert_called_once_with('any', anonymous=True)
         self.assertIs(rosgraph.roslogging.configure_logging, before)
-        self.assertIn('in another way than 1.15.15 and 1.16.0', log.output[0])
+        self.assertIn('differently from 1.15.15 and 1.16.0', log.output[0])
 
 
 if __name__ == '__main__':

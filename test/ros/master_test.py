@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""A master that goes, is replaced by a new one, or hangs, under a bridge that runs."""
+"""The master ends, is replaced by a new one, or hangs, while a bridge is running."""
 import os
 import shutil
 import signal
@@ -15,19 +15,19 @@ from heartbeats import HeartbeatWatch
 from serial_communication.boards.arduino import wire as arduino
 
 NAME = '/' + PACKAGE
-WITHIN = 10.0         # s in which the bridge is to be known to a new master
+WITHIN = 10.0         # s in which the bridge must register at a new master
 MOUNT = [1.0, 2.0, 3.0, 0.0, 0.0, 0.0]
 
 
 def free_port():
-    """A port of this host that nothing listens on."""
+    """A TCP port of this host that is not in use."""
     with socket.socket() as listener:
         listener.bind(('127.0.0.1', 0))
         return listener.getsockname()[1]
 
 
 class Tool:
-    """A command line tool of ROS under that master; what it prints is in `output`."""
+    """A command line tool of ROS that uses the master at `uri`."""
 
     def __init__(self, uri, *command):
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE,
@@ -35,7 +35,7 @@ class Tool:
                                          env=dict(os.environ, ROS_MASTER_URI=uri))
 
     def output(self):
-        """All of it, when the tool has ended by itself."""
+        """Wait until the tool ends by itself; return its output."""
         return self._process.communicate(timeout=2 * PATIENCE)[0]
 
     def close(self):
@@ -45,7 +45,7 @@ class Tool:
 
 
 class MasterTest(unittest.TestCase):
-    """A bridge with two boards, and a roscore that the test ends and starts."""
+    """A bridge with two boards, and a roscore that the tests restart."""
 
     def setUp(self):
         self.folder = own_folder()
@@ -75,28 +75,28 @@ class MasterTest(unittest.TestCase):
         shutil.rmtree(self.folder)
 
     def start_core(self):
-        """A roscore at the port of the last one."""
+        """Start a roscore, always at the same port."""
         self.core = subprocess.Popen(['roscore', '-p', self.uri.rsplit(':', 1)[1]],
                                      stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         until(self.server.is_online, 'the master answers', every=0.1)
-        # Before that, Ctrl-C may miss the node it is just starting, for which it then waits 15 s.
+        # Until then, Ctrl-C may miss the node that it is starting, and then takes 15 s.
         until(lambda: self.answers(self.server.lookupNode, '/rosout'), 'roscore is complete')
 
     def stop_core(self):
-        """Ctrl-C; nothing listens there any more when this returns."""
+        """Send Ctrl-C, and wait until the master has ended."""
         self.core.send_signal(signal.SIGINT)
         self.core.wait(PATIENCE)
 
     @staticmethod
     def answers(call, *arguments):
-        """What it answers; None for an error."""
+        """Return the answer of a call; None for an error."""
         try:
             return call(*arguments)
         except (rosgraph.MasterException, OSError):
             return None
 
     def state(self):
-        """What the bridge publishes, subscribes to and serves."""
+        """The bridge's topics, subscriptions and services."""
         return [{name for name, nodes in entries if NAME in nodes}
                 for entries in self.server.getSystemState()]
 
@@ -106,11 +106,11 @@ class MasterTest(unittest.TestCase):
         return state and NAME + '/calibrate_imu' in state[2] and '/diagnostics' in state[0]
 
     def call(self, name, *arguments):
-        """What `rosservice call` prints."""
+        """Return the output of `rosservice call`."""
         return Tool(self.uri, 'rosservice', 'call', NAME + '/' + name, *arguments).output()
 
     def assert_a_fresh_subscriber_gets_data(self):
-        """`rostopic echo`, which asks the master."""
+        """`rostopic echo`, which asks the master, receives data."""
         tool = Tool(self.uri, 'rostopic', 'echo', '-n', '1', NAME + '/voltage/value')
         try:
             until(lambda: tool._process.poll() is not None, 'rostopic gets a message',
@@ -120,10 +120,10 @@ class MasterTest(unittest.TestCase):
             tool.close()
 
     def watch_heartbeats(self):
-        """From now on."""
+        """Watch the heartbeats from now on."""
         return HeartbeatWatch(self.car, self.bridge.process.pid)
 
-    def test_all_is_registered_again_at_a_new_master(self):
+    def test_topics_services_and_parameters_are_registered_at_a_new_master(self):
         for turn in range(2):
             heartbeats = self.watch_heartbeats()
             self.stop_core()
@@ -146,7 +146,7 @@ class MasterTest(unittest.TestCase):
         self.assertEqual(output.count('lost'), 0, output)
         self.assertEqual(self.car.bad, [])
 
-    def test_what_stands_at_the_new_master_by_then_is_kept(self):
+    def test_parameters_that_a_new_master_already_has_are_kept(self):
         self.stop_core()
         self.start_core()
         self.server.setParam(NAME + '/bus/retries', 7)
@@ -154,7 +154,7 @@ class MasterTest(unittest.TestCase):
         self.assertEqual(self.server.getParam(NAME + '/bus/retries'), 7)
         self.assertEqual(self.server.getParam(NAME + '/bus/port'), self.lines[0].near)
 
-    def test_who_is_connected_stays_connected_while_there_is_no_master(self):
+    def test_connected_nodes_stay_connected_without_a_master(self):
         echo = Tool(self.uri, 'rostopic', 'echo', '-n', '2', NAME + '/voltage/value')
         publisher = Tool(self.uri, 'rostopic', 'pub', '-r', '10', NAME + '/speed',
                          PACKAGE + '/SpeedPWMCommand', '{value: 321}')
@@ -173,7 +173,7 @@ class MasterTest(unittest.TestCase):
             publisher.close()
             echo.close()
 
-    def test_a_master_that_hangs_holds_up_nothing(self):
+    def test_a_master_that_hangs_delays_nothing(self):
         self.core.send_signal(signal.SIGINT)
         self.core.wait(PATIENCE)
         with socket.socket() as hung:
@@ -182,7 +182,7 @@ class MasterTest(unittest.TestCase):
             hung.listen(64)
             heartbeats = self.watch_heartbeats()
             self.bridge.wait_for('no answer from the ROS master')
-            self.lines[0].unplug()       # lines for the log, and for /rosout
+            self.lines[0].unplug()       # this is logged, also to /rosout
             self.lines[0].plug()
             self.bridge.wait_for('opening it again')
             self.bus.forget()

@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""The mcu link: each frame's topics with their exact values, and what is said of a silence."""
+"""The mcu link: each frame's topics with their exact values, and the status of a silent board."""
 import unittest
 from math import inf, isinf, isnan, pi, sqrt
 
@@ -27,7 +27,7 @@ def setUpModule():
 
 
 class McuTest(unittest.TestCase):
-    """The board at the end of one line, which never hears a byte."""
+    """A board on one line; nothing is ever sent to it."""
 
     namespace = ''
 
@@ -43,10 +43,10 @@ class McuTest(unittest.TestCase):
         return Topic('%s/mcu/%s' % (self.namespace, name), message_class)
 
     def first(self, name, message_class, frame, condition=lambda message: True):
-        """The message that `frame`, sent until it is there, makes of itself."""
+        """Send `frame` until its message is received, and return that."""
         def send():
             self.board.write(frame if isinstance(frame, bytes) else mcu.encode(frame, 0))
-            # Never the same frame twice in a row, which counts as doubled.
+            # The same frame twice in a row would count as doubled.
             self.board.write(mcu.encode_raw(0x7F, 0, b''))
         topic = self.topic(name, message_class)
         try:
@@ -72,12 +72,12 @@ class Frames(McuTest):
         self.assertTrue(stamped(status.stamp, since))
         self.assertTrue(0.0 <= status.last_frame_age_sec < 1.0)
 
-    def test_a_timed_out_sensor_makes_the_status_invalid_and_a_wrapped_yaw_is_restored(self):
+    def test_a_sensor_timeout_makes_the_status_invalid_and_a_wrapped_yaw_is_restored(self):
         status = self.first('status', McuStatus2, WRAPPED_FRAME, lambda m: m.seq == 255)
         self.assertEqual(values_of(status, *GOT), (True, False, 255, 65535, 8190))
         self.assertEqual(values_of(status, 'yaw', 'pitch', 'roll'), (350.0, 90.0, -180.0))
 
-    def test_the_other_sensor_timed_out_makes_it_invalid_too(self):
+    def test_a_timeout_of_the_other_sensor_makes_it_invalid_too(self):
         status = self.first('status', McuStatus2, ranges(100, 0xFFFF), lambda m: m.vl53_1 == 100)
         self.assertFalse(status.valid)
 
@@ -99,7 +99,7 @@ class Frames(McuTest):
         self.assertTrue(stamped(status.stamp, since))
         self.assertTrue(0.0 <= status.last_frame_age_sec < 1.0)
 
-    def test_a_board_that_sends_the_same_again_and_again_is_connected(self):
+    def test_a_board_that_repeats_one_frame_is_connected(self):
         statuses = self.topic('status', McuStatus2)
         for number in range(1, 31):
             until(lambda: len(statuses.messages) >= number, 'the status',
@@ -118,7 +118,7 @@ class Frames(McuTest):
                 round(v, 3) + 0.0 for v in values_of(m.orientation, 'x', 'y', 'z', 'w')) == w)
             self.assert_orientation(message, *expected)
 
-    def test_the_imu_says_what_it_does_not_measure(self):
+    def test_the_imu_message_marks_what_is_not_measured(self):
         message = self.first('imu', Imu, ranges())
         self.assertEqual(message.header.frame_id, 'mcu_imu')
         self.assertEqual(message.angular_velocity_covariance[0], -1.0)
@@ -127,7 +127,7 @@ class Frames(McuTest):
             self.assertAlmostEqual(message.orientation_covariance[index],
                                    (degrees * pi / 180) ** 2)
 
-    def test_each_range_is_told_as_rep_117_has_it(self):
+    def test_each_range_follows_rep_117(self):
         for name, place in (('range_1', 0), ('range_2', 1)):
             for millimetres, expected in ((470, 0.47), (30, 0.03), (2000, 2.0), (29, -inf),
                                           (2001, inf), (0xFFFF, None)):
@@ -144,7 +144,7 @@ class Frames(McuTest):
                 self.assertAlmostEqual(message.max_range, 2.0)
                 self.assertAlmostEqual(message.field_of_view, 25 * pi / 180, 6)
 
-    def test_silence_is_told_once_a_second_with_its_age_until_frames_return(self):
+    def test_silence_is_published_once_a_second_with_its_age_until_frames_return(self):
         self.board.seq = 41
         topic, adc = self.topic('status', McuStatus2), self.topic('adc_status', McuStatus)
         self.first('adc_status', McuStatus, ADC_FRAME, lambda m: m.connected)
@@ -171,18 +171,18 @@ class Frames(McuTest):
 
 
 class Other(McuTest):
-    """With every parameter changed."""
+    """Every parameter differs from its default."""
 
     namespace = '/other'
 
-    def test_the_yaw_keeps_its_sign_where_the_board_turns_as_ros_does(self):
+    def test_the_yaw_keeps_its_sign_if_the_board_counts_counter_clockwise(self):
         message = self.first('imu', Imu, ranges(1, 2, 90.0), lambda m: m.orientation.z)
         self.assert_orientation(message, 0.0, 0.0, HALF, HALF)
         self.assertEqual(message.header.frame_id, 'head')
         self.assertAlmostEqual(message.orientation_covariance[0], 0.09)
         self.assertAlmostEqual(message.orientation_covariance[8], 0.16)
 
-    def test_the_ranges_have_the_limits_and_frames_given(self):
+    def test_the_ranges_have_the_configured_limits_and_frames(self):
         first = self.first('range_1', Range, ranges(8190, 99))
         second = self.first('range_2', Range, ranges(8190, 99), lambda m: isinf(m.range))
         self.assertAlmostEqual(first.range, 8.19, 6)
@@ -192,7 +192,7 @@ class Other(McuTest):
             for name, value in (('min_range', 0.1), ('max_range', 8.5), ('field_of_view', 0.2)):
                 self.assertAlmostEqual(getattr(message, name), value, 6)
 
-    def test_the_silence_begins_after_the_timeout_given(self):
+    def test_the_silence_begins_after_the_configured_timeout(self):
         topic = self.topic('status', McuStatus2)
         topic.first(lambda m: m.connected, doing=lambda: self.board.say(ranges()))
         age = topic.first(lambda m: not m.connected).last_frame_age_sec
@@ -200,9 +200,9 @@ class Other(McuTest):
 
 
 class Absent(unittest.TestCase):
-    """A port that is absent from the start on."""
+    """A port that is absent from the start."""
 
-    def test_the_status_says_so_and_its_age_grows(self):
+    def test_the_status_is_not_connected_and_its_age_increases(self):
         topic = Topic('/absent/mcu/status', McuStatus2)
         until(lambda: len(topic.messages) >= 3, 'three reports')
         for message in topic.messages:

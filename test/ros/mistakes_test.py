@@ -1,6 +1,6 @@
 #!/usr/bin/python3
-"""Mistakes that no single parameter shows: each ends the node with one line and status 1, and
-Ctrl-C ends it while something hangs. parameter_table_test has more of them, without a process."""
+"""Mistakes beyond a single parameter: each ends the node with one line and status 1, and Ctrl-C
+ends a node that hangs. parameter_table_test has more of them, without processes."""
 import os
 import shutil
 import signal
@@ -15,7 +15,7 @@ import rostest
 
 from boards import PACKAGE, PATIENCE, Bridge, CarBoard, Line, own_folder, until
 
-ENDS_IN = 2.0        # s from a signal until the node has ended, whatever hangs
+ENDS_IN = 2.0        # s from a signal until the node has ended, even if something hangs
 BOARD = """
 import time
 from serial_communication.boards.mcu.link import McuLink
@@ -28,12 +28,12 @@ class INTERFACE(Interface):
     NAME = 'wind'
     PARAMETERS = {'port': PORT, 'baud': BAUD}
 
-    def __init__(self, parameters, common):
+    def __init__(self, parameters, link_options):
         self.link = McuLink(Port(parameters['port']), 1.0, on_status=lambda *_: None,
-                            on_silence=lambda *_: None, **common._asdict())
+                            on_silence=lambda *_: None, **link_options._asdict())
 """
 HANGS = 'open(__file__ + ".begun", "w").close(); time.sleep(1e6)'
-MODULES = {      # by name: the text, and what is said of it
+MODULES = {      # by name: the code, and a part of the line that the node logs
     'exits': ('import sys; sys.exit(3)', "importing 'exits' failed: SystemExit: 3 ("),
     'interrupts': ('raise KeyboardInterrupt', "importing 'interrupts' failed: KeyboardInterrupt"),
     'leaves_a_thread': ('import threading, time\n'
@@ -43,34 +43,35 @@ MODULES = {      # by name: the text, and what is said of it
     'exits_as_made': (BOARD + '        raise SystemExit(3)',
                       'the board wind (exits_as_made) cannot start: SystemExit: 3 ('),
     'linkless': (BOARD + '        self.link = 5',
-                 'the board wind (linkless) cannot start: TypeError: its link is 5, may be a Link'),
+                 'the board wind (linkless) cannot start: TypeError: its link is 5, '
+                 'must be a Link'),
     'not_advertised': (BOARD + '    def advertise(self): 1 / 0',
                        'the board wind (not_advertised) cannot start: ZeroDivisionError'),
 }
 HANGING = {
     'hangs': 'import time\n' + HANGS,
-    'is_deaf': 'import time\n' + HANGS.replace(';', '\nwhile True:\n  try:')
-               + '\n  except BaseException: pass',
+    'ignores_exceptions': 'import time\n' + HANGS.replace(';', '\nwhile True:\n  try:')
+                          + '\n  except BaseException: pass',
     'spins': HANGS.replace('time.sleep(1e6)', '\nwhile True: pass'),
     'hangs_as_made': BOARD + '        ' + HANGS,
     'hangs_as_advertised': BOARD + '    def advertise(self): ' + HANGS,
 }
-# Two names of a node whose links are named here, one remapped to the other, and what is said.
+# A link of the node, a remapping, and a part of the line that the node logs.
 REMAPPED = (
     ('bus', '~lift:=~gimbal', 'service [/NODE/gimbal] already registered'),
     ('bus', '~lift:=~set_logger_level', 'service [/NODE/set_logger_level] already registered'),
-    ('arduino', '~voltage:=~ticks', 'topic [/NODE/ticks] cannot be a serial_communication/Ticks, '
-     'it is a serial_communication/Voltage of this node already'),
+    ('arduino', '~voltage:=~ticks', 'topic [/NODE/ticks] cannot be a serial_communication/Ticks: '
+     'this node already uses it as a serial_communication/Voltage'),
     ('arduino', '~speed:=~steering', 'topic [/NODE/steering] cannot be a serial_communication/'
-     'SteeringPWMCommand, it is a serial_communication/SpeedPWMCommand of this node already'),
+     'SteeringPWMCommand: this node already uses it as a serial_communication/SpeedPWMCommand'),
     ('arduino', '~speed:=~voltage', 'topic [/NODE/voltage] cannot be a serial_communication/'
-     'SpeedPWMCommand, it is a serial_communication/Voltage of this node already'),
+     'SpeedPWMCommand: this node already uses it as a serial_communication/Voltage'),
     ('mcu', 'serial_msg:=mcu/imu', 'topic [/mcu/imu] cannot be a serial_communication/SerialMsg'),
 )
 
 
 class Mistakes(unittest.TestCase):
-    """One node each."""
+    """Each mistake is made in a node of its own."""
 
     @classmethod
     def setUpClass(cls):
@@ -99,11 +100,11 @@ class Mistakes(unittest.TestCase):
         shutil.rmtree(cls.folder)
 
     def absent(self, name):
-        """A port that is not there."""
+        """A port that is absent."""
         return os.path.join(self.folder, 'absent', name)
 
     def ended(self, name, parameters, arguments=()):
-        """Status and output of a node with these parameters."""
+        """Run a node with these parameters until it ends; return its status and output."""
         bridge = Bridge(name, parameters, arguments)
         try:
             return bridge.process.wait(3 * PATIENCE), bridge.output()
@@ -114,7 +115,7 @@ class Mistakes(unittest.TestCase):
             bridge.process.wait(10)
 
     def assert_one_line(self, said, status, output):
-        """One line that says it, beside the words of every start."""
+        """The node logs one line with this text, apart from the usual lines of a start."""
         self.assertEqual(status, 1, output)
         self.assertNotIn('Traceback', output)
         lines = [line for line in output.split('\n') if line.strip()
@@ -123,7 +124,7 @@ class Mistakes(unittest.TestCase):
         self.assertIn('[FATAL]', lines[0])
         self.assertIn(said, lines[0])
 
-    def test_modules_of_other_packages(self):
+    def test_a_mistake_in_another_packages_board_ends_the_node_with_one_line(self):
         with ThreadPool(2) as pool:
             results = pool.starmap(self.ended, [
                 (name, {'boards': [name], 'wind/port': self.absent(name)}) for name in MODULES])
@@ -133,7 +134,7 @@ class Mistakes(unittest.TestCase):
                 self.assert_one_line(said, *result)
 
     def ends_by_signals(self, name):
-        """Seconds, status and output of a node that hangs there, for each signal that ends it."""
+        """End a node that hangs, by each signal; return (seconds, status, output) for each."""
         begun, ends = os.path.join(self.folder, name + '.py.begun'), []
         for number in signal.SIGINT, signal.SIGTERM:
             bridge = Bridge(name, {'boards': [name], 'wind/port': self.absent(name)})
@@ -142,7 +143,7 @@ class Mistakes(unittest.TestCase):
             os.unlink(begun)
         return ends
 
-    def test_a_signal_ends_it_while_something_hangs(self):
+    def test_a_signal_ends_the_node_while_a_boards_code_hangs(self):
         with ThreadPool(2) as pool:
             ends = pool.map(self.ends_by_signals, HANGING)
         for name, by_signals in zip(HANGING, ends):
@@ -151,7 +152,7 @@ class Mistakes(unittest.TestCase):
                 self.assertLess(seconds, ENDS_IN, name)
                 self.assertNotIn('Traceback', output)
 
-    def test_an_import_that_takes_long_is_said_while_it_lasts(self):
+    def test_a_slow_import_is_logged_while_it_lasts(self):
         bridge = Bridge('slow', {'boards': ['hangs'], 'wind/port': self.absent('slow')})
         line = bridge.wait_for('still being imported')
         self.assertIn("parameter /slow/boards: the module 'hangs'", line)
@@ -159,7 +160,7 @@ class Mistakes(unittest.TestCase):
         bridge.end()
         os.unlink(os.path.join(self.folder, 'hangs.py.begun'))
 
-    def test_names_that_are_remapped_to_one(self):
+    def test_names_remapped_to_the_same_name_end_the_node_with_one_line(self):
         with ThreadPool(2) as pool:
             results = pool.starmap(self.ended, [
                 (f'remapped_{number}', {f'{link}/port': self.absent(link)}, [argument])
@@ -167,15 +168,15 @@ class Mistakes(unittest.TestCase):
         for number, ((_link, argument, said), result) in enumerate(zip(REMAPPED, results)):
             with self.subTest(argument):
                 self.assert_one_line(said.replace('NODE', f'remapped_{number}'), *result)
-                self.assert_one_line(f'; remapped are {argument}', *result)
+                self.assert_one_line(f'; check the remappings {argument}', *result)
 
-    def test_topics_of_one_type_may_be_remapped_to_one(self):
+    def test_topics_of_the_same_type_may_be_remapped_to_one_name(self):
         bridge = Bridge('one_topic', {'mcu/port': self.absent('mcu')}, ['mcu/range_1:=mcu/range_2'])
         bridge.wait_for('waiting for it')
         self.assertTrue(bridge.alive)
         self.assertEqual(bridge.end()[1], 0, bridge.output())
 
-    def test_two_links_with_one_port(self):
+    def test_two_links_with_the_same_port_end_the_node_with_one_line(self):
         device = os.path.join(self.folder, 'device')
         os.symlink('/dev/null', device)
         for number, (one, other) in enumerate((
@@ -184,10 +185,11 @@ class Mistakes(unittest.TestCase):
             with self.subTest(other):
                 name = f'one_port_{number}'
                 result = self.ended(name, {'bus/port': one, 'mcu/port': other, 'mcu/baud': 9600})
-                self.assert_one_line(f"parameter /{name}/mcu/port is '{other}', the port of /{name}"
-                                     f"/bus/port ('{one}'), too; a port has one link", *result)
+                self.assert_one_line(f"parameter /{name}/mcu/port is '{other}', which is also the "
+                                     f"port of /{name}/bus/port ('{one}'); each link needs its "
+                                     'own port', *result)
 
-    def test_a_car_is_left_standing_where_a_later_name_is_wrong(self):
+    def test_the_car_is_stopped_if_a_later_board_fails_to_start(self):
         line = Line(os.path.join(self.folder, 'car')).plug()
         car = CarBoard(line.far)
         try:
@@ -201,13 +203,13 @@ class Mistakes(unittest.TestCase):
             car.close()
             line.unplug()
 
-    def test_roslaunch_says_it_once_and_ctrl_c_ends_it(self):
+    def test_under_roslaunch_the_mistake_is_logged_once_and_ctrl_c_ends_the_node(self):
         def text():
             with open(self.launch_output) as file:
                 return file.read()
 
         until(lambda: 'bus/baud is 1 (int)' in text(), 'it is said', 3 * PATIENCE)
-        # The node had ended after 10 s, and was started again; most of these have passed by now.
+        # A node that ends would be started again within 12 s; most of these have already passed.
         until(lambda: time.time() > os.path.getmtime(self.launch_output) + 12.0,
               'the time passes', 20.0)
         self.assertEqual(text().count('bus/baud is 1 (int)'), 1, text())

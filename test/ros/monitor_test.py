@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""monitor: what it says of a bridge that works, that does not, that goes and comes back."""
+"""monitor: its output for a bridge that works, that has an error, and that is restarted."""
 import os
 import re
 import shutil
@@ -31,33 +31,33 @@ class Monitor:
             stdout=self._output, stderr=subprocess.STDOUT)
 
     def output(self):
-        """What it has printed so far."""
+        """Its output so far."""
         self._output.seek(0)
         return self._output.read()
 
     def wait_for(self, words, times=1):
-        """Until it has printed these words so often."""
+        """Wait until it has printed these words `times` times."""
         until(lambda: self.output().count(words) >= times, f'the monitor says "{words}"',
               seconds=3 * PATIENCE, every=0.05)
 
     def status(self):
-        """Its exit status, when it ends by itself."""
+        """Wait until it ends by itself; return its exit status."""
         return self.process.wait(PATIENCE)
 
     def end(self):
-        """Ctrl-C; its exit status."""
+        """Send Ctrl-C; return its exit status."""
         self.process.send_signal(signal.SIGINT)
         return self.status()
 
     def close(self):
-        """Whatever a test that failed has left."""
+        """Kill it, in case the test failed."""
         if self.process.poll() is None:
             self.process.kill()
             self.process.wait(10)
 
 
 class TalkingCar(CarBoard):
-    """A car that talks as cars do, but slower."""
+    """A car that sends measurements, slower than a real one."""
 
     def __init__(self, path):
         super().__init__(path)
@@ -77,7 +77,7 @@ class TalkingCar(CarBoard):
 
 
 class MonitorTest(unittest.TestCase):
-    """A bridge with a bus board and a car that talks all the time."""
+    """A bridge with a bus board and a car that sends all the time."""
 
     def setUp(self):
         self.folder = own_folder()
@@ -100,7 +100,7 @@ class MonitorTest(unittest.TestCase):
         shutil.rmtree(self.folder)
 
     def bridge(self):
-        """A bridge that works."""
+        """Start a bridge, and wait until it works."""
         self.bridges.append(Bridge(NAME, {
             'bus/port': self.lines[0].near, 'arduino/port': self.lines[1].near,
             'bus/environment_period': 0.2}))
@@ -108,12 +108,12 @@ class MonitorTest(unittest.TestCase):
         return self.bridges[-1]
 
     def monitor(self, *arguments, **environment):
-        """A monitor of it."""
+        """Start a monitor of the bridge."""
         self.monitors.append(Monitor('--node', NAME, *arguments, **environment))
         return self.monitors[-1]
 
     def once(self, *arguments):
-        """Status and output of one look, in which the machine let the bridge send heartbeats."""
+        """Status and output of `monitor --once`, at a time when no heartbeat was late."""
         looks = []
 
         def look():
@@ -125,10 +125,10 @@ class MonitorTest(unittest.TestCase):
 
     def test_once_is_0_if_every_link_is_ok_and_1_if_one_is_not(self):
         self.bridge()
-        # Without real-time priority a busy machine makes the heartbeat late now and then.
+        # Without real-time priority a busy machine delays the heartbeat now and then.
         until(lambda: self.once()[0] == 0, 'every link is OK')
         _, said = self.once()
-        self.assertRegex(said, r'(?m)^bus +OK +ready, bad 0')
+        self.assertRegex(said, r'(?m)^bus +OK +ready, errors 0')
         self.assertRegex(said, r'(?m)^arduino +(OK|WARN) +')
         self.assertNotRegex(said, r'(?m)^mcu')       # it has no port
         self.assertRegex(said, r'(?m)^~voltage +[\d.]+ Hz  11\.50 V$')
@@ -143,21 +143,21 @@ class MonitorTest(unittest.TestCase):
         self.assertEqual(status, 1)
         self.assertEqual(said, f'monitor: no bridge /robot/absent at {rosgraph.get_master_uri()}\n')
 
-    def test_a_bridge_that_goes_and_comes_back(self):
+    def test_a_restart_of_the_bridge_is_shown(self):
         monitor = self.monitor()
         monitor.wait_for(f'/{NAME}')
         self.bridge()
         monitor.wait_for('the bridge is there')
         monitor.wait_for(' OK ')
         self.bridges[-1].end(signal.SIGKILL)
-        monitor.wait_for(f'the bridge /{NAME} has said nothing for')
-        monitor.wait_for('STALE said')
+        monitor.wait_for(f'the bridge /{NAME} has reported nothing for')
+        monitor.wait_for('STALE reported')
         self.bridge()
         monitor.wait_for('the bridge is back, after')
-        gone = monitor.output().count('has said nothing for')
+        gone = monitor.output().count('has reported nothing for')
         self.bridges[-1].end(signal.SIGKILL)
-        monitor.wait_for('has said nothing for', times=gone + 1)
-        # The table that it leaves says how old each value is.
+        monitor.wait_for('has reported nothing for', times=gone + 1)
+        # Its last table shows the age of each value.
         self.assertEqual(monitor.end(), 0)
         said = monitor.output()
         table = said[said.rindex('topic '):]
@@ -165,14 +165,14 @@ class MonitorTest(unittest.TestCase):
             self.assertRegex(table, rf'(?m)^{topic} +\d[\d.]* s old  ')
         self.assertNotIn('Traceback', said)
 
-    def test_a_master_that_goes_and_comes_back(self):
-        MASTER_CAME_BACK.result(6 * PATIENCE)
+    def test_a_restart_of_the_master_is_shown(self):
+        MASTER_RESTARTED.result(6 * PATIENCE)
 
 
-def master_that_goes_and_comes_back():
-    """A monitor and a bridge with a car, under a master of their own that goes and comes back.
+def restart_master():
+    """Run a monitor and a bridge with a car under a separate master, and restart that master.
 
-    Mostly the monitor waits there; so does the test, while others run.
+    The monitor mostly waits, so this runs in a thread beside the other tests.
     """
     with socket.socket() as free:
         free.bind(('localhost', 0))
@@ -223,5 +223,5 @@ def master_that_goes_and_comes_back():
 
 if __name__ == '__main__':
     rospy.init_node('monitor_test')
-    MASTER_CAME_BACK = Waiter(master_that_goes_and_comes_back)
+    MASTER_RESTARTED = Waiter(restart_master)
     rostest.rosrun('serial_communication', 'monitor', MonitorTest)

@@ -1,9 +1,10 @@
 #!/usr/bin/python3
-"""The bridge's node for a test of two that start in the same moment.
+"""The bridge's node, for tests of two nodes that start at the same time.
 
-HOST (environment): the host that it starts on; on another one it does not share this one's lock.
-MEETING: a folder. Where the node finds its name free it leaves a file there, and goes on as soon
-as there is a file `go`.
+Environment:
+HOST: the name of the host that it seems to run on. Nodes with different HOSTs do not share a lock.
+MEETING: a folder. A node that has found its name free creates a file there, and continues when the
+folder has a file `go`.
 """
 import os
 import sys
@@ -11,11 +12,11 @@ import time
 
 from serial_communication.ros import node, starting
 
-look = starting.living_node
+look = starting.running_node
 
 
 def look_and_meet(name):
-    """As one that has found the name free, and is slow to register."""
+    """Check the name, then wait before registering."""
     address = look(name)
     if not address and 'MEETING' in os.environ:
         open(os.path.join(os.environ['MEETING'], str(os.getpid())), 'w').close()
@@ -24,8 +25,8 @@ def look_and_meet(name):
     return address
 
 
-starting.living_node = look_and_meet
+starting.running_node = look_and_meet
 starting._PROGRAM += os.environ.get('HOST', '')     # part of the lock's address
 if ':=' not in ''.join(sys.argv[1:2]):
-    del sys.argv[1:2]       # the node's own program, in whose place this one was started
+    del sys.argv[1:2]       # the path of the node's program, which this program replaces
 node.main()

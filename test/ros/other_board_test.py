@@ -1,6 +1,5 @@
 #!/usr/bin/python3
-"""A board of another package, as doc/developing.md has it: built from the page, and run with every
-program that ours have."""
+"""The board of another package from doc/developing.md, built from the page, with every program."""
 import json
 import os
 import re
@@ -20,7 +19,7 @@ from geometry_msgs.msg import Vector3Stamped
 from boards import (ERROR, OK, PACKAGE, PATIENCE, Diagnostics, Line, Topic, own_folder, program,
                     until)
 from serial_communication.msg import SerialMsg
-from serial_communication.tools.panel.wire import Wire
+from serial_communication.tools.panel.wire import FrameExplainer
 from serial_communication.tools.watch.topics import boards_of
 
 PAGE = Path(__file__).resolve().parents[2] / 'doc' / 'developing.md'
@@ -31,7 +30,7 @@ PARTS = ['start', 'payload', 'end']
 
 
 class Program:
-    """A program that runs; what it prints is in `output`."""
+    """A running program."""
 
     def __init__(self, command, environment):
         self._output = tempfile.TemporaryFile('w+')
@@ -39,24 +38,24 @@ class Program:
                                         stdout=self._output)
 
     def output(self):
-        """So far."""
+        """Its output so far."""
         self._output.seek(0)
         return self._output.read()
 
     def end(self):
-        """Ctrl-C; its exit status."""
+        """Send Ctrl-C; return its exit status."""
         self.process.send_signal(signal.SIGINT)
         return self.process.wait(2 * PATIENCE)
 
     def close(self):
-        """Whatever a test that failed has left."""
+        """Kill it, in case the test failed."""
         self.process.kill()
         self.process.wait(PATIENCE)
         self._output.close()
 
 
 class OtherBoard(unittest.TestCase):
-    """A wind sensor on a tty of the test's own."""
+    """A wind sensor on a tty of the test."""
 
     @classmethod
     def setUpClass(cls):
@@ -80,23 +79,23 @@ class OtherBoard(unittest.TestCase):
 
     @classmethod
     def end_launch(cls):
-        """Ctrl-C."""
+        """Send Ctrl-C to roslaunch."""
         cls.launch.send_signal(signal.SIGINT)
         cls.launch.wait(2 * PATIENCE)
 
     def start(self, *command):
-        """A program of the package, which ends with the test."""
+        """Start a program of the package, which ends with the test."""
         started = Program(command, self.environment)
         self.addCleanup(started.close)
         return started
 
     def run_program(self, *command):
-        """Its exit status and output."""
+        """Run a program; return its exit status and output."""
         started = self.start(*command)
         return started.process.wait(4 * PATIENCE), started.output()
 
     def spare(self, name):
-        """A line that no bridge has."""
+        """A line that no bridge uses."""
         line = Line(os.path.join(self.folder, name)).plug()
         self.addCleanup(line.unplug)
         return line
@@ -114,7 +113,7 @@ class OtherBoard(unittest.TestCase):
         self.assertEqual((shown.link, shown.text, bytes(shown.frame), shown.error),
                          ('wind', 'wind from 90 degrees, 12.5 m/s', GUST, ''))
 
-    def test_damage_is_counted_and_costs_no_valid_sentence(self):
+    def test_errors_are_counted_and_no_valid_sentence_is_lost(self):
         def errors(status):
             return int(status.keys['checksum errors'])
 
@@ -124,14 +123,14 @@ class OtherBoard(unittest.TestCase):
         until(lambda: len(self.wind.messages) == 2, 'both valid sentences')
         self.diagnostics.fresh('wind', lambda s: errors(s) == before + 1, 'one more')
 
-    def test_its_port_comes_and_goes_and_its_parameters_are_checked(self):
+    def test_its_port_may_vanish_and_return_and_its_parameters_are_checked(self):
         self.line.unplug()
         self.diagnostics.fresh('wind', lambda s: s.level == ERROR, 'the port has gone')
         self.line.plug()
         self.wind.next(lambda m: True, doing=lambda: self.say(GUST))
         self.assertEqual(rospy.get_param('/serial_communication/wind/port'), self.line.near)
 
-    def test_its_simulator_is_one_as_ours_and_the_monitor_shows_its_link(self):
+    def test_its_simulator_works_like_the_built_in_ones_and_the_monitor_shows_its_link(self):
         self.start('simulator', 'wind_sensor', '--port', self.line.far, '--fault', 'drop=0.1',
                    '--seed', '1')
         self.wind.next(lambda m: abs(hypot(m.vector.x, m.vector.y) - 5) < 1e-6,
@@ -157,8 +156,8 @@ class OtherBoard(unittest.TestCase):
         sys.path.insert(0, self.folder)
         self.addCleanup(sys.path.remove, self.folder)
         parameters = rospy.get_param('/serial_communication')
-        page = Wire(boards_of(parameters), parameters)
-        self.assertEqual([part[0] for part in page.describe(shown, 0.0)[-1]], PARTS)
+        explainer = FrameExplainer(boards_of(parameters), parameters)
+        self.assertEqual([part[0] for part in explainer.explain(shown, 0.0)[-1]], PARTS)
 
     def test_its_line_is_listened_to_and_what_is_kept_has_statistics(self):
         self.look_on('listen', self.spare('listened'))
@@ -179,7 +178,7 @@ class OtherBoard(unittest.TestCase):
         self.look_on('tap', self.spare('tapped'), computer.near, also=is_passed_on)
 
     def look_on(self, name, sensor, *ports, also=lambda: True):
-        """Until a sentence is shown, and `also`."""
+        """Wait until a sentence is shown and `also` is true."""
         kept = os.path.join(self.folder, name + '.txt')
         onlooker = self.start('wire', name, 'wind', sensor.near, *ports, '--config', self.config,
                               '--json', '--raw', kept)

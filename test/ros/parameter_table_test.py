@@ -1,6 +1,7 @@
 #!/usr/bin/python3
-"""What the code says in two places is one: config/bridge.yaml and the table of parameters, the
-messages of the car and their topics. Needs no ROS master: run it alone, or with unittest or pytest.
+"""The table of parameters agrees with config/bridge.yaml, and each message of the car has a topic.
+
+This needs no ROS master: run it alone, or with unittest or pytest.
 """
 import itertools
 import logging
@@ -18,7 +19,7 @@ import yaml
 
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.arduino import ros as interface
-from serial_communication.ros.interface import Common
+from serial_communication.ros.interface import LinkOptions
 from serial_communication.ros.parameters import PARAMETERS, ParameterError, check
 
 CONFIG = os.path.join(os.path.dirname(os.path.abspath(__file__)), '..', '..', 'config',
@@ -26,7 +27,7 @@ CONFIG = os.path.join(os.path.dirname(os.path.abspath(__file__)), '..', '..', 'c
 
 
 def flatten(tree, prefix=''):
-    """Nested groups as names with slashes."""
+    """Nested groups as one dict, whose names have slashes."""
     flat = {}
     for name, value in tree.items():
         if isinstance(value, dict) and value:
@@ -37,7 +38,7 @@ def flatten(tree, prefix=''):
 
 
 class ParameterTable(unittest.TestCase):
-    """The file that documents each parameter, and the table that checks it."""
+    """config/bridge.yaml, which documents the parameters, and the table that checks them."""
 
     @classmethod
     def setUpClass(cls):
@@ -49,7 +50,7 @@ class ParameterTable(unittest.TestCase):
     def test_the_file_has_every_parameter_and_no_other(self):
         self.assertEqual(set(self.flat), set(PARAMETERS))
 
-    def test_the_file_has_the_defaults_but_for_the_ports(self):
+    def test_the_file_has_the_defaults_except_for_the_ports(self):
         for name, value in self.flat.items():
             if not name.endswith('/port'):
                 with self.subTest(name):
@@ -60,7 +61,7 @@ class ParameterTable(unittest.TestCase):
                         self.assertEqual(value, default)
                     self.assertEqual(isinstance(value, bool), isinstance(default, bool))
 
-    def test_the_file_is_accepted_as_it_is(self):
+    def test_the_file_is_valid(self):
         values, warnings = check(self.given, '/node')
         self.assertEqual(warnings, [])
         self.assertEqual(values['bus/port'], self.given['bus']['port'])
@@ -70,7 +71,7 @@ class ParameterTable(unittest.TestCase):
             self.assertEqual(PARAMETERS[link + '/port'].default, '')
             self.assertTrue(self.flat[link + '/port'].startswith('/dev/'))
 
-    def test_numbers_that_have_one_say_their_unit(self):
+    def test_the_file_has_the_unit_of_each_number(self):
         for name, parameter in PARAMETERS.items():
             if parameter.unit in ('s', 'Hz', 'm', 'rad', 'rad/s', 'm/s^2', 'rad/s per LSB'):
                 line = re.search(r'^ *%s:.*$' % name.split('/')[-1], self.text, re.M).group()
@@ -100,7 +101,7 @@ class ParameterTable(unittest.TestCase):
                 self.assertIn('may be ', text)
                 self.assertNotIn('\n', text)
 
-    def test_every_bounded_number_refuses_what_is_just_beyond_its_bounds(self):
+    def test_every_number_with_a_range_refuses_values_just_outside_it(self):
         for name, parameter in PARAMETERS.items():
             if type(parameter.default) not in (int, float) or parameter.choices:
                 continue
@@ -111,14 +112,14 @@ class ParameterTable(unittest.TestCase):
                 with self.subTest(name, value=value), self.assertRaises(ParameterError):
                     check({group: {own: value}} if group else {own: value}, '/node')
 
-    def test_a_whole_number_does_for_a_number(self):
+    def test_a_whole_number_is_accepted_for_a_float(self):
         values, _warnings = check({'bus': {'reply_timeout': 2}}, '/node')
         self.assertEqual(repr(values['bus/reply_timeout']), '2.0')
 
 
 class OtherBoards(unittest.TestCase):
-    """Boards of other packages: folders with a DESCRIPTION, and, as up to 1.1, modules with an
-    INTERFACE; what is no board, or not as it must be."""
+    """Boards of other packages: packages with a DESCRIPTION, modules with an INTERFACE (up to 1.1),
+    and mistakes in them."""
 
     BOARD = """
 from serial_communication.ros.interface import Interface
@@ -140,7 +141,7 @@ class INTERFACE(Interface):
         self.addCleanup(path.stop)
 
     def module(self, text):
-        """The name of a new module with this text, which writes down each time it is imported."""
+        """Create a module with this text, which records each import; return its name."""
         name = f'other_board_{next(self.NUMBERS)}'
         with open(os.path.join(self.folder, name + '.py'), 'w') as file:
             file.write(f"open(__file__ + '.imports', 'a').write('x')\n{text}\n")
@@ -155,7 +156,7 @@ class INTERFACE(Interface):
         self.assertNotIn('\n', text)
         return text
 
-    def test_what_importing_raises_is_one_line_with_its_place_and_it_is_imported_once(self):
+    def test_an_error_of_the_import_is_one_line_with_its_place_and_there_is_one_import(self):
         for body, said in (
                 ('1 / 0', 'ZeroDivisionError: division by zero (%s, line 2)'),
                 ('raise KeyboardInterrupt', 'KeyboardInterrupt (%s, line 2)'),
@@ -182,14 +183,14 @@ class INTERFACE(Interface):
             file.write('1 +')
         self.assert_refused({'boards': ['unfinished']}, 'SyntaxError', 'unfinished.py, line 1)')
 
-    def test_names_that_are_none_of_a_module(self):
+    def test_names_that_are_not_module_names_are_refused(self):
         for name in '', '.', '.x', 'no.such', 'a/b', 'a\nb', 'x' * 10**5, '\0':
             with self.subTest(name[:9]):
                 self.assert_refused({'boards': [name]}, 'parameter /node/boards is [', 'importing')
         for boards in ['x', 5], {'a': 'b'}, 'x', [['x']]:
             self.assert_refused({'boards': boards}, 'may be a list (names of Python packages with')
 
-    def test_an_interface_that_is_not_what_it_must_be(self):
+    def test_a_wrong_interface_is_refused(self):
         for text, said in (
                 ('', 'it has neither a DESCRIPTION of a board nor an INTERFACE'),
                 ('INTERFACE = None', 'nor an INTERFACE'),
@@ -202,8 +203,8 @@ class INTERFACE(Interface):
                 (self.BOARD + '    NAME = "bus"', "NAME is 'bus', may be a name that no other"),
                 (self.BOARD + '    NAME = "boards"', "NAME is 'boards', may be a name that no"),
                 (self.BOARD + '    del PARAMETERS', 'INTERFACE.PARAMETERS is None, may be a dict'),
-                (self.BOARD + '    PARAMETERS = [PORT]', 'may be a dict of Parameter by name'),
-                (self.BOARD + '    PARAMETERS = {5: PORT}', 'by names of letters'),
+                (self.BOARD + '    PARAMETERS = [PORT]', 'may be a dict from name to Parameter'),
+                (self.BOARD + '    PARAMETERS = {5: PORT}', 'from name (letters, digits'),
                 (self.BOARD + '    PARAMETERS = {"port": "x"}', "['port'] is 'x', may be a Param"),
                 (self.BOARD + '    PARAMETERS = {"baud": BAUD}', "['port'] is None, may be PORT"),
                 (self.BOARD + '    PARAMETERS = {"port": BAUD}', 'may be PORT'),
@@ -216,7 +217,7 @@ class INTERFACE(Interface):
                 self.assert_refused({'boards': [name]}, 'parameter /node/boards is',
                                     f"the module '{name}'", said)
 
-    def test_a_folder_with_a_description_and_one_that_is_not_what_it_must_be(self):
+    def test_a_package_with_a_description_is_accepted_and_a_wrong_one_is_refused(self):
         for body, text, said in (
                 (self.BOARD, 'wind', ''),
                 (self.BOARD, 'rain', "INTERFACE.NAME is 'wind', may be 'rain', the name in its "
@@ -240,19 +241,20 @@ class INTERFACE(Interface):
                     self.assertEqual((values['boards'][-1].NAME, values['wind/baud'], warnings),
                                      ('wind', 9600, []))
 
-    def test_its_own_checks_may_raise_whatever_they_like(self):
+    def test_any_error_in_a_boards_own_checks_is_one_line(self):
         fault = '(lambda *_: 1 / 0)'
         for text, said in (
                 ('    problem = staticmethod' + fault, 'parameter /node/boards: the board wind '
-                 'cannot check its parameters: ZeroDivisionError'),
-                ('    own_names = staticmethod' + fault, 'the board wind cannot check its'),
-                ('    own_names = staticmethod(lambda p: 5)', 'the board wind cannot check its'),
+                 'failed to check its parameters: ZeroDivisionError'),
+                ('    custom_names = staticmethod' + fault, 'the board wind failed to check its'),
+                ('    custom_names = staticmethod(lambda p: 5)',
+                 'the board wind failed to check its'),
                 (f'    PARAMETERS["x"] = Parameter("a", parse={fault})', "parameter /node/wind/x "
                  "is 'a' (str), may be text: ZeroDivisionError: division by zero (")):
             with self.subTest(text):
                 self.assert_refused({'boards': [self.module(self.BOARD + text)]}, said)
 
-    def test_a_module_with_an_interface_alone_is_a_board_but_once(self):
+    def test_a_module_with_only_an_interface_is_a_board_but_not_twice(self):
         one, other = self.module(self.BOARD), self.module(self.BOARD)
         for boards in [one, one], [one, other]:
             self.assert_refused({'boards': boards}, "INTERFACE.NAME is 'wind', may be a name that "
@@ -262,7 +264,7 @@ class INTERFACE(Interface):
 
 
 class Lines(unittest.TestCase):
-    """What is wrong is one line that can be read, whatever is in it."""
+    """Every error is one readable line, whatever the name or value is."""
 
     def test_names_and_values_are_cut_short_and_printable(self):
         for given, said in (
@@ -277,9 +279,9 @@ class Lines(unittest.TestCase):
             self.assertTrue(text.isprintable(), text)
             self.assertLess(len(text), 500)
         _values, (warning,) = check({'pub\nlish_tf': True}, '/node')
-        self.assertIn('/node/pub\ufffdlish_tf is not known', warning)
+        self.assertIn('/node/pub\ufffdlish_tf is unknown', warning)
 
-    def test_two_links_with_one_port(self):
+    def test_two_links_with_the_same_port_are_refused(self):
         with tempfile.TemporaryDirectory() as folder:
             link = os.path.join(folder, 'by-id')
             os.symlink('/dev/null', link)
@@ -288,13 +290,14 @@ class Lines(unittest.TestCase):
                 with self.subTest(other), self.assertRaises(ParameterError) as caught:
                     check({'bus': {'port': one}, 'mcu': {'port': other, 'baud': 9600}}, '/node')
                 self.assertEqual(str(caught.exception), f"parameter /node/mcu/port is '{other}', "
-                                 f"the port of /node/bus/port ('{one}'), too; a port has one link")
+                                 f"which is also the port of /node/bus/port ('{one}'); each link "
+                                 'needs its own port')
         check({'bus': {'port': 'loop://'}, 'mcu': {'port': 'loop://'}, 'arduino': {'port': ''}},
               '/node')
 
 
 class Sonar(arduino.Ticks):
-    """A message that the car could send."""
+    """A message from the car without a topic."""
 
     TYPE = 99
 
@@ -304,19 +307,19 @@ class Topics(unittest.TestCase):
 
     @staticmethod
     def interface():
-        """One with the default parameters, which opens no port and asks no master."""
+        """An interface with the default parameters, which needs neither a port nor a master."""
         values = {name: each.default
                   for name, each in interface.ArduinoInterface.PARAMETERS.items()}
         values.update(publish_tf=False, frame_prefix='', base_frame_id='base_link')
         with mock.patch.object(interface, 'publisher'), \
                 mock.patch.object(interface, 'built_in_topic'):
             return interface.ArduinoInterface(
-                values, Common(0.05, time.time, logging.getLogger('table')))
+                values, LinkOptions(0.05, time.time, logging.getLogger('table')))
 
     def test_every_message_of_the_car_has_a_topic(self):
         self.assertEqual(self.interface().link.name, 'arduino')
 
-    def test_one_that_has_none_is_named_before_a_port_is_open(self):
+    def test_a_message_without_a_topic_is_named_before_a_port_is_opened(self):
         with mock.patch.object(arduino, 'FROM_BOARD', (*arduino.FROM_BOARD, Sonar)), \
                 self.assertRaisesRegex(TypeError, 'messages without a topic: .*Sonar'):
             self.interface()

@@ -1,6 +1,5 @@
 #!/usr/bin/python3
-"""Parameters: a wrong one ends the node with one line; every link can be used without the
-others."""
+"""Parameters: a wrong one ends the node with one line; every link works without the others."""
 import re
 import signal
 import subprocess
@@ -13,8 +12,8 @@ import rostest
 
 from boards import PACKAGE, PATIENCE, Bridge, until
 
-# Parameter, value, what the line says that it may be. One of each kind: parameter_table_test
-# goes through every parameter, without a process for each.
+# Parameter, value, and what the line says that it may be; one of each kind. parameter_table_test
+# checks every parameter, without processes.
 WRONG = (
     ('frame_timeout', 'soon', 'a number from 0.001 to 10 (s)'),
     ('publish_tf', 1, 'true or false'),
@@ -22,7 +21,7 @@ WRONG = (
     ('bus/port', 5, 'text'),
     ('bus/port', 'nosuch://device', 'text'),
     ('bus/port', 'socket://robot', 'socket://192.168.1.5:4001; the port is missing'),
-    ('bus/port', 'socket://127.0.0.1:99999', 'the port is none of 1 to 65535'),
+    ('bus/port', 'socket://127.0.0.1:99999', 'the port is out of range (1 … 65535)'),
     ('frame_prefix', 5, 'text'),
     ('bus/baud', 9600.5, 'a whole number from 50 to 4000000 (baud)'),
     ('bus/baud', 49, 'a whole number from 50 to 4000000 (baud)'),
@@ -37,7 +36,7 @@ WRONG = (
 
 
 def start_and_read(number, parameter, value):
-    """Status and output of a bridge with that parameter, which has ended by itself."""
+    """Status and output of a bridge with this parameter, which ends by itself."""
     bridge = Bridge('wrong_%d' % number, {parameter: value})
     try:
         return bridge.process.wait(2 * PATIENCE), bridge.output()
@@ -49,9 +48,9 @@ def start_and_read(number, parameter, value):
 
 
 class WrongParameters(unittest.TestCase):
-    """Each ends the node at start."""
+    """Parameters that end the node at the start."""
 
-    def test_each_ends_the_node_with_one_line_that_names_it_what_it_is_and_what_it_may_be(self):
+    def test_each_ends_the_node_with_a_line_that_has_its_name_its_value_and_what_it_may_be(self):
         with ThreadPool(2) as pool:
             results = pool.starmap(start_and_read, [(number, name, value) for number, (
                 name, value, _) in enumerate(WRONG)])
@@ -67,7 +66,7 @@ class WrongParameters(unittest.TestCase):
 
 
 class Names(unittest.TestCase):
-    """Which links there are, and names that are no parameters."""
+    """Links that are on or off, and unknown parameters."""
 
     TOPICS = {
         'bus': {'~environment', '~environment/temperature', '~environment/humidity'},
@@ -92,7 +91,7 @@ class Names(unittest.TestCase):
             self.bridge.process.wait(10)
 
     def start(self, *links, **parameters):
-        """A bridge with these links, on ports that are not there."""
+        """Start a bridge with these links, whose ports are absent."""
         given = {link + '/port': '/tmp/rostest_absent/' + link for link in links}
         given.update((name.replace('__', '/'), value) for name, value in parameters.items())
         self.bridge = Bridge('bridge', given)
@@ -102,7 +101,7 @@ class Names(unittest.TestCase):
 
     @staticmethod
     def seen():
-        """What the bridge publishes, subscribes to and serves."""
+        """The bridge's topics, subscriptions and services."""
         state = rosgraph.Master('/parameters_test').getSystemState()
         return [{name for name, nodes in entries if '/bridge' in nodes} for entries in state]
 
@@ -111,7 +110,7 @@ class Names(unittest.TestCase):
                 for link in links for name in table[link]}
 
     def assert_interface(self, *links):
-        """Exactly the topics and services of these links, and those of every node."""
+        """The bridge has exactly the topics and services of these links, and those of any node."""
         services = self.expected(links, self.SERVICES)
         until(lambda: self.seen()[2] >= services and '/diagnostics' in self.seen()[0]
               if links else True, 'services of %s' % (links,))
@@ -125,22 +124,22 @@ class Names(unittest.TestCase):
         _seconds, status = self.bridge.end(signal.SIGINT)
         self.assertEqual(status, 0, self.bridge.output())
 
-    def test_the_bus_alone(self):
+    def test_the_bus_link_works_alone(self):
         self.start('bus')
         self.assert_interface('bus')
         self.assert_ends()
 
-    def test_the_arduino_alone(self):
+    def test_the_arduino_link_works_alone(self):
         self.start('arduino')
         self.assert_interface('arduino')
         self.assert_ends()
 
-    def test_the_mcu_alone(self):
+    def test_the_mcu_link_works_alone(self):
         self.start('mcu')
         self.assert_interface('mcu')
         self.assert_ends()
 
-    def test_no_port_at_all_lives_and_says_so(self):
+    def test_without_any_port_the_node_runs_and_warns(self):
         self.start()
         self.assertIn('WARN', self.bridge.wait_for('no port is set'))
         self.assert_interface()
@@ -151,7 +150,7 @@ class Names(unittest.TestCase):
         self.start('bus', 'arduino', 'mcu', mcu__timeuot=3.0, publish_ft=True, mcu__colour='red')
         for name, words in (('mcu/timeuot', 'did you mean mcu/timeout?'),
                             ('publish_ft', 'did you mean publish_tf?'), ('mcu/colour', '')):
-            line = self.bridge.wait_for('parameter /bridge/%s is not known' % name)
+            line = self.bridge.wait_for('parameter /bridge/%s is unknown' % name)
             self.assertIn('WARN', line)
             self.assertIn(words, line)
         self.assert_interface('bus', 'arduino', 'mcu')

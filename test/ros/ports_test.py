@@ -241,7 +241,7 @@ class Cut(PortsTest):
             if board.raws[0] == SPEED_0_PACKET:
                 break
         self.assertEqual(board.raws[0], SPEED_0_PACKET)
-        ROSOUT.wait_for('cut', 'the bridge stood still for', Log.WARN)
+        ROSOUT.wait_for('cut', ' s: SPEED 0 is sent first', Log.WARN)
         until(lambda: 250 in board.speeds, 'new commands', doing=lambda: speed.publish(value=250),
               every=0.05)
 

@@ -1,5 +1,5 @@
-"""Publishers that do what rospy's never would: latch what they like, hold two connections under one
-name, fall silent and come back. They speak to the master and to subscribers by ROS's protocols."""
+"""Publishers that do what rospy's cannot: latch any message, have two connections under one name,
+stop and reconnect. They use ROS's protocols with the master and the subscribers."""
 import io
 import socket
 import struct
@@ -12,16 +12,17 @@ from boards import until
 
 
 class FakePublisher:
-    """A publisher of one topic, that the master knows from `register` on.
+    """A publisher of one topic.
 
     Args:
         name: of its node.
-        latching: whether it says that it latches.
-        latched: a message that every connection begins with.
+        latching: whether its header says that it latches.
+        latched: the first message on each connection.
+        register: whether to register it at the master at once.
     """
 
     def __init__(self, name, topic, message_class, latching=False, latched=None, register=True):
-        self.connections = []       # the oldest one first
+        self.connections = []       # the oldest first
         self._name, self._topic, self._class = name, topic, message_class
         self._latched = latched
         self._header = {'callerid': name, 'topic': topic, 'type': message_class._type,
@@ -39,20 +40,20 @@ class FakePublisher:
             self.register()
 
     def register(self):
-        """The master knows it from now on, and tells the subscribers."""
+        """Register it at the master, which informs the subscribers."""
         self._master.registerPublisher(self._topic, self._class._type, self._uri)
 
     def connected(self, number=1):
-        """Wait until so many connections have been made; returns itself."""
+        """Wait for that many connections, and return self."""
         until(lambda: len(self.connections) >= number, '%s is connected' % self._name)
         return self
 
     def say(self, message, connection=-1):
-        """A message on one of its connections."""
+        """Send a message on one of its connections."""
         self.connections[connection].sendall(_packed(message))
 
     def reconnect(self):
-        """Cut the connection off, and make another one."""
+        """Close the newest connection, and wait for another one."""
         number = len(self.connections)
         self.connections[-1].close()
         until(lambda: self._register_again(number), '%s is connected again' % self._name, every=0.2)
@@ -64,7 +65,7 @@ class FakePublisher:
         return len(self.connections) > number
 
     def close(self):
-        """The master forgets it, and its connections end."""
+        """Unregister it and close its connections."""
         self._master.unregisterPublisher(self._topic, self._uri)
         self._listener.close()
         self._node.shutdown()

@@ -1,20 +1,20 @@
 #!/usr/bin/python3
-"""Shows an rviz configuration and prints what each display says of itself, until all is well.
+"""Shows an rviz configuration and prints the statuses of its displays until none has a problem.
 
-usage: rviz_statuses.py CONFIG SECONDS. A line for each display and each of its statuses; the exit
-status is 0 as soon as no display has a warning or an error, 1 if one has after SECONDS.
+usage: rviz_statuses.py CONFIG SECONDS. Prints a line for each status of each display. The exit
+status is 0 as soon as no display has a warning or an error, and 1 if one still has after SECONDS.
 """
 import sys
 import time
 
 from rviz import bindings as rviz
-from python_qt_binding.QtWidgets import QApplication    # after rviz, whose Qt it has to share
+from python_qt_binding.QtWidgets import QApplication    # after rviz, since it must use rviz's Qt
 
-SETTLED = 2.0     # s in which nothing may turn bad again
+SETTLED = 2.0     # s without a new warning or error
 
 
 def statuses(display):
-    """The statuses of a display by name: Ok, Warn or Error, and more words."""
+    """The statuses of a display by name: Ok, Warn or Error, with a text."""
     found = {}
     for at in range(display.numChildren()):
         child = display.childAt(at)

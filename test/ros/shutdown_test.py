@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""However the bridge is ended, SPEED 0 is its last packet and it is gone within 2 s."""
+"""However the bridge is stopped, SPEED 0 is its last packet, and it ends within 2 s."""
 import os
 import shutil
 import signal
@@ -45,7 +45,7 @@ class Shutdown(unittest.TestCase):
         until(lambda: 400 in self.car.speeds, 'the car drives')
 
     def start_bridge(self, **arguments):
-        """It is in step with its boards when this returns."""
+        """Start a bridge, and wait until it is in step with its boards."""
         self.bridge = Bridge(parameters={
             'bus/port': self.lines[0].near, 'arduino/port': self.lines[1].near,
             'bus/motion_timeout': 60.0, 'bus/environment_period': 0.0}, **arguments)
@@ -58,7 +58,7 @@ class Shutdown(unittest.TestCase):
             self.bridge.process.wait(10)
 
     def drive(self):
-        """Commands without a pause, also while the bridge ends."""
+        """Publish commands without a pause, even while the bridge ends."""
         while not self._driving.wait(0.02):
             self.speed.publish(value=400)
 
@@ -74,21 +74,21 @@ class Shutdown(unittest.TestCase):
         until(lambda: self.car.raws[-1:] == [SPEED_0_PACKET], 'SPEED 0 is the last packet: %s'
               % self.car.raws[-3:])
         self.assertEqual(self.car.speeds[:-1], [400] * (len(self.car.speeds) - 1))
-        # Not one byte more, nor part of one.
+        # Nothing follows, not even part of a packet.
         self.assertEqual(bytes(self.car.wire[-5:]), SPEED_0_PACKET)
 
-    def test_sigint(self):
+    def test_sigint_stops_the_car_and_ends_the_bridge(self):
         self.assert_ended(*self.bridge.end(signal.SIGINT))
 
-    def test_sigterm(self):
+    def test_sigterm_stops_the_car_and_ends_the_bridge(self):
         self.assert_ended(*self.bridge.end(signal.SIGTERM))
 
-    def test_sighup(self):
+    def test_sighup_stops_the_car_and_ends_the_bridge(self):
         self.assert_ended(*self.bridge.end(signal.SIGHUP))
 
-    def test_a_hangup_that_nohup_has_ignored_ends_nothing(self):
+    def test_sighup_under_nohup_does_not_end_the_bridge(self):
         self.bridge.end()
-        # As nohup does, which also looks for a terminal; ignored signals are inherited.
+        # This is what nohup does; ignored signals are inherited.
         self.start_bridge(before=('sh', '-c', 'trap "" HUP; exec "$@"', 'nohup'))
         self.bridge.process.send_signal(signal.SIGHUP)
         self.car.forget()
@@ -96,13 +96,13 @@ class Shutdown(unittest.TestCase):
         self.assertTrue(self.bridge.alive)
         self.assert_ended(*self.bridge.end(signal.SIGTERM))
 
-    def test_rosnode_kill(self):
+    def test_rosnode_kill_stops_the_car_and_ends_the_bridge(self):
         ended = Waiter(self.bridge.process.wait, 15)
         rosnode.kill_nodes(['/' + PACKAGE])
         self.assert_ended(0.0, ended.result())
         self.assertLess(ended.took, SECONDS + 1.0)
 
-    def test_a_lift_call_that_waits_is_told_and_holds_up_nothing(self):
+    def test_a_waiting_lift_call_is_answered_and_delays_nothing(self):
         for number in signal.SIGINT, signal.SIGTERM, signal.SIGHUP:
             with self.subTest(signal=number):
                 if number != signal.SIGINT:
@@ -114,7 +114,7 @@ class Shutdown(unittest.TestCase):
                 self.assert_ended(*self.bridge.end(number))
                 waiter.join(5)
                 self.assertFalse(waiter.is_alive(), 'the caller still waits')
-                if waiter.answer is not None:      # else its connection was closed: an error
+                if waiter.answer is not None:      # otherwise its connection was closed
                     self.assertEqual(waiter.answer.status, TIMEOUT)
 
 

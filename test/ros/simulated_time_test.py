@@ -1,6 +1,6 @@
 #!/usr/bin/python3
-"""With simulated time that never begins, everything that counts seconds counts them still; where it
-does begin, stamps are compared with it."""
+"""With simulated time that never starts, all periods and timeouts still work; once it starts,
+stamps are compared with it."""
 import threading
 import unittest
 
@@ -28,7 +28,7 @@ def setUpModule():
 
 
 class SimulatedTime(unittest.TestCase):
-    """No /clock at all."""
+    """No /clock is published."""
 
     @classmethod
     def setUpClass(cls):
@@ -39,7 +39,7 @@ class SimulatedTime(unittest.TestCase):
     def test_heartbeats_are_sent(self):
         CAR.wait_for_heartbeat_rate(40, 130)
 
-    def test_a_speed_that_is_not_renewed_ends(self):
+    def test_a_speed_that_is_not_renewed_ends_in_speed_0(self):
         CAR.forget()
         command_topic('/serial_communication/speed', SpeedPWMCommand).publish(value=300)
         until(lambda: CAR.speeds == [300, 0], 'SPEED 0')
@@ -53,33 +53,32 @@ class SimulatedTime(unittest.TestCase):
         self.assertEqual(lift(0, 100).status, TIMEOUT)
         until(lambda: service('/serial_communication/bus/echo', Trigger)().success, 'an echo')
 
-    def test_the_air_is_polled_and_published(self):
+    def test_readings_of_the_air_are_polled_and_published(self):
         topic = Topic('/serial_communication/environment', Environment)
         until(lambda: len(topic.messages) >= 3, 'three readings')
 
-    def test_measurements_are_published_with_the_time_that_stands_still(self):
+    def test_measurements_are_published_with_a_stamp_of_0(self):
         topic = Topic('/serial_communication/imu', Imu)
         message = topic.first(doing=lambda: CAR.say(level_imu()))
         self.assertEqual(message.header.stamp, rospy.Time(0))
 
-    def test_the_mcus_silence_is_noticed(self):
+    def test_a_silent_mcu_board_is_reported(self):
         topic = Topic('/mcu/status', McuStatus2)
         topic.first(lambda m: m.connected, doing=lambda: SENSORS.say(ranges()))
         topic.forget()
         until(lambda: sum(not m.connected for m in list(topic.messages)) >= 2, 'two reports')
 
-    def test_diagnostics_come_once_a_second(self):
+    def test_diagnostics_are_published_once_a_second(self):
         topic = Topic('/diagnostics', DiagnosticArray)
-        # Not less often than every two seconds, and not more often than every second, but that
-        # the first ones may have come late.
+        # At least every two seconds, and at most every second; the first ones may be late.
         until(lambda: len(topic.messages) >= 8 * 3, 'eight rounds of three links')
         self.assertGreater(topic.arrivals[23] - topic.arrivals[0], 3.5)
 
 
 class WithAClock(unittest.TestCase):
-    """A /clock that begins, and jumps back, as a bag does that is played again."""
+    """A /clock that starts, and jumps back like a bag that is played again."""
 
-    def test_the_age_of_a_command_is_counted_by_it(self):
+    def test_the_age_of_a_command_is_measured_by_it(self):
         clock = rospy.Publisher('/clock', Clock, queue_size=1)
         until(lambda: clock.get_num_connections() >= 2, 'the bridge hears the clock')
         speed = command_topic('/serial_communication/speed', SpeedPWMCommand)
@@ -104,7 +103,7 @@ class WithAClock(unittest.TestCase):
                 threading.Event().wait(0.01)
             drive(100 + turn, now)
             self.assertEqual({10 * turn, 11 * turn} & set(CAR.speeds), set())
-        # The first of them may be over before this test hears the bridge's log.
+        # The bridge may log the first of them before this test has subscribed to its log.
         rosout.wait_for(PACKAGE, 'refused: its stamp is 1.00 s old',
                         doing=lambda: say(10, now - 1.0))
 

@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""tf: where the sensors stand, and with publish_tf how they are turned."""
+"""tf: the sensors' mounts, and with publish_tf their orientations."""
 import unittest
 from math import sqrt
 
@@ -25,11 +25,11 @@ def setUpModule():
 
 
 class TfTest(unittest.TestCase):
-    """What stands on /tf and /tf_static, by node."""
+    """The transforms on /tf and /tf_static, by node."""
 
     def transform(self, topic, node, child, doing=None, near=None):
-        """The first transform of `child` that `node` sends, with a rotation near that if given:
-        packets of the test before may still be on their way."""
+        """Wait for a transform of `child` by `node`; with `rotation`, for one near it, since
+        messages of the previous test may still be on their way."""
         def fits(transform):
             return transform.child_frame_id == child and (near is None or all(
                 abs(got - wanted) < 0.1 for got, wanted in zip(
@@ -48,7 +48,7 @@ class TfTest(unittest.TestCase):
             for value, right in zip(got, wanted):
                 self.assertAlmostEqual(value, right, 6)
 
-    def test_the_mounts_stand_where_the_parameters_say(self):
+    def test_the_mounts_have_the_configured_positions(self):
         topic = Topic('/tf_static', TFMessage)
         for child, translation, rotation in (
                 ('car_imu', (0.1, -0.2, 0.3), (0, 0, HALF, HALF)),
@@ -58,7 +58,7 @@ class TfTest(unittest.TestCase):
             self.assert_transform(self.transform(topic, '/moving', child), 'trunk',
                                   translation, rotation)
 
-    def test_the_mounts_of_links_in_use_alone_are_there_by_default(self):
+    def test_by_default_only_links_with_a_port_have_mounts(self):
         topic = Topic('/tf_static', TFMessage)
         self.assert_transform(self.transform(topic, '/still', 'imu'), 'base_link', (0, 0, 0),
                               (0, 0, 0, 1))
@@ -77,14 +77,14 @@ class TfTest(unittest.TestCase):
                                lambda: SENSORS.say(ranges(yaw=90.0)), (0, 0, -HALF, HALF))
         self.assert_transform(found, 'head', (0, 0, 0), (0, 0, -HALF, HALF))
 
-    def test_a_quaternion_that_is_a_little_off_is_sent_as_tf2_takes_it(self):
+    def test_a_quaternion_is_normalised_for_tf2(self):
         topic = Topic('/tf', TFMessage)
         packet = arduino.Imu(16000, 0, 0, 0, 0, 0, 0, 0, 0, 8192, 0)      # norm 0.977
         found = self.transform(topic, '/moving', 'car_attitude', lambda: CAR.say(packet),
                                (0, 0, 0, 1))
         self.assert_transform(found, 'car_imu', (0, 0, 0), (0, 0, 0, 1))
 
-    def test_a_prefix_stands_before_every_frame_id(self):
+    def test_every_frame_id_has_the_prefix(self):
         mounts, turned = Topic('/tf_static', TFMessage), Topic('/tf', TFMessage)
         node = '/robot/prefixed'
         for child in 'imu', 'mcu_imu', 'range_1', 'range_2':
@@ -105,7 +105,7 @@ class TfTest(unittest.TestCase):
             message = Topic('/robot/' + name, message_class).first(doing=doing)
             self.assertEqual(message.header.frame_id, 'robot/' + frame)
 
-    def test_without_publish_tf_nothing_is_said_of_orientations(self):
+    def test_without_publish_tf_no_orientation_is_published(self):
         topic = Topic('/tf', TFMessage)
         imu = Topic('/still/imu', Imu)
         packet = arduino.Imu(16384, 0, 0, 0, 0, 0, 0, 0, 0, 8192, 0)

@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""view.launch: rviz starts with the configuration, and no display of it has an error."""
+"""view.launch: rviz starts with the configuration, and none of its displays has an error."""
 import os
 import shutil
 import signal
@@ -21,7 +21,7 @@ PATIENCE = 60.0      # s; software rendering on a busy machine
 
 
 class View(unittest.TestCase):
-    """roslaunch on a display of its own."""
+    """roslaunch with a virtual display."""
 
     def setUp(self):
         self.folder = Path(tempfile.mkdtemp(prefix='rostest_'))
@@ -33,7 +33,7 @@ class View(unittest.TestCase):
         with os.fdopen(reading) as number:
             self.environment = {**os.environ, 'DISPLAY': f':{number.readline().strip()}'}
         self.log = open(self.folder / 'log', 'w+')
-        # Drawn seldom, since there is no graphics card here.
+        # A low frame rate, since the processor renders.
         self.config = self.configuration('view.rviz', 'Frame Rate: 30', 'Frame Rate: 3')
         self.launch = subprocess.Popen(
             ['roslaunch', PACKAGE, 'view.launch', 'sim:=true', f'rviz_config:={self.config}'],
@@ -48,14 +48,14 @@ class View(unittest.TestCase):
         shutil.rmtree(self.folder)
 
     def configuration(self, name, words, others):
-        """The configuration with other words."""
+        """Write a copy of the configuration with replacements; return its path."""
         text = CONFIG.read_text()
         self.assertIn(words, text)
         (self.folder / name).write_text(text.replace(words, others))
         return self.folder / name
 
     def statuses(self, config, seconds):
-        """Whether all displays are well within this time, and what they say."""
+        """Whether no display has a problem within this time, and the statuses."""
         done = subprocess.run(['/usr/bin/python3', str(HERE / 'rviz_statuses.py'), str(config),
                                str(seconds)], env=self.environment, timeout=seconds + PATIENCE,
                               stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
@@ -74,7 +74,7 @@ class View(unittest.TestCase):
             self.assertIn(f'{display}: Status: Ok', said)
         self.assertIn('Attitude: imu_orientation: Transform OK', said)
         self.assertRegex(said, r'Range 1: Topic: \d+ messages received')
-        # The bridge's frames are the bridge's alone.
+        # Only the bridge publishes the bridge's frames.
         model = Topic('/tf_static', TFMessage)
         until(lambda: any('wheel_front_left' == each.child_frame_id for message in model.messages
                           for each in message.transforms), 'the model has its frames')
@@ -85,7 +85,7 @@ class View(unittest.TestCase):
                     each.child_frame_id)
         self.assertEqual({name[:5] for name in by_node['/car_model']}, {'wheel'})
 
-        # The same test sees an error where there is one.
+        # This test does report an error if there is one.
         status, said = self.statuses(self.configuration(
             'bad.rviz', 'Fixed Frame: base_link', 'Fixed Frame: nowhere'), 5.0)
         self.assertEqual(status, 1, said)

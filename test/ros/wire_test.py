@@ -1,8 +1,8 @@
 #!/usr/bin/python3
-"""wire play and wire stats, with bags: what a bridge on the robot saw, one on the desk sees again.
+"""wire play and wire stats with bags: a bridge on a desk receives what one on the robot received.
 
-SERIAL_COMMUNICATION_WIRE_SECONDS=60 records a minute with the bridge's default frame_timeout
-instead of a few seconds with one that no busy machine reaches by itself.
+With SERIAL_COMMUNICATION_WIRE_SECONDS=60 it records a minute with the default frame_timeout,
+instead of a few seconds with one that is too long to be reached on a busy machine.
 """
 import io
 import json
@@ -33,7 +33,7 @@ WITH_SCALE = dict(os.environ, PYTHONPATH=os.pathsep.join(
 LONG = float(os.environ.get('SERIAL_COMMUNICATION_WIRE_SECONDS', '0'))
 SECONDS = LONG or 6.0
 FRAME_TIMEOUT = 0.05 if LONG else 0.3
-FAULTS = {      # of the boards; the silences are longer than any frame_timeout here
+FAULTS = {      # of the boards; the silences are longer than frame_timeout
     'bus': ['flip=0.1', 'cut=0.1', 'insert=0.1'],
     'arduino': ['flip=0.01', 'cut=0.01', 'lose=0.01', 'insert=0.01', 'double=0.005',
                 'silence=6/min:1.5-1.6'],
@@ -47,7 +47,7 @@ TOPICS = {
 
 
 def values(message):
-    """All of a message but when it came."""
+    """All values of a message except its stamp."""
     if hasattr(message, 'header'):
         message.header.stamp, message.header.seq = rospy.Time(), 0
     else:
@@ -58,7 +58,7 @@ def values(message):
 
 
 class Session:
-    """A bridge at fresh lines, and all that it says."""
+    """A bridge with new lines, and a record of all that it publishes."""
 
     def __init__(self, folder):
         self.lines = {link: Line(os.path.join(folder, link)).plug() for link in FAULTS}
@@ -68,10 +68,10 @@ class Session:
         self.frames = Topic('/serial_msg', SerialMsg)
         self.diagnostics = Diagnostics()
         self.diagnostics.wait_for_all(FAULTS, lambda status, link: True, 'anything')
-        self.frames.first(lambda message: message.link == 'arduino')     # the tap is open
+        self.frames.first(lambda message: message.link == 'arduino')     # it is subscribed
 
     def settle(self):
-        """Until nothing comes any more; what is incomplete has been given up then."""
+        """Wait until nothing is received, and incomplete frames have been dropped."""
         def frames_of_boards():
             return sum(message.direction == RX for message in list(self.frames.messages))
 
@@ -83,25 +83,25 @@ class Session:
         self.diagnostics.fresh_of_all(FAULTS, lambda status, link: True, 'anything')
 
     def errors(self):
-        """Counted, by link and cause."""
+        """The error counters, by link and cause."""
         keys = {link: self.diagnostics.statuses(link)[-1].keys for link in FAULTS}
         return {link: {key: value for key, value in keys[link].items()
                        if key.endswith(' errors') or key in ('frames lost', 'frames doubled')}
                 for link in FAULTS}
 
     def said(self):
-        """The values on each topic; of the mcu's status those that frames gave, not silence."""
+        """The values on each topic, without the mcu statuses of a silent board."""
         return {name: [values(message) for message in topic.messages
                        if getattr(message, 'connected', True)]
                 for name, topic in self.topics.items()}
 
     def good_frames(self, link):
-        """What the board said that was sound."""
+        """The valid frames of a board."""
         return [message.frame for message in self.frames.messages
                 if (message.link, message.direction, message.error) == (link, RX, '')]
 
     def keep(self, path):
-        """As rosbag record keeps it."""
+        """Write them to a bag, as rosbag record does."""
         with rosbag.Bag(path, 'w') as bag:
             for message, arrival in zip(self.frames.messages, self.frames.arrivals):
                 bag.write('/serial_msg', message, rospy.Time.from_sec(arrival))
@@ -121,7 +121,7 @@ def run(*arguments, **options):
 
 
 class WireTest(unittest.TestCase):
-    """One recording of three boards with faults, played into another bridge."""
+    """A recording of three boards with faults, played to another bridge."""
 
     @classmethod
     def setUpClass(cls):
@@ -144,9 +144,9 @@ class WireTest(unittest.TestCase):
     def tearDownClass(cls):
         shutil.rmtree(cls.folder)
 
-    def test_a_damaged_bag_is_one_line(self):
-        """Wherever it is damaged, however, and by whomever."""
-        # rosbag keeps a type that a damaged definition gave, for all later bags of this process.
+    def test_a_damaged_bag_is_reported_in_one_line(self):
+        """Wherever and however it is damaged."""
+        # rosbag caches the type of a damaged definition for all later bags of this process.
         self.addCleanup(rosbag.bag._message_types.clear)
         path = os.path.join(self.folder, 'damaged.bag')
         with rosbag.Bag(path, 'w') as bag:
@@ -167,20 +167,20 @@ class WireTest(unittest.TestCase):
             except RecordingError as error:
                 self.assertEqual(len(str(error).splitlines()), 1)
                 refused += 1
-            # rosbag keeps what it made of a damaged definition for the next bag.
+            # rosbag caches the type of a damaged definition for the next bag.
             rosbag.bag._message_types.clear()
         self.assertGreater(refused, 100)
 
-    def test_a_type_of_that_name_with_other_fields_is_one_line(self):
+    def test_a_type_of_that_name_with_other_fields_is_reported_in_one_line(self):
         path = os.path.join(self.folder, 'other.bag')
         with rosbag.Bag(path, 'w') as bag:
             bag.write('/serial_msg', ('serial_communication/SerialMsg', b'\2\0\0\0hi',
                                       String._md5sum, String), raw=True)
         done = run('stats', path)
         self.assertEqual((done.returncode, len(done.stderr.splitlines())), (1, 1), done.stderr)
-        self.assertIn('not readable', done.stderr)
+        self.assertIn('cannot be read', done.stderr)
 
-    def test_a_board_of_another_package_is_no_sensor_board(self):
+    def test_frames_of_another_packages_board_are_not_taken_for_the_mcus(self):
         path = os.path.join(self.folder, 'scale.bag')
         with rosbag.Bag(path, 'w') as bag:
             for number in (1, 2, 9):
@@ -202,7 +202,7 @@ class WireTest(unittest.TestCase):
         done = run('listen', 'crane_scale', path, env=WITH_SCALE)
         self.assertEqual((done.returncode, done.stdout.count('load 0.9 kg')), (0, 1), done.stderr)
 
-    def test_a_bridge_on_the_desk_sees_what_the_one_on_the_robot_saw(self):
+    def test_a_bridge_on_a_desk_publishes_what_the_one_on_the_robot_published(self):
         for link, faulty in (('arduino', 'framing errors'), ('mcu', 'checksum errors'),
                              ('mcu', 'frames doubled')):
             self.assertGreater(int(self.errors[link][faulty]), 0, (link, self.errors))
@@ -216,7 +216,7 @@ class WireTest(unittest.TestCase):
             for link, player in players.items():
                 output, trouble = player.communicate(timeout=SECONDS + PATIENCE)
                 self.assertEqual(player.returncode, 0, trouble)
-                self.assertNotIn('will not come out', trouble)
+                self.assertNotIn('will be decoded differently', trouble)
                 if LONG:
                     print(link, output, trouble)
             desk.settle()
@@ -225,12 +225,12 @@ class WireTest(unittest.TestCase):
             for name in TOPICS:
                 self.assertGreater(len(self.said[name]), 2, name)
                 self.assertEqual(said[name], self.said[name], name)
-            for link in FAULTS:     # also of the bus, whose bridge takes them for no answers
+            for link in FAULTS:     # also of the bus, whose bridge does not take them for replies
                 self.assertEqual(desk.good_frames(link), self.robot.good_frames(link), link)
         finally:
             desk.close()
 
-    def test_the_figures_of_a_bag(self):
+    def test_stats_of_a_bag_have_the_right_figures(self):
         done = run('stats', self.bag, '--json')
         self.assertEqual(done.returncode, 0, done.stderr)
         links = json.loads(done.stdout)['links']
@@ -243,24 +243,24 @@ class WireTest(unittest.TestCase):
         self.assertGreater(links['bus']['round trips']['answered'], 2)
         self.assertAlmostEqual(links['arduino']['heartbeats']['gap p50'], 0.01, 2)
         table = run('stats', self.bag)
-        for words in ('round trips', 'heartbeats', 'lost, by their SEQ', 'bad: framing'):
+        for words in ('round trips', 'heartbeats', 'lost, by their SEQ', 'invalid: framing'):
             self.assertIn(words, table.stdout)
 
     def test_a_recording_of_another_clock_and_topic(self):
         path = os.path.join(self.folder, 'odd.bag')
         with rosbag.Bag(path, 'w') as bag:
             for topic in '/left/serial_msg', '/right/serial_msg':
-                for second in (5.0, 6.0, 2.0, 3.0):     # the clock was set back
+                for second in (5.0, 6.0, 2.0, 3.0):     # the clock was set back in between
                     message = SerialMsg(link='mcu', direction=RX, type=0x20, frame=b'\2\2\x20\7')
                     message.header.stamp = rospy.Time.from_sec(second)
                     bag.write(topic, message, rospy.Time.from_sec(second))
         done = run('stats', path)
         self.assertEqual(done.returncode, 1)
         self.assertIn('--topic: /left/serial_msg, /right/serial_msg', done.stderr)
-        stamps = [each.frame.stamp for each in load(path, '/left/serial_msg').seen]
+        stamps = [each.frame.stamp for each in load(path, '/left/serial_msg').frames]
         self.assertEqual(stamps, sorted(stamps))
 
-    def test_bags_that_cannot_be_played(self):
+    def test_bags_that_cannot_be_played_are_refused(self):
         empty = os.path.join(self.folder, 'empty.bag')
         with rosbag.Bag(empty, 'w') as bag:
             bag.write('/serial_msg', Ticks(), rospy.Time(1))

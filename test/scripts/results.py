@@ -1,27 +1,27 @@
-"""Counts what the test programs of scripts/test have done, from the XML files they left.
+"""Counts the results of the test programs of scripts/test, from their XML files.
 
     results.py FOLDER
 
-FOLDER holds one folder a test program, with its JUnit XML files, `log` (what it said) and
-`status` (its exit status). Where there is a file `by_status`, the program is one test itself. A
-program that gave no result, or failed although no test of it did, counts as one failure under
-its own name. Prints the failures, then the line `N passed, N failed` (and `, N skipped`), and
-ends with status 1 if anything failed.
+FOLDER has a folder for each test program, with its JUnit XML files, `log` (its output) and
+`status` (its exit status). With a file `by_status`, the program itself is one test. A program
+without results, or that failed although none of its tests did, counts as one failure with its
+name. Prints the failures, then the line `N passed, N failed` (and `, N skipped`), and ends with
+status 1 if anything failed.
 """
 import sys
 from pathlib import Path
 from typing import List, NamedTuple, Tuple
 from xml.etree import ElementTree
 
-_LOG_LINES = 40      # of a program that gave no result
+_LOG_LINES = 40      # of a program without results
 _MESSAGE_LINES = 40  # of a failed test
 
 
 class Results(NamedTuple):
-    """Of one test program, or of all of them."""
+    """The results of one test program, or of all."""
 
     passed: int
-    failures: List[Tuple[str, str]]    # name of the test, and what it said
+    failures: List[Tuple[str, str]]    # name of the test, and its message
     skipped: int
 
     def __str__(self) -> str:
@@ -30,11 +30,11 @@ class Results(NamedTuple):
 
 
 def of_program(folder: Path) -> Results:
-    """What one test program has done."""
+    """Return the results of one test program."""
     passed, failures, skipped = 0, [], 0
     for path in sorted(folder.rglob('*.xml')):
-        # rostest's own file names each program that it ran as a test; those count in their
-        # own files, and here only where they ended without one.
+        # rostest's own file lists each program that it ran as a test. A program counts by its own
+        # file, and here only if it ended without one.
         wraps = path.name.startswith('rostest-')
         try:
             cases = list(ElementTree.parse(str(path)).getroot().iter('testcase'))
@@ -42,10 +42,10 @@ def of_program(folder: Path) -> Results:
             failures.append((path.name, 'no XML: %s' % error))
             continue
         for case in cases:
-            bad = [child for child in case if child.tag in ('failure', 'error')]
-            if bad:
+            failed = [child for child in case if child.tag in ('failure', 'error')]
+            if failed:
                 failures.append(('%s.%s' % (case.get('classname', ''), case.get('name', '')),
-                                 '\n'.join(_said(child) for child in bad)))
+                                 '\n'.join(_message(child) for child in failed)))
             elif case.find('skipped') is not None:
                 skipped += 1
             elif not wraps:
@@ -54,21 +54,21 @@ def of_program(folder: Path) -> Results:
     if status == '0' and (folder / 'by_status').exists():
         passed += 1
     if not failures and (status != '0' or not passed + skipped):
-        failures.append((folder.name, '%s (status %s); it said last:\n%s' % (
+        failures.append((folder.name, '%s (status %s); its last output:\n%s' % (
             'failed as a whole' if passed + skipped else 'gave no result', status,
             _tail(_read(folder / 'log'), _LOG_LINES))))
     return Results(passed, failures, skipped)
 
 
 def total(parts: List[Results]) -> Results:
-    """All of them together."""
+    """Return the sum of the results."""
     return Results(sum(part.passed for part in parts),
                    [failure for part in parts for failure in part.failures],
                    sum(part.skipped for part in parts))
 
 
-def _said(element: ElementTree.Element) -> str:
-    """Its text, which says the same as its message, at length, where there is one."""
+def _message(element: ElementTree.Element) -> str:
+    """The text of a failure, which is its message in full, or the message."""
     return _tail((element.text or '').strip() or element.get('message') or '', _MESSAGE_LINES)
 
 
@@ -85,7 +85,7 @@ def _read(path: Path) -> str:
 
 
 def main(argv: List[str]) -> int:
-    """Print the failures and the count of all programs in a folder."""
+    """Print the failures and the count of all programs in a folder; return the exit status."""
     folders = sorted(path for path in Path(argv[0]).iterdir() if path.is_dir())
     parts = [(folder.name, of_program(folder)) for folder in folders]
     for program, results in parts:

@@ -1,4 +1,4 @@
-"""A program in a terminal of any size, as a person at a keyboard has it."""
+"""Runs a program in a pseudo terminal of any size."""
 import fcntl
 import os
 import pty
@@ -9,16 +9,16 @@ import termios
 import threading
 import time
 
-PATIENCE = 60.0      # s; only a test that fails waits as long
+PATIENCE = 60.0      # s; only a failing test waits so long
 
 
 class Terminal:
-    """Runs a command in a pseudo terminal, the leader of a session of its own.
+    """Runs a command in a pseudo terminal, in its own session.
 
     Args:
         command: the program and its arguments.
-        columns, rows: the size at first.
-        environment: what to change in it.
+        columns, rows: the initial size.
+        environment: variables to set.
     """
 
     def __init__(self, command, columns=80, rows=24, **environment):
@@ -53,7 +53,7 @@ class Terminal:
         self._ended.set()
 
     def resize(self, columns, rows):
-        """As if somebody drags the window's edge."""
+        """Change the size, as a user does with a window."""
         self._set_size(self._far, columns, rows)
 
     def press(self, key):
@@ -61,35 +61,35 @@ class Terminal:
         os.write(self._far, key)
 
     def text(self):
-        """All that it has written, without colours."""
+        """Return all output so far, without colours."""
         return re.sub('\033\\[[0-9;?]*[A-Za-z]', '', self._output.decode(errors='replace'))
 
     def screens(self):
-        """The screens that were drawn completely, each as its rows."""
+        """Return the rows of each screen that was drawn completely."""
         drawn = self._output.decode(errors='replace').split('\033[H')[1:]
         return [re.sub('\033\\[[0-9;?]*[A-Za-z]', '', each.split('\033[J')[0])
                 .replace('\r', '').split('\n')
                 for each in drawn if '\033[J' in each.replace('\033[2J', '')]
 
     def until(self, condition, what):
-        """Wait for `condition()`, and return it."""
+        """Wait until `condition()` is true, and return its value."""
         deadline = time.monotonic() + PATIENCE
         while True:
             value = condition()
             if value:
                 return value
             assert time.monotonic() < deadline, f'not within {PATIENCE:g} s: {what}\n{self.text()}'
-            assert not self._ended.is_set(), f'it has ended before: {what}\n{self.text()}'
+            assert not self._ended.is_set(), f'ended before: {what}\n{self.text()}'
             time.sleep(0.01)
 
     def wait(self):
-        """Seconds until it has ended."""
+        """Wait for the end of the program; return the seconds it took."""
         began = time.monotonic()
-        assert self._ended.wait(PATIENCE), f'it runs on after {PATIENCE:g} s\n{self.text()}'
+        assert self._ended.wait(PATIENCE), f'still running after {PATIENCE:g} s\n{self.text()}'
         return time.monotonic() - began
 
     def close(self):
-        """Whatever a test that failed has left."""
+        """End the program if it still runs, after a failed test."""
         if not self._ended.is_set():
             os.kill(self.pid, signal.SIGTERM)
             if not self._ended.wait(10):

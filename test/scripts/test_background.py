@@ -1,4 +1,4 @@
-"""Programs as background jobs of a terminal that stops what writes to it (`stty tostop`)."""
+"""Programs as background jobs of a terminal that stops jobs which write to it (`stty tostop`)."""
 from pathlib import Path
 
 import pytest
@@ -13,7 +13,7 @@ _JOB = 'stty tostop; set -m; trap "kill %1" TERM; "$@" & wait -f %1'
     ('simulator', ['mcu', '--port', '/dev/no-such-device'], 'no such device'),
     ('panel', ['--port', '0'], 'panel: http://'),
     ('wire', ['listen', 'mcu', '/dev/no-such-device'], 'no such device')])
-def test_a_line_to_the_terminal_stops_none_that_serves_a_port(name, arguments, says):
+def test_a_program_that_serves_a_port_is_not_stopped_by_its_output(name, arguments, says):
     terminal = Terminal(['/bin/bash', '-c', _JOB, 'bash', str(SCRIPTS / name), *arguments],
                         ROS_MASTER_URI='http://127.0.0.1:9')
     try:

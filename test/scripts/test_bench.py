@@ -1,4 +1,4 @@
-"""The parts of the bench that measure nothing: matching, figures, goals, tables, packets."""
+"""The parts of the bench that measure nothing: matching, figures, goals, tables and packets."""
 import subprocess
 from types import SimpleNamespace
 
@@ -10,17 +10,17 @@ from processes import StageError
 from serial_communication.boards import description
 
 
-def test_percentile():
+def test_a_percentile_is_one_of_the_values():
     values = [5, 1, 4, 2, 3]
     assert [report.percentile(values, percent) for percent in (0, 20, 50, 99, 100)] == [
         1, 1, 3, 5, 5]
 
 
-def test_the_best_of_each_figure():
+def test_the_least_value_of_each_figure_is_the_best():
     assert report.best([{'a': 2, 'b': 5}, {'a': 3, 'b': 4, 'c': 1}]) == {'a': 2, 'b': 4, 'c': 1}
 
 
-def test_sides_take_rounds_in_turn():
+def test_sides_are_measured_in_turn():
     asked, figures = [], {'A': [3, 1, 2], 'B': [4, 6, 5]}
 
     def measure(name):
@@ -33,31 +33,31 @@ def test_sides_take_rounds_in_turn():
     assert results == {'A': {'ms': 1}, 'B': {'ms': 4}}
 
 
-def test_latencies():
+def test_latencies_exclude_packets_of_an_earlier_round():
     sent = [[1.0, 1.5], [2.0, 2.5]]
     received = [(0, 0, 1.25), (1, 0, 1.75), (1, 1, 3.0), (1, 1, 3.5),
                 (0, 1, 0.5), (0, 2, 3.0)]      # these two are of an earlier round
     assert report.latencies(sent, received) == [0.25, 0.25, 0.5]
 
 
-def test_gaps_in_queue():
+def test_gaps_count_only_while_a_call_waits():
     # (first byte of the request, last byte of the reply)
     exchanges = [(1.0, 2.0), (2.25, 3.0), (9.0, 9.5)]
     calls = [(0.5, 2.1, True), (0.75, 3.1, True), (8.9, 9.6, True)]
     assert report.gaps_in_queue(exchanges, calls, 0.001) == [0.25]
-    # A call that has only just begun may not be in the queue yet.
+    # A call that has just begun may not be in the queue yet.
     assert report.gaps_in_queue(exchanges[:2], [(0.5, 2.1, True), (1.9, 3.1, True)], 0.5) == []
 
 
 @pytest.mark.parametrize('n', (0, 1, 255, 1023, 70000))
-def test_a_running_number_comes_back(n):
+def test_a_running_number_is_decoded_again(n):
     frames = description('arduino').decoder(False, {}).feed(b''.join(arduino_turn(n)))
     imu, steering = frames[0].message, frames[1].message
     assert imu_count(imu.linear_acceleration()[2]) == n % COUNT == steering.value
     assert len(frames) == 4 and not any(frame.cause for frame in frames)
 
 
-def test_what_the_sensor_board_sends_is_valid():
+def test_the_frames_of_the_sensor_board_are_valid():
     frame, = description('mcu').decoder(False, {}).feed(b''.join(mcu_turn(300)))
     assert not frame.cause and frame.message.range_1 == 300
 
@@ -75,18 +75,18 @@ RESULTS = {
     'flood': {'bridge': {'bytes lost at the port': 1, 'messages lost': 0, 'CPU, % of a core': 5}}}
 
 
-def test_only_the_sections_that_were_run_are_judged():
+def test_goals_are_judged_only_for_sections_that_ran():
     assert report.judge({}) == []
     assert [(limit, value, met) for _what, limit, value, met in report.judge(RESULTS)] == [
         (0.20, 0.1, 'met'), (0.60, 0.9, 'NOT MET'), (0.5, 1.0, 'NOT MET'), (0.3, 0.29, 'met'),
         (0, 1, 'NOT MET')]
 
 
-def test_every_goal_is_of_a_section():
+def test_every_goal_belongs_to_a_section():
     assert {goal.section for goal in report.GOALS} == set(sections.SECTIONS)
 
 
-def test_the_report_sets_a_kept_version_beside_the_bridge():
+def test_the_report_compares_the_bridge_with_another_commit():
     text = report.render('this machine', RESULTS, dict.fromkeys(RESULTS, 'title'), 'old')
     rows = [line.split() for line in text.split('\n')]
     assert ['p50,', 'ms', '1.00', '2.00', '10.00', '0.50'] in rows
@@ -95,12 +95,12 @@ def test_the_report_sets_a_kept_version_beside_the_bridge():
     assert text.startswith('this machine\n')
 
 
-def test_a_commit_that_is_not_there_is_a_line():
+def test_an_unknown_commit_is_reported():
     with pytest.raises(StageError, match='--against no-such-commit: .*no-such-commit'):
         stage.BenchStage('no-such-commit')
 
 
-def test_the_kernel_knows_the_threads_by_their_names(tmp_path):
+def test_threads_have_their_names_in_the_kernel(tmp_path):
     program = tmp_path / 'program'
     program.write_text('import sys, threading\n'
                        'threading.Thread(target=sys.stdin.read, name="a reader").start()\n'

@@ -1,4 +1,4 @@
-"""Ctrl-C ends the campaign and the bench, and all that they have started."""
+"""Ctrl-C ends the campaign and the bench, and all processes that they have started."""
 from pathlib import Path
 
 import psutil
@@ -11,7 +11,7 @@ SCRIPTS = Path(__file__).resolve().parents[2] / 'scripts'
 
 @pytest.mark.parametrize('name, arguments, says', [
     ('bench', ['--short', '--only', 'bus'], 'bus ...'), ('soak', [], 'starting')])
-def test_ctrl_c(name, arguments, says, tmp_path):
+def test_ctrl_c_ends_the_program_and_its_processes(name, arguments, says, tmp_path):
     folder = tmp_path / 'a folder'
     folder.mkdir()
     if name == 'soak':
@@ -19,7 +19,7 @@ def test_ctrl_c(name, arguments, says, tmp_path):
     terminal = Terminal(['/bin/bash', '-c', 'cd / && exec "$@"', 'bash', SCRIPTS / name,
                          *arguments], TMPDIR=str(folder))
     try:
-        terminal.until(lambda: says in terminal.text(), 'it has begun')
+        terminal.until(lambda: says in terminal.text(), 'it has started')
         assert processes_in(folder)
         terminal.press(b'\3')
         terminal.wait()
@@ -30,7 +30,7 @@ def test_ctrl_c(name, arguments, says, tmp_path):
     assert processes_in(folder) == []
 
 
-def test_a_process_that_is_started_as_ctrl_c_comes_ends_too(tmp_path, monkeypatch):
+def test_a_process_that_starts_during_ctrl_c_is_ended(tmp_path, monkeypatch):
     def interrupt(child):
         raise KeyboardInterrupt
 
@@ -44,7 +44,7 @@ def test_a_process_that_is_started_as_ctrl_c_comes_ends_too(tmp_path, monkeypatc
 
 
 def processes_in(folder):
-    """Those that run in a folder below this one."""
+    """Return the names of the processes that run in this folder or below it."""
     found = []
     for process in psutil.process_iter(['cwd', 'name']):
         if (process.info['cwd'] or '').startswith(str(folder)):

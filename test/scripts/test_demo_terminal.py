@@ -1,4 +1,4 @@
-"""scripts/demo in a real terminal: what it shows at each size, and how it ends."""
+"""scripts/demo in a real terminal: its table at each size, and its end."""
 import os
 import signal
 import socket
@@ -12,12 +12,12 @@ from terminal import Terminal
 ROOT = Path(__file__).resolve().parents[2]
 CTRL_C = b'\3'
 LINKS = ('bus', 'arduino', 'mcu')
-MOST = 3.0      # s that an end may take
+MOST = 3.0      # s until the demo has ended
 
 
 @pytest.fixture(name='demo')
 def fixture_demo():
-    """Starts a demo with a master of its own."""
+    """A function that starts a demo with its own master."""
     started = []
     with socket.socket() as free:
         free.bind(('localhost', 0))
@@ -35,23 +35,23 @@ def fixture_demo():
 
 
 def descendants(terminal):
-    """What a demo has started and not ended, by the mark in the environment."""
+    """Return the processes of a demo that still run, by their marked environment."""
     found = []
     for entry in Path('/proc').glob('[0-9]*'):
         try:
             if f'SERIAL_COMMUNICATION_DEMO={terminal.pid}\0' in (entry / 'environ').read_text():
                 found.append(int(entry.name))
         except (OSError, ValueError):
-            pass     # it has ended meanwhile, or is another user's
+            pass     # the process has ended, or is another user's
     return found
 
 
 def is_table(rows):
-    """Whether links and car are shown."""
+    """Whether a screen shows the links and the car."""
     return all(any(row.startswith(name + ' ') for row in rows) for name in (*LINKS, 'car'))
 
 
-def test_at_every_size_links_and_calls_are_shown_and_the_rest_is_counted(demo):
+def test_links_and_calls_are_shown_at_every_size_and_hidden_topics_are_counted(demo):
     terminal = demo(columns=60, rows=15)
     for columns, rows in (60, 15), (80, 24), (200, 60):
         terminal.resize(columns, rows)
@@ -67,7 +67,7 @@ def test_at_every_size_links_and_calls_are_shown_and_the_rest_is_counted(demo):
         assert setup.split('  ', 1)[1].startswith(f'. {ROOT}/build/devel/setup.bash')
         assert f'ROS_MASTER_URI={terminal.uri}' in setup
         assert screen[-1].endswith('more lines') == (rows == 15), screen
-    # While the IMU is calibrated the bridge sends no speed, and none is shown.
+    # During a calibration the bridge sends no speed, and none is shown.
     command = f'. {ROOT}/build/devel/setup.bash; rosservice call ' \
         '/serial_communication/calibrate_imu'
     subprocess.run(['bash', '-c', command], check=True, timeout=60, stdout=subprocess.DEVNULL,
@@ -81,22 +81,22 @@ def test_at_every_size_links_and_calls_are_shown_and_the_rest_is_counted(demo):
     assert terminal.wait() < MOST and terminal.status == 0
 
 
-def test_faults_are_seen_at_the_links(demo):
+def test_faults_are_counted_at_the_links(demo):
     terminal = demo('--faults', 'flip=0.3 cut=0.2')
     for name in LINKS:
         terminal.until(lambda name=name: any(
-            row.startswith(name + ' ') and 'bad ' in row and 'bad 0' not in row
-            for screen in terminal.screens() for row in screen), f'a bad frame on {name}')
+            row.startswith(name + ' ') and 'errors ' in row and 'errors 0' not in row
+            for screen in terminal.screens() for row in screen), f'an invalid frame on {name}')
     terminal.press(CTRL_C)
     assert terminal.wait() < MOST and terminal.status == 0
 
 
-# What has just been said when Ctrl-C is pressed: moments in which roslaunch or the nodes have
-# signal handlers of their own, or none yet, or wait for a master that will not come.
+# The output just before Ctrl-C is pressed: roslaunch or the nodes have their own signal handlers
+# then, or none yet, or wait for a master that has ended.
 @pytest.mark.parametrize('moment', [
     'Launching', 'SUMMARY', 'auto-starting new master', 'process[master]', 'setting /run_id',
     'process[rosout', 'process[serial_communication-', 'mcu_board-'])
-def test_ctrl_c_while_it_starts(demo, moment):
+def test_ctrl_c_during_the_start_ends_every_process(demo, moment):
     log = ROOT / 'build' / 'ros' / 'log' / 'demo.log'
     before = log.stat().st_mtime_ns if log.exists() else 0
     terminal = demo()
@@ -111,7 +111,7 @@ def test_ctrl_c_while_it_starts(demo, moment):
     assert 'Traceback' not in terminal.text()
 
 
-def test_a_roslaunch_that_hangs_is_ended_without_a_word_of_the_shell(demo):
+def test_a_roslaunch_that_hangs_is_killed_without_output_of_the_shell(demo):
     terminal = demo()
     terminal.until(lambda: any(is_table(each) for each in terminal.screens()), 'the table')
     roslaunch, = [pid for pid in descendants(terminal)
@@ -123,17 +123,17 @@ def test_a_roslaunch_that_hangs_is_ended_without_a_word_of_the_shell(demo):
 
 
 @pytest.mark.parametrize('delay', [0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4])
-def test_ctrl_c_while_it_sets_up(demo, delay):
+def test_ctrl_c_during_the_set_up_ends_the_demo(demo, delay):
     terminal = demo()
-    time.sleep(delay)       # there is nothing to wait for: any moment will do
+    time.sleep(delay)       # no condition to wait for: any time is a valid case
     terminal.press(CTRL_C)
     assert terminal.wait() < MOST
-    # On a busy machine bash may not have read the first line by then, and just ends.
+    # On a busy machine bash may not have read the first line by then, and ends by the signal.
     assert terminal.status == 0 or (terminal.status == -signal.SIGINT
                                     and terminal.text().strip() in ('', '^C'))
 
 
-def test_the_launched_processes_do_not_ignore_ctrl_c(demo):
+def test_no_launched_process_ignores_ctrl_c(demo):
     terminal = demo()
     terminal.until(lambda: any(is_table(each) for each in terminal.screens()), 'the table')
     ignoring = []

@@ -1,4 +1,4 @@
-"""What a program prints arrives line by line in a file or a pipe, while the program still runs."""
+"""Output of a program arrives in a file or a pipe line by line, while the program still runs."""
 import os
 import select
 import subprocess
@@ -18,7 +18,7 @@ prepare_output()
 print('a line', file=sys.{stream})
 sys.stdin.read()
 '''
-_ENDS_AS_IT_IS_CALLED = '''
+_ENDS_WHEN_CALLED = '''
 import runpy, sys
 from serial_communication import output
 def called():
@@ -31,7 +31,7 @@ run(sys.argv[0], run_name='__main__')
 
 
 def python(code, *arguments, **options):
-    """A Python that runs this, in an environment like that of a user's shell."""
+    """Run Python code in an environment like that of a user's shell."""
     environment = dict(os.environ)
     environment.pop('PYTHONUNBUFFERED', None)
     environment['PYTHONPATH'] = f'{ROOT}:{environment.get("PYTHONPATH", "")}'
@@ -51,7 +51,7 @@ def test_a_line_arrives_before_the_program_ends(stream):
             program.stdin.close()
 
 
-def test_closed_standard_streams_do_no_harm():
+def test_closed_standard_streams_cause_no_error():
     done = python('import os; os.close(1); os.close(2)\n'
                   f'os.execv({sys.executable!r}, ["python3", "-c", """{_PRINTS}"""])'.replace(
                       "print('a line', file=sys.{stream})", ''), stdin=subprocess.DEVNULL)
@@ -61,11 +61,11 @@ def test_closed_standard_streams_do_no_harm():
 @pytest.mark.parametrize('program', [
     *(f'{ROOT}/scripts/{name}' for name in PYTHON_PROGRAMS), 'serial_communication.tools.demo.cli'],
     ids=os.path.basename)
-def test_every_program_prints_so_from_the_start(program):
-    with python(_ENDS_AS_IT_IS_CALLED, program, stdin=subprocess.DEVNULL,
+def test_every_program_calls_prepare_output_first(program):
+    with python(_ENDS_WHEN_CALLED, program, stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE) as run:
         try:
-            said, _ = run.communicate(timeout=60)
+            output, _ = run.communicate(timeout=60)
         finally:
             run.terminate()
-    assert (run.returncode, said) == (1, 'called\n')
+    assert (run.returncode, output) == (1, 'called\n')

@@ -1,8 +1,7 @@
-"""--help and wrong arguments of every program: its usage and its status, before it does anything;
-and Ctrl-C as it begins.
+"""--help, wrong arguments and an early Ctrl-C of every program.
 
-Those of scripts/demo and scripts/test: test_demo_arguments; of the node beside a running one:
-test/ros/second_test.
+test_demo_arguments has those of scripts/demo and scripts/test; test/ros/same_name_test has those of
+a node while another one of its name runs.
 """
 import os
 import signal
@@ -28,7 +27,7 @@ WRONG = (
 
 
 def run(name, *arguments):
-    """The program, where there is no master and no folder that it could write to."""
+    """Run a program without a master, in a folder that is not writable."""
     return subprocess.run([str(SCRIPTS / name), *arguments], text=True, timeout=60, cwd='/proc',
                           stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
                           stderr=subprocess.PIPE,
@@ -37,7 +36,7 @@ def run(name, *arguments):
 
 @pytest.mark.parametrize('name', PROGRAMS)
 @pytest.mark.parametrize('option', ['-h', '--help'])
-def test_help(name, option):
+def test_help_prints_the_usage(name, option):
     done = run(name, option)
     assert (done.returncode, done.stderr) == (0, '')
     assert done.stdout.startswith('usage: ')
@@ -45,7 +44,7 @@ def test_help(name, option):
 
 
 @pytest.mark.parametrize('name, arguments', WRONG, ids=lambda each: str(each))
-def test_wrong_arguments(name, arguments):
+def test_wrong_arguments_give_status_2(name, arguments):
     done = run(name, *arguments)
     assert (done.returncode, done.stdout) == (2, '')
     assert name in done.stderr and ('usage:' in done.stderr or '--help' in done.stderr)
@@ -66,12 +65,12 @@ runpy.run_path(sys.argv[0], run_name='__main__')
 
 
 @pytest.mark.parametrize('name', ['monitor', 'panel', 'serial_communication_node', 'simulator'])
-def test_ctrl_c_while_it_is_imported_ends_it_without_a_word(name):
+def test_ctrl_c_during_the_imports_prints_no_traceback(name):
     done = subprocess.run([sys.executable, '-c', _CTRL_C, str(SCRIPTS / name)], text=True,
                           timeout=60, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
                           stderr=subprocess.PIPE)
     assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, '', '')
 
 
-def test_every_program_is_tried():
+def test_every_program_has_a_case_with_wrong_arguments():
     assert {name for name, _arguments in WRONG} == set(PROGRAMS)

@@ -1,19 +1,19 @@
-"""The count at the end of scripts/test."""
+"""The count that scripts/test prints at its end."""
 import pytest
 import results
 
 PYTEST = '''<testsuites><testsuite tests="4">
-<testcase classname="test_a" name="good"/>
-<testcase classname="test_a" name="left_out"><skipped message="no board"/></testcase>
-<testcase classname="test_a" name="bad"><failure message="assert 1 == 2">where</failure></testcase>
+<testcase classname="test_a" name="green"/>
+<testcase classname="test_a" name="skipped"><skipped message="no board"/></testcase>
+<testcase classname="test_a" name="red"><failure message="assert 1 == 2">where</failure></testcase>
 <testcase classname="test_a" name="broken"><error message="no fixture"/></testcase>
 </testsuite></testsuites>'''
-GOOD = '<testsuite><testcase classname="a" name="b"/></testsuite>'
+GREEN = '<testsuite><testcase classname="a" name="b"/></testsuite>'
 
 
 @pytest.fixture
 def program(tmp_path):
-    """Makes a folder as scripts/test leaves it."""
+    """A function that makes the folder of a test program."""
     def make(name='part', status='0', log='', **files):
         folder = tmp_path / name
         folder.mkdir()
@@ -29,49 +29,49 @@ def program(tmp_path):
 def test_each_kind_of_result_is_counted(program):
     found = results.of_program(program(status='1', results=PYTEST))
     assert (found.passed, found.skipped) == (1, 1)
-    assert found.failures == [('test_a.bad', 'where'), ('test_a.broken', 'no fixture')]
+    assert found.failures == [('test_a.red', 'where'), ('test_a.broken', 'no fixture')]
     assert str(found) == '1 passed, 2 failed, 1 skipped'
 
 
-def test_several_files_add_up(program):
-    assert str(results.of_program(program(one=GOOD, two=GOOD))) == '2 passed, 0 failed'
+def test_results_of_several_files_are_added(program):
+    assert str(results.of_program(program(one=GREEN, two=GREEN))) == '2 passed, 0 failed'
 
 
-def test_a_crash_without_results_is_a_failure_by_name(program):
+def test_a_crash_without_results_is_a_failure_with_the_programs_name(program):
     found = results.of_program(program('links', '139', 'Segmentation fault'))
     (name, said), = found.failures
     assert name == 'links' and '139' in said and 'Segmentation fault' in said
 
 
-def test_no_result_is_a_failure_even_with_status_0(program):
+def test_a_program_without_results_failed_even_with_status_0(program):
     assert str(results.of_program(program())) == '0 passed, 1 failed'
 
 
-def test_a_crash_after_good_results_is_a_failure(program):
-    assert str(results.of_program(program(status='124', one=GOOD))) == '1 passed, 1 failed'
+def test_a_crash_after_passed_tests_is_a_failure(program):
+    assert str(results.of_program(program(status='124', one=GREEN))) == '1 passed, 1 failed'
 
 
 @pytest.mark.parametrize('status, said', [('0', '1 passed, 0 failed'),
                                           ('3', '0 passed, 1 failed')])
-def test_a_program_may_be_one_test_by_its_status(program, status, said):
+def test_a_program_with_by_status_is_one_test(program, status, said):
     folder = program(status=status)
     (folder / 'by_status').touch()
     assert str(results.of_program(folder)) == said
 
 
-def test_a_status_is_needed(program):
-    folder = program(one=GOOD)
+def test_a_missing_status_is_a_failure(program):
+    folder = program(one=GREEN)
     (folder / 'status').unlink()
     assert len(results.of_program(folder).failures) == 1
 
 
-def test_broken_xml_is_a_failure(program):
+def test_invalid_xml_is_a_failure(program):
     assert str(results.of_program(program(one='<testsuite><testc'))) == '0 passed, 1 failed'
 
 
-def test_rostest_wraps_do_not_count_twice(program):
+def test_programs_in_rostests_own_file_do_not_count_twice(program):
     assert str(results.of_program(program(
-        rostest__all=GOOD, rosunit__bus=GOOD))) == '1 passed, 0 failed'
+        rostest__all=GREEN, rosunit__bus=GREEN))) == '1 passed, 0 failed'
 
 
 def test_a_rostest_program_without_result_counts_as_failed(program):
@@ -81,16 +81,16 @@ def test_a_rostest_program_without_result_counts_as_failed(program):
     assert found.failures == [('r.testbus', 'test [bus] did not generate test results')]
 
 
-def test_the_last_line_and_the_status(program, tmp_path, capsys):
-    program('one', one=GOOD)
+def test_the_last_line_has_the_count_and_the_status_shows_failures(program, tmp_path, capsys):
+    program('one', one=GREEN)
     assert results.main([str(tmp_path)]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == '1 passed, 0 failed'
     program('two', status='1', two=PYTEST)
     assert results.main([str(tmp_path)]) == 1
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1] == '2 passed, 2 failed, 1 skipped'
-    assert '--- two: test_a.bad' in lines
+    assert '--- two: test_a.red' in lines
 
 
-def test_nothing_at_all_is_no_success(tmp_path):
+def test_no_program_at_all_is_a_failure(tmp_path):
     assert results.main([str(tmp_path)]) == 1

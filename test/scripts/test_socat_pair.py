@@ -1,4 +1,4 @@
-"""socat_pair: two linked ports, and nobody else's are taken away."""
+"""socat_pair: two connected ports, and protection of those in use."""
 import os
 import signal
 import subprocess
@@ -12,7 +12,7 @@ SOCAT_PAIR = Path(__file__).resolve().parents[2] / 'scripts' / 'socat_pair'
 
 @pytest.fixture(name='pair')
 def fixture_pair(tmp_path):
-    """Starts a pair of these two names; what it has started is ended."""
+    """A function that starts a pair with two names; the fixture ends it."""
     started = []
 
     def start(*names):
@@ -32,7 +32,7 @@ def until_linked(folder, *names):
 
 
 def carries(folder, near, far):
-    """Whether a byte that goes in here comes out there."""
+    """Whether a byte written to one port is read from the other."""
     ends = [os.open(str(folder / name), os.O_RDWR | os.O_NOCTTY) for name in (near, far)]
     try:
         os.write(ends[0], b'x')
@@ -43,37 +43,37 @@ def carries(folder, near, far):
 
 
 @pytest.mark.parametrize('second', [('a', 'b'), ('b', 'a'), ('a', 'c'), ('c', 'b')])
-def test_a_second_one_on_the_same_names_is_refused(pair, tmp_path, second):
+def test_a_second_pair_with_a_name_in_use_is_refused(pair, tmp_path, second):
     first = pair('a', 'b')
     linked = until_linked(tmp_path, 'a', 'b')
     other = pair(*second)
     _, said = other.communicate(timeout=PATIENCE)
     assert other.returncode == 1
     taken = next(name for name in second if name != 'c')
-    assert said == f'socat_pair: {tmp_path / taken} is served already, by process {first.pid}; ' \
-        'end that one, or choose another path\n'
+    assert said == f'socat_pair: {tmp_path / taken} is in use by process {first.pid}; ' \
+        'end it, or choose another path\n'
     assert until_linked(tmp_path, 'a', 'b') == linked and first.poll() is None
     assert carries(tmp_path, 'a', 'b')
 
 
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGKILL])
-def test_the_names_are_free_when_it_has_ended(pair, tmp_path, number):
+def test_the_names_are_free_after_the_pair_has_ended(pair, tmp_path, number):
     first = pair('a', 'b')
     until_linked(tmp_path, 'a', 'b')
     first.send_signal(number)
     first.wait(PATIENCE)
     pair('a', 'b')
-    until(lambda: carries_if_there(tmp_path), 'a byte comes through')
+    until(lambda: carries_if_there(tmp_path), 'a byte is transmitted')
 
 
 def carries_if_there(folder):
     try:
         return carries(folder, 'a', 'b')
     except OSError:
-        return False      # not linked yet, or what is left of the first
+        return False      # not linked yet, or the first pair's links
 
 
-def test_what_is_no_link_is_not_touched(pair, tmp_path):
+def test_a_path_that_is_not_a_link_is_not_changed(pair, tmp_path):
     (tmp_path / 'a').write_text('mine')
     process = pair('a', 'b')
     _, said = process.communicate(timeout=PATIENCE)
@@ -96,6 +96,6 @@ def test_a_planted_lock_file_is_not_opened(pair, tmp_path, plant):
     process = pair('a', 'b')
     _, said = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1
-    assert said == f'socat_pair: {lock} is a link or no plain file, which somebody else may have ' \
-        'put there; remove it, or choose another path\n'
+    assert said == f'socat_pair: {lock} is a link or not a regular file, and may be another ' \
+        'user\'s; remove it, or choose another path\n'
     assert victim.read_text() == 'mine' and not (tmp_path / 'new').exists()

@@ -1,4 +1,4 @@
-"""What scripts/test ends with, in a checkout of its own that holds a single part."""
+"""The exit status and last line of scripts/test, in a temporary checkout with a few parts."""
 import json
 import os
 import shutil
@@ -10,7 +10,7 @@ import pytest
 from waiting import PATIENCE, until
 
 CHECKOUT = Path(__file__).resolve().parents[2]
-# In place of what installs and builds.
+# Replaces scripts/environment.bash, which installs and builds.
 ENVIRONMENT = """
 checkout=$(dirname "$(dirname "$(readlink -f "${BASH_SOURCE[0]}")")")
 build=$checkout/build
@@ -24,22 +24,22 @@ def test_long():
     pathlib.Path(__file__).with_name('pid').write_text(str(os.getpid()))
     time.sleep(600)
 """
-TELLS = """
+SAVES_ENVIRONMENT = """
 import json, os, pathlib
-def test_tells():
+def test_saves():
     pathlib.Path(__file__).with_name('environment').write_text(json.dumps(dict(os.environ)))
 """
 
 
 @pytest.fixture(name='suite')
 def fixture_suite(tmp_path):
-    """A function that starts it on tests; its output is read and it has ended with the test."""
+    """A function that starts scripts/test on the given tests; the fixture ends it."""
     checkout = tmp_path / 'checkout'
     for name in ('.ci/run', 'scripts/test', 'test/scripts/results.py', 'test/pytest.ini'):
         (checkout / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(str(CHECKOUT / name), str(checkout / name))
     (checkout / 'scripts/environment.bash').write_text(ENVIRONMENT)
-    begun = []
+    started = []
 
     def start(program='scripts/test', environment=None, **tests):
         for part, text in tests.items():
@@ -47,13 +47,13 @@ def fixture_suite(tmp_path):
                 continue
             (checkout / 'test' / part).mkdir(exist_ok=True)
             (checkout / 'test' / part / 'test_it.py').write_text(text)
-        begun.append(subprocess.Popen(
+        started.append(subprocess.Popen(
             ['bash', str(checkout / program), *tests], env=environment, text=True,
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT))
-        return begun[-1]
+        return started[-1]
 
     yield start
-    for process in begun:
+    for process in started:
         process.kill()
         process.communicate()
 
@@ -87,7 +87,7 @@ def test_each_folder_of_a_part_is_a_process(suite, tmp_path):
     assert said.splitlines()[-1] == '2 passed, 0 failed'
 
 
-def test_quick_leaves_out_what_is_slow_and_what_needs_ros(suite, tmp_path):
+def test_quick_leaves_out_slow_tests_and_parts_that_need_ros(suite, tmp_path):
     parts = subprocess.check_output(
         ['bash', '-c', '. <(sed -n "/^quick=/,/)$/p" "$0"); echo "${quick[*]}"',
          str(CHECKOUT / 'scripts/test')], text=True).split()
@@ -105,9 +105,9 @@ def test_quick_leaves_out_what_is_slow_and_what_needs_ros(suite, tmp_path):
 
 
 @pytest.mark.parametrize('home', [{'HOME': '/home/somebody'}, {}], ids=['home', 'no home'])
-def test_continuous_integration_has_no_variable_of_this_machine(suite, tmp_path, home):
+def test_continuous_integration_uses_no_variable_of_this_machine(suite, tmp_path, home):
     process = suite('.ci/run', {'PATH': os.environ['PATH'], 'PYTHONUNBUFFERED': '1',
-                                'ANYTHING': 'else', **home}, framing=TELLS)
+                                'ANYTHING': 'else', **home}, framing=SAVES_ENVIRONMENT)
     said = process.communicate(timeout=4 * PATIENCE)[0]
     assert said.splitlines()[-1] == '1 passed, 0 failed'
     seen = json.loads((tmp_path / 'checkout/test/framing/environment').read_text())
@@ -117,7 +117,7 @@ def test_continuous_integration_has_no_variable_of_this_machine(suite, tmp_path,
 
 
 @pytest.mark.parametrize('sent, status', [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
-def test_a_signal_ends_what_it_runs(suite, tmp_path, sent, status):
+def test_a_signal_ends_the_running_tests(suite, tmp_path, sent, status):
     process = suite(link=LONG)
     pid = tmp_path / 'checkout/test/link/pid'
     until(lambda: pid.exists() and pid.read_text(), 'the test runs')

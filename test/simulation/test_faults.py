@@ -1,4 +1,4 @@
-"""Faults on demand: each kind happens, can be repeated, and is told apart from what is sound."""
+"""Faults on demand: each kind happens, can be repeated, and is noted in the journal."""
 import json
 
 import pytest
@@ -36,7 +36,7 @@ def control(*texts, seed=1, **arguments):
 
 
 def sent(bench, fault):
-    """The journal's frames that met that fault."""
+    """The frames in the journal that had that fault."""
     return [fields for fields in bench.notes.of('tx') if fault in fields.get('faults', ())]
 
 
@@ -51,7 +51,7 @@ def raw(fields):
 # -- what a board sends -------------------------------------------------------------------------
 
 
-def test_no_fault_without_asking():
+def test_without_rates_there_are_no_faults():
     bench = sensors()
     bench.run(60)
     assert all(fields['ok'] and 'faults' not in fields for fields in bench.notes.of('tx'))
@@ -65,7 +65,7 @@ def test_no_fault_without_asking():
         bin(one ^ other).count('1') for one, other in zip(frame, wire)) == 1),
     ('insert', lambda frame, wire: len(frame) < len(wire) <= len(frame) + 3),
 ])
-def test_damage(kind, is_it):
+def test_a_fault_changes_frames_at_its_rate_and_the_journal_has_both(kind, is_it):
     bench = sensors('%s=0.2' % kind)
     bench.run(100)
     hit = sent(bench, kind)
@@ -77,7 +77,7 @@ def test_damage(kind, is_it):
     assert bench.line.faults.counts == {kind: len(hit)}
 
 
-def test_drop():
+def test_a_dropped_frame_is_not_written():
     bench = sensors('drop=0.2')
     bench.run(100)
     hit = sent(bench, 'drop')
@@ -87,7 +87,7 @@ def test_drop():
     assert len(bench.wire) == 2000 - len(hit)
 
 
-def test_double_goes_out_in_one_write():
+def test_a_doubled_frame_is_written_twice_in_one_write():
     bench = sensors('double=0.2')
     bench.run(100)
     hit = sent(bench, 'double')
@@ -97,7 +97,7 @@ def test_double_goes_out_in_one_write():
 
 
 @pytest.mark.parametrize('kind', ['delay', 'late'])
-def test_held_back_but_never_overtaken(kind):
+def test_a_delayed_frame_is_not_overtaken(kind):
     bench = sensors('%s=0.02' % kind)
     bench.run(100)
     assert len(sent(bench, kind)) > 20
@@ -109,7 +109,7 @@ def test_held_back_but_never_overtaken(kind):
     assert low < longest < high + 0.2
 
 
-def test_late_reply_arrives_after_the_timeout():
+def test_a_late_reply_is_sent_after_its_delay():
     bench = control('late=1:0.7')
     bench.feed(SYNC)
     bench.run(0.69)
@@ -118,12 +118,12 @@ def test_late_reply_arrives_after_the_timeout():
     assert bench.messages() == [bus.Reply(bus.SYNC)]
 
 
-def test_seconds_of_ones_own():
+def test_the_duration_of_a_fault_can_be_set():
     bench = sensors('delay=1:0.3-0.4')
     assert bench.line.faults.rates['delay'].seconds == (0.3, 0.4)
 
 
-def test_a_repeated_reply_comes_before_all_that_is_said_afterwards():
+def test_a_repeated_reply_is_sent_before_the_next_reply():
     bench = control('repeat=0.3:0.02')
     bench.feed(SYNC)
     bench.run(0.1)
@@ -144,7 +144,7 @@ def test_a_repeated_reply_comes_before_all_that_is_said_afterwards():
 
 
 @pytest.mark.parametrize('kind', ['rx-drop', 'rx-lose', 'rx-flip', 'rx-insert'])
-def test_input_damage(kind):
+def test_a_fault_of_the_input_changes_what_the_board_receives(kind):
     bench = control('%s=0.3' % kind)
     for _ in range(300):
         bench.feed(bus.encode_request(bus.echo(b'12345678')))
@@ -153,13 +153,13 @@ def test_input_damage(kind):
     assert 60 < len(hit) < 120
     assert all(fields['faults'] == [kind] and fields['came'] != fields['became']
                for fields in hit)
-    bad = [fields for fields in bench.notes.of('request') if not fields['sound']]
+    invalid = [fields for fields in bench.notes.of('request') if not fields['valid']]
     if kind == 'rx-flip':
-        # A bit of DATE or checksum: the form of a frame, so it is answered.
+        # A flipped bit in DATE or the checksum leaves the form of a frame, which is answered.
         answers = [fields for fields in bench.notes.of('tx') if '0x40' in fields['text']]
-        assert bad and answers and len(answers) <= len(hit)
+        assert invalid and answers and len(answers) <= len(hit)
     if kind == 'rx-drop':
-        assert not bad
+        assert not invalid
 
 
 def test_lost_heartbeats_stop_the_motor():
@@ -173,7 +173,7 @@ def test_lost_heartbeats_stop_the_motor():
 # -- events -------------------------------------------------------------------------------------
 
 
-def test_silence():
+def test_during_a_silence_nothing_is_written():
     bench = sensors('silence=6/min:2')
     bench.run(100)
     begun = bench.notes.of('fault')
@@ -185,7 +185,7 @@ def test_silence():
     assert bench.said[0] == 'fault: silent for 2.0 s'
 
 
-def test_stall_stops_the_reading_for_a_while():
+def test_a_stalled_board_does_not_read_for_the_duration():
     bench = car('stall=6/min:2')
     assert bench.run(100, until=lambda: bench.line.stalled(bench.now))
     start = bench.now
@@ -193,7 +193,7 @@ def test_stall_stops_the_reading_for_a_while():
     assert bench.now == pytest.approx(start + 2)
 
 
-def test_reset_babbles_and_forgets():
+def test_a_reset_sends_chatter_and_clears_the_state():
     bench = sensors('reset=6/min')
     bench.run(100)
     output = bench.output()
@@ -223,8 +223,8 @@ def test_input_during_a_reset_is_lost():
     assert bench.notes.of('rx-lost') == [{'data': SYNC.hex(), 'why': 'reset'}]
 
 
-def test_a_stalled_board_still_sends_and_reads_on(cable):
-    """On a real tty: what came meanwhile waits in the kernel."""
+def test_boards_with_events_go_on_over_a_real_tty(cable):
+    """Bytes that arrive during a stall wait in the kernel, and are read after it."""
     seqs = []
     with running(SensorBoard(rate=200), cable.b,
                  faults=Faults(parse(['reset=600/min:0.01', 'silence=300/min:0.02'],
@@ -246,11 +246,11 @@ def test_a_stalled_board_still_sends_and_reads_on(cable):
         port.close()
 
 
-# -- repeating, and knowing ---------------------------------------------------------------------
+# -- repeating a run, and its journal -----------------------------------------------------------
 
 
 def exercise(bench):
-    """The same hour for each bench."""
+    """Send the same requests to each bench at the same times."""
     for number in range(400):
         if bench.board.NAME == 'bus':
             bench.feed(bus.encode_request(bus.SYNC_REQUEST if number % 5 == 0
@@ -262,7 +262,7 @@ def exercise(bench):
 
 
 @pytest.mark.parametrize('make_one', [sensors, car, control])
-def test_seed_repeats_a_run(make_one):
+def test_the_same_seed_repeats_a_run(make_one):
     texts = ['all', 'flip=0.05', 'drop=0.05', 'reset=3/min', 'delay=0.02']
     first, second, other = (exercise(make_one(*texts, seed=seed)) for seed in (3, 3, 4))
     assert first.wire == second.wire
@@ -270,7 +270,7 @@ def test_seed_repeats_a_run(make_one):
     assert first.wire != other.wire
 
 
-def test_faults_of_one_kind_do_not_move_those_of_another():
+def test_faults_of_one_kind_do_not_change_those_of_another():
     alone, both = sensors('flip=0.1'), sensors('flip=0.1', 'delay=0.1', 'silence=1/min')
     alone.run(50)
     both.run(50)
@@ -278,8 +278,8 @@ def test_faults_of_one_kind_do_not_move_those_of_another():
     assert numbers and numbers == [fields['n'] for fields in sent(alone, 'flip')][:len(numbers)]
 
 
-def hear(bench):
-    """What the other end decodes of all that went out, in its time."""
+def frames_received(bench):
+    """The frames that the bridge's decoder finds in the written bytes, at their times."""
     decoder, frames, last = bench.decoder, [], bench.now
     for time, data in bench.wire + [(float('inf'), b'')]:
         while decoder.pending and time >= last + FRAME_TIMEOUT:
@@ -294,11 +294,11 @@ HEAVY = ['cut=0.1', 'lose=0.1', 'flip=0.1', 'insert=0.1', 'drop=0.05', 'delay=0.
 
 @pytest.mark.parametrize('make_one', [sensors, car, control])
 @pytest.mark.parametrize('seed', range(3))
-def test_what_is_called_ok_is_found_by_the_other_end(make_one, seed):
-    """In order, among what damage may have made by chance."""
+def test_a_frame_noted_as_ok_is_found_by_the_decoder(make_one, seed):
+    """In order; damage may have made other frames by chance."""
     bench = exercise(make_one(*HEAVY, seed=seed))
     found = iter([(frame.raw if bench.board.NAME != 'arduino' else frame.type, frame.data)
-                  for frame in hear(bench) if not frame.cause])
+                  for frame in frames_received(bench) if not frame.cause])
     expected = [(raw(fields), None) if 'raw' in fields
                 else (fields['type'], bytes.fromhex(fields['data']))
                 for fields in bench.notes.of('tx') if fields['ok']]
@@ -307,7 +307,7 @@ def test_what_is_called_ok_is_found_by_the_other_end(make_one, seed):
         assert any(first == one and second in (None, two) for one, two in found), (first, second)
 
 
-def test_intact_behind_damage_is_not_called_ok():
+def test_an_intact_frame_behind_a_damaged_one_is_not_noted_as_ok():
     bench = car('cut=0.2')
     bench.run(3)
     notes = bench.notes.of('tx')
@@ -316,7 +316,7 @@ def test_intact_behind_damage_is_not_called_ok():
     assert behind and all(fields['behind_damage'] and not fields['ok'] for fields in behind)
 
 
-def test_a_port_that_takes_nothing_is_not_called_sent():
+def test_a_frame_that_the_port_does_not_take_is_noted_as_not_sent():
     bench = sensors()
     bench.busy = True
     bench.run(1)
@@ -328,7 +328,7 @@ def test_a_port_that_takes_nothing_is_not_called_sent():
     assert all(fields['sent'] is False and not fields['ok'] for fields in bench.notes.of('tx'))
 
 
-def test_what_was_on_its_way_when_the_port_closed_is_lost():
+def test_frames_that_wait_when_the_port_closes_are_lost():
     bench = sensors('delay=1:5')
     bench.run(1)
     bench.line.closed(bench.now)
@@ -339,7 +339,7 @@ def test_what_was_on_its_way_when_the_port_closed_is_lost():
 # -- the line's speed ---------------------------------------------------------------------------
 
 
-def test_baud_pace():
+def test_a_baud_rate_limits_how_fast_bytes_are_written():
     bench = control(baud=115200)
     bench.feed(SYNC)
     start = bench.now
@@ -350,21 +350,21 @@ def test_baud_pace():
     assert bench.messages()[-1] == bus.Reply(bus.ECHO, bytes(1000))
 
 
-def test_baud_pace_keeps_the_rate():
+def test_at_115200_baud_the_car_keeps_its_rate():
     bench = car(baud=115200)
     bench.run(10.01)
     kinds = [type(message) for message in bench.messages()]
     assert kinds.count(arduino.Imu) >= 1000
 
 
-# -- how they are written -----------------------------------------------------------------------
+# -- parsing ------------------------------------------------------------------------------------
 
 
-def test_all_is_a_mix_of_everything_that_fits():
+def test_all_is_a_mix_of_every_kind_that_the_board_can_have():
     for board in (ControlBoard, ModelCar, SensorBoard):
         rates = parse(['all'], board)
         assert len(rates) == len(board.FAULTS.split())
-        if board.READS:     # the judge of the car's values knows no packet that comes again
+        if board.READS:     # the campaign's check of the car's values allows no repeated packet
             assert set(rates) | {'repeat'} == set(KINDS)
     rates = parse(['all', 'reset=0', 'flip=0.5'], ControlBoard)
     assert 'reset' not in rates and rates['flip'].probability == 0.5
@@ -373,20 +373,20 @@ def test_all_is_a_mix_of_everything_that_fits():
 @pytest.mark.parametrize('text, says', [
     ('flip', 'KIND=RATE'), ('flip=', 'KIND=RATE'), ('flip=-1', 'KIND=RATE'),
     ('flip=nan', 'KIND=RATE'), ('flap=0.1', 'no fault'), ('flip=2', '0 to 1'),
-    ('silence=0.1', '/min'), ('flip=0.1:3', 'no time'), ('delay=0.1:2-1', 'no range')])
-def test_bad_texts(text, says):
+    ('silence=0.1', '/min'), ('flip=0.1:3', 'no duration'), ('delay=0.1:2-1', 'is empty')])
+def test_an_invalid_fault_is_refused_with_the_reason(text, says):
     with pytest.raises(ValueError) as error:
         parse([text], ControlBoard)
     assert says in str(error.value)
 
 
 @pytest.mark.parametrize('text', ['rx-flip=0.1', 'stall=1/min'])
-def test_a_board_that_reads_nothing_cannot_misread(text):
+def test_a_fault_of_the_input_is_refused_for_a_board_that_reads_nothing(text):
     with pytest.raises(ValueError):
         parse([text], SensorBoard)
 
 
-def test_of_faults_for_every_board_those_that_do_not_fit_one_are_left_out():
+def test_faults_for_every_board_are_left_out_where_a_board_cannot_have_them():
     text = 'flip=0.02 rx-flip=0.1 stall=1/min all'
     assert for_every_board(text, ControlBoard) == text.split()
     assert for_every_board(text, SensorBoard) == ['flip=0.02', 'all']
@@ -394,7 +394,7 @@ def test_of_faults_for_every_board_those_that_do_not_fit_one_are_left_out():
 
 
 @pytest.mark.parametrize('text', ['flap=1', 'flip=2', 'rx-flip=2', 'silence=1', 'flip 0.1'])
-def test_of_faults_for_every_board_a_wrong_one_is_wrong_on_each(text):
+def test_an_invalid_fault_for_every_board_is_refused_for_each(text):
     for board in (EveryBoard, ControlBoard, SensorBoard):
         with pytest.raises(ValueError):
             for_every_board(text, board)
@@ -405,7 +405,7 @@ def test_journal_fields_are_json():
     assert json.dumps(list(bench.notes))
 
 
-def test_a_frame_sent_in_part_is_not_called_sent_and_spoils_the_next():
+def test_a_frame_sent_in_part_is_noted_as_not_sent_and_the_next_as_behind_damage():
     pieces, lost = [], []
 
     def write(data):

@@ -1,4 +1,4 @@
-"""Custom messages and functions, as simulated boards play and answer them."""
+"""Custom messages that simulated boards send, and custom functions that they answer."""
 import os
 
 import pytest
@@ -11,20 +11,20 @@ from serial_communication.boards.arduino.simulator import ModelCar
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.bus.functions import read_functions
 from serial_communication.boards.bus.simulator import ControlBoard
-from serial_communication.boards.config_file import of_board, read_parameters
+from serial_communication.boards.config_file import board_parameters, read_parameters
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.mcu.simulator import SensorBoard
-from serial_communication.simulation.custom_messages import wandering
+from serial_communication.simulation.custom_messages import simulated_values
 
-EXAMPLES = read_parameters(os.path.join(ROOT, 'config', 'own_messages.yaml'))
+EXAMPLES = read_parameters(os.path.join(ROOT, 'config', 'custom_messages.yaml'))
 FUNCTIONS, CAR, SENSORS = (
-    board.custom.read(of_board(EXAMPLES, board.name)[board.custom.parameter])
+    board.custom.read(board_parameters(EXAMPLES, board.name)[board.custom.parameter])
     for board in map(description, BOARDS))
 
 
 @pytest.mark.parametrize('own, board, decoder', [
-    (CAR, ModelCar(own=CAR), arduino.Decoder), (SENSORS, SensorBoard(own=SENSORS), mcu.Decoder)],
-    ids=('arduino', 'mcu'))
+    (CAR, ModelCar(custom=CAR), arduino.Decoder),
+    (SENSORS, SensorBoard(custom=SENSORS), mcu.Decoder)], ids=('arduino', 'mcu'))
 def test_every_message_of_the_examples_is_played_within_its_limits(own, board, decoder):
     kinds = [message.kind for message in own if not message.is_command]
     bench = Bench(board, decoder(messages=kinds))
@@ -34,11 +34,11 @@ def test_every_message_of_the_examples_is_played_within_its_limits(own, board, d
     for kind in kinds:
         played = [frame.message for frame in frames if type(frame.message) is kind]
         assert len(played) == 200
-        assert len({message.pack() for message in played}) > 1, 'they do not wander'
+        assert len({message.pack() for message in played}) > 1, 'the values do not change'
 
 
-def test_a_command_of_the_examples_is_told():
-    bench = Bench(ModelCar(own=CAR), arduino.Decoder())
+def test_a_received_command_of_the_examples_is_printed():
+    bench = Bench(ModelCar(custom=CAR), arduino.Decoder())
     gripper, = [message.kind for message in CAR if message.is_command]
     bench.feed(arduino.encode(gripper(12.5, 0.5)))
     assert [text for text in bench.said if 'gripper' in text] == ['gripper x=12.5 z=0.501961']
@@ -50,44 +50,45 @@ def test_a_command_of_the_examples_is_told():
     ({'layout': '<h', 'maximum': -5000}, (-5200, -5000)),
     ({'layout': '<B', 'scale': -2, 'minimum': -7, 'maximum': -3}, (-6, -4)),
     ({'layout': '<?'}, (0, 1)), ({'layout': '<d', 'minimum': 3, 'maximum': 3}, (3, 3))])
-def test_values_wander_within_what_they_may_be(values, range_of):
-    own, = custom_messages({'any': dict(values, type=99, ros_type='a/B', fields=['data'])})
-    layout = own.kind.LAYOUT
-    numbers = [layout.unpack(layout.pack(wandering(layout, tick / 7)))[0] for tick in range(500)]
+def test_simulated_values_cover_their_range_and_stay_in_it(values, range_of):
+    custom, = custom_messages({'any': dict(values, type=99, ros_type='a/B', fields=['data'])})
+    layout = custom.kind.LAYOUT
+    numbers = [layout.unpack(layout.pack(simulated_values(layout, tick / 7)))[0]
+               for tick in range(500)]
     assert min(numbers) >= range_of[0] and max(numbers) <= range_of[1]
     assert max(numbers) - min(numbers) >= 0.9 * (range_of[1] - range_of[0])
 
 
-def test_texts_fit_their_room():
-    own, = custom_messages({'any': dict(type=99, ros_type='a/B', layout='<3s2xs',
-                                        fields=['a', 'b'])})
-    assert wandering(own.kind.LAYOUT, 5.0) == ('sim', 'simulated 5')
+def test_a_simulated_text_is_cut_to_its_place():
+    custom, = custom_messages({'any': dict(type=99, ros_type='a/B', layout='<3s2xs',
+                                           fields=['a', 'b'])})
+    assert simulated_values(custom.kind.LAYOUT, 5.0) == ('sim', 'simulated 5')
 
 
 def asked(bench, request):
-    """The reply to one request."""
+    """Send one request; return the reply."""
     bench.feed(bus.encode_request(bus.SYNC_REQUEST) + bus.encode_request(request))
     bench.run(0.01)
     return [frame.message for frame in bench.decoder.feed(bench.output())][-1]
 
 
-def test_functions_are_answered():
-    bench = Bench(ControlBoard(own=FUNCTIONS), bus.ReplyDecoder())
+def test_custom_functions_are_answered():
+    bench = Bench(ControlBoard(custom=FUNCTIONS), bus.ReplyDecoder())
     by_name = {function.name: function for function in FUNCTIONS}
-    assert asked(bench, by_name['pump'].ask((True,))) == bus.Reply(bus.OK)
+    assert asked(bench, by_name['pump'].make_request((True,))) == bus.Reply(bus.OK)
     assert bench.said[-1] == 'pump data=true'
-    level = asked(bench, by_name['read_level'].ask(()))
+    level = asked(bench, by_name['read_level'].make_request(()))
     assert by_name['read_level'].reply.unpack(level.data)[0].startswith('simulated')
-    tank = asked(bench, by_name['tank'].ask(()))
+    tank = asked(bench, by_name['tank'].make_request(()))
     assert 0 <= by_name['tank'].reply.unpack(tank.data)[0] <= 655350
     assert asked(bench, bus.Request(bus.FUNCTION, 0x30)).error_code == bus.MALFORMED
     assert asked(bench, bus.Request(bus.FUNCTION, 0x33)).error_code == bus.UNSUPPORTED
 
 
-def test_a_function_refuses_what_is_beyond_its_limits():
+def test_a_custom_function_refuses_a_value_outside_its_limits():
     own = read_functions({'speed': {
         'cmd2': 0x40, 'srv_type': 'a/B',
         'request': {'layout': '<B', 'fields': ['speed'], 'maximum': 10}}})
-    bench = Bench(ControlBoard(own=own), bus.ReplyDecoder())
+    bench = Bench(ControlBoard(custom=own), bus.ReplyDecoder())
     for speed, cmd1 in ((10, bus.OK), (11, bus.ERROR)):
         assert asked(bench, bus.Request(bus.FUNCTION, 0x40, bytes((speed,)))).cmd1 == cmd1

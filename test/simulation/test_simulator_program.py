@@ -1,4 +1,4 @@
-"""The program, as a user and as roslaunch start it; socat_pair; the journal's file."""
+"""The program `simulator` as users and roslaunch start it; `socat_pair`; the journal's file."""
 import json
 import os
 import pty
@@ -25,7 +25,7 @@ def run(*arguments, **options):
 
 
 class Running:
-    """The program at work, its lines in a file."""
+    """A running simulator, which prints to a file."""
 
     def __init__(self, directory, *arguments):
         self._output = directory / 'output'
@@ -49,7 +49,7 @@ def start(tmp_path):
 
 @pytest.fixture
 def tty():
-    """A tty for the board, and the other end's file descriptor."""
+    """The path of a tty for the board, and the file descriptor of its other end."""
     near, far = pty.openpty()
     yield os.ttyname(far), near
     os.close(near)
@@ -59,7 +59,7 @@ def tty():
 @pytest.mark.parametrize('arguments, says', [
     (['--help'], 'socat_pair'), (['bus', '--help'], '--lift-speed'),
     (['arduino', '--help'], '--calibration-time'), (['mcu', '--help'], '--adc')])
-def test_help(arguments, says):
+def test_help_is_printed(arguments, says):
     result = run(*arguments)
     assert result.returncode == 0 and says in result.stdout and not result.stderr
 
@@ -73,7 +73,7 @@ def test_help(arguments, says):
     (['mcu', '--port', 'x', '--rate', 'fast'], 'rate'),
     (['mcu', '--port', 'x', '--stall', '1'], 'stall'),
     (['bus', '--port', 'nonsense://x'], 'nonsense')])
-def test_bad_arguments(arguments, says):
+def test_wrong_arguments_end_it_with_status_2_and_the_reason(arguments, says):
     result = run(*arguments)
     assert result.returncode == 2
     assert says in result.stderr.splitlines()[-1] and 'Traceback' not in result.stderr
@@ -122,7 +122,7 @@ DESCRIPTION = Description('light', __name__, None)
 
 @pytest.fixture
 def elsewhere(tmp_path, monkeypatch):
-    """A folder for a board where Python looks for other packages."""
+    """A folder on Python's path for the board of another package."""
     folder = tmp_path / 'elsewhere' / 'beacon'
     folder.mkdir(parents=True)
     (folder / '__init__.py').write_text(_DESCRIPTION)
@@ -130,25 +130,25 @@ def elsewhere(tmp_path, monkeypatch):
     return folder
 
 
-def test_a_board_of_another_package(elsewhere, start, tty):
+def test_a_board_of_another_package_runs_and_has_its_help(elsewhere, start, tty):
     path, near = tty
     (elsewhere / 'simulator.py').write_text(_BEACON)
-    # --config, which a launch file gives to all boards, is none of this one's business.
+    # --config is accepted though not used, since a launch file passes it to all boards.
     start('beacon', '--port', path, '--rate', '200', '--fault', 'drop=0.2',
           '--config', os.path.join(ROOT, 'config', 'bridge.yaml'))
-    heard = b''
-    while b'hello hello' not in heard:
-        heard += os.read(near, 100)
+    received = b''
+    while b'hello hello' not in received:
+        received += os.read(near, 100)
     says = run('beacon', '--help').stdout
     assert 'hellos a second' in says and 'says hello ten times' in says and 'drop=0.1' in says
-    assert 'stall' not in says      # a fault that makes no sense for a board that only talks
+    assert 'stall' not in says      # a fault that a board that only sends cannot have
 
 
 @pytest.mark.parametrize('text, says', [
     (None, "importing 'beacon.simulator' failed: ModuleNotFoundError"),
     ('1 / 0', "importing 'beacon.simulator' failed: ZeroDivisionError: division by zero ("),
     ('BOARD = 5', "the module 'beacon.simulator' has no BOARD")])
-def test_a_board_of_another_package_without_a_simulator_is_one_line(elsewhere, text, says):
+def test_a_package_without_a_simulator_is_reported_in_one_line(elsewhere, text, says):
     if text is not None:
         (elsewhere / 'simulator.py').write_text(text)
     result = run('beacon', '--port', 'x')
@@ -156,14 +156,14 @@ def test_a_board_of_another_package_without_a_simulator_is_one_line(elsewhere, t
     assert len(result.stderr.splitlines()) == 1, result.stderr
 
 
-def test_a_journal_that_cannot_be():
+def test_a_journal_that_cannot_be_opened_is_reported():
     result = run('bus', '--port', 'x', '--journal', '/nowhere/at/all')
     assert result.returncode == 1
     assert result.stderr == 'journal /nowhere/at/all: No such file or directory\n'
 
 
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT])
-def test_ends_cleanly_while_it_works(start, tty, tmp_path, number):
+def test_a_signal_ends_a_working_simulator_cleanly(start, tty, tmp_path, number):
     simulator = start('arduino', '--port', tty[0], '--journal', 'journal', '--fault', 'all',
                       '--seed', '3', '__name:=car', '__log:=/tmp/x.log', 'a:=b')
     until(lambda: 'open' in simulator.text(), 'the port')
@@ -179,14 +179,14 @@ def test_ends_cleanly_while_it_works(start, tty, tmp_path, number):
     assert all(isinstance(entry['t'], float) for entry in entries)
 
 
-def test_ends_cleanly_while_it_waits(start):
+def test_a_signal_ends_a_waiting_simulator_cleanly(start):
     simulator = start('bus', '--port', '/nowhere/ttyV1')
     until(simulator.text, 'a line')
     assert simulator.end() == 0
     assert simulator.text() == 'bus: /nowhere/ttyV1: there is no such device; waiting for it\n'
 
 
-def test_waits_for_its_port(start, tty, tmp_path):
+def test_it_waits_for_an_absent_port(start, tty, tmp_path):
     name = tmp_path / 'port'
     simulator = start('bus', '--port', str(name))
     until(lambda: 'waiting' in simulator.text(), 'the waiting')
@@ -205,11 +205,11 @@ def port_answers(descriptor):
     assert answer == bus.encode_reply(bus.Reply(bus.SYNC))
 
 
-def test_duration():
+def test_it_ends_after_its_duration():
     assert run('mcu', '--port', '/nowhere/ttyV1', '--duration', '0.05').returncode == 0
 
 
-def test_a_wrong_argument_is_told_in_one_line():
+def test_a_wrong_argument_is_reported_in_one_line():
     done = run('bus', '--port', '/nowhere/ttyV1', '--baud', 'fast')
     assert done.returncode == 2 and done.stdout == ''
     line, = done.stderr.splitlines()
@@ -218,7 +218,8 @@ def test_a_wrong_argument_is_told_in_one_line():
 
 @pytest.mark.parametrize('number, seconds', [
     (signal.SIGINT, 1.0), pytest.param(signal.SIGTERM, 11.0, marks=pytest.mark.slow)])
-def test_roslaunch_which_would_start_it_again_is_told_what_is_wrong_once(start, number, seconds):
+def test_under_roslaunch_a_wrong_argument_is_reported_once_and_waits_for_a_signal(
+        start, number, seconds):
     simulator = start('bus', '--port', '/nowhere/ttyV1', '--baud', 'fast',
                       '__name:=bus_board', '__log:=/nowhere/bus_board.log')
     until(simulator.text)
@@ -228,12 +229,12 @@ def test_roslaunch_which_would_start_it_again_is_told_what_is_wrong_once(start, 
     assert len(simulator.text().splitlines()) == 1
 
 
-def test_runs_as_it_is_from_anywhere(tmp_path):
+def test_it_runs_from_any_folder_without_pythonpath(tmp_path):
     environment = {key: value for key, value in os.environ.items() if key != 'PYTHONPATH'}
     assert run('--help', cwd=str(tmp_path), env=environment).returncode == 0
 
 
-def test_a_reader_of_its_lines_that_goes_does_not_matter(tty):
+def test_it_goes_on_after_the_reader_of_its_output_is_gone(tty):
     simulator = subprocess.Popen([sys.executable, SIMULATOR, 'bus', '--port', tty[0]],
                                  stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     simulator.stdout.readline()
@@ -248,7 +249,7 @@ def test_a_reader_of_its_lines_that_goes_does_not_matter(tty):
 # -- the journal --------------------------------------------------------------------------------
 
 
-def test_journal_writes_in_batches(tmp_path):
+def test_the_journal_writes_in_batches(tmp_path):
     path = tmp_path / 'journal'
     journal = Journal(str(path))
     journal.write(10.0, 'tx', {'n': 1})
@@ -259,10 +260,10 @@ def test_journal_writes_in_batches(tmp_path):
         journal.write(11.0, 'tx', {'n': number})
     assert len(path.read_text().splitlines()) == 1001
     journal.close()
-    journal.write(12.0, 'tx', {})      # after its end: nothing
+    journal.write(12.0, 'tx', {})      # after close: no effect
 
 
-def test_journal_survives_a_full_disk():
+def test_the_journal_reports_a_full_disk():
     journal = Journal('/dev/full')
     journal.write(1.0, 'tx', {})
     journal.close()
@@ -272,7 +273,7 @@ def test_journal_survives_a_full_disk():
 # -- socat_pair ---------------------------------------------------------------------------------
 
 
-def test_pair_is_linked_and_comes_back_over_stale_links(cable):
+def test_a_pair_is_connected_and_replaces_old_links(cable):
     for _ in range(2):
         ends = [Port(cable.a), Port(cable.b)]
         for end in ends:
@@ -283,12 +284,12 @@ def test_pair_is_linked_and_comes_back_over_stale_links(cable):
         assert ends[0].read(PATIENCE) == b'\x00back\x11\xff'
         for end in ends:
             end.close()
-        cable.unplug()      # by SIGKILL: its links stay
+        cable.unplug()      # by SIGKILL, so its links stay
         assert os.path.lexists(cable.a)
         cable.plug()
 
 
-def test_pair_ends_with_sigterm(tmp_path):
+def test_sigterm_ends_a_pair_and_removes_its_links(tmp_path):
     a, b = tmp_path / 'a', tmp_path / 'b'
     pair = subprocess.Popen([SOCAT_PAIR, str(a), str(b)], stderr=subprocess.DEVNULL)
     until(lambda: a.exists() and b.exists(), 'the ports')
@@ -297,7 +298,7 @@ def test_pair_ends_with_sigterm(tmp_path):
     assert not os.path.lexists(str(a)) and not os.path.lexists(str(b))
 
 
-def test_pair_leaves_files_alone(tmp_path):
+def test_a_pair_does_not_replace_a_file(tmp_path):
     (tmp_path / 'a').write_text('precious')
     result = subprocess.run([SOCAT_PAIR, str(tmp_path / 'a'), str(tmp_path / 'b')],
                             stderr=subprocess.PIPE, timeout=PATIENCE)
@@ -306,12 +307,12 @@ def test_pair_leaves_files_alone(tmp_path):
 
 
 @pytest.mark.parametrize('arguments', [[], ['a'], ['a', 'a'], ['a', 'b', 'c'], ['a,b', 'c']])
-def test_pair_usage(arguments):
+def test_wrong_arguments_of_a_pair_give_status_2(arguments):
     result = subprocess.run([SOCAT_PAIR] + arguments, stderr=subprocess.PIPE, timeout=PATIENCE)
     assert result.returncode == 2 and b'--help' in result.stderr
 
 
-def test_pair_without_socat(tmp_path):
+def test_without_socat_a_pair_reports_what_to_install(tmp_path):
     result = subprocess.run(['/bin/sh', SOCAT_PAIR, 'a', 'b'], stderr=subprocess.PIPE,
                             env={'PATH': str(tmp_path)}, timeout=PATIENCE)
     assert result.returncode == 1

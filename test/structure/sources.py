@@ -1,4 +1,4 @@
-"""The files of this package, by kind."""
+"""Lists the files of this package by kind."""
 from pathlib import Path
 from typing import List
 
@@ -7,7 +7,7 @@ PACKAGE = ROOT / 'serial_communication'
 
 
 def _with_interpreter(*names: str) -> List[Path]:
-    """Programs without an ending whose first line names one of these interpreters."""
+    """Programs without a suffix whose first line names one of these interpreters."""
     found = []
     for path in sorted((ROOT / 'scripts').iterdir()) + sorted((ROOT / '.ci').iterdir()):
         if path.is_file() and not path.suffix:
@@ -18,21 +18,21 @@ def _with_interpreter(*names: str) -> List[Path]:
 
 
 def python_programs() -> List[Path]:
-    """What rosrun finds."""
+    """Return the Python programs that rosrun finds."""
     return _with_interpreter('python3')
 
 
 def shell_files() -> List[Path]:
-    """Scripts, and what they source."""
+    """Return the shell scripts and the files that they source."""
     return _with_interpreter('bash', 'sh') + sorted((ROOT / 'scripts').glob('*.bash'))
 
 
 def python_files() -> List[Path]:
-    """Everything that a Python interpreter reads."""
+    """Return every Python file and program."""
     return [ROOT / 'setup.py', *sorted(PACKAGE.rglob('*.py')),
             *sorted((ROOT / 'test').rglob('*.py')), *python_programs()]
 
 
 def name(path: Path) -> str:
-    """As a test's id."""
+    """Return the path relative to the checkout, as the id of a test."""
     return str(path.relative_to(ROOT))

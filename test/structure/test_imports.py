@@ -1,9 +1,9 @@
-"""Imports run one way, and inside a board's folder the file's name says its layer:
+"""Imports go one way, and in a board's folder the file's name gives its layer:
 
     transport, framing  ->  link, simulation  ->  ros  ->  boards/X  ->  tools
 
-The list of boards and what describes one (boards/*.py) are pure: the layers before boards/X look
-for a board there, and know none by name.
+boards/*.py, the list of boards and their description, imports only framing. The layers before
+boards/X find a board there, and name none.
 """
 import ast
 from pathlib import Path
@@ -11,15 +11,15 @@ from typing import Dict, Iterator, List, Set
 
 from sources import PACKAGE
 
-# What each layer may import of this package, itself aside. Of a board's folder, X, the files are
-# layers; a file with another name has the layer of each of them that imports it.
+# The layers that each layer may import besides itself. In a board's folder, X, each file is a
+# layer. A file with another name has the layers of the files that import it.
 SHARED = {'boards', 'output', 'framing', 'transport'}
 MESSAGES = {'msg', 'srv'}
 ALLOWED: Dict[str, Set[str]] = {
     'output': set(),
     'transport': set(),
     'framing': set(),
-    'boards': set(),
+    'boards': {'framing'},
     'link': {'framing', 'transport'},
     'simulation': SHARED,
     'ros': {*SHARED, *MESSAGES, 'link'},
@@ -38,7 +38,7 @@ IO = {'io', 'logging', 'os', 'queue', 'random', 'select', 'serial', 'signal', 's
       'subprocess', 'sys', 'termios', 'threading', 'time'}
 
 
-def test_every_import_is_one_that_its_layer_may_have():
+def test_every_layer_imports_only_what_it_may():
     assert offenders(PACKAGE) == []
 
 
@@ -47,7 +47,7 @@ def test_every_folder_has_a_rule():
     assert folders == {layer for layer in ALLOWED if '/' not in layer} - {'output'}
 
 
-def test_the_rule_can_fail(tmp_path):
+def test_every_forbidden_import_is_found(tmp_path):
     files = {
         'framing/stream.py': 'import time\nfrom ..transport import port',
         'link/link.py': 'from ..boards.one.wire import encode\nfrom ..framing import stream',
@@ -87,7 +87,7 @@ def test_the_rule_can_fail(tmp_path):
 
 
 def offenders(package: Path) -> List[str]:
-    """'FILE imports WHAT', for each import that the layer of its file may not have."""
+    """Return 'FILE imports WHAT' for each import that the layer of the file must not have."""
     return sorted({f'{path.relative_to(package)} imports {bad}'
                    for path in package.rglob('*.py') if path != package / '__init__.py'
                    for layer in layers(path, package)
@@ -95,7 +95,7 @@ def offenders(package: Path) -> List[str]:
 
 
 def layers(path: Path, package: Path) -> Set[str]:
-    """As what the file is imported: one layer, or several for a helper in a board's folder."""
+    """Return the layer of a file, or several for a helper in a board's folder."""
     parts = path.relative_to(package).with_suffix('').parts
     if parts[0] != 'boards' or len(parts) == 2:
         return {parts[0]}
@@ -105,11 +105,11 @@ def layers(path: Path, package: Path) -> Set[str]:
     for other in path.parent.glob('*.py'):
         if other != path and path in (target(each, package) for each in imports(other, package)):
             found |= layers(other, package)
-    return found or {'X/wire'}      # nobody imports it
+    return found or {'X/wire'}      # no file imports it
 
 
 def bad_imports(path: Path, layer: str, package: Path) -> Iterator[str]:
-    """Those that a file of this layer may not have."""
+    """Yield the imports that a file of this layer must not have."""
     for module in imports(path, package):
         found = target(module, package)
         if found is None:
@@ -122,7 +122,7 @@ def bad_imports(path: Path, layer: str, package: Path) -> Iterator[str]:
 
 
 def may_import(layer: str, path: Path, found: Path, package: Path) -> bool:
-    """Whether a file of this layer may import the other one."""
+    """Whether a file of this layer may import the file `found`."""
     parts = found.relative_to(package).with_suffix('').parts
     if not parts or parts[0] != 'boards' or len(parts) == 2:
         return not parts or parts[0] in ALLOWED[layer] | {layer}
@@ -133,7 +133,7 @@ def may_import(layer: str, path: Path, found: Path, package: Path) -> bool:
 
 
 def target(module: str, package: Path) -> Path:
-    """The file that an import of this package names; None: of another one."""
+    """Return the file that an import of this package names; None for another package."""
     top, *parts = module.split('.')
     if top != 'serial_communication':
         return None
@@ -149,7 +149,7 @@ def target(module: str, package: Path) -> Path:
 
 
 def imports(path: Path, package: Path) -> Iterator[str]:
-    """Each imported module by its full name; imports inside functions, too."""
+    """Yield the full name of each import, including those inside functions."""
     inside = ['serial_communication', *path.relative_to(package).parts[:-1]]
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):

@@ -1,7 +1,7 @@
-"""Programs run by ROS's own Python, whichever python3 comes first on the PATH.
+"""Programs run with ROS's Python, whichever python3 is first on the PATH.
 
-Debian's rosrun runs the files of a checkout themselves: another Python (of pyenv, conda or a
-virtual environment) has neither rospy nor pyserial.
+Debian's rosrun runs the files of a checkout directly. Another Python (of pyenv, conda or a virtual
+environment) has neither rospy nor pyserial.
 """
 import os
 import subprocess
@@ -9,11 +9,11 @@ import subprocess
 import pytest
 from sources import ROOT, name, python_programs
 
-_HIT = 'the wrong python3 was asked'
+_HIT = 'the wrong python3 was run'
 
 
 def _python_executables():
-    """Every file with the right to be run whose first line names a Python."""
+    """Every executable Python file."""
     tests = [path for path in sorted((ROOT / 'test').rglob('*.py')) if os.access(path, os.X_OK)]
     return python_programs() + tests
 
@@ -27,7 +27,7 @@ def test_the_first_line_names_the_systems_python():
 
 
 @pytest.mark.parametrize('path', python_programs(), ids=name)
-def test_another_python3_first_on_the_path_is_not_asked(path, tmp_path):
+def test_another_python3_first_on_the_path_is_not_run(path, tmp_path):
     fake = tmp_path / 'python3'
     fake.write_text(f'#!/bin/sh\necho "{_HIT}"\nexit 9\n')
     fake.chmod(0o755)

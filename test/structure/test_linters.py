@@ -1,4 +1,4 @@
-"""Linters for what is Python, shell, XML and catkin."""
+"""Linters for Python, shell, XML and catkin."""
 import ast
 import os
 import re
@@ -9,18 +9,18 @@ import sys
 import pytest
 from sources import PACKAGE, ROOT, name, python_files, shell_files
 
-# catkin_lint on what it is right about only in general:
+# Rules of catkin_lint that do not fit here:
 IGNORED = (
     'package_path_name',      # the folder of a checkout may have any name
-    'literal_project_name',   # the node's file has the same name as the package
-    'uninstalled_script',     # demo and test belong to a checkout; the rest: see below
+    'literal_project_name',   # the node's file has the package's name
+    'uninstalled_script',     # programs of a checkout, see the test of what is installed
 )
 LAUNCH_ARGUMENTS = ([], ['sim:=true'], ['publish_tf:=true', 'mcu_port:=', 'bus_port:=/dev/ttyS7'],
                     ['sim:=true', 'faults:=flip=0.02 cut=0.01'])
 
 
 def run(*command, **environment) -> str:
-    """What a linter that passes says; the test fails with its words otherwise."""
+    """Return a linter's output; if it fails, the test fails with that output."""
     if not shutil.which(str(command[0])):
         pytest.fail('%s is missing; scripts/test installs it' % command[0])
     done = subprocess.run([str(each) for each in command], cwd=str(ROOT), text=True, timeout=120,
@@ -31,39 +31,46 @@ def run(*command, **environment) -> str:
     return done.stdout
 
 
-def test_flake8():
-    # W503 and W504, each the other's contrary: operators stand where the line reads best.
+def test_flake8_finds_nothing():
+    # W503 and W504 contradict each other: operators may be before or after a line break.
     run(sys.executable, '-m', 'flake8', '--isolated', '--jobs=1', '--max-line-length=100',
         '--extend-ignore=W503,W504', *python_files())
 
 
-def test_texts_are_put_together_as_f_strings():
-    """`%` takes a NamedTuple, as most messages are, for several values."""
+def test_mypy_finds_nothing():
+    # Ubuntu 20.04 has version 0.761, which reports errors where there are none.
+    pytest.importorskip('mypy.version', '1.0')
+    output = run(sys.executable, '-m', 'mypy', '--cache-dir', os.devnull)
+    assert f'{len(list(PACKAGE.rglob("*.py")))} source files' in output
+
+
+def test_texts_are_formatted_with_f_strings():
+    """`%` treats a NamedTuple, as most messages are, as several values."""
     assert [f'{name(path)}:{node.lineno}' for path in sorted(PACKAGE.rglob('*.py'))
             for node in ast.walk(ast.parse(path.read_text()))
             if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mod)
             and isinstance(getattr(node.left, 'value', None), str)] == []
 
 
-def test_shellcheck():
-    # SC2015: `a && b || complain` is what it looks like where b is a test as well.
+def test_shellcheck_finds_nothing():
+    # SC2015: `a && b || fail` is correct where b is a test too.
     run('shellcheck', '--exclude=SC2015', '--external-sources', '--source-path', ROOT,
         *shell_files())
 
 
-def test_xml():
+def test_xml_is_well_formed():
     run('xmllint', '--noout', ROOT / 'package.xml', *ROOT.glob('launch/*'),
         *ROOT.glob('config/*.urdf'), *ROOT.glob('test/ros/*.test'))
 
 
-def test_catkin_lint():
+def test_catkin_lint_finds_nothing():
     run('catkin_lint', '-W2', '--strict', *['--ignore=' + rule for rule in IGNORED], ROOT,
         SERIAL_COMMUNICATION_VIEW='yes')     # the dependencies of view.launch count
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize('arguments', LAUNCH_ARGUMENTS, ids=lambda given: ' '.join(given) or '-')
-def test_launch_file(arguments):
+def test_the_launch_file_starts_the_bridge(arguments):
     nodes = run('roslaunch', '--nodes', 'serial_communication', 'bridge.launch', *arguments)
     assert '/serial_communication' in nodes.split()
 
@@ -80,7 +87,7 @@ def test_view_starts_a_bridge_only_with_simulated_boards(arguments, bridge):
 @pytest.mark.slow
 @pytest.mark.parametrize('arguments', [['faults:=all'], ['sim:=avr', 'faults:=all'],
                                        ['sim:=maybe']])
-def test_launch_arguments_that_make_no_sense_end_it(arguments):
+def test_invalid_launch_arguments_end_the_launch_with_a_message(arguments):
     with pytest.raises(pytest.fail.Exception) as failure:
         run('roslaunch', '--nodes', 'serial_communication', 'bridge.launch', *arguments)
     assert arguments[-1] in str(failure.value) and 'Traceback' not in str(failure.value)
@@ -88,14 +95,14 @@ def test_launch_arguments_that_make_no_sense_end_it(arguments):
 
 @pytest.mark.slow
 @pytest.mark.parametrize('launch', sorted(path.name for path in ROOT.glob('launch/*.launch')))
-def test_no_argument_of_a_launch_file_looks_required_or_is_undocumented(launch):
+def test_every_launch_argument_is_optional_and_documented(launch):
     said = run('roslaunch', '--ros-args', 'serial_communication', launch)
     assert 'Optional Arguments:' in said
     assert 'Required' not in said and 'undocumented' not in said, said
 
 
-def test_what_is_installed():
-    """Every message, and the programs for a robot; not those that belong to a checkout."""
+def test_messages_and_robot_programs_are_installed():
+    """Every message and the programs for a robot are installed; programs of a checkout are not."""
     cmake = (ROOT / 'CMakeLists.txt').read_text()
     messages = {path.name for folder in ('msg', 'srv') for path in (ROOT / folder).iterdir()}
     assert messages <= set(cmake.split())
@@ -105,6 +112,6 @@ def test_what_is_installed():
 
 
 def test_every_folder_with_modules_is_a_package():
-    """setup.py finds no other."""
+    """setup.py finds only packages."""
     assert [folder for folder in {path.parent for path in PACKAGE.rglob('*.py')}
             if not (folder / '__init__.py').exists()] == []

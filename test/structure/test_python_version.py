@@ -1,7 +1,7 @@
-"""Python 3.8 (Ubuntu 20.04) can run everything here; the newest syntax and names are left out.
+"""Python 3.8 (Ubuntu 20.04) can run every file: no newer syntax or names are used.
 
-A parser that is told to read 3.8 takes newer names and annotations, so these are looked for, and
-likewise the names that pyserial 3.4, pytest 4.6 and hypothesis 4.36 do not have."""
+A parser set to 3.8 accepts newer names and annotations, so the tests search for these, and for
+names that pyserial 3.4, pytest 4.6 and hypothesis 4.36 do not have."""
 import ast
 from typing import Iterator
 
@@ -12,7 +12,7 @@ VERSION = (3, 8)
 
 NEWER_MODULES = {'graphlib', 'tomllib', 'zoneinfo'}
 
-# Attributes and imported names that 3.8 does not have, where they are unlikely to be ours.
+# Attributes and imported names that 3.8 lacks, and that this package hardly uses for its own.
 NEWER_NAMES = {
     'removeprefix', 'removesuffix',                       # str, bytes
     'bit_count', 'pairwise', 'batched', 'randbytes',      # int, itertools, random
@@ -43,7 +43,7 @@ NOT_GENERIC = {'list', 'dict', 'tuple', 'set', 'frozenset', 'type', 'deque', 'de
 
 
 def too_new(text: str, filename: str = '') -> Iterator[str]:
-    """Each use of something newer, in words."""
+    """Yield a line for each use of something newer."""
     try:
         tree = ast.parse(text, filename, feature_version=VERSION)
     except SyntaxError as error:
@@ -92,7 +92,7 @@ def _unions(annotation) -> Iterator[str]:
         yield 'X | Y in an annotation'
 
 
-def test_python_3_8_reads_every_file():
+def test_every_file_is_valid_for_python_3_8():
     assert [f'{name(path)}:{use}' for path in python_files()
             for use in too_new(path.read_text(), str(path))] == []
 
@@ -104,12 +104,12 @@ def test_python_3_8_reads_every_file():
     'import tomllib', 'zip(a, b, strict=True)', 'a: Dict[str, tuple[int, ...]]',
     'raise serial.PortNotOpenError()', 'from hypothesis import target',
     'def f(patch: pytest.MonkeyPatch): pass'])
-def test_what_is_too_new_is_found(text):
+def test_newer_syntax_and_names_are_found(text):
     assert list(too_new(text))
 
 
 @pytest.mark.parametrize('text', [
     'if (n := 3): pass', 'def f(a, /, b): pass', 'f"{a=}"', 'a: "Optional[int]" = b | c',
     'names[0]', 'x.cache', 'cache(x)'])
-def test_what_is_old_enough_passes(text):
+def test_syntax_of_python_3_8_is_accepted(text):
     assert not list(too_new(text))

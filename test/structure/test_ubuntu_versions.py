@@ -1,8 +1,8 @@
-"""The versions of Ubuntu 20.04 run the tests: Python 3.8, pyserial 3.4, pytest 4.6.9, hypothesis
-4.36.2. What they lack is named in test_python_version, too, as far as it is known.
+"""Tests with the versions of Ubuntu 20.04: Python 3.8, pyserial 3.4, pytest 4.6.9, hypothesis
+4.36.2. test_python_version also lists names that these versions lack.
 
-For these tests a Python 3.8 is looked for in SERIAL_COMMUNICATION_PYTHON38, on the PATH and with
-pyenv, and the packages come from the package index. Without these they are skipped.
+A Python 3.8 is taken from SERIAL_COMMUNICATION_PYTHON38, the PATH or pyenv, and the packages from
+the package index. Without them the tests are skipped.
 """
 import importlib.util
 import os
@@ -14,17 +14,17 @@ import pytest
 from sources import ROOT
 
 VERSIONS = {'pyserial': '3.4', 'pytest': '4.6.9', 'hypothesis': '4.36.2'}
-# The tests without a ROS node: all are collected, and these run (not all, which take minutes).
+# Tests without a ROS node: all of COLLECTED are collected, and RUN, which takes less time, runs.
 COLLECTED = ('boards', 'framing', 'link', 'simulation', 'tools', 'transport',
              'fuzz/test_fuzz_decoders.py')
 RUN = ('transport/test_port.py', 'transport/test_port_messages.py', 'link/test_link.py',
        'boards/test_stream_decoders.py', 'framing/test_custom_messages.py')
 pytestmark = pytest.mark.slow
-_LONGEST = 600      # s; only a test that hangs takes as long
+_LONGEST = 600      # s; only a test that hangs takes so long
 
 
 def is_python_3_8(program):
-    """Whether this is one, and can make virtual environments."""
+    """Whether a program is Python 3.8 and can make virtual environments."""
     try:
         said = subprocess.run(
             [program, '-c', 'import ensurepip, sys, venv; print(*sys.version_info[:2])'],
@@ -35,7 +35,7 @@ def is_python_3_8(program):
 
 
 def python_3_8():
-    """The path of one, or None."""
+    """Return the path of a Python 3.8, or None."""
     pyenv = Path(os.environ.get('PYENV_ROOT') or '~/.pyenv').expanduser()
     found = [os.environ.get('SERIAL_COMMUNICATION_PYTHON38'), shutil.which('python3.8'),
              *map(str, sorted(pyenv.glob('versions/3.8.*/bin/python3.8')))]
@@ -44,7 +44,7 @@ def python_3_8():
 
 @pytest.fixture(scope='module', name='old_python')
 def fixture_old_python(tmp_path_factory):
-    """A Python 3.8 that has these versions, and behind them whatever ROS consists of here."""
+    """A Python 3.8 with these versions and, after them on its path, the ROS packages."""
     program = python_3_8()
     if not program:
         pytest.skip('no Python 3.8 with venv; SERIAL_COMMUNICATION_PYTHON38 may name one')
@@ -57,7 +57,7 @@ def fixture_old_python(tmp_path_factory):
                               stdin=subprocess.DEVNULL, check=False,
                               env={**os.environ, 'PYTHONPATH': ''})
         if done.returncode:
-            pytest.skip('a Python 3.8 with %s cannot be had: %s' % (
+            pytest.skip('a Python 3.8 with %s cannot be set up: %s' % (
                 ', '.join(VERSIONS), done.stdout.strip().rpartition('\n')[2]))
     behind = {str(Path(importlib.util.find_spec(name).origin).parents[1])
               for name in ('rosgraph', 'yaml')}
@@ -67,7 +67,7 @@ def fixture_old_python(tmp_path_factory):
 
 
 def run(python, *arguments):
-    """What pytest of that Python says; it has to pass."""
+    """Run pytest of that Python, which has to pass."""
     done = subprocess.run([python, '-m', 'pytest', '-q', '--tb=short', '-p', 'no:cacheprovider',
                            *arguments], cwd=str(ROOT), stdout=subprocess.PIPE, text=True,
                           stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, timeout=_LONGEST,
@@ -76,7 +76,7 @@ def run(python, *arguments):
     assert done.returncode == 0, done.stdout
 
 
-def test_the_versions_are_these(old_python):
+def test_the_versions_are_those_of_ubuntu(old_python):
     said = subprocess.check_output(
         [old_python, '-c', 'import hypothesis, pytest, serial\n'
          'print(serial.__version__, pytest.__version__, hypothesis.__version__)'], text=True)
@@ -89,5 +89,5 @@ def test_every_test_is_collected(old_python):
 
 
 @pytest.mark.parametrize('file', RUN)
-def test_they_pass(old_python, file):
+def test_a_file_passes(old_python, file):
     run(old_python, f'test/{file}')

@@ -1,4 +1,4 @@
-"""What the table shows of a bridge and of the demo, at every size; without ROS."""
+"""The table of a bridge and of the demo, at every size; without ROS."""
 import io
 import re
 from types import SimpleNamespace as Message
@@ -21,8 +21,8 @@ SIZES = [(200, 60), (132, 50), (80, 30), (80, 24), (60, 15), (40, 10), (20, 3), 
 
 
 def running(state: Demo) -> Demo:
-    """The bridge talks."""
-    state.bridge.master_says(True, NOW)
+    """The same state after the master has reported the bridge."""
+    state.bridge.master_answered(True, NOW)
     return state
 
 
@@ -31,7 +31,7 @@ def idle(**options) -> Demo:
 
 
 def busy(**options) -> Demo:
-    """A state in which everything works and all counters are long."""
+    """A state in which every topic carries data and all counters are long."""
     state = running(Demo(**{'setup': SETUP, **options}))
     for each in state.bridge.topics:
         if not each.topic.optional:
@@ -44,7 +44,7 @@ def busy(**options) -> Demo:
                 'heartbeat max gap [ms]': '99.52'})),
             'mcu': LinkState(2, 'closed: no such file', dict(COUNTERS, **{
                 'frames lost': '6'}))}.items():
-        state.bridge.take_link(name, link._replace(at=NOW))
+        state.bridge.set_link(name, link._replace(at=NOW))
     for calls in state.calls.values():
         calls.answered('up 20 mm', Verdict.DONE, '', 0.4)
     state.driving = '~speed 300, ~steering 1500, ~led left'
@@ -62,7 +62,7 @@ def text(state, *size, **more):
 @pytest.mark.parametrize('size', SIZES)
 @pytest.mark.parametrize('state', [idle(), busy(), busy(setup='. ' + 'x' * 250)],
                          ids=['nothing yet', 'busy', 'long path'])
-def test_it_fits(state, size):
+def test_the_table_fits_the_terminal(state, size):
     width, height = size
     shown = lines(state, *size)
     assert sum(line.rows(width) for line in shown) <= height
@@ -71,7 +71,7 @@ def test_it_fits(state, size):
 
 
 @pytest.mark.parametrize('size', SIZES[:5])
-def test_links_and_calls_come_first_and_never_fall_off(size):
+def test_links_and_calls_come_first_and_are_never_left_out(size):
     shown = text(busy(), *size).splitlines()
     names = ['bus', 'arduino', 'mcu', 'lift', 'gimbal', 'car']
     places = [next(at for at, line in enumerate(shown) if line.startswith(name + ' '))
@@ -80,18 +80,18 @@ def test_links_and_calls_come_first_and_never_fall_off(size):
     assert places[-1] < next(at for at, line in enumerate(shown) if line.startswith('serial_msg'))
 
 
-def test_even_on_three_rows_the_links_are_what_is_left():
+def test_three_rows_show_the_links():
     assert [line.text[:3] for line in lines(busy(), 20, 3)] == ['bus', 'ard', 'mcu']
 
 
 @pytest.mark.parametrize('size', SIZES[:5])
-def test_the_line_for_the_second_terminal_is_never_cut(size):
+def test_the_command_for_the_second_terminal_is_never_cut(size):
     for setup in (SETUP, SETUP + '; export ROS_MASTER_URI=http://a-robot-of-ours.local:11312'):
         whole, = [line for line in lines(busy(setup=setup), *size) if line.whole]
         assert whole.text == 'In another terminal:  ' + setup
 
 
-def test_what_falls_off_is_counted():
+def test_topics_that_are_left_out_are_counted():
     state = busy()
     shown = text(state, 60, 15).splitlines()
     # Five pairs of topics share a line each before any is left out.
@@ -104,7 +104,7 @@ def test_what_falls_off_is_counted():
 @pytest.mark.parametrize('height, joined', [
     (25, 'mcu/range_1, range_2'), (24, '/tf, tf_static'),
     (23, '~environment/temperature, humidity')])
-def test_topics_of_one_type_or_below_one_name_share_a_line_as_room_gets_short(height, joined):
+def test_topics_of_one_type_or_under_one_name_share_a_line_where_rows_are_short(height, joined):
     state = busy()
     for name, words in ('mcu/range_1', 'near'), ('mcu/range_2', 'far'):
         state.bridge.topic(name).words = words
@@ -115,57 +115,57 @@ def test_topics_of_one_type_or_below_one_name_share_a_line_as_room_gets_short(he
 
 
 @pytest.mark.parametrize('state', [idle(), busy()], ids=['nothing yet', 'busy'])
-def test_on_80_by_24_nothing_is_left_out(state):
+def test_no_topic_is_left_out_on_80_by_24(state):
     shown = text(state, 80, 24)
     for each in state.bridge.topics:
         if not each.topic.optional:
             assert each.topic.name.split('/')[-1] in shown
 
 
-def test_a_large_terminal_has_room_for_headings_and_gaps():
+def test_a_large_terminal_shows_headings_and_blank_lines():
     shown = text(busy(), 200, 60)
     assert len(re.findall('^$', shown, re.M)) == 3
     assert re.findall('^(link|commands|topic)', shown, re.M) == ['link', 'commands', 'topic']
 
 
-def test_states_of_the_links_and_their_counters():
+def test_a_link_shows_its_status_and_counters():
     by_link = {line.text.split()[0]: line for line in lines(busy(), 200, 60) if line.text}
     assert by_link['bus'].style == 'good'
     assert by_link['bus'].text == (
-        'bus     OK    ready, bad 7 (3 checksum, 4 framing), in 1234567, out 7654321, timeouts 2, '
-        'round trip 1.25 ms, reconnects 5')
+        'bus     OK    ready, errors 7 (3 checksum, 4 framing), in 1234567, out 7654321, '
+        'timeouts 2, round trip 1.25 ms, reconnects 5')
     assert by_link['arduino'].style == 'warn'
     assert 'heartbeat gap 10.40 ms' in by_link['arduino'].text
     assert by_link['mcu'].style == 'bad'
     assert 'ERROR closed: no such file' in by_link['mcu'].text and 'lost 6' in by_link['mcu'].text
 
 
-def test_bytes_dropped_as_stale_are_shown_where_there_are_any():
+def test_bytes_dropped_as_stale_are_shown_unless_0():
     state = busy()
     for count, words in ('0', ', in 1234567'), ('120', ', dropped 120 stale bytes, in 1234567'):
-        state.bridge.take_link('bus', LinkState(0, 'ready', {**COUNTERS, 'stale': count}, NOW))
-        assert f'bad 7 (3 checksum, 4 framing){words}' in text(state, 200, 60)
+        state.bridge.set_link('bus', LinkState(0, 'ready', {**COUNTERS, 'stale': count}, NOW))
+        assert f'errors 7 (3 checksum, 4 framing){words}' in text(state, 200, 60)
 
 
-def test_on_a_narrow_terminal_a_link_keeps_whole_words():
+def test_a_narrow_terminal_leaves_out_whole_counters():
     shown = [line.text for line in lines(busy(), 60, 15) if line.text.startswith('bus')]
-    assert shown == ['bus     OK    ready, bad 7 (3 checksum, 4 framing)']
+    assert shown == ['bus     OK    ready, errors 7 (3 checksum, 4 framing)']
 
 
-def test_the_number_of_bad_frames_never_falls_off():
+def test_the_number_of_errors_is_never_left_out():
     state = busy()
     causes = ('checksum', 'framing', 'length', 'oversize')
-    state.bridge.take_link('bus', LinkState(1, '80 errors in the last second', {
+    state.bridge.set_link('bus', LinkState(1, '80 errors in the last second', {
         **COUNTERS, **{cause + ' errors': '1234' for cause in causes}}, NOW))
-    assert text(state, 60, 15).split('\n')[2].endswith('80 errors in the last second, bad 4936')
+    assert text(state, 60, 15).split('\n')[2].endswith('80 errors in the last second, errors 4936')
 
 
-def test_a_link_of_which_nothing_is_said_any_more():
+def test_a_link_that_is_no_longer_reported_is_stale():
     line = next(line for line in lines(busy(), 200, 60, now=NOW + 5) if 'ready' in line.text)
-    assert line.text.startswith('bus     STALE said 5.0 s ago: ready') and line.style == 'bad'
+    assert line.text.startswith('bus     STALE reported 5.0 s ago: ready') and line.style == 'bad'
 
 
-def test_rates_and_ages():
+def test_a_stale_topic_shows_its_age_and_a_latched_one_does_not():
     state = busy()
     voltage = state.bridge.topic('~voltage')
     voltage.last_at = NOW - 2.0
@@ -179,31 +179,31 @@ def test_rates_and_ages():
     assert re.search('^~imu/calibrating +once  value', text(state, 80, 50), re.M)
 
 
-def test_adc_boards_are_shown_where_there_is_one():
+def test_the_topic_of_adc_boards_is_shown_only_with_data():
     state = busy()
     assert 'adc_status' not in text(state, 80, 50)
     state.bridge.topic('mcu/adc_status').count = 1
     assert 'mcu/adc_status' in text(state, 80, 50)
 
 
-def test_links_that_are_off_are_left_out():
+def test_topics_of_links_that_are_off_are_not_shown():
     state = idle(boards='real', links=('bus',), moves=False)
     shown = text(state, 80, 50)
     assert '~environment' in shown and '~imu' not in shown and 'mcu' not in shown
-    assert 'none: real boards are only looked at' in shown
+    assert 'none: real boards are not moved' in shown
     assert not state.calls
 
 
-def test_trouble_is_said_below_the_title():
+def test_trouble_is_shown_below_the_title():
     state = busy()
     assert lines(state, 80, 24, now=NOW + 10)[1] == TextLine(
         'no answer from the ROS master at  for 10 s', 'bad')
     state.bridge.master = 'http://robot:11311'
-    state.bridge.master_says(True, NOW + 10)
-    assert 'has said nothing for 10 s' in lines(state, 80, 24, now=NOW + 10)[1].text
+    state.bridge.master_answered(True, NOW + 10)
+    assert 'has reported nothing for 10 s' in lines(state, 80, 24, now=NOW + 10)[1].text
 
 
-def test_a_speed_that_is_not_sent_is_not_shown():
+def test_a_refused_speed_is_not_shown_as_sent():
     state = busy()
     assert 'car     ~speed 300, ~steering 1500, ~led left' in text(state, 80, 24)
     state.bridge.topic('~imu/calibrating').message = Message(data=True)
@@ -211,11 +211,11 @@ def test_a_speed_that_is_not_sent_is_not_shown():
     assert 'car     speed refused: calibrating' in shown and '~speed' not in shown
     state.bridge.topic('~imu/calibrating').message = Message(data=False)
     assert '~speed 300' in text(state, 80, 24)
-    state.bridge.take_link('arduino', LinkState(2, 'closed: gone', {}, NOW))
+    state.bridge.set_link('arduino', LinkState(2, 'closed: gone', {}, NOW))
     assert 'car     speed refused: port closed' in text(state, 80, 24)
 
 
-def test_a_call_is_shown_with_what_became_of_it():
+def test_a_call_is_shown_with_its_outcome():
     state = idle()
     state.calls['lift'].answered('up 20 mm', Verdict.NOT_KNOWN, 'no reply; look', 5.0)
     state.calls['gimbal'].answered('left 15 degrees', Verdict.REFUSED, 'too far', 0.1)
@@ -228,7 +228,7 @@ def test_a_call_is_shown_with_what_became_of_it():
         state, 120, 50)
 
 
-def test_what_is_missing():
+def test_topics_without_data_and_calls_without_success_are_missing():
     assert busy().missing() == []
     state = busy()
     state.bridge.topic('~imu').count = 0
@@ -237,18 +237,18 @@ def test_what_is_missing():
     assert state.missing() == ['no data on ~imu', 'no successful answer from lift: up 20 mm: '
                                'not known: no reply, after 5.00 s (0 done, 1 not known)']
     assert len(Demo().missing()) == len(Demo().bridge.topics) - 1 + 2
-    # Real boards that are only looked at need not move.
+    # Real boards are not moved without --move.
     assert not any('answer' in each for each in Demo(moves=False).missing())
 
 
-def test_at_the_end_a_link_that_is_not_ok_is_named(capsys):
+def test_the_result_names_links_that_are_not_ok(capsys):
     state = busy()
     for name in state.bridge.links:
-        state.bridge.take_link(name, LinkState(0, 'open', {}, NOW))
-    assert cli._judge(state, 10.0) == 0
+        state.bridge.set_link(name, LinkState(0, 'open', {}, NOW))
+    assert cli._result(state, 10.0) == 0
     assert 'Every topic carried data' in capsys.readouterr().out and state.trouble() == []
-    state.bridge.take_link('arduino', LinkState(1, 'heartbeat gap of 99.5 ms: ...', {}, NOW))
-    assert cli._judge(state, 10.0) == 0
+    state.bridge.set_link('arduino', LinkState(1, 'heartbeat gap of 99.5 ms: ...', {}, NOW))
+    assert cli._result(state, 10.0) == 0
     said = capsys.readouterr().out.splitlines()
     assert said[-2:] == ['But at the end not every link was OK:',
                          '  arduino WARN: heartbeat gap of 99.5 ms: ...']
@@ -258,24 +258,24 @@ def test_a_topic_that_the_bridge_does_not_publish_is_missing():
     state = busy()
     state.bridge.set_topics([each.topic for each in state.bridge.topics
                              if each.topic.name != '~voltage'])
-    assert state.missing() == []     # it was there, and its count stays
+    assert state.missing() == []     # it was published before, and its count stays
     state = Demo()
     state.bridge.set_topics([])
     assert 'no data on ~imu' in state.missing()
 
 
-def test_every_link_has_to_be_open():
+def test_the_links_are_open_only_if_each_one_is():
     state = idle()
     assert not state.links_open()
     for name in ('bus', 'arduino', 'mcu'):
-        state.bridge.take_link(name, LinkState(1, 'open, the board is silent', {}, NOW))
+        state.bridge.set_link(name, LinkState(1, 'open, the board is silent', {}, NOW))
     assert state.links_open()
-    state.bridge.take_link('mcu', LinkState(2, 'closed', {}, NOW))
+    state.bridge.set_link('mcu', LinkState(2, 'closed', {}, NOW))
     assert not state.links_open()
 
 
 class Terminal(io.StringIO):
-    """Says that it is one."""
+    """An output that says it is a terminal."""
 
     def isatty(self):
         return True
@@ -285,7 +285,7 @@ def draw(screen, state):
     screen.draw(state.bridge, state.heading(NOW), NOW)
 
 
-def test_a_terminal_is_redrawn_in_place_and_given_back(monkeypatch):
+def test_a_terminal_is_redrawn_in_place_and_restored(monkeypatch):
     monkeypatch.setenv('COLUMNS', '80')
     monkeypatch.setenv('LINES', '24')
     out = Terminal()
@@ -302,7 +302,7 @@ def test_a_terminal_is_redrawn_in_place_and_given_back(monkeypatch):
 
 
 @pytest.mark.parametrize('extra', [0, 1, 39])
-def test_a_row_that_is_full_to_the_edge_keeps_its_last_character(monkeypatch, extra):
+def test_a_full_row_keeps_its_last_character(monkeypatch, extra):
     monkeypatch.setenv('COLUMNS', '40')
     monkeypatch.setenv('LINES', '60')
     out = Terminal()
@@ -312,7 +312,7 @@ def test_a_row_that_is_full_to_the_edge_keeps_its_last_character(monkeypatch, ex
     assert row.endswith('\033[K') == bool(extra)
 
 
-def test_elsewhere_there_are_plain_lines_now_and_then():
+def test_an_output_that_is_no_terminal_gets_a_plain_report_every_five_redraws():
     out = io.StringIO()
     screen = Screen(out)
     for _ in range(10):

@@ -1,4 +1,4 @@
-"""What is known of a bridge from outside: its topics, words, links and ages; without ROS."""
+"""A bridge seen from outside: its topics, their text, its links and ages; without ROS."""
 from types import SimpleNamespace as Message
 
 import pytest
@@ -6,7 +6,7 @@ from serial_communication.boards import BOARDS, description
 from serial_communication.tools.watch import state as watch
 from serial_communication.tools.watch import topics
 from serial_communication.tools.watch.state import BridgeState, LinkState, TopicState
-from serial_communication.tools.watch.topics import Topic
+from serial_communication.tools.watch.topics import BridgeTopic
 
 NODE = '/serial_communication'
 
@@ -20,7 +20,7 @@ class Slots:
 
 
 def words(type_, message):
-    return Topic('any', type_).words(message)
+    return BridgeTopic('any', type_).words(message)
 
 
 def custom_topics(parameters):
@@ -36,13 +36,13 @@ def custom_topics(parameters):
     ('/tf', NODE, '/tf'), ('~imu', '/car/bridge', '/car/bridge/imu'),
     ('mcu/status', '/car/bridge', '/car/mcu/status'), ('/tf', '/car/bridge', '/tf'),
     ('/mcu/status', '/car/bridge', '/mcu/status'), ('serial_msg', '/a/b/c', '/a/b/serial_msg')])
-def test_names(name, node, full):
+def test_relative_and_absolute_names_convert_both_ways(name, node, full):
     assert topics.resolve(name, node) == full
     assert topics.relative(full, node) == name
 
 
-def test_known_topics_come_in_the_tables_order_and_others_behind_them():
-    found = topics.known('/car/bridge', {
+def test_known_topics_are_listed_in_the_tables_order_before_others():
+    found = topics.published_topics('/car/bridge', {
         '/car/zebra': 'nmea_msgs/Gpgga', '/tf': 'tf2_msgs/TFMessage',
         '/car/bridge/voltage': 'serial_communication/Voltage', '/rosout': 'rosgraph_msgs/Log',
         '/car/bridge/imu': 'sensor_msgs/Imu', '/car/air': 'sensor_msgs/Temperature'},
@@ -61,25 +61,26 @@ DESCRIPTION = Description(
 '''
 
 
-def test_a_board_of_another_package(tmp_path, monkeypatch):
+def test_topics_of_a_board_of_another_package_are_known(tmp_path, monkeypatch):
     (tmp_path / 'rain_gauge').mkdir()
     (tmp_path / 'rain_gauge' / '__init__.py').write_text(GAUGE)
     monkeypatch.syspath_prepend(str(tmp_path))
     bridge = BridgeState()
-    bridge.learn({'boards': ['not_installed', 'rain_gauge', 3], 'gauge': {
+    bridge.set_parameters({'boards': ['not_installed', 'rain_gauge', 3], 'gauge': {
         'port': '/dev/gauge', 'every': 60.0,
         'rows': {'snow': {'ros_type': 'std_msgs/Bool', 'period': 2.0}}}})
     assert bridge.board('gauge').title == 'rain gauge' and bridge.board('other') is None
-    found = topics.known(NODE, {'/rain/snow': 'std_msgs/Bool', '/rain': 'std_msgs/Float32',
-                                '/rain/battery': 'std_msgs/Float32', '/other': 'std_msgs/Bool'},
-                         bridge.parameters, bridge.boards)
+    found = topics.published_topics(
+        NODE, {'/rain/snow': 'std_msgs/Bool', '/rain': 'std_msgs/Float32',
+               '/rain/battery': 'std_msgs/Float32', '/other': 'std_msgs/Bool'},
+        bridge.parameters, bridge.boards)
     assert [(each.name, each.links, each.period) for each in found] == [
         ('other', (), None), ('rain', ('gauge',), 60.0), ('rain/battery', ('gauge',), 5.0),
         ('rain/snow', ('gauge',), 2.0)]
     assert topics.expected_links(bridge.parameters) == ['gauge']
 
 
-def test_custom_messages_by_the_bridges_parameters():
+def test_parameters_make_the_topics_of_custom_messages():
     parameters = {
         'arduino': {'port': '/dev/a', 'messages': {
             'force': {'type': 20, 'ros_type': 'std_msgs/Float32', 'layout': '<h',
@@ -92,20 +93,21 @@ def test_custom_messages_by_the_bridges_parameters():
             'grip': {'cmd2': 7, 'srv_type': 'std_srvs/Trigger'},
             'level': {'cmd2': 8, 'ros_type': 'std_msgs/UInt8', 'period': 5,
                       'reply': {'layout': '<B', 'fields': ['data']}}}}}
-    own = {each.name: each for each in custom_topics(parameters)}
-    assert set(own) == {'~force', 'mcu/wind', '~level'}
-    assert own['~force'].fields == ('data',)
-    assert own['mcu/wind'].fields == ('vector.x', 'vector.y')
-    assert own['~level'].period == 5.0 and own['~level'].links == ('bus',)
+    custom = {each.name: each for each in custom_topics(parameters)}
+    assert set(custom) == {'~force', 'mcu/wind', '~level'}
+    assert custom['~force'].fields == ('data',)
+    assert custom['mcu/wind'].fields == ('vector.x', 'vector.y')
+    assert custom['~level'].period == 5.0 and custom['~level'].links == ('bus',)
     assert topics.expected_links(parameters) == ['bus', 'arduino']
 
-    found = topics.known(NODE, {NODE + '/force': 'std_msgs/Float32',
-                                NODE + '/environment': 'serial_communication/Environment'},
-                         parameters, topics.boards_of(parameters))
+    found = topics.published_topics(
+        NODE, {NODE + '/force': 'std_msgs/Float32',
+               NODE + '/environment': 'serial_communication/Environment'},
+        parameters, topics.boards_of(parameters))
     assert found[0].period == 60.0
     value, = found[1].values(Message(data=1.5))
     assert value.value == 1.5
-    wind = own['mcu/wind']
+    wind = custom['mcu/wind']
     assert wind.words(Message(vector=Message(x=0.5, y=-1.25))) == 'vector.x 0.5, vector.y -1.25'
 
 
@@ -113,14 +115,14 @@ def test_custom_messages_by_the_bridges_parameters():
     {}, {'arduino': 3}, {'arduino': {'messages': 'x'}}, {'arduino': {'messages': {'x': 1}}},
     {'mcu': {'messages': {'x': {'ros_type': 'std_msgs/Bool', 'fields': [], 'minimum': [1]}}}},
     {'bus': {'functions': {'x': {'ros_type': 'std_msgs/Bool', 'reply': 3, 'period': 'y'}}}}])
-def test_parameters_of_any_shape_do_no_harm(parameters):
+def test_parameters_of_a_wrong_shape_are_ignored(parameters):
     custom_topics(parameters)
-    assert topics.known(NODE, {NODE + '/imu': 'sensor_msgs/Imu'}, parameters,
-                        topics.boards_of(parameters))[0].name == '~imu'
+    assert topics.published_topics(NODE, {NODE + '/imu': 'sensor_msgs/Imu'}, parameters,
+                                   topics.boards_of(parameters))[0].name == '~imu'
     assert topics.expected_links(parameters) == []
 
 
-def test_links_of_other_packages_come_behind_ours():
+def test_links_of_other_packages_are_listed_last():
     assert topics.in_order(['gps', 'mcu', 'bus', 'air']) == ['bus', 'mcu', 'air', 'gps']
 
 
@@ -135,7 +137,7 @@ def imu(covariance):
                    linear_acceleration_covariance=[covariance])
 
 
-def test_words_of_the_bridges_own_types():
+def test_built_in_types_as_text():
     assert words('sensor_msgs/Imu', imu(-1)) == 'rpy 0.0 0.0 90.0 deg'
     assert words('sensor_msgs/Imu', imu(0)) == 'rpy 0.0 0.0 90.0 deg, 0.10 0.00 9.81 m/s^2'
     for metres, said in ((float('nan'), 'no reading'), (float('inf'), 'farther than 2.00 m'),
@@ -159,17 +161,17 @@ def test_words_of_the_bridges_own_types():
     assert words('std_msgs/Bool', Slots(data=True)) == 'yes'
 
 
-def test_words_of_any_type():
+def test_any_type_as_text():
     message = Slots(header=Slots(seq=1), name='left\nwheel', speed=Slots(x=1.0, y=2.0),
                     raw=b'\1\2', count=12345678, since=Message(to_sec=lambda: 1.5))
     assert words('some_msgs/Wheel', message) == (
         'name left wheel, speed.x 1, speed.y 2, raw[0] 1, raw[1] 2, count 12345678, '
         'since 1.500 s')
-    assert len(Topic('any', 'x/Y').values(Slots(ranges=[1.0] * 1000))) == 16
+    assert len(BridgeTopic('any', 'x/Y').values(Slots(ranges=[1.0] * 1000))) == 16
 
 
-def test_paths_that_lead_nowhere_are_left_out():
-    topic = Topic('any', 'x/Y', fields=('position[2]', 'speed.z', 'name'))
+def test_paths_that_a_message_does_not_have_are_left_out():
+    topic = BridgeTopic('any', 'x/Y', fields=('position[2]', 'speed.z', 'name'))
     assert [value.text() for value in topic.values(Slots(position=[1, 2], name='n'))] == ['n']
 
 
@@ -179,46 +181,46 @@ def test_paths_that_lead_nowhere_are_left_out():
 def fed(topic, times):
     each = TopicState(topic)
     for time in times:
-        each.take(time)
+        each.received(time)
     return each
 
 
-def test_three_periods_without_a_new_value_are_too_long():
-    voltage = fed(Topic('~voltage', 'x/Y', period=1.0), [10.0])
+def test_a_value_is_stale_after_three_periods():
+    voltage = fed(BridgeTopic('~voltage', 'x/Y', period=1.0), [10.0])
     assert voltage.age(10.5) == 0.5 and not voltage.stale(12.9) and voltage.stale(13.1)
     assert TopicState(voltage.topic).age(10.0) is None
     assert not TopicState(voltage.topic).stale(10.0)
 
 
-def test_a_period_that_nobody_has_said_is_found_by_looking():
-    slow = fed(Topic('any', 'x/Y'), range(0, 100, 10))
+def test_an_unknown_period_is_measured():
+    slow = fed(BridgeTopic('any', 'x/Y'), range(0, 100, 10))
     assert slow.stale_after() == pytest.approx(30.0)
     assert not slow.stale(119.0) and slow.stale(121.0)
-    assert not fed(Topic('any', 'x/Y'), [0.0]).stale(1000.0)      # only one: nobody knows
+    assert not fed(BridgeTopic('any', 'x/Y'), [0.0]).stale(1000.0)      # one gives no period
 
 
-def test_a_board_that_has_become_slower_is_learned_and_an_outage_is_not():
-    each = fed(Topic('any', 'x/Y'), [tick / 10 for tick in range(100)])
-    each.take(110.0)
+def test_the_measured_period_follows_a_slower_board_and_not_an_outage():
+    each = fed(BridgeTopic('any', 'x/Y'), [tick / 10 for tick in range(100)])
+    each.received(110.0)
     assert each.stale(110.5)
     now = 110.0
     for _ in range(40):
         now += 1.0
-        each.take(now)
+        each.received(now)
     assert not each.stale(now + 2.0)
 
 
-def test_what_nobody_could_see_is_not_called_stale():
-    fast = fed(Topic('~imu', 'x/Y', period=0.01), [tick / 100 for tick in range(100)])
+def test_a_fast_topic_is_not_stale_before_300_ms():
+    fast = fed(BridgeTopic('~imu', 'x/Y', period=0.01), [tick / 100 for tick in range(100)])
     assert not fast.stale(1.2) and fast.stale(1.4)
 
 
-def test_what_comes_on_change_alone_never_ages():
-    assert not fed(Topic('any', 'x/Y', period=1.0, ages=False), [0.0]).stale(1000.0)
+def test_a_topic_published_only_on_change_is_never_stale():
+    assert not fed(BridgeTopic('any', 'x/Y', period=1.0, ages=False), [0.0]).stale(1000.0)
 
 
-def test_rates():
-    each = TopicState(Topic('any', 'x/Y'))
+def test_the_rate_covers_the_last_few_seconds():
+    each = TopicState(BridgeTopic('any', 'x/Y'))
     for second in range(10):
         each.measure(float(second))
         each.count += 100
@@ -230,80 +232,80 @@ def test_rates():
 
 @pytest.mark.parametrize('seconds, text', [(0.34, '0.3 s'), (12.0, '12 s'), (119, '119 s'),
                                            (300, '5 min'), (10800, '3 h')])
-def test_ages_in_words(seconds, text):
+def test_ages_as_text(seconds, text):
     assert watch.ago(seconds) == text
 
 
 # -- the bridge ----------------------------------------------------------------------------------
 
 
-def said(level, at, **values):
+def reported(level, at, **values):
     return LinkState(level, 'open', values, at)
 
 
-def test_links_are_those_of_diagnostics_and_those_expected():
+def test_links_are_those_reported_and_those_expected():
     bridge = BridgeState(links=['mcu'])
-    bridge.take_link('gps', said(0, 1.0))
+    bridge.set_link('gps', reported(0, 1.0))
     bridge.expect_links(['bus', 'mcu'])
     assert list(bridge.links) == ['bus', 'mcu', 'gps'] and bridge.links['bus'] is None
     assert bridge.links['gps'] is not None
 
 
-def test_errors_by_cause():
+def test_errors_are_counted_by_cause():
     link = LinkState(0, 'open', {'checksum errors': '3', 'framing errors': '4', 'port': 'x',
                                  'odd errors': 'many', 'square errors': '\u00b2',
                                  'arabic errors': '\u0663', 'endless errors': '9' * 5000})
     assert link.errors == {'checksum': 3, 'framing': 4}
 
 
-def test_what_has_come_stays_with_its_topic():
-    bridge = BridgeState(topics=[Topic('~voltage', 'x/Y')])
-    bridge.set_topics([Topic('~imu', 'sensor_msgs/Imu'), Topic('old', 'x/Y')])
-    bridge.topic('~imu').take(1.0)
-    bridge.set_topics([Topic('new', 'x/Y'), Topic('~imu', 'sensor_msgs/Imu')])
-    # What was expected at first stays, published or not.
+def test_a_topic_keeps_its_state_while_its_type_is_the_same():
+    bridge = BridgeState(topics=[BridgeTopic('~voltage', 'x/Y')])
+    bridge.set_topics([BridgeTopic('~imu', 'sensor_msgs/Imu'), BridgeTopic('old', 'x/Y')])
+    bridge.topic('~imu').received(1.0)
+    bridge.set_topics([BridgeTopic('new', 'x/Y'), BridgeTopic('~imu', 'sensor_msgs/Imu')])
+    # An expected topic stays, published or not.
     assert [each.topic.name for each in bridge.topics] == ['~imu', '~voltage', 'new']
     assert bridge.topic('~imu').count == 1
-    bridge.set_topics([Topic('~imu', 'std_msgs/Bool')])
+    bridge.set_topics([BridgeTopic('~imu', 'std_msgs/Bool')])
     assert bridge.topic('~imu').count == 0
 
 
-def test_trouble_in_words():
+def test_trouble_names_its_cause():
     bridge = BridgeState('/car/bridge', master='http://robot:11311')
     assert bridge.trouble(5.0) == 'no answer from the ROS master at http://robot:11311'
-    bridge.master_says(False, 5.0)
+    bridge.master_answered(False, 5.0)
     assert bridge.trouble(5.0) == 'no bridge /car/bridge at http://robot:11311'
-    bridge.master_says(True, 5.0)
-    assert bridge.trouble(5.0) == 'the bridge /car/bridge has said nothing yet'
-    bridge.take_link('bus', said(0, 5.0))
+    bridge.master_answered(True, 5.0)
+    assert bridge.trouble(5.0) == 'the bridge /car/bridge has reported nothing yet'
+    bridge.set_link('bus', reported(0, 5.0))
     assert bridge.trouble(5.0) == '' and bridge.all_ok(5.0)
-    bridge.master_says(True, 10.0)
-    assert bridge.trouble(10.0) == 'the bridge /car/bridge has said nothing for 5.0 s'
+    bridge.master_answered(True, 10.0)
+    assert bridge.trouble(10.0) == 'the bridge /car/bridge has reported nothing for 5.0 s'
     assert bridge.trouble(17.0).endswith('http://robot:11311 for 7.0 s')
-    bridge.master_says(False, 20.0)      # as after a restart of the master
-    bridge.take_link('bus', said(0, 21.0))
+    bridge.master_answered(False, 20.0)      # as after a restart of the master
+    bridge.set_link('bus', reported(0, 21.0))
     assert bridge.trouble(21.0) == ''
-    bridge.take_link('bus', said(0, 24.0))
-    bridge.master_says(False, 24.0)
+    bridge.set_link('bus', reported(0, 24.0))
+    bridge.master_answered(False, 24.0)
     assert 'restart the bridge' in bridge.trouble(24.0)
 
 
-def test_ok_means_every_link_and_no_trouble():
+def test_all_ok_requires_every_link_and_no_trouble():
     bridge = BridgeState()
-    bridge.master_says(True, 5.0)
+    bridge.master_answered(True, 5.0)
     assert not bridge.all_ok(5.0)
-    bridge.take_link('bus', said(0, 5.0))
+    bridge.set_link('bus', reported(0, 5.0))
     assert bridge.all_ok(5.0)
-    bridge.take_link('mcu', said(1, 5.0))
+    bridge.set_link('mcu', reported(1, 5.0))
     assert not bridge.all_ok(5.0)
-    bridge.take_link('mcu', said(0, 5.0))
+    bridge.set_link('mcu', reported(0, 5.0))
     bridge.expect_links(['gps'])
-    assert not bridge.all_ok(5.0)     # nothing has been said of it
-    bridge.take_link('gps', said(0, 1.0))
-    assert not bridge.all_ok(5.0)     # said too long ago
+    assert not bridge.all_ok(5.0)     # no status of it yet
+    bridge.set_link('gps', reported(0, 1.0))
+    assert not bridge.all_ok(5.0)     # reported too long ago
 
 
 @pytest.mark.parametrize('module', [topics, watch], ids=lambda each: each.__name__)
-def test_this_part_knows_no_ros(module):
+def test_the_module_imports_no_ros(module):
     assert not [name for name in vars(module)
                 if name in ('rospy', 'rosgraph', 'roslib', 'genpy', 'time')]

@@ -1,5 +1,4 @@
-"""doc/wire.md: its commands, run as they stand there, say what the page says; and the recordings
-can be made again."""
+"""doc/wire.md: its commands print what the page shows, and its recordings can be made again."""
 import os
 import re
 import subprocess
@@ -7,7 +6,7 @@ import sys
 
 import pytest
 
-import wire_stories
+import wire_recordings
 from serial_communication.tools.wire.recording import load
 from wire_lines import PATIENCE, ROOT
 
@@ -18,29 +17,29 @@ with open(os.path.join(DOC, 'wire.md'), encoding='utf-8') as page:
 
 
 @pytest.mark.parametrize('command, shown', BLOCKS, ids=lambda text: text.split('\n')[0][:40])
-def test_a_command_of_the_page(command, shown):
+def test_a_command_prints_what_the_page_shows(command, shown):
     done = subprocess.run([sys.executable, os.path.join(ROOT, 'scripts', 'wire')]
                           + command.split()[1:], cwd=DOC, timeout=PATIENCE, text=True,
                           stdout=subprocess.PIPE, env=dict(os.environ, TZ='UTC'))
-    said = iter(line.rstrip() for line in done.stdout.splitlines())
+    output = iter(line.rstrip() for line in done.stdout.splitlines())
     for line in shown.splitlines():
         line = line[4:].rstrip()
         if line != '…':
-            assert line in said, line       # and in this order
+            assert line in output, line       # and in this order
 
 
-def test_there_are_stories():
+def test_the_page_uses_every_recording():
     assert len(BLOCKS) == 7
-    for name in wire_stories.STORIES:
+    for name in wire_recordings.RECORDINGS:
         path = os.path.join(DOC, 'wire', name + '.txt')
         assert os.path.getsize(path) < 20000
         assert any('wire/' + name in command for command, _ in BLOCKS)
 
 
-@pytest.mark.parametrize('name', wire_stories.STORIES)
+@pytest.mark.parametrize('name', wire_recordings.RECORDINGS)
 def test_the_recordings_can_be_made_again(name, tmp_path):
     path = tmp_path / (name + '.txt')
-    wire_stories.STORIES[name](str(tmp_path), str(path))
+    wire_recordings.RECORDINGS[name](str(tmp_path), str(path))
     reads = next(iter(load(str(path)).reads.values()))
     board = b''.join(read.data for read in reads if not read.sent)
     if name == 'baud':

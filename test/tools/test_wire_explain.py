@@ -1,4 +1,4 @@
-"""wire explain: every vector by its values, and any damage told as what it is."""
+"""wire explain: the values of every vector, and damaged bytes."""
 import json
 import random
 import re
@@ -11,7 +11,7 @@ import pytest
 from serial_communication.framing import cobs
 from serial_communication.simulation.faults import Faults, parse
 from serial_communication.tools.wire import explain
-from serial_communication.tools.wire.explain import NoHex
+from serial_communication.tools.wire.explain import NotHex
 from wire_lines import FAULTS, LINKS, PATIENCE, ROOT, Target, settings, vectors
 
 PROGRAM = [sys.executable, ROOT + '/scripts/wire', 'explain']
@@ -24,14 +24,14 @@ def run(*arguments, given=''):
 
 
 def only(link, data, **options):
-    """The one frame in these bytes."""
+    """Explain bytes that have exactly one frame."""
     found = explain.explain(data, settings(link)._replace(**options))
     assert len(found) == 1, found
     return found[0]
 
 
 def value_of(each, name):
-    """The value of the part with that name, which is there once."""
+    """The value of the only part with that name."""
     found = [part.value for part in each.parts if part.name == name]
     assert len(found) == 1, (name, each.parts)
     return found[0]
@@ -49,7 +49,7 @@ ARDUINO = vectors('arduino')['packets']
 
 
 @pytest.mark.parametrize('case', BUS['requests'], ids=lambda case: case['frame'])
-def test_bus_requests(case):
+def test_a_bus_request_is_explained_by_its_values(case):
     each = only('bus', hexed(case['frame']))
     assert each.sent and not each.trouble
     assert (value_of(each, 'CMD1'), value_of(each, 'CMD2')) == (case['cmd1'], case['cmd2'])
@@ -57,21 +57,21 @@ def test_bus_requests(case):
 
 
 @pytest.mark.parametrize('case', BUS['replies'], ids=lambda case: case['frame'])
-def test_bus_replies(case):
+def test_a_bus_reply_is_explained_by_its_values(case):
     each = only('bus', hexed(case['frame']))
     assert not each.sent and not each.trouble
     assert value_of(each, 'CMD1') == case['cmd1']
     assert b''.join(part.data for part in each.parts[3:-1]) == hexed(case['data'])
     if 'error' in case:
         assert value_of(each, 'error code') == case['error']
-    told = re.search(r'smoke (\d+), (\S+) C, (\S+) %', case['name'])
-    if told:
+    values = re.search(r'smoke (\d+), (\S+) C, (\S+) %', case['name'])
+    if values:
         assert [value_of(each, name) for name in ('smoke', 'temperature', 'humidity')] == [
-            float(number) for number in told.groups()]
+            float(number) for number in values.groups()]
 
 
 @pytest.mark.parametrize('case', MCU, ids=lambda case: case['frame'])
-def test_mcu_frames(case):
+def test_an_mcu_frame_is_explained_by_its_values(case):
     each = only('mcu', hexed(case['frame']))
     assert not each.sent and not each.trouble
     assert (value_of(each, 'TYPE'), value_of(each, 'SEQ')) == (case['type'], case['seq'])
@@ -83,7 +83,7 @@ def test_mcu_frames(case):
 
 
 @pytest.mark.parametrize('case', ARDUINO, ids=lambda case: case['wire'])
-def test_arduino_packets(case):
+def test_an_arduino_packet_is_explained_by_its_values(case):
     each = only('arduino', hexed(case['wire']))
     assert each.sent == (case['type'] in TO_ARDUINO)
     assert value_of(each, 'type') == case['type']
@@ -108,7 +108,7 @@ def xor(data):
     return value
 
 
-def sound_bus(data):
+def bus_length(data):
     """The length of the request or reply that `data` begins with; 0 where there is none."""
     if data[:3] == b'\xa5\x02\x55' and data[3:5] == b'\x22\xd0':
         return 5
@@ -125,7 +125,7 @@ def sound_bus(data):
     return 0
 
 
-def sound_mcu(data):
+def mcu_length(data):
     lengths = {0x10: 12, 0x01: 14}
     if len(data) < 6 or data[0] != 2 or data[1] < 2 or len(data) < data[1] + 4:
         return 0
@@ -135,8 +135,8 @@ def sound_mcu(data):
     return end
 
 
-def sound_arduino(data):
-    """Of what has no checksum only the framing can be told, and the length that a type has."""
+def arduino_length(data):
+    """Packets have no checksum, so only the framing and a type's length can be checked."""
     end = data.find(b'\0')
     if end <= 0:
         return max(end + 1, 0) if data[:1] == b'\0' else 0
@@ -150,23 +150,23 @@ def sound_arduino(data):
     return end + 1
 
 
-SOUND = {'bus': sound_bus, 'mcu': sound_mcu, 'arduino': sound_arduino}
+LENGTHS = {'bus': bus_length, 'mcu': mcu_length, 'arduino': arduino_length}
 SOURCES = {'bus': [case['frame'] for key in ('requests', 'replies') for case in BUS[key]],
            'mcu': [case['frame'] for case in MCU], 'arduino': [case['wire'] for case in ARDUINO]}
 
 
-def all_sound(link, data):
-    """Whether `data` is sound frames and nothing else, as an independent look has it."""
+def all_valid(link, data):
+    """Whether `data` is valid frames and nothing else, by the independent checks above."""
     while data:
-        size = SOUND[link](data)
+        size = LENGTHS[link](data)
         if not size:
             return False
         data = data[size:]
     return True
 
 
-def told_whole(data, found, link):
-    """Every byte stands in some frame or stretch, in order; bad ones may hold good ones' bytes."""
+def is_complete(data, found, link):
+    """Whether every byte is in a frame or noise, in order. Invalid frames may share their bytes."""
     nothing = b'\0' if link == 'arduino' else b''
     at = first = 0
     for each in found:
@@ -181,11 +181,11 @@ def told_whole(data, found, link):
 
 
 @pytest.mark.parametrize('link', LINKS)
-def test_ten_thousand_damaged_ones(link):
+def test_thousands_of_damaged_frames_are_explained_with_all_their_bytes(link):
     kinds = [kind.split('=')[0] + '=1' for kind in FAULTS]
     faults = [Faults(parse([kind], Target), 7) for kind in kinds if not kind.startswith('drop')]
     chance = random.Random(link)
-    troubled = 0
+    with_errors = 0
     for number in range(3400):
         data = hexed(chance.choice(SOURCES[link]))
         if number % 10 == 9:
@@ -197,39 +197,39 @@ def test_ten_thousand_damaged_ones(link):
         if not data.strip(b'\0' if link == 'arduino' else b''):
             continue
         found = explain.explain(data, settings(link))
-        assert told_whole(data, found, link), data.hex()
+        assert is_complete(data, found, link), data.hex()
         trouble = [each.trouble for each in found if each.trouble]
-        troubled += bool(trouble)
-        if not all_sound(link, data):
+        with_errors += bool(trouble)
+        if not all_valid(link, data):
             assert trouble, data.hex()
-        elif link != 'arduino':    # there values that cannot be make a sound packet a bad one
+        elif link != 'arduino':    # there implausible values make a valid packet an invalid one
             assert not any(each.frame.cause for each in found), (data.hex(), found)
         for each in found:
             assert '\n' not in each.trouble and json.dumps(explain.as_dict(each), allow_nan=False)
-    assert troubled > 1500
+    assert with_errors > 1500
 
 
 @pytest.mark.parametrize('link', LINKS)
-def test_a_frame_cut_short_is_explained_as_far_as_it_goes(link):
+def test_an_incomplete_frame_is_explained_as_far_as_it_goes(link):
     for text in SOURCES[link]:
         data = hexed(text)
         for size in range(1, min(len(data), 40)):
             found = explain.explain(data[:size], settings(link))
-            assert told_whole(data[:size], found, link)
-            assert any(each.trouble for each in found) or all_sound(link, data[:size])
+            assert is_complete(data[:size], found, link)
+            assert any(each.trouble for each in found) or all_valid(link, data[:size])
     each = only('mcu', hexed('020c109c2f003a'))
     assert each.trouble == 'incomplete'
     assert [(part.name, part.data, part.error) for part in each.parts[4:6]] == [
         ('range_1', b'\x2f\0', ''), ('range_2', b'\x3a', 'missing, 1 byte')]
 
 
-def test_the_checksum_as_it_is_and_as_it_should_be():
+def test_a_wrong_checksum_is_shown_with_the_right_one():
     done = run('mcu', '020c109c2f003a0000000dfff3009903')
     assert done.returncode == 1
     assert re.search(r'99 +CRC +153 +should be 0x98', done.stdout)
 
 
-def test_a_zero_that_cobs_left_out_stands_in_the_decoded_column():
+def test_a_zero_encoded_by_cobs_is_shown_in_the_decoded_column():
     voltage = cobs.encode(b'\x0a' + b'\0\0\x40\x41') + b'\0'      # 12 V
     done = run('arduino', voltage.hex())
     assert done.returncode == 0
@@ -237,22 +237,22 @@ def test_a_zero_that_cobs_left_out_stands_in_the_decoded_column():
     assert re.search(r'01 03 40 41 +00 00 40 41 +value +12 V', done.stdout), done.stdout
 
 
-def test_noise_is_noise():
+def test_bytes_in_no_frame_are_one_part_named_noise():
     each = only('bus', b'\x11\x22\x33')
     assert [part.name for part in each.parts] == ['noise'] and each.trouble
 
 
-def test_zeros_are_noise_but_between_packets():
+def test_zeros_are_noise_except_between_arduino_packets():
     assert only('mcu', bytes(3)).trouble and only('bus', bytes(1)).trouble
     assert explain.explain(bytes(3), settings('arduino')) == []
-    assert run('arduino', '00').stdout == 'empty packets, which say nothing\n'
+    assert run('arduino', '00').stdout == 'only empty packets\n'
 
 
-def test_long_noise_is_told_whole():
+def test_long_noise_is_shown_completely():
     assert len(only('mcu', b'\x11' * 3000).frame.raw) == 3000
 
 
-def test_both_ends_in_one_text_and_a_reply_to_its_request():
+def test_a_reply_is_explained_by_the_request_before_it():
     found = explain.explain(hexed('a5025522d0 a506025e01030acc1229'), settings('bus'))
     assert [(each.sent, each.trouble) for each in found] == [(True, ''), (False, '')]
     assert value_of(found[1], 'smoke') == 350
@@ -260,7 +260,7 @@ def test_both_ends_in_one_text_and_a_reply_to_its_request():
     assert [part.name for part in found[1].parts][3:-1] == ['DATE']
 
 
-def test_who_said_it_can_be_forced():
+def test_the_direction_can_be_set():
     frame = 'a50002a7'
     assert run('bus', frame).stdout.startswith('from the board')
     done = run('bus', '--sent', frame)
@@ -268,7 +268,7 @@ def test_who_said_it_can_be_forced():
     assert run('bus', '--received', 'a5025522d0').returncode == 1
 
 
-def test_replies_with_a_cmd2():
+def test_replies_with_cmd2_need_their_option():
     assert run('bus', 'a500020087', '--received').returncode == 1
     done = run('bus', '--reply-has-cmd2', '--received', 'a5000220', '87')
     assert done.returncode == 0 and 'CMD2' in done.stdout
@@ -280,18 +280,18 @@ def test_replies_with_a_cmd2():
     'A5 02 55', 'a50255', '0xA5,0x02,0x55', r'\xa5\x02\x55', '0xA5, 0x2, 0x55', 'a5:02:55',
     'A5\n02\n55\n', '{0xA5, 0x02, 0x55};', r"b'\xa5\x02U'", r'b"\xa5\x02U"', '[165, 2, 85]',
     '[165, 2, 85]\n---', '"a50255"', '0xa50255', '$A5 $02 $55'])
-def test_bytes_as_people_have_them(text):
+def test_every_form_of_bytes_is_read(text):
     assert explain.parse(text) == b'\xa5\x02\x55'
 
 
 @pytest.mark.parametrize('text', ['', ' ', 'xy', 'a5 0g', 'a50', '0x', "b'\\xa5", '[165, 256]',
                                   'b"é"', 'A5-02', r'\x'])
-def test_what_is_no_hex(text):
-    with pytest.raises(NoHex):
+def test_text_that_is_not_hex_is_refused(text):
+    with pytest.raises(NotHex):
         explain.parse(text)
 
 
-def test_statuses():
+def test_the_status_says_whether_all_is_valid_and_usable():
     assert run('bus', 'a5', '00', '02', 'a7').returncode == 0
     assert run('bus', given='a50002a7\n').returncode == 0
     assert run('bus', '-', given='a50002a7\n').returncode == 0
@@ -302,8 +302,8 @@ def test_statuses():
     assert len(run('bus', 'hello').stderr.splitlines()) == 1
 
 
-def test_json_and_no_colours_in_a_pipe():
+def test_json_has_the_errors_and_a_pipe_has_no_colours():
     done = run('arduino', '--json', '0408010200')
-    told = json.loads(done.stdout)
-    assert not told['sound'] and told['frames'][0]['error'].startswith('length')
+    explained = json.loads(done.stdout)
+    assert not explained['sound'] and explained['frames'][0]['error'].startswith('length')
     assert '\033' not in run('mcu', '11').stdout

@@ -1,4 +1,4 @@
-"""From a recording to bytes and times again: a link makes the same of them as it did."""
+"""Bytes and times from a recording: a link decodes them as it did the original."""
 import pytest
 
 from serial_communication.boards.arduino import wire as arduino
@@ -9,17 +9,17 @@ from serial_communication.framing.stream import FRAMING
 from serial_communication.tools.wire import playback
 from serial_communication.tools.wire.playback import Piece
 from serial_communication.tools.wire.recording import Read, Recording
-from wire_lines import LINKS, as_bag, damaged_reads, from_board, heard, settings
+from wire_lines import LINKS, as_bag, damaged_reads, decoded, from_board, settings
 
 SEEDS = range(40)
 
 
 def outcome(reads, line):
-    """What must come again: every frame that says something, in order, and all error counts.
+    """What must be the same: every frame, except noise, in order, and all error counts.
 
-    Not how noise is cut into stretches: that depends on when somebody looked at it.
+    How noise is split into frames depends on when the bytes were decoded.
     """
-    frames, errors = heard(reads, line)
+    frames, errors = decoded(reads, line)
     return [(frame.raw, frame.cause) for frame in frames if frame.cause != FRAMING], errors
 
 
@@ -33,7 +33,7 @@ def played(pieces):
 
 
 @pytest.mark.parametrize('link', LINKS)
-def test_a_bag_of_a_damaged_line_gives_the_same_frames_and_errors_again(link):
+def test_a_bag_of_a_damaged_line_plays_back_the_same_frames_and_errors(link):
     line = settings(link)
     damaged = 0
     for seed in SEEDS:
@@ -44,11 +44,11 @@ def test_a_bag_of_a_damaged_line_gives_the_same_frames_and_errors_again(link):
         assert outcome(played(pieces), line) == wanted, seed
         assert playback.differences(from_board(bag, line), pieces, line) == 0
         damaged += sum(wanted[1].values())
-    assert damaged > 10 * len(SEEDS)      # or the test would show nothing
+    assert damaged > 10 * len(SEEDS)      # or the test would prove nothing
 
 
 @pytest.mark.parametrize('link', LINKS)
-def test_kept_bytes_give_the_same_frames_and_errors_again(link):
+def test_recorded_bytes_play_back_the_same_frames_and_errors(link):
     line = settings(link)
     for seed in SEEDS:
         reads = damaged_reads(link, seed)
@@ -58,8 +58,8 @@ def test_kept_bytes_give_the_same_frames_and_errors_again(link):
 
 
 @pytest.mark.parametrize('link', LINKS)
-def test_a_desk_that_reads_a_little_late_makes_the_same_of_it(link):
-    """Every read up to 20 ms late: silences leave no doubt by more than that."""
+def test_reads_up_to_20_ms_late_decode_the_same(link):
+    """Silences differ from the frame timeout by more than that."""
     line = settings(link)
     for seed in SEEDS:
         reads = damaged_reads(link, seed)
@@ -70,7 +70,7 @@ def test_a_desk_that_reads_a_little_late_makes_the_same_of_it(link):
         assert outcome(late, line) == outcome(reads, line), seed
 
 
-def test_at_another_rate_what_was_given_up_still_is():
+def test_incomplete_frames_still_time_out_at_another_rate():
     line = settings('mcu')
     for seed in SEEDS:
         reads = damaged_reads('mcu', seed)
@@ -89,23 +89,23 @@ def test_whole_frames_keep_their_times():
     assert [piece.at for piece in faster] == [read.at / 2 for read in reads]
 
 
-def test_frames_of_one_read_are_one_write():
+def test_frames_of_one_read_are_sent_in_one_write():
     line = settings('mcu')
     two = [mcu.encode(mcu.SensorStatus(1, 2, 0.0, 0.0, 0.0), seq) for seq in (1, 2)]
     assert play(as_bag([Read(0.5, False, b''.join(two))], line), line) == [
         Piece(0.5, b''.join(two), True)]
 
 
-def test_a_good_frame_that_begins_in_a_bad_one_is_not_sent_twice():
+def test_a_valid_frame_that_begins_in_an_invalid_one_is_sent_once():
     line = settings('bus')
     ok = bus.encode_reply(bus.Reply(bus.OK))
     stream = b'\xa5\x02\x02' + ok * 2      # a false start that takes the first byte of the next
     bag = as_bag([Read(0.0, False, stream)], line)
-    assert sum(len(each.frame.raw) for each in bag.seen) > len(stream)
+    assert sum(len(each.frame.raw) for each in bag.frames) > len(stream)
     assert b''.join(piece.data for piece in play(bag, line)) == stream
 
 
-def test_a_frame_behind_a_false_start_that_waited_is_sent_when_it_came():
+def test_a_frame_delayed_by_a_false_start_is_sent_when_it_was_received():
     line = settings('bus')
     ok = bus.encode_reply(bus.Reply(bus.OK))
     reads = [Read(0.0, False, b'\xa5\xc8'), Read(0.02, False, ok), Read(0.04, False, ok)]
@@ -114,18 +114,18 @@ def test_a_frame_behind_a_false_start_that_waited_is_sent_when_it_came():
     assert outcome(played(pieces), line) == outcome(reads, line)
 
 
-def test_a_packet_of_which_a_bag_has_a_part_is_left_out_and_the_next_is_not():
+def test_only_the_packet_that_is_incomplete_in_a_bag_is_left_out():
     line = settings('arduino')
     reads = [Read(0.0, False, b'\x11' * 400), Read(0.005, False, b'\x11' * 400 + b'\0'),
              Read(0.01, False, arduino.encode(arduino.Ticks(5)))]
     bag = as_bag(reads, line)
-    assert [playback.is_whole(frame, line) for frame in from_board(bag, line)] == [False, True]
+    assert [playback.is_complete(frame, line) for frame in from_board(bag, line)] == [False, True]
     assert play(bag, line) == [Piece(0.01, arduino.encode(arduino.Ticks(5)), True)]
     whole = cobs.encode(bytes(arduino.MAX_PACKET + 1)) + b'\0'
     assert play(as_bag([Read(0.0, False, whole)], line), line) == [Piece(0.0, whole, True)]
 
 
-def test_what_will_differ_is_told():
+def test_frames_that_will_differ_are_counted():
     line = settings('mcu')
     frame = mcu.encode_raw(0x20, 1, b'x')
     frames = from_board(as_bag([Read(0.0, False, frame)], line), line)

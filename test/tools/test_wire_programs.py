@@ -23,7 +23,7 @@ from serial_communication.transport.port import Port
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.tools.wire.lines import Settings
-from serial_communication.tools.wire.passing import Passage
+from serial_communication.tools.wire.forwarder import Forwarder
 from serial_communication.tools.wire.recording import load
 from wire_lines import PATIENCE, ROOT, settings
 
@@ -32,7 +32,7 @@ PROGRAM = [sys.executable, ROOT + '/scripts/wire']
 HEARTBEAT = arduino.encode(arduino.Heartbeat())
 EVERY_BYTE = bytes(range(256)) * 3
 PLAIN = {key: value for key, value in os.environ.items() if key != 'PYTHONUNBUFFERED'}
-STOP = b'\0' + arduino.encode(arduino.SpeedCommand(0))     # what follows a loss
+STOP = b'\0' + arduino.encode(arduino.SpeedCommand(0))     # is sent first after a loss
 
 
 def wait_for(condition, what):
@@ -41,12 +41,12 @@ def wait_for(condition, what):
         value = condition()
         if value:
             return value
-        assert time.monotonic() < deadline, f'waited in vain for {what}'
+        assert time.monotonic() < deadline, f'not within {PATIENCE:g} s: {what}'
         time.sleep(0.005)
 
 
 class Tty:
-    """A tty under a path of its own; it can vanish and return as another device."""
+    """A tty with a symbolic link; it can vanish and return as another device."""
 
     def __init__(self, path):
         self.path = str(path)
@@ -68,14 +68,14 @@ class Tty:
 
     def write(self, data):
         while data:
-            assert select.select([], [self.fd], [], PATIENCE)[1], 'nobody reads'
+            assert select.select([], [self.fd], [], PATIENCE)[1], 'nothing reads the tty'
             data = data[os.write(self.fd, data):]
 
     def read(self, size):
-        """So many bytes."""
+        """Read `size` bytes."""
         data = b''
         while len(data) < size:
-            assert select.select([self.fd], [], [], PATIENCE)[0], f'only {data.hex()} came'
+            assert select.select([self.fd], [], [], PATIENCE)[0], f'received only {data.hex()}'
             data += os.read(self.fd, size - len(data))
         return data
 
@@ -84,7 +84,7 @@ class Tty:
 
 
 class Program:
-    """One at work; its output in files."""
+    """A running program, with its output in files."""
 
     def __init__(self, folder, *arguments):
         self.paths = [folder / 'stdout', folder / 'stderr']
@@ -95,11 +95,11 @@ class Program:
     def lines(self):
         return self.paths[0].read_text().splitlines()
 
-    def said(self):
+    def stderr(self):
         return self.paths[1].read_text()
 
-    def wait_until_said(self, words, count=1):
-        wait_for(lambda: self.said().count(words) >= count, words)
+    def wait_for_line(self, words, count=1):
+        wait_for(lambda: self.stderr().count(words) >= count, words)
 
     def end(self, number=signal.SIGINT):
         if self.process.poll() is None:
@@ -131,31 +131,32 @@ def status(number):
 
 # -- listen ---------------------------------------------------------------------------------------
 
-def test_listen_shows_and_keeps_every_frame_and_writes_nothing(ttys, start, tmp_path):
+def test_listen_shows_and_records_every_frame_and_writes_nothing(ttys, start, tmp_path):
     board = ttys[0]
     program = start('listen', 'mcu', board.path, '--raw', 'kept.txt', '--json')
-    program.wait_until_said('open')
+    program.wait_for_line('open')
     stream = status(1) + b'\x11\x22' + status(2) + status(3)[:7]
     board.write(stream)
     lines = wait_for(lambda: len(program.lines()) >= 4 and program.lines(), 'four frames')
-    told = [json.loads(line) for line in lines]
-    assert [each['frame'] for each in told] == [
+    output = [json.loads(line) for line in lines]
+    assert [each['frame'] for each in output] == [
         status(1).hex(), '1122', status(2).hex(), status(3)[:7].hex()]
-    assert [bool(each['error']) for each in told] == [False, True, False, True]
-    assert told[0]['from'] == 'board' and told[0]['gap'] is None and told[1]['gap'] == 0
-    assert told[0]['text'].startswith('sensor status: 1 mm 500 mm')
-    assert abs(told[0]['time'] - time.time()) < 60
+    assert [bool(each['error']) for each in output] == [False, True, False, True]
+    assert output[0]['from'] == 'board' and output[0]['gap'] is None and output[1]['gap'] == 0
+    assert output[0]['text'].startswith('sensor status: 1 mm 500 mm')
+    assert abs(output[0]['time'] - time.time()) < 60
     assert board.is_quiet()
     assert program.end() == 0
-    assert '4 frames, 2 of them bad' in program.said() and 'kept in kept.txt' in program.said()
+    assert '4 frames, 2 of them invalid' in program.stderr()
+    assert 'recorded in kept.txt' in program.stderr()
     recording = load(str(tmp_path / 'kept.txt'))
     assert b''.join(read.data for read in recording.reads['mcu']) == stream
 
 
-def test_listen_for_people(ttys, start):
+def test_listen_prints_a_line_for_each_frame(ttys, start):
     board = ttys[0]
     program = start('listen', 'arduino', board.path)
-    program.wait_until_said('open')
+    program.wait_for_line('open')
     board.write(arduino.encode(arduino.Ticks(7)) + b'\x02\x63\0')
     first, second = wait_for(lambda: len(program.lines()) == 2 and program.lines(), 'two lines')
     assert first.split()[1:] == ['board', '03', '08', '07', '00', 'ticks', '7']
@@ -163,26 +164,26 @@ def test_listen_for_people(ttys, start):
     assert program.end(signal.SIGTERM) == 0
 
 
-def test_listen_waits_for_a_port_and_comes_back_to_it(tmp_path, start):
+def test_listen_waits_for_a_port_and_opens_it_again(tmp_path, start):
     board = Tty(tmp_path / 'late')
     program = start('listen', 'mcu', board.path)
-    program.wait_until_said('waiting for it')
+    program.wait_for_line('waiting for it')
     for count in (1, 2):
         board.plug()
-        program.wait_until_said('late: open', count)
+        program.wait_for_line('late: open', count)
         shown = len(program.lines())
 
-        def sends():        # again and again: what comes while this machine stalls is dropped
+        def sends():        # repeatedly: what arrives during a stall of this machine is dropped
             board.write(status(count))
             time.sleep(0.1)
             return len(program.lines()) > shown
         wait_for(sends, 'a frame')
         board.unplug()
-        program.wait_until_said('opening it again when it returns', count)
+        program.wait_for_line('opening it again when it returns', count)
     assert program.end() == 0
 
 
-def test_listen_says_who_has_the_port(ttys):
+def test_listen_names_the_program_that_has_the_port(ttys):
     port = Port(ttys[0].path)
     port.open()
     done = run('listen', 'mcu', ttys[0].path)
@@ -192,7 +193,7 @@ def test_listen_says_who_has_the_port(ttys):
     assert len(done.stderr.splitlines()) == 1
 
 
-def test_listen_ends_quietly_with_its_reader(ttys):
+def test_listen_ends_quietly_when_its_output_is_closed(ttys):
     program = subprocess.Popen(PROGRAM + ['listen', 'mcu', ttys[0].path], stdout=subprocess.PIPE,
                                stderr=subprocess.PIPE, text=True)
     program.stdout.close()
@@ -206,12 +207,12 @@ def test_listen_ends_quietly_with_its_reader(ttys):
     program.stderr.close()
 
 
-def test_listen_shows_a_recording(kept):
+def test_listen_shows_the_frames_of_a_recording(kept):
     done = run('listen', 'mcu', kept)
     assert done.returncode == 0
-    # What nobody says to that board is noise, and a stretch of noise is told once.
+    # The board has no commands, so the bytes to it are one stretch of noise.
     assert done.stdout.count(' board ') == 10 and done.stdout.count(' computer ') == 1
-    assert 'sensor status: 9 mm' in done.stdout and '11 frames, 2 of them bad' in done.stderr
+    assert 'sensor status: 9 mm' in done.stdout and '11 frames, 2 of them invalid' in done.stderr
     assert run('listen', 'mcu', __file__).returncode == 1
 
 
@@ -221,73 +222,73 @@ def test_listen_shows_a_recording(kept):
 def tapped(ttys, start):
     board, computer = ttys
     program = start('tap', 'arduino', board.path, computer.path, '--raw', 'kept.txt', '--json')
-    program.wait_until_said('open', 2)
+    program.wait_for_line('open', 2)
     return board, computer, program
 
 
-def test_tap_passes_all_bytes_unchanged_both_ways_at_once(tapped, tmp_path):
+def test_tap_forwards_all_bytes_unchanged_both_ways_at_once(tapped, tmp_path):
     board, computer, program = tapped
     for _ in range(3):
         computer.write(EVERY_BYTE)
         board.write(EVERY_BYTE[::-1])
         assert board.read(len(EVERY_BYTE)) == EVERY_BYTE
         assert computer.read(len(EVERY_BYTE)) == EVERY_BYTE[::-1]
-    assert program.end() == 0 and 'could not be passed on' not in program.said()
+    assert program.end() == 0 and 'could not be forwarded' not in program.stderr()
     reads = load(str(tmp_path / 'kept.txt')).reads['arduino']
     for sent, stream in ((True, EVERY_BYTE * 3), (False, EVERY_BYTE[::-1] * 3)):
         assert b''.join(read.data for read in reads if read.sent == sent) == stream
 
 
-def test_tap_shows_which_end_spoke(tapped):
+def test_tap_shows_which_end_sent_a_frame(tapped):
     board, computer, program = tapped
     computer.write(HEARTBEAT)
     board.read(len(HEARTBEAT))
     board.write(arduino.encode(arduino.Ticks(9)))
     computer.read(4)
     lines = wait_for(lambda: len(program.lines()) == 2 and program.lines(), 'two frames')
-    told = sorted(map(json.loads, lines), key=lambda each: each['time'])
-    assert [(each['from'], each['text']) for each in told] == [
+    output = sorted(map(json.loads, lines), key=lambda each: each['time'])
+    assert [(each['from'], each['text']) for each in output] == [
         ('computer', 'heartbeat'), ('board', 'ticks 9')]
 
 
 @pytest.mark.parametrize('gone', (0, 1), ids=('board', 'computer'))
-def test_tap_outlives_either_end(tapped, gone):
+def test_tap_continues_after_either_end_vanishes(tapped, gone):
     away, other = tapped[gone], tapped[1 - gone]
     program = tapped[2]
     away.unplug()
-    program.wait_until_said('opening it again')
+    program.wait_for_line('opening it again')
     other.write(b'into the void')
-    program.wait_until_said('not passed on')
+    program.wait_for_line('not forwarded')
     away.plug()
-    program.wait_until_said(': open', 3)
+    program.wait_for_line(': open', 3)
     other.write(HEARTBEAT)
-    # Nothing old comes before it, and what was cut off ends.
+    # No stale bytes come first, and a frame that was cut off is ended.
     expected = (STOP if away is tapped[0] else b'\0') + HEARTBEAT
     assert away.read(len(expected)) == expected
     away.write(b'back')
     assert other.read(4) == b'back'
     assert program.end() == 0
-    assert '13 bytes could not be passed on' in program.said()
+    assert '13 bytes could not be forwarded' in program.stderr()
 
 
-def test_an_end_that_takes_nothing_holds_up_neither_direction(tapped):
+def test_a_blocked_end_blocks_neither_direction(tapped):
     board, computer, program = tapped
-    for _ in range(200):                    # far more than a tty holds, and nobody reads it
+    for _ in range(200):                    # far more than a tty holds, and nothing reads it
         board.write(bytes(1000))
-    program.wait_until_said('not passed on')
+    program.wait_for_line('not forwarded')
     computer.write(HEARTBEAT)
     assert board.read(3) == HEARTBEAT
 
-    def goes_on():
+    def recovers():
         while not computer.is_quiet():
             os.read(computer.fd, 65536)
-        board.write(b'on')      # lost, too, where the kernel has not passed on all of it yet
-        return 'takes bytes again' in program.said()
-    wait_for(goes_on, 'takes bytes again')
+        board.write(b'on')      # is lost too while the kernel still holds older bytes
+        return 'takes bytes again' in program.stderr()
+    wait_for(recovers, 'takes bytes again')
 
 
 def drained(tty):
-    """All that comes, until nothing has come for a while."""
+    """Read until nothing was received for 0.3 s."""
     data = b''
     while select.select([tty.fd], [], [], 0.3)[0]:
         data += os.read(tty.fd, 65536)
@@ -298,29 +299,29 @@ def messages(data, decoder=arduino.BoardDecoder):
     return [frame.message for frame in decoder().feed(data) if not frame.cause]
 
 
-def test_a_board_that_takes_nothing_gets_no_old_command(tapped):
+def test_a_blocked_board_gets_no_stale_command(tapped):
     board, computer, program = tapped
     count = 0
-    while 'not passed on' not in program.said():
+    while 'not forwarded' not in program.stderr():
         computer.write(b''.join(arduino.encode(arduino.SteeringCommand(count + each))
                                 for each in range(50)))
         count += 50
         assert count < 65000
     kept = drained(board)
 
-    def goes_on():
+    def recovers():
         computer.write(HEARTBEAT)
         return not board.is_quiet()
-    wait_for(goes_on, 'heartbeats')
-    program.wait_until_said('takes bytes again')
-    came = messages(kept + drained(board))
-    stopped = came.index(arduino.SpeedCommand(0))
-    # What a pseudo terminal had handed to the board's end already is out of reach.
-    assert came[:stopped] == [arduino.SteeringCommand(each) for each in range(stopped)]
-    assert stopped < count and came[-1] == arduino.Heartbeat()
-    assert 'speed 0 goes first' in program.said()
+    wait_for(recovers, 'heartbeats')
+    program.wait_for_line('takes bytes again')
+    received = messages(kept + drained(board))
+    stopped = received.index(arduino.SpeedCommand(0))
+    # Bytes already at the board's end of the pseudo terminal cannot be dropped.
+    assert received[:stopped] == [arduino.SteeringCommand(each) for each in range(stopped)]
+    assert stopped < count and received[-1] == arduino.Heartbeat()
+    assert 'speed 0 is sent first' in program.stderr()
     assert program.end() == 0
-    assert 'bytes could not be passed on' in program.said()
+    assert 'bytes could not be forwarded' in program.stderr()
 
 
 def state_of(process):
@@ -329,16 +330,16 @@ def state_of(process):
 
 
 def suspended_for_long(program, meanwhile, ends=1):
-    """Until what came meanwhile, at so many ends, is told as dropped."""
+    """Suspend a tap until it reports, for so many ends, that it dropped what came meanwhile."""
     program.process.send_signal(signal.SIGSTOP)
-    wait_for(lambda: state_of(program.process) == 'T', 'that it stands')
+    wait_for(lambda: state_of(program.process) == 'T', 'the program is suspended')
     meanwhile()
-    time.sleep(1.0)         # so old is it then
+    time.sleep(1.0)         # the age of these bytes
     program.process.send_signal(signal.SIGCONT)
-    program.wait_until_said('are old and dropped', ends)
+    program.wait_for_line('were stale and dropped', ends)
 
 
-def test_what_waits_while_the_tap_is_suspended_is_dropped(tapped, tmp_path):
+def test_bytes_that_wait_while_the_tap_is_suspended_are_dropped(tapped, tmp_path):
     board, computer, program = tapped
     computer.write(HEARTBEAT)
     assert board.read(3) == HEARTBEAT
@@ -348,36 +349,36 @@ def test_what_waits_while_the_tap_is_suspended_is_dropped(tapped, tmp_path):
         board.write(arduino.encode(arduino.Ticks(99)) * 5)
     suspended_for_long(program, meanwhile, 2)
 
-    def speaks(end, packet):
+    def passes(end, packet):
         end.write(packet)
         other = computer if end is board else board
         return not other.is_quiet()
     ticks = arduino.encode(arduino.Ticks(7))
-    wait_for(lambda: speaks(computer, HEARTBEAT), 'heartbeats')
-    wait_for(lambda: speaks(board, ticks), 'ticks')
+    wait_for(lambda: passes(computer, HEARTBEAT), 'heartbeats')
+    wait_for(lambda: passes(board, ticks), 'ticks')
     to_board, to_computer = drained(board), drained(computer)
     assert to_board.startswith(STOP + HEARTBEAT)
     assert set(to_board[len(STOP):].split(HEARTBEAT)) == {b''}
     assert to_computer.startswith(b'\0' + ticks)
     assert set(to_computer[1:].split(ticks)) == {b''}
-    said = program.said()
+    said = program.stderr()
     assert f'{computer.path}: 25 bytes that waited' in said
     assert f'{board.path}: 20 bytes that waited' in said
     assert program.end() == 0
     kept = b''.join(read.data for read in load(str(tmp_path / 'kept.txt')).reads['arduino'])
-    assert b'\x63' not in kept          # it would have a time at which it did not come
+    assert b'\x63' not in kept          # it would be recorded at a wrong time
 
 
-def test_what_waits_as_the_tap_starts_is_dropped(ttys, start):
+def test_bytes_that_wait_as_the_tap_starts_are_dropped(ttys, start):
     board, computer = ttys
-    # As socat does, whose own buffer a flush does not reach: new bytes come as it opens.
+    # New bytes arrive while it opens, as from socat's buffer, which a flush does not reach.
     program = start('tap', 'arduino', board.path, computer.path)
-    while program.said().count(': open') < 2:
+    while program.stderr().count(': open') < 2:
         computer.write(arduino.encode(arduino.SpeedCommand(500)))
         while not computer.is_quiet():
             os.read(computer.fd, 4096)
         time.sleep(0.01)
-    program.wait_until_said(f'{computer.path}: open')
+    program.wait_for_line(f'{computer.path}: open')
     wait_for(lambda: computer.write(HEARTBEAT) or not board.is_quiet(), 'heartbeats')
     first = board.read(len(STOP))
     assert first == STOP
@@ -385,11 +386,11 @@ def test_what_waits_as_the_tap_starts_is_dropped(ttys, start):
 
 @pytest.mark.parametrize('link, wire', [
     ('bus', bytes.fromhex('a506025e01030acc1229')), ('mcu', None)])
-def test_what_was_cut_off_does_not_merge_with_what_follows(ttys, start, link, wire):
+def test_an_incomplete_frame_does_not_merge_with_the_next(ttys, start, link, wire):
     board, computer = ttys
     wire = wire or status(1)
     program = start('tap', link, board.path, computer.path)
-    program.wait_until_said('open', 2)
+    program.wait_for_line('open', 2)
     board.write(wire[:5])
     assert computer.read(5) == wire[:5]
     suspended_for_long(program, lambda: board.write(wire[5:]))
@@ -399,7 +400,7 @@ def test_what_was_cut_off_does_not_merge_with_what_follows(ttys, start, link, wi
 
 
 class Uart(Port):
-    """A pseudo terminal that tells what waits in it, as a UART does."""
+    """A pseudo terminal that reports its backlog, as a UART does."""
     held = 0
     dropped = 0
 
@@ -423,39 +424,39 @@ def uart(ttys):
     port.close()
 
 
-def passage(port, told):
-    return Passage(port, settings('arduino'), True, told.append)
+def forwarder(port, output):
+    return Forwarder(port, settings('arduino'), True, output.append)
 
 
-def test_what_waits_in_a_uart_for_long_is_dropped_however_little(uart):
-    told = []
-    tap = passage(uart, told)
+def test_a_small_backlog_of_a_uart_is_dropped_after_300_ms(uart):
+    output = []
+    tap = forwarder(uart, output)
     for beat in range(40):
-        tap.pass_on(HEARTBEAT, 10.0 + beat * 0.01)
-    # 0.3 s in vain, then 0.1 s of pause; the pause ends where the next begins.
+        tap.forward(HEARTBEAT, 10.0 + beat * 0.01)
+    # 0.3 s until it is dropped, then 0.1 s of pause, and so on.
     assert 30 * 3 <= uart.dropped <= 32 * 3 and tap.lost >= uart.dropped
-    assert told == [f'not passed on to {uart.url}: it takes no data; what waited is dropped; '
-                    'speed 0 goes first when it goes on']
+    assert output == [f'not forwarded to {uart.url}: the port takes no data; what waited in it '
+                      'was dropped; speed 0 is sent first afterwards']
 
 
-def test_a_uart_that_flows_is_left_alone(uart, ttys):
-    told = []
-    tap = passage(uart, told)
+def test_a_uart_that_sends_in_time_loses_nothing(uart, ttys):
+    output = []
+    tap = forwarder(uart, output)
     for number in range(200):
-        tap.pass_on(HEARTBEAT * 30, 10.0 + number * 0.01)
+        tap.forward(HEARTBEAT * 30, 10.0 + number * 0.01)
         uart.held = min(uart.held, 100)        # never empty
         ttys[0].read(len(HEARTBEAT) * 30)
-    tap.pass_on(bytes(1030), 12.0)             # the longest frame of all takes its 89 ms
-    tap.pass_on(HEARTBEAT, 12.05)
-    assert told == [] and tap.lost == 0 and uart.dropped == 0
+    tap.forward(bytes(1030), 12.0)             # the longest frame of all takes its 89 ms
+    tap.forward(HEARTBEAT, 12.05)
+    assert output == [] and tap.lost == 0 and uart.dropped == 0
 
 
-def test_50_ms_of_backlog_are_dropped_at_once(uart):
-    told = []
-    tap = passage(uart, told)
+def test_a_backlog_over_50_ms_is_dropped_at_once(uart):
+    output = []
+    tap = forwarder(uart, output)
     for number in range(4):
-        tap.pass_on(HEARTBEAT * 100, 10.0 + number * 0.001)
-    assert uart.dropped == 900 and len(told) == 1
+        tap.forward(HEARTBEAT * 100, 10.0 + number * 0.001)
+    assert uart.dropped == 900 and len(output) == 1
 
 
 class Peer:
@@ -500,23 +501,23 @@ def read_to_the_end(connection):
         return data
 
 
-def test_a_network_port_that_takes_nothing_is_given_up(ttys, start, peer):
+def test_a_blocked_network_port_is_connected_again(ttys, start, peer):
     computer = ttys[1]
     program = start('tap', 'arduino', peer.url, computer.path)
     first = peer.accept()
-    program.wait_until_said('open', 2)
+    program.wait_for_line('open', 2)
     count = 0
-    while 'the connection is broken off' not in program.said():
+    while 'the connection was closed' not in program.stderr():
         try:
-            first.send(arduino.encode(arduino.Ticks(1)))     # it talks, and takes nothing
+            first.send(arduino.encode(arduino.Ticks(1)))     # it sends, and takes nothing
         except ConnectionError:
-            pass     # given up
+            pass     # closed
         computer.write(b''.join(arduino.encode(arduino.SteeringCommand(count + each))
                                 for each in range(50)))
         while not computer.is_quiet():
             os.read(computer.fd, 65536)
         count += 50
-        assert count < 65000, program.said()
+        assert count < 65000, program.stderr()
     second = peer.accept()
     assert len(messages(read_to_the_end(first))) < count
     wait_for(lambda: computer.write(HEARTBEAT) or select.select([second], [], [], 0)[0],
@@ -525,13 +526,13 @@ def test_a_network_port_that_takes_nothing_is_given_up(ttys, start, peer):
     assert program.end() == 0
 
 
-def test_a_silent_board_behind_a_network_is_connected_anew(ttys, start, peer):
-    """What it does not take may wait in its kernel, where nobody sees it."""
+def test_a_silent_board_behind_a_network_port_is_connected_again(ttys, start, peer):
+    """Bytes for it may wait in its kernel, which the tap cannot see."""
     computer = ttys[1]
     program = start('tap', 'arduino', peer.url, computer.path)
     first = peer.accept()
-    program.wait_until_said('open', 2)
-    while 'the board has not been heard for 1 s' not in program.said():
+    program.wait_for_line('open', 2)
+    while 'nothing received from the board for 1 s' not in program.stderr():
         computer.write(HEARTBEAT)
         time.sleep(0.01)
     second = peer.accept()
@@ -542,24 +543,24 @@ def test_a_silent_board_behind_a_network_is_connected_anew(ttys, start, peer):
     assert program.end() == 0
 
 
-def test_a_calibration_is_not_ended_by_a_silence(ttys, start, peer):
+def test_the_silence_of_a_calibration_does_not_close_the_connection(ttys, start, peer):
     computer = ttys[1]
     program = start('tap', 'arduino', peer.url, computer.path)
     board = peer.accept()
-    program.wait_until_said('open', 2)
+    program.wait_for_line('open', 2)
     computer.write(arduino.encode(arduino.ImuCalibration()))
     deadline = time.monotonic() + 1.5
     while time.monotonic() < deadline:
         computer.write(HEARTBEAT)
         time.sleep(0.01)
-    assert 'has not been heard' not in program.said()
+    assert 'nothing received' not in program.stderr()
     assert board.recv(3, socket.MSG_WAITALL) == arduino.encode(arduino.ImuCalibration())
     assert program.end() == 0
 
 
-def test_a_terminal_that_stands_still_does_not_hold_up_the_line(ttys):
+def test_a_blocked_terminal_does_not_block_the_line(ttys):
     board, computer = ttys
-    # Nobody reads its output; a pipe holds 64 KiB of it, or as little as we ask for.
+    # Nothing reads its output; the pipe holds 64 KiB by default, and here 4 KiB.
     program = subprocess.Popen(PROGRAM + ['tap', 'arduino', board.path, computer.path],
                                stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     fcntl.fcntl(program.stdout, 1031, 4096)     # F_SETPIPE_SZ
@@ -567,7 +568,7 @@ def test_a_terminal_that_stands_still_does_not_hold_up_the_line(ttys):
         for _ in ttys:
             assert b': open' in program.stderr.readline()
         time_out, passed = time.monotonic() + PATIENCE, 0
-        while passed < 2400:      # what waits while the whole machine stalls is dropped
+        while passed < 2400:      # bytes that wait while the whole machine stalls are dropped
             computer.write(arduino.encode(arduino.Ticks(7)))
             if select.select([board.fd], [], [], 1.0)[0]:
                 passed += len(os.read(board.fd, 65536))
@@ -577,7 +578,7 @@ def test_a_terminal_that_stands_still_does_not_hold_up_the_line(ttys):
         program.communicate()
 
 
-def test_tap_wants_two_ports(ttys):
+def test_tap_refuses_one_port_and_the_same_port_twice(ttys):
     assert run('tap', 'mcu', ttys[0].path).returncode == 2
     assert run('tap', 'mcu', ttys[0].path, ttys[0].path).returncode == 2
 
@@ -586,10 +587,10 @@ def test_tap_wants_two_ports(ttys):
 
 @pytest.fixture
 def kept(tmp_path):
-    """Ten frames, 20 ms apart, one of them cut short."""
+    """A recording of ten frames, 20 ms apart, one of them incomplete."""
     path = tmp_path / 'kept.txt'
     lines = ['# serial_communication wire recording', '# link mcu', '# baud 57600',
-             '# began 1763769600.5', '# a remark']
+             '# began 1763769600.5', '# a comment']
     for number in range(10):
         frame = status(number) if number != 4 else status(number)[:9]
         lines += [f'{number * 0.02:.6f} rx {frame.hex()}', f'{number * 0.02:.6f} tx 00']
@@ -606,27 +607,27 @@ def test_play_sends_what_the_board_sent(kept, ttys):
     assert done.returncode == 0, done.stderr
     assert frames_of(ttys[0].read(16 * 9 + 9)) == [0, 1, 2, 3, 5, 6, 7, 8, 9]
     assert ttys[0].is_quiet()
-    told = json.loads(done.stdout)
-    assert (told['frames'], told['bad'], told['rounds'], told['lost']) == (10, 1, 1, 0)
-    assert told['late']['p50'] >= 0
-    assert '10 frames, 1 of them bad' in done.stderr and '0.2 of 0.2 s\n' in done.stderr
+    output = json.loads(done.stdout)
+    assert (output['frames'], output['bad'], output['rounds'], output['lost']) == (10, 1, 1, 0)
+    assert output['late']['p50'] >= 0
+    assert '10 frames, 1 of them invalid' in done.stderr and '0.2 of 0.2 s\n' in done.stderr
     assert '\r' not in done.stderr and '\033' not in done.stderr
 
 
-def test_play_a_part_of_it(kept, ttys):
+def test_play_sends_a_part_at_another_rate(kept, ttys):
     done = run('play', kept, 'mcu', ttys[0].path, '--from', '0.05', '--to', '0:0.13',
                '--rate', '2')
     assert done.returncode == 0, done.stderr
     assert frames_of(ttys[0].read(16 * 3 + 9)) == [3, 5, 6]
 
 
-def test_play_again_and_again(kept, ttys, start):
+def test_play_loops_until_it_is_stopped(kept, ttys, start):
     program = start('play', kept, 'mcu', ttys[0].path, '--loop', '--rate', '20')
     ttys[0].read((16 * 9 + 9) * 3)
     assert program.end() == 0
 
 
-def test_play_drops_what_it_is_told(kept, ttys, start):
+def test_play_drops_what_the_port_receives(kept, ttys, start):
     program = start('play', kept, 'mcu', ttys[0].path, '--loop')
     ttys[0].read(16)
     for _ in range(20):
@@ -634,7 +635,7 @@ def test_play_drops_what_it_is_told(kept, ttys, start):
     assert program.end() == 0
 
 
-def test_play_to_nobody_is_told(kept, ttys):
+def test_play_reports_an_empty_part_and_a_port_that_nothing_reads(kept, ttys):
     done = run('play', kept, 'mcu', ttys[0].path, '--rate', '0.001', '--from', '0.17',
                '--to', '0.175')
     assert done.returncode == 1 and 'links in it: mcu' in done.stderr
@@ -642,14 +643,14 @@ def test_play_to_nobody_is_told(kept, ttys):
                                       for number in range(200))
     kept.write_text(text)
     done = run('play', kept, 'mcu', ttys[0].path)
-    assert done.returncode == 1 and 'nobody reads the other end' in done.stderr
+    assert done.returncode == 1 and 'nothing reads the other end' in done.stderr
 
 
 @pytest.mark.parametrize('line, words', [
     ('0.1 rx 0', 'is not SECONDS'), ('x rx 00', 'is not SECONDS'), ('0.1 up 00', 'is not SECONDS'),
     ('0.1 rx', 'is not SECONDS'), ('-5 rx 00', 'goes back'), ('nan rx 00', 'is not SECONDS'),
     ('inf rx 00', 'is not SECONDS'), ('1e17 rx 00', 'is not SECONDS')])
-def test_recordings_that_cannot_be_read(kept, line, words):
+def test_an_invalid_line_of_a_recording_is_reported_in_one_line(kept, line, words):
     kept.write_text(kept.read_text() + line + '\n')
     for program in (['play', kept, 'mcu', '/dev/null'], ['stats', kept], ['listen', 'mcu', kept]):
         done = run(*program)
@@ -660,20 +661,20 @@ def test_recordings_that_cannot_be_read(kept, line, words):
 
 @pytest.mark.parametrize('heading', ['# began nan', '# began inf', '# began -5', '# began 1e300',
                                      '# baud 0', '# baud 1e300', '# baud nan'])
-def test_recordings_that_began_at_no_time(kept, heading):
+def test_an_invalid_header_of_a_recording_is_reported_in_one_line(kept, heading):
     word = heading.split()[1]
     kept.write_text('\n'.join(heading if line.startswith(f'# {word} ') else line
                               for line in kept.read_text().splitlines()))
     for program in (['play', kept, 'mcu', '/dev/null'], ['stats', kept], ['listen', 'mcu', kept]):
         done = run(*program)
-        assert done.returncode == 1 and 'is no number that it can be' in done.stderr
+        assert done.returncode == 1 and 'is out of range or not a number' in done.stderr
         assert len(done.stderr.splitlines()) == 1
 
 
 @pytest.mark.parametrize('arguments', [
     ['listen', 'mcu', 'kept.txt'], ['listen', 'mcu', 'kept.txt', '--json'], ['stats', 'kept.txt'],
     ['explain', 'mcu', '02 0c'], ['--help']], ids=' '.join)
-def test_a_full_disk_costs_one_line(kept, arguments):
+def test_a_full_disk_is_reported_in_one_line(kept, arguments):
     with open('/dev/full', 'w') as full:
         done = subprocess.run(PROGRAM + arguments, stdout=full, stderr=subprocess.PIPE, text=True,
                               cwd=str(kept.parent), timeout=PATIENCE, env=PLAIN)
@@ -681,14 +682,14 @@ def test_a_full_disk_costs_one_line(kept, arguments):
     assert done.stderr == 'wire: its output cannot be written: No space left on device\n'
 
 
-def test_a_full_disk_behind_standard_error_costs_nothing(kept):
+def test_a_full_disk_behind_standard_error_changes_nothing(kept):
     with open('/dev/full', 'w') as full:
         done = subprocess.run(PROGRAM + ['listen', 'mcu', str(kept)], stdout=subprocess.PIPE,
                               stderr=full, text=True, timeout=PATIENCE)
     assert done.returncode == 0 and len(done.stdout.splitlines()) == 11
 
 
-def test_listen_ends_where_the_disk_is_full(ttys):
+def test_listen_ends_on_a_full_disk(ttys):
     with open('/dev/full', 'w') as full:
         program = subprocess.Popen(PROGRAM + ['listen', 'mcu', ttys[0].path], stdout=full,
                                    stderr=subprocess.PIPE, text=True)
@@ -699,7 +700,7 @@ def test_listen_ends_where_the_disk_is_full(ttys):
     assert said == 'wire: its output cannot be written: No space left on device\n'
 
 
-def test_a_tap_goes_on_where_the_disk_is_full(ttys):
+def test_a_tap_continues_on_a_full_disk(ttys):
     board, computer = ttys
     with open('/dev/full', 'w') as full:
         program = subprocess.Popen(PROGRAM + ['tap', 'arduino', board.path, computer.path],
@@ -717,7 +718,7 @@ def test_a_tap_goes_on_where_the_disk_is_full(ttys):
     assert len(said.splitlines()) == 1
 
 
-def test_what_is_no_recording(tmp_path):
+def test_a_file_that_is_no_recording_is_reported_in_one_line(tmp_path):
     (tmp_path / 'text').write_text('hello\n')
     (tmp_path / 'bytes').write_bytes(b'# serial_communication wire recording\n# link mcu\n\xff\n')
     (tmp_path / 'nobody').write_text('# serial_communication wire recording\n0 rx 00\n')
@@ -729,31 +730,31 @@ def test_what_is_no_recording(tmp_path):
         assert len(done.stderr.splitlines()) == 1
 
 
-def test_stats(kept):
-    told = json.loads(run('stats', kept, '--json').stdout)
-    assert told['links']['mcu']['baud'] == 57600 and told['seconds'] == pytest.approx(0.18)
-    board = told['links']['mcu']['from the board']
+def test_stats_count_frames_errors_and_gaps(kept):
+    output = json.loads(run('stats', kept, '--json').stdout)
+    assert output['links']['mcu']['baud'] == 57600 and output['seconds'] == pytest.approx(0.18)
+    board = output['links']['mcu']['from the board']
     assert (board['frames'], board['bad'], board['bytes']) == (10, 1, 153)
     assert board['errors'] == {'framing': 1}
     assert board['share of capacity'] == pytest.approx(153 * 10 / 57600 / 0.18)
     types = board['types']['sensor status']
     assert types['count'] == 9 and types['gap p50'] == pytest.approx(0.02)
     assert types['gap max'] == pytest.approx(0.04)
-    assert told['links']['mcu']['lost by SEQ'] == 1
+    assert output['links']['mcu']['lost by SEQ'] == 1
     table = run('stats', kept).stdout
-    assert '1 bad' in table and 'bad: framing' in table and '1 frames lost' in table
+    assert '1 invalid' in table and 'invalid: framing' in table and '1 frames lost' in table
 
 
-def test_stats_of_the_bus_and_of_heartbeats(tmp_path):
+def test_stats_have_round_trips_and_heartbeats(tmp_path):
     path = tmp_path / 'bus.txt'
     path.write_text('# serial_communication wire recording\n# link bus\n'
                     '0.0 tx a5025522d0\n0.004 rx a506025e01030acc1229\n'
                     '1.0 tx a5025522d0\n1.5 tx a50255200064b6\n1.508 rx a50002a7\n')
-    told = json.loads(run('stats', path, '--json').stdout)['links']['bus']
-    trips = told['round trips']
+    output = json.loads(run('stats', path, '--json').stdout)['links']['bus']
+    trips = output['round trips']
     assert (trips['answered'], trips['unanswered']) == (2, 1)
     assert trips['round trip max'] == pytest.approx(0.008)
-    assert set(told['to the board']['types']) == {'environment', 'lift'}
+    assert set(output['to the board']['types']) == {'environment', 'lift'}
     path.write_text('# serial_communication wire recording\n# link arduino\n' + ''.join(
         f'{at} tx 020b00\n' for at in (0.0, 0.01, 0.02, 0.07)))
     beats = json.loads(run('stats', path, '--json').stdout)['links']['arduino']['heartbeats']
@@ -761,25 +762,25 @@ def test_stats_of_the_bus_and_of_heartbeats(tmp_path):
     assert beats['gap max'] == pytest.approx(0.05)
 
 
-def test_a_plot(kept, tmp_path):
+def test_a_plot_is_written_or_matplotlib_is_reported_missing(kept, tmp_path):
     plot = tmp_path / 'plot.png'
     done = run('stats', kept, '--plot', plot)
     try:
         import matplotlib  # noqa: F401
     except ImportError:
         assert done.returncode == 1 and 'sudo apt-get install python3-matplotlib' in done.stderr
-        assert 'sensor status' in done.stdout      # the rest was told all the same
+        assert 'sensor status' in done.stdout      # the table is printed all the same
     else:
         assert done.returncode == 0 and plot.read_bytes().startswith(b'\x89PNG')
         assert run('stats', kept, '--plot', tmp_path / 'plot.docx').returncode == 1
 
 
-def test_messages_of_ones_own(tmp_path):
-    config = os.path.join(ROOT, 'config', 'own_messages.yaml')
+def test_config_makes_custom_messages_known(tmp_path):
+    config = os.path.join(ROOT, 'config', 'custom_messages.yaml')
     done = run('explain', 'arduino', '--config', config, '0420f40100')
     assert done.returncode == 0 and 'force' in done.stdout and '(sent as 500)' in done.stdout
     assert run('explain', 'arduino', '0420f40100').returncode == 1
-    kept = tmp_path / 'own.txt'
+    kept = tmp_path / 'custom.txt'
     kept.write_text('# serial_communication wire recording\n# link arduino\n0 rx 0420f40100\n')
     assert '  force ' in run('stats', kept, '--config', config).stdout
     wrong = tmp_path / 'wrong.yaml'
@@ -800,7 +801,7 @@ def load_frame(number):
 
 @pytest.fixture
 def scale_config(tmp_path, monkeypatch):
-    """Parameters of a bridge with the scale, whose package the programs find from now on."""
+    """Parameters of a bridge with the scale; its package is put on the programs' PYTHONPATH."""
     monkeypatch.setenv('PYTHONPATH', os.pathsep.join(
         [os.path.dirname(os.path.abspath(__file__)), os.environ.get('PYTHONPATH', '')]))
     path = tmp_path / 'scale.yaml'
@@ -828,7 +829,7 @@ def test_another_board_is_explained_by_its_package_and_by_its_link(scale_config)
     ['explain', 'scale', '0200'], ['explain', 'json', '0200'], ['explain', 'no.such.board', '02'],
     ['listen', 'scale', '/dev/null'], ['tap', 'scale', '/dev/null', '/dev/zero'],
     ['play', '{kept}', 'scale', '/dev/null'], ['stats', '{kept}']], ids=' '.join)
-def test_a_board_that_is_not_known_is_one_line(arguments, tmp_path):
+def test_an_unknown_board_is_reported_in_one_line(arguments, tmp_path):
     kept = tmp_path / 'scale.txt'
     kept.write_text(f'# serial_communication wire recording\n# link scale\n0 rx {HOLD.hex()}\n')
     done = run(*[each.format(kept=kept) for each in arguments])
@@ -838,11 +839,11 @@ def test_a_board_that_is_not_known_is_one_line(arguments, tmp_path):
 
 
 @pytest.mark.parametrize('by_config', (False, True), ids=('by its package', 'by its link'))
-def test_listen_stats_and_play_of_another_board(scale_config, ttys, start, tmp_path, by_config):
+def test_listen_stats_and_play_know_another_board(scale_config, ttys, start, tmp_path, by_config):
     board, computer = ttys
     link = ['scale', '--config', scale_config] if by_config else ['crane_scale']
     program = start('listen', *link, board.path, '--raw', 'kept.txt')
-    program.wait_until_said('open')
+    program.wait_for_line('open')
     stream = load_frame(1) + b'\x11' + load_frame(4)
     board.write(stream)
     lines = wait_for(lambda: len(program.lines()) == 3 and program.lines(), 'three lines')
@@ -851,17 +852,17 @@ def test_listen_stats_and_play_of_another_board(scale_config, ttys, start, tmp_p
     assert program.end() == 0
     kept = tmp_path / 'kept.txt'
     assert '# link scale\n# baud 9600\n' in kept.read_text()
-    told = json.loads(run('stats', kept, '--config', scale_config, '--json').stdout)
-    told = told['links']['scale']
-    assert told['baud'] == 9600 and told['lost by SEQ'] == 2
-    assert told['from the board']['types']['load']['count'] == 2
-    assert told['from the board']['errors'] == {'framing': 1}
+    output = json.loads(run('stats', kept, '--config', scale_config, '--json').stdout)
+    output = output['links']['scale']
+    assert output['baud'] == 9600 and output['lost by SEQ'] == 2
+    assert output['from the board']['types']['load']['count'] == 2
+    assert output['from the board']['errors'] == {'framing': 1}
     assert run('listen', *link, kept).stdout.count('load') == 2
     done = run('play', kept, *link, computer.path)
     assert done.returncode == 0 and computer.read(len(stream)) == stream
 
 
-def test_stats_of_another_boards_heartbeats(scale_config, tmp_path):
+def test_stats_know_another_boards_heartbeats(scale_config, tmp_path):
     kept = tmp_path / 'kept.txt'
     kept.write_text('# serial_communication wire recording\n# link scale\n' + ''.join(
         f'{at} tx {HOLD.hex()}\n' for at in (0.0, 0.1, 0.2, 0.5)))
@@ -870,10 +871,10 @@ def test_stats_of_another_boards_heartbeats(scale_config, tmp_path):
     assert 'heartbeats: 4,' in done.stdout and '1 gaps over 200 ms' in done.stdout
 
 
-def test_a_tap_at_another_board_has_it_safe_after_a_loss(scale_config, ttys, start):
+def test_a_tap_makes_another_board_safe_after_a_loss(scale_config, ttys, start):
     board, computer = ttys
     program = start('tap', 'crane_scale', board.path, computer.path)
-    program.wait_until_said('open', 2)
+    program.wait_for_line('open', 2)
     computer.write(HOLD)
     assert board.read(len(HOLD)) == HOLD
     board.write(load_frame(7))
@@ -883,30 +884,30 @@ def test_a_tap_at_another_board_has_it_safe_after_a_loss(scale_config, ttys, sta
     assert 'computer' in first and first.endswith('hold')
     assert 'board' in second and second.endswith('load 0.7 kg')
     suspended_for_long(program, lambda: computer.write(load_frame(9)))
-    assert 'are old and dropped; hold goes first when it goes on' in program.said()
+    assert 'were stale and dropped; hold is sent first afterwards' in program.stderr()
     wait_for(lambda: computer.write(load_frame(6)) or not board.is_quiet(), 'frames')
     assert board.read(len(HOLD + load_frame(6))) == HOLD + load_frame(6)
     assert program.end() == 0
 
 
-def test_a_tap_goes_on_behind_what_ends_a_frame_of_another_board(uart, ttys):
-    told = []
-    tap = Passage(uart, Settings(crane_scale.DESCRIPTION, 9600), True, told.append)
+def test_a_tap_resumes_after_the_end_of_a_frame_of_another_board(uart, ttys):
+    output = []
+    tap = Forwarder(uart, Settings(crane_scale.DESCRIPTION, 9600), True, output.append)
     stream = b''.join(map(load_frame, range(100)))
-    tap.interrupted(5, 10.0)
+    tap.input_dropped(5, 10.0)
     for at in range(0, len(stream), 6):      # never silent for 20 ms, and half a frame at a time
-        tap.pass_on(stream[at:at + 6], 10.0 + at * 0.001)
+        tap.forward(stream[at:at + 6], 10.0 + at * 0.001)
         uart.held = 0
-    came = ttys[0].read(len(HOLD) + len(stream) - tap.lost + 5)
+    received = ttys[0].read(len(HOLD) + len(stream) - tap.lost + 5)
     frames = stream[tap.lost - 5:]
-    assert came == HOLD + frames and frames.startswith(b':') and told == []
+    assert received == HOLD + frames and frames.startswith(b':') and output == []
     assert 0 < tap.lost - 5 < len(stream) / 2
 
 
 # -- the program ----------------------------------------------------------------------------------
 
 @pytest.mark.parametrize('program', ['explain', 'listen', 'tap', 'play', 'stats'])
-def test_help(program):
+def test_help_names_the_program(program):
     done = run(program, '--help')
     assert done.returncode == 0 and f'wire {program}' in done.stdout and not done.stderr
     assert run('--help').stdout.count(f'wire {program}') == 1
@@ -920,7 +921,7 @@ def test_help(program):
     ['listen', 'mcu', '/dev/null', '--baud', '0'], ['stats', 'a', '--baud', '-1'],
     ['tap', 'mcu', '/dev/null', '/dev/zero', '--frame-timeout', 'nan'],
     ['explain', 'mcu', '02', '--dance']])
-def test_wrong_arguments(arguments):
+def test_wrong_arguments_give_status_2(arguments):
     done = run(*arguments)
     assert done.returncode == 2 and 'Traceback' not in done.stderr
 
@@ -952,7 +953,7 @@ def test_pyserial_alone_is_enough(ttys, kept, arguments, returned):
     assert done.returncode == returned, done.stderr
 
 
-def test_a_bag_without_rosbag_is_told(tmp_path):
+def test_a_bag_without_rosbag_is_reported_in_one_line(tmp_path):
     (tmp_path / 'a.bag').write_bytes(b'#ROSBAG V2.0\n')
     done = subprocess.run([sys.executable, '-c', BLOCKER, 'stats', str(tmp_path / 'a.bag')],
                           cwd=ROOT, timeout=PATIENCE, stderr=subprocess.PIPE, text=True,
@@ -961,7 +962,7 @@ def test_a_bag_without_rosbag_is_told(tmp_path):
     assert len(done.stderr.splitlines()) == 1
 
 
-def test_colours_on_a_terminal_only():
+def test_colours_are_for_terminals_only():
     shown = {}
     for environment in ({'TERM': 'xterm'}, {'TERM': 'xterm', 'NO_COLOR': '1'}, {'TERM': 'dumb'}):
         near, far = pty.openpty()

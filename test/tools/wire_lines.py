@@ -1,4 +1,4 @@
-"""What the tests of `wire` share: damaged streams, and what a link makes of them."""
+"""What the tests of `wire` share: damaged streams, and what a link decodes from them."""
 import json
 import os
 import random
@@ -9,28 +9,28 @@ from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
 from serial_communication.simulation.faults import Faults, parse
 from serial_communication.tools.wire.lines import Direction, Settings
-from serial_communication.tools.wire.recording import Read, Recording, Seen, frames_of
+from serial_communication.tools.wire.recording import Read, RecordedFrame, Recording, frames_of
 
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 LINKS = ('bus', 'arduino', 'mcu')
-PATIENCE = 15.0      # s; only a test that fails waits as long
+PATIENCE = 15.0      # s; only a failing test waits so long
 
 
 class Target:
-    """Any fault may happen to it."""
+    """A board to which any fault may be applied."""
 
     NAME, FAULTS, READS = 'any', '', True
 
 
 def vectors(protocol):
-    """The byte-exact examples of one protocol."""
+    """The byte-exact vectors of one protocol."""
     path = os.path.join(ROOT, 'test', 'boards', 'vectors', protocol + '.json')
     with open(path, encoding='utf-8') as file:
         return json.load(file)
 
 
-def good_frame(link, chance):
-    """A frame that such a board sends."""
+def valid_frame(link, chance):
+    """A random frame of a board."""
     number = chance.randrange(256)
     if link == 'bus':
         data = bytes(chance.randrange(256) for _ in range(chance.choice((0, 0, 2, 6, 6, 40))))
@@ -48,21 +48,24 @@ PERIODS = {'bus': 0.06, 'arduino': 0.01, 'mcu': 0.05}     # s, from frame to fra
 
 
 def damaged_reads(link, seed, count=150):
-    """Reads of what a board with a bad line sends, at its pace: now and then a frame comes in two
-    reads, or several in one that was late, or nothing for a while."""
+    """Reads of a board on a line with faults, at the board's rate.
+
+    Sometimes a frame is split between two reads, several frames are in one late read, or the board
+    is silent for a while.
+    """
     chance = random.Random(f'{link} {seed}')
     faults = Faults(parse(FAULTS, Target), seed)
     reads, waiting, due = [], b'', 0.0
     for _ in range(count):
         due += PERIODS[link]
         at = due + chance.uniform(0.0, 0.0008)
-        waiting += faults.sent(good_frame(link, chance), at).wire
-        what = chance.random()
-        if what < 0.03:
-            continue                    # the next comes with the same read
-        if what < 0.05:
+        waiting += faults.sent(valid_frame(link, chance), at).wire
+        case = chance.random()
+        if case < 0.03:
+            continue                    # the next frame is in the same read
+        if case < 0.05:
             due += chance.choice((0.07, 0.5))
-        if what > 0.9 and len(waiting) > 1:
+        if case > 0.9 and len(waiting) > 1:
             size = chance.randrange(1, len(waiting))
             reads.append(Read(at, False, waiting[:size]))
             at, waiting = at + 0.001, waiting[size:]
@@ -72,19 +75,19 @@ def damaged_reads(link, seed, count=150):
     return reads
 
 
-def heard(reads, line):
-    """The frames that a link makes of it, and its counts of errors."""
+def decoded(reads, line):
+    """The frames that a link decodes from reads, and its counts of errors."""
     direction = Direction(line, False)
     frames = []
     for read in reads:
-        frames += direction.hear(read.data, read.at)
-    return frames + direction.silent_until(float('inf')), dict(direction.decoder.errors)
+        frames += direction.feed(read.data, read.at)
+    return frames + direction.expire(float('inf')), dict(direction.decoder.errors)
 
 
 def as_bag(reads, line):
-    """What a bag has of these reads: frames without their messages."""
-    return Recording(0.0, {}, [Seen(line.link, False, frame._replace(message=None))
-                               for frame in heard(reads, line)[0]])
+    """The bag of these reads: frames without their messages."""
+    return Recording(0.0, {}, [RecordedFrame(line.link, False, frame._replace(message=None))
+                               for frame in decoded(reads, line)[0]])
 
 
 def from_board(recording, line):
@@ -93,6 +96,6 @@ def from_board(recording, line):
 
 
 def settings(link):
-    """With everything as the bridge has it by default."""
+    """A link's settings by default."""
     board = description(link)
     return Settings(board, board.baud)

@@ -1,4 +1,4 @@
-"""An opener and a real tty, which comes and goes."""
+"""An opener, and a real tty that disappears and returns."""
 import threading
 import time
 
@@ -20,14 +20,14 @@ def opener(line):
     port.close()
 
 
-def test_a_port_that_is_there_is_opened_without_a_word(opener):
+def test_a_port_that_exists_is_opened_without_a_failure(opener):
     failures = []
     assert opener.open(failures.append)
     assert opener.port.is_open and not failures
     assert opener.open(failures.append), 'it is open already'
 
 
-def test_it_tries_until_the_port_is_there_and_calls_back_meanwhile(opener, line):
+def test_an_absent_port_is_tried_with_growing_pauses_and_idle_is_called_meanwhile(opener, line):
     failures, called = [], []
 
     def idle(now):
@@ -47,7 +47,7 @@ def test_it_tries_until_the_port_is_there_and_calls_back_meanwhile(opener, line)
     assert len(called) > 10 and called == sorted(called)
 
 
-def test_a_port_that_goes_as_soon_as_it_is_open_is_not_opened_without_a_pause(opener):
+def test_a_port_that_closes_at_once_is_opened_again_after_a_pause(opener):
     assert opener.open(pytest.fail)
     opener.port.close()
     began = time.monotonic()
@@ -55,7 +55,7 @@ def test_a_port_that_goes_as_soon_as_it_is_open_is_not_opened_without_a_pause(op
     assert time.monotonic() - began >= 0.1
 
 
-def test_the_end_makes_it_return_with_the_port_closed(opener, line):
+def test_end_makes_open_return_false_with_the_port_closed(opener, line):
     line.unplug()
     returned = []
     waiting = threading.Thread(target=lambda: returned.append(opener.open(lambda trouble: None)),

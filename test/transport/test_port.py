@@ -1,4 +1,4 @@
-"""The port, over real ttys, sockets and the kinds that have no descriptor."""
+"""The port, over real ttys, over sockets, and over kinds without a descriptor."""
 import getpass
 import os
 import shutil
@@ -15,7 +15,7 @@ from serial_communication.transport.port import Port, PortBusy, PortError, check
 
 
 class Reader:
-    """A thread in `Port.read`, as every link has one."""
+    """A thread that reads the port, as every link has one."""
 
     def __init__(self, port, timeout=None):
         self.got = []
@@ -44,7 +44,7 @@ class Reader:
 
 # -- reading --------------------------------------------------------------------------------------
 
-def test_a_read_returns_all_that_came(port, line):
+def test_a_read_returns_all_bytes_received(port, line):
     line.write(b'one')
     assert port.read(PATIENCE) == b'one'
     line.write(b'two')
@@ -55,7 +55,7 @@ def test_a_read_returns_all_that_came(port, line):
     assert port.bytes_received == 11
 
 
-def test_a_read_sleeps_until_bytes_come(port, line):
+def test_a_read_sleeps_until_bytes_are_received(port, line):
     before = time.thread_time()
     timer = threading.Timer(0.2, line.write, (b'late',))
     timer.name = 'writer'
@@ -72,7 +72,7 @@ def test_a_read_ends_after_its_timeout(port):
     assert port.read(-1.0) == b''
 
 
-def test_wake_ends_a_read_that_sleeps_and_one_that_comes_later(port):
+def test_wake_ends_a_sleeping_read_and_a_later_one(port):
     port.wake()
     assert port.read(None) == b''
     reader = Reader(port)
@@ -80,7 +80,7 @@ def test_wake_ends_a_read_that_sleeps_and_one_that_comes_later(port):
         port.wake()
         until(lambda: reader.returned >= count)
     reader.stop()
-    for _ in range(100000):      # more than the pipe holds: never an error, never a wait
+    for _ in range(100000):      # more than the pipe holds
         port.wake()
     assert port.read(None) == b''
 
@@ -97,7 +97,7 @@ def test_all_bytes_pass_unchanged(port, line):
     assert (port.bytes_received, port.bytes_sent) == (len(every), len(every))
 
 
-def test_a_device_that_vanishes_is_an_error_in_words(port, line):
+def test_a_read_of_a_removed_device_raises_port_error(port, line):
     reader = Reader(port)
     line.unplug()
     until(lambda: reader.error)
@@ -106,7 +106,7 @@ def test_a_device_that_vanishes_is_an_error_in_words(port, line):
         port.write(b'x')
 
 
-def test_a_socat_port_that_vanishes_and_returns(tmp_path):
+def test_a_socat_port_can_be_opened_again_after_it_returns(tmp_path):
     path = str(tmp_path / 'tty')
     other = str(tmp_path / 'other')
     command = ['socat', 'pty,raw,echo=0,link=' + path, 'pty,raw,echo=0,link=' + other]
@@ -143,7 +143,7 @@ def refusal(url):
     return str(error.value)
 
 
-def test_what_cannot_be_opened_says_why(tmp_path):
+def test_opening_what_is_not_a_serial_port_reports_why(tmp_path):
     (tmp_path / 'file').write_text('text')
     assert refusal(str(tmp_path / 'missing')) == 'there is no such device; waiting for it'
     assert refusal(str(tmp_path)) == 'this is a directory, not a serial port'
@@ -158,7 +158,8 @@ def test_what_cannot_be_opened_says_why(tmp_path):
     (0o660, 'dialout', 'join the group that owns it (sudo usermod -a -G dialout $USER)'),
     (0o660, 'uucp', 'join the group that owns it (sudo usermod -a -G uucp $USER)'),
     (0o600, 'dialout', 'only root may open it'), (0o660, 'root', 'only root may open it')])
-def test_a_port_without_permission_says_who_has_it(tmp_path, line, mode, group, words):
+def test_a_denied_permission_is_reported_with_its_group_or_owner(
+        tmp_path, line, mode, group, words):
     target = os.path.realpath(line.path)
     os.chmod(str(tmp_path), 0o755)
     root = os.geteuid() == 0
@@ -173,13 +174,13 @@ def test_a_port_without_permission_says_who_has_it(tmp_path, line, mode, group, 
         os.setegid(65534)
         os.seteuid(65534)
     try:
-        said = refusal(target)
+        error = refusal(target)
     finally:
         if root:
             os.seteuid(0)
             os.setegid(0)
             os.setgroups(groups)
-    assert said.startswith('permission denied; ' + words)
+    assert error.startswith('permission denied; ' + words)
 
 
 def test_a_port_is_opened_exclusively(port, line):
@@ -191,27 +192,27 @@ def test_a_port_is_opened_exclusively(port, line):
 
 
 @pytest.mark.parametrize('url', ['nonsense://x', 'sockets://localhost:1', '://', 'hwgrep://['])
-def test_an_unknown_kind_of_port_is_a_value_error(url):
+def test_an_invalid_url_raises_value_error(url):
     with pytest.raises(ValueError):
         check_url(url)
 
 
 @pytest.mark.parametrize('url', ['/dev/ttyUSB0', 'hwgrep://0403:6001', 'socket://localhost:1',
                                  'rfc2217://localhost:1', 'loop://', '/dev/serial/by-id/x'])
-def test_a_known_kind_of_port_need_not_be_there(url):
+def test_a_valid_url_of_an_absent_port_is_accepted(url):
     check_url(url)
 
 
-@pytest.mark.parametrize('url, small, scheme', [
+@pytest.mark.parametrize('url, lower, scheme', [
     ('SOCKET://Host:1', 'socket://Host:1', 'socket'), ('Rfc2217://h:1', 'rfc2217://h:1', 'rfc2217'),
     ('Hwgrep://0403:6001', 'hwgrep://0403:6001', 'hwgrep'), ('LOOP://', 'loop://', 'loop'),
     ('/dev/ttyUSB0', '/dev/ttyUSB0', ''), ('/tmp/SOCKET:x', '/tmp/SOCKET:x', '')])
-def test_a_scheme_is_the_same_in_any_case(url, small, scheme):
-    assert read_url(url) == (small, scheme)
+def test_a_scheme_is_the_same_in_any_case(url, lower, scheme):
+    assert read_url(url) == (lower, scheme)
     assert Port(url).is_network == (scheme in ('socket', 'rfc2217'))
 
 
-def test_a_port_in_capitals_opens():
+def test_a_url_in_capitals_can_be_opened():
     port = Port('LOOP://')
     port.open()
     port.write(b'round')
@@ -221,7 +222,7 @@ def test_a_port_in_capitals_opens():
 
 
 @pytest.mark.parametrize('name', ['ptmx', 'link to it'])
-def test_the_device_that_makes_pseudo_terminals_is_refused(tmp_path, name):
+def test_ptmx_is_refused_and_makes_no_pseudo_terminal(tmp_path, name):
     path = '/dev/ptmx'
     if name != 'ptmx':
         path = str(tmp_path / 'ptmx')
@@ -234,7 +235,7 @@ def test_the_device_that_makes_pseudo_terminals_is_refused(tmp_path, name):
     assert set(os.listdir('/dev/pts')) == before
 
 
-def test_a_closed_port_takes_and_gives_nothing(port):
+def test_a_closed_port_raises_on_read_and_write_and_can_be_opened_again(port):
     port.close()
     port.close()
     with pytest.raises(PortError):
@@ -247,15 +248,15 @@ def test_a_closed_port_takes_and_gives_nothing(port):
     assert port.is_open
 
 
-# -- writing, and a reader that stops reading -----------------------------------------------------
+# -- writing, to a peer that stops reading --------------------------------------------------------
 
 def frame(number):
-    """A frame that can be told from every other, wherever it is cut."""
+    """A frame that differs from every other, wherever it is cut."""
     return b'<%06d:' % number + bytes((65 + number % 26,)) * (number * 37 % 1500) + b'>'
 
 
 def fill(port, first=0):
-    """Write frames until the port takes no more; the numbers of those that it took."""
+    """Write frames until the port takes no more; return the numbers of those that it took."""
     taken = []
     deadline = time.monotonic() + PATIENCE
     for number in range(first, first + 100000):
@@ -268,11 +269,11 @@ def fill(port, first=0):
     raise AssertionError('the port takes everything')
 
 
-def test_a_full_buffer_never_makes_a_writer_wait(port):
+def test_a_write_to_a_full_port_does_not_block(port):
     fill(port)
     begun = time.monotonic()
     refused = 0
-    while refused < 100:        # the kernel may still move some bytes on, and take a few more
+    while refused < 100:        # the kernel may still make room for a few more
         try:
             port.write(b'x' * 100)
         except PortBusy:
@@ -280,9 +281,9 @@ def test_a_full_buffer_never_makes_a_writer_wait(port):
         assert time.monotonic() - begun < 2.0
 
 
-def test_a_frame_that_was_taken_in_part_is_completed_before_the_next(port, line):
+def test_a_partly_written_frame_is_completed_before_the_next(port, line):
     taken = fill(port)
-    assert port._rest, 'the kernel took whole frames only; the test needs other sizes'
+    assert port._rest, 'the kernel took whole frames only; this test needs other sizes'
     received = line.read(PATIENCE)
     number = 200000
     while number < 200020:
@@ -303,7 +304,7 @@ def test_a_frame_that_was_taken_in_part_is_completed_before_the_next(port, line)
     assert port.bytes_sent == len(expected)
 
 
-def test_the_reading_thread_completes_a_frame_that_was_taken_in_part(port, line):
+def test_the_reading_thread_completes_a_partly_written_frame(port, line):
     reader = Reader(port)
     taken = fill(port)
     expected = b''.join(map(frame, taken))
@@ -317,7 +318,7 @@ def test_the_reading_thread_completes_a_frame_that_was_taken_in_part(port, line)
     reader.stop()
 
 
-def test_frames_of_many_threads_never_interleave(port, line):
+def test_frames_of_several_threads_are_not_mixed(port, line):
     taken, lock = [], threading.Lock()
 
     def write(base):
@@ -355,7 +356,7 @@ def test_frames_of_many_threads_never_interleave(port, line):
     assert sorted(seen) == sorted(taken) and len(seen) == 180
 
 
-def test_discarding_drops_the_rest_of_a_frame(port, line):
+def test_discard_output_drops_the_rest_of_a_frame(port, line):
     taken = fill(port)
     port.discard_output()
     received = line.read_all()
@@ -365,14 +366,14 @@ def test_discarding_drops_the_rest_of_a_frame(port, line):
     assert line.read_all() == b'new'
 
 
-def test_closing_does_not_wait_for_a_reader_that_stopped(port):
+def test_closing_does_not_wait_for_a_peer_that_stopped_reading(port):
     fill(port)
     begun = time.monotonic()
     port.close()
     assert time.monotonic() - begun < 2.0
 
 
-def test_nothing_of_before_is_sent_after_a_reopening(port, line):
+def test_nothing_old_is_sent_after_reopening(port, line):
     fill(port)
     port.close()
     line.read_all()
@@ -383,7 +384,7 @@ def test_nothing_of_before_is_sent_after_a_reopening(port, line):
 
 # -- other kinds of port --------------------------------------------------------------------------
 
-def test_a_socket_is_a_port(free_server):
+def test_a_socket_reads_writes_and_wakes(free_server):
     port = Port('socket://127.0.0.1:%d' % free_server.getsockname()[1])
     port.open()
     peer, _ = free_server.accept()
@@ -400,7 +401,7 @@ def test_a_socket_is_a_port(free_server):
     port.close()
 
 
-def test_a_full_socket_never_makes_a_writer_wait(free_server):
+def test_a_write_to_a_full_socket_does_not_block_and_nothing_taken_is_lost(free_server):
     port = Port('socket://127.0.0.1:%d' % free_server.getsockname()[1])
     port.open()
     peer, _ = free_server.accept()
@@ -416,7 +417,7 @@ def test_a_full_socket_never_makes_a_writer_wait(free_server):
     port.close()
 
 
-def test_a_socket_that_nobody_serves_says_so(free_server):
+def test_a_socket_without_a_server_is_reported(free_server):
     number = free_server.getsockname()[1]
     free_server.close()
     assert 'refused' in refusal('socket://127.0.0.1:%d' % number).lower()
@@ -424,13 +425,13 @@ def test_a_socket_that_nobody_serves_says_so(free_server):
 
 @pytest.fixture
 def rfc2217(free_server, line):
-    """Telnet with serial options, as ser2net speaks it."""
+    """A server of telnet with serial options, as ser2net is."""
     server = Rfc2217Server(free_server, line.path)
     yield server
     server.end()
 
 
-def test_a_port_by_rfc2217(rfc2217, line):
+def test_rfc2217_passes_bytes_both_ways(rfc2217, line):
     port = Port(rfc2217.url, 57600)
     port.open()
     port.write(b'\xff\x00down')
@@ -444,15 +445,15 @@ def test_a_port_by_rfc2217(rfc2217, line):
 
 
 def narrow(port):
-    """Few bytes fill it, as the server looks at each of them by itself."""
+    """Make its buffer small, since the server takes long for each byte."""
     port._serial._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 16)
 
 
-def test_an_rfc2217_server_that_stands_still_makes_no_writer_wait(rfc2217, line):
+def test_a_write_to_an_rfc2217_server_that_stops_reading_does_not_block(rfc2217, line):
     port = Port(rfc2217.url)
     port.open()
     narrow(port)
-    rfc2217.stand_still()
+    rfc2217.stop_reading()
     taken = fill(port)
     begun = time.monotonic()
     for _ in range(100):
@@ -466,27 +467,26 @@ def test_an_rfc2217_server_that_stands_still_makes_no_writer_wait(rfc2217, line)
     deadline = time.monotonic() + PATIENCE
     while len(received) < len(expected) and time.monotonic() < deadline:
         received += line.read(0.1)
-    assert received == expected, 'what was taken arrives, once, in order'
+    assert received == expected, 'not every byte that was taken arrived once and in order'
     reader.stop()
     port.close()
 
 
 @pytest.mark.parametrize('kind', ['socket', 'rfc2217', 'SOCKET', 'RFC2217'])
-def test_what_a_connection_has_not_sent_is_never_sent_once_it_is_given_up(
-        free_server, line, kind):
+def test_unsent_bytes_of_a_connection_that_is_given_up_are_never_sent(free_server, line, kind):
     url = f'{kind}://127.0.0.1:{free_server.getsockname()[1]}'
     if kind.lower() == 'rfc2217':
         server = Rfc2217Server(free_server, line.path)
         port = Port(url)
         port.open()
-        server.stand_still()
+        server.stop_reading()
         peer = until(lambda: server.peer)
     else:
         port = Port(url)
         port.open()
         peer, _ = free_server.accept()
     fill(port)
-    assert port.discard_output() is False, 'what waits cannot be dropped'
+    assert port.discard_output() is False, 'unsent bytes cannot be dropped'
     with pytest.raises(PortError):
         port.write(b'more')
     with pytest.raises(PortError) as error:
@@ -499,7 +499,7 @@ def test_what_a_connection_has_not_sent_is_never_sent_once_it_is_given_up(
     with pytest.raises(ConnectionResetError):
         while True:
             part = peer.recv(1 << 20)
-            assert part, 'it was ended, not reset'
+            assert part, 'the connection was closed, not reset'
             received += len(part)
     assert received < written, 'the kernel went on sending it'
     if kind.lower() == 'rfc2217':
@@ -507,20 +507,20 @@ def test_what_a_connection_has_not_sent_is_never_sent_once_it_is_given_up(
     peer.close()
 
 
-def test_what_a_connection_has_sent_arrives_though_it_closes(free_server):
+def test_sent_bytes_of_a_connection_arrive_though_it_is_closed(free_server):
     port = Port('socket://127.0.0.1:%d' % free_server.getsockname()[1])
     port.open()
     peer, _ = free_server.accept()
-    port.write(b'last word')
+    port.write(b'the last')
     until(lambda: not port.on_its_way())
     port.close()
     peer.settimeout(PATIENCE)
-    assert peer.recv(100) == b'last word' and peer.recv(100) == b''
+    assert peer.recv(100) == b'the last' and peer.recv(100) == b''
     peer.close()
 
 
-def test_a_peer_that_vanishes_without_a_word_is_noticed_within_5_s(free_server):
-    """Whether something was written meanwhile or not; both at once, since it takes so long."""
+def test_a_vanished_peer_is_detected_within_5_s(free_server):
+    """With and without a write meanwhile; both at once, since it takes so long."""
     def trouble(port):
         with pytest.raises(PortError) as error:
             while True:
@@ -544,9 +544,9 @@ def test_a_peer_that_vanishes_without_a_word_is_noticed_within_5_s(free_server):
 
 
 def vanish(peer):
-    """The peer's kernel drops all that comes, without an answer: no packet has so high a TTL.
+    """Make the peer's kernel drop every packet without an answer: no packet has so high a TTL.
 
-    Any user may ask for that; a filter (SO_ATTACH_FILTER) is for root alone on some kernels.
+    Any user may set that. A filter (SO_ATTACH_FILTER) needs root on some kernels.
     """
     peer.setsockopt(socket.IPPROTO_IP, 21, 255)     # IP_MINTTL
 
@@ -584,7 +584,7 @@ def test_a_port_without_a_descriptor_is_read_in_slices():
 
 
 def test_a_line_can_be_plugged_again(tmp_path):
-    """The tests' own line: a reopened port is another device under the same name."""
+    """Checks the test helper: a plugged line is another device under the same name."""
     line = Line(tmp_path / 'p').plug()
     first = os.path.realpath(line.path)
     port = Port(line.path)

@@ -1,4 +1,4 @@
-"""What a port that cannot be opened is told with: a sentence for a person, not pyserial's."""
+"""A port that cannot be opened is reported in plain words, not in pyserial's."""
 import errno
 import re
 import socket
@@ -9,60 +9,60 @@ import serial
 
 from serial_communication.transport.port import Port, PortError, _explain, check_url
 
-# What tells of code instead of the matter.
-_RIDDLES = re.compile(r"instances of|NoneType|\{|Errno|expected a string|object|"
-                      r"debug\|info", re.IGNORECASE)
+# Words about code, which do not help a user.
+_CODE_WORDS = re.compile(r"instances of|NoneType|\{|Errno|expected a string|object|"
+                         r"debug\|info", re.IGNORECASE)
 
 
 @pytest.mark.parametrize('url, words', [
     ('socket://robot', 'the port is missing'),
     ('socket://robot:', 'the port is missing'),
-    ('socket://127.0.0.1:99999', 'the port is none of 1 to 65535'),
-    ('socket://127.0.0.1:0', 'the port is none of 1 to 65535'),
-    ('socket://127.0.0.1:-1', 'the port is none of 1 to 65535'),
-    ('socket://127.0.0.1:http', 'the port is none of 1 to 65535'),
+    ('socket://127.0.0.1:99999', 'the port is out of range (1 … 65535)'),
+    ('socket://127.0.0.1:0', 'the port is out of range (1 … 65535)'),
+    ('socket://127.0.0.1:-1', 'the port is out of range (1 … 65535)'),
+    ('socket://127.0.0.1:http', 'the port is out of range (1 … 65535)'),
     ('socket://:4001', 'the host is missing'),
     ('socket://', 'the host is missing'),
-    ('socket://robot:4001?loging=debug', '"?loging=debug" is no option'),
-    ('socket://robot:4001?logging=loud', '"?logging=loud" is no option'),
+    ('socket://robot:4001?loging=debug', '"?loging=debug" is not an option'),
+    ('socket://robot:4001?logging=loud', '"?logging=loud" is not an option'),
     ('rfc2217://robot', 'the port is missing'),
-    ('rfc2217://robot:99999', 'the port is none of 1 to 65535'),
-    ('rfc2217://robot:4001?timeout=soon', '"?timeout=soon" is no option'),
+    ('rfc2217://robot:99999', 'the port is out of range (1 … 65535)'),
+    ('rfc2217://robot:4001?timeout=soon', '"?timeout=soon" is not an option'),
     ('RFC2217://x', 'the port is missing'),
     ('Socket://:4001', 'the host is missing'),
     ('hwgrep://(', 'hwgrep:// takes a regular expression'),
     ('nosuch://robot', "protocol 'nosuch' not known"),
 ])
-def test_a_url_that_cannot_be_is_refused_at_the_start(url, words):
+def test_an_invalid_url_is_refused(url, words):
     with pytest.raises(ValueError) as refusal:
         check_url(url)
     assert words in str(refusal.value)
-    assert not _RIDDLES.search(str(refusal.value)), refusal.value
+    assert not _CODE_WORDS.search(str(refusal.value)), refusal.value
     if url.lower().startswith(('socket:', 'rfc2217:')):
-        assert re.search(r'\w+://192\.168\.1\.5:4001', str(refusal.value)), 'says how it is right'
+        assert re.search(r'\w+://192\.168\.1\.5:4001', str(refusal.value)), 'no example of a URL'
 
 
 @pytest.mark.parametrize('url', ['', '/dev/ttyS0', 'socket://robot:4001', 'socket://[::1]:4001',
                                  'rfc2217://robot:4001', 'rfc2217://robot:4001?ign_set_control',
                                  'rfc2217://robot:4001?poll_modem&timeout=3', 'loop://',
                                  'hwgrep://0403:6001', 'spy:///dev/ttyS0'])
-def test_a_url_that_can_be_is_taken(url):
+def test_a_valid_url_is_accepted(url):
     check_url(url)
 
 
 def trouble(url):
-    """Why it cannot be opened."""
+    """The error of opening it."""
     with pytest.raises(PortError) as refusal:
         Port(url).open()
-    assert not _RIDDLES.search(str(refusal.value)), refusal.value
+    assert not _CODE_WORDS.search(str(refusal.value)), refusal.value
     return str(refusal.value)
 
 
-def test_a_host_that_is_not_known_is_told():
+def test_an_unknown_host_is_reported():
     assert trouble('socket://no-such-host.invalid:4001') == 'no host of that name is known'
 
 
-def test_a_port_that_nobody_listens_on_is_told():
+def test_a_refused_connection_is_reported():
     with socket.socket() as listener:
         listener.bind(('127.0.0.1', 0))
         number = listener.getsockname()[1]
@@ -70,18 +70,18 @@ def test_a_port_that_nobody_listens_on_is_told():
         assert trouble(f'{kind}://127.0.0.1:{number}').startswith('connection refused')
 
 
-def test_a_server_that_does_not_speak_rfc2217_is_told():
+def test_a_server_that_does_not_speak_rfc2217_is_reported():
     with socket.create_server(('127.0.0.1', 0)) as listener:
         url = f'rfc2217://127.0.0.1:{listener.getsockname()[1]}?timeout=0.1'
         assert 'does not speak RFC 2217' in trouble(url)
 
 
-def test_no_device_that_matches_is_told():
+def test_a_pattern_that_matches_no_device_is_reported():
     assert trouble('hwgrep://nothing-of-that-name') == 'no device matches; waiting for one'
 
 
 def wrapped(inner):
-    """As pyserial wraps an error of the system in a text of its own."""
+    """An error of the system in one of pyserial's, as pyserial raises it."""
     try:
         try:
             raise inner
@@ -92,7 +92,7 @@ def wrapped(inner):
 
 
 def not_open():
-    """What pyserial raises where a port has been closed; its class has no name before 3.5."""
+    """The error that pyserial raises for a closed port; its class has no name before 3.5."""
     with pytest.raises(serial.SerialException) as error:
         serial.Serial().read()
     return error.value
@@ -110,5 +110,5 @@ def not_open():
      'the connection has gone'),
     (not_open(), 'the device has gone'),
 ])
-def test_an_error_of_the_system_is_told_in_words(error, words):
+def test_an_error_of_the_system_is_reported_in_plain_words(error, words):
     assert _explain(error).startswith(words)

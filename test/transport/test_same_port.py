@@ -1,4 +1,4 @@
-"""Two names of one port are known to be one."""
+"""Two names of one port have one identity."""
 import os
 import pty
 
@@ -9,14 +9,14 @@ from serial_communication.transport.same_port import identity
 
 @pytest.fixture
 def device():
-    """A device that is there, until the test's end."""
+    """A device that exists until the test ends."""
     near, far = pty.openpty()
     yield os.ttyname(far)
     os.close(near)
     os.close(far)
 
 
-def test_a_device_by_its_links_and_other_paths(device, tmp_path):
+def test_all_paths_and_links_of_a_device_are_the_same_port(device, tmp_path):
     (tmp_path / 'by-id').symlink_to(device)
     (tmp_path / 'link').symlink_to(tmp_path / 'by-id')
     folder, name = os.path.split(device)
@@ -27,8 +27,8 @@ def test_a_device_by_its_links_and_other_paths(device, tmp_path):
         assert identity(url) == identity(device), url
 
 
-def test_a_second_node_of_a_device(tmp_path):
-    """As a container has it that is given a device under a name of its own."""
+def test_a_second_device_node_is_the_same_port(tmp_path):
+    """As in a container that gets a device under another name."""
     node = str(tmp_path / 'robot')
     try:
         os.mknod(node, 0o600 | 0o020000, os.stat('/dev/null').st_rdev)
@@ -37,14 +37,14 @@ def test_a_second_node_of_a_device(tmp_path):
     assert identity(node) == identity('/dev/null')
 
 
-def test_a_device_that_is_not_there_by_its_path(tmp_path):
+def test_an_absent_device_is_identified_by_its_path(tmp_path):
     absent = str(tmp_path / 'absent')
     (tmp_path / 'link').symlink_to(absent)
     assert identity(absent) == identity(f'{tmp_path}/./absent') == identity(str(tmp_path / 'link'))
     assert identity(absent) != identity(absent + '1')
 
 
-def test_two_devices_are_two(device):
+def test_two_devices_are_different_ports(device):
     near, far = pty.openpty()
     assert identity(os.ttyname(far)) != identity(device)
     os.close(near)
@@ -60,15 +60,15 @@ def test_two_devices_are_two(device):
     ('socket://robot:4001', 'socket://robot2:4001', False),
     ('hwgrep://0403:6001', 'HWGREP://0403:6001', True),
     ('hwgrep://0403:6001', 'hwgrep://0403:6001&n=2', False)])
-def test_ports_by_url(one, other, same):
+def test_urls_of_one_port_are_the_same_port(one, other, same):
     assert (identity(one) == identity(other)) is same
 
 
 @pytest.mark.parametrize('url', ['loop://', 'LOOP://', 'hwgrep://0403:6001&skip_busy'])
-def test_what_is_another_port_at_each_opening(url):
+def test_a_url_with_a_different_port_at_each_opening_has_no_identity(url):
     assert identity(url) is None
 
 
 @pytest.mark.parametrize('url', ['', 'nosuch://x', '\0', 'socket'])
-def test_what_cannot_be_opened_is_compared_all_the_same(url):
+def test_a_url_that_cannot_be_opened_has_an_identity(url):
     assert identity(url) == identity(url)

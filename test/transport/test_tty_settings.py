@@ -1,4 +1,4 @@
-"""A tty that another program changes while it is in use, and who may open one."""
+"""Settings of a tty that another program changes during use, and who may open a tty."""
 import errno
 import fcntl
 import os
@@ -27,13 +27,13 @@ _NOBODY = 65534
 
 
 def stty(path, *arguments):
-    """As a person types it in another terminal."""
+    """Run stty as a user does in another terminal."""
     return subprocess.run(['stty', '-F', path, *arguments], check=True, stdout=subprocess.PIPE,
                           universal_newlines=True).stdout
 
 
-def passed(port, size):
-    """So many bytes as the port reads them."""
+def read_exactly(port, size):
+    """So many bytes from the port."""
     data = b''
     deadline = time.monotonic() + PATIENCE
     while len(data) < size:
@@ -48,7 +48,7 @@ def passed(port, size):
     (['istrip'], ['istrip']), (['cstopb'], ['cstopb']), (['crtscts'], ['crtscts']),
     (['9600'], ['9600 baud']), (['min', '200'], ['special characters'])],
     ids=' '.join)
-def test_what_another_program_has_changed_is_named_and_put_right(port, line, arguments, words):
+def test_settings_changed_by_another_program_are_named_and_restored(port, line, arguments, words):
     before = stty(line.path, '-g')
     assert port.restore_settings() == ''
     stty(line.path, *arguments)
@@ -57,14 +57,14 @@ def test_what_another_program_has_changed_is_named_and_put_right(port, line, arg
     changed = port.restore_settings().split(', ')
     assert set(words) <= set(changed)
     assert stty(line.path, '-g') == before
-    assert port.restore_settings() == '', 'it is told once'
+    assert port.restore_settings() == '', 'reported twice'
     line.write(EVERY_BYTE)
-    assert passed(port, 256) == EVERY_BYTE
+    assert read_exactly(port, 256) == EVERY_BYTE
     port.write(EVERY_BYTE)
-    assert line.read_all() == EVERY_BYTE, 'unchanged, and no echo beside it'
+    assert line.read_all() == EVERY_BYTE, 'changed bytes, or an echo'
 
 
-def test_a_baud_rate_without_a_name_is_put_right(line):
+def test_a_nonstandard_baud_rate_is_restored(line):
     port = Port(line.path, 31250)
     port.open()
     stty(line.path, '115200')
@@ -73,16 +73,16 @@ def test_a_baud_rate_without_a_name_is_put_right(line):
     port.close()
 
 
-def test_what_waited_under_other_settings_is_dropped(port, line):
+def test_bytes_that_waited_under_other_settings_are_dropped(port, line):
     stty(line.path, 'sane')
     line.write(b'\r\x08\x15')
     assert port.restore_settings()
     line.read_all()
     line.write(b'later')
-    assert passed(port, 5) == b'later'
+    assert read_exactly(port, 5) == b'later'
 
 
-def test_a_port_that_is_no_tty_has_no_settings():
+def test_a_port_that_is_not_a_tty_has_no_settings():
     port = Port('loop://')
     assert port.restore_settings() == ''
     port.open()
@@ -92,7 +92,7 @@ def test_a_port_that_is_no_tty_has_no_settings():
 
 # -- the links ------------------------------------------------------------------------------------
 
-def test_stty_sane_on_a_port_in_use_changes_no_value_for_long(line, logger, running, lines):
+def test_after_stty_sane_values_are_received_unchanged_again(line, logger, running, lines):
     got = []
     link = running(ArduinoLink(Port(line.path), logger=logger,
                                on_message=lambda message, stamp: got.append(message)))
@@ -103,7 +103,7 @@ def test_stty_sane_on_a_port_in_use_changes_no_value_for_long(line, logger, runn
     assert line.path in warning and 'icanon' in warning and 'icrnl' in warning
     board.forget()
     del got[:]
-    # 13 is a carriage return, 10 a newline, 3 an interrupt, 4 an end, 17 and 19 flow control.
+    # Values that a tty may treat as CR, LF, Ctrl-C, end of file, XON, XOFF, Ctrl-U and DEL.
     sent = [arduino.Ticks(value) for value in (13, 10, 3, 4, 17, 19, 127, 21)] * 10
     line.write(b''.join(map(arduino.encode, sent)))
     until(lambda: len(got) >= len(sent))
@@ -111,11 +111,11 @@ def test_stty_sane_on_a_port_in_use_changes_no_value_for_long(line, logger, runn
     count = board.heartbeats()
     until(lambda: board.heartbeats() > count + 20)
     assert set(map(type, board.messages())) <= {arduino.Heartbeat, arduino.SpeedCommand}, \
-        'what the board said is echoed to it'
+        'what the board sent is echoed to it'
     assert link.reconnects == 0
 
 
-def test_after_another_baud_rate_speed_0_goes_first(line, logger, running, lines):
+def test_after_a_changed_baud_rate_speed_0_is_sent_first(line, logger, running, lines):
     link = running(ArduinoLink(Port(line.path), logger=logger))
     board = running(CarBoard(line))
     until(lambda: board.heartbeats() > 3)
@@ -126,18 +126,18 @@ def test_after_another_baud_rate_speed_0_goes_first(line, logger, running, lines
     until(lambda: board.commands()[-1] == arduino.SpeedCommand(0))
 
 
-def test_on_the_bus_the_echo_comes_first(line, logger, running, lines):
+def test_after_changed_settings_the_bus_sends_echo_first(line, logger, running, lines):
     link = running(BusLink(Port(line.path), BusSettings(environment_period=0), logger=logger))
     board = running(BusBoard(line))
     until(lambda: link.master.in_step)
     assert link.lift(0, 1).success and link.lift(0, 1).success
     echoes = len(board.requests(0x01))
     stty(line.path, 'sane')
-    until(lambda: lines('out of step: the settings of the port were changed'))
+    until(lambda: lines('out of step: another program changed the settings of the port'))
     until(lambda: len(board.requests(0x01)) > echoes)
 
 
-def test_settings_are_put_right_on_a_silent_line_too(line, logger, running, lines):
+def test_settings_are_restored_while_the_board_is_silent(line, logger, running, lines):
     link = running(McuLink(Port(line.path), logger=logger))
     until(lambda: link.port.is_open)
     before = stty(line.path, '-g')
@@ -153,15 +153,15 @@ def is_exclusive(fd):
 
 
 def open_as_ordinary_user(path):
-    """The errno with which a user without privileges cannot open it, or 0."""
+    """The errno of opening it as a user without privileges; 0: it can be opened."""
     code = ('import os, sys\nif os.geteuid() == 0: os.setgid({0}); os.setuid({0})\n'
             'try: os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)\n'
             'except OSError as error: sys.exit(error.errno)').format(_NOBODY)
     return subprocess.run([sys.executable, '-c', code, path]).returncode
 
 
-def test_a_tty_is_kept_for_one_program_and_free_again_as_it_closes(line, monkeypatch):
-    """A pseudo terminal in the place of a device: for the kernel both are ttys."""
+def test_an_open_tty_is_locked_until_it_is_closed(line, monkeypatch):
+    """A pseudo terminal stands in for a device: the kernel treats both as ttys."""
     monkeypatch.setattr(port_module, '_PTY', ())
     device = os.path.realpath(line.path)
     os.chmod(device, 0o666)
@@ -177,7 +177,7 @@ def test_a_tty_is_kept_for_one_program_and_free_again_as_it_closes(line, monkeyp
     os.close(other)
 
 
-def test_a_pseudo_terminal_is_not_kept_for_one_program(port, line):
+def test_a_pseudo_terminal_is_not_locked(port, line):
     other = os.open(line.path, os.O_RDWR | os.O_NOCTTY)
     assert not is_exclusive(other)
     os.close(other)
@@ -186,7 +186,7 @@ def test_a_pseudo_terminal_is_not_kept_for_one_program(port, line):
 _HOLDER = '''
 import os, sys, time
 from serial_communication.transport.port import Port
-# Not before the imports: such a user may not read a checkout in root's home.
+# After the imports: such a user may not read a checkout in root's home.
 if os.geteuid() == 0: os.setgid({0}); os.setuid({0})
 port = Port(sys.argv[1])
 port.open()
@@ -196,13 +196,13 @@ time.sleep({1})
 
 
 def holder(path, seconds):
-    """A program of an ordinary user that opens the port."""
+    """Start a program that opens the port as an ordinary user."""
     return subprocess.Popen([sys.executable, '-c', _HOLDER.format(_NOBODY, seconds), path],
                             stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
                             env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)})
 
 
-def test_after_a_sigkill_an_ordinary_user_opens_a_socat_port_again(tmp_path):
+def test_after_sigkill_an_ordinary_user_can_open_a_socat_port_again(tmp_path):
     path = str(tmp_path / 'tty')
     os.chmod(str(tmp_path), 0o755)
     for folder in tmp_path.parents:
@@ -223,7 +223,7 @@ def test_after_a_sigkill_an_ordinary_user_opens_a_socat_port_again(tmp_path):
         socat.wait()
 
 
-def test_settings_on_a_tty_that_goes_away_are_no_fault(port, line):
+def test_restoring_the_settings_of_a_removed_tty_does_not_raise(port, line):
     line.unplug()
     assert port.restore_settings() == ''
     with pytest.raises(port_module.PortError):
@@ -231,7 +231,7 @@ def test_settings_on_a_tty_that_goes_away_are_no_fault(port, line):
 
 
 @pytest.mark.parametrize('before', [['sane'], ['parmrk', 'ignpar', 'cstopb'], ['9600', 'ixany']])
-def test_a_port_is_raw_whatever_it_was_before(line, before):
+def test_an_opened_tty_is_raw_whatever_its_settings_were(line, before):
     stty(line.path, *before)
     port = Port(line.path)
     port.open()
@@ -241,8 +241,8 @@ def test_a_port_is_raw_whatever_it_was_before(line, before):
     port.close()
 
 
-def test_frames_pass_after_stty_sane(line, logger, running, lines):
-    """The sensor board's checksum does not save a line that waits for a newline."""
+def test_after_stty_sane_all_frames_of_the_sensor_board_are_received(line, logger, running, lines):
+    """A tty in canonical mode holds bytes back until a newline, which no checksum can detect."""
     got = []
     running(McuLink(Port(line.path), logger=logger, timeout=20.0,
                     on_status=lambda message, seq, stamp: got.append(seq)))

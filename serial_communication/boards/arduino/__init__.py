@@ -1,23 +1,29 @@
-"""The model car's Arduino Nano: COBS packets, a heartbeat that keeps the motor alive."""
+"""The model car's Arduino Nano: COBS packets, and a heartbeat that keeps the motor running."""
 from typing import Any, List, Mapping
 
 from ...framing.custom_messages import FROM_BOARD, TO_BOARD, CustomMessage, read_messages
+from ...framing.stream import Decoder
 from ..description import CustomRows, Description, Heartbeat, Topic
 from . import wire
 
 
 def custom_messages(entries: Any) -> List[CustomMessage]:
-    """The messages of ``arduino/messages``; RowError for the first mistake in them."""
+    """The custom messages in ``arduino/messages``.
+
+    Raises:
+        RowError: for the first mistake in them.
+    """
     return read_messages(entries, 'arduino/messages', range(13, 256), wire.MAX_PACKET - 1,
                          (FROM_BOARD, TO_BOARD))
 
 
-def _decoder(sent: bool, parameters: Mapping[str, Any]) -> Any:
+def _decoder(sent: bool, parameters: Mapping[str, Any]) -> Decoder:
     kinds = [each.kind for each in custom_messages(parameters.get('messages') or {})
              if each.is_command == sent]
     return wire.BoardDecoder(messages=kinds) if sent else wire.Decoder(messages=kinds)
 
 
+LONGEST_GAP = 0.03     # s between heartbeats
 DESCRIPTION = Description(
     'arduino', __name__, _decoder, 'model car',
     topics=(
@@ -29,7 +35,7 @@ DESCRIPTION = Description(
         Topic('~steering_angle', 'serial_communication/SteeringFeedback', 0.01)),
     other_names=('~speed', '~steering', '~led', '~calibrate_imu'),
     custom=CustomRows('messages', custom_messages, '~'),
-    heartbeat=Heartbeat(wire.Heartbeat.TYPE, longest_gap=0.03),
+    heartbeat=Heartbeat(wire.Heartbeat.TYPE, LONGEST_GAP),
     between=b'\0',
     first_after_loss=b'\0' + wire.encode(wire.SpeedCommand(0)),
     network_silence=1.0,

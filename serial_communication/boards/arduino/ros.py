@@ -15,10 +15,10 @@ from ...link.link import Refused
 from ...link.outcome import NOT_SENT, Outcome
 from ...ros.answers import service_error
 from ...ros.commands import CommandTopic
-from ...ros.custom_topics import (built_in_topic, message_rows, names_of, own_topics,
+from ...ros.custom_topics import (built_in_topic, custom_topics, message_rows, names_of,
                                   take_commands)
 from ...ros.geometry import OrientationBroadcaster
-from ...ros.interface import Common, Interface
+from ...ros.interface import LinkOptions, Interface
 from ...ros.parameter import BAUD, MOUNT, PORT, Parameter, frame_id, seconds
 from ...ros.publishing import diagonal, publisher, wanted
 from ...transport.port import Port
@@ -26,18 +26,18 @@ from . import DESCRIPTION, wire
 from .link import ArduinoLink, ArduinoSettings
 
 _DEFAULTS = ArduinoSettings()
-_SAY = (rospy.logdebug, rospy.loginfo, rospy.logwarn, rospy.logerr)
+_LOG_FUNCTIONS = (rospy.logdebug, rospy.loginfo, rospy.logwarn, rospy.logerr)    # by severity
 
 
 class ArduinoInterface(Interface):
-    """Commands in, measurements out."""
+    """Subscribes to commands and publishes measurements."""
 
     NAME = DESCRIPTION.name
     PARAMETERS = {
         'port': PORT,
         'baud': BAUD,
         'reset_on_open': Parameter(False),
-        # The board stops its motor after 30 ms without one.
+        # At 34 Hz a heartbeat is sent every 29 ms; the board stops its motor after 30 ms without.
         'heartbeat_rate': Parameter(_DEFAULTS.heartbeat_rate, 34.0, 1000.0, unit='Hz'),
         'speed_timeout': seconds(_DEFAULTS.speed_timeout, 0.0, 3600.0),
         'command_age': seconds(0.5, 0.0, 3600.0),
@@ -55,8 +55,9 @@ class ArduinoInterface(Interface):
         'imu_mount': MOUNT,
     }
     MOUNTS = ('imu',)
+    link: ArduinoLink
 
-    def __init__(self, parameters: Dict[str, Any], common: Common) -> None:
+    def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
         p = parameters
         self._gyro_scale = p['gyro_scale']
         self._command_age = p['command_age']
@@ -71,31 +72,30 @@ class ArduinoInterface(Interface):
         self._temperature = publisher('~imu/temperature', Temperature)
         self._calibrating = publisher('~imu/calibrating', Bool, latch=True)
         self._calibrating.publish(False)
-        # Each message that is a row on one topic: a line here is all it takes.
-        self._rows = {kind: built_in_topic(name, ros_class, kind) for kind, name, ros_class in (
+        # A message with a single value on a topic of its own needs one line here.
+        self._topics = {kind: built_in_topic(name, ros_class, kind) for kind, name, ros_class in (
             (wire.Voltage, '~voltage', Voltage), (wire.Ticks, '~ticks', Ticks),
             (wire.SteeringAngle, '~steering_angle', SteeringFeedback))}
-        without = set(wire.FROM_BOARD) - set(self._rows) - {wire.Imu}
-        if without:
-            raise TypeError(f'messages without a topic: {without}')
-        self._own = p['messages']
-        self._rows.update(own_topics(self._own, '~', p['frame_prefix']))
+        without_topic = set(wire.FROM_BOARD) - set(self._topics) - {wire.Imu}
+        if without_topic:
+            raise TypeError(f'messages without a topic: {without_topic}')
+        self._custom_messages = p['messages']
+        self._topics.update(custom_topics(self._custom_messages, '~', p['frame_prefix']))
         self.link = ArduinoLink(
             Port(p['port'], p['baud'], p['reset_on_open']),
             ArduinoSettings(**{name: p[name] for name in ArduinoSettings._fields}),
-            messages=[kind for kind in self._rows if kind not in wire.FROM_BOARD],
+            messages=[kind for kind in self._topics if kind not in wire.FROM_BOARD],
             on_message=self._received, on_log=self._log,
-            on_calibrating=lambda on: self._calibrating.publish(on), **common._asdict())
+            on_calibrating=lambda on: self._calibrating.publish(on), **link_options._asdict())
 
     @staticmethod
-    def own_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
+    def custom_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
         return names_of(parameters['messages'], '~')
 
     def advertise(self) -> None:
-        """Take commands and offer the service."""
+        """Subscribe to the commands and advertise the service."""
         link, age = self.link, self._command_age
-        # Of speed and steering only the newest that waits counts: rospy reads all that its socket
-        # has, and keeps as many as the queue holds.
+        # queue_size=1: of the speed and steering commands that wait, only the newest counts.
         CommandTopic('~speed', SpeedPWMCommand, lambda message: link.set_speed(message.value),
                      lambda message: f'speed {message.value}', link.log, age, queue_size=1,
                      stops=lambda message: message.value == 0)
@@ -104,10 +104,10 @@ class ArduinoInterface(Interface):
                      lambda message: f'steering {message.value}', link.log, age, queue_size=1)
         CommandTopic('~led', String, lambda message: link.set_led(message.data),
                      lambda message: f'LED {message.data[:wire.LED_LIMIT]!r}', link.log, age)
-        take_commands(self._own, '~', link, age)
+        take_commands(self._custom_messages, '~', link, age)
         rospy.Service('~calibrate_imu', Empty, self._calibrate)
 
-    def _calibrate(self, _request) -> EmptyResponse:
+    def _calibrate(self, _request: Any) -> EmptyResponse:
         try:
             self.link.calibrate_imu()
         except Refused as refused:
@@ -118,7 +118,7 @@ class ArduinoInterface(Interface):
         if type(message) is wire.Imu:
             self._publish_imu(message, stamp)
             return
-        self._rows[type(message)].publish(message, stamp)
+        self._topics[type(message)].publish(message, stamp)
 
     def _publish_imu(self, message: wire.Imu, stamp: rospy.Time) -> None:
         if wanted(self._imu):
@@ -140,7 +140,7 @@ class ArduinoInterface(Interface):
 
     @staticmethod
     def _log(severity: int, text: str) -> None:
-        _SAY[severity]('arduino says: %s', text)
+        _LOG_FUNCTIONS[severity]('arduino says: %s', text)
 
 
 def _imu(p: Dict[str, Any]) -> Imu:

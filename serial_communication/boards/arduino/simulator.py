@@ -1,19 +1,20 @@
 """The simulated model car: motor, servo, LEDs, encoder, motion sensor and battery of one Nano.
 
     motor      SPEED ±1000 is ±2.5 m/s at full charge, reached with a time constant of 0.25 s;
-               off when no heartbeat came for 30 ms, and then off until the next SPEED that finds
-               a heartbeat not older than that; off, the car rolls out
+               off when no heartbeat is received for 30 ms, until the next SPEED that follows a
+               heartbeat within 30 ms; while it is off, the car rolls out
     encoder    400 ticks a metre, either way; TICKS every 10 ms
     servo      1000 … 2000 µs, 1500 is straight on, more is left; 0.3 s from end to end; feedback
                512 ± 300; STEERING_ANGLE every 10 ms
     car        wheelbase 0.26 m, wheels turn by up to 25°
-    IMU        every 10 ms: orientation, rates and accelerations (gravity in them) of the motion
+    IMU        every 10 ms: orientation, rates and accelerations (with gravity) of the motion
     battery    8.2 V, sags by up to 0.6 V under load; VOLTAGE every second, averaged over 3 s
     LEDs       left, right, brake, hazard, disable
 
-IMU_CALIBRATION: the board is deaf and sends no IMU data for `calibration_time` (10 s here, so that
-one can watch it; the real one takes over five minutes). What comes meanwhile waits in a receive
-buffer of 64 bytes, the rest is lost, and is read afterwards all at once, as on a real Nano.
+After IMU_CALIBRATION the board reads nothing and sends no IMU data for `calibration_time`: 10 s,
+short enough to watch; a real board takes over five minutes. As on a real Nano, a receive buffer
+keeps the first 64 bytes of that time, and the rest is lost. The board reads them afterwards, all at
+once.
 """
 import argparse
 import math
@@ -22,16 +23,16 @@ from random import Random
 from typing import Any, Deque, Optional, Sequence
 
 from ...framing.custom_messages import CustomMessage
-from ...framing.layout import Row
+from ...framing.layout import LayoutMessage
 from ...framing.rotation import quaternion
 from ...framing.stream import Frame
 from ...simulation.board import Board, positive
-from ...simulation.custom_messages import Player
+from ...simulation.custom_messages import CustomMessagePlayer
 from ...transport.pace import Every
 from . import DESCRIPTION, wire
 
 HEARTBEAT_TIMEOUT = 0.03   # s
-BEAT = 0.01                # s
+PERIOD = 0.01              # s between two measurements
 RECEIVE_BUFFER = 64        # bytes
 TOP_SPEED = 2.5            # m/s
 MOTOR_LAG = 0.25           # s
@@ -44,7 +45,7 @@ STEERING_LOCK = math.radians(25)
 BATTERY, SAG, DISCHARGE = 8.2, 0.6, 0.0005   # V; V at full load; V/s at full load
 G = 9.81
 
-_QUOTED = 64               # bytes that the journal has of what is no good packet
+_QUOTED = 64               # most bytes of an invalid packet in the journal
 _INFO, _WARN = 1, 2        # severities
 _LEDS = ('left', 'right', 'brake', 'hazard', 'disable')
 
@@ -54,11 +55,12 @@ class ModelCar(Board):
 
     Args:
         calibration_time: s.
-        seed: of the sensors' noise.
-        own: messages of one's own: sent beside these, and told as they come.
-        lose_stops: the line loses the first SPEED 0 of each stop, as damage may.
+        seed: seed of the sensors' noise.
+        custom: custom messages: those from the board are sent, those to it are shown.
+        lose_stops: the line loses the first SPEED 0 of each stop, as noise may do.
     """
 
+    decoder: wire.BoardDecoder
     NAME = DESCRIPTION.name
     SUMMARY = 'model car: motor, servo, encoder, IMU, battery'
     FAULTS = ('drop=0.001 cut=0.001 lose=0.001 flip=0.001 insert=0.001 double=0.001 '
@@ -72,10 +74,10 @@ class ModelCar(Board):
     @classmethod
     def add_options(cls, parser: argparse.ArgumentParser) -> None:
         parser.add_argument('--calibration-time', type=positive, default=10.0, metavar='S',
-                            help='how long an IMU calibration takes (%(default)g; the real one: '
+                            help='how long an IMU calibration takes (%(default)g; a real board: '
                                  'over 300)')
         parser.add_argument('--lose-stops', action='store_true',
-                            help='the first SPEED 0 of each stop is lost on the line')
+                            help='lose the first SPEED 0 of each stop on the line')
 
     @classmethod
     def from_options(cls, options: argparse.Namespace) -> 'ModelCar':
@@ -83,32 +85,32 @@ class ModelCar(Board):
                    options.lose_stops)
 
     def __init__(self, calibration_time: float = 10.0, seed: int = 0,
-                 own: Sequence[CustomMessage] = (), lose_stops: bool = False) -> None:
+                 custom: Sequence[CustomMessage] = (), lose_stops: bool = False) -> None:
         super().__init__(wire.BoardDecoder(
-            messages=[message.kind for message in own if message.is_command]))
-        self._own = Player(own)
+            messages=[message.kind for message in custom if message.is_command]))
+        self._custom = CustomMessagePlayer(custom)
         self.motor_on = False
-        self.command = 0           # the SPEED that the motor runs with, 0 if it is off
+        self.command = 0           # the SPEED at which the motor runs; 0 if it is off
         self.velocity = 0.0        # m/s
         self.distance = 0.0        # m that the wheels have turned, either way
-        self.steering = float(SERVO_CENTRE)   # µs, where the servo is
+        self.steering = float(SERVO_CENTRE)   # µs; position of the servo
         self.yaw = 0.0             # rad
         self.led = 'disable'
         self.calibrating = False
         self._calibration_time = calibration_time
         self._calibrated_at = 0.0
         self._lose_stops = lose_stops
-        self._lost_stop = False    # since the motor was told to run
+        self._lost_stop = False    # whether a SPEED 0 was lost since the motor was switched on
         self._kept = b''           # in the receive buffer while calibrating
-        self._heartbeat: Optional[float] = None   # the latest
+        self._heartbeat = -math.inf    # time of the latest
         self._servo_target = float(SERVO_CENTRE)
-        self._now = 0.0            # up to when the motion is worked out
+        self._now = 0.0            # time of the computed motion
         self._acceleration = 0.0   # m/s², along the car
         self._counted = 0          # ticks sent so far
         self._charge = BATTERY
         self._volts: Deque[float] = deque(maxlen=300)   # of the last 3 s
         self._random = Random(f'{seed} car')
-        self._beat = Every(BEAT, 0.0)
+        self._pace = Every(PERIOD, 0.0)
         self._second = Every(1.0, 0.0)
 
     # -- hooks ----------------------------------------------------------------------------
@@ -116,17 +118,17 @@ class ModelCar(Board):
     def power_on(self, now: float) -> None:
         self._move(now)
         self.decoder.reset()
-        self._heartbeat = None
+        self._heartbeat = -math.inf
         self.calibrating = False
         self._kept = b''
         self.led = 'disable'
         self._servo_target = float(SERVO_CENTRE)
         self._counted = int(self.distance * TICKS_PER_METRE)
         self._volts.clear()
-        self._beat = Every(BEAT, now)
+        self._pace = Every(PERIOD, now)
         self._second = Every(1.0, now)
-        self._own.power_on(now)
-        # An empty packet ends what the boot loader babbled.
+        self._custom.power_on(now)
+        # A 0x00 ends the boot loader's output.
         self.line.send_raw(b'\0')
         self._log(_INFO, 'IMU ready')
 
@@ -165,20 +167,20 @@ class ModelCar(Board):
             self._set_led(message.text)
         elif isinstance(message, wire.ImuCalibration):
             self._calibrate(now)
-        elif isinstance(message, Row):      # of one's own
+        elif isinstance(message, LayoutMessage):      # a custom message
             self.say(str(message))
 
     def advance(self, now: float) -> Optional[float]:
         self._move(now)
         if self.calibrating and now >= self._calibrated_at:
             self._calibration_over(now)
-        if self._beat.passed(now):
+        if self._pace.passed(now):
             self._measure(now)
         if self._second.passed(now):
             self._send(wire.Voltage(sum(self._volts) / len(self._volts)))
-        for message in self._own.messages(now):
+        for message in self._custom.messages(now):
             self._send(message)
-        due = min(self._beat.due, self._own.due() or math.inf)
+        due = min(self._pace.due, self._custom.due() or math.inf)
         if self.motor_on:
             due = min(due, self._heartbeat + HEARTBEAT_TIMEOUT)
         if self.calibrating:
@@ -194,7 +196,7 @@ class ModelCar(Board):
         value = min(max(value, -wire.SPEED_LIMIT), wire.SPEED_LIMIT)
         if value == 0:
             self._motor_off('SPEED 0')
-        elif self._heartbeat is None or now >= self._heartbeat + HEARTBEAT_TIMEOUT:
+        elif now >= self._heartbeat + HEARTBEAT_TIMEOUT:
             self.note('motor', on=False, speed=0, why=f'SPEED {value} without a heartbeat')
         else:
             if not self.motor_on or self.command * value < 0:
@@ -214,7 +216,7 @@ class ModelCar(Board):
     def _set_led(self, text: str) -> None:
         if text not in _LEDS:
             self._log(_WARN, 'unknown LED command')
-            self.say(f'LED {text!r}: there is no such')
+            self.say(f'LED {text!r} is unknown')
         elif text != self.led:
             self.led = text
             self.say(f'LED: {text}')
@@ -222,7 +224,7 @@ class ModelCar(Board):
     def _calibrate(self, now: float) -> None:
         self._motor_off('calibration')
         self._log(_INFO, 'IMU calibration: do not move the car')
-        self.say(f'IMU calibration: deaf for {self._calibration_time:g} s')
+        self.say(f'IMU calibration: reading nothing for {self._calibration_time:g} s')
         self.note('calibrate', on=True)
         self.calibrating = True
         self._calibrated_at = now + self._calibration_time
@@ -232,7 +234,7 @@ class ModelCar(Board):
         self.calibrating = False
         self.yaw = 0.0
         self.note('calibrate', on=False, kept=kept.hex())
-        self.say(f'IMU calibrated; {len(kept)} bytes that came meanwhile are read now')
+        self.say(f'IMU calibrated; reading the {len(kept)} bytes received meanwhile')
         self._log(_INFO, 'IMU calibrated, IMU ready')
         if kept:
             super().receive(kept, now)
@@ -240,7 +242,7 @@ class ModelCar(Board):
     # -- the car ----------------------------------------------------------------------------
 
     def _move(self, now: float) -> None:
-        """Work out the motion up to `now`; the motor stops on time in between."""
+        """Compute the motion up to `now`, with the motor off from the heartbeat timeout on."""
         if self.motor_on:
             stop = self._heartbeat + HEARTBEAT_TIMEOUT
             if now >= stop:
@@ -260,11 +262,11 @@ class ModelCar(Board):
         decay = math.exp(-step / MOTOR_LAG)
         self.velocity = target + (before - target) * decay
         if not self.motor_on and abs(self.velocity) < 0.002:
-            self.velocity = 0.0     # friction has the last word
-        way = target * step + (before - target) * MOTOR_LAG * (1 - decay)
-        self.distance += abs(way)
+            self.velocity = 0.0     # friction stops it
+        moved = target * step + (before - target) * MOTOR_LAG * (1 - decay)
+        self.distance += abs(moved)
         self._acceleration = (self.velocity - before) / step
-        self.yaw += way * math.tan(self._wheel_angle()) / WHEELBASE
+        self.yaw += moved * math.tan(self._wheel_angle()) / WHEELBASE
         self._charge -= DISCHARGE * load * step
         limit = SERVO_RATE * step
         self.steering += min(max(self._servo_target - self.steering, -limit), limit)
@@ -291,7 +293,7 @@ class ModelCar(Board):
         gauss = self._random.gauss
         yaw_rate = self.velocity * math.tan(self._wheel_angle()) / WHEELBASE
         sideways = self.velocity * yaw_rate
-        # The body leans out of a curve and back when it speeds up.
+        # The body leans to the outside of a curve, and backwards when the car accelerates.
         roll = 0.008 * sideways + gauss(0, 0.0005)
         pitch = -0.008 * self._acceleration + gauss(0, 0.0005)
         yaw = self.yaw + gauss(0, 0.0005)

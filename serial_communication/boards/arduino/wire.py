@@ -4,59 +4,67 @@
     | message type (1 byte) | data (0 … 255 bytes) |   0x00
     +----------------------------------------------+
 
-Both sides talk at any time. There is no checksum, so values that cannot be are refused too.
-Little-endian but for the IMU, which is big-endian. A message is one class here: its type, its
-layout, its limits. Decisions where the source is silent: see doc/protocols.md.
+Both sides send at any time. There is no checksum, so packets with impossible values are invalid.
+Little-endian; only the IMU data is big-endian. Each message is one class with its type, layout and
+limits. doc/protocols.md lists the decisions where the source says nothing.
 """
 import struct
 from math import pi
-from typing import Any, Dict, Iterable, List, NamedTuple, Tuple
+from typing import Any, Dict, Iterable, List, NamedTuple, Tuple, Type
 
 from ...framing import cobs
-from ...framing.layout import Layout, Value, message_class, readable, row_methods
+from ...framing.layout import Layout, LayoutMessage, Value, message_class, readable
 from ...framing.parts import Part, Parts
-from ...framing.stream import (FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN, Frame, bad_frame,
-                               frame_of)
+from ...framing.stream import (FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN, Frame, frame_of,
+                               invalid_frame)
 
 MAX_PACKET = 256                        # type and data, decoded
-_MAX_ENCODED = MAX_PACKET + 2           # the same in COBS
-SPEED_LIMIT = 1000                      # PWM, either direction
+_MAX_ENCODED = MAX_PACKET + 2           # the same, encoded
+SPEED_LIMIT = 1000                      # PWM, in either direction
 LED_LIMIT = 30                          # characters
 GYRO_SCALE = 4000 / 65536 * pi / 180 * 25   # rad/s per LSB, found by experiment
 _QUATERNION = 1 / 16384
 _ACCELERATION = 8 / 65536 * 9.81        # m/s² per LSB
 _UNIT_SQUARED = 16384 ** 2
-_LEAST_SQUARED = 0.95 ** 2 * _UNIT_SQUARED    # of a quaternion that can be
+_LEAST_SQUARED = 0.95 ** 2 * _UNIT_SQUARED    # least and most of a plausible quaternion
 _MOST_SQUARED = 1.05 ** 2 * _UNIT_SQUARED
 
 Vector = Tuple[float, float, float]
+Quaternion = Tuple[float, float, float, float]      # x, y, z, w
 
 
-@row_methods
-class Log(NamedTuple):
-    """DEBUG, INFO, WARN, ERROR (0 … 3), board -> us: a line for people."""
+class _LogValues(NamedTuple):
+    severity: int
+    text: str      # control characters and bad UTF-8 replaced
 
+
+class Log(_LogValues):
+    """DEBUG, INFO, WARN, ERROR (0 … 3), board -> us: a log line."""
+
+    __slots__ = ()
     TYPES = (0, 1, 2, 3)
     LABEL = 'log'
     LABELS = ('DEBUG', 'INFO', 'WARN', 'ERROR')
     LAYOUT = Layout('<s', [Value('text')])
 
-    severity: int
-    text: str      # control characters and bad UTF-8 replaced
-
     @classmethod
     def unpack(cls, severity: int, data: bytes) -> 'Log':
-        """From the data, usually ended by 0x00."""
+        """From the data: text, usually ended by 0x00."""
         text = data.split(b'\0', 1)[0].decode('utf-8', 'replace')
         return tuple.__new__(cls, (severity, readable(text.rstrip('\r\n'))))
 
     def implausible(self) -> str:
-        """Why it cannot be, or '': a damaged packet may begin with 0 … 3, too, but hardly says
-        anything that can be read."""
+        """Why this cannot be a log line, or ''. A damaged packet may have type 0 … 3, too, but
+        most of its characters are unreadable."""
         unreadable = self.text.count('\N{REPLACEMENT CHARACTER}')
         if 2 * unreadable <= len(self.text):
             return ''
-        return f'{unreadable} of {len(self.text)} characters cannot be read'
+        return f'{unreadable} of {len(self.text)} characters are unreadable'
+
+    @classmethod
+    def parts(cls, data: bytes) -> List[Part]:
+        """The text with its bytes."""
+        return cls.LAYOUT.parts(data)
 
     @property
     def TYPE(self) -> int:  # noqa: N802 - the type is the severity
@@ -77,29 +85,31 @@ SteeringCommand = message_class(
     'STEERING_CMD, us -> board: PWM of the steering servo, µs.')
 
 
-@row_methods
-class LedCommand(NamedTuple):
+class _LedValues(NamedTuple):
+    text: str
+
+
+class LedCommand(LayoutMessage, _LedValues):
     """LED_CMD, us -> board: left, right, brake, disable …: at most 30 characters of ASCII."""
 
+    __slots__ = ()
     TYPE = 6
     LABEL = 'LED'
     LAYOUT = Layout('<s', [Value('text')])
 
-    text: str
-
     @classmethod
     def unpack(cls, data: bytes) -> 'LedCommand':
-        """From the data, a text and a 0x00."""
+        """From the data: text and a 0x00."""
         return cls(data.split(b'\0', 1)[0].decode('ascii', 'replace'))
 
     def pack(self) -> bytes:
         """The data.
 
         Raises:
-            ValueError: too long, not ASCII, or with the NUL that would end it early.
+            ValueError: the text is too long, not ASCII, or has a NUL, which would end it.
         """
         if len(self.text) > LED_LIMIT:
-            raise ValueError(f'LED text is {len(self.text)} characters long, may be at most '
+            raise ValueError(f'LED text has {len(self.text)} characters, may have at most '
                              f'{LED_LIMIT}')
         if not self.text.isascii() or '\0' in self.text:
             raise ValueError(f'LED text {self.text!r} must be ASCII, without a NUL')
@@ -120,27 +130,13 @@ Voltage = message_class(
     'VOLTAGE, board -> us: battery volts, averaged over 3 s.')
 Heartbeat = message_class(
     'Heartbeat', 11, '<', (), 'heartbeat',
-    'HEARTBEAT, us -> board. The board stops the motor when none comes for 30 ms.')
+    'HEARTBEAT, us -> board. The board stops its motor after 30 ms without one.')
 ImuCalibration = message_class(
     'ImuCalibration', 12, '<', (), 'calibrate the IMU',
-    'IMU_CALIBRATION, us -> board: it calibrates for over 5 minutes, deaf meanwhile.')
+    'IMU_CALIBRATION, us -> board: it calibrates for over 5 minutes and reads nothing meanwhile.')
 
 
-@row_methods
-class Imu(NamedTuple):
-    """IMU, board -> us: the motion processor's numbers, in its own axes and units.
-
-    The methods give SI units in ROS's axes: x = board y, y = -board x, z = board z.
-    """
-
-    TYPE = 9
-    LABEL = 'IMU'
-    LAYOUT = Layout('>11h', [    # in the board's own axes, and with the default gyro_scale
-        *[Value(f'quaternion {axis}', '', _QUATERNION) for axis in 'wxyz'],
-        *[Value(f'angular rate {axis}', 'rad/s', GYRO_SCALE) for axis in 'xyz'],
-        *[Value(f'acceleration {axis}', 'm/s²', _ACCELERATION) for axis in 'xyz'],
-        Value('temperature', '°C', 1 / 340, 36.53)])
-
+class _ImuValues(NamedTuple):
     qw: int
     qx: int
     qy: int
@@ -153,10 +149,26 @@ class Imu(NamedTuple):
     az: int
     raw_temperature: int
 
+
+class Imu(LayoutMessage, _ImuValues):
+    """IMU, board -> us: the raw numbers of the motion processor, in its axes and units.
+
+    The methods return SI units in ROS's axes: x = board y, y = -board x, z = board z.
+    """
+
+    __slots__ = ()
+    TYPE = 9
+    LABEL = 'IMU'
+    LAYOUT = Layout('>11h', [    # in the board's axes, with the default gyro_scale
+        *[Value(f'quaternion {axis}', '', _QUATERNION) for axis in 'wxyz'],
+        *[Value(f'angular rate {axis}', 'rad/s', GYRO_SCALE) for axis in 'xyz'],
+        *[Value(f'acceleration {axis}', 'm/s²', _ACCELERATION) for axis in 'xyz'],
+        Value('temperature', '°C', 1 / 340, 36.53)])
+
     @classmethod
-    def from_si(cls, orientation, angular_velocity: Vector, linear_acceleration: Vector,
+    def from_si(cls, orientation: Quaternion, angular_velocity: Vector, linear_acceleration: Vector,
                 temperature: float, gyro_scale: float = GYRO_SCALE) -> 'Imu':
-        """What a board sends for these values; the methods' inverse, saturated to int16."""
+        """The message for these values, saturated to int16: the inverse of the methods below."""
         x, y, z, w = orientation
         gx, gy, gz = angular_velocity
         ax, ay, az = linear_acceleration
@@ -167,23 +179,23 @@ class Imu(NamedTuple):
 
     @classmethod
     def unpack(cls, data: bytes) -> 'Imu':
-        """From 22 bytes; struct.error with any other number."""
+        """From 22 bytes; struct.error if there are more or fewer."""
         return tuple.__new__(cls, cls.LAYOUT.raw(data))
 
     def pack(self) -> bytes:
-        """The 22 bytes; struct.error where a number is no int16."""
+        """The 22 bytes; struct.error if a number does not fit an int16."""
         return self.LAYOUT.pack_raw(self)
 
     @classmethod
     def parts(cls, data: bytes) -> List[Part]:
-        """Which bytes of the data are which value."""
+        """The values of the data, each with its bytes."""
         parts = cls.LAYOUT.parts(data)
         if cls.LAYOUT.fits(len(data)):
             parts[0] = parts[0]._replace(error=cls.unpack(data).implausible())
         return parts
 
-    def orientation(self) -> Tuple[float, float, float, float]:
-        """Quaternion x, y, z, w."""
+    def orientation(self) -> Quaternion:
+        """x, y, z, w."""
         return (self.qy * _QUATERNION, -self.qx * _QUATERNION, self.qz * _QUATERNION,
                 self.qw * _QUATERNION)
 
@@ -200,12 +212,13 @@ class Imu(NamedTuple):
         return self.raw_temperature / 340 + 36.53
 
     def implausible(self) -> str:
-        """Why these values cannot be, or ''."""
+        """Why these values are impossible, or ''."""
         qw, qx, qy, qz = self[:4]
         square = qw * qw + qx * qx + qy * qy + qz * qz
         if _LEAST_SQUARED <= square <= _MOST_SQUARED:
             return ''
-        return f'norm of the quaternion is {(square / _UNIT_SQUARED) ** 0.5:.3f}'
+        norm = (square / _UNIT_SQUARED) ** 0.5
+        return f'the norm of the quaternion is {norm:.3f}, may be 0.95 … 1.05'
 
     def __str__(self) -> str:
         return 'IMU q ({:.3f} {:.3f} {:.3f} {:.3f}) a ({:.2f} {:.2f} {:.2f}) m/s^2'.format(
@@ -217,38 +230,42 @@ TO_BOARD = (SpeedCommand, SteeringCommand, LedCommand, Heartbeat, ImuCalibration
 
 
 def encode(message: Any) -> bytes:
-    """The packet on the wire, its ending 0x00 included.
+    """The packet as it is sent, with the 0x00 at its end.
 
     Raises:
-        ValueError: a value that the message does not allow, or too long a packet.
-        struct.error: a raw number of the IMU outside its int16.
+        ValueError: the message does not allow a value, or the packet is too long.
+        struct.error: a raw number of the IMU does not fit an int16.
     """
     return encode_raw(message.TYPE, message.pack())
 
 
 def encode_raw(type_: int, data: bytes) -> bytes:
-    """A packet of any type; ValueError where it is over `MAX_PACKET` bytes."""
+    """A packet of any type, 0 … 255.
+
+    Raises:
+        ValueError: type and data have more than `MAX_PACKET` bytes.
+    """
     if len(data) >= MAX_PACKET:
-        raise ValueError(f'a packet holds at most {MAX_PACKET - 1} bytes of data')
+        raise ValueError(f'{len(data)} bytes of data, a packet holds at most {MAX_PACKET - 1}')
     return cobs.encode(bytes((type_,)) + data) + b'\0'
 
 
 class _Decoder:
-    """Packets ended by 0x00. The next packet after a bad one begins behind its 0x00.
+    """Decodes packets that end with 0x00. After an invalid packet, the next begins after its 0x00.
 
-    Where that very 0x00 is lost or changed, two packets are one bad packet: this framing cannot
-    save the second one.
+    If that 0x00 is lost or changed, two packets become one invalid packet. This framing cannot
+    recover the second one.
 
     Args:
-        check_plausibility: refuse packets whose values cannot be.
-        messages: classes of messages of one's own, see `message_class`; what their rows do not
-            allow is always refused.
+        check_plausibility: treat packets with impossible values as invalid.
+        messages: classes of custom messages: see `message_class`. Their limits are always checked.
     """
 
-    front = needed = 0     # for `skip_false_start`, which this framing never needs
+    front = needed = 0     # for `skip_false_start`, which has no use in this framing
     _messages: Dict[int, Any] = {}
 
-    def __init__(self, check_plausibility: bool = True, messages: Iterable[Any] = ()) -> None:
+    def __init__(self, check_plausibility: bool = True,
+                 messages: Iterable[Type[LayoutMessage]] = ()) -> None:
         self.errors = dict.fromkeys((FRAMING, OVERSIZE, LENGTH, UNKNOWN, IMPLAUSIBLE), 0)
         self._unchecked = frozenset(() if check_plausibility else self._messages)
         self._messages = dict(self._messages)
@@ -257,19 +274,23 @@ class _Decoder:
 
     @property
     def pending(self) -> bool:
-        """Whether a packet has begun and has not ended."""
+        """Whether there is an incomplete packet."""
         return bool(self._begun) or self._dropping
 
-    begun = pending     # each byte stands in a packet: there is no noise between them
+    @property
+    def begun(self) -> bool:
+        """The same: every byte belongs to a packet, so there is no noise between packets."""
+        return self.pending
 
     def reset(self) -> None:
-        """Forget what is pending, as after a reconnect; the counts stay."""
+        """Forget the incomplete packet, as after a reconnect; the counts stay."""
         self._begun = b''
-        self._dropping = False     # the rest of a packet that is too long already
-        self._stamp: Any = None    # of the read that brought the latest byte of it
+        self._dropping = False     # the packet is too long already: drop the rest of it
+        self._stamp: Any = None    # of the read with the packet's latest byte
 
     def feed(self, data: bytes, stamp: Any = None) -> List[Frame]:
-        """Take bytes as they were read; return the packets, good and bad, now complete."""
+        """Decode bytes as they were read; return the packets that are now complete, invalid ones
+        included."""
         frames: List[Frame] = []
         packets = (self._begun + data).split(b'\0')
         self._begun = packets.pop()
@@ -289,16 +310,16 @@ class _Decoder:
         return frames
 
     def give_up(self) -> List[Frame]:
-        """The packet that has begun stays incomplete: drop it."""
+        """Return the incomplete packet as invalid, and drop it."""
         frames: List[Frame] = []
         if self._begun:
             self.errors[FRAMING] += 1
-            frames.append(bad_frame(self._begun, FRAMING, 'a packet cut short', self._stamp))
+            frames.append(invalid_frame(self._begun, FRAMING, 'an incomplete packet', self._stamp))
         self.reset()
         return frames
 
     def skip_false_start(self) -> List[Frame]:
-        """Never needed: a packet announces no length, so it cannot delay the next."""
+        """Do nothing: a packet has no length field, so an invalid one cannot delay the next."""
         return []
 
     def _oversize(self, packet: bytes, frames: List[Frame], stamp: Any) -> None:
@@ -306,18 +327,18 @@ class _Decoder:
 
     def _packet(self, encoded: bytes, stamp: Any) -> Frame:
         raw = encoded + b'\0'
-        packet = cobs.undo(encoded)
+        packet = cobs.decode_or_none(encoded)
         if packet is None:
-            return self._bad(raw, FRAMING, 'a code runs past the end', stamp)
+            return self._bad(raw, FRAMING, 'a COBS code points past the end of the packet', stamp)
         if not packet:
             return self._bad(raw, FRAMING, 'a packet without a type', stamp)
         if len(packet) > MAX_PACKET:
-            return self._bad(raw, OVERSIZE, f'a packet of {len(packet)} bytes', stamp)
+            return self._bad(raw, OVERSIZE, f'a packet of {len(packet)} bytes, over {MAX_PACKET}',
+                             stamp)
         type_, data = packet[0], packet[1:]
         kind = self._messages.get(type_)
         if kind is None:
-            return self._bad(raw, UNKNOWN, f'message type {type_} is not known here', stamp,
-                             type_, data)
+            return self._bad(raw, UNKNOWN, f'message type {type_} is unknown', stamp, type_, data)
         try:
             message = kind.unpack(data) if kind is not Log else Log.unpack(type_, data)
         except struct.error:
@@ -328,24 +349,26 @@ class _Decoder:
             return self._bad(raw, IMPLAUSIBLE, f'{kind.LABEL}: {reason}', stamp, type_, data)
         return frame_of((raw, type_, 0, data, message, stamp, '', ''))
 
-    def _bad(self, raw, cause, error, stamp, type_=0, data=b'') -> Frame:
+    def _bad(self, raw: bytes, cause: str, error: str, stamp: Any, type_: int = 0,
+             data: bytes = b'') -> Frame:
         self.errors[cause] += 1
-        return bad_frame(raw, cause, error, stamp, type_, data)
+        return invalid_frame(raw, cause, error, stamp, type_, data)
 
-    # -- for people -------------------------------------------------------------------------
+    # -- for `wire explain` -----------------------------------------------------------------
 
     def explain(self, frame: bytes) -> List[Part]:
-        """The bytes of one packet, good, bad or incomplete, by name; an empty one before it.
+        """The named parts of one packet, valid or not, or incomplete; and empty packets before it.
 
-        A COBS code that stands for a zero belongs to the value that has the zero; any other is
-        a part of its own.
+        A COBS code that replaces a zero belongs to the value with the zero; any other code is a
+        part of its own.
         """
         parts = Parts(frame)
         begin = len(frame) - len(frame.lstrip(b'\0'))
         if begin:
             parts.take_bytes(begin, 'empty packet')
         end = frame.find(b'\0', begin)
-        decoded, places, past = cobs.trace(frame[begin:] if end < 0 else frame[begin:end])
+        encoded = frame[begin:] if end < 0 else frame[begin:end]
+        decoded, places, past = cobs.decode_with_places(encoded)
         inner = Parts(decoded)
         kind = self._messages.get(decoded[0]) if decoded else None
         if decoded:
@@ -364,19 +387,19 @@ class _Decoder:
         rest = len(frame) if end < 0 else end
         if rest > parts.at:
             parts.take(rest - parts.at, 'COBS code')
-        parts.take(1, 'end', error=f'a COBS code runs {past} bytes past it' if past else ''
+        parts.take(1, 'end', error=f'a COBS code points {past} bytes past it' if past else ''
                    if decoded or end < 0 else 'a packet without a type')
-        return parts.take_rest('noise', 'bytes behind the packet')
+        return parts.take_rest('noise', 'bytes after the packet')
 
 
 class Decoder(_Decoder):
-    """Board -> us."""
+    """Decodes what the board sends."""
 
     _messages = {**{message.TYPE: message for message in FROM_BOARD},
                  **dict.fromkeys(Log.TYPES, Log)}
 
 
 class BoardDecoder(_Decoder):
-    """Us -> board, for simulated boards."""
+    """Decodes what is sent to the board; for simulated boards and for displays."""
 
     _messages = {message.TYPE: message for message in TO_BOARD}

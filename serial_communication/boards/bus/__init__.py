@@ -1,12 +1,13 @@
-"""The control board on robot-ctrl-bus: lift, gimbal, and readings of the air."""
+"""The control board on robot-ctrl-bus: lift, gimbal and environment sensors."""
 from typing import Any, Mapping
 
+from ...framing.stream import Decoder
 from ..description import Command, CustomRows, Description, Topic
 from . import wire
 from .functions import read_functions
 
 
-def _decoder(sent: bool, parameters: Mapping[str, Any]) -> Any:
+def _decoder(sent: bool, parameters: Mapping[str, Any]) -> Decoder:
     functions = read_functions(parameters.get('functions') or {})
     return wire.RequestDecoder(functions=functions) if sent else wire.ReplyDecoder(
         bool(parameters.get('reply_has_cmd2')), functions=functions)

@@ -1,6 +1,6 @@
-"""Custom functions of the bus: ``bus/functions``, one entry each by name.
+"""Custom functions of the bus: ``bus/functions``, one row for each.
 
-config/own_messages.yaml shows their keys. Whatever they have of ROS is text here.
+config/custom_messages.yaml shows their keys. The names of ROS types are plain text here.
 """
 from typing import Any, List, NamedTuple, Optional, Tuple
 
@@ -14,22 +14,26 @@ _KEYS = ('cmd2', 'srv_type', 'ros_type', 'period', 'frame_id', 'request', 'reply
 
 
 class CustomFunction(NamedTuple):
-    """An entry of ``bus/functions``."""
+    """A row of ``bus/functions``: a service (`srv_type`) or a polled topic (`ros_type`)."""
 
     name: str
-    key: str
+    key: str               # its parameter, bus/functions/NAME
     cmd2: int
-    request: Layout        # of the DATE
-    reply: Layout
-    srv_type: str          # called; or else:
-    ros_type: str          # asked every `period` s
-    period: float
+    request: Layout        # the request's DATE
+    reply: Layout          # the OK's DATE
+    srv_type: str          # '' for a polled topic
+    ros_type: str          # '' for a service
+    period: float          # s between two polls; 0 for a service
     frame_id: str
-    timeout: Optional[float]
+    timeout: Optional[float]     # s; None: bus/reply_timeout
     repeatable: bool
 
-    def ask(self, values: Tuple) -> wire.Request:
-        """The request; ValueError for a value that its place cannot hold, or beyond a limit."""
+    def make_request(self, values: Tuple) -> wire.Request:
+        """The request with these values.
+
+        Raises:
+            ValueError: a value does not fit the layout, or is out of its range.
+        """
         reason = self.request.implausible(values)
         if reason:
             raise ValueError(reason)
@@ -38,8 +42,8 @@ class CustomFunction(NamedTuple):
         request.text = f'{self.name} {self.request.text(values)}'.rstrip()
         return request
 
-    def answer(self, reply: wire.Reply) -> wire.Reply:
-        """A reply to it, which says so if it is an OK with the right data."""
+    def name_reply(self, reply: wire.Reply) -> wire.Reply:
+        """The same reply, whose text has the function's name if it is an OK with fitting data."""
         if reply.cmd1 != wire.OK or not self.reply.fits(len(reply.data)):
             return reply
         named = wire.NamedReply(*reply)
@@ -48,7 +52,11 @@ class CustomFunction(NamedTuple):
 
 
 def read_functions(entries: Any, key: str = 'bus/functions') -> List[CustomFunction]:
-    """The functions of ``bus/functions``; RowError for the first mistake in them."""
+    """The custom functions in ``bus/functions``.
+
+    Raises:
+        RowError: for the first mistake in them.
+    """
     functions: List[CustomFunction] = []
     for name, row in rows(entries, key, _KEYS):
         if ('srv_type' in row.given) == ('ros_type' in row.given):
@@ -57,9 +65,9 @@ def read_functions(entries: Any, key: str = 'bus/functions') -> List[CustomFunct
                           'a whole number from 0 to 255 but 32, 33 and 34', whole=True)
         row.refuse_second('cmd2', cmd2, {other.cmd2: other.name for other in functions})
         polled = 'ros_type' in row.given
-        for unfit in ('srv_type', 'repeatable') if polled else ('period', 'frame_id'):
-            if unfit in row.given:
-                raise RowError(row.name(unfit), row.given[unfit],
+        for unused in ('srv_type', 'repeatable') if polled else ('period', 'frame_id'):
+            if unused in row.given:
+                raise RowError(row.name(unused), row.given[unused],
                                f'has no meaning beside {"ros_type" if polled else "srv_type"}')
         functions.append(CustomFunction(
             name, row.key, cmd2, _layout(row, 'request', only_zeros=polled), _layout(row, 'reply'),
@@ -75,12 +83,12 @@ def read_functions(entries: Any, key: str = 'bus/functions') -> List[CustomFunct
 
 
 def _layout(row: Row, key: str, only_zeros: bool = False) -> Layout:
-    """The layout of a request's or a reply's DATE."""
+    """The layout of the DATE of a request or a reply."""
     if key not in row.given:
         return wire.NO_DATA
     inner = Row(row.name(key), row.given[key], LAYOUT_KEYS)
     layout, values = inner.layout(wire.MAX_LENGTH)
     if only_zeros and any(value.name for value in values):
         raise RowError(inner.name('fields'), inner.given['fields'], 'may be empty texts only: '
-                       'there is no message to take the values of a polled request from')
+                       'a polled request has no message to take values from')
     return Layout(layout, values)

@@ -1,4 +1,4 @@
-"""The link to the main control board: a Master that serves blocking callers and polls."""
+"""The link to the control board: sends polls, and requests of callers, who wait for the outcome."""
 import os
 import time
 from typing import Any, Callable, List, NamedTuple, Optional, Tuple
@@ -11,60 +11,60 @@ from ...link.outcome import NOT_SENT, Outcome
 from ...transport.pace import Every
 from ...transport.port import Port, PortBusy, PortError
 from . import wire
-from .master import PATIENCE, Call, Condition, Master
+from .master import NOT_READY_WAIT, Call, Condition, Master
 
-_BLOCKED = 0.05     # s until a port that took no data is tried again
-_SLOW = (wire.LIFT, wire.GIMBAL)    # functions that move something
+_BLOCKED = 0.05     # s until the next try, after the port took no data
+_MOVES = (wire.LIFT, wire.GIMBAL)   # functions that have the motion timeout
 
 
 class BusSettings(NamedTuple):
-    """Parameters of the session, in seconds where they are times."""
+    """Parameters of the session; times are in s."""
 
     reply_timeout: float = 0.5
     motion_timeout: float = 5.0
-    retries: int = 2                   # beyond the first try, where a request may be repeated
+    retries: int = 2                   # further tries of a repeatable request
     environment_period: float = 1.0    # 0: never
     environment_datelen: int = 2
     reply_has_cmd2: bool = False
 
 
 class _Poller:
-    """Asks one thing every `period` seconds, unless the time before has no outcome yet.
+    """Submits one request every `period` s, unless the one before has no outcome yet.
 
     Args:
         period: s.
-        ask: submits the request; returns its call.
+        submit: submits the request; returns its call.
     """
 
-    def __init__(self, period: float, ask: Callable[[], Call]) -> None:
+    def __init__(self, period: float, submit: Callable[[], Call]) -> None:
         self.pace = Every(period, 0.0)
         self._period = period
-        self._ask = ask
+        self._submit = submit
         self._latest: Optional[Call] = None
 
     def start(self, now: float) -> None:
-        """The periods count from here."""
-        self.pace = Every(self._period, now - self._period)     # the first one at once
+        """Begin the periods now; the first request is due at once."""
+        self.pace = Every(self._period, now - self._period)
 
     def tick(self, now: float) -> None:
-        """Ask if it is time; what was missed meanwhile is not made up for."""
+        """Submit the request if it is due; missed periods are skipped."""
         if not self.pace.passed(now):
             return
         if self._latest is None or self._latest.outcome is not None:
-            self._latest = self._ask()
+            self._latest = self._submit()
 
 
 class BusLink(Link):
-    """Requests from any thread; each is answered, whatever happens to the port.
+    """Takes requests from any thread. Each gets an outcome, whatever happens to the port.
 
     Args:
-        on_environment: is called in the link's thread with each reading and its stamp.
-        link_arguments: frame_timeout, clock and logger, as `Link` has them.
+        on_environment: called in the link's thread with each reading and its stamp.
+        link_arguments: frame_timeout, clock and logger, as for `Link`.
     """
 
     def __init__(self, port: Port, settings: BusSettings = BusSettings(),
                  on_environment: Optional[Callable[[wire.Environment, Any], None]] = None,
-                 **link_arguments) -> None:
+                 **link_arguments: Any) -> None:
         super().__init__('bus', port, wire.ReplyDecoder(settings.reply_has_cmd2),
                          **link_arguments)
         self.settings = settings
@@ -72,30 +72,30 @@ class BusLink(Link):
         self._on_environment = on_environment
         self._pollers: List[_Poller] = []
         self._blocked_until = 0.0
-        self._due = 0.0         # when something is due by time, at the latest
+        self._due = 0.0         # when `tick` has to run next, at the latest
         if settings.environment_period:
             self.poll(settings.environment_period, wire.ENVIRONMENT_REQUEST,
-                      wire.Environment.LAYOUT, self._environment_came)
+                      wire.Environment.LAYOUT, self._environment_received)
 
     # -- for callers --------------------------------------------------------------------
 
     def lift(self, direction: int, distance: int) -> Outcome:
-        """Move the lift by `distance` mm: direction 0 up, 1 down."""
+        """Move the lift by `distance` (0 … 255 mm); direction 0 is up, 1 is down."""
         return self._move(wire.lift, direction, distance)
 
     def gimbal(self, direction: int, angle: int) -> Outcome:
-        """Turn the gimbal by `angle` degrees: 0 left, 1 right, 2 up, 3 down."""
+        """Turn the gimbal by `angle` (0 … 255 degrees); 0 left, 1 right, 2 up, 3 down."""
         return self._move(wire.gimbal, direction, angle)
 
     def environment(self) -> Tuple[Outcome, Optional[wire.Environment]]:
-        """A fresh reading; None where there is none."""
+        """A new reading, or None if the request did not succeed."""
         outcome = self.request(wire.ENVIRONMENT_REQUEST, repeatable=True,
                                reply_layout=wire.Environment.LAYOUT,
-                               on_success=self._environment_came)
+                               on_success=self._environment_received)
         return outcome, wire.Environment.unpack(outcome.data) if outcome.success else None
 
     def echo(self) -> Outcome:
-        """A round trip to the board and back."""
+        """Send an ECHO; the outcome has the round trip."""
         return self.request(wire.echo(os.urandom(4)), repeatable=True)
 
     def sync(self) -> Outcome:
@@ -107,16 +107,17 @@ class BusLink(Link):
                 on_success: Optional[Callable[[Outcome], None]] = None) -> Outcome:
         """Send any request and wait for its outcome.
 
-        Answered within its timeout and the time that it waited for its turn, which is at most
-        `motion_timeout` (0.8 s if that is shorter).
+        Returns after the timeouts of all its tries at the latest, plus the time that it waits for
+        its turn, which is at most `motion_timeout`, or 0.8 s if that is longer.
 
         Args:
-            repeatable: it may be sent again after a timeout: it merely reads.
-            timeout: s from sending to the reply; None: as the settings have it for its kind.
-            reply_layout: what data its OK must have; None: any. `NO_DATA`: none is expected, but
-                a board may send some.
-            on_success: is called in the link's thread with a successful outcome, before or
-                after this returns.
+            repeatable: it only reads, so it may be sent again after a timeout.
+            timeout: s from sending to the reply; None: `motion_timeout` for lift and gimbal, else
+                `reply_timeout`.
+            reply_layout: layout of the data in its OK; None: any data. `NO_DATA`: none is expected,
+                but a board may send some.
+            on_success: called in the link's thread with a successful outcome, before or after
+                this returns.
         """
         if len(request.data) > wire.MAX_LENGTH:
             return Outcome(NOT_SENT, f'data is {len(request.data)} bytes long, may be at most '
@@ -127,21 +128,21 @@ class BusLink(Link):
         call = self._call(request, repeatable, timeout, reply_layout, on_success)
         self.master.submit(call)
         self.wake()
-        return call.wait(max(self.settings.motion_timeout, PATIENCE)
-                         + call.tries * (call.timeout + PATIENCE))
+        return call.wait(max(self.settings.motion_timeout, NOT_READY_WAIT)
+                         + call.tries * (call.timeout + NOT_READY_WAIT))
 
     def poll(self, period: float, request: wire.Request, reply_layout: Optional[Layout],
              on_success: Callable[[Outcome], None], timeout: Optional[float] = None) -> None:
-        """From the start on, send this repeatable request every `period` seconds.
+        """Send this repeatable request every `period` s; has to be called before `start`.
 
-        To be called before `start`. The arguments are those of `request`.
+        The other arguments are those of `request`.
         """
-        def ask() -> Call:
+        def submit() -> Call:
             call = self._call(request, True, timeout, reply_layout, on_success, poll=True)
             self.master.submit(call)
             return call
 
-        self._pollers.append(_Poller(period, ask))
+        self._pollers.append(_Poller(period, submit))
 
     def _move(self, build: Callable[[int, int], wire.Request], direction: int,
               amount: int) -> Outcome:
@@ -156,12 +157,12 @@ class BusLink(Link):
               poll: bool = False) -> Call:
         settings = self.settings
         if timeout is None:
-            slow = request.cmd1 == wire.FUNCTION and request.cmd2 in _SLOW
-            timeout = settings.motion_timeout if slow else settings.reply_timeout
+            moves = request.cmd1 == wire.FUNCTION and request.cmd2 in _MOVES
+            timeout = settings.motion_timeout if moves else settings.reply_timeout
         return Call(request, timeout, repeatable, 1 + settings.retries, time.monotonic(), poll,
                     reply_layout, on_success)
 
-    def _environment_came(self, outcome: Outcome) -> None:
+    def _environment_received(self, outcome: Outcome) -> None:
         if self._on_environment:
             self._on_environment(wire.Environment.unpack(outcome.data), outcome.stamp)
 
@@ -183,30 +184,30 @@ class BusLink(Link):
         self.master.received(frame, now)
 
     def shown(self, frame: Frame) -> Frame:
-        request = self.master.asked
+        request = self.master.outstanding_request
         if frame.cause or not isinstance(request, wire.NamedRequest):
             return frame
-        return frame._replace(message=request.function.answer(frame.message))
+        return frame._replace(message=request.function.name_reply(frame.message))
 
     def damaged(self, frame: Frame, now: float) -> None:
         self.master.damaged(frame, now)
 
     def stalled(self, seconds: float, now: float) -> None:
-        self.master.missed('the bridge stalled', now)
+        self.master.may_have_missed('the bridge stalled', now)
 
     def altered(self, now: float) -> None:
-        self.master.missed('the settings of the port were changed', now)
+        self.master.may_have_missed('another program changed the settings of the port', now)
 
     def tick(self, now: float) -> Optional[float]:
         if not self.drained and now < self._due:
-            return now      # nothing may be sent before the port has been read empty
+            return now      # nothing may be sent before everything received has been read
         times = [now + LONGEST_SLEEP]
         if self.master.synchronised:
             for poller in self._pollers:
                 poller.tick(now)
                 times.append(poller.pace.due)
-        # A request leaves only when everything received before it has been taken in.
-        may_send = (self.drained and not self.decoder.begun and not self.drops
+        # A request is sent only after everything received before it has been decoded.
+        may_send = (self.drained and not self.decoder.begun and not self.is_dropping
                     and now >= self._blocked_until)
         request, wake_at = self.master.step(now, may_send)
         if request is not None:
@@ -223,12 +224,13 @@ class BusLink(Link):
         try:
             self.send(frame, request.cmd1, request.cmd2, request.data, request)
         except PortBusy as error:
-            self.log.warn('busy', f'{error}; is the board held by flow control?')
+            self.log.warn('busy', f'{error}; the output that waited is dropped; '
+                          'does flow control block the port?')
             self.port.discard_output()
             self.master.not_sent(str(error))
             self._blocked_until = now + _BLOCKED
         except PortError:
-            self.master.not_sent('the port has gone')
+            self.master.not_sent('the port closed')
             raise
 
     # -- diagnostics --------------------------------------------------------------------
@@ -236,26 +238,26 @@ class BusLink(Link):
     def condition(self, now: float) -> Tuple[int, str]:
         if not self.port.is_open:
             return super().condition(now)
-        amiss = self.master.condition()
-        if amiss is Condition.READY:
+        condition = self.master.condition()
+        if condition is Condition.READY:
             return OK, 'ready'
-        return ERROR if amiss in (Condition.NO_SYNC, Condition.NO_ECHO) else WARN, amiss.value
+        level = ERROR if condition in (Condition.NO_SYNC, Condition.NO_ECHO) else WARN
+        return level, condition.value
 
     def talks(self, now: float) -> Optional[bool]:
-        # It talks only when it is asked.
-        # That it answers no ECHO is reported by the master: there are boards that know none.
+        # None for NO_ECHO: some boards do not know ECHO, and the Master has logged it.
         return {Condition.READY: True, Condition.NO_SYNC: False}.get(self.master.condition())
 
     def silence(self) -> str:
-        return (f'{self.master.condition().value}; asking on: has it power, is it wired, and is '
-                f'{self.port.baud} baud right?')
+        return (f'{self.master.condition().value}; SYNC is repeated; check its power, its wiring '
+                f'and the baud rate ({self.port.baud})')
 
     def error_count(self) -> int:
         master = self.master
         return (super().error_count() + master.timeouts + master.length_errors
                 + master.implausible)
 
-    def own_values(self) -> List[Tuple[str, Any]]:
+    def extra_values(self) -> List[Tuple[str, Any]]:
         times = sorted(self.master.round_trips)
         return [('timeouts', self.master.timeouts),
                 ('length errors', self.master.length_errors),

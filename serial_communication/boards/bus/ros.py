@@ -1,5 +1,5 @@
 """The bus link in ROS: its parameters, its topics and its services."""
-from typing import Any, Callable, Dict, List, NamedTuple, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 
 import rospy
 from sensor_msgs.msg import RelativeHumidity, Temperature
@@ -11,10 +11,10 @@ from serial_communication.srv import (BusRequest, BusRequestResponse, GetEnviron
                                       LiftResponse)
 
 from ...link.outcome import NOT_SENT, Outcome
-from ...ros.answers import tell
-from ...ros.custom_topics import RowTopic, check_frame_id, names_of, refuse_taken
+from ...ros.answers import fill_response
+from ...ros.custom_topics import ValuePublisher, check_frame_id, names_of, refuse_taken
 from ...ros.fields import RosFields, find_type
-from ...ros.interface import Common, Interface
+from ...ros.interface import LinkOptions, Interface
 from ...ros.parameter import BAUD, PORT, Parameter, seconds
 from ...ros.publishing import publisher, wanted
 from ...transport.port import Port
@@ -26,7 +26,7 @@ _DEFAULTS = BusSettings()
 
 
 class BusInterface(Interface):
-    """Services in, readings out."""
+    """Offers services and publishes readings."""
 
     NAME = DESCRIPTION.name
     PARAMETERS = {
@@ -38,67 +38,68 @@ class BusInterface(Interface):
         'environment_period': seconds(_DEFAULTS.environment_period, 0.0, 86400.0),
         'environment_datelen': Parameter(_DEFAULTS.environment_datelen, choices=(0, 2)),
         'reply_has_cmd2': Parameter(_DEFAULTS.reply_has_cmd2),
-        'functions': Parameter({}, parse=lambda given: _rows(given)),
+        'functions': Parameter({}, parse=lambda given: _ros_functions(given)),
     }
+    link: BusLink
 
-    def __init__(self, parameters: Dict[str, Any], common: Common) -> None:
+    def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
         p = parameters
         self.link = BusLink(
             Port(p['port'], p['baud']),
             BusSettings(**{name: p[name] for name in BusSettings._fields}),
-            on_environment=self._publish_environment, **common._asdict())
-        self._own = p['functions']
-        _poll(self._own, self.link, p['frame_prefix'])
+            on_environment=self._publish_environment, **link_options._asdict())
+        self._functions = p['functions']
+        _poll_functions(self._functions, self.link, p['frame_prefix'])
         self._environment = publisher('~environment', Environment)
         self._temperature = publisher('~environment/temperature', Temperature)
         self._humidity = publisher('~environment/humidity', RelativeHumidity)
         self._frame_id = p['base_frame_id']
 
     @staticmethod
-    def own_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
+    def custom_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
         return names_of(parameters['functions'], '~')
 
     def advertise(self) -> None:
-        """Offer the services."""
+        """Advertise the services."""
         for name, service, handler in (
                 ('~lift', Lift, self._lift), ('~gimbal', Gimbal, self._gimbal),
                 ('~get_environment', GetEnvironment, self._get_environment),
                 ('~bus/request', BusRequest, self._request),
                 ('~bus/echo', Trigger, self._echo), ('~bus/sync', Trigger, self._sync)):
             rospy.Service(name, service, handler)
-        _offer(self._own, self.link)
+        _advertise_functions(self._functions, self.link)
 
-    def _lift(self, request) -> LiftResponse:
-        return tell(LiftResponse(), self.link.lift(request.direction, request.distance))
+    def _lift(self, request: Any) -> LiftResponse:
+        return fill_response(LiftResponse(), self.link.lift(request.direction, request.distance))
 
-    def _gimbal(self, request) -> GimbalResponse:
-        return tell(GimbalResponse(), self.link.gimbal(request.direction, request.angle))
+    def _gimbal(self, request: Any) -> GimbalResponse:
+        return fill_response(GimbalResponse(), self.link.gimbal(request.direction, request.angle))
 
-    def _get_environment(self, _request) -> GetEnvironmentResponse:
+    def _get_environment(self, _request: Any) -> GetEnvironmentResponse:
         outcome, reading = self.link.environment()
-        response = tell(GetEnvironmentResponse(), outcome)
+        response = fill_response(GetEnvironmentResponse(), outcome)
         if reading:
             response.environment = self._message(reading, rospy.Time.now())
             response.message = f'done: {reading}'
         return response
 
-    def _request(self, request) -> BusRequestResponse:
+    def _request(self, request: Any) -> BusRequestResponse:
         outcome = self.link.request(wire.Request(request.cmd1, request.cmd2,
                                                  bytes(request.data)))
-        response = tell(BusRequestResponse(), outcome)
+        response = fill_response(BusRequestResponse(), outcome)
         response.data = outcome.data
         return response
 
-    def _echo(self, _request) -> TriggerResponse:
+    def _echo(self, _request: Any) -> TriggerResponse:
         outcome = self.link.echo()
-        response = tell(TriggerResponse(), outcome)
+        response = fill_response(TriggerResponse(), outcome)
         if outcome.success:
             response.message = f'{outcome.round_trip * 1e3:.2f} ms'
         return response
 
-    def _sync(self, _request) -> TriggerResponse:
+    def _sync(self, _request: Any) -> TriggerResponse:
         outcome = self.link.sync()
-        response = tell(TriggerResponse(), outcome)
+        response = fill_response(TriggerResponse(), outcome)
         if outcome.success:
             response.message = 'synchronised'
         return response
@@ -121,74 +122,74 @@ class BusInterface(Interface):
 # -- custom functions --------------------------------------------------------------------------
 
 
-class RowFunction(NamedTuple):
-    """A function of one's own, and what it is in ROS."""
+class RosFunction(NamedTuple):
+    """A custom function with its ROS types."""
 
-    own: CustomFunction      # its reply takes for implausible what a field cannot hold
-    ros_class: Any        # of the service, or of the message that is published
-    request: Any          # RosFields; None where it is published
+    custom: CustomFunction           # its reply also has the limits of the ROS fields
+    ros_class: Any                   # class of the service, or of the published message
+    request: Optional[RosFields]     # None for a polled topic
     reply: RosFields
 
 
-def _rows(given: Any) -> List[RowFunction]:
-    """What ``bus/functions`` is; RowError for the first mistake in it."""
-    return [_row(own) for own in read_functions(given)]
+def _ros_functions(given: Any) -> List[RosFunction]:
+    """The custom functions in ``bus/functions``; RowError for the first mistake in them."""
+    return [_ros_function(function) for function in read_functions(given)]
 
 
-def _row(own: CustomFunction) -> RowFunction:
-    refuse_taken(own, '~')
-    request = None
-    if own.srv_type:
-        found = find_type(f'{own.key}/srv_type', own.srv_type, 'srv')
-        request = RosFields(found._request_class, own.request, f'{own.key}/request/fields')
-        reply = RosFields(found._response_class, own.reply, f'{own.key}/reply/fields')
+def _ros_function(function: CustomFunction) -> RosFunction:
+    refuse_taken(function, '~')
+    key, request = function.key, None
+    if function.srv_type:
+        found = find_type(f'{key}/srv_type', function.srv_type, 'srv')
+        request = RosFields(found._request_class, function.request, f'{key}/request/fields')
+        reply = RosFields(found._response_class, function.reply, f'{key}/reply/fields')
     else:
-        found = find_type(f'{own.key}/ros_type', own.ros_type)
-        check_frame_id(own, found)
-        reply = RosFields(found, own.reply, f'{own.key}/reply/fields')
-    return RowFunction(own._replace(reply=reply.narrowed(own.reply)), found, request, reply)
+        found = find_type(f'{key}/ros_type', function.ros_type)
+        check_frame_id(function, found)
+        reply = RosFields(found, function.reply, f'{key}/reply/fields')
+    narrowed = function._replace(reply=reply.narrowed(function.reply))
+    return RosFunction(narrowed, found, request, reply)
 
 
-def _poll(rows: List[RowFunction], link: BusLink, frame_prefix: str) -> None:
-    """Ask what is to be published time and again; to be called before the link starts."""
-    for row in rows:
-        own = row.own
-        if own.period:
-            topic = RowTopic('~' + own.name, row.ros_class, row.reply,
-                             own.frame_id and frame_prefix + own.frame_id)
-            link.poll(own.period, own.ask((0,) * len(own.request.values)), own.reply,
-                      _publishing(own, topic), own.timeout)
+def _poll_functions(functions: List[RosFunction], link: BusLink, frame_prefix: str) -> None:
+    """Poll the functions with a period and publish their replies; before the link starts."""
+    for function, ros_class, _, reply in functions:
+        if function.period:
+            topic = ValuePublisher('~' + function.name, ros_class, reply,
+                                   function.frame_id and frame_prefix + function.frame_id)
+            zeros = (0,) * len(function.request.values)
+            link.poll(function.period, function.make_request(zeros), function.reply,
+                      _publish_reply(function, topic), function.timeout)
 
 
-def _publishing(own: CustomFunction, topic: RowTopic) -> Callable[[Outcome], None]:
-    return lambda outcome: topic.publish(_values(own, outcome), outcome.stamp)
+def _publish_reply(function: CustomFunction, topic: ValuePublisher) -> Callable[[Outcome], None]:
+    return lambda outcome: topic.publish(_values(function, outcome), outcome.stamp)
 
 
-def _values(own: CustomFunction, outcome: Outcome) -> Tuple:
-    """Those of an OK. Where no data is expected, the board may have sent some all the same."""
-    return () if own.reply.is_empty else own.reply.unpack(outcome.data)
+def _values(function: CustomFunction, outcome: Outcome) -> Tuple:
+    """The values of an OK. Data that is not expected is left out."""
+    return () if function.reply.is_empty else function.reply.unpack(outcome.data)
 
 
-def _offer(rows: List[RowFunction], link: BusLink) -> None:
-    """Offer the services of one's own functions."""
-    for row in rows:
-        if not row.own.period:
-            rospy.Service('~' + row.own.name, row.ros_class, _service(row, link))
+def _advertise_functions(functions: List[RosFunction], link: BusLink) -> None:
+    for each in functions:
+        if each.request:
+            rospy.Service('~' + each.custom.name, each.ros_class,
+                          _service(each.custom, each.request, each.reply, link))
 
 
-def _service(row: RowFunction, link: BusLink) -> Callable[[Any], Any]:
-    own = row.own
-
-    def handle(request: Any) -> Any:
+def _service(function: CustomFunction, request_fields: RosFields, reply_fields: RosFields,
+             link: BusLink) -> Callable[[Any], Any]:
+    def handle(ros_request: Any) -> Any:
         try:
-            asked = own.ask(row.request.read(request))
+            request = function.make_request(request_fields.read(ros_request))
         except ValueError as error:
             outcome = Outcome(NOT_SENT, f'{error}; nothing was sent')
         else:
-            outcome = link.request(asked, own.repeatable, own.timeout, own.reply)
-        response = tell(row.reply.new(), outcome)
+            outcome = link.request(request, function.repeatable, function.timeout, function.reply)
+        response = fill_response(reply_fields.new(), outcome)
         if outcome.success:
-            row.reply.fill(response, _values(own, outcome))
+            reply_fields.fill(response, _values(function, outcome))
         return response
 
     return handle

@@ -1,22 +1,22 @@
-"""The simulated main control board: lift, gimbal and air, Slave on a robot-ctrl-bus.
+"""The simulated control board: lift, gimbal and environment, the Slave on a robot-ctrl-bus.
 
-It answers every valid request once, in order, and does nothing unasked. While a motion lasts it
-takes requests in and answers them afterwards, as a board with one loop does.
+It answers every valid request once, in order, and sends nothing else. Requests that it receives
+during a motion are answered afterwards, as by a board with one loop.
 
-What it says to a request that is damaged is a matter of safety: INVALID tells the Master that
-nothing was executed, so it sends the request again. Noise can look like a damaged frame and have
-a valid request right behind it; to answer INVALID and then execute that would move a lift twice.
-So INVALID goes out only for what has a frame's form and a wrong checksum, and only when the line
-then stayed quiet for `FRAME_TIMEOUT` without a valid request; noise and frames cut short get no
-answer, nor does what trails a valid request: the Master's timeout deals with them.
+Its answer to an invalid request is a matter of safety. INVALID means that nothing was executed, so
+the Master sends the request again. But noise can look like an invalid frame, with a valid request
+right after it: a board that answers INVALID and then executes that request moves its lift twice. So
+it sends INVALID only for a frame with a wrong checksum, and only after `FRAME_TIMEOUT` of silence
+without a valid request. Noise, incomplete frames and bytes after a valid request get no answer; the
+Master's timeout deals with them.
 
     function     range                       speed                     refused with
-    lift         0 … 1000 mm, starts at 500  100 mm/s                  0x8002 beyond the range
-    gimbal pan   -180 … 180°, left is +      90 °/s                    0x8002 beyond the range
-    gimbal tilt  -45 … 90°, up is +          90 °/s                    0x8002 beyond the range
+    lift         0 … 1000 mm, starts at 500  100 mm/s                  0x8002 out of range
+    gimbal pan   -180 … 180°, left is +      90 °/s                    0x8002 out of range
+    gimbal tilt  -45 … 90°, up is +          90 °/s                    0x8002 out of range
     environment  drifts about 130 raw, 22 °C, 45 %
-    0x55 0xF0    keeps its DATE in a memory of its own and answers OK with the same DATE: a
-                 function that no bridge knows, to try raw requests on
+    0x55 0xF0    stores its DATE and answers OK with the same DATE: a function that no bridge
+                 knows, for trying raw requests
 """
 import argparse
 import math
@@ -26,11 +26,11 @@ from typing import Any, Deque, Iterable, NamedTuple, Optional, Tuple
 
 from ...framing.stream import CHECKSUM, Frame
 from ...simulation.board import FRAME_TIMEOUT, Board, positive
-from ...simulation.custom_messages import wandering
+from ...simulation.custom_messages import simulated_values
 from . import DESCRIPTION, wire
 from .functions import CustomFunction
 
-MEMORY = 0xF0            # CMD2 of the function that a bridge does not know
+MEMORY = 0xF0            # CMD2 of the function that no bridge knows
 LIFT_RANGE = (0, 1000)   # mm
 LIFT_START = 500
 PAN_RANGE = (-180, 180)  # degrees
@@ -38,12 +38,12 @@ TILT_RANGE = (-45, 90)
 LIFT_SPEED = 100.0       # mm/s
 GIMBAL_SPEED = 90.0      # degrees/s
 
-_QUOTED = 64             # bytes that the journal has of what is no valid request
-_MOST_QUEUED = 16        # requests that wait while a motion lasts; more are lost
+_QUOTED = 64             # most bytes of an invalid request in the journal
+_MOST_QUEUED = 16        # requests that can wait during a motion; more are lost
 
 
 class Axis:
-    """Something that moves at an even speed between two limits."""
+    """An axis that moves at constant speed between two limits."""
 
     def __init__(self, position: float, limits: Tuple[float, float], speed: float) -> None:
         self.limits = limits
@@ -53,31 +53,31 @@ class Axis:
 
     def at(self, now: float) -> float:
         """Its position."""
-        way = self._to - self._from
-        gone = min(max(now - self._since, 0.0) * self.speed, abs(way))
-        return self._from + math.copysign(gone, way)
+        distance = self._to - self._from
+        moved = min(max(now - self._since, 0.0) * self.speed, abs(distance))
+        return self._from + math.copysign(moved, distance)
 
-    def allows(self, way: float, now: float) -> bool:
-        """Whether it can move by that much."""
-        return self.limits[0] <= round(self.at(now) + way, 6) <= self.limits[1]
+    def allows(self, distance: float, now: float) -> bool:
+        """Whether it stays within its limits if it moves by `distance`."""
+        return self.limits[0] <= round(self.at(now) + distance, 6) <= self.limits[1]
 
-    def move(self, way: float, now: float) -> float:
-        """Begin to move by `way`; return when it will be there."""
+    def move(self, distance: float, now: float) -> float:
+        """Start to move by `distance`; return when the motion ends."""
         self._from = self.at(now)
-        self._to = self._from + way
+        self._to = self._from + distance
         self._since = now
-        return now + abs(way) / self.speed
+        return now + abs(distance) / self.speed
 
     def halt(self, now: float) -> None:
-        """Stay where it is."""
+        """Stop where it is."""
         self._from = self._to = self.at(now)
 
 
 class _Motion(NamedTuple):
-    """What is being executed."""
+    """The motion that is being executed."""
 
     until: float
-    number: int       # of the request
+    number: int       # the request's number
     request: wire.Request
 
 
@@ -86,17 +86,18 @@ class ControlBoard(Board):
 
     Args:
         lift_speed, gimbal_speed: mm/s and degrees/s.
-        max_length: DATE bytes; a longer request is refused with 0x20, but one that says it is
-            longer than the protocol's 1024, too, is no frame.
-        reply_has_cmd2: replies carry their request's CMD2.
-        echoes: whether it answers ECHO at all.
-        ok_data: DATE bytes that its OK to a move carries.
-        seed: of the air's noise.
-        own: functions of one's own: it answers with values that wander.
+        max_length: most DATE bytes; a longer request is refused with 0x20, and one with over 1024
+            bytes is no frame at all.
+        reply_has_cmd2: whether replies carry their request's CMD2.
+        echoes: whether it answers ECHO.
+        ok_data: DATE of its OK to a move.
+        seed: seed of the environment's noise.
+        custom: custom functions; the values of their replies vary with time.
     """
 
+    decoder: wire.RequestDecoder
     NAME = DESCRIPTION.name
-    SUMMARY = 'main control board: lift, gimbal, air'
+    SUMMARY = 'main control board: lift, gimbal, environment'
     FAULTS = ('drop=0.01 cut=0.01 lose=0.01 flip=0.01 insert=0.01 double=0.01 repeat=0.01 '
               'delay=0.01 late=0.005 rx-drop=0.005 rx-lose=0.005 rx-flip=0.01 rx-insert=0.005 '
               'silence=0.5/min stall=0.5/min reset=0.5/min')
@@ -105,16 +106,16 @@ class ControlBoard(Board):
     @classmethod
     def add_options(cls, parser: argparse.ArgumentParser) -> None:
         parser.add_argument('--lift-speed', type=positive, default=LIFT_SPEED, metavar='MM/S',
-                            help='how fast the lift moves (%(default)g)')
+                            help='speed of the lift (%(default)g)')
         parser.add_argument('--gimbal-speed', type=positive, default=GIMBAL_SPEED,
-                            metavar='DEG/S', help='how fast the gimbal turns (%(default)g)')
+                            metavar='DEG/S', help='speed of the gimbal (%(default)g)')
         parser.add_argument('--max-length', type=_length, default=wire.MAX_LENGTH, metavar='N',
-                            help='longest DATE that it accepts (%(default)d)')
+                            help='most DATE bytes that it accepts (%(default)d)')
         parser.add_argument('--reply-has-cmd2', action='store_true',
                             help="replies carry their request's CMD2")
         parser.add_argument('--no-echo', action='store_true', help='never answer ECHO')
         parser.add_argument('--ok-data', type=bytes.fromhex, default=b'', metavar='HEX',
-                            help='data in the OK to a move, as 0102')
+                            help='data in the OK to a move, such as 0102')
 
     @classmethod
     def from_options(cls, options: argparse.Namespace) -> 'ControlBoard':
@@ -125,15 +126,15 @@ class ControlBoard(Board):
     def __init__(self, lift_speed: float = LIFT_SPEED, gimbal_speed: float = GIMBAL_SPEED,
                  max_length: int = wire.MAX_LENGTH, reply_has_cmd2: bool = False,
                  seed: int = 0, echoes: bool = True, ok_data: bytes = b'',
-                 own: Iterable[CustomFunction] = ()) -> None:
+                 custom: Iterable[CustomFunction] = ()) -> None:
         super().__init__(wire.RequestDecoder(max(wire.MAX_LENGTH, max_length)))
-        self._own = {function.cmd2: function for function in own}
+        self._custom = {function.cmd2: function for function in custom}
         self.lift = Axis(LIFT_START, LIFT_RANGE, lift_speed)
         self.pan = Axis(0, PAN_RANGE, gimbal_speed)
         self.tilt = Axis(0, TILT_RANGE, gimbal_speed)
         self.memory = b''
         self.synchronised = False
-        self.requests = 0       # valid and damaged ones
+        self.requests = 0       # valid and invalid ones
         self.executed = 0
         self._max_length = max_length
         self._reply_has_cmd2 = reply_has_cmd2
@@ -142,8 +143,8 @@ class ControlBoard(Board):
         self._random = Random(f'{seed} air')
         self._motion: Optional[_Motion] = None
         self._queue: Deque[Tuple[int, Frame]] = deque()
-        self._complaint = 0     # the damaged request that INVALID is to be said to; 0: none
-        self._valid = False     # a valid request came with, or just before, these bytes
+        self._invalid_due = 0   # number of the request that INVALID has to answer; 0: none
+        self._valid = False     # a valid request was received with, or just before, these bytes
 
     # -- hooks ----------------------------------------------------------------------------
 
@@ -153,7 +154,7 @@ class ControlBoard(Board):
         self.memory = b''
         self._motion = None
         self._queue.clear()
-        self._complaint = 0
+        self._invalid_due = 0
         self._valid = False
 
     def power_off(self, now: float) -> None:
@@ -162,21 +163,21 @@ class ControlBoard(Board):
 
     def receive(self, data: bytes, now: float) -> None:
         if not self.decoder.begun:
-            self._valid = False    # what comes from now on has nothing to do with what was
+            self._valid = False    # these bytes do not belong to an earlier request
         super().receive(data, now)
 
     def frame(self, frame: Frame, now: float) -> None:
         self.requests += 1
         number = self.requests
         if frame.cause:
-            self.note('request', k=number, raw=frame.raw[:_QUOTED].hex(), sound=False,
+            self.note('request', k=number, raw=frame.raw[:_QUOTED].hex(), valid=False,
                       cause=frame.cause, error=frame.error)
             if frame.cause == CHECKSUM and not self._valid and not self._motion:
-                self._complaint = number
+                self._invalid_due = number
             return
         self._valid = True
-        self._complaint = 0
-        self.note('request', k=number, raw=frame.raw.hex(), sound=True,
+        self._invalid_due = 0
+        self.note('request', k=number, raw=frame.raw.hex(), valid=True,
                   text=f'{frame.message}', **self._genuine(frame))
         if self._motion is None:
             self._serve(number, frame, now)
@@ -197,12 +198,12 @@ class ControlBoard(Board):
             self._serve(number, frame, now)
         if self._motion:
             return self._motion.until
-        if self._complaint:
-            quiet = self._last_byte + FRAME_TIMEOUT
-            if now < quiet:
-                return quiet
-            self.say('a request came damaged; answering INVALID')
-            self._reply(self._complaint, _invalid(wire.CHECKSUM_MISMATCH))
+        if self._invalid_due:
+            silent_until = self._last_byte + FRAME_TIMEOUT
+            if now < silent_until:
+                return silent_until
+            self.say('received a request with a wrong checksum; answering INVALID')
+            self._reply(self._invalid_due, _invalid(wire.CHECKSUM_MISMATCH))
         return None
 
     def fields(self, frame: bytes, message: Any) -> dict:
@@ -213,6 +214,7 @@ class ControlBoard(Board):
 
     def _serve(self, number: int, frame: Frame, now: float) -> None:
         request = frame.message
+        reply: Optional[wire.Reply]
         if len(request.data) > self._max_length:
             reply = _invalid(wire.TOO_LONG)
         elif request.cmd1 == wire.SYNC:
@@ -239,13 +241,13 @@ class ControlBoard(Board):
             self._reply(number, reply, request)
 
     def _function(self, number: int, request: wire.Request, now: float) -> Optional[wire.Reply]:
-        """The reply, or None if it follows when the motion has ended."""
+        """The reply, or None if it is sent when the motion ends."""
         if request.cmd2 == wire.ENVIRONMENT:
             if request.data:
                 return _error(wire.MALFORMED)
-            return wire.Reply(wire.OK, self.air(now).pack())
-        if request.cmd2 in self._own:
-            return self._own_function(self._own[request.cmd2], request, now)
+            return wire.Reply(wire.OK, self.environment(now).pack())
+        if request.cmd2 in self._custom:
+            return self._custom_function(self._custom[request.cmd2], request, now)
         if request.cmd2 == MEMORY:
             self.memory = request.data
             return wire.Reply(wire.OK, request.data)
@@ -256,30 +258,32 @@ class ControlBoard(Board):
             return _error(wire.MALFORMED)
         direction, amount = request.data
         if request.cmd2 == wire.LIFT:
-            axis, name, unit, way = self.lift, 'lift', ' mm', -amount if direction else amount
+            axis, name, unit, sign = self.lift, 'lift', ' mm', -1 if direction else 1
         elif direction < 2:
-            axis, name, unit, way = self.pan, 'pan', '°', -amount if direction else amount
+            axis, name, unit, sign = self.pan, 'pan', '°', -1 if direction else 1
         else:
-            axis, name, unit, way = self.tilt, 'tilt', '°', amount if direction == 2 else -amount
-        if not axis.allows(way, now):
+            axis, name, unit, sign = self.tilt, 'tilt', '°', 1 if direction == 2 else -1
+        distance = sign * amount
+        if not axis.allows(distance, now):
             return _error(wire.OPERATION_FAILED)
         start = axis.at(now)
-        self._motion = _Motion(axis.move(way, now), number, request)
+        self._motion = _Motion(axis.move(distance, now), number, request)
         self.say(f'{name}: {directions[direction]} {amount}{unit}: {round(start, 1):g} -> '
-                 f'{round(start + way, 1):g}{unit}')
+                 f'{round(start + distance, 1):g}{unit}')
         return None
 
-    def _own_function(self, own: CustomFunction, request: wire.Request, now: float) -> wire.Reply:
-        if not own.request.fits(len(request.data)):
+    def _custom_function(self, function: CustomFunction, request: wire.Request,
+                         now: float) -> wire.Reply:
+        if not function.request.fits(len(request.data)):
             return _error(wire.MALFORMED)
-        values = own.request.unpack(request.data)
-        if own.request.implausible(values):
+        values = function.request.unpack(request.data)
+        if function.request.implausible(values):
             return _error(wire.OPERATION_FAILED)
-        self.say(f'{own.name} {own.request.text(values)}'.rstrip())
-        return wire.Reply(wire.OK, own.reply.pack(wandering(own.reply, now)))
+        self.say(f'{function.name} {function.request.text(values)}'.rstrip())
+        return wire.Reply(wire.OK, function.reply.pack(simulated_values(function.reply, now)))
 
-    def air(self, now: float) -> wire.Environment:
-        """What the sensors measure."""
+    def environment(self, now: float) -> wire.Environment:
+        """What the environment sensors measure."""
         gauss = self._random.gauss
         return wire.Environment(
             round(130 + 15 * math.sin(now / 40) + gauss(0, 2)),
@@ -290,14 +294,14 @@ class ControlBoard(Board):
 
     def _reply(self, number: int, reply: wire.Reply,
                request: Optional[wire.Request] = None) -> None:
-        self._complaint = 0
+        self._invalid_due = 0
         if request is not None:
             reply = reply._replace(cmd2=request.cmd2)
         self.send(wire.encode_reply(reply, self._reply_has_cmd2),
                   (number if request is not None else 0, reply))
 
     def _genuine(self, frame: Frame) -> dict:
-        return {} if self.line.came(frame.raw) else {'genuine': False}
+        return {} if self.line.is_unaltered(frame.raw) else {'genuine': False}
 
 
 def _invalid(code: int) -> wire.Reply:
@@ -311,7 +315,7 @@ def _error(code: int) -> wire.Reply:
 def _length(text: str) -> int:
     value = int(text)
     if not 0 < value <= wire.MAX_LENGTH:
-        raise argparse.ArgumentTypeError(f'{text} is not 1 to {wire.MAX_LENGTH}')
+        raise argparse.ArgumentTypeError(f'{text} is not a number from 1 to {wire.MAX_LENGTH}')
     return value
 
 

@@ -1,4 +1,4 @@
-"""robot-ctrl-bus: one Master asks, one Slave answers, over RS232. Both directions.
+"""robot-ctrl-bus over RS232: one Master sends requests, one Slave replies. Both directions.
 
     request  +------+---------+------+------+--------+----------+
              | Flag | Datelen | CMD1 | CMD2 | DATE … | Checksum |
@@ -9,9 +9,9 @@
 
 Flag 0xA5: standard frame, Datelen is one byte, under 255. Flag 0x5A: long frame, Datelen is a
 uint16, 255 or more. Datelen counts the DATE bytes. Checksum: XOR of every byte before it.
-Little-endian. Decisions where the source is silent: see doc/protocols.md.
+Little-endian. doc/protocols.md lists the decisions where the source says nothing.
 """
-from typing import Any, Iterable, List, NamedTuple, Optional
+from typing import Any, Iterable, List, NamedTuple, Optional, Union
 
 from ...framing.layout import Layout, Value
 from ...framing.parts import Part, Parts
@@ -24,7 +24,7 @@ MAX_LENGTH = 1024      # most DATE bytes accepted
 # CMD1 of a request; a SYNC or ECHO reply has the same.
 SYNC = 0x00
 ECHO = 0x01
-FUNCTION = 0x55        # what function: CMD2
+FUNCTION = 0x55        # CMD2 says which
 # CMD1 of a reply
 OK = 0x02              # executed
 ERROR = 0x03           # understood, and failed
@@ -53,7 +53,7 @@ ERROR_TEXTS = {
 LIFT_DIRECTIONS = ('up', 'down')
 GIMBAL_DIRECTIONS = ('left', 'right', 'up', 'down')
 
-NO_DATA = Layout('<', ())     # of a DATE that is empty
+NO_DATA = Layout('<', ())     # layout of an empty DATE
 
 _MOVES = {
     LIFT: ('lift', LIFT_DIRECTIONS, Value('distance', 'mm')),
@@ -65,7 +65,7 @@ _REPLY_NAMES = {SYNC: 'SYNC', ECHO: 'ECHO', OK: 'OK', ERROR: 'ERROR', INVALID: '
 
 
 class Request(NamedTuple):
-    """What the Master asks. `lift`, `gimbal` and the constants below make the known ones."""
+    """A request of the Master. See also `lift`, `gimbal`, `echo` and the constants below."""
 
     cmd1: int
     cmd2: int = 0
@@ -80,14 +80,15 @@ class Request(NamedTuple):
         if self.cmd1 == FUNCTION:
             if self.cmd2 == ENVIRONMENT and not data:
                 return 'environment?'
-            name, directions, amount = _MOVES.get(self.cmd2, ('', (), None))
-            if len(data) == 2 and data[0] < len(directions):
-                return f'{name} {directions[data[0]]} {data[1]} {amount.unit}'
+            if self.cmd2 in _MOVES and len(data) == 2:
+                name, directions, amount = _MOVES[self.cmd2]
+                if data[0] < len(directions):
+                    return f'{name} {directions[data[0]]} {data[1]} {amount.unit}'
         return f'request 0x{self.cmd1:02x} 0x{self.cmd2:02x} {data.hex()}'
 
 
 class Reply(NamedTuple):
-    """What the Slave answers."""
+    """A reply of the Slave."""
 
     cmd1: int
     data: bytes = b''
@@ -95,7 +96,7 @@ class Reply(NamedTuple):
 
     @property
     def error_code(self) -> int:
-        """Of an ERROR or INVALID, one or two bytes long; 0 where there is none."""
+        """The code in an ERROR or INVALID, one or two bytes long; 0 if there is none."""
         if self.cmd1 in (ERROR, INVALID):
             return int.from_bytes(self.data[:2], 'little')
         return 0
@@ -110,17 +111,17 @@ class Reply(NamedTuple):
 
 
 class NamedRequest(Request):
-    """A request of a function of one's own, which has a name; it says so."""
+    """A request of a custom function; its text has the function's name."""
 
     text = ''
-    function: Any = None     # what it asks for
+    function: Any = None     # the CustomFunction
 
     def __str__(self) -> str:
         return self.text
 
 
 class NamedReply(Reply):
-    """The OK to a function of one's own, which has a name; it says so."""
+    """The OK to a custom function; its text has the function's name."""
 
     text = ''
 
@@ -128,19 +129,22 @@ class NamedReply(Reply):
         return self.text
 
 
-class Environment(NamedTuple):
-    """The DATE of an OK reply to the environment request."""
-
-    LAYOUT = Layout('<HhH', [Value('smoke'), Value('temperature', '°C', 0.01),
-                             Value('humidity', '%', 0.01)])
-
+class _EnvironmentValues(NamedTuple):
     smoke: int          # raw, 0 … 65535
     temperature: float  # °C, in steps of 0.01
     humidity: float     # relative, %, in steps of 0.01
 
+
+class Environment(_EnvironmentValues):
+    """The DATE of an OK reply to the environment request."""
+
+    __slots__ = ()
+    LAYOUT = Layout('<HhH', [Value('smoke'), Value('temperature', '°C', 0.01),
+                             Value('humidity', '%', 0.01)])
+
     @classmethod
     def unpack(cls, data: bytes) -> 'Environment':
-        """From six DATE bytes; struct.error with any other number."""
+        """From six DATE bytes; struct.error if there are more or fewer."""
         smoke, temperature, humidity = cls.LAYOUT.raw(data)
         return cls(smoke, temperature / 100, humidity / 100)
 
@@ -151,7 +155,7 @@ class Environment(NamedTuple):
 
     @classmethod
     def parts(cls, data: bytes) -> List[Part]:
-        """Which of the DATE bytes are which value."""
+        """The values of the DATE, each with its bytes."""
         return cls.LAYOUT.parts(data, cls.unpack)
 
     def __str__(self) -> str:
@@ -166,7 +170,7 @@ def lift(direction: int, distance: int) -> Request:
     """A relative move of the lift: direction 0 up, 1 down; distance 0 … 255 mm.
 
     Raises:
-        ValueError: a value out of its range; the text is for a person.
+        ValueError: a value is out of its range.
     """
     return _move(LIFT, direction, distance)
 
@@ -175,7 +179,7 @@ def gimbal(direction: int, angle: int) -> Request:
     """A relative turn of the gimbal: 0 left, 1 right, 2 up, 3 down; angle 0 … 255 degrees.
 
     Raises:
-        ValueError: a value out of its range; the text is for a person.
+        ValueError: a value is out of its range.
     """
     return _move(GIMBAL, direction, angle)
 
@@ -186,28 +190,29 @@ def echo(data: bytes) -> Request:
 
 
 def _move(cmd2: int, direction: int, amount: int) -> Request:
-    _, directions, limited = _MOVES[cmd2]
+    name, directions, value = _MOVES[cmd2]
     if not 0 <= direction < len(directions):
-        choices = ', '.join(f'{number} ({name})' for number, name in enumerate(directions))
-        raise ValueError(f'direction is {direction}, may be {choices}')
+        choices = ', '.join(f'{number} ({each})' for number, each in enumerate(directions))
+        raise ValueError(f'{name}: direction is {direction}, may be {choices}')
     if not 0 <= amount <= 255:
-        raise ValueError(f'{limited.name} is {amount}, may be 0 to 255 {limited.unit}')
+        raise ValueError(f'{name}: {value.name} is {amount} {value.unit}, may be 0 to 255')
     return Request(FUNCTION, cmd2, bytes((direction, amount)))
 
 
 def describe_error(code: int) -> str:
-    """An error code in words, with its number."""
-    return f'0x{code:02x}: {ERROR_TEXTS.get(code, "not a code the protocol knows")}'
+    """An error code as a number and in words."""
+    return f'0x{code:02x}: {ERROR_TEXTS.get(code, "not a code of the protocol")}'
 
 
 def encode_request(request: Request, environment_datelen: int = 2) -> bytes:
-    """The request's frame.
+    """The frame of a request.
 
-    `environment_datelen` stands as Datelen in an environment request, which has no DATE: 2 as
-    its source documents it, or 0.
+    Args:
+        environment_datelen: Datelen of an environment request, which has no DATE: 2 as its source
+            documents it, or 0.
 
     Raises:
-        ValueError: more than `MAX_LENGTH` DATE bytes.
+        ValueError: there are more than `MAX_LENGTH` DATE bytes.
     """
     header = bytes((request.cmd1, request.cmd2))
     if request == ENVIRONMENT_REQUEST:
@@ -216,7 +221,11 @@ def encode_request(request: Request, environment_datelen: int = 2) -> bytes:
 
 
 def encode_reply(reply: Reply, has_cmd2: bool = False) -> bytes:
-    """The reply's frame; with its CMD2 where `has_cmd2`."""
+    """The frame of a reply, with CMD2 if `has_cmd2`.
+
+    Raises:
+        ValueError: there are more than `MAX_LENGTH` DATE bytes.
+    """
     return _frame(bytes((reply.cmd1, reply.cmd2) if has_cmd2 else (reply.cmd1,)), reply.data)
 
 
@@ -236,11 +245,11 @@ def _seal(frame: bytes) -> bytes:
 
 
 class _Decoder(StreamDecoder):
-    """Both directions: they differ in the number of CMD bytes and in the typed message."""
+    """Base of both directions, which differ in the number of CMD bytes and the typed message."""
 
     STARTS = bytes((STANDARD_FLAG, LONG_FLAG))
     _commands = 1  # CMD bytes
-    _NAMES = _REPLY_NAMES      # of CMD1
+    _NAMES = _REPLY_NAMES      # the names of CMD1
 
     def __init__(self, max_length: int = MAX_LENGTH, functions: Iterable[Any] = ()) -> None:
         super().__init__()
@@ -256,31 +265,31 @@ class _Decoder(StreamDecoder):
         return [Part(0, len(data), 'DATE', data)] if data else []
 
     def _short_end(self, frame: bytes) -> int:
-        """The size of a valid frame at the start that is shorter than its Datelen says, or 0."""
+        """The size of the valid frame at the start if it is shorter than its Datelen, else 0."""
         return 0
 
     def explain(self, frame: bytes, request: Optional[Request] = None) -> List[Part]:
-        """The bytes of one frame, good, bad, incomplete or noise, by name.
+        """The named parts of one frame, valid or not, incomplete, or of noise.
 
         Args:
             frame: its bytes, as many as there are.
-            request: what a reply answers, where that is known: it tells what its DATE is.
+            request: the request that a reply answers, if known; it says what the DATE means.
         """
         parts = Parts(frame)
         flag = frame[:1]
         if flag not in (bytes((STANDARD_FLAG,)), bytes((LONG_FLAG,))):
-            return parts.take_rest('noise', 'no frame begins so')
+            return parts.take_rest('noise', 'no frame begins with these bytes')
         is_long = flag[0] == LONG_FLAG
         header = 3 if is_long else 2
         parts.take(1, 'Flag', 'long frame' if is_long else 'standard frame')
         length = int.from_bytes(frame[1:header], 'little')
         least, most = (255, self._max_length) if is_long else (0, min(254, self._max_length))
-        is_false = parts.left >= header - 1 and not least <= length <= most
+        is_invalid = parts.left >= header - 1 and not least <= length <= most
         is_short = bool(self._short_end(frame))
         parts.take(header - 1, 'Datelen', 'an environment request has no DATE' if is_short
-                   else 'bytes of DATE', f'may be {least} to {most}' if is_false else '')
-        if is_false:
-            return parts.take_rest('noise', 'bytes behind a false Datelen')
+                   else 'bytes of DATE', f'may be {least} to {most}' if is_invalid else '')
+        if is_invalid:
+            return parts.take_rest('noise', 'bytes after an invalid Datelen')
         if is_short:
             length = 0
         cmd1, cmd2 = parts.take_kind('CMD1', self._NAMES), 0
@@ -291,22 +300,22 @@ class _Decoder(StreamDecoder):
             cmd2 = parts.take(1, 'CMD2')
         parts.take_data(length, lambda data: self._explain_data(cmd1, cmd2, data, request))
         parts.take_checksum('Checksum', frame[:parts.at])
-        return parts.take_rest('noise', 'bytes behind the frame')
+        return parts.take_rest('noise', 'bytes after the frame')
 
-    def frame_at(self, at: int) -> Any:
+    def frame_at(self, at: int) -> Union[Good, Bad, Need]:
         buffer = self.buffer
         left = len(buffer) - at
         if buffer[at] == STANDARD_FLAG:
             if left < 2:
                 return Need(2)
             header, length = 2, buffer[at + 1]
-            is_false = length >= 255
+            is_invalid = length >= 255
         else:
             if left < 3:
                 return Need(3)
             header, length = 3, buffer[at + 1] | buffer[at + 2] << 8
-            is_false = length < 255
-        if is_false or length > self._max_length:
+            is_invalid = length < 255
+        if is_invalid or length > self._max_length:
             return NO_FRAME
         size = header + self._commands + length + 1
         if left < size:
@@ -319,12 +328,12 @@ class _Decoder(StreamDecoder):
 
 
 class ReplyDecoder(_Decoder):
-    """Slave -> Master.
+    """Decodes replies, Slave -> Master.
 
     Args:
-        has_cmd2: for a board whose replies carry a CMD2.
+        has_cmd2: whether replies carry a CMD2.
         max_length: most DATE bytes accepted.
-        functions: of one's own, to be explained by name.
+        functions: custom functions, which `explain` shows by name.
     """
 
     def __init__(self, has_cmd2: bool = False, max_length: int = MAX_LENGTH,
@@ -341,27 +350,27 @@ class ReplyDecoder(_Decoder):
         if cmd1 in (ERROR, INVALID) and len(data) in (1, 2):
             code = int.from_bytes(data, 'little')
             return [Part(0, len(data), 'error code', data, code, code,
-                         meaning=ERROR_TEXTS.get(code, 'not a code the protocol knows'))]
+                         meaning=ERROR_TEXTS.get(code, 'not a code of the protocol'))]
         if cmd1 == OK and request and request.cmd2 in self._functions:
             return self._functions[request.cmd2].reply.parts(data)
         if cmd1 == OK and (request == ENVIRONMENT_REQUEST if request
                            else len(data) == Environment.LAYOUT.size):
-            return [part if request else part._replace(meaning='if of an environment reply')
+            return [part if request else part._replace(meaning='if it is an environment reply')
                     for part in Environment.parts(data)]
         return super()._explain_data(cmd1, cmd2, data, request)
 
 
 class RequestDecoder(_Decoder):
-    """Master -> Slave, for boards: takes an environment request with Datelen 2 and with 0."""
+    """Decodes requests, Master -> Slave. Datelen of an environment request may be 2 or 0."""
 
     _commands = 2
     _NAMES = _REQUEST_NAMES
     _ENVIRONMENT = encode_request(ENVIRONMENT_REQUEST)
 
     def _good(self, size: int, commands: bytes, data: bytes) -> Good:
-        return Good(size, commands[0], commands[1], data, Request(*commands, data))
+        return Good(size, commands[0], commands[1], data, Request(commands[0], commands[1], data))
 
-    def frame_at(self, at: int) -> Any:
+    def frame_at(self, at: int) -> Union[Good, Bad, Need]:
         begun = self.buffer[at:at + len(self._ENVIRONMENT)]
         if begun == self._ENVIRONMENT:
             return self._good(len(begun), begun[2:4], b'')

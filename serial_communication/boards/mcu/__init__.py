@@ -2,20 +2,25 @@
 from typing import Any, List, Mapping
 
 from ...framing.custom_messages import CustomMessage, read_messages
+from ...framing.stream import Decoder
 from ..description import Command, CustomRows, Description, Topic
 from . import wire
 
-_STATUS = 1.0     # s; a status comes once a second while the board is silent
+_STATUS = 1.0     # s; the longest period: the status of a silent board is published once a second
 
 
 def custom_messages(entries: Any) -> List[CustomMessage]:
-    """The messages of ``mcu/messages``; RowError for the first mistake in them."""
+    """The custom messages in ``mcu/messages``.
+
+    Raises:
+        RowError: for the first mistake in them.
+    """
     types = [type_ for type_ in range(256) if type_ not in wire.MESSAGES]
     return read_messages(entries, 'mcu/messages', types, wire.MAX_PAYLOAD)
 
 
-def _decoder(_sent: bool, parameters: Mapping[str, Any]) -> Any:
-    # Nobody talks to this board: whatever is sent shows as what it is.
+def _decoder(_sent: bool, parameters: Mapping[str, Any]) -> Decoder:
+    # The board reads nothing, so there is no other format for what is sent to it.
     return wire.Decoder([each.kind for each in custom_messages(parameters.get('messages') or {})])
 
 

@@ -1,57 +1,58 @@
-"""The link to the sensor board: counts what was lost, and notices when the board falls silent."""
+"""The link to the sensor board: counts lost frames and reports when the board falls silent."""
 import time
-from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tuple, Type
 
+from ...framing.layout import LayoutMessage
 from ...framing.stream import CHECKSUM, Frame
 from ...link.link import OK, WARN, Link
 from ...transport.port import Port
 from . import wire
 
-_STATUS_PERIOD = 1.0   # s from one report of silence to the next
-_DOUBLED = 0.01        # s in which the same bytes again are one frame that the line has doubled
+_STATUS_PERIOD = 1.0   # s between two reports of silence
+_DOUBLED = 0.01        # s; the same bytes again within this are one frame, doubled on the line
 
 
-class _Heard(NamedTuple):
+class _Latest(NamedTuple):
     """The latest message of one class."""
 
     seq: int
-    at: float      # when it came
-    due: float     # when its absence is to be reported
+    received_at: float
+    silent_at: float     # when its absence is reported next
 
 
 class McuLink(Link):
-    """Frames up, nothing down.
+    """Receives frames and sends nothing.
 
     Args:
-        timeout: seconds without a valid frame after which the board counts as silent.
-        network_silence: seconds without a byte after which a network port is opened anew;
-            0: never.
-        messages: classes of messages of one's own.
-        on_status: is called with each (message, seq, stamp).
-        on_silence: is called once a second for each class of message that the board has sent
-            and sends no more, or with None while it has never spoken; with its last seq and the
-            seconds since that message (or since the start).
-        link_arguments: frame_timeout, clock and logger, as `Link` has them.
+        timeout: s without a valid frame after which the board counts as silent.
+        network_silence: s without a byte after which a network port is opened again; 0: never.
+        messages: classes of custom messages.
+        on_status: called with the (message, seq, stamp) of each valid frame.
+        on_silence: called once a second with (class, seq, age) for each class of message that the
+            board has sent and no longer sends: the last seq, and the seconds since that message.
+            The class is None, and the age counts from the start, until the board has sent one.
+        link_arguments: frame_timeout, clock and logger, as for `Link`.
     """
 
     def __init__(self, port: Port, timeout: float = 1.0,
                  on_status: Optional[Callable[[Any, int, Any], None]] = None,
                  on_silence: Optional[Callable[[Optional[type], int, float], None]] = None,
-                 network_silence: float = 5.0, messages: Iterable[Any] = (),
-                 **link_arguments) -> None:
+                 network_silence: float = 5.0, messages: Iterable[Type[LayoutMessage]] = (),
+                 **link_arguments: Any) -> None:
         super().__init__('mcu', port, wire.Decoder(messages), **link_arguments)
         self.frames_lost = 0
         self.duplicates = 0
-        self.checksum_errors = 0   # up to the latest frame, in whatever pieces bytes are read
-        self.silent = True                      # no message of any class
+        # Counted frame by frame: a read may bring several, and a status has the errors before it.
+        self.checksum_errors = 0
+        self.silent = True                      # no message of any class is received
         self._timeout = timeout
         self._network_silence = network_silence
         self._on_status = on_status
         self._on_silence = on_silence
-        self._last: Optional[Frame] = None      # since the port opened …
-        self._last_at = 0.0                     # … and when it came
+        self._last: Optional[Frame] = None      # since the port opened
+        self._last_at = 0.0                     # when it was received
         now = time.monotonic()
-        self._heard: Dict[Optional[type], _Heard] = {None: _Heard(0, now, now + timeout)}
+        self._latest: Dict[Optional[type], _Latest] = {None: _Latest(0, now, now + timeout)}
 
     def opened(self, now: float) -> None:
         self._last = None
@@ -66,12 +67,12 @@ class McuLink(Link):
             else:
                 self.frames_lost += (frame.command - last.command - 1) % 256
         self._last_at = now
-        if frame.message is None:     # valid, but of a type nobody knows
+        if frame.message is None:     # a valid frame of an unknown type
             return
         if self.silent:
             self.silent = False
-            self._heard.pop(None, None)
-        self._heard[type(frame.message)] = _Heard(frame.command, now, now + self._timeout)
+            self._latest.pop(None, None)
+        self._latest[type(frame.message)] = _Latest(frame.command, now, now + self._timeout)
         if self._on_status:
             self._on_status(frame.message, frame.command, frame.stamp)
 
@@ -80,21 +81,22 @@ class McuLink(Link):
 
     def tick(self, now: float) -> float:
         due = self.idle(now)
-        look = self.check_silence(now, self._network_silence)
-        return due if look is None else min(due, look)
+        next_check = self.check_silence(now, self._network_silence)
+        return due if next_check is None else min(due, next_check)
 
     def idle(self, now: float) -> float:
-        for kind, (seq, at, due) in self._heard.items():
-            if now >= due:
-                self._heard[kind] = _Heard(seq, at, max(due + _STATUS_PERIOD, now))
-                self._miss(now)
+        for kind, (seq, received_at, silent_at) in self._latest.items():
+            if now >= silent_at:
+                self._latest[kind] = _Latest(seq, received_at,
+                                             max(silent_at + _STATUS_PERIOD, now))
+                self._update_silent(now)
                 if self._on_silence:
-                    self._on_silence(kind, seq, now - at)
-        return min(heard.due for heard in self._heard.values())
+                    self._on_silence(kind, seq, now - received_at)
+        return min(latest.silent_at for latest in self._latest.values())
 
-    def _miss(self, now: float) -> None:
-        if not self.silent and all(now >= heard.at + self._timeout
-                                   for heard in self._heard.values()):
+    def _update_silent(self, now: float) -> None:
+        if not self.silent and all(now >= latest.received_at + self._timeout
+                                   for latest in self._latest.values()):
             self.silent = True
 
     def condition(self, now: float) -> Tuple[int, str]:
@@ -105,5 +107,5 @@ class McuLink(Link):
     def talks(self, now: float) -> Optional[bool]:
         return not self.silent
 
-    def own_values(self) -> List[Tuple[str, Any]]:
+    def extra_values(self) -> List[Tuple[str, Any]]:
         return [('frames lost', self.frames_lost), ('frames doubled', self.duplicates)]

@@ -9,20 +9,20 @@ from sensor_msgs.msg import Imu, Range
 
 from serial_communication.msg import McuStatus, McuStatus2
 
-from ...ros.custom_topics import message_rows, names_of, own_topics
+from ...ros.custom_topics import custom_topics, message_rows, names_of
 from ...ros.geometry import OrientationBroadcaster, quaternion
-from ...ros.interface import Common, Interface
+from ...ros.interface import LinkOptions, Interface
 from ...ros.parameter import BAUD, MOUNT, PORT, Parameter, frame_id, seconds
 from ...ros.publishing import diagonal, publisher, wanted
 from ...transport.port import Port
 from . import DESCRIPTION, wire
 from .link import McuLink
 
-_NOT_CONNECTED = 0xFFFF   # what no sensor reads
+_NOT_CONNECTED = 0xFFFF   # in place of a reading; no sensor measures it
 
 
 class McuInterface(Interface):
-    """Measurements out, and word of the board's silence."""
+    """Publishes measurements, and the status of a silent board."""
 
     NAME = DESCRIPTION.name
     PARAMETERS = {
@@ -46,8 +46,9 @@ class McuInterface(Interface):
         'range_2_mount': MOUNT,
     }
     MOUNTS = ('imu', 'range_1', 'range_2')
+    link: McuLink
 
-    def __init__(self, parameters: Dict[str, Any], common: Common) -> None:
+    def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
         p = parameters
         self._turn = -1.0 if p['yaw_clockwise'] else 1.0
         self._imu_message = _imu(p)
@@ -60,28 +61,30 @@ class McuInterface(Interface):
         if p['publish_tf']:
             self._orientation = OrientationBroadcaster(p['imu_frame_id'],
                                                        p['imu_orientation_frame_id'])
-        self._rows = own_topics(p['messages'], 'mcu/', p['frame_prefix'])
+        self._custom_topics = custom_topics(p['messages'], 'mcu/', p['frame_prefix'])
         self.link = McuLink(Port(p['port'], p['baud']), p['timeout'],
                             on_status=self._received, on_silence=self._silent,
-                            network_silence=p['network_silence'], messages=list(self._rows),
-                            **common._asdict())
+                            network_silence=p['network_silence'],
+                            messages=list(self._custom_topics),
+                            **link_options._asdict())
 
     @staticmethod
     def problem(parameters: Dict[str, Any]) -> str:
         low, high = parameters['min_range'], parameters['max_range']
         return '' if low < high else \
-            f'min_range is {low:g}, may be less than mcu/max_range, which is {high:g}'
+            f'min_range is {low:g} m, has to be less than mcu/max_range, which is {high:g} m'
 
     @staticmethod
-    def own_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
+    def custom_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
         return names_of(parameters['messages'], 'mcu/')
 
     def _received(self, message: Any, seq: int, stamp: rospy.Time) -> None:
-        own = self._rows.get(type(message))
-        if own:
-            own.publish(message, stamp)
+        custom_topic = self._custom_topics.get(type(message))
+        if custom_topic:
+            custom_topic.publish(message, stamp)
             return
-        age = time.monotonic() - self.link.last_frame_at
+        now = time.monotonic()
+        age = now - (self.link.last_frame_at or now)
         if type(message) is wire.AdcStatus:
             if wanted(self._adc_status):
                 self._adc_status.publish(stamp, seq, True, True, self.link.checksum_errors, age,
@@ -106,8 +109,8 @@ class McuInterface(Interface):
                 self._orientation.send(turned, stamp)
 
     def _silent(self, kind: Optional[type], seq: int, age: float) -> None:
-        if kind in self._rows:
-            return      # such a topic falls silent with its board
+        if kind in self._custom_topics:
+            return      # custom messages have no status: their topics are silent, too
         head = (rospy.Time.now(), seq, False, False, self.link.checksum_errors, age)
         if kind is wire.AdcStatus:
             self._adc_status.publish(*head, *[_NOT_CONNECTED] * 6)
@@ -116,7 +119,7 @@ class McuInterface(Interface):
 
 
 def _metres(millimetres: int, low: float, high: float) -> float:
-    """As REP 117 has it: NaN for no reading, an infinity for one beyond the limits."""
+    """A range as REP 117 defines it: NaN for no reading, -Inf or +Inf beyond the limits."""
     if millimetres == wire.RANGE_TIMED_OUT:
         return nan
     metres = millimetres / 1000

@@ -1,12 +1,12 @@
-"""The simulated sensor board: two range sensors and an IMU, or six ADC channels. It only talks.
+"""The simulated sensor board: two range sensors and an IMU, or six ADC channels. It only sends.
 
-    ranges    something moves to and fro before each sensor, up to 2.4 m away; beyond 2 m the
-              sensor says 8190, as a VL53L0X does; now and then one times out (0xFFFF)
-    heading   turns clockwise by 20 °/s, so it passes 360 every 18 s
+    ranges    an object moves to and fro before each sensor, up to 2.4 m away; beyond 2 m the
+              sensor reads 8190, as a VL53L0X does; one reading in 200 times out (0xFFFF)
+    heading   turns clockwise by 20 °/s, so it passes 360° every 18 s
     pitch, roll  sway by a few degrees
     ADC       12 bits: sines of different periods, with noise
 
-The source's board sends every 50 ms (20 Hz); SEQ counts every frame and starts at 0.
+The board sends every 50 ms (20 Hz), as its source does; SEQ counts every frame and starts at 0.
 """
 import argparse
 import math
@@ -15,15 +15,15 @@ from typing import Any, Iterable, Optional
 
 from ...framing.custom_messages import CustomMessage
 from ...simulation.board import Board, positive
-from ...simulation.custom_messages import Player
+from ...simulation.custom_messages import CustomMessagePlayer
 from ...transport.pace import Every
 from . import DESCRIPTION, wire
 
 RATE = 20.0              # Hz
-OUT_OF_RANGE = 8190      # mm, what the sensor says where nothing is near enough
+OUT_OF_RANGE = 8190      # mm; the sensor's reading where nothing is in range
 FARTHEST = 2000          # mm
 TURN_RATE = 20.0         # degrees/s, clockwise
-TIME_OUT_SHARE = 0.005   # of a sensor's readings
+TIME_OUT_SHARE = 0.005   # share of a sensor's readings that time out
 
 
 class SensorBoard(Board):
@@ -31,9 +31,9 @@ class SensorBoard(Board):
 
     Args:
         rate: frames a second.
-        adc: send the six ADC channels, and nothing else.
-        seed: of the noise and the timeouts.
-        own: messages of one's own, sent beside these.
+        adc: send the six ADC channels instead of the sensor status.
+        seed: seed of the noise and the timeouts.
+        custom: custom messages, sent in addition.
     """
 
     NAME = DESCRIPTION.name
@@ -50,37 +50,37 @@ class SensorBoard(Board):
         parser.add_argument('--rate', type=positive, default=RATE, metavar='HZ',
                             help='frames a second (%(default)g)')
         parser.add_argument('--adc', action='store_true',
-                            help='be the board with six ADC channels')
+                            help='send six ADC channels instead of the sensor status')
 
     @classmethod
     def from_options(cls, options: argparse.Namespace) -> 'SensorBoard':
         return cls(options.rate, options.adc, options.seed, options.config)
 
     def __init__(self, rate: float = RATE, adc: bool = False, seed: int = 0,
-                 own: Iterable[CustomMessage] = ()) -> None:
+                 custom: Iterable[CustomMessage] = ()) -> None:
         super().__init__()
         self.seq = 0        # of the next frame
         self._adc = adc
         self._period = 1 / rate
         self._random = Random(f'{seed} sensors')
-        self._beat = Every(self._period, 0.0)
+        self._pace = Every(self._period, 0.0)
         self._on_since = 0.0
-        self._own = Player(own)
+        self._custom = CustomMessagePlayer(custom)
 
     # -- hooks ----------------------------------------------------------------------------
 
     def power_on(self, now: float) -> None:
         self.seq = 0
         self._on_since = now
-        self._beat = Every(self._period, now)
-        self._own.power_on(now)
+        self._pace = Every(self._period, now)
+        self._custom.power_on(now)
 
     def advance(self, now: float) -> Optional[float]:
-        if self._beat.passed(now):
+        if self._pace.passed(now):
             self._send(self.channels(now) if self._adc else self.status(now))
-        for message in self._own.messages(now):
+        for message in self._custom.messages(now):
             self._send(message)
-        return min(self._beat.due, self._own.due() or math.inf)
+        return min(self._pace.due, self._custom.due() or math.inf)
 
     def _send(self, message: Any) -> None:
         self.send(wire.encode(message, self.seq), message)
@@ -92,7 +92,7 @@ class SensorBoard(Board):
     # -- measurements -----------------------------------------------------------------------
 
     def status(self, now: float) -> wire.SensorStatus:
-        """What the sensors measure."""
+        """What the range sensors and the IMU measure."""
         gauss = self._random.gauss
         return wire.SensorStatus(
             self._range(1250 + 1150 * math.sin(now / 3)),

@@ -1,4 +1,4 @@
-"""The sensor board's frames: STX ... ETX, from an ESP32 with range sensors and an IMU.
+"""The sensor board's frames, STX … ETX, from an ESP32 with range sensors and an IMU.
 
     +------+-----+------+-----+-----------+-----+------+
     | 0x02 | LEN | TYPE | SEQ | PAYLOAD … | CRC | 0x03 |
@@ -6,12 +6,12 @@
      STX                                         ETX
 
 LEN counts TYPE, SEQ and PAYLOAD; CRC is the XOR of TYPE, SEQ and PAYLOAD; SEQ counts up by one
-a frame, modulo 256. Little-endian. Only the board talks.
+a frame, modulo 256. Little-endian. Only the board sends.
 """
 import struct
-from typing import Any, Iterable, List, NamedTuple
+from typing import Iterable, List, NamedTuple, Type, Union
 
-from ...framing.layout import Layout, Value, message_class, row_methods
+from ...framing.layout import Layout, LayoutMessage, Value, message_class
 from ...framing.parts import Part, Parts
 from ...framing.stream import (CHECKSUM, IMPLAUSIBLE, LENGTH, NO_FRAME, UNKNOWN, Bad, Good, Need,
                                StreamDecoder, running_xor)
@@ -20,30 +20,36 @@ STX = 0x02
 ETX = 0x03
 MIN_LEN = 2            # TYPE and SEQ
 MAX_PAYLOAD = 253      # bytes
-RANGE_TIMED_OUT = 0xFFFF  # what a range sensor that did not answer reads
+RANGE_TIMED_OUT = 0xFFFF  # in place of a range: the sensor timed out
 
 _WRAP = 655.36         # degrees by which a heading over 327.67 wraps in the int16
 
 
-@row_methods
-class SensorStatus(NamedTuple):
-    """TYPE 0x10: two range sensors and the orientation as Euler angles."""
-
-    TYPE = 0x10
-    LABEL = 'sensor status'
-    LAYOUT = Layout('<HHhhh', [
-        Value('range_1', 'mm'), Value('range_2', 'mm'), Value('yaw', 'degrees', 0.01),
-        Value('pitch', 'degrees', 0.01), Value('roll', 'degrees', 0.01)])
-
+class _SensorValues(NamedTuple):
     range_1: int   # mm; 0xFFFF: the sensor timed out
     range_2: int   # mm; 0xFFFF: the sensor timed out
     yaw: float     # degrees, heading 0 … 360, clockwise
     pitch: float   # degrees
     roll: float    # degrees
 
+
+class SensorStatus(LayoutMessage, _SensorValues):
+    """TYPE 0x10: two range sensors and the orientation as Euler angles."""
+
+    __slots__ = ()
+    TYPE = 0x10
+    LABEL = 'sensor status'
+    LAYOUT = Layout('<HHhhh', [
+        Value('range_1', 'mm'), Value('range_2', 'mm'), Value('yaw', 'degrees', 0.01),
+        Value('pitch', 'degrees', 0.01), Value('roll', 'degrees', 0.01)])
+
     @classmethod
     def unpack(cls, data: bytes) -> 'SensorStatus':
-        """From the payload. A yaw under -180° is a heading that wrapped: restored."""
+        """From the payload. A yaw under -180° is a heading that wrapped; it is restored.
+
+        Raises:
+            struct.error: the payload does not have ten bytes.
+        """
         range_1, range_2, yaw, pitch, roll = cls.LAYOUT.raw(data)
         yaw /= 100
         return tuple.__new__(cls, (range_1, range_2, yaw if yaw >= -180 else round(yaw + _WRAP, 2),
@@ -57,7 +63,7 @@ class SensorStatus(NamedTuple):
 
     @classmethod
     def parts(cls, payload: bytes) -> List[Part]:
-        """Which bytes of the payload are which value."""
+        """The values of the payload, each with its bytes."""
         parts = cls.LAYOUT.parts(payload, cls.unpack)
         for index, part in enumerate(parts):
             if part.unit == 'mm' and part.raw == RANGE_TIMED_OUT:
@@ -68,7 +74,7 @@ class SensorStatus(NamedTuple):
 
     @property
     def valid(self) -> bool:
-        """Whether both range sensors answered."""
+        """Whether neither range sensor timed out."""
         return self.range_1 != RANGE_TIMED_OUT and self.range_2 != RANGE_TIMED_OUT
 
     def __str__(self) -> str:
@@ -86,46 +92,46 @@ MESSAGES = {message.TYPE: message for message in (SensorStatus, AdcStatus)}
 _LENS = {type_: MIN_LEN + message.LAYOUT.size for type_, message in MESSAGES.items()}
 
 
-def encode(message: Any, seq: int) -> bytes:
-    """The frame that carries `message` as the board's frame number `seq` (0 … 255)."""
+def encode(message: LayoutMessage, seq: int) -> bytes:
+    """The frame with `message` and the running number `seq` (0 … 255)."""
     return encode_raw(message.TYPE, seq, message.pack())
 
 
 def encode_raw(type_: int, seq: int, payload: bytes) -> bytes:
-    """A frame of any TYPE; `payload` up to 253 bytes."""
+    """A frame of any TYPE, 0 … 255; `payload` has at most `MAX_PAYLOAD` bytes."""
     body = bytes((type_, seq)) + payload
     return bytes((STX, len(body))) + body + bytes((running_xor(body, 0)[-1], ETX))
 
 
 class Decoder(StreamDecoder):
-    """Board -> us. A frame's `message` is None where its TYPE is not known.
+    """Decodes what the board sends. The `message` of a frame of unknown TYPE is None.
 
     Args:
-        messages: classes of messages of one's own, see `message_class`.
+        messages: classes of custom messages: see `message_class`.
     """
 
     STARTS = bytes((STX,))
 
-    def __init__(self, messages: Iterable[Any] = ()) -> None:
+    def __init__(self, messages: Iterable[Type[LayoutMessage]] = ()) -> None:
         super().__init__()
         self.errors.update({UNKNOWN: 0, LENGTH: 0, IMPLAUSIBLE: 0})
         self._messages = dict(MESSAGES)
         self._messages.update((message.TYPE, message) for message in messages)
 
     def explain(self, frame: bytes) -> List[Part]:
-        """The bytes of one frame, good, bad, incomplete or noise, by name."""
+        """The named parts of one frame, valid or not, incomplete, or of noise."""
         parts = Parts(frame)
         if frame[:1] != bytes((STX,)):
-            return parts.take_rest('noise', 'no frame begins so')
+            return parts.take_rest('noise', 'no frame begins with these bytes')
         parts.take(1, 'STX')
         kind = self._messages.get(frame[2]) if len(frame) > 2 else None
         length = frame[1] if len(frame) > 1 else MIN_LEN
-        false = '' if length >= MIN_LEN else f'should be {MIN_LEN} at least'
+        error = '' if length >= MIN_LEN else f'should be {MIN_LEN} at least'
         if kind and length >= MIN_LEN and not kind.LAYOUT.fits(length - MIN_LEN):
-            false = f'should be {MIN_LEN} more than {kind.LAYOUT.sizes()}'
-        parts.take(1, 'LEN', 'bytes of TYPE, SEQ and PAYLOAD', false)
+            error = f'should be {MIN_LEN} more than {kind.LAYOUT.sizes()}'
+        parts.take(1, 'LEN', 'bytes of TYPE, SEQ and PAYLOAD', error)
         if length < MIN_LEN:
-            return parts.take_rest('noise', 'bytes behind a false LEN')
+            return parts.take_rest('noise', 'bytes after an invalid LEN')
         parts.take_kind('TYPE', {type_: each.LABEL for type_, each in self._messages.items()})
         parts.take(1, 'SEQ')
         if kind:
@@ -135,9 +141,9 @@ class Decoder(StreamDecoder):
         parts.take_checksum('CRC', frame[2:2 + length])
         parts.take(1, 'ETX', error='' if frame[length + 3:length + 4] in (b'', b'\3')
                    else 'should be 0x03')
-        return parts.take_rest('noise', 'bytes behind the frame')
+        return parts.take_rest('noise', 'bytes after the frame')
 
-    def frame_at(self, at: int) -> Any:
+    def frame_at(self, at: int) -> Union[Good, Bad, Need]:
         buffer = self.buffer
         left = len(buffer) - at
         if left < 2:
@@ -156,7 +162,7 @@ class Decoder(StreamDecoder):
         end = at + size
         if buffer[end - 1] != ETX:
             return NO_FRAME
-        if self.xor(at + 2, end - 1):    # of TYPE … CRC: 0 in a valid frame
+        if self.xor(at + 2, end - 1):    # TYPE … CRC: 0 in a valid frame
             return Bad(size, CHECKSUM, 'CRC does not match')
         data = buffer[at + 4:end - 2]
         seq, kind = buffer[at + 3], self._messages.get(type_)

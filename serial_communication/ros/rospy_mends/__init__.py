@@ -1,1 +1,1 @@
-"""What rospy does not do well enough for a bridge, mended from outside."""
+"""Patches of rospy, for what it does not do well enough for a bridge."""

@@ -1,14 +1,14 @@
-"""Publishing without a thread hop.
+"""Publishing from the calling thread.
 
-rospy hands every message for every subscriber to a thread of that connection, so that a slow
-subscriber holds up nobody. Waking those threads costs more than sending. Here a message goes
-into the subscriber's socket at once, without waiting. What a full socket does not take is kept in
-a queue, which one thread for all slow subscribers sends on as their sockets take more.
+rospy passes every message to a thread for each subscriber, so that a slow subscriber delays nobody
+else. Waking these threads costs more than sending. Here a message is written to the subscriber's
+socket at once, without blocking. If the socket is full, the rest is queued; one thread for all slow
+subscribers sends the queues as the sockets become writable.
 
-That thread is there from the start: a link's thread, which publishes, must not start one, since
-where no memory is left that may never return.
+That thread starts at once. A link's thread, which publishes, must not start one, since starting a
+thread may never return when memory runs out.
 
-This is written against private parts of rospy: see private_parts.py.
+This patches private parts of rospy: see private_parts.py.
 """
 import logging
 import select
@@ -27,23 +27,23 @@ from .private_parts import are_known, names
 
 _PRIVATE = {'_closed_connection_callback', '_cond_data_available', '_connection', '_error',
             '_lock', '_queue', '_queue_size', '_run', '_thread'}    # all of QueuedConnection
-_AGAIN = 0.1       # s until the thread goes on after a fault
-_OF_A_TRANSPORT = {'done', 'socket', 'stat_bytes', 'stat_num_msg'}
+_AGAIN = 0.1       # s until the thread continues after an error
+_TRANSPORT_ATTRIBUTES = {'done', 'socket', 'stat_bytes', 'stat_num_msg'}
 
 
 class DirectConnection(rospy.topics.QueuedConnection):
-    """A connection to one subscriber; `write_data` never waits."""
+    """A connection to one subscriber; `write_data` never blocks."""
 
     def __init__(self, connection: Transport, queue_size: int) -> None:
-        # Without super().__init__(), since that starts a thread.
+        # super().__init__() would start a thread.
         self._connection = connection
         self._queue_size = queue_size
         self._lock = threading.Lock()
-        self._rest = memoryview(b'')       # of a message that has left in part
-        self._queue: Deque[bytes] = deque()     # messages behind it
-        # Whether there are any: `_sender` sends them. Set by publishers, reset by its thread.
+        self._rest = memoryview(b'')       # of a message that was sent in part
+        self._queue: Deque[bytes] = deque()     # messages after it
+        # Whether `_sender` has something to send. Publishers set it, the sender's thread resets it.
         self._is_slow = False
-        self._fd = -1                      # while it is slow
+        self._fd = -1                      # the socket's, while it is slow
         connection.set_cleanup_callback(self._closed_connection_callback)
 
     def write_data(self, data: bytes) -> bool:
@@ -66,7 +66,7 @@ class DirectConnection(rospy.topics.QueuedConnection):
         return True
 
     def _queued(self, data: bytes) -> bool:
-        """Leave it to the thread, unless that has just sent everything."""
+        """Queue a message for the thread; return False if the thread has just sent everything."""
         with self._lock:
             if not self._is_slow:
                 return False
@@ -78,15 +78,17 @@ class DirectConnection(rospy.topics.QueuedConnection):
         return True
 
     def _send(self, data: Union[bytes, memoryview]) -> int:
-        """How many bytes of it the socket takes at once."""
+        """Send without blocking; return how many bytes were sent."""
         try:
             return self._connection.socket.send(data, socket.MSG_DONTWAIT)
         except BlockingIOError:
             return 0
 
     def send_on(self) -> None:
-        """In the thread: the socket takes more. One call for one message at most, so that no
-        subscriber waits for another one."""
+        """Send the next waiting bytes; the thread calls this when the socket is writable.
+
+        Each call sends one message at most, so that no subscriber waits for another.
+        """
         try:
             with self._lock:
                 if not self._rest:
@@ -103,7 +105,7 @@ class DirectConnection(rospy.topics.QueuedConnection):
 
 
 class _Sender:
-    """The thread that sends on, for all slow subscribers."""
+    """The thread that sends the queues of all slow subscribers."""
 
     def __init__(self) -> None:
         self._poll = select.epoll()
@@ -114,18 +116,18 @@ class _Sender:
         threading.Thread(target=self._run, name='slow subscribers', daemon=True).start()
 
     def take(self, fd: int, connection: DirectConnection) -> None:
-        """Call its `send_on` whenever its socket takes more."""
+        """Call the connection's `send_on` whenever its socket is writable."""
         self._slow[fd] = connection
         self._poll.register(fd, select.EPOLLOUT)
 
     def leave(self, fd: int, connection: DirectConnection) -> None:
-        """Call it no more, if it is called at all."""
-        if self._slow.get(fd) is connection:    # the number may be another connection's by now
+        """Stop calling it, if it is called at all."""
+        if self._slow.get(fd) is connection:    # another connection may have the number by now
             del self._slow[fd]
             try:
                 self._poll.unregister(fd)
             except (OSError, ValueError):
-                pass    # closed: the kernel has forgotten it
+                pass    # it is closed, so the kernel has removed it
 
     def _run(self) -> None:
         while True:
@@ -135,16 +137,17 @@ class _Sender:
                     if connection is not None:
                         connection.send_on()
             except Exception:  # pylint: disable=broad-except
-                time.sleep(_AGAIN)      # no memory for the moment
+                time.sleep(_AGAIN)      # probably out of memory for the moment
 
 
 _sender = _Sender()
 
 
 def install(logger: logging.Logger) -> None:
-    """Use it for every subscriber that comes from now on, if rospy is one that it fits."""
+    """Patch rospy, if its version is known; affects later subscribers."""
     if are_known(_is_as_expected, 'sends messages',
-                 "they go through rospy's own threads, which takes more CPU", logger.warning):
+                 "messages go through rospy's threads, which costs more processor time",
+                 logger.warning):
         _sender.start()
         rospy.topics.QueuedConnection = DirectConnection
 
@@ -153,4 +156,4 @@ def _is_as_expected() -> bool:
     private = {name for name in names(vars(rospy.topics.QueuedConnection).values())
                if name.startswith('_') and not name.startswith('__')}
     return (private == _PRIVATE
-            and _OF_A_TRANSPORT <= names([Transport.__init__, TCPROSTransport.__init__]))
+            and _TRANSPORT_ATTRIBUTES <= names([Transport.__init__, TCPROSTransport.__init__]))

@@ -1,15 +1,15 @@
-"""Whoever connects to this node is served at once, whatever others do that connect.
+"""Accepts connections so that none of them can block the others.
 
-rospy reads what a connection begins with in the thread that accepts all the others, and waits
-for it for ever; and that thread ends at the first failure to accept one. After a port scanner,
-after the master's call for a dead node whose port this one has been given, or once the node was
-out of file descriptors, no subscriber and no caller would be served any more.
+rospy's accepting thread also reads each connection's header, and waits for it without a time limit.
+It ends if it fails to accept a connection. So no subscriber and no caller would be served any more
+after a port scan, after a peer of a dead node connects to this node, which reuses its port, or
+after the node ran out of file descriptors.
 
-Here that thread waits for all of them at the same time: each has 3 s for its header, which may
-have 64 KB. It needs no thread for each, which might not start, and rospy's handlers still run in
-one thread, one after the other, as they are written for.
+Here the accepting thread waits for all connections at the same time. Each has 3 s to send its
+header of up to 64 KB. There is no thread for each connection, since it might not start, and rospy's
+handlers still run in one thread, one after the other, as they require.
 
-This is written against private parts of rospy: see private_parts.py.
+This patches private parts of rospy: see private_parts.py.
 """
 import selectors
 import socket
@@ -23,31 +23,34 @@ from ...link.sparing_log import SparingLog
 from .private_parts import are_known, names
 from .shortage import PAUSE, advice
 
-_PATIENCE = 3.0         # s for a whole header
+_PATIENCE = 3.0         # s for a complete header
 _LONGEST = 64 << 10     # bytes of a header
-_AT_ONCE = 64           # connections that wait for their header's end
+_MOST_PENDING = 64      # connections without a complete header
 _READ = 'read_ros_handshake_header'
 _RUN = {'is_shutdown', 'server_sock', 'accept', 'inbound_handler', 'ROSInternalException',
         '__class__', '__name__', 'socket', 'timeout', 'ConnectionAbortedError', 'IOError', 'args',
         'errno', 'EINTR', 'error', 'traceback', 'print_exc', 'logwarn', 'logdebug',
-        'port'}         # all that TCPServer.run uses
+        'port'}         # the names that TCPServer.run uses
 
 
-class _Newcomer:
+class _PendingConnection:
     """A connection whose header has not been received completely."""
 
     def __init__(self, connection: socket.socket, address: Any) -> None:
         self.connection = connection
         self.address = address
         self.deadline = time.monotonic() + _PATIENCE
-        self.header = bytearray()       # with its length, which comes first
+        self.header = bytearray()       # including its length, which comes first
 
     def read(self) -> bool:
-        """Take what has arrived, and nothing behind the header; whether that is complete.
+        """Read what has arrived of the header, and nothing after it.
+
+        Returns:
+            Whether the header is complete.
 
         Raises:
-            OSError: the connection is of no use.
-            ValueError: this is no header.
+            OSError: the connection has failed.
+            ValueError: this is not a ROS header.
         """
         while True:
             missing = self._missing()
@@ -66,37 +69,37 @@ class _Newcomer:
             return 4 - len(self.header)
         length = int.from_bytes(self.header[:4], 'little')
         if length > _LONGEST:
-            raise ValueError(f'a header of {length} bytes, {_LONGEST} at most: this is not ROS')
+            raise ValueError(f'its header has {length} bytes; at most {_LONGEST} are accepted')
         return 4 + length - len(self.header)
 
 
-class _Door:
-    """The loop that takes connections for one `TCPServer`."""
+class _Acceptor:
+    """The loop that accepts connections for one `TCPServer`."""
 
     def __init__(self, server: Any, headers: Dict[socket.socket, bytes], log: SparingLog) -> None:
         self._server = server
         self._headers = headers
         self._log = log
-        self._newcomers: Dict[_Newcomer, None] = {}     # the oldest first
-        self._selector = selectors.PollSelector()       # which needs no descriptor itself
+        self._pending: Dict[_PendingConnection, None] = {}  # the oldest first
+        self._selector = selectors.PollSelector()       # needs no file descriptor itself
 
     def run(self) -> None:
-        """Until the server is shut down."""
+        """Accept connections until the server is shut down."""
         self._server.is_shutdown = False
         listener = self._server.server_sock
         listener.setblocking(False)
         self._selector.register(listener, selectors.EVENT_READ)
         while not self._server.is_shutdown:
-            for key, _ in self._selector.select(self._until_the_next_is_late()):
+            for key, _ in self._selector.select(self._until_next_deadline()):
                 if key.fileobj is listener:
                     self._accept(listener)
-                elif key.data in self._newcomers:
+                elif key.data in self._pending:
                     self._read(key.data)
-            self._drop_the_late()
+            self._drop_expired()
 
-    def _until_the_next_is_late(self) -> Optional[float]:
-        for newcomer in self._newcomers:
-            return max(0.0, newcomer.deadline - time.monotonic())
+    def _until_next_deadline(self) -> Optional[float]:
+        for pending in self._pending:
+            return max(0.0, pending.deadline - time.monotonic())
         return None
 
     def _accept(self, listener: socket.socket) -> None:
@@ -110,50 +113,50 @@ class _Door:
                 time.sleep(PAUSE)
             return
         connection.setblocking(False)
-        if len(self._newcomers) >= _AT_ONCE:
-            self._drop(next(iter(self._newcomers)), 'too many others connect at the same time')
-        newcomer = _Newcomer(connection, address)
-        self._newcomers[newcomer] = None
-        self._selector.register(connection, selectors.EVENT_READ, newcomer)
-        self._read(newcomer)
+        if len(self._pending) >= _MOST_PENDING:
+            self._drop(next(iter(self._pending)),
+                       f'more than {_MOST_PENDING} connections are waiting to send their header')
+        pending = _PendingConnection(connection, address)
+        self._pending[pending] = None
+        self._selector.register(connection, selectors.EVENT_READ, pending)
+        self._read(pending)
 
-    def _read(self, newcomer: _Newcomer) -> None:
+    def _read(self, pending: _PendingConnection) -> None:
         try:
-            if newcomer.read():
-                self._let_in(newcomer)
+            if pending.read():
+                self._hand_to_rospy(pending)
         except (OSError, ValueError) as error:
-            self._drop(newcomer, str(error))
+            self._drop(pending, str(error))
 
-    def _let_in(self, newcomer: _Newcomer) -> None:
-        """Hand it to rospy, which writes and reads it as a blocking one."""
-        self._forget(newcomer)
-        connection = newcomer.connection
-        connection.setblocking(True)
-        self._headers[connection] = bytes(newcomer.header)
+    def _hand_to_rospy(self, pending: _PendingConnection) -> None:
+        self._forget(pending)
+        connection = pending.connection
+        connection.setblocking(True)    # as rospy expects it
+        self._headers[connection] = bytes(pending.header)
         try:
-            self._server.inbound_handler(connection, newcomer.address)
+            self._server.inbound_handler(connection, pending.address)
         except Exception as error:  # pylint: disable=broad-except
-            # Whatever one connection raises must not shut out all the others.
-            self._refuse(newcomer, str(error))
+            # One connection's error must not end the loop for all others.
+            self._close(pending, str(error))
         finally:
             self._headers.pop(connection, None)
 
-    def _drop_the_late(self) -> None:
+    def _drop_expired(self) -> None:
         now = time.monotonic()
-        for newcomer in [each for each in self._newcomers if each.deadline <= now]:
-            self._drop(newcomer, f'no complete header within {_PATIENCE:g} s')
+        for pending in [each for each in self._pending if each.deadline <= now]:
+            self._drop(pending, f'it sent no complete header within {_PATIENCE:g} s')
 
-    def _drop(self, newcomer: _Newcomer, why: str) -> None:
-        self._forget(newcomer)
-        self._refuse(newcomer, why)
+    def _drop(self, pending: _PendingConnection, why: str) -> None:
+        self._forget(pending)
+        self._close(pending, why)
 
-    def _forget(self, newcomer: _Newcomer) -> None:
-        del self._newcomers[newcomer]
-        self._selector.unregister(newcomer.connection)
+    def _forget(self, pending: _PendingConnection) -> None:
+        del self._pending[pending]
+        self._selector.unregister(pending.connection)
 
-    def _refuse(self, newcomer: _Newcomer, why: str) -> None:
-        newcomer.connection.close()
-        self._log.warn('refused', f'the connection from {newcomer.address[0]} was closed: {why}')
+    def _close(self, pending: _PendingConnection, why: str) -> None:
+        pending.connection.close()
+        self._log.warn('refused', f'the connection from {pending.address[0]} was closed: {why}')
 
 
 def _is_as_expected() -> bool:
@@ -162,18 +165,18 @@ def _is_as_expected() -> bool:
 
 
 def install(log: SparingLog) -> None:
-    """Have it so; to be called before anybody can connect."""
-    if not are_known(_is_as_expected, 'takes connections',
-                     'one that says nothing may hold up the others', log.always_warn):
+    """Patch rospy, if its version is known; call this before anybody can connect."""
+    if not are_known(_is_as_expected, 'accepts connections',
+                     'one that sends nothing may block the others', log.always_warn):
         return
     read = getattr(tcpros_base, _READ)
     headers: Dict[socket.socket, bytes] = {}
 
     def header_of(connection: socket.socket, *arguments: Any) -> Any:
         header = headers.pop(connection, None)
-        if header is None:      # a connection that this process has made
+        if header is None:      # this process made the connection
             return read(connection, *arguments)
         return decode_ros_handshake_header(header)
 
     setattr(tcpros_base, _READ, header_of)
-    tcpros_base.TCPServer.run = lambda server: _Door(server, headers, log).run()
+    tcpros_base.TCPServer.run = lambda server: _Acceptor(server, headers, log).run()

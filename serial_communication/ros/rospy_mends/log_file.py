@@ -1,16 +1,16 @@
-"""A log file that cannot be written stops no program: the log goes elsewhere, and says so.
+"""Starts a node even if its log file cannot be written.
 
-rospy ends with a traceback where its log file belongs to somebody else (one `sudo` ago) or the
-disk has no inode left, and says nothing at all, on the terminal either, where it cannot make the
-folder.
+rospy.init_node raises an error if the log file belongs to another user (after a `sudo`) or the disk
+has no free inode. If it cannot create the folder, it logs nothing at all, not even to the terminal.
+Here the log goes to another file, or to the terminal alone, and its first line says so.
 
-This is written against private parts of rosgraph: see private_parts.py.
+This patches private parts of rosgraph: see private_parts.py.
 """
 import inspect
 import logging
 import os
 import tempfile
-from typing import Any, Optional
+from typing import Any, List, Optional
 
 import rosgraph.roslogging
 import rospkg
@@ -24,30 +24,31 @@ _LOGGER = logging.getLogger('rosout')
 
 
 def init_node(name: str, **arguments: Any) -> None:
-    """`rospy.init_node`, whether its log file can be written or not."""
-    warnings = []       # kept until there is a log
+    """Call `rospy.init_node`, and succeed even if the log file cannot be written."""
+    warnings: List[str] = []    # logged below, once there is a log
     if are_known(lambda: list(inspect.signature(_configure).parameters) == _PARAMETERS,
-                 'sets up logging', 'where the log file cannot be written, programs do not start',
+                 'sets up logging', 'programs do not start if the log file cannot be written',
                  warnings.append):
-        rosgraph.roslogging.configure_logging = _configure_anyhow
+        rosgraph.roslogging.configure_logging = _configure_with_fallback
     rospy.init_node(name, **arguments)
     for warning in warnings:
         _LOGGER.warning(warning)
 
 
-def _configure_anyhow(logname: str, level: int = logging.INFO, filename: Optional[str] = None,
-                      env: Optional[dict] = None) -> Optional[str]:
-    """In the place of rosgraph's: to the usual file, to one in a new folder, or to none."""
+def _configure_with_fallback(logname: str, level: int = logging.INFO,
+                             filename: Optional[str] = None,
+                             env: Optional[dict] = None) -> Optional[str]:
+    """Replace rosgraph's function: log to the usual file, a file in a new folder, or no file."""
     filename = filename or f'{logname}-{os.getpid()}.log'
     usual = os.path.join(rospkg.get_log_dir(env=env), filename)
     try:
         _try(usual)
         return _configure(logname, level, filename, env)
     except Exception as error:  # pylint: disable=broad-except
-        # Whatever a logging configuration of the user's own may raise, too.
+        # A user's logging configuration may raise anything.
         why = f'the log cannot be written to {usual} ({getattr(error, "strerror", "") or error})'
     try:
-        # A new folder: what stands there under a known name may be a trap of another user's.
+        # The folder's name must not be predictable: another user could place a link there.
         folder = tempfile.mkdtemp(prefix='ros_log_')
         path = os.path.join(folder, os.path.basename(filename))
         _try(path)
@@ -55,19 +56,19 @@ def _configure_anyhow(logname: str, level: int = logging.INFO, filename: Optiona
     except Exception:  # pylint: disable=broad-except
         path = None
         _to_the_terminal()
-    _LOGGER.warning('%s: it goes to %s. Look at owner and space (ls -l, df -i), or set ROS_LOG_DIR',
-                    why, path or 'the terminal alone')
+    _LOGGER.warning('%s: it goes to %s. Check the owner and the free space (ls -l, df -i), or set '
+                    'ROS_LOG_DIR', why, path or 'the terminal alone')
     return path
 
 
 def _try(path: str) -> None:
-    """Make the folders and the file; OSError where that cannot be."""
+    """Create the folders and the file; raise OSError if that fails."""
     folder = os.path.dirname(path)
     try:
         rosgraph.roslogging.makedirs_with_parent_perms(folder)
     except OSError:
         if not os.path.isdir(folder):
-            raise       # else it was made, but not given to its parent's owner
+            raise       # otherwise it was created, and only the change of its owner failed
     with open(path, 'a'):
         pass
 

@@ -1,8 +1,9 @@
-"""Registers the node again at a ROS master that has come new: rospy does so at start alone.
+"""Registers the node again after roscore was restarted; rospy registers it at the start only.
 
-After roscore was restarted, its successor knows none of the nodes that live on. Peers that are
-connected stay so, but nobody finds the node's topics, services and parameters any more.
+A new roscore does not know the nodes that are running. Connected peers stay connected, but nobody
+can find the node's topics, services and parameters.
 """
+import http.client
 import logging
 import threading
 import xmlrpc.client
@@ -12,31 +13,31 @@ import rosgraph
 import rospy
 from rospy.impl import registration
 
-_PERIOD = 3.0     # s from one look at the master to the next
-_TIMEOUT = 2.0    # s for each of its answers
+_PERIOD = 3.0     # s between checks of the master
+_TIMEOUT = 2.0    # s for each answer
 
 
 class _Transport(xmlrpc.client.Transport):
-    """HTTP to a master that may hang: nothing takes longer than `_TIMEOUT`."""
+    """HTTP with a timeout, since the master may hang."""
 
-    def make_connection(self, host):
+    def make_connection(self, host: Any) -> http.client.HTTPConnection:
         connection = super().make_connection(host)
         connection.timeout = _TIMEOUT
         return connection
 
 
 class MasterWatch:
-    """Looks at the master now and then, from a thread that nothing else waits for.
+    """Checks every 3 s for a new master, in a thread that nothing else waits for.
 
     Args:
-        parameters: the node's private parameters, which a new master is given, too.
+        parameters: the node's private parameters, which are set at a new master, too.
     """
 
     def __init__(self, parameters: Dict[str, Any], logger: logging.Logger) -> None:
         self._parameters = parameters
         self._logger = logger
         self._uri = rosgraph.get_master_uri()
-        self._known: Optional[Tuple] = None     # the master that all is registered at
+        self._known: Optional[Tuple] = None     # pid and run_id of the master that knows the node
 
     def start(self) -> None:
         """Watch until the process ends."""
@@ -47,23 +48,23 @@ class MasterWatch:
         pause = threading.Event()
         while not rospy.is_shutdown():
             try:
-                self._look()
+                self._check()
                 gone = False
             except Exception as error:  # pylint: disable=broad-except
-                # Whatever a master that is ending, starting or no master at all may answer.
+                # A master that is starting or ending, or another server, may answer anything.
                 if not gone and not rospy.core.is_shutdown_requested():
                     gone = True
-                    self._logger.warning('no answer from the ROS master %s (%s); '
-                                         'who is connected stays connected', self._uri, error)
+                    self._logger.warning('no answer from the ROS master %s (%s); connected nodes '
+                                         'stay connected; start roscore again', self._uri, error)
             pause.wait(_PERIOD)
 
-    def _look(self) -> None:
-        """Register again if the master is another one, or has lost this node."""
+    def _check(self) -> None:
+        """Register again if the master is a new one, or does not know this node."""
         with xmlrpc.client.ServerProxy(self._uri, _Transport()) as master:
             name = rospy.get_name()
-            ask = xmlrpc.client.MultiCall(master)
+            ask: Any = xmlrpc.client.MultiCall(master)
             ask.getPid(name)
-            ask.getParam(name, '/run_id')       # a new one for each roscore; none of a bare master
+            ask.getParam(name, '/run_id')       # each roscore has a new one; rosmaster has none
             ask.lookupNode(name, name)
             (_, _, pid), (_, _, run_id), (found, _, uri) = ask()
             if found == 1 and uri != rospy.get_node_uri():
@@ -77,22 +78,22 @@ class MasterWatch:
                 self._logger.info('%s is a new ROS master: registered topics, services and '
                                   'parameters there', self._uri)
 
-    def _register(self, master: xmlrpc.client.ServerProxy, name: str) -> None:
-        """All that rospy knows of, in one request."""
+    def _register(self, master: Any, name: str) -> None:
+        """Register all topics and services, and set the parameters, in one request."""
         uri = rospy.get_node_uri()
         topics = registration.get_topic_manager()
         subscriptions = topics.get_subscriptions()
-        tell = xmlrpc.client.MultiCall(master)
+        calls: Any = xmlrpc.client.MultiCall(master)
         for topic, type_ in subscriptions:
-            tell.registerSubscriber(name, topic, type_, uri)
+            calls.registerSubscriber(name, topic, type_, uri)
         for topic, type_ in topics.get_publications():
-            tell.registerPublisher(name, topic, type_, uri)
+            calls.registerPublisher(name, topic, type_, uri)
         for service, service_uri in registration.get_service_manager().get_services():
-            tell.registerService(name, service, service_uri, uri)
+            calls.registerService(name, service, service_uri, uri)
         if self._parameters:
             _, _, there = master.getParam(name, name)
-            tell.setParam(name, name, _merged(self._parameters, there))
-        answers = list(tell())
+            calls.setParam(name, name, _merged(self._parameters, there))
+        answers = list(calls())
         for code, text, _ in answers:
             if code != 1:
                 raise ValueError(text)
@@ -103,8 +104,8 @@ class MasterWatch:
 
 
 def _merged(ours: Dict[str, Any], theirs: Any) -> Dict[str, Any]:
-    """What somebody has set at the new master already stands; the rest is as at our start."""
-    if not isinstance(theirs, dict):    # 0 where the master has nothing of that name
+    """Return our parameters; a value that the new master already has takes precedence."""
+    if not isinstance(theirs, dict):    # the master answers 0 if it has none
         return ours
     merged = dict(ours)
     for key, value in theirs.items():

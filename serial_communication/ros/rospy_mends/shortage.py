@@ -1,11 +1,11 @@
-"""The node serves again after it ran out of file descriptors or of memory for threads.
+"""Lets the node recover after it ran out of file descriptors or of memory for threads.
 
-rospy loses what it could not do meanwhile: its loop for XML-RPC calls keeps a processor busy for
-as long as there is no descriptor, the loop that connects to new publishers ends at a thread that
-does not start, and a publisher whose thread did not start counts as connected. Here the first
-waits for a moment, and the others try again until there is a thread.
+Without a free descriptor, rospy's loop for XML-RPC calls uses a whole processor. If a thread does
+not start, rospy's loop that connects to new publishers ends, and a publisher whose thread did not
+start counts as connected. Here the first loop pauses before it tries again, and the threads are
+started again and again until one starts.
 
-This is written against private parts of rospy and rosgraph: see private_parts.py.
+This patches private parts of rospy and rosgraph: see private_parts.py.
 """
 import errno
 import resource
@@ -23,19 +23,20 @@ from ...link.sparing_log import SparingLog
 from .private_parts import are_known
 
 PAUSE = 0.1     # s until the next try
-_MODULES = registration, tcpros_pubsub      # what starts the threads of connections to publishers
+_MODULES = registration, tcpros_pubsub      # start the threads of connections to publishers
 
 
 def advice(error: OSError) -> str:
-    """Why nobody can be accepted, and what to do."""
+    """Return why no connection can be accepted, and what to do."""
     if error.errno == errno.EMFILE:
         limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-        return (f'out of file descriptors (ulimit -n is {limit}): nobody new is served until some '
-                'are closed; end subscribers, or raise the limit before the start (ulimit -n)')
+        return (f'out of file descriptors (ulimit -n is {limit}): no new connection is accepted '
+                'until some are closed; end subscribers, or raise the limit before the start '
+                '(ulimit -n)')
     if error.errno == errno.ENFILE:
-        return ('this computer is out of file descriptors: nobody new is served until some are '
-                'closed; end programs, or raise the limit (sysctl fs.file-max)')
-    return f'cannot accept a connection ({error}); nobody new is served until that is over'
+        return ('this computer is out of file descriptors: no new connection is accepted until '
+                'some are closed; end programs, or raise the limit (sysctl fs.file-max)')
+    return f'cannot accept a connection ({error}); trying again'
 
 
 def _is_as_expected() -> bool:
@@ -45,9 +46,9 @@ def _is_as_expected() -> bool:
 
 
 def install(log: SparingLog) -> None:
-    """Have it so; to be called before rospy.init_node."""
-    if not are_known(_is_as_expected, 'takes calls and connects',
-                     'after a shortage of file descriptors or memory it may need a restart',
+    """Patch rospy, if its version is known; call this before rospy.init_node."""
+    if not are_known(_is_as_expected, 'accepts calls and connects',
+                     'after a shortage of file descriptors or memory the node may need a restart',
                      log.always_warn):
         return
 
@@ -55,25 +56,25 @@ def install(log: SparingLog) -> None:
         try:
             return socketserver.TCPServer.get_request(self)
         except OSError as error:
-            if self.fileno() >= 0:      # not closed: the node does not end
+            if self.fileno() >= 0:      # otherwise the node is shutting down
                 log.warn('accept', advice(error))
             time.sleep(PAUSE)
-            raise       # which socketserver ignores
+            raise       # socketserver ignores it
 
     class PatientThread(threading.Thread):
-        """Starts as soon as there is memory for it."""
+        """A thread whose start waits until there is memory for it."""
 
         def start(self) -> None:
             while True:
                 try:
                     return super().start()
                 except RuntimeError as error:
-                    # With an identity it has been started before: that is a mistake of the caller.
+                    # A thread with an identity was started before: the caller made a mistake.
                     if self.ident is not None or rospy.is_shutdown():
                         raise
-                    log.warn('thread', f'{error}: a publisher is connected as soon as there is '
-                                       'memory for its thread; end programs or allow more threads '
-                                       '(ulimit -v, ulimit -u)')
+                    log.warn('thread', f'{error}: the connection to a publisher waits until there '
+                                       'is memory for its thread; end programs, or allow more '
+                                       'threads (ulimit -v, ulimit -u)')
                     time.sleep(PAUSE)
 
     rosgraph.xmlrpc.ThreadingXMLRPCServer.get_request = get_request

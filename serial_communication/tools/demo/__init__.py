@@ -1,1 +1,1 @@
-"""The live table of scripts/demo: see cli.py."""
+"""The live table of scripts/demo, see cli.py."""

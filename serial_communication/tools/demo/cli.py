@@ -1,6 +1,6 @@
-"""Shows every topic, link and call of the bridge, once a second: the live table of scripts/demo.
+"""The live table of scripts/demo: every topic, link and call of the bridge, once a second.
 
-It is the monitor's table; `Moves` calls lift and gimbal and drives the car.
+The table is the monitor's. `Moves` calls lift and gimbal and drives the car.
 """
 import argparse
 import itertools
@@ -23,14 +23,14 @@ from ...ros.answers import read_error, read_response
 from ...ros.master import wait_for_master
 from ..watch.live import LiveTable, stopped_by_signals
 from ..watch.topics import LINKS, NODE
-from ..watch.watcher import leave
+from ..watch.watcher import leave_ros
 from .state import Demo
 
-_START = 60.0           # s for the bridge to appear in
-_CALL_EVERY = 3.0       # s from one lift or gimbal call to the next
+_START = 60.0           # s for the bridge to start
+_CALL_EVERY = 3.0       # s between two lift or gimbal calls
 _COMMAND_RATE = 10.0    # Hz of speed and steering
 
-# Service, words, direction, amount, unit: there and back again, so that nothing ends at a stop.
+# Service, words, direction, amount, unit. Each move is undone, so that none runs into an end stop.
 _PLAN = (('lift', 'up', 0, 20, 'mm'), ('gimbal', 'left', 0, 15, 'degrees'),
          ('lift', 'down', 1, 20, 'mm'), ('gimbal', 'right', 1, 15, 'degrees'),
          ('lift', 'up', 0, 40, 'mm'), ('gimbal', 'up', 2, 10, 'degrees'),
@@ -49,7 +49,7 @@ class Moves:
             thread.start()
 
     def stop(self) -> None:
-        """The car stands; what is under way is left to end."""
+        """Send SPEED 0 and make no further calls. A call under way is not cancelled."""
         self._stopping.set()
         for thread in self._threads:
             thread.join(0.5)
@@ -93,7 +93,7 @@ class Moves:
 
 
 def _call(proxy: rospy.ServiceProxy, direction: int, amount: int) -> Tuple[Verdict, str]:
-    """Call a service: what became of it, and the words for that."""
+    """Call a service and return the outcome and its description."""
     try:
         proxy.wait_for_service(_CALL_EVERY)
     except rospy.ROSException as error:
@@ -110,17 +110,17 @@ def _arguments(argv: Optional[List[str]]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description='Show what the bridge does, once a second.')
     parser.add_argument('--boards', default='real', help='what to call the boards')
     parser.add_argument('--links', nargs='+', choices=LINKS, default=LINKS, metavar='LINK',
-                        help='the links that are on: ' + ', '.join(LINKS))
+                        help='the links that are on, of: ' + ', '.join(LINKS))
     parser.add_argument('--move', action='store_true',
                         help='move lift and gimbal and drive the car')
-    parser.add_argument('--duration', type=float, metavar='SECONDS', help='end by itself')
-    parser.add_argument('--setup', default='', help='the line that a second terminal needs')
+    parser.add_argument('--duration', type=float, metavar='SECONDS', help='end after this time')
+    parser.add_argument('--setup', default='', help='the command that sets up a second terminal')
     parser.add_argument('--page', default='', help="the panel's address")
     return parser.parse_args(argv)
 
 
 def main(argv: Optional[List[str]] = None) -> int:
-    """Show the table; 1 if, after --duration, something had not been shown to work."""
+    """Show the table. Return the exit status: 1 if something is missing after --duration."""
     prepare_output()
     options = _arguments(argv)
     demo = Demo(options.boards, options.links, options.move, options.setup,
@@ -134,13 +134,14 @@ def main(argv: Optional[List[str]] = None) -> int:
 
     table = LiveTable('live_table', demo.bridge, demo.heading)
     deadline = time.monotonic() + _START
-    # Boards of our own are waited for, since emulated ones are built first.
+    # Simulated boards are waited for, since the emulated ones are built first.
     while not stopping.is_set() and not (demo.links_open() if options.boards != 'real'
-                                         else demo.bridge.said_at() is not None):
+                                         else demo.bridge.reported_at() is not None):
         if time.monotonic() > deadline:
-            if demo.bridge.said_at() is not None:
+            if demo.bridge.reported_at() is not None:
                 break
-            print(f'table: the bridge has said nothing for {_START:.0f} s', file=sys.stderr)
+            print(f'table: the bridge has reported nothing for {_START:.0f} s; see its log',
+                  file=sys.stderr)
             return 1
         stopping.wait(0.1)
     moves = Moves(demo) if options.move and not stopping.is_set() else None
@@ -150,11 +151,11 @@ def main(argv: Optional[List[str]] = None) -> int:
         if moves:
             moves.stop()
         table.close()
-        leave()
-    return _judge(demo, table.elapsed) if options.duration and not stopping.is_set() else 0
+        leave_ros()
+    return _result(demo, table.elapsed) if options.duration and not stopping.is_set() else 0
 
 
-def _judge(demo: Demo, elapsed: float) -> int:
+def _result(demo: Demo, elapsed: float) -> int:
     optional = [each.topic.name for each in demo.bridge.topics
                 if each.topic.optional and not each.count]
     missing = demo.missing()

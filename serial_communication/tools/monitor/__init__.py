@@ -1,1 +1,1 @@
-"""The live table of any bridge that runs: see cli.py."""
+"""The live table of any running bridge, see cli.py."""

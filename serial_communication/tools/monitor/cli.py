@@ -1,8 +1,8 @@
-"""rosrun serial_communication monitor: the live table of a bridge that runs; it only looks.
+"""rosrun serial_communication monitor: the live table of a running bridge. It sends nothing.
 
-Links, rates, last values and their ages, of any bridge under this ROS master. Once a second on a
-terminal; a few lines every five seconds elsewhere. With --once one table, for scripts: the status
-is 0 only if the bridge is there and every link is OK.
+Shows links, rates, last values and their ages, for any bridge under this ROS master: once a second
+on a terminal, elsewhere a few lines every five seconds. With --once it prints one table, for
+scripts; the status is 0 only if the bridge runs and every link is OK.
 """
 import argparse
 import sys
@@ -19,14 +19,14 @@ from ..watch.live import LiveTable, stopped_by_signals
 from ..watch.state import BridgeState
 from ..watch.table import Heading, TextLine, plain
 from ..watch.topics import NODE
-from ..watch.watcher import Watcher, leave
+from ..watch.watcher import Watcher, leave_ros
 
-_PATIENCE = 5.0     # s that --once waits for a master's answer and for a bridge's first word
-_COLLECT = 3.0      # s that --once then counts: what comes once a second has come by then
+_PATIENCE = 5.0     # s that --once waits for the master's answer and the bridge's first report
+_COLLECT = 3.0      # s that --once then counts messages: enough for topics at 1 Hz
 
 
 def main(argv: Optional[List[str]] = None) -> int:
-    """Run it; returns the exit status."""
+    """Run the monitor and return the exit status."""
     prepare_output()
     options = _arguments(argv)
     bridge = BridgeState(options.node, master=rosgraph.get_master_uri())
@@ -45,24 +45,24 @@ def main(argv: Optional[List[str]] = None) -> int:
         table.close()
         return 0
     finally:
-        leave()
+        leave_ros()
 
 
 def _arguments(argv: Optional[List[str]]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog='monitor', description='The live table of a bridge that runs; it only looks. '
+        prog='monitor', description='The live table of a running bridge. It sends nothing. '
         'Ctrl-C ends it.')
     parser.add_argument('--node', type=_node, default=NODE, metavar='NAME',
                         help="the bridge's name (%(default)s)")
     parser.add_argument('--once', action='store_true',
-                        help='print one table and end: status 0 only if every link is OK')
+                        help='print one table and end; status 0 only if every link is OK')
     return parser.parse_args((rospy.myargv() if argv is None else [''] + argv)[1:])
 
 
 def _node(name: str) -> str:
-    """The full name of a node; one without / stands in this shell's ROS_NAMESPACE."""
+    """The full name of a node. A name without / is in this shell's ROS_NAMESPACE."""
     if not rosgraph.names.is_legal_name(name) or name.startswith('~') or not name.strip('/'):
-        raise argparse.ArgumentTypeError(f'{name!r} is no name of a node, such as {NODE}')
+        raise argparse.ArgumentTypeError(f'{name!r} is not a valid node name, such as {NODE}')
     return rosgraph.names.resolve_name(name.rstrip('/'),
                                        rosgraph.names.get_ros_namespace() + 'monitor')
 
@@ -74,10 +74,10 @@ def _heading(bridge: BridgeState, elapsed: float, notes: Tuple[TextLine, ...] = 
 
 def _once(bridge: BridgeState, watcher: Watcher, stopping: threading.Event) -> int:
     began = time.monotonic()
-    while not stopping.wait(0.05) and bridge.said_at() is None \
+    while not stopping.wait(0.05) and bridge.reported_at() is None \
             and bridge.registered is not False and time.monotonic() < began + _PATIENCE:
         pass
-    if bridge.said_at() is not None:
+    if bridge.reported_at() is not None:
         began = time.monotonic()
         watcher.update(began)
         stopping.wait(_COLLECT)
@@ -85,7 +85,7 @@ def _once(bridge: BridgeState, watcher: Watcher, stopping: threading.Event) -> i
     watcher.update(now)
     if stopping.is_set():
         return 1
-    if bridge.said_at() is None:
+    if bridge.reported_at() is None:
         print(f'monitor: {bridge.trouble(now)}', file=sys.stderr)
         return 1
     print(plain(bridge, _heading(bridge, now - began), now), end='')

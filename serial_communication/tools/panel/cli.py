@@ -1,7 +1,7 @@
-"""The web page of a bridge: a node that looks, and with --control takes commands for it.
+"""The web page of a bridge: a node that observes it, and with --control also commands it.
 
-Serves at once, with or without a ROS master; ROS is begun in a thread beside, as soon as there
-is a master to register with.
+It serves the page at once, also without a ROS master. A thread initialises ROS as soon as a master
+answers.
 """
 import argparse
 import logging
@@ -22,112 +22,114 @@ import tornado.ioloop
 from ...link.sparing_log import SparingLog
 from ...output import prepare_output
 from ...ros.last_resort import LastResort
-from ...ros.master import full_name, living_node, wait_for_master
+from ...ros.master import full_name, running_node, wait_for_master
 from ...ros.rospy_mends import background_logging
 from ...ros.rospy_mends.log_file import init_node
 from ...ros.rospy_mends.master_watch import MasterWatch
 from ..watch.topics import NODE
-from ..watch.watcher import leave
+from ..watch.watcher import leave_ros
 from .commands import Commands
 from .feed import Feed
-from .guard import SHORTEST_TOKEN, Guard, is_loopback
+from .guard import MIN_TOKEN_LENGTH, Guard, is_loopback
 from .registrar import Registrar
-from .server import Hub, listen, own_names, serve
+from .server import Hub, host_names, listen, serve
 
-_LAST_WORDS = 0.2         # s that a last SPEED 0 has to leave
-_FAREWELL = 1.0           # s for the master to take note of the end
-_LAST_RESORT = 1.8        # s from a signal to the end, whatever hangs
+_MAX_TOKEN_LENGTH = 200
+_STOP_TIME = 0.2          # s for the last SPEED 0 to be sent
+_UNREGISTER_TIME = 1.0    # s for the master to answer
+_EXIT_TIME = 1.8          # s from a signal until the process exits, even if a thread hangs
 
 
 def _port(text: str) -> int:
     if not text.isdecimal() or int(text) > 65535:
-        raise argparse.ArgumentTypeError(f'{text!r}, may be a number from 0 to 65535')
+        raise argparse.ArgumentTypeError(f'{text!r} is not a port (0 … 65535)')
     return int(text)
 
 
 def _token(text: str) -> str:
-    if not re.fullmatch(rf'[A-Za-z0-9._~-]{{{SHORTEST_TOKEN},200}}', text):
+    if not re.fullmatch(rf'[A-Za-z0-9._~-]{{{MIN_TOKEN_LENGTH},{_MAX_TOKEN_LENGTH}}}', text):
         raise argparse.ArgumentTypeError(
-            f'{len(text)} characters, may be at least {SHORTEST_TOKEN} of A-Z a-z 0-9 . _ ~ -')
+            f'invalid token of {len(text)} characters: it must have {MIN_TOKEN_LENGTH} … '
+            f'{_MAX_TOKEN_LENGTH} of A-Z a-z 0-9 . _ ~ -')
     return text
 
 
 def _arguments(argv: List[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog='panel', description='Serve a page in the browser that shows what a bridge and its '
-        'lines do. Ctrl-C ends it.',
-        epilog='Without options the page only looks, and only this machine can open it. An '
-               'address other than 127.0.0.1, and --control, need a token: open the address that '
-               'the panel prints.')
+        prog='panel', description='Serve a web page that shows a bridge and its links. '
+        'Ctrl-C ends it.',
+        epilog='Without options the page is read-only, and only this machine can open it. '
+               '--control, or an address other than 127.0.0.1, needs a token: open the address '
+               'that the panel prints.')
     parser.add_argument('--port', type=_port, default=8080,
-                        help='where to listen; 0: any that is free (default: %(default)d)')
+                        help='TCP port to listen on; 0: any free one (default: %(default)d)')
     parser.add_argument('--bind', default='127.0.0.1', metavar='ADDRESS',
-                        help='where to listen; 0.0.0.0: for everybody (default: %(default)s)')
+                        help='address to listen on; 0.0.0.0: all (default: %(default)s)')
     parser.add_argument('--node', default=NODE, metavar='NAME',
-                        help="the bridge's name (default: %(default)s)")
+                        help="the bridge's node name (default: %(default)s)")
     parser.add_argument('--control', action='store_true',
-                        help='let the page move lift, gimbal and car, too')
+                        help='let the page move lift, gimbal and car')
     parser.add_argument('--token', type=_token,
-                        help='what the address has to carry (default: made anew, where needed)')
+                        help='token that the address must contain (default: a new one, if needed)')
     return parser.parse_args(argv)
 
 
 def _address(bind: str, port: int, token: Optional[str]) -> str:
-    """What to open in a browser."""
+    """The address to open in a browser."""
     host = socket.gethostname() if bind in ('0.0.0.0', '::', '') else bind
     host = f'[{host}]' if ':' in host else host
     return f'http://{host}:{port}/' + (f'?token={token}' if token else '')
 
 
-def _say(text: str) -> None:
+def _print_error(text: str) -> None:
     print(f'panel: {text}', file=sys.stderr, flush=True)
 
 
 class _Ros:
-    """The node's life: begins in a thread of its own, as soon as there is a master."""
+    """Starts this node in a thread as soon as a master answers, and ends it."""
 
     def __init__(self, ready: Callable[[], None], end: Callable[[int], None]) -> None:
         self._ready = ready
         self._end = end
         self._stopping = threading.Event()
-        threading.Thread(target=self._begin, name='begin ROS', daemon=True).start()
+        threading.Thread(target=self._start, name='start ROS', daemon=True).start()
 
     def stop(self) -> None:
-        """Begin nothing any more, and leave the master."""
+        """Do not start the node any more, or unregister it from the master."""
         self._stopping.set()
-        leave(_FAREWELL)
+        leave_ros(_UNREGISTER_TIME)
 
-    def _begin(self) -> None:
-        if not wait_for_master(self._stopping, _say):
+    def _start(self) -> None:
+        if not wait_for_master(self._stopping, _print_error):
             return
         name = full_name('panel')
-        if living_node(name):
-            _say(f'another node is named {name} at {rosgraph.get_master_uri()}; end it, '
-                 'or take another name with __name:=NAME')
+        if running_node(name):
+            _print_error(f'another node is named {name} at {rosgraph.get_master_uri()}; end it, '
+                         'or take another name with __name:=NAME')
             self._end(3)
             return
         try:
             init_node('panel', disable_signals=True)
-        except rospy.ROSInitException:      # somebody took the name meanwhile
-            self._over()
+        except rospy.ROSInitException:      # another node took the name meanwhile
+            self._ended()
             return
-        rospy.on_shutdown(self._over)
-        if rospy.core.is_shutdown_requested():      # just now: the hook came too late
-            self._over()
+        rospy.on_shutdown(self._ended)
+        if rospy.core.is_shutdown_requested():      # before the hook was set
+            self._ended()
             return
         MasterWatch({}, logging.getLogger('rosout')).start()
         self._ready()
 
-    def _over(self) -> None:
-        """Somebody else took the name, or rosnode kill: the page would stand still for good."""
+    def _ended(self) -> None:
+        """ROS has ended this node, so the page would never change again: end the process."""
         if not self._stopping.is_set():
             self._stopping.set()
-            _say('ROS has ended this node (rosnode kill, or another of its name)')
+            _print_error('ROS has ended this node (rosnode kill, or another node of its name)')
             self._end(1)
 
 
 def main(argv: Optional[List[str]] = None) -> int:
-    """Serve until a signal; the exit status."""
+    """Serve until a signal ends the program; return the exit status."""
     prepare_output()
     background_logging.install()
     status = 1
@@ -147,8 +149,8 @@ def _serve(argv: Optional[List[str]]) -> int:
     try:
         sockets = listen(options.port, options.bind)
     except OSError as error:
-        _say(f'cannot listen on {options.bind} port {options.port}: {error.strerror}; '
-             'choose others with --bind and --port')
+        _print_error(f'cannot listen on {options.bind} port {options.port}: {error.strerror}; '
+                     'choose others with --bind and --port')
         return 1
 
     loop = tornado.ioloop.IOLoop.current()
@@ -158,12 +160,12 @@ def _serve(argv: Optional[List[str]]) -> int:
     commands = Commands(node, registrar, loop.add_callback, loop.call_later) \
         if options.control else None
     hub = Hub(Feed(node, rosgraph.get_master_uri(), registrar), commands, log)
-    server = serve(sockets, hub, Guard([*own_names(), options.bind], token))
+    server = serve(sockets, hub, Guard([*host_names(), options.bind], token))
     statuses: List[int] = []
-    last_resort = LastResort(_LAST_RESORT)
+    last_resort = LastResort(_EXIT_TIME)
 
     def end(status: int = 0) -> None:
-        first = not statuses        # a second signal may come while the first one is taken in
+        first = not statuses        # a second signal may arrive while the first is handled
         statuses.append(status)
         if first:
             last_resort.begin(status)
@@ -171,13 +173,13 @@ def _serve(argv: Optional[List[str]]) -> int:
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: end())
-    # Not to the log: whoever may read that shall not learn the token.
+    # Printed, not logged: readers of the log must not get the token.
     print('panel: ' + _address(options.bind, sockets[0].getsockname()[1], token), flush=True)
-    ros = _Ros(lambda: loop.add_callback(hub.ros_is_there), end)
+    ros = _Ros(lambda: loop.add_callback(hub.ros_started), end)
     loop.start()
 
     server.stop()
     if hub.stop():
-        time.sleep(_LAST_WORDS)
+        time.sleep(_STOP_TIME)
     ros.stop()
     return statuses[0]

@@ -1,29 +1,29 @@
-"""The dead man's switch: which browser drives the car, and when it no longer does. Pure."""
+"""The dead man's switch: which page drives the car, and when it must stop. Pure."""
 from typing import Any, Callable, Dict, NamedTuple, Optional
 
-SILENCE = 0.2       # s without a word from the hand that holds, after which it counts as gone
-FRESH = 0.3         # s that what the browser had seen as it sent may lie back
+SILENCE = 0.2       # s without a command from the page that drives, after which the car stops
+MAX_AGE = 0.3       # s since the update that a page had seen when it sent a command
 
 
-class Refused(Exception):
-    """The command does not drive; the text says why."""
+class CommandRefused(Exception):
+    """The command is not executed; the text says why."""
 
 
 class Hold(NamedTuple):
-    """A hand on the pad, from its press to its release."""
+    """One press of the driving pad, until its release."""
 
-    who: Any        # the browser
-    number: int     # counted up by it
-    heard: float    # when it last said so
+    page: Any
+    number: int           # counted up by the page
+    received_at: float    # when its latest command was received
 
 
-class DeadMan:
-    """Drives only while one browser says again and again, and freshly, that it is held.
+class DeadManSwitch:
+    """Lets the car drive only while one page repeats, in time, that its pad is held.
 
-    A hold that has ended never drives again, whatever of it still comes: the browser has to let
-    go and press anew. And since a network may keep messages back and deliver them all at once,
-    each carries the latest time of ours that the browser had seen: one that has not seen us for
-    FRESH is old, whatever clock the browser has.
+    A hold that has ended never drives again, whatever command of it arrives later: the user has to
+    let go and press again. A network may also delay messages and deliver them all at once.
+    Therefore each command carries the time of the latest update that the page had seen, by this
+    machine's clock. A command is too old if that update was sent more than MAX_AGE ago.
 
     Args:
         stop: is called whenever a hold that drove has ended.
@@ -32,41 +32,50 @@ class DeadMan:
     def __init__(self, stop: Callable[[], None]) -> None:
         self.hold: Optional[Hold] = None
         self._stop = stop
-        self._ended: Dict[Any, int] = {}     # browser -> its latest hold that has ended
+        self._ended: Dict[Any, int] = {}     # page -> number of its latest hold that has ended
 
-    def command(self, who: Any, number: int, seen: float, now: float) -> None:
-        """A command of this hold has come; Refused if it does not drive."""
+    def command(self, page: Any, number: int, seen: float, now: float) -> None:
+        """Take a command that was received.
+
+        Args:
+            number: of the hold that the command belongs to.
+            seen: time of the latest update that the page had seen, s.
+
+        Raises:
+            CommandRefused: the command must not drive the car.
+        """
         self.check(now)
-        if number <= self._ended.get(who, 0):
-            raise Refused('let go and press again')
-        if self.hold and self.hold.who is not who:
-            raise Refused('another browser drives')
-        if not 0 <= now - seen <= FRESH:
-            self.release(who, number)
-            raise Refused(f'the connection is too slow to drive: {1e3 * (now - seen):.0f} ms')
+        if number <= self._ended.get(page, 0):
+            raise CommandRefused('let go and press again')
+        if self.hold and self.hold.page is not page:
+            raise CommandRefused('another page drives')
+        if not 0 <= now - seen <= MAX_AGE:
+            self.release(page, number)
+            raise CommandRefused(f'the connection is too slow to drive: {1e3 * (now - seen):.0f} '
+                                 f'ms, at most {1e3 * MAX_AGE:.0f} ms')
         if self.hold and self.hold.number != number:
             self.end()      # its release has been lost
-        self.hold = Hold(who, number, now)
+        self.hold = Hold(page, number, now)
 
     def check(self, now: float) -> None:
-        """End the hold if its hand has been silent for too long."""
-        if self.hold and now - self.hold.heard >= SILENCE:
+        """End the hold if its page has been silent for too long."""
+        if self.hold and now - self.hold.received_at >= SILENCE:
             self.end()
 
-    def release(self, who: Any, number: int) -> None:
-        """This hold ends."""
-        self._ended[who] = max(number, self._ended.get(who, 0))
-        if self.hold and self.hold.who is who and self.hold.number <= number:
+    def release(self, page: Any, number: int) -> None:
+        """End this hold of the page, and those before it."""
+        self._ended[page] = max(number, self._ended.get(page, 0))
+        if self.hold and self.hold.page is page and self.hold.number <= number:
             self.hold = None
             self._stop()
 
-    def forget(self, who: Any) -> None:
-        """The browser has gone."""
-        if self.hold and self.hold.who is who:
+    def forget(self, page: Any) -> None:
+        """End the page's hold, if any: its connection is closed."""
+        if self.hold and self.hold.page is page:
             self.end()
-        self._ended.pop(who, None)
+        self._ended.pop(page, None)
 
     def end(self) -> None:
-        """The hold that drives ends."""
+        """End the hold that drives, if any."""
         if self.hold:
-            self.release(self.hold.who, self.hold.number)
+            self.release(self.hold.page, self.hold.number)

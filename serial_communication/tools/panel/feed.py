@@ -1,8 +1,8 @@
-"""What the page is told of the bridge: rows of numbers, words, links and frames.
+"""What the page shows of the bridge: samples of topics, texts, links, log lines and frames.
 
-Messages are taken as they come and unpacked on the IO loop, once a tick, all of them, so that a
-plot shows every one. Everything but `_keep` and `_hear` (rospy's threads) and `_register` (the
-registrar's) runs on the IO loop, which never waits for the master.
+rospy's threads queue the packed messages (`_on_message`, `_on_log`). The IO loop unpacks all of
+them once a tick, so that a plot shows every one. `_register` runs in the registrar's thread, so
+that the IO loop never waits for the master.
 """
 import math
 import time
@@ -14,230 +14,232 @@ import rospy
 from rosgraph_msgs.msg import Log
 
 from ..watch.state import BridgeState, LinkState, TopicState
-from ..watch.topics import DIAGNOSTICS, SERIAL_MSG, TABLE, Topic, Value
+from ..watch.topics import DIAGNOSTICS, SERIAL_MSG, TABLE, BridgeTopic, FieldValue
 from ..watch.watcher import Watcher
 from .registrar import Registrar
-from .wire import Wire
+from .wire import FrameExplainer
 
-HISTORY = 600.0         # s that a topic's rows, and a link's errors, are kept for
-_SPARSE = 0.5           # s between the messages of a topic whose rows are kept
-_FIRST_WORD = 1.5       # s that master and bridge have to answer, once somebody looks
-_MOST_WAITING = 2000    # messages that wait for the IO loop; older ones are left out
-_MOST_FRAMES = 100      # that one update carries: 2500 a second
-_MOST_LINES = 100       # of the log that are kept
-_LONGEST = 500          # characters of a text that are shown
-_MOST_KEYS = 200        # of a link's values
-_MOST_DIGITS = 2 ** 53  # beyond it a browser rounds integers
+HISTORY = 600.0         # s for which samples and errors are kept
+_MIN_GAP = 0.5          # s after the last sample, for a sample to be kept in the history
+_FIRST_ANSWER = 1.5     # s that master and bridge have to answer after a page was opened
+_MAX_WAITING = 2000     # messages that wait for the IO loop; the oldest are dropped
+_MAX_FRAMES = 100       # in one update: 2500 a second
+_MAX_LINES = 100        # of the log that are kept
+_MAX_TEXT = 500         # characters of a text that are shown
+_MAX_KEYS = 200         # of a link's values
+_MAX_INTEGER = 2 ** 53  # a browser rounds larger integers
 
 
-class _Shown:
-    """What the page knows of one topic."""
+class _TopicSamples:
+    """The samples of one topic: [time, value …] of each message."""
 
     def __init__(self) -> None:
-        self.rows: List[List[Any]] = []      # that the page has not been told yet
+        self.samples: List[List[Any]] = []   # since the last update
         self.message: Any = None             # the latest
-        self.trouble = ''                    # why there is none
-        self._shape: Optional[Tuple] = None  # of each value of a row: what it is
-        self._changed = False                # the shape, since the last update
+        self.trouble = ''                    # why the latest message could not be read
+        self._fields: Optional[Tuple] = None    # (name, unit, digits, low, high) of each value
+        self._changed = False                # the fields, since the last update
         self._last: Optional[List[Any]] = None
         self._history: Deque[List[Any]] = deque()
 
-    def add(self, at: float, values: Iterable[Value]) -> None:
-        """Another message has come."""
+    def add(self, at: float, values: Iterable[FieldValue]) -> None:
+        """Add the values of a message."""
         values = tuple(values)
-        shape = tuple((each.name, each.unit, each.digits, _limit(each.low), _limit(each.high))
-                      for each in values)
-        if shape != self._shape:
-            if self._shape and [each[0] for each in shape] != [each[0] for each in self._shape]:
+        fields = tuple((each.name, each.unit, each.digits, _finite(each.low), _finite(each.high))
+                       for each in values)
+        if fields != self._fields:
+            if self._fields and [each[0] for each in fields] != [each[0] for each in self._fields]:
                 self._history.clear()
-                self.rows.clear()
-            self._shape, self._changed = shape, True
-        row = [round(at, 4), *(plain(each) for each in values)]
-        # Only what comes slowly is kept for those who open the page later: minutes of what comes
-        # a hundred times a second would be megabytes.
-        if self._last and at - self._last[0] >= _SPARSE:
-            self._history.append(row)
+                self.samples.clear()
+            self._fields, self._changed = fields, True
+        sample = [round(at, 4), *(json_value(each) for each in values)]
+        # Pages that are opened later get the history of slow topics only: at a hundred samples a
+        # second, ten minutes are megabytes.
+        if self._last and at - self._last[0] >= _MIN_GAP:
+            self._history.append(sample)
             while at - self._history[0][0] > HISTORY:
                 self._history.popleft()
-        self._last = row
-        self.rows.append(row)
+        self._last = sample
+        self.samples.append(sample)
 
-    def news(self, state: Optional[TopicState]) -> Dict[str, Any]:
-        """What has come since the last time."""
-        told = self._tell(state, self.rows, self._changed)
-        self.rows, self._changed = [], False
-        return told
+    def changes(self, state: Optional[TopicState]) -> Dict[str, Any]:
+        """What has changed since the last call."""
+        update = self._update(state, self.samples, self._changed)
+        self.samples, self._changed = [], False
+        return update
 
-    def everything(self, state: Optional[TopicState], now: float) -> Dict[str, Any]:
-        """All that is known."""
-        rows = [row for row in self._history if now - row[0] <= HISTORY]
-        if self._last and (not rows or rows[-1] is not self._last):
-            rows.append(self._last)
-        return self._tell(state, rows, True)
+    def snapshot(self, state: Optional[TopicState], now: float) -> Dict[str, Any]:
+        """The history, the latest sample and the fields."""
+        samples = [sample for sample in self._history if now - sample[0] <= HISTORY]
+        if self._last and (not samples or samples[-1] is not self._last):
+            samples.append(self._last)
+        return self._update(state, samples, True)
 
-    def _tell(self, state: Optional[TopicState], rows: List[Any],
-              fields: bool) -> Dict[str, Any]:
-        limit = _limit(state.stale_after()) if state else None
+    def _update(self, state: Optional[TopicState], samples: List[Any],
+                with_fields: bool) -> Dict[str, Any]:
+        limit = _finite(state.stale_after()) if state else None
         words = self.trouble
         if state and self.message is not None and not words:
             try:
                 words = state.topic.words(self.message)
             except Exception as error:  # pylint: disable=broad-except
-                words = _odd(error)
-        told = {'rows': rows, 'words': words[:_LONGEST],
-                'limit': None if limit is None else round(limit, 2)}
-        return {**told, 'fields': self._shape} if fields and self._shape is not None else told
+                words = _unreadable(error)
+        update = {'samples': samples, 'words': words[:_MAX_TEXT],
+                  'limit': None if limit is None else round(limit, 2)}
+        if with_fields and self._fields is not None:
+            update['fields'] = self._fields
+        return update
 
 
-def plain(value: Value) -> Any:
-    """As JSON can say it: what is no number as text, the rest without digits nobody sees."""
+def json_value(value: FieldValue) -> Any:
+    """The value for strict JSON: a number with few digits, or a text if JSON has no such number."""
     number = value.value
     if isinstance(number, str):
-        return number[:_LONGEST]
+        return number[:_MAX_TEXT]
     if not isinstance(number, float):
-        return number if abs(number) <= _MOST_DIGITS else str(number)
+        return number if abs(number) <= _MAX_INTEGER else str(number)
     if math.isfinite(number):
         return float(f'{number:.7g}') if value.digits is None \
             else round(number, value.digits + 2)
     return 'NaN' if math.isnan(number) else 'Infinity' if number > 0 else '-Infinity'
 
 
-def _limit(number: Optional[float]) -> Optional[float]:
-    """A limit; one that limits nothing, or is no number, is none."""
-    return number if number is not None and math.isfinite(number) else None
+def _finite(limit: Optional[float]) -> Optional[float]:
+    """The limit; None if it is NaN or infinite."""
+    return limit if limit is not None and math.isfinite(limit) else None
 
 
-def _odd(error: Exception) -> str:
-    """Whatever another version of the type may make of a message."""
-    return f'not as expected: {error}'
+def _unreadable(error: Exception) -> str:
+    """What is shown of a message whose type may be of another version than the one here."""
+    return f'the message cannot be read: {error}'
 
 
 class Feed:
-    """Looks at one bridge for as long as anybody looks at the page."""
+    """Observes one bridge while a page is open."""
 
     def __init__(self, node: str, master: str, registrar: Registrar) -> None:
         self.state = BridgeState(node, master=master)
         self._registrar = registrar
-        self._looking = False
+        self._active = False
         self._watcher = self._new_watcher()
-        self._log: Optional[rospy.Subscriber] = None    # while the watcher watches
-        self._since = 0.0                        # when it began to look
+        self._log: Optional[rospy.Subscriber] = None    # while the watcher runs
+        self._since = 0.0                        # when it became active
         self._wanted: Set[str] = set()
-        self._waiting: Deque[Tuple[Topic, bytes, float]] = deque(maxlen=_MOST_WAITING)
-        self._shown: Dict[str, _Shown] = {}
-        self._wire = Wire((), {})
-        self._wired: Any = None                  # the parameters that it is made of
-        self._told: Dict[str, Any] = {}          # boards and topics
-        self._links: Dict[str, Optional[LinkState]] = {}    # that were counted last
+        self._waiting: Deque[Tuple[BridgeTopic, bytes, float]] = deque(maxlen=_MAX_WAITING)
+        self._samples: Dict[str, _TopicSamples] = {}
+        self._explainer = FrameExplainer((), {})
+        self._explainer_parameters: Any = None   # that it was made from
+        self._sent: Dict[str, Any] = {}          # `boards` and `known`, as sent last
+        self._links: Dict[str, Optional[LinkState]] = {}    # as sent last
         self._errors: Dict[str, Deque[Any]] = {}
-        self._lines: Deque[List[Any]] = deque(maxlen=_MOST_LINES)
-        self._new_lines: Deque[List[Any]] = deque(maxlen=_MOST_LINES)
+        self._lines: Deque[List[Any]] = deque(maxlen=_MAX_LINES)
+        self._new_lines: Deque[List[Any]] = deque(maxlen=_MAX_LINES)
 
     def start(self) -> None:
-        """Somebody looks; rospy.init_node has been called."""
-        self._looking = True
+        """A page is open, and rospy.init_node has been called: subscribe."""
+        self._active = True
         self._since = time.monotonic()
-        self._registrar.do(self._register)
+        self._registrar.submit(self._register)
 
     def stop(self) -> None:
-        """Nobody looks: soon no subscription remains."""
-        self._looking = False
+        """No page is open: unsubscribe from everything, soon."""
+        self._active = False
         self._waiting.clear()
-        self._registrar.do(self._register)
+        self._registrar.submit(self._register)
 
     def want(self, names: Iterable[str]) -> None:
-        """These topics are looked at."""
+        """Subscribe to these topics, and to no other."""
         names = set(names)
         if names != self._wanted:
             self._wanted = names
-            self._registrar.do(self._register)
+            self._registrar.submit(self._register)
 
     def _new_watcher(self) -> Watcher:
-        return Watcher(self.state, lambda topic: topic.name in self._wanted, self._keep)
+        return Watcher(self.state, lambda topic: topic.name in self._wanted, self._on_message)
 
     def _register(self) -> None:
-        """Have the subscriptions that are wanted now."""
-        watches = self._log is not None
-        if self._looking and not watches:
-            self._log = rospy.Subscriber('/rosout_agg', Log, self._hear, queue_size=100)
+        """Subscribe to what is wanted now. Runs in the registrar's thread."""
+        if self._active and self._log is None:
+            self._log = rospy.Subscriber('/rosout_agg', Log, self._on_log, queue_size=100)
             self._watcher = self._new_watcher()
             self._watcher.start()
-        elif self._looking:
+        elif self._active:
             self._watcher.subscribe()
-        elif watches:
+        elif self._log is not None:
             self._watcher.stop()
             self._log.unregister()
             self._log = None
 
     # -- in rospy's threads --------------------------------------------------------------------
 
-    def _keep(self, topic: Topic, packed: bytes, at: float) -> None:
-        # /diagnostics is what the links are known from. After `stop`, messages come for as long
-        # as the master hangs.
-        if topic.name != DIAGNOSTICS and self._looking:
+    def _on_message(self, topic: BridgeTopic, packed: bytes, at: float) -> None:
+        # The watcher itself reads /diagnostics. If the master hangs, messages are still received
+        # after `stop`.
+        if topic.name != DIAGNOSTICS and self._active:
             self._waiting.append((topic, packed, at))
 
-    def _hear(self, line: Log) -> None:
+    def _on_log(self, line: Log) -> None:
         if line.name == self.state.node:
-            self._new_lines.append([round(time.monotonic(), 3), line.level, line.msg[:_LONGEST]])
+            self._new_lines.append([round(time.monotonic(), 3), line.level, line.msg[:_MAX_TEXT]])
 
     # -- updates -------------------------------------------------------------------------------
 
-    def take(self, now: float) -> Tuple[Dict[str, Any], Optional[Dict[str, Any]]]:
-        """What has come since the last time; and what of the wire, if anything."""
+    def changes(self, now: float) -> Tuple[Dict[str, Any], Optional[Dict[str, Any]]]:
+        """What has changed since the last call; and the frames of the wire, if any."""
         frames, left_out = self._unpack()
         lines = [self._new_lines.popleft() for _ in range(len(self._new_lines))]
         self._lines.extend(lines)
         update = {'now': round(now, 4), 'trouble': self._trouble(now)}
-        for name, value in (('topics', {topic: shown.news(self.state.topic(topic))
-                                        for topic, shown in self._shown.items() if shown.rows}),
+        for name, value in (('topics', {topic: each.changes(self.state.topic(topic))
+                                        for topic, each in self._samples.items() if each.samples}),
                             ('links', self._new_links()), ('log', lines)):
             if value:
                 update[name] = value
         for name, value in ('boards', self._boards()), ('known', self._known()):
-            if value != self._told.get(name):
-                update[name] = self._told[name] = value
+            if value != self._sent.get(name):
+                update[name] = self._sent[name] = value
         return update, {'frames': frames, 'left_out': left_out} if frames else None
 
-    def everything(self, now: float) -> Dict[str, Any]:
-        """All that a page which has just been opened has to know; to be asked after `take`."""
+    def snapshot(self, now: float) -> Dict[str, Any]:
+        """The whole state, for a page that has just been opened. Call it after `changes`."""
         return {'now': round(now, 4), 'trouble': self._trouble(now), 'node': self.state.node,
-                **self._told, 'log': list(self._lines),
-                'topics': {name: shown.everything(self.state.topic(name), now)
-                           for name, shown in self._shown.items()},
-                'links': {name: _tell_link(link, [row for row in self._errors.get(name, ())
-                                                  if now - row[0] <= HISTORY])
+                **self._sent, 'log': list(self._lines),
+                'topics': {name: each.snapshot(self.state.topic(name), now)
+                           for name, each in self._samples.items()},
+                'links': {name: _link_update(link, [entry for entry in self._errors.get(name, ())
+                                                    if now - entry[0] <= HISTORY])
                           for name, link in self.state.links.items()}}
 
     def _trouble(self, now: float) -> str:
-        """Why nothing new can come; nobody can have answered as soon as they were asked."""
-        return self.state.trouble(now) if now - self._since > _FIRST_WORD else ''
+        """Why nothing new can be received; '' while master and bridge have time to answer."""
+        return self.state.trouble(now) if now - self._since > _FIRST_ANSWER else ''
 
     def _unpack(self) -> Tuple[List[Any], int]:
-        """Messages into rows, and serial_msg into frames, with how many of these were left out."""
-        frames, left_out = [], 0
+        """Unpack the messages that wait; return frames, and how many frames were left out."""
+        frames: List[Any] = []
+        left_out = 0
         for _ in range(len(self._waiting)):
             topic, packed, at = self._waiting.popleft()
-            if topic.name == SERIAL_MSG and len(frames) >= _MOST_FRAMES:
+            if topic.name == SERIAL_MSG and len(frames) >= _MAX_FRAMES:
                 left_out += 1
                 continue
-            shown = self._shown.setdefault(topic.name, _Shown())
+            samples = self._samples.setdefault(topic.name, _TopicSamples())
             try:
                 message = self._watcher.unpack(topic, packed)
                 if topic.name == SERIAL_MSG:
                     frames.append(self._explain(message, at))
                 else:
-                    shown.add(at, topic.values(message))
-                    shown.message, shown.trouble = message, ''
+                    samples.add(at, topic.values(message))
+                    samples.message, samples.trouble = message, ''
             except Exception as error:  # pylint: disable=broad-except
-                shown.trouble = _odd(error)
+                samples.trouble = _unreadable(error)
         return frames, left_out
 
     def _explain(self, message: Any, at: float) -> List[Any]:
-        if self._wired is not self.state.parameters:
-            self._wired = self.state.parameters
-            self._wire = Wire(self.state.boards, self._wired)
-        return self._wire.describe(message, at)
+        if self._explainer_parameters is not self.state.parameters:
+            self._explainer_parameters = self.state.parameters
+            self._explainer = FrameExplainer(self.state.boards, self._explainer_parameters)
+        return self._explainer.explain(message, at)
 
     def _boards(self) -> Dict[str, Any]:
         return {board.name: {'title': board.title, 'longest_gap':
@@ -246,36 +248,36 @@ class Feed:
 
     def _known(self) -> Dict[str, Any]:
         return {each.topic.name: {'type': each.topic.type, 'links': each.topic.links,
-                                  'own': each.topic.name not in TABLE}
+                                  'custom': each.topic.name not in TABLE}
                 for each in self.state.topics}
 
     def _new_links(self) -> Dict[str, Any]:
-        """What /diagnostics has said since the last time."""
+        """The links with a new status in /diagnostics."""
         new = {name: link for name, link in self.state.links.items()
                if name not in self._links or link is not self._links[name]}
-        told = {name: _tell_link(link, self._count(name, link) if link else [])
-                for name, link in new.items()}
+        updates = {name: _link_update(link, self._count_errors(name, link) if link else [])
+                   for name, link in new.items()}
         self._links.update(new)
-        return told
+        return updates
 
-    def _count(self, name: str, link: LinkState) -> List[Any]:
-        """What went wrong on it from its last status to this one: a row, which is kept."""
+    def _count_errors(self, name: str, link: LinkState) -> List[Any]:
+        """Keep and return what went wrong since the last status: one entry of `errors`."""
         before = (self._links.get(name) or link).errors
-        # A counter that is lower than it was belongs to a bridge that began anew.
-        counts = {cause[:_LONGEST]: count - (before.get(cause, 0) if count >= before.get(cause, 0)
-                                             else 0) for cause, count in link.errors.items()}
-        row = [round(link.at, 3), {cause: count for cause, count in counts.items() if count}]
-        rows = self._errors.setdefault(name, deque())
-        rows.append(row)
-        while link.at - rows[0][0] > HISTORY:
-            rows.popleft()
-        return [row]
+        # A counter that is lower than before belongs to a bridge that was restarted.
+        counts = {cause[:_MAX_TEXT]: count - (before.get(cause, 0) if count >= before.get(cause, 0)
+                                              else 0) for cause, count in link.errors.items()}
+        entry = [round(link.at, 3), {cause: count for cause, count in counts.items() if count}]
+        entries = self._errors.setdefault(name, deque())
+        entries.append(entry)
+        while link.at - entries[0][0] > HISTORY:
+            entries.popleft()
+        return [entry]
 
 
-def _tell_link(link: Optional[LinkState], errors: List[Any]) -> Dict[str, Any]:
+def _link_update(link: Optional[LinkState], errors: List[Any]) -> Dict[str, Any]:
     if link is None:
         return {'at': None}
-    values = {key[:_LONGEST]: value[:_LONGEST]
-              for key, value in islice(link.values.items(), _MOST_KEYS)}
-    return {'at': round(link.at, 3), 'level': link.level, 'summary': link.summary[:_LONGEST],
+    values = {key[:_MAX_TEXT]: value[:_MAX_TEXT]
+              for key, value in islice(link.values.items(), _MAX_KEYS)}
+    return {'at': round(link.at, 3), 'level': link.level, 'summary': link.summary[:_MAX_TEXT],
             'values': values, 'errors': errors}

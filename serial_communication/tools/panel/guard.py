@@ -1,14 +1,14 @@
-"""Who may look: the checks of a request's Host, Origin and token. Pure."""
+"""Who may open the page: checks a request's Host, Origin and token. Pure."""
 import hmac
 import ipaddress
 from typing import Iterable, Optional
 from urllib.parse import urlsplit
 
-SHORTEST_TOKEN = 12     # characters; a token can be tried over the network
+MIN_TOKEN_LENGTH = 12     # characters; a token can be guessed over the network
 
 
 def _host_name(netloc: str) -> str:
-    """The name or address of HOST[:PORT], in lower case; empty where it is neither."""
+    """The name or address in HOST[:PORT], in lower case; empty if invalid."""
     try:
         return (urlsplit('//' + netloc).hostname or '').rstrip('.')
     except ValueError:
@@ -16,7 +16,7 @@ def _host_name(netloc: str) -> str:
 
 
 def is_address(name: str) -> bool:
-    """Whether this is an IP address and no name."""
+    """Whether this is an IP address, not a name."""
     try:
         ipaddress.ip_address(name.split('%')[0])
     except ValueError:
@@ -25,16 +25,18 @@ def is_address(name: str) -> bool:
 
 
 def is_loopback(name: str) -> bool:
-    """Whether only this machine reaches what is bound to this name or address."""
+    """Whether only this machine can connect to what listens on this name or address."""
     return name == 'localhost' or is_address(name) and ipaddress.ip_address(name).is_loopback
 
 
 class Guard:
-    """What a request has to show before anything is told.
+    """Checks requests before they are answered.
+
+    Each check returns why the request is refused, or an empty string if it is allowed.
 
     Args:
-        names: of this machine. A page of another site reaches us by a name of its own that
-            resolves to our address (DNS rebinding), never by an address or by one of these.
+        names: of this machine. A page of another site can reach it only by a name of its own that
+            resolves to this machine's address (DNS rebinding), not by an address or these names.
         token: that every request has to carry, in the address or as a cookie; None: no token.
     """
 
@@ -42,31 +44,31 @@ class Guard:
         self._names = {'localhost', *(name.lower() for name in names)}
         self._token = token
 
-    def refuse_host(self, host: str) -> str:
-        """Why this Host header is refused; empty if it is not."""
+    def check_host(self, host: str) -> str:
+        """Check the Host header."""
         name = _host_name(host)
         if name in self._names or is_address(name):
             return ''
-        return f'the Host {host[:80]!r} is no name of this machine'
+        return f'Host {host[:80]!r} is not a name of this machine'
 
     @staticmethod
-    def refuse_origin(origin: Optional[str], host: str) -> str:
-        """Why a connection from a page of `origin` is refused; empty if it is not."""
+    def check_origin(origin: Optional[str], host: str) -> str:
+        """Check that the connection comes from a page of this host; None: no Origin header."""
         if origin is None:
-            return 'it names no Origin, as every browser does'
+            return 'it has no Origin header, which every browser sends'
         try:
             same = urlsplit(origin).netloc.lower() == host.lower()
         except ValueError:
             same = False
         return '' if same else f'it comes from a page of {origin[:80]!r}'
 
-    def refuse_token(self, *shown: Optional[str]) -> str:
-        """Why none of these tokens lets in; empty if one does."""
+    def check_token(self, *tokens: Optional[str]) -> str:
+        """Check that one of these tokens is valid."""
         if self._token is None:
             return ''
-        right = self._token.encode()
-        # Each is compared, in constant time, so that the time tells nothing.
-        if any([hmac.compare_digest(each.encode(errors='replace'), right)
-                for each in shown if each]):
+        valid = self._token.encode()
+        # The list compares every token, each in constant time, so that the time reveals nothing.
+        if any([hmac.compare_digest(each.encode(errors='replace'), valid)
+                for each in tokens if each]):
             return ''
-        return 'the token is wrong' if any(shown) else 'it shows no token'
+        return 'the token is wrong' if any(tokens) else 'it has no token'

@@ -1,4 +1,4 @@
-"""The page's files over HTTP, and what every request has to pass first."""
+"""The page's files over HTTP, and the checks that every request has to pass first."""
 from pathlib import Path
 from typing import Any
 
@@ -8,43 +8,50 @@ from .guard import Guard
 
 WEB = Path(__file__).resolve().parent / 'web'
 TOKEN = 'token'
-_REFUSED = ('This page is not shown: {why}.\n\n'
-            'Open the address that the panel printed as it started, with its token.\n')
+_REFUSAL = ('This page is not shown: {reason}.\n\n'
+            'Open the address that the panel printed when it started, with its token.\n')
 
 
-class Guarded(RequestHandler):
-    """A handler that answers only whom the guard lets in; the application's settings have it."""
+class GuardedHandler(RequestHandler):
+    """A handler that answers only the requests that the guard in the settings allows."""
 
     @property
-    def hub_guard(self) -> Guard:
-        """Who decides."""
+    def guard(self) -> Guard:
+        """The guard of the application."""
         return self.settings['guard']
 
     async def prepare(self) -> None:
-        """Look at Host, Origin and token, before anything is told."""
+        """Check Host, Origin and token before the request is answered."""
         request = self.request
         origin = request.headers.get('Origin')
-        shown = (self.get_query_argument(TOKEN, None), self.get_cookie(self.settings['cookie']))
-        if self.refuse(self.hub_guard.refuse_host(request.host)) or origin is not None \
-                and self.refuse(self.hub_guard.refuse_origin(origin, request.host)):
+        tokens = (self.get_query_argument(TOKEN, None), self.get_cookie(self.settings['cookie']))
+        if self.refuse('host', self.guard.check_host(request.host)) or origin is not None \
+                and self.refuse('origin', self.guard.check_origin(origin, request.host)):
             return
-        if not self.refuse(self.hub_guard.refuse_token(*shown), 401) and shown[0]:
-            self.set_cookie(self.settings['cookie'], shown[0], httponly=True, samesite='Strict')
+        if not self.refuse('token', self.guard.check_token(*tokens), 401) and tokens[0]:
+            self.set_cookie(self.settings['cookie'], tokens[0], httponly=True, samesite='Strict')
 
-    def refuse(self, why: str, status: int = 403) -> bool:
-        """Answer that it is refused and why, if there is a reason; whether there was."""
-        if not why or self._finished:
-            return bool(why)
+    def refuse(self, cause: str, reason: str, status: int = 403) -> bool:
+        """Refuse the request with this HTTP status, unless the reason is empty.
+
+        Args:
+            cause: the log has at most one line for each cause in 10 s.
+
+        Returns:
+            Whether there was a reason.
+        """
+        if not reason or self._finished:
+            return bool(reason)
         self.settings['log'].warn(
-            why.split(' ')[0], f'refused a request of {self.request.remote_ip}: {why}')
+            cause, f'refused a request from {self.request.remote_ip}: {reason}')
         self.set_status(status)
         self.set_header('Content-Type', 'text/plain; charset=utf-8')
-        self.finish(_REFUSED.format(why=why))
+        self.finish(_REFUSAL.format(reason=reason))
         return True
 
     def set_default_headers(self) -> None:
-        """Nothing from elsewhere, nothing inline, in nobody's frame, in no one's log."""
-        host = self.request.host if not self.hub_guard.refuse_host(self.request.host) else ''
+        """Allow no foreign or inline content, no embedding in a frame, and no Referer header."""
+        host = self.request.host if not self.guard.check_host(self.request.host) else ''
         sockets = f'ws://{host} wss://{host}' if host.isprintable() and ' ' not in host else ''
         for name, value in (
                 ('Content-Security-Policy',
@@ -60,13 +67,13 @@ class Guarded(RequestHandler):
             self.set_header(name, value)
 
     def log_exception(self, typ: Any, value: Any, tb: Any) -> None:
-        """Without the address, which may hold the token."""
-        self.settings['log'].error('fault', f'a request of {self.request.remote_ip} failed: '
+        """Log without the requested address, which may contain the token."""
+        self.settings['log'].error('fault', f'a request from {self.request.remote_ip} failed: '
                                             f'{value!r}'.split('\n')[0])
 
 
-class Files(Guarded, StaticFileHandler):
-    """The folder web/."""
+class FileHandler(GuardedHandler, StaticFileHandler):
+    """Serves the folder web/."""
 
     def log_exception(self, typ: Any, value: Any, tb: Any) -> None:
-        """A file that is not there is nobody's fault."""
+        """Log nothing: a request for a missing file is not a fault of the panel."""

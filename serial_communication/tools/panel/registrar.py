@@ -1,4 +1,4 @@
-"""A thread for whatever asks the ROS master: while that hangs, pages and the car do not wait."""
+"""A thread for calls to the ROS master, so that pages and the car need not wait while it hangs."""
 import threading
 import time
 import traceback
@@ -6,35 +6,38 @@ from typing import Callable, Dict
 
 from ...link.sparing_log import SparingLog
 
-_PAUSE = 0.1      # s from one round to the next: pages may change their mind 100 times a second
+_PAUSE = 0.1      # s between two rounds: a page may change what it shows 100 times a second
 
 
 class Registrar:
-    """Runs functions one by one in a thread of its own; one that is due already is due once."""
+    """Runs functions one after the other in a thread.
+
+    A function that waits for its turn is not queued a second time.
+    """
 
     def __init__(self, log: SparingLog) -> None:
         self._log = log
-        self._due: Dict[Callable[[], None], None] = {}      # in order
+        self._waiting: Dict[Callable[[], None], None] = {}      # an ordered set
         self._lock = threading.Lock()
-        self._news = threading.Event()
+        self._wake = threading.Event()
         threading.Thread(target=self._run, name='registrar', daemon=True).start()
 
-    def do(self, job: Callable[[], None]) -> None:
-        """Run this soon; from any thread."""
+    def submit(self, function: Callable[[], None]) -> None:
+        """Run this function soon. May be called from any thread."""
         with self._lock:
-            self._due[job] = None
-        self._news.set()
+            self._waiting[function] = None
+        self._wake.set()
 
     def _run(self) -> None:
         while True:
-            self._news.wait()
-            self._news.clear()
+            self._wake.wait()
+            self._wake.clear()
             with self._lock:
-                jobs, self._due = list(self._due), {}
-            for job in jobs:
+                functions, self._waiting = list(self._waiting), {}
+            for function in functions:
                 try:
-                    job()
+                    function()
                 except Exception:  # pylint: disable=broad-except
-                    # Whatever a master that ends, or rospy as it shuts down, may raise.
+                    # A master that ends, and rospy as it shuts down, may raise anything.
                     self._log.error('registering', traceback.format_exc())
             time.sleep(_PAUSE)

@@ -1,39 +1,39 @@
-"""One browser's connection, and all that is said over it.
+"""The connection of one page, and the messages on it.
 
-Every message is one JSON object, strictly: no NaN, no Infinity, no number beyond a double. Times
-are seconds of this machine's monotonic clock.
+Every message is one JSON object in strict JSON: no NaN, no Infinity, no number beyond a double.
+Times are seconds of this machine's monotonic clock.
 
-From the server, 25 times a second, so that its silence is a sign; all but `now` and `trouble`
-only where there is news:
+From the server, 25 times a second, so that the page notices a lost connection. `now` and `trouble`
+are in every message, the other keys only if they have changed:
 
     now         when this was sent
-    trouble     why nothing new can come from the bridge, in words; '' while it talks
+    trouble     why nothing new can be received from the bridge; '' if it can
     node        (first message) the bridge's name
-    boards      {link: {title, longest_gap}}: of each board that is known here, what it is, and
-                the seconds without a heartbeat after which it stops its motor (null: it has none)
-    known       {topic: {type, links, own}}: all that the bridge publishes; `own` is no topic that
-                every bridge has
-    topics      {topic: {rows, words, limit, fields}}: rows of [time, value …]; `limit` is the age
-                above which the value is stale (null: never); `fields` (where changed) says of
-                each value [name, unit, digits, low, high]; NaN and infinities come as text
-    links       {link: {at, level, summary, values, errors}}: what /diagnostics says; `errors`
-                are rows of [time, {cause: how many more}]
-    log         [[time, level, text]]: what the bridge and its boards said
-    wire        {frames, left_out}: see wire.py; only while this page looks at the wire
+    boards      {link: {title, longest_gap}} of each known board: what it is, and the seconds
+                without a heartbeat after which it stops its motor (null: it has no heartbeat)
+    known       {topic: {type, links, custom}}: everything that the bridge publishes; `custom` is
+                false for the built-in topics
+    topics      {topic: {samples, words, limit, fields}}: a sample is [time, value …]; `limit` is
+                the age in s above which the value is stale (null: never); `fields` (if changed) has
+                [name, unit, digits, low, high] for each value; NaN and infinities are strings
+    links       {link: {at, level, summary, values, errors}}: its status in /diagnostics; an entry
+                of `errors` is [time, {cause: increase}]
+    log         [[time, level, text]]: log lines of the bridge
+    wire        {frames, left_out}: see wire.py; only while this page shows the wire
     controls    (first message, with --control) the services and their fields
-    calls       [{number, key, name, arguments, began, outcome, words, took}], without the last
-                three while it is under way; of every browser
+    calls       [{number, key, name, arguments, began, outcome, words, took}] of every page;
+                without the last three while the call is under way
     drive       {held, words}
-    refused     {key, words}: what this page asked for is not done
+    refused     {key, words}: why a command of this page was not executed
 
-From the page, any number of keys in one message:
+From the page, any of these keys in one message:
 
-    seen        the `now` of the latest message that it has taken; answers every one, and stands
-                beside `call` and `led`, too: one that has been kept back for seconds is refused
-    watch       [topic]: what it shows; with serial_msg, the wire
-    call        {key, name, arguments}: a service
+    seen        the `now` of the latest message received; acknowledges it and all before it. `call`
+                and `led` are refused if it is older than 2 s
+    watch       [topic]: the topics that the page shows; serial_msg: the wire
+    call        {key, name, arguments}: call a service
     led         {key, text}
-    drive       {key, hold, seen, speed, steering}: ten times a second and more while the pad is
+    drive       {key, hold, seen, speed, steering}: at least ten times a second while the pad is
                 held; `hold` counts presses
     release     {hold}
 """
@@ -42,64 +42,68 @@ import json
 import math
 import time
 from collections import deque
-from typing import Any, Deque, Dict, Optional
+from typing import Any, Deque, Dict, FrozenSet, Optional
 
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from ..watch.topics import SERIAL_MSG
-from .dead_man import Refused
-from .pages import Guarded
+from .dead_man import CommandRefused
+from .pages import GuardedHandler
 
-LONGEST = 4096        # bytes of a message from a page
-_UNSEEN = 125         # updates, 5 s of them, that a page may not have taken before it is dropped
-_MOST_WAITING = 2 << 20    # bytes that may wait for a page; the first update has the history
-_RATE = 120.0         # frames a second that a page may send; it sends 25, and 20 as it drives
-_BURST = 240.0
-_FAREWELL_RATE = 10.0      # of those a dropped page, whose answer to the close is waited for
-_MOST_TOPICS = 200    # that a page may ask for
+MAX_MESSAGE = 4096    # bytes of a message from a page
+_MAX_UNACKNOWLEDGED = 125  # updates, 5 s of them, after which the page is dropped
+_MAX_WAITING = 2 << 20     # bytes that may wait for a page; the first update has the history
+_RATE = 120.0         # frames a second that a page may send; it sends 25, and 45 as it drives
+_BURST = 240.0        # frames that it may send at once
+_DROPPED_RATE = 10.0  # frames a second read from a dropped page, until it answers the close frame
+_MAX_TOPICS = 200     # that a page may watch
+_NOT_READING = 'it does not read what is sent to it'
 
 
-class Session(Guarded, WebSocketHandler):
-    """A page that is open."""
+class Session(GuardedHandler, WebSocketHandler):
+    """The connection of a page that is open."""
 
     def initialize(self, hub: Any) -> None:
         self._hub = hub
-        self.fresh = True          # nothing has been sent yet
-        self.topics = frozenset()
+        self.is_new = True         # no update has been sent yet
+        self.topics: FrozenSet[str] = frozenset()
         self.stream: Any = None    # once it is open
         self._dropped = False
-        self._unseen: Deque[float] = deque()
-        self._unsent: Deque[int] = deque()     # sizes of what the system has not taken yet
+        self._unacknowledged: Deque[float] = deque()    # `now` of each update
+        self._unsent: Deque[int] = deque()     # sizes of the updates that still wait here
         self._credit = _BURST
         self._credit_at = time.monotonic()
 
     def check_origin(self, origin: str) -> bool:
-        return True     # Guarded has looked at it
+        return True     # `prepare` has checked it
 
     async def prepare(self) -> None:
-        """Refuse before the connection becomes a WebSocket."""
-        if not self.refuse(self.hub_guard.refuse_origin(self.request.headers.get('Origin'),
-                                                        self.request.host)):
+        """Refuse the request before the connection becomes a WebSocket."""
+        if not self.refuse('origin', self.guard.check_origin(self.request.headers.get('Origin'),
+                                                             self.request.host)):
             await super().prepare()
-        if not self._finished and self._hub.full():
-            self.refuse('too many browsers look already', 503)
+        if not self._finished:
+            self.refuse('pages', self._hub.check_room(), 503)
 
     @property
-    def looks_at_wire(self) -> bool:
-        """Whether it shows the frames of serial_msg."""
+    def shows_wire(self) -> bool:
+        """Whether the page shows the frames of serial_msg."""
         return SERIAL_MSG in self.topics
 
     def get_websocket_protocol(self) -> Any:
-        """tornado's, with every frame counted: it tells of no fragment, and answers each ping."""
+        """Return tornado's protocol, changed to count every frame.
+
+        tornado itself reports no fragments, and answers each ping.
+        """
         protocol = super().get_websocket_protocol()
         if protocol is not None:
             receive = protocol._receive_frame
 
             async def receive_and_count() -> None:
                 if self._dropped:
-                    await asyncio.sleep(1 / _FAREWELL_RATE)
-                elif not self._may_speak():
-                    self.drop('it says too much')
+                    await asyncio.sleep(1 / _DROPPED_RATE)
+                elif not self._take_credit():
+                    self.drop(f'it sends more than {_RATE:g} frames a second')
                 await receive()
             protocol._receive_frame = receive_and_count
         return protocol
@@ -113,24 +117,24 @@ class Session(Guarded, WebSocketHandler):
         self._hub.remove(self)
 
     def send(self, now: float, text: str) -> None:
-        """Send an update; drop the page if it does not take them, whatever it says to have seen."""
-        if max(len(self._unseen), len(self._unsent)) >= _UNSEEN:
-            self.drop('it does not take what is sent to it')
+        """Send an update. Drop the page if it does not read them, whatever it acknowledges."""
+        if max(len(self._unacknowledged), len(self._unsent)) >= _MAX_UNACKNOWLEDGED:
+            self.drop(_NOT_READING)
             return
-        self._unseen.append(now)
-        self.fresh = False
+        self._unacknowledged.append(now)
+        self.is_new = False
         self._write(text)
 
-    def drop(self, why: str) -> None:
-        """End the connection, and say so once."""
+    def drop(self, reason: str) -> None:
+        """Close the connection and log the reason; the page gets it, too."""
         self._dropped = True
-        self._hub.log.warn(why, f'dropped a page at {self.request.remote_ip}: {why}')
-        self.close(1008, why)
+        self._hub.log.warn(reason, f'dropped a page at {self.request.remote_ip}: {reason}')
+        self.close(1008, reason)
         self._hub.remove(self)
 
     def _write(self, text: str) -> None:
-        if sum(self._unsent) > _MOST_WAITING:
-            self.drop('it does not take what is sent to it')
+        if sum(self._unsent) > _MAX_WAITING:
+            self.drop(_NOT_READING)
             return
         try:
             written = self.write_message(text)
@@ -141,10 +145,10 @@ class Session(Guarded, WebSocketHandler):
         written.add_done_callback(self._written)
 
     def _written(self, future: Any) -> None:
-        """The oldest has been taken; a page that went meanwhile is no fault to be logged."""
+        """The system has taken the oldest update, or the page is closed, which is no error."""
         self._unsent.popleft()
         if not future.cancelled():
-            future.exception()
+            future.exception()      # mark it as retrieved, or asyncio logs it
 
     # -- from the page -------------------------------------------------------------------------
 
@@ -152,44 +156,45 @@ class Session(Guarded, WebSocketHandler):
         if self._dropped:
             return
         try:
-            self._take(decode(message))
+            self._handle(decode(message))
         except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError,
                 ValueError):
-            self.drop('it says what no page says')
+            self.drop('it sent an invalid message')
 
-    def _may_speak(self) -> bool:
+    def _take_credit(self) -> bool:
+        """Count a frame; return whether the page is within its rate."""
         now = time.monotonic()
         self._credit = min(_BURST, self._credit + _RATE * (now - self._credit_at)) - 1
         self._credit_at = now
         return self._credit > 0
 
-    def _take(self, said: Dict[str, Any]) -> None:
-        if 'seen' in said:
-            while self._unseen and self._unseen[0] <= said['seen']:
-                self._unseen.popleft()
-        if 'watch' in said:
-            self.topics = frozenset(str(name) for name in said['watch'][:_MOST_TOPICS])
+    def _handle(self, message: Dict[str, Any]) -> None:
+        if 'seen' in message:
+            while self._unacknowledged and self._unacknowledged[0] <= message['seen']:
+                self._unacknowledged.popleft()
+        if 'watch' in message:
+            self.topics = frozenset(str(name) for name in message['watch'][:_MAX_TOPICS])
             self._hub.watch()
         for name in ('call', 'led', 'drive', 'release'):
-            if name in said:
-                self._command(name, said[name], float(said.get('seen', 0)))
+            if name in message:
+                self._command(name, message[name], float(message.get('seen', 0)))
 
-    def _command(self, name: str, what: Dict[str, Any], seen: float) -> None:
+    def _command(self, name: str, values: Dict[str, Any], seen: float) -> None:
         commands = self._hub.commands
-        key = str(what.get('key', ''))[:40]
+        key = str(values.get('key', ''))[:40]
         try:
             if commands is None:
-                raise Refused('this panel only looks; start it with --control')
+                raise CommandRefused('this panel is read-only; start it with --control')
             if name == 'call':
-                commands.call(self, key, seen, str(what['name']), dict(what['arguments']))
+                commands.call(self, key, seen, str(values['name']), dict(values['arguments']))
             elif name == 'led':
-                commands.led(seen, str(what['text']))
+                commands.led(seen, str(values['text']))
             elif name == 'drive':
-                commands.drive(self, int(what['hold']), float(what['seen']),
-                               int(what['speed']), int(what['steering']))
+                commands.drive(self, int(values['hold']), float(values['seen']),
+                               int(values['speed']), int(values['steering']))
             else:
-                commands.release(self, int(what['hold']))
-        except Refused as refused:
+                commands.release(self, int(values['hold']))
+        except CommandRefused as refused:
             self._hub.log.warn(name, f'{name} of a page at {self.request.remote_ip} refused: '
                                      f'{refused}')
             self._write(encode({'now': time.monotonic(),
@@ -197,18 +202,22 @@ class Session(Guarded, WebSocketHandler):
 
 
 def decode(message: Any) -> Dict[str, Any]:
-    """A page's message; ValueError or TypeError where it is none, or not strictly JSON."""
+    """Decode a page's message.
+
+    Raises:
+        TypeError, ValueError, RecursionError: it is not an object in strict JSON.
+    """
     return dict(json.loads(message, parse_float=_finite, parse_constant=_finite))
 
 
 def _finite(text: str) -> float:
     number = float(text)
     if not math.isfinite(number):
-        raise ValueError(f'{text} is no number of JSON')
+        raise ValueError(f'{text} is not a number in JSON')
     return number
 
 
 def encode(update: Dict[str, Any], more: Optional[Dict[str, Any]] = None) -> str:
-    """As text; NaN, which JSON has not, would be a fault of ours."""
+    """Encode an update; ValueError on NaN, which strict JSON does not have."""
     return json.dumps({**update, **more} if more else update, allow_nan=False,
                       separators=(',', ':'))

@@ -1,6 +1,6 @@
-"""What is known of a running bridge from outside: its topics, its links, and how old each is.
+"""The state of a running bridge, seen from outside: its topics, its links, and their ages.
 
-The demo's table, the monitor and the panel all look through this. `topics` says what there is and
-puts messages into numbers and words, `state` keeps what has come and judges its age; both know no
-ROS. `watcher` fills the state from a master and is the only part that knows rospy.
+The demo's table, the monitor and the panel use this. `topics` lists the topics and turns messages
+into numbers and text. `state` keeps what was received and how old it is. Neither imports ROS.
+`watcher` fills the state from a master.
 """

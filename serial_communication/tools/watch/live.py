@@ -11,7 +11,7 @@ from .watcher import Watcher
 
 
 def stopped_by_signals() -> threading.Event:
-    """Is set by Ctrl-C and by every other signal that ends a program."""
+    """Return an event that SIGINT, SIGTERM and SIGHUP set."""
     stopping = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: stopping.set())
@@ -19,11 +19,12 @@ def stopped_by_signals() -> threading.Event:
 
 
 class LiveTable:
-    """Shows a bridge once a second, and says when it goes and when it comes back.
+    """Shows a bridge once a second, and reports when it disappears and when it returns.
 
     Args:
-        name: of this process as a node, which it becomes.
-        heading: what stands around it after so many seconds, with these notes.
+        name: this process becomes a ROS node of this name.
+        heading: returns what is shown around the links and topics, given the seconds since the
+            start and some notes.
     """
 
     def __init__(self, name: str, bridge: BridgeState,
@@ -38,13 +39,13 @@ class LiveTable:
         self.watcher.start()
 
     def run(self, stopping: threading.Event, duration: Optional[float] = None) -> None:
-        """Until stopped, or for so many seconds."""
+        """Show the table until `stopping` is set, or for `duration` seconds."""
         began = due = time.monotonic()
         while not stopping.is_set():
             now = time.monotonic()
             self.elapsed = now - began
             self.watcher.update(now)
-            event = self._outages.see(self._bridge.trouble(now), self._bridge.said_at(), now)
+            event = self._outages.update(self._bridge.trouble(now), self._bridge.reported_at(), now)
             if event:
                 self._screen.say(f'{time.strftime("%H:%M:%S")} {event}')
             self._screen.draw(self._bridge, self._heading(self.elapsed, self._outages.notes()),
@@ -57,29 +58,29 @@ class LiveTable:
             stopping.wait(max(0.0, due - time.monotonic()))
 
     def close(self) -> None:
-        """Leave the last table behind and give the terminal back."""
+        """Leave the last table on the screen and restore the terminal."""
         self._screen.close(self._bridge, self._heading(self.elapsed, ()), time.monotonic())
 
 
 class Outages:
-    """Tells when a bridge goes and when it comes back."""
+    """Reports when a bridge disappears and when it returns."""
 
     def __init__(self) -> None:
         self._trouble = ''
-        self._last_word: Optional[float] = None    # the bridge's, before the trouble
+        self._last_report: Optional[float] = None    # of the bridge, before the trouble
         self._last_return = ''
 
-    def see(self, trouble: str, said_at: Optional[float], now: float) -> str:
-        """What has happened since the last call, in words; mostly nothing.
+    def update(self, trouble: str, reported_at: Optional[float], now: float) -> str:
+        """Return what has happened since the last call, in words; '' if nothing has.
 
         Args:
-            trouble: why nothing new can come; empty while the bridge talks.
-            said_at: when it said its latest word.
+            trouble: why nothing new can be received; '' while the bridge reports.
+            reported_at: the time of its latest report on a link.
         """
         had_trouble, self._trouble = self._trouble, trouble
         if trouble:
             return '' if had_trouble else trouble
-        before, self._last_word = self._last_word, said_at
+        before, self._last_report = self._last_report, reported_at
         if before is None:
             return 'the bridge is there'
         if not had_trouble:
@@ -89,6 +90,6 @@ class Outages:
         return event
 
     def notes(self) -> Tuple[TextLine, ...]:
-        """The latest return, to be seen by somebody who comes later."""
+        """The latest return of the bridge, for a user who was not watching."""
         shows = self._last_return and not self._trouble
         return (TextLine(self._last_return, 'warn'),) if shows else ()

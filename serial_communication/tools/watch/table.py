@@ -1,7 +1,7 @@
-"""A bridge as a table of text: a pure function from its state to lines, and the screen for them.
+"""A bridge as a table of text: a pure function from its state to lines, and the screen.
 
-Links and calls stand on top, since they tell whether the robot works; where the terminal is too
-small, topics are left out from the end, and the table says how many.
+Links and calls are on top, since they show whether the robot works. Where the terminal is too
+small, the last topics are left out and counted.
 """
 import shutil
 import sys
@@ -10,42 +10,45 @@ from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
 from .state import BridgeState, LinkState, TopicState, ago
 from .topics import one_line
 
-PERIOD = 1.0            # s from one redraw to the next
-_PLAIN_EVERY = 5        # redraws to one report, where the output is no terminal
+PERIOD = 1.0            # s between two redraws
+_PLAIN_EVERY = 5        # where the output is no terminal, redraws for each report
 LEVELS = ('OK', 'WARN', 'ERROR', 'STALE')
 
-# Of a link's values in /diagnostics, and in words.
+# The key of a link's value in /diagnostics, and its text.
 _COUNTERS = (('stale', 'dropped {} stale bytes'), ('frames received', 'in {}'),
              ('frames sent', 'out {}'), ('timeouts', 'timeouts {}'),
              ('round trip p50 [ms]', 'round trip {} ms'),
              ('heartbeat gap [ms]', 'heartbeat gap {} ms'), ('frames lost', 'lost {}'),
              ('reconnects', 'reconnects {}'))
-_ONLY_ABOVE_0 = ('stale', 'reconnects')     # of these
+_ONLY_ABOVE_0 = ('stale', 'reconnects')     # keys that are shown only if not 0
 
 
 class TextLine(NamedTuple):
-    """A line of the table, and how it looks: plain, head, good, warn or bad."""
+    """A line of the table, in a style: plain, head, good, warn or bad."""
 
     text: str
     style: str = 'plain'
-    whole: bool = False      # to be copied: wraps at the edge, and is never cut
+    whole: bool = False      # wraps at the edge and is never cut, since users copy it
 
     def rows(self, width: int) -> int:
-        """How many rows of the screen it takes."""
+        """Return how many rows of the screen it takes."""
         return max(1, -(-len(self.text) // width)) if self.whole else 1
 
 
 class Heading(NamedTuple):
-    """What stands around a bridge's links and topics."""
+    """What is shown around a bridge's links and topics."""
 
-    title: Tuple[str, ...]               # parts; the last ones are left out where there is no room
+    title: Tuple[str, ...]               # parts; those that do not fit are left out
     notes: Tuple[TextLine, ...] = ()     # below the title
-    commands: Tuple[TextLine, ...] = ()  # calls, and what is sent
+    commands: Tuple[TextLine, ...] = ()  # calls and commands sent
 
 
 def layout(bridge: BridgeState, heading: Heading, now: float, width: int = 80,
            height: int = 24) -> List[TextLine]:
-    """The table within `width` by `height`; blank lines and headings where there is room."""
+    """Return the table for `width` by `height` characters.
+
+    Blank lines are left out first, then headings, then topics.
+    """
     head = [TextLine(_fitting(heading.title, '  ', width), 'head')]
     trouble = bridge.trouble(now)
     head += [TextLine(trouble, 'bad')] if trouble else []
@@ -59,19 +62,20 @@ def layout(bridge: BridgeState, heading: Heading, now: float, width: int = 80,
         blocks.append([TextLine('commands', 'head')] + commands)
     blocks.append([TextLine(f"{'topic':<24}{'rate':>10}  last value", 'head')]
                   + [_topic_line(each, now) for each in topics])
-    for gap in [TextLine('')], []:
+    gaps: List[List[TextLine]] = [[TextLine('')], []]
+    for gap in gaps:
         lines = [line for block in blocks for line in gap + block][len(gap):]
         if sum(line.rows(width) for line in lines) <= height:
             break
     else:
-        lines = _crowded(head, links + commands, topics, now, width, height)
+        lines = _compact(head, links + commands, topics, now, width, height)
     return [line if line.whole else line._replace(text=_cut(one_line(line.text), width))
             for line in lines]
 
 
-def _crowded(head: List[TextLine], first: List[TextLine], topics: List[List[TopicState]],
+def _compact(head: List[TextLine], first: List[TextLine], topics: List[List[TopicState]],
              now: float, width: int, height: int) -> List[TextLine]:
-    """Without headings; `first` before `head` before `topics`, where there is no room for all."""
+    """The table without headings. `first` has priority over `head`, and `head` over `topics`."""
     left = height - len(first)
     shown = []
     for line in head:
@@ -79,17 +83,17 @@ def _crowded(head: List[TextLine], first: List[TextLine], topics: List[List[Topi
         if line.rows(width) < left or (not topics and line.rows(width) == left):
             shown.append(line)
             left -= line.rows(width)
-    lines = [_topic_line(each, now) for each in _joined(topics, left)]
+    lines = [_topic_line(each, now) for each in _merge_neighbours(topics, left)]
     if len(lines) > left:
         more = len(lines) - max(0, left - 1)
         lines = lines[:max(0, left - 1)] + [TextLine(f'… {more} more lines')]
     return (shown + first + lines)[:height]
 
 
-def _joined(topics: List[List[TopicState]], most: int) -> List[List[TopicState]]:
-    """At most so many lines of topics, as far as neighbours can share one.
+def _merge_neighbours(topics: List[List[TopicState]], most: int) -> List[List[TopicState]]:
+    """Let neighbouring topics share a line until there are `most` lines, as far as possible.
 
-    Two of one type do first (both ranges), then two below one name (~environment/…).
+    Pairs of the same type go first (both ranges), then pairs under one name (~environment/…).
     """
     topics = list(topics)
     for alike in (lambda each: each.topic.type, lambda each: each.topic.name.rpartition('/')[0]):
@@ -103,7 +107,7 @@ def _joined(topics: List[List[TopicState]], most: int) -> List[List[TopicState]]
 
 
 def _topic_line(group: List[TopicState], now: float) -> TextLine:
-    """One topic, or two; the rate is the first one's."""
+    """The line of one topic or of two. The rate is that of the first."""
     each = group[0]
     stale = each.stale(now)
     if not each.count:
@@ -119,31 +123,31 @@ def _topic_line(group: List[TopicState], now: float) -> TextLine:
     name = ', '.join([each.topic.name] + [other.topic.name.split('/')[-1] for other in group[1:]])
     words = '; '.join(each.words or 'nothing yet' for each in group)
     fresh = all(each.count and not each.stale(now) for each in group)
-    # The rate stays in its column, as far as the names leave room.
+    # The rate stays in its column unless the names are too long.
     return TextLine(f'{name:<24} {rate:>{max(0, 33 - max(24, len(name)))}}  {words}',
                     'plain' if fresh else 'warn')
 
 
 def _link_line(name: str, link: Optional[LinkState], now: float, width: int) -> TextLine:
     if link is None:
-        return TextLine(f'{name:<7} no word from it yet', 'warn')
+        return TextLine(f'{name:<7} no status received yet', 'warn')
     level = min(link.level, len(LEVELS) - 1)
-    said = f'{name:<7} {LEVELS[level]:<5} {link.summary}'
+    status = f'{name:<7} {LEVELS[level]:<5} {link.summary}'
     if link.stale(now):
         level = len(LEVELS) - 1
-        said = f'{name:<7} STALE said {ago(now - link.at)} ago: {link.summary}'
-    bad = f'bad {sum(link.errors.values())}'
+        status = f'{name:<7} STALE reported {ago(now - link.at)} ago: {link.summary}'
+    errors = f'errors {sum(link.errors.values())}'
     causes = ', '.join(f'{count} {cause}' for cause, count in link.errors.items() if count)
-    if causes and len(f'{said}, {bad} ({causes})') <= width:
-        bad += f' ({causes})'
+    if causes and len(f'{status}, {errors} ({causes})') <= width:
+        errors += f' ({causes})'
     counters = [words.format(link.values[key]) for key, words in _COUNTERS if key in link.values
                 and not (key in _ONLY_ABOVE_0 and link.values[key] == '0')]
-    return TextLine(_fitting([said, bad, *counters], ', ', width),
+    return TextLine(_fitting([status, errors, *counters], ', ', width),
                     ('good', 'warn', 'bad', 'bad')[level])
 
 
 def _fitting(parts: Sequence[str], between: str, width: int) -> str:
-    """The first part, and as many of the others as there is room for."""
+    """Join the first part and each later part that fits into `width` characters."""
     text = parts[0]
     for part in parts[1:]:
         if len(text + between + part) <= width:
@@ -156,7 +160,7 @@ def _cut(text: str, width: int) -> str:
 
 
 def report(bridge: BridgeState, heading: Heading, now: float) -> List[str]:
-    """A few plain lines, where there is no terminal to redraw; a rate for each link."""
+    """Return a few plain lines for an output that is no terminal, with a rate for each link."""
     wanted = [each for each in bridge.topics if not each.topic.optional]
     carry = sum(bool(each.count) and not each.stale(now) for each in wanted)
     first = {each.topic.links: each for each in reversed(wanted)}
@@ -170,13 +174,13 @@ def report(bridge: BridgeState, heading: Heading, now: float) -> List[str]:
 
 
 def plain(bridge: BridgeState, heading: Heading, now: float) -> str:
-    """The whole table without colours, however long it is."""
+    """Return the whole table without colours, whatever its length."""
     lines = layout(bridge, heading, now, 160, 1000)
     return '\n'.join(line.text.rstrip() for line in lines) + '\n'
 
 
 class Screen:
-    """Redraws in place on a terminal; prints a report now and then elsewhere."""
+    """Redraws the table in place on a terminal; elsewhere prints a report every 5 redraws."""
 
     _STYLES: Dict[str, str] = {'plain': '', 'head': '\033[1m', 'good': '\033[32m',
                                'warn': '\033[33m', 'bad': '\033[31m'}
@@ -186,35 +190,35 @@ class Screen:
         self.is_terminal = self._out.isatty()
         self._draws = 0
         if hasattr(self._out, 'reconfigure'):
-            self._out.reconfigure(errors='replace')    # whatever the locale can print
+            self._out.reconfigure(errors='replace')    # for characters that the locale lacks
 
     def draw(self, bridge: BridgeState, heading: Heading, now: float) -> None:
-        """Show the state as it is now."""
+        """Show the state at the time `now`."""
         self._draws += 1
         if not self.is_terminal:
             if self._draws % _PLAIN_EVERY == 1:
                 self.say('\n'.join(report(bridge, heading, now)))
             return
         size = shutil.get_terminal_size()
-        # Each line is written over the old one, never wiped first, in one write: no flicker.
+        # One write that overwrites the old lines without clearing them first: no flicker.
         rows = [self._row(line, size.columns)
                 for line in layout(bridge, heading, now, size.columns, size.lines)]
         begin = '\033[?25l\033[2J\033[H' if self._draws == 1 else '\033[H'
         self._write(begin + '\r\n'.join(rows) + '\033[J')
 
     def _row(self, line: TextLine, width: int) -> str:
-        # After a row that is full to the edge the cursor waits on its last character, which
-        # wiping the rest of the row would take away.
+        # After a full row the cursor stays on its last character, which clearing to the end of
+        # the row would erase.
         full = line.text and len(line.text) % width == 0
         return f"{self._STYLES[line.style]}{line.text}\033[0m{'' if full else chr(27) + '[K'}"
 
     def say(self, text: str) -> None:
-        """Lines of their own, where there is no terminal to redraw."""
+        """Print lines between the reports; nothing on a terminal."""
         if not self.is_terminal:
             self._write(text + '\n')
 
     def close(self, bridge: BridgeState, heading: Heading, now: float) -> None:
-        """Leave the last table behind and give the terminal back."""
+        """Leave the last table on the screen and restore the terminal."""
         if not self.is_terminal:
             self._write(plain(bridge, heading, now))
         elif self._draws:

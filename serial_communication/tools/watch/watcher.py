@@ -1,8 +1,8 @@
-"""Looks at one bridge through its master and its topics, and never says anything to it.
+"""Watches one bridge through its master and its topics, and sends it nothing.
 
-Topics are counted as they come, but only the latest message of each is unpacked, when somebody
-looks (`update`). Which topics a bridge has is asked of the master, so that own messages and
-boards of other packages appear by themselves.
+Every message is counted, but only the latest of each topic is deserialized, in `update`. The
+master is asked which topics the bridge has, so that custom messages and boards of other packages
+appear by themselves.
 """
 import atexit
 import threading
@@ -14,41 +14,42 @@ import rosgraph
 import rospy
 
 from .state import BridgeState, LinkState
-from .topics import DIAGNOSTICS, Topic, expected_links, known, resolve
+from .topics import DIAGNOSTICS, BridgeTopic, expected_links, published_topics, resolve
 
-_ASK_EVERY = 1.0      # s from one question to the master to the next
-_FAREWELL = 2.0       # s
-_BUFFER = 1 << 18     # bytes; rospy's 64 KiB would delay the latest message behind older ones
+_ASK_EVERY = 1.0      # s between two requests to the master
+_LEAVE_TIMEOUT = 2.0  # s
+_BUFFER = 1 << 18     # bytes; with rospy's 64 KiB the latest message waits behind older ones
 
 
-def leave(patience: float = _FAREWELL) -> None:
-    """End this process's part in ROS; in `patience` s even where the master does not answer."""
+def leave_ros(patience: float = _LEAVE_TIMEOUT) -> None:
+    """Shut this process's node down, in `patience` s at most even if the master hangs."""
     ending = threading.Thread(target=rospy.signal_shutdown, args=('it ends',), daemon=True)
     ending.start()
     ending.join(patience)
     if ending.is_alive():
-        atexit.unregister(rospy.core._ros_atexit)    # which would wait for it
+        atexit.unregister(rospy.core._ros_atexit)    # it would wait for the master
 
 
 class Watcher:
     """Keeps a `BridgeState` up to date, in a process that has called rospy.init_node.
 
-    Only messages that come from the node itself count: other nodes publish on /tf, /diagnostics
-    and, with several bridges in one namespace, on serial_msg too.
+    Only messages from that node count: other nodes publish on /tf and /diagnostics too, and other
+    bridges in the same namespace on serial_msg.
 
     Args:
-        state: what to fill.
-        wants: which topics to subscribe to; /diagnostics always is one.
-        on_message: is told of every message, in rospy's threads: its topic, what of `unpack` is
-            to make a message, and when it came.
+        state: is kept up to date.
+        wants: whether to subscribe to a topic; /diagnostics is always subscribed to.
+        on_message: is called in rospy's threads for every message, with its topic, the serialized
+            message (see `unpack`) and the time it was received.
     """
 
-    def __init__(self, state: BridgeState, wants: Callable[[Topic], bool] = lambda _topic: True,
-                 on_message: Optional[Callable[[Topic, bytes, float], None]] = None) -> None:
+    def __init__(self, state: BridgeState,
+                 wants: Callable[[BridgeTopic], bool] = lambda _topic: True,
+                 on_message: Optional[Callable[[BridgeTopic, bytes, float], None]] = None) -> None:
         self._state = state
         self._wants = wants
         self._on_message = on_message
-        self._lock = threading.Lock()      # of the subscriptions
+        self._lock = threading.Lock()      # for the subscriptions
         self._subscribers: Dict[str, rospy.Subscriber] = {}     # by full name
         self._latest: Dict[str, bytes] = {}                     # by relative name
         self._classes: Dict[str, Any] = {}                      # by type
@@ -56,18 +57,18 @@ class Watcher:
         self._thread = threading.Thread(target=self._run, name='master watch', daemon=True)
 
     def start(self) -> None:
-        """Subscribe, and ask the master from now on."""
+        """Subscribe, and start to ask the master once a second."""
         self.subscribe()
         self._thread.start()
 
     def stop(self) -> None:
-        """Unsubscribe from everything, for good."""
+        """Unsubscribe from everything. Cannot be started again."""
         self._stopping.set()
         with self._lock:
             self._unsubscribe(list(self._subscribers))
 
     def update(self, now: float) -> None:
-        """Rates, and the latest message of each topic in numbers and words."""
+        """Update the rate of each topic, its latest message and its text."""
         for each in self._state.topics:
             each.measure(now)
             packed = self._latest.pop(each.topic.name, None)
@@ -77,37 +78,42 @@ class Watcher:
                 each.message = self.unpack(each.topic, packed)
                 each.words = each.topic.words(each.message)
             except Exception as error:  # pylint: disable=broad-except
-                # Whatever another version of the type may make of it.
+                # The message may be of another version of the type.
                 each.message, each.words = None, f'not as expected: {error}'
 
-    def unpack(self, topic: Topic, packed: bytes) -> Any:
-        """The message; an exception where it is none of the topic's type."""
+    def unpack(self, topic: BridgeTopic, packed: bytes) -> Any:
+        """Deserialize a message of a topic.
+
+        Raises:
+            ValueError: the type is not installed here.
+            Exception: whatever genpy raises where it is not of the topic's type.
+        """
         return self._class(topic.type)().deserialize(packed)
 
     # -- messages --------------------------------------------------------------------------
 
-    def _take(self, message: Any, name: str) -> None:
-        header = message._connection_header    # AnyMsg has no other way to tell who sent it
+    def _receive(self, message: Any, name: str) -> None:
+        header = message._connection_header    # AnyMsg names its sender nowhere else
         if header.get('callerid') != self._state.node:
             return
         each = self._state.topic(name)
         if each is not None:
             now = time.monotonic()
             self._latest[name] = message._buff
-            each.take(now)
+            each.received(now)
             if self._on_message:
                 self._on_message(each.topic, message._buff, now)
         if name == DIAGNOSTICS:                # each message is about one link
-            self._take_links(self._class(header['type'])().deserialize(message._buff))
+            self._receive_links(self._class(header['type'])().deserialize(message._buff))
 
-    def _take_links(self, message: Any) -> None:
+    def _receive_links(self, message: Any) -> None:
         now = time.monotonic()
         for status in message.status:
             name = status.name.partition(': ')[2]
-            # One without values is the updater's own word, that the node starts.
+            # A status without values is the updater's notice that the node starts.
             if name.endswith(' link') and status.values:
                 level = status.level       # some versions of genpy have bytes here
-                self._state.take_link(name[:-len(' link')], LinkState(
+                self._state.set_link(name[:-len(' link')], LinkState(
                     ord(level) if isinstance(level, bytes) else level, status.message,
                     {pair.key: pair.value for pair in status.values}, now))
 
@@ -122,7 +128,7 @@ class Watcher:
     # -- subscriptions ---------------------------------------------------------------------
 
     def subscribe(self) -> None:
-        """Subscribe to what is wanted now, and to nothing else."""
+        """Subscribe to the topics that are wanted now, and unsubscribe from the others."""
         wanted = {resolve(each.topic.name, self._state.node): each.topic.name
                   for each in self._state.topics if self._wants(each.topic)}
         wanted[DIAGNOSTICS] = DIAGNOSTICS
@@ -132,7 +138,7 @@ class Watcher:
             self._unsubscribe(set(self._subscribers) - set(wanted))
             for name in set(wanted) - set(self._subscribers):
                 self._subscribers[name] = rospy.Subscriber(
-                    name, rospy.AnyMsg, self._take, wanted[name], tcp_nodelay=True,
+                    name, rospy.AnyMsg, self._receive, wanted[name], tcp_nodelay=True,
                     buff_size=_BUFFER)
 
     def _unsubscribe(self, names: Iterable[str]) -> None:
@@ -147,7 +153,7 @@ class Watcher:
             try:
                 self._ask(master)
             except (OSError, rosgraph.MasterException):
-                pass    # BridgeState.trouble tells, by the time of the last answer
+                pass    # BridgeState.trouble reports it, by the time of the last answer
             except Exception as error:  # pylint: disable=broad-except
                 rospy.logwarn_throttle(10, f'asking the master: {error!r}')
             self._stopping.wait(_ASK_EVERY)
@@ -159,17 +165,18 @@ class Watcher:
         registered = bool(published) or any(state.node in nodes for _name, nodes in services)
         if registered:
             types = dict(master.getTopicTypes())
-            state.learn(self._parameters(master))
+            state.set_parameters(self._parameters(master))
             state.expect_links(expected_links(state.parameters))
-            state.set_topics(known(state.node, {name: types.get(name, '*') for name in published},
-                                   state.parameters, state.boards))
-            # A master that was started again knows neither us nor, at first, the bridge. What
-            # still comes over the old connections is kept until the bridge is there again.
+            state.set_topics(published_topics(
+                state.node, {name: types.get(name, '*') for name in published},
+                state.parameters, state.boards))
+            # A restarted master knows neither this node nor, at first, the bridge. Messages still
+            # arrive over the old connections, which are kept until the bridge has registered.
             ours = {name for name, nodes in subscribers if rospy.get_name() in nodes}
             with self._lock:
                 self._unsubscribe(set(self._subscribers) & published - ours)
             self.subscribe()
-        state.master_says(registered, time.monotonic())
+        state.master_answered(registered, time.monotonic())
 
     def _parameters(self, master: Any) -> Dict[str, Any]:
         try:

@@ -1,5 +1,5 @@
-"""rosrun serial_communication wire: what is on a serial line, explained, shown, kept, played back.
+"""rosrun serial_communication wire: explain, show, record and play back a serial line.
 
-A module a program; `cli` finds the one that is asked for. `lines` decodes one direction of a
-line, `recording` reads and writes what was kept of it, `live` reads ports, `show` prints.
+Each program is a module, which `cli` selects. `lines` decodes one direction of a line, `recording`
+reads and writes recordings, `live` reads ports, `display` prints frames, `show` formats them.
 """

@@ -1,4 +1,4 @@
-"""python3 -m serial_communication.tools.wire: the programs without ROS."""
+"""python3 -m serial_communication.tools.wire: runs the programs without ROS."""
 from .cli import main
 
 raise SystemExit(main())

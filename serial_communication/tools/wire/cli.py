@@ -1,4 +1,4 @@
-"""The program `wire`: finds the module that is asked for. See `wire --help`."""
+"""The program `wire`: runs the module that the command line names. See `wire --help`."""
 import argparse
 import re
 import signal
@@ -7,28 +7,28 @@ from typing import List, Optional
 
 from ...output import prepare_output
 from . import explain, listen, play, stats, tap
-from .show import Trouble, complain, no_more_output
+from .show import WireError, print_note, no_more_output
 
 PROGRAMS = {'explain': explain, 'listen': listen, 'tap': tap, 'play': play, 'stats': stats}
 
 _DESCRIPTION = """\
-The wire under a lens: what is on a serial line, in bytes and in words.
+What is on a serial line, in bytes and in words.
 
-  got some hex?                       wire explain arduino 03 08 02 00
-  what does the board say?            wire listen mcu /dev/ttyUSB0
-  what do both say?                   wire tap arduino /dev/ttyUSB0 /tmp/tap
-  the robot's day, again, at the desk wire play drive.bag mcu /tmp/board
-  how good is that line?              wire stats drive.bag
+  explain bytes                        wire explain arduino 03 08 02 00
+  show what a board sends              wire listen mcu /dev/ttyUSB0
+  show both directions                 wire tap arduino /dev/ttyUSB0 /tmp/tap
+  play a recording to a bridge         wire play drive.bag mcu /tmp/board
+  count frames and errors              wire stats drive.bag
 
-wire stands for  rosrun serial_communication wire , or scripts/wire in a checkout; each program
-below has its own --help.
+wire stands for  rosrun serial_communication wire , or scripts/wire in a checkout. Each program
+below has a --help.
 """
 
 
 def main(arguments: Optional[List[str]] = None) -> int:
-    """Run what the command line says; the exit status.
+    """Run the program that the command line names, and return the exit status.
 
-    A disk that is full, or a reader that has gone, costs one line at most.
+    A full disk or a closed pipe causes one line of output at most, not a traceback.
     """
     prepare_output()
     for number in (signal.SIGTERM, signal.SIGHUP):
@@ -37,24 +37,24 @@ def main(arguments: Optional[List[str]] = None) -> int:
         try:
             return _run(arguments)
         finally:
-            sys.stdout.flush()     # else the interpreter does, and says more than a line
+            sys.stdout.flush()     # or the interpreter does, and prints more than a line
     except KeyboardInterrupt:
         return 130
-    except Trouble as error:
-        complain(f'wire: {error}')
+    except WireError as error:
+        print_note(f'wire: {error}')
         return error.status
     except BrokenPipeError:
         no_more_output()
         return 0
     except OSError as error:
         no_more_output()
-        complain(f'wire: {error.filename or "its output cannot be written"}: {error.strerror}')
+        print_note(f'wire: {error.filename or "its output cannot be written"}: {error.strerror}')
         return 1
 
 
 def _run(arguments: Optional[List[str]]) -> int:
     arguments = sys.argv[1:] if arguments is None else arguments
-    # What roslaunch adds: __name:=… and remappings.
+    # roslaunch adds __name:=… and remappings.
     arguments = [each for each in arguments if not re.match(r'[\w/~]+:=', each)]
     parser = argparse.ArgumentParser(prog='wire', description=_DESCRIPTION,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -65,7 +65,7 @@ def _run(arguments: Optional[List[str]]) -> int:
             formatter_class=argparse.RawDescriptionHelpFormatter))
     options, rest = parser.parse_known_args(arguments)
     if 'hex' in options and not any(each.startswith('--') for each in rest):
-        options.hex += rest     # bytes behind an option: argparse takes no second helping
+        options.hex += rest     # bytes after an option, which argparse does not collect
     elif rest:
         parser.error(f'unrecognized arguments: {" ".join(rest)}')
     return PROGRAMS[options.program].run(options)

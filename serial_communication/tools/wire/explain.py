@@ -1,15 +1,15 @@
-r"""Bytes of a serial line, field by field: what each is, what it means, what is wrong with it.
+r"""Explains bytes of a serial line, field by field: the meaning of each, and what is wrong with it.
 
-Bytes are taken as people have them: A5 02 55, a50255, 0xA5,0x02, \xa5\x02, b'\xa5\x02', or in
-brackets [165, 2], as rostopic echo prints them; as arguments, or on standard input.
+Bytes may be written A5 02 55, a50255, 0xA5,0x02, \xa5\x02, b'\xa5\x02', or in brackets [165, 2],
+as rostopic echo prints them; as arguments or on standard input.
 
   wire explain bus A5 02 55 20 00 64 B6
   wire explain mcu 020c109c2f003a0000000dfff3009803
   rostopic echo -n 1 /serial_msg/frame | wire explain arduino -
 
-Whether the computer or the board said it is found out from the bytes, for each frame on its own.
-Several frames may stand together, with noise between them; a frame that is cut short is explained
-as far as it goes. Status 0: all of it was sound; 1: not all; 2: this is no hex.
+The bytes show, for each frame, whether the computer or the board sent it. There may be several
+frames, with noise between them. An incomplete frame is explained as far as it goes. Status 0: all
+frames are valid; 1: not all are; 2: wrong arguments, or not hex.
 """
 import argparse
 import ast
@@ -26,18 +26,18 @@ from . import lines
 from .lines import Settings
 from .show import Paint, hexed
 
-SUMMARY = 'bytes, field by field: what each means, and what is wrong'
+SUMMARY = 'explain bytes, field by field, and what is wrong with them'
 
 _FORMS = r"bytes are written A5 02 55, a50255, 0xA5,0x02, \xa5\x02, b'\xa5\x02' or [165, 2]"
-_MOST_BYTES = 8         # of a field on a line; a longer one goes on on the next
+_MOST_BYTES = 8         # of a field on one line; a longer field continues on the next
 
 
-class NoHex(lines.Unusable):
-    """The text says what is no hex."""
+class NotHex(lines.UsageError):
+    """The text is not hex."""
 
 
 class Explained(NamedTuple):
-    """A frame, or a stretch of bytes that is none, in its parts."""
+    """A frame or a stretch of noise, with its parts."""
 
     sent: bool
     frame: Frame
@@ -45,31 +45,31 @@ class Explained(NamedTuple):
 
     @property
     def missing(self) -> int:
-        """Fields of which bytes are missing."""
+        """The number of fields with missing bytes."""
         return sum(bool(part.missing) for part in self.parts)
 
     @property
     def trouble(self) -> str:
-        """What is wrong with it, in a line; '' where nothing is."""
+        """What is wrong with it, in one line; '' if it is valid."""
         if self.frame.cause == FRAMING and self.missing:
             return 'incomplete'
         return self.frame.trouble or '; '.join(part.error for part in self.parts if part.error)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """What the command line may say."""
+    """Add the arguments of `wire explain`."""
     lines.add_link_options(parser)
     parser.add_argument('hex', metavar='HEX', nargs='*', help='the bytes; - for standard input')
     one = parser.add_mutually_exclusive_group()
     one.add_argument('--sent', action='store_const', const=True, dest='sent',
-                     help='the computer said it (bus: a request)')
+                     help='the computer sent the bytes (bus: a request)')
     one.add_argument('--received', action='store_const', const=False, dest='sent',
-                     help='the board said it (bus: a reply)')
-    parser.add_argument('--json', action='store_true', help='the same for a program')
+                     help='the board sent the bytes (bus: a reply)')
+    parser.add_argument('--json', action='store_true', help='the same as JSON')
 
 
 def run(options: argparse.Namespace) -> int:
-    """Explain; the exit status."""
+    """Explain the bytes and return the exit status."""
     words = options.hex
     text = ' '.join(words) if words and words != ['-'] else sys.stdin.read()
     found = explain(parse(text), lines.settings(options), options.sent)
@@ -78,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
                           'frames': [as_dict(each) for each in found]}, indent=1))
     else:
         print('\n\n'.join(render(each, Paint()) for each in found)
-              or 'empty packets, which say nothing')
+              or 'only empty packets')
     return 1 if any(each.trouble for each in found) else 0
 
 
@@ -86,10 +86,10 @@ def run(options: argparse.Namespace) -> int:
 
 
 def parse(text: str) -> bytes:
-    """The bytes in any of the forms above.
+    """Return the bytes of a text in any of the forms above.
 
     Raises:
-        NoHex: it is none of them, or empty.
+        NotHex: the text has none of these forms, or no bytes.
     """
     text = text.strip()
     if text.startswith(("b'", 'b"')) or re.fullmatch(r'\[[\d,\s]*\](\s*---)?', text):
@@ -97,7 +97,7 @@ def parse(text: str) -> bytes:
     else:
         data = b''.join(map(_token, re.split(r'[\s,;:|\'"\[\](){}]+|(?=\\x)', text)))
     if not data:
-        raise NoHex(f'there are no bytes; {_FORMS}')
+        raise NotHex(f'there are no bytes; {_FORMS}')
     return data
 
 
@@ -105,7 +105,7 @@ def _literal(text: str) -> bytes:
     try:
         return bytes(ast.literal_eval(text))
     except (ValueError, SyntaxError):
-        raise NoHex(f'{text[:40]!r} is not how Python writes bytes; {_FORMS}') from None
+        raise NotHex(f'{text[:40]!r} is not a valid bytes literal; {_FORMS}') from None
 
 
 def _token(text: str) -> bytes:
@@ -114,7 +114,7 @@ def _token(text: str) -> bytes:
         digits = '0' + digits
     if not re.fullmatch('([0-9a-fA-F]{2})*', digits) or (text and not digits):
         odd = ' (an odd number of digits)' if re.fullmatch('[0-9a-fA-F]+', digits) else ''
-        raise NoHex(f'{text[:40]!r} is no hex{odd}; {_FORMS}')
+        raise NotHex(f'{text[:40]!r} is not hex{odd}; {_FORMS}')
     return bytes.fromhex(digits)
 
 
@@ -122,31 +122,37 @@ def _token(text: str) -> bytes:
 
 
 def explain(data: bytes, line: Settings, sent: Optional[bool] = None) -> List[Explained]:
-    """Every frame and every stretch of noise in `data`; who said it is found out where None.
+    """Return every frame and every stretch of noise in `data`, in order.
 
-    Sound frames come first: what one end cannot have said, the other may have, and both may
-    stand in one text. What lies between them is told as what it is likeliest to be.
+    Args:
+        sent: whether `data` was sent to the board; None: decided for each frame.
+
+    Valid frames of either end are found first, since `data` may hold both directions. The bytes
+    between them are explained as whichever direction is more plausible.
     """
-    speakers = (False, True) if sent is None else (sent,)
+    senders = (False, True) if sent is None else (sent,)
     found: List[Explained] = []
     end = 0
-    sound = [(start, each) for speaker in speakers for start, each in _split(data, line, speaker)
+    valid = [(start, each) for sender in senders for start, each in _split(data, line, sender)
              if not each.frame.cause]
-    for start, each in sorted(sound, key=lambda placed: (placed[0], -len(placed[1].frame.raw))):
+    for start, each in sorted(valid, key=lambda placed: (placed[0], -len(placed[1].frame.raw))):
         if start >= end:
-            found += _between(data[end:start], line, speakers) + [each]
+            found += _explain_gap(data[end:start], line, senders) + [each]
             end = start + len(each.frame.raw)
-    return _in_turn(found + _between(data[end:], line, speakers), line)
+    return _match_replies(found + _explain_gap(data[end:], line, senders), line)
 
 
-def _between(data: bytes, line: Settings, speakers: Iterable[bool]) -> List[Explained]:
-    """What holds no sound frame."""
-    return max(([each for _, each in _split(data, line, speaker)] for speaker in speakers),
-               key=_soundness)
+def _explain_gap(data: bytes, line: Settings, senders: Iterable[bool]) -> List[Explained]:
+    """Explain bytes that hold no valid frame."""
+    return max(([each for _, each in _split(data, line, sender)] for sender in senders),
+               key=_plausibility)
 
 
 def _split(data: bytes, line: Settings, sent: bool) -> List[Tuple[int, Explained]]:
-    """As the decoder of one end cuts them, with where each begins; all bytes are in one."""
+    """The frames and noise that the decoder of one direction finds, each with its start.
+
+    Together they have all bytes of `data`.
+    """
     decoder = lines.decoder(line, sent)
     frames = decoder.feed(data, 0.0)
     while decoder.pending:
@@ -161,12 +167,12 @@ def _split(data: bytes, line: Settings, sent: bool) -> List[Tuple[int, Explained
     for frame in frames:
         start = data.find(frame.raw, at)
         if frame.cause == FRAMING or start < 0:
-            continue     # noise is quoted in part only: it is all that no other frame has
+            continue     # a noise frame may quote only a part; noise is what no other frame has
         if data[end:start].strip(nothing):
             add(end, _noise(data[end:start]))
         add(start, frame)
         end = max(end, start + len(frame.raw))
-        # Inside a frame whose checksum is wrong, the next may begin.
+        # The next frame may begin inside an invalid one.
         at = start + 1 if frame.cause else end
     if data[end:].strip(nothing):
         add(end, _noise(data[end:]))
@@ -179,40 +185,40 @@ def _noise(data: bytes) -> Frame:
                  '1 byte that is no frame')
 
 
-def _soundness(found: Sequence[Explained]) -> Any:
-    """The more of it is sound, and the fewer fields are wrong, the likelier is the speaker."""
+def _plausibility(found: Sequence[Explained]) -> Tuple[int, int, int]:
+    """The sort key of a guess at the sender: more valid bytes, then fewer wrong fields."""
     parts = [part for each in found for part in each.parts]
     return (sum(len(each.frame.raw) for each in found if not each.trouble),
             -sum(bool(part.error or part.kind == '') for part in parts),
             -sum(each.missing for each in found))
 
 
-def _in_turn(found: Sequence[Explained], line: Settings) -> List[Explained]:
-    """A reply behind its request: then it is known what its DATE is."""
+def _match_replies(found: Sequence[Explained], line: Settings) -> List[Explained]:
+    """Explain each reply again with the request before it, which defines the reply's DATE."""
     if line.board.command is not Command.FUNCTION:
         return list(found)
-    told: List[Explained] = []
+    matched: List[Explained] = []
     request: Any = None
     for each in found:
         if each.sent:
             request = each.frame.message
         elif request:
-            each = each._replace(parts=lines.decoder(line, False).explain(
-                each.frame.raw, request))
+            replies: Any = lines.decoder(line, False)      # see Command.FUNCTION
+            each = each._replace(parts=replies.explain(each.frame.raw, request))
             request = None
-        told.append(each)
-    return told
+        matched.append(each)
+    return matched
 
 
 # -- parts to text --------------------------------------------------------------------------
 
 
 def render(each: Explained, paint: Paint) -> str:
-    """A line for the whole, and one for each part."""
-    speaker = 'computer' if each.sent else 'board'
+    """Return a frame as text: a line for the whole, and lines for each part."""
+    sender = 'computer' if each.sent else 'board'
     raw = each.frame.raw
-    said = paint(each.trouble, 'bad') if each.trouble else each.frame.text
-    text = [f'{paint("from the " + speaker, speaker)}, {len(raw)} bytes: {said}']
+    words = paint(each.trouble, 'bad') if each.trouble else each.frame.text
+    text = [f'{paint("from the " + sender, sender)}, {len(raw)} bytes: {words}']
     is_encoded = any(part.data != raw[part.start:part.end] for part in each.parts)
     if is_encoded:
         text.append(paint(f'  {"on the wire":25}{"decoded":25}', 'dim'))
@@ -238,8 +244,8 @@ def _render_part(part: Part, raw: bytes, is_encoded: bool, paint: Paint) -> List
 def _value(part: Part) -> str:
     if part.value is None:
         return ''
-    told = f'{_number(part.value)} {part.unit}'.rstrip()
-    return told if part.raw == part.value else f'{told} (sent as {_number(part.raw)})'
+    shown = f'{_number(part.value)} {part.unit}'.rstrip()
+    return shown if part.raw == part.value else f'{shown} (sent as {_number(part.raw)})'
 
 
 def _number(value: Any) -> str:
@@ -251,7 +257,7 @@ def _number(value: Any) -> str:
 
 
 def as_dict(each: Explained) -> dict:
-    """For a program."""
+    """Return a frame as an object for JSON."""
     raw = each.frame.raw
     return {
         'from': 'computer' if each.sent else 'board', 'frame': raw.hex(),
@@ -263,7 +269,7 @@ def as_dict(each: Explained) -> dict:
 
 
 def _plain(value: Any) -> Any:
-    """As JSON can have it: a number that is none, as a voltage may be, is a text."""
+    """Convert a value for JSON, which has neither NaN nor infinity: these become text."""
     if isinstance(value, (tuple, list)):
         return [_plain(each) for each in value]
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,9 +1,9 @@
-"""Figures of many values."""
+"""Statistics."""
 from typing import Sequence
 
 
 def percentile(values: Sequence[float], percent: float) -> float:
-    """The smallest of the values that `percent` % of them do not exceed; nan without any."""
+    """Return the least value that `percent` % of the values do not exceed; NaN without any."""
     if not values:
         return float('nan')
     ordered = sorted(values)

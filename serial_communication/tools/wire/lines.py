@@ -1,36 +1,36 @@
-"""The lines that are known here, and one direction of one, decoded as a link decodes it."""
+"""Settings of a serial line, and a decoder for one direction that works like a link's."""
 import argparse
 from typing import Any, Callable, List, Mapping, NamedTuple, Optional
 
 from ...boards import BOARDS, BoardError, find
-from ...boards.config_file import of_board, read_parameters
+from ...boards.config_file import board_parameters, read_parameters
 from ...boards.description import Description
 from ...framing.frame_timer import FrameTimer
-from ...framing.stream import Frame
+from ...framing.stream import Decoder, Frame
 from ...transport.port import check_url
-from .show import Trouble
+from .show import WireError
 
 MAX_BAUD = 10 ** 8
 FRAME_TIMEOUT = 0.05     # s; the default of the bridge's parameter frame_timeout
 
 
-class Unusable(Trouble):
-    """What the command line says cannot be used."""
+class UsageError(WireError):
+    """An argument of the command line cannot be used."""
 
     status = 2
 
 
-class UnknownBoard(Unusable):
-    """No board has a link of that name."""
+class UnknownBoard(UsageError):
+    """No known board has a link of that name."""
 
 
 class Settings(NamedTuple):
-    """What has to be known of a line to decode it."""
+    """What is needed to decode a line."""
 
     board: Description
     baud: int
     frame_timeout: float = FRAME_TIMEOUT     # s
-    parameters: Mapping[str, Any] = {}       # the board's own, as the bridge has them
+    parameters: Mapping[str, Any] = {}       # the board's, as the bridge has them
 
     @property
     def link(self) -> str:
@@ -39,15 +39,15 @@ class Settings(NamedTuple):
 
 
 def positive(text: str) -> float:
-    """For argparse: a number above 0."""
+    """For argparse: a finite number above 0."""
     value = float(text)
     if not 0 < value < float('inf'):
-        raise argparse.ArgumentTypeError(f'{text} is not above 0')
+        raise argparse.ArgumentTypeError(f'{text} is not a finite number above 0')
     return value
 
 
 def port(text: str) -> str:
-    """For argparse: whatever pyserial may be able to open."""
+    """For argparse: a device or URL that pyserial may be able to open."""
     try:
         check_url(text)
     except ValueError as error:
@@ -56,18 +56,18 @@ def port(text: str) -> str:
 
 
 def baud(text: str) -> int:
-    """For argparse: a baud rate."""
+    """For argparse: a baud rate, 1 … MAX_BAUD."""
     value = int(text)
     if not 0 < value <= MAX_BAUD:
-        raise argparse.ArgumentTypeError(f'{text} is none of 1 to {MAX_BAUD}')
+        raise argparse.ArgumentTypeError(f'{text} baud is out of range (1 … {MAX_BAUD})')
     return value
 
 
 def add_link_options(parser: argparse.ArgumentParser) -> None:
-    """LINK, and what changes how its bytes are read."""
+    """Add LINK, and the options that change how its bytes are decoded."""
     parser.add_argument('link', metavar='LINK',
-                        help='whose protocol it is: ' + ', '.join(BOARDS) + ', a link that the '
-                             'boards of --config have, or a package with a board')
+                        help='the protocol: ' + ', '.join(BOARDS) + ', a link of a board in '
+                             '--config, or a package with a board')
     for board in map(find, BOARDS):
         for flag, meaning in board.wire_flags.items():
             parser.add_argument('--' + flag.replace('_', '-'), action='append_const',
@@ -78,23 +78,27 @@ def add_link_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_config_option(parser: argparse.ArgumentParser) -> None:
-    """What `known_lines` reads."""
+    """Add the option for the file that `known_lines` reads."""
     parser.add_argument('--config', default='', metavar='FILE',
-                        help='parameters of the bridge: its custom messages and functions, and '
-                             'its boards of other packages, are known, too')
+                        help="the bridge's parameters, for its custom messages and functions and "
+                             'its boards of other packages')
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """The options that `settings` reads, LINK among them."""
+    """Add the options that `settings` reads, including LINK."""
     add_link_options(parser)
-    parser.add_argument('--baud', type=baud, default=0, metavar='N', help="(the board's own)")
+    parser.add_argument('--baud', type=baud, default=0, metavar='N', help="(the board's default)")
     parser.add_argument('--frame-timeout', type=positive, default=FRAME_TIMEOUT, metavar='S',
-                        help='an incomplete frame is given up after so long without a byte, as '
+                        help='an incomplete frame is dropped after this time without a byte, as '
                              "by the bridge's parameter of that name (%(default)g)")
 
 
 def settings(options: argparse.Namespace) -> Settings:
-    """From the command line; `Unusable` where it is."""
+    """Return the settings from the command line.
+
+    Raises:
+        UsageError: the link is unknown, or --config cannot be used.
+    """
     line = known_lines(options.config)(options.link, options.baud)
     flags = {flag: True for flag in options.flags if flag in line.board.wire_flags}
     return line._replace(frame_timeout=options.frame_timeout,
@@ -102,15 +106,19 @@ def settings(options: argparse.Namespace) -> Settings:
 
 
 def known_lines(config: str) -> Callable[[str, int], Settings]:
-    """What makes the settings of a link, by its name and baud rate, with a file of the bridge's
-    parameters or, for '', without.
+    """Return a function of a link's name and baud rate (0: the default) that returns its settings.
 
-    Both raise `Unusable`, the one that is returned for a name also `UnknownBoard`.
+    Args:
+        config: a file with the bridge's parameters, or ''.
+
+    Raises:
+        UsageError: the file cannot be used. The returned function raises it for a mistake in a
+            custom message, and `UnknownBoard` for an unknown name.
     """
     try:
         parameters = read_parameters(config) if config else {}
     except (OSError, ValueError) as error:
-        raise Unusable(f'{config}: {error}') from None
+        raise UsageError(f'{config}: {error}') from None
     packages = parameters.get('boards')
 
     def known(link: str, baud_rate: int = 0) -> Settings:
@@ -118,27 +126,27 @@ def known_lines(config: str) -> Callable[[str, int], Settings]:
             board = find(link, packages if isinstance(packages, list) else ())
         except BoardError as error:
             raise UnknownBoard(
-                f'there is no board {link}, only {", ".join(BOARDS)}; one of another package is '
-                'known by --config with its `boards`, or by the name of its package: '
+                f'there is no board {link}, only {", ".join(BOARDS)}; for a board of another '
+                'package give its package, or --config with the parameter `boards`: '
                 f'{error}') from None
         line = Settings(board, baud_rate or board.baud,
-                        parameters=of_board(parameters, board.name))
+                        parameters=board_parameters(parameters, board.name))
         try:
             decoder(line, False)
-        except ValueError as error:      # of a custom message
-            raise Unusable(f'{config}: {error}') from None
+        except ValueError as error:      # a mistake in a custom message
+            raise UsageError(f'{config}: {error}') from None
         return line
 
     return known
 
 
-def decoder(line: Settings, sent: bool) -> Any:
-    """A decoder of what the board sends, or of what is `sent` to it."""
+def decoder(line: Settings, sent: bool) -> Decoder:
+    """Return a decoder of what the board sends, or of what is `sent` to it."""
     return line.board.decoder(sent, line.parameters)
 
 
 def type_name(line: Settings, sent: bool, frame: Frame) -> str:
-    """What a good frame is, in the protocol's words."""
+    """Return the name of a valid frame's type, as the protocol calls it."""
     name = ''
     for part in decoder(line, sent).explain(frame.raw):
         if part.kind is not None:
@@ -147,11 +155,10 @@ def type_name(line: Settings, sent: bool, frame: Frame) -> str:
 
 
 class Direction:
-    """What one end of a line says, decoded; live, or later from what was kept.
+    """Decodes one direction of a line, live or from a recording.
 
-    Incomplete frames are given up after the same times as in a link, by the times of the reads.
-    All times are seconds of one clock. A frame's stamp is the time of the read that brought its
-    last byte.
+    Incomplete frames are dropped after the same times as in a link. All times are in seconds of one
+    clock. A frame's stamp is the time of the read that had its last byte.
     """
 
     def __init__(self, line: Settings, sent: bool) -> None:
@@ -161,19 +168,19 @@ class Direction:
         self._last_byte = float('-inf')
         self._now = 0.0
 
-    def hear(self, data: bytes, at: float) -> List[Frame]:
-        """The frames that are complete, or given up, by the time of this read."""
+    def feed(self, data: bytes, at: float) -> List[Frame]:
+        """Decode a read. Return the frames that are complete, or dropped as incomplete, by now."""
         frames = []
         while True:
             due = self.due()
-            if due is None or due >= at:     # a link looks at its bytes first
+            if due is None or due >= at:     # a link decodes new bytes before it drops a frame
                 break
             frames += self._give_up(due)
         self._last_byte = self._now = at
         return frames + self.decoder.feed(data, at) + self._give_up(at)
 
-    def silent_until(self, now: float) -> List[Frame]:
-        """The frames that are given up by `now`, if nothing has come."""
+    def expire(self, now: float) -> List[Frame]:
+        """Return the incomplete frames that are dropped by `now` if nothing was received."""
         frames: List[Frame] = []
         while True:
             due = self.due()
@@ -182,11 +189,11 @@ class Direction:
             frames += self._give_up(due)
 
     def due(self) -> Optional[float]:
-        """When to call `silent_until` next; None: not before something is heard."""
+        """Return when to call `expire` next; None: not before the next read."""
         return self._timer.due(self._last_byte, self._now)
 
     def reset(self) -> None:
-        """Forget what is pending: the port was closed, or bytes are missing."""
+        """Drop pending bytes: the port was closed, or bytes are missing."""
         self.decoder.reset()
         self._timer.reset()
 

@@ -1,12 +1,12 @@
-"""Every frame that a board sends, as it comes. Nothing is ever written to the port.
+"""Shows every frame that a board sends. Nothing is ever written to the port.
 
-A line a frame: the time, how long after the one before, the bytes, and what they say or what is
-wrong with them. The port is opened like the bridge opens it: exclusively, and so that opening it
+Each line has the time, the time since the frame before, the bytes, and their meaning or what is
+wrong with them. The port is opened as the bridge opens it: exclusively, and so that opening it
 again does not reset a board (an Arduino resets once, at the first opening after it was plugged
-in). So while the bridge has the port, this program says so and ends: two readers of a port would
-take bytes from each other. A port that is not there yet is waited for, and Ctrl-C ends it.
+in). Two readers of a port would take bytes from each other, so while the bridge has the port, this
+program reports that and ends. An absent port is waited for. Ctrl-C ends the program.
 
-In the place of a port, a recording (a file of --raw, or a bag of serial_msg) shows what is in it.
+A recording (a file of --raw, or a bag of serial_msg) may be given in place of a port.
 
 examples:
   wire listen mcu /dev/ttyUSB0
@@ -17,25 +17,25 @@ examples:
 import argparse
 import os
 
-from . import lines, onlooker
+from . import display, lines
 from .recording import frames_of, load
 
-SUMMARY = 'every frame that a board sends, as it comes; writes nothing to the port'
+SUMMARY = 'show every frame that a board sends; writes nothing to the port'
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """What the command line may say."""
+    """Add the arguments of `wire listen`."""
     lines.add_options(parser)
     parser.add_argument('port', metavar='PORT', type=lines.port,
                         help='a device, or whatever pyserial opens; or a recording')
-    parser.add_argument('--topic', default='', help='of a bag, where several have frames')
-    onlooker.add_options(parser)
+    parser.add_argument('--topic', default='', help='the topic of a bag with several')
+    display.add_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Listen; the exit status."""
+    """Listen and return the exit status."""
     line = lines.settings(options)
     if os.path.isfile(options.port):
         recording = load(options.port, options.topic)
-        return onlooker.show(frames_of(recording, line), recording.began, options)
-    return onlooker.look_on(line, [options.port], options)
+        return display.show_recorded(frames_of(recording, line), recording.began, options)
+    return display.show_live(line, [options.port], options)

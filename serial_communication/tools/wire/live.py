@@ -1,7 +1,7 @@
-"""Ports that are read as bytes come, and those who look on, who can never hold that up.
+"""Reading ports live. Decoding, printing and recording never delay the reading.
 
-A thread a port does nothing but read, pass on, and put what it read into queues that have an end
-and never make it wait. Whoever decodes, prints or keeps it does so in a thread of its own.
+Each port has a thread that only reads, forwards, and puts what it read into bounded queues without
+waiting. Decoding, printing and recording run in other threads.
 """
 import os
 import queue
@@ -15,49 +15,50 @@ from ...transport import pace
 from ...transport.opener import Opener
 from ...transport.port import Port, PortError
 from . import recording
+from .forwarder import Forwarder
 from .lines import Direction, Settings
-from .passing import Passage
 from .recording import Read
-from .show import Trouble, complain
+from .show import WireError, print_note
 
-_MOST_WAITING = 10000    # reads that wait for one who looks on; what comes then is left out
-_FLUSH = 0.5             # s that a read waits at most to reach a file
-_TICK = 0.05             # s from one look at a port to the next, at most
+_MOST_WAITING = 10000    # reads in an inbox; further ones are left out
+_FLUSH = 0.5             # s until a read is in the file, at most
+_TICK = 0.05             # s that a read of a port waits, at most
 _REALTIME_PRIORITY = 15
 
 
 class Event(NamedTuple):
-    """Something about a port that people are to know."""
+    """Something to report about a port."""
 
     at: float
-    sent: bool     # of the computer's end; False: of the board's
+    sent: bool     # True: the computer's port; False: the board's
     text: str
-    lost: bool     # what began before it does not go on behind it
+    lost: bool     # bytes are missing: a frame that began before does not continue
 
 
 Item = Union[Read, Event]
 
 
 class Inbox:
-    """What waits for one who looks on. Bounded; `put` never waits."""
+    """A bounded queue of reads and events; `put` never blocks."""
 
     def __init__(self) -> None:
         self._queue: 'queue.SimpleQueue[Item]' = queue.SimpleQueue()
         self._left_out = 0
 
     def put(self, item: Item) -> None:
-        """Have it seen, unless too much waits."""
+        """Add an item, or leave it out and count it if the queue is full."""
         if self._queue.qsize() >= _MOST_WAITING:
             self._left_out += 1
             return
         if self._left_out:
             left_out, self._left_out = self._left_out, 0
             self._queue.put(Event(item.at, item.sent,
-                                  f'{left_out} reads are left out here: this was too slow', True))
+                                  f'{left_out} reads are left out here: this program was too slow',
+                                  True))
         self._queue.put(item)
 
     def get(self, timeout: Optional[float]) -> Optional[Item]:
-        """The next, or None after `timeout` s."""
+        """Return the next item, or None after `timeout` s; None waits for ever."""
         try:
             return self._queue.get(timeout=None if timeout is None else max(timeout, 0.0))
         except queue.Empty:
@@ -65,24 +66,24 @@ class Inbox:
 
 
 class PortReader:
-    """Reads one port until `stop`, opening it again whenever it vanishes.
+    """Reads one port until `stop`, and opens it again whenever it vanishes.
 
-    What waited in a port during a stall (this program was suspended, or got no processor time) is
-    old, and would be shown and passed on as new: it is dropped, and reported. Likewise what a port
-    of a tap has as it opens.
+    Bytes that waited in a port during a stall (this program was suspended, or got no processor
+    time) are stale, but would be shown and forwarded as new. They are dropped and reported, and so
+    are bytes that a tap finds in a port as it opens.
 
     Args:
-        port: opened, read and closed here, nowhere else.
-        sent: what comes is sent to the board; False: by the board.
-        inboxes: of those who look on.
+        port: opened, read and closed by this object only.
+        sent: whether the bytes read are sent to the board; False: by the board.
+        inboxes: get every read and event.
     """
 
     def __init__(self, port: Port, sent: bool, inboxes: Sequence[Inbox]) -> None:
         self._port = port
         self._sent = sent
         self._inboxes = inboxes
-        self._onward: Optional[Passage] = None     # what comes is passed on by this …
-        self._back: Optional[Passage] = None       # … and this leads to the port
+        self._forwarder: Optional[Forwarder] = None     # forwards what this port reads
+        self._reverse: Optional[Forwarder] = None       # writes to this port
         self._trouble = ''      # why the port is closed
         name = f'{"computer" if sent else "board"} port'
         self._opener = Opener(port, name + ' opening')
@@ -91,26 +92,26 @@ class PortReader:
 
     @property
     def lost(self) -> int:
-        """Bytes that were not passed on."""
-        return self._onward.lost if self._onward else 0
+        """The number of bytes that were not forwarded."""
+        return self._forwarder.lost if self._forwarder else 0
 
     def connect(self, other: 'PortReader', line: Settings) -> None:
-        """Pass what comes on to another's port; to be called before `start`."""
-        self._onward = Passage(other._port, line, self._sent, self._tell)
-        other._back = self._onward
+        """Forward what is read to the other reader's port. To be called before `start`."""
+        self._forwarder = Forwarder(other._port, line, self._sent, self._report)
+        other._reverse = self._forwarder
 
     def start(self) -> None:
-        """Begin."""
+        """Start the threads."""
         self._opener.start()
         self._thread.start()
 
     def stop(self) -> None:
-        """Begin to end; returns at once."""
+        """Request the end; returns at once."""
         self._opener.end()
         self._port.wake()
 
     def join(self) -> None:
-        """After `stop`: the port is closed when this returns."""
+        """Wait for the end after `stop`, for 1 s at most. The port is then closed."""
         self._thread.join(1.0)
 
     def _run(self) -> None:
@@ -121,42 +122,44 @@ class PortReader:
                 self._serve()
             except PortError as error:
                 self._trouble = str(error)
-                self._tell(f'{error}; opening it again when it returns', lost=True)
+                self._report(f'{error}; opening it again when it returns', lost=True)
             self._port.close()
-            if self._back:
-                self._back.broken()
+            if self._reverse:
+                self._reverse.port_closed()
 
     def _not_opened(self, trouble: str) -> None:
         if trouble != self._trouble:
             self._trouble = trouble
-            self._tell(trouble)
+            self._report(trouble)
 
     def _serve(self) -> None:
-        if self._onward:
-            self._drop_old(b'', 0.0)
-        self._tell('open')
+        if self._forwarder:
+            self._drop_backlog(b'', 0.0)
+        self._report('open')
         awake_at = pace.clock()
-        if self._back:
-            self._back.listens(time.monotonic())
+        if self._reverse:
+            self._reverse.start_silence_check(time.monotonic())
         while not self._stopping.is_set():
             data = self._port.read(_TICK)
             stall = pace.clock() - awake_at
             if stall > STALL:
-                self._drop_old(data, stall)
+                self._drop_backlog(data, stall)
                 data = b''
             awake_at, now = pace.clock(), time.monotonic()
-            if self._onward:
-                self._onward.pass_on(data, now)
+            if self._forwarder:
+                self._forwarder.forward(data, now)
             if data:
                 self._put(Read(now, self._sent, data))
-            if self._back and stall > STALL:
-                self._back.listens(now)
-            elif self._back:
-                self._back.look_at_silence(bool(data), now)
+            if self._reverse and stall > STALL:
+                self._reverse.start_silence_check(now)
+            elif self._reverse:
+                self._reverse.check_silence(bool(data), now)
 
-    def _drop_old(self, data: bytes, stall: float) -> None:
-        """Drop what waits in the port after a stall of so many s, or after it opened; `data` has
-        been read."""
+    def _drop_backlog(self, data: bytes, stall: float) -> None:
+        """Drop what waits in the port after a stall of `stall` s, or, if 0, after it opened.
+
+        `data` is what was read of it already.
+        """
         awake_at = pace.clock()
         backlog = Backlog(self._port.baud, stall, awake_at)
         while not backlog.drop(data, awake_at) and not self._stopping.is_set():
@@ -167,15 +170,15 @@ class PortReader:
         if not backlog.size:
             return
         remedy = ''
-        if self._onward:
-            self._onward.interrupted(backlog.size, time.monotonic())
-            remedy = self._onward.remedy
+        if self._forwarder:
+            self._forwarder.input_dropped(backlog.size, time.monotonic())
+            remedy = self._forwarder.remedy
         when = f'while this program stalled for {backlog.seconds:.3g} s' if backlog.seconds else \
             'as it opened'
-        self._tell(f'{backlog.size} bytes that waited {when} are old and dropped{remedy}',
-                   lost=True)
+        self._report(f'{backlog.size} bytes that waited {when} were stale and dropped{remedy}',
+                     lost=True)
 
-    def _tell(self, text: str, lost: bool = False) -> None:
+    def _report(self, text: str, lost: bool = False) -> None:
         self._put(Event(time.monotonic(), self._sent, f'{self._port.url}: {text}', lost))
 
     def _put(self, item: Item) -> None:
@@ -184,10 +187,13 @@ class PortReader:
 
 
 class Recorder:
-    """Writes what an inbox gets to a file, in a thread of its own.
+    """Writes the items of its inbox to a file, in its own thread.
 
     Args:
+        path: the file, which is overwritten.
+        line: the line that is recorded.
         began: seconds since 1970 at the time `start` of the items' clock.
+        start: see `began`.
 
     Raises:
         OSError: the file cannot be written.
@@ -195,7 +201,7 @@ class Recorder:
 
     def __init__(self, path: str, line: Settings, began: float, start: float) -> None:
         self.inbox = Inbox()
-        self.trouble = ''       # why nothing more is written
+        self.trouble = ''       # why writing has ended
         self._path = path
         self._start = start
         self._file = open(path, 'w', encoding='utf-8')
@@ -206,7 +212,7 @@ class Recorder:
         self._thread.start()
 
     def stop(self) -> None:
-        """Write what waits, and close the file."""
+        """Write the items that wait, and close the file; in 5 s at most."""
         self._stopping.set()
         self._thread.join(5.0)
 
@@ -224,13 +230,20 @@ class Recorder:
                     else:
                         file.flush()
         except OSError as error:
-            self.trouble = f'{self._path}: {error.strerror}; no more of it is written'
-            complain(self.trouble)
+            self.trouble = f'{self._path}: {error.strerror}; recording has ended'
+            print_note(self.trouble)
 
 
-def watch(inbox: Inbox, line: Settings, until: Optional[float],
-          on_frame: Callable[[bool, Frame], None], on_event: Callable[[Event], None]) -> None:
-    """Decode what an inbox gets, in this thread, until that time of the monotonic clock."""
+def decode_inbox(inbox: Inbox, line: Settings, until: Optional[float],
+                 on_frame: Callable[[bool, Frame], None],
+                 on_event: Callable[[Event], None]) -> None:
+    """Decode the reads of an inbox, in this thread.
+
+    Args:
+        until: a time of the monotonic clock; None: for ever.
+        on_frame: is called with (sent, frame).
+        on_event: is called with each event.
+    """
     directions = [Direction(line, sent) for sent in (False, True)]
     while True:
         times = [time_ for time_ in [until] + [direction.due() for direction in directions]
@@ -238,10 +251,10 @@ def watch(inbox: Inbox, line: Settings, until: Optional[float],
         item = inbox.get(min(times) - time.monotonic() if times else None)
         now = time.monotonic() if item is None else item.at
         if isinstance(item, Read):
-            for frame in directions[item.sent].hear(item.data, item.at):
+            for frame in directions[item.sent].feed(item.data, item.at):
                 on_frame(item.sent, frame)
         for direction in directions:
-            for frame in direction.silent_until(now):
+            for frame in direction.expire(now):
                 on_frame(direction.sent, frame)
         if isinstance(item, Event):
             if item.lost:
@@ -252,13 +265,13 @@ def watch(inbox: Inbox, line: Settings, until: Optional[float],
 
 
 def claim(port: Port) -> None:
-    """Open a port that is there; an absent one is left.
+    """Open a port, if it exists.
 
-    To be called before a program begins: what is not there yet is waited for, but a port that
-    another program has does not become free by waiting.
+    To be called at the start: an absent port is waited for later, but waiting does not free a port
+    that another program has open.
 
     Raises:
-        Trouble: it cannot be opened.
+        WireError: the port cannot be opened.
     """
     if not os.path.exists(port.url):
         return
@@ -267,14 +280,14 @@ def claim(port: Port) -> None:
     except PortError as error:
         holders = users_of(port.url)
         if not holders:
-            raise Trouble(f'{port.url}: {error}') from None
-        raise Trouble(f'{port.url} is open in {" and ".join(holders)}, and two readers of a port '
-                      'take bytes from each other. End it first; or, if it is the bridge, look at '
-                      'what it sees: rostopic echo /serial_msg') from None
+            raise WireError(f'{port.url}: {error}') from None
+        raise WireError(f'{port.url} is open in {" and ".join(holders)}, and two readers of a port '
+                        'take bytes from each other. End it first; or, if it is the bridge, look '
+                        'at its frames: rostopic echo /serial_msg') from None
 
 
 def users_of(path: str) -> List[str]:
-    """The programs that have a port for themselves, as far as we may see: `name (pid 12)`."""
+    """Return the programs that hold a port's lock, as far as this user may see: `name (pid 12)`."""
     found = []
     try:
         port = os.stat(path)
@@ -287,12 +300,12 @@ def users_of(path: str) -> List[str]:
                 words = file.read().decode('utf-8', 'replace').split('\0')
             found.append(f'{_program(words)} (pid {pid})')
     except (OSError, IndexError):
-        pass     # it has just ended, or this system does not tell
+        pass     # the program has just ended, or this system hides it
     return found
 
 
 def _program(words: List[str]) -> str:
-    """Of a command line: not the interpreter, but what it runs."""
+    """The program's name in a command line: that of the script, not of its interpreter."""
     names = [os.path.basename(word) for word in words if word]
     if len(names) > 1 and names[0].startswith('python') and not words[1].startswith('-'):
         return names[1]

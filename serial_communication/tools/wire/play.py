@@ -1,22 +1,21 @@
-"""Sends what a board sent, damage and all, out of a recording at the recorded times.
+"""Sends what a board sent, errors included, from a recording at the recorded times.
 
-A recording is a bag of serial_msg (rosbag record /serial_msg) or what wire listen --raw and wire
-tap --raw wrote. A bridge on the other end of the port then sees what the one on the robot saw:
+A recording is a bag of serial_msg (rosbag record /serial_msg) or a file of wire listen --raw or
+wire tap --raw. A bridge at the other end of the port then receives what the one on the robot did:
 
   rosrun serial_communication socat_pair /tmp/bridge /tmp/board &
   roslaunch serial_communication bridge.launch mcu_port:=/tmp/bridge &
   wire play drive.bag mcu /tmp/board
 
-What the bridge says to the port is read and dropped: the board that plays does not listen. For
-the arduino and the mcu that changes nothing. On the bus it does: a board that plays back answers
-what the recorded bridge asked, when that one asked it. The bridge on the desk sees all these
-frames in serial_msg and counts the same damage, but takes none of them for an answer to a request
-of its own (its ECHO carries a number that no recording can know), so its calls end with TIMEOUT,
-its diagnostics say that the board does not answer, and nothing is published from the bus. To try
-calls, use a simulated board: rosrun serial_communication simulator bus.
+What the bridge sends to the port is read and dropped. For the arduino and the mcu that changes
+nothing. On the bus the recorded replies answer the requests of the recorded bridge. The new bridge
+shows these frames in serial_msg and counts the same errors, but accepts none as a reply to its own
+requests, since its ECHO has a random number that no recording contains. So its calls end with
+TIMEOUT, its diagnostics report that the board does not answer, and nothing from the bus is
+published. To try calls, use a simulated board: rosrun serial_communication simulator bus.
 
-Times are kept with real-time priority where the system allows it. With a --rate other than 1 the
-bridge sees silences of another length than the board's.
+The program keeps the times with real-time priority, where the system allows it. With a --rate
+other than 1 the silences differ from the board's.
 """
 import argparse
 import json
@@ -29,43 +28,43 @@ from ...transport.pace import set_priority
 from ...transport.port import Port, PortBusy, PortError
 from . import lines
 from .figures import percentile
-from .playback import Piece, differences, is_whole, pieces_of, spaced
+from .playback import Piece, differences, is_complete, pieces_of, spaced
 from .recording import frames_of, load
-from .show import Trouble, complain, is_terminal, seconds
+from .show import WireError, is_terminal, print_note, seconds
 
-SUMMARY = 'what a board sent, out of a recording, onto a port at the recorded times'
+SUMMARY = 'send what a board sent, from a recording, at the recorded times'
 
 _REALTIME_PRIORITY = 15
-_PROGRESS = 0.2           # s from one progress line to the next on a terminal …
+_PROGRESS = 0.2           # s between two progress lines on a terminal …
 _PROGRESS_PLAIN = 10.0    # … and elsewhere
-_PAUSE = 2.0              # of frame_timeout, from the end to the start with --loop
-_MOVED = 1e-6             # s from its time at which a piece counts as moved
+_PAUSE = 2.0              # in frame_timeouts, between two rounds of --loop
+_MOVED = 1e-6             # s; a piece that is moved by more counts as moved
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """What the command line may say."""
+    """Add the arguments of `wire play`."""
     parser.add_argument('recording', metavar='RECORDING', help='a bag, or a file of --raw')
     lines.add_options(parser)
     parser.add_argument('port', metavar='PORT', type=lines.port,
                         help='a device, or whatever pyserial opens')
-    parser.add_argument('--topic', default='', help='of the bag, where several have frames')
+    parser.add_argument('--topic', default='', help='the topic of a bag with several')
     parser.add_argument('--from', dest='begin', type=clock, default=0.0, metavar='TIME',
-                        help='from the start of the recording: s, or m:s')
+                        help='start at this time since the start of the recording: s, or m:s')
     parser.add_argument('--to', dest='end', type=clock, default=float('inf'), metavar='TIME',
-                        help='likewise')
+                        help='end before this time, likewise')
     parser.add_argument('--rate', type=lines.positive, default=1.0, metavar='FACTOR',
                         help='2 is twice as fast (%(default)g)')
-    parser.add_argument('--loop', action='store_true', help='again and again, until Ctrl-C')
+    parser.add_argument('--loop', action='store_true', help='repeat until Ctrl-C')
     parser.add_argument('--json', action='store_true',
-                        help='at the end an object: frames, bad, left_out, moved, rounds, lost, '
-                             'late (s)')
+                        help='print a JSON object at the end: frames, bad, left_out, moved, '
+                             'rounds, lost, late (s)')
 
 
 def clock(text: str) -> float:
-    """Seconds of `12.5` or `1:12.5`.
+    """Convert `12.5` or `1:12.5` to seconds.
 
     Raises:
-        argparse.ArgumentTypeError: it is neither.
+        argparse.ArgumentTypeError: the text is neither.
     """
     minutes, _, rest = text.rpartition(':')
     try:
@@ -73,24 +72,25 @@ def clock(text: str) -> float:
     except ValueError:
         value = -1.0
     if not 0 <= value < float('inf'):
-        raise argparse.ArgumentTypeError(f'{text} is no time such as 12.5 or 1:12.5')
+        raise argparse.ArgumentTypeError(f'{text} is not a time such as 12.5 or 1:12.5')
     return value
 
 
-class Player:
-    """Writes pieces at their times, in a thread that does nothing else, and drops what comes.
+class PiecePlayer:
+    """Writes pieces at their times, in its own thread, and drops what the port receives.
 
     Args:
-        port: open.
-        pause: s from the end to the start again; None: once only.
+        port: is open.
+        pieces: at least one.
+        pause: s between the end of a round and the next round; negative: one round only.
     """
 
     def __init__(self, port: Port, pieces: Sequence[Piece], pause: float = -1.0) -> None:
-        self.played = 0                  # pieces
-        self.rounds = 0                  # ended
+        self.played = 0                  # pieces, in all rounds
+        self.rounds = 0                  # complete ones
         self.lost = 0                    # bytes that the port did not take
-        self.trouble = ''                # why it ended early
-        self.errors: List[float] = []    # of the latest round: s by which each was late
+        self.trouble = ''                # why playing ended early
+        self.delays: List[float] = []    # s by which each piece of the latest round was late
         self.ended = threading.Event()
         self._port = port
         self._pieces = pieces
@@ -100,12 +100,12 @@ class Player:
             ('playing', self._play), ('draining', self._drain))]
 
     def start(self) -> None:
-        """Begin."""
+        """Start playing."""
         for thread in self._threads:
             thread.start()
 
     def stop(self) -> None:
-        """End; the port may be closed when this returns."""
+        """End playing. The port may be closed after this returns."""
         self._stopping.set()
         self._port.wake()
         for thread in self._threads:
@@ -126,7 +126,7 @@ class Player:
         self.ended.set()
 
     def _round(self, start: float) -> None:
-        errors = self.errors = []
+        delays = self.delays = []
         for piece in self._pieces:
             due = start + piece.at
             while True:
@@ -139,7 +139,7 @@ class Player:
                 self._port.write(piece.data)
             except PortBusy:
                 self.lost += len(piece.data)
-            errors.append(time.monotonic() - due)
+            delays.append(time.monotonic() - due)
             self.played += 1
 
     def _drain(self) -> None:
@@ -153,55 +153,57 @@ class Player:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Play; the exit status."""
+    """Play the recording and return the exit status."""
     line = lines.settings(options)
     recording = load(options.recording, options.topic)
     frames = [each.frame for each in frames_of(recording, line) if not each.sent]
     original = [piece for piece in pieces_of(recording, frames, line)
                 if options.begin <= piece.at < options.end]
     if not original:
-        raise Trouble(f'{options.recording}: nothing of a board on the link {line.link} in this '
-                      f'time; links in it: {", ".join(recording.links()) or "none"}')
+        raise WireError(f'{options.recording}: no bytes from the board of the link {line.link} in '
+                        'this time; links in it: '
+                        f'{", ".join(recording.links()) or "none"}')
     pieces = spaced(original, line, options.rate)
     shifts = [abs(piece.at - before.at / options.rate) for piece, before in zip(pieces, original)]
     frames = [frame for frame in frames if options.begin <= frame.stamp < options.end]
-    told = {'frames': len(frames), 'bad': sum(bool(frame.cause) for frame in frames),
-            'left_out': sum(not is_whole(frame, line) for frame in frames),
-            'moved': sum(shift > _MOVED for shift in shifts)}
-    _announce(told, pieces, max(shifts), differences(frames, pieces, line))
+    counts = {'frames': len(frames), 'bad': sum(bool(frame.cause) for frame in frames),
+              'left_out': sum(not is_complete(frame, line) for frame in frames),
+              'moved': sum(shift > _MOVED for shift in shifts)}
+    _announce(counts, pieces, max(shifts), differences(frames, pieces, line))
     port = Port(options.port, line.baud)
     try:
         port.open()
     except PortError as error:
-        raise Trouble(f'{options.port}: {error}') from None
-    player = Player(port, pieces, line.frame_timeout * _PAUSE if options.loop else -1.0)
+        raise WireError(f'{options.port}: {error}') from None
+    player = PiecePlayer(port, pieces, line.frame_timeout * _PAUSE if options.loop else -1.0)
     stopped = False
     try:
         player.start()
-        _follow(player, pieces)
+        _show_progress(player, pieces)
     except KeyboardInterrupt:
         stopped = True
     player.stop()
     port.close()
-    return _result(player, told, options, stopped)
+    return _result(player, counts, options, stopped)
 
 
-def _announce(told: Dict[str, Any], pieces: Sequence[Piece], longest_shift: float,
+def _announce(counts: Dict[str, Any], pieces: Sequence[Piece], longest_shift: float,
               different: int) -> None:
-    complain(f'{told["frames"]} frames, {told["bad"]} of them bad, in '
-             f'{pieces[-1].at - pieces[0].at:.1f} s')
-    if told['moved']:
-        complain(f'{told["moved"]} incomplete frames are sent up to {seconds(longest_shift)} from '
-                 'when they came, so that they are given up just as they were')
-    if told['left_out']:
-        complain(f'{told["left_out"]} bad frames are left out: the bag has a part of each only')
+    print_note(f'{counts["frames"]} frames, {counts["bad"]} of them invalid, in '
+               f'{pieces[-1].at - pieces[0].at:.1f} s')
+    if counts['moved']:
+        print_note(f'{counts["moved"]} incomplete frames are sent up to {seconds(longest_shift)} '
+                   'earlier or later than recorded, so that they time out as they did')
+    if counts['left_out']:
+        print_note(f'{counts["left_out"]} invalid frames are left out: the bag has only a part of '
+                   'each')
     if different:
-        complain(f'{different} frames will not come out as they were; are frame_timeout and '
-                 'options those of the recorded bridge?')
+        print_note(f'{different} frames will be decoded differently; use the --frame-timeout and '
+                   'options of the recorded bridge')
 
 
-def _follow(player: Player, pieces: Sequence[Piece]) -> None:
-    """Show how far it is: a line that is rewritten on a terminal, now and then one elsewhere."""
+def _show_progress(player: PiecePlayer, pieces: Sequence[Piece]) -> None:
+    """Show progress until the end: a line that is rewritten on a terminal, else every 10 s."""
     rewrites = is_terminal(sys.stderr)
     begin, end = ('\r', '\033[K') if rewrites else ('', '\n')
     length = pieces[-1].at - pieces[0].at
@@ -213,26 +215,26 @@ def _follow(player: Player, pieces: Sequence[Piece]) -> None:
         if player.rounds and not ended:
             text += f', round {player.rounds + 1}'
         if player.lost:
-            text += f', {player.lost} bytes lost: the port does not take them'
+            text += f', {player.lost} bytes lost: the port takes no data'
         sys.stderr.write(begin + text + end + '\n' * (rewrites and ended))
         sys.stderr.flush()
 
 
-def _result(player: Player, told: Dict[str, Any], options: argparse.Namespace,
+def _result(player: PiecePlayer, counts: Dict[str, Any], options: argparse.Namespace,
             stopped: bool) -> int:
-    late = {name: percentile(player.errors, percent) for name, percent in (
-        ('p50', 50), ('p99', 99), ('max', 100))} if player.errors else None
+    late = {name: percentile(player.delays, percent) for name, percent in (
+        ('p50', 50), ('p99', 99), ('max', 100))} if player.delays else None
     if options.json:
-        print(json.dumps(dict(told, rounds=player.rounds, lost=player.lost, late=late)))
+        print(json.dumps(dict(counts, rounds=player.rounds, lost=player.lost, late=late)))
     elif late:
-        complain(f'late by {seconds(late["p50"])} at the median, {seconds(late["p99"])} at p99, '
-                 f'{seconds(late["max"])} at most')
+        print_note(f'late by {seconds(late["p50"])} at the median, {seconds(late["p99"])} at p99, '
+                   f'{seconds(late["max"])} at most')
     if player.trouble:
-        complain(f'{options.port}: {player.trouble}')
+        print_note(f'{options.port}: {player.trouble}')
     elif player.lost:
-        complain(f'{options.port} did not take {player.lost} bytes: nobody reads the other end, '
-                 'or the port is slower than this')
+        print_note(f'{options.port} did not take {player.lost} bytes: nothing reads the other end, '
+                   'or the port is slower than the recording')
     elif stopped:
-        complain('stopped')
+        print_note('stopped')
         return 0 if options.loop else 130
     return 1 if player.trouble or player.lost else 0

@@ -1,65 +1,65 @@
-"""Lines for people: bytes, times and words of a frame; colours on a terminal only."""
+"""Formatting for users: bytes, times and text of a frame, with colours on a terminal."""
 import os
 import sys
-from typing import Any
+from typing import Optional, TextIO
 
 from ...framing.stream import Frame
 
-_MOST_BYTES = 32       # of a frame on a line
+_MOST_BYTES = 32       # of a frame that are shown
 _COLOURS = {'board': '36', 'computer': '33', 'bad': '31', 'good': '32', 'dim': '2'}
 
 
-class Trouble(Exception):
-    """Ends the program; the text is one line for a person."""
+class WireError(Exception):
+    """Ends the program; its text is one line for the user."""
 
-    status = 1     # of the program
+    status = 1     # exit status of the program
 
 
-def is_terminal(stream: Any = None) -> bool:
-    """Whether somebody looks at it who sees colours, and a line that is rewritten."""
+def is_terminal(stream: Optional[TextIO] = None) -> bool:
+    """Whether a stream shows colours and rewritten lines; None: standard output."""
     stream = sys.stdout if stream is None else stream
     return stream.isatty() and os.environ.get('TERM', 'dumb') != 'dumb'
 
 
 class Paint:
-    """Colours, or none."""
+    """Colours text, if the stream is a terminal and NO_COLOR is not set."""
 
-    def __init__(self, stream: Any = None) -> None:
+    def __init__(self, stream: Optional[TextIO] = None) -> None:
         self._on = is_terminal(stream) and 'NO_COLOR' not in os.environ
 
     def __call__(self, text: str, colour: str) -> str:
-        """`text` in that colour: board, computer, bad, good or dim."""
+        """Return `text` in a colour: board, computer, bad, good or dim."""
         return f'\033[{_COLOURS[colour]}m{text}\033[0m' if self._on and text else text
 
 
 def hexed(data: bytes, most: int = 0) -> str:
-    """Bytes as people write them, `02 0c 10`; of more than `most` the first, and how many."""
+    """Return bytes as `02 0c 10`; of more than `most` bytes the first ones, and the number."""
     if most and len(data) > most:
         return f'{data[:most].hex(" ")} … {len(data)} bytes'
     return data.hex(' ')
 
 
-def frame_line(frame: Frame, speaker: str, gap: str, clock: str, paint: Paint) -> str:
-    """One frame: when, how long after the one before, who, bytes, words."""
+def frame_line(frame: Frame, sender: str, gap: str, clock: str, paint: Paint) -> str:
+    """Return the line of a frame: time, time since the frame before, sender, bytes, text."""
     words = paint(frame.trouble, 'bad') if frame.cause else frame.text
-    return (f'{clock}  {gap:>12}  {paint(f"{speaker:8}", speaker)}  '
+    return (f'{clock}  {gap:>12}  {paint(f"{sender:8}", sender)}  '
             f'{hexed(frame.raw, _MOST_BYTES):48}  {words}').rstrip()
 
 
 def seconds(value: float) -> str:
-    """A time in its own unit: 850 us, 10.02 ms, 1.25 s."""
+    """Return a time, given in seconds, in a suitable unit: 850 us, 10.02 ms, 1.250 s."""
     if value < 0.001:
         return f'{value * 1e6:.0f} us'
     return f'{value * 1e3:.2f} ms' if value < 1 else f'{value:.3f} s'
 
 
 def no_more_output(descriptor: int = 1) -> None:
-    """It cannot be written to: leave nothing that the interpreter would fail to flush."""
+    """Redirect an output that cannot be written to, or flushing it at exit would fail."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), descriptor)
 
 
-def complain(text: str) -> None:
-    """One line on standard error; where that cannot be written to, nobody is left to be told."""
+def print_note(text: str) -> None:
+    """Print a line on standard error; nothing where that cannot be written to."""
     try:
         print(text, file=sys.stderr, flush=True)
     except OSError:

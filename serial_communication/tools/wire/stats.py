@@ -1,67 +1,68 @@
-"""How a line was: what came how often, what was damaged, how full the wire was.
+"""Statistics of a recording: frames, errors, gaps and load of each line.
 
-A recording is a bag of serial_msg (rosbag record /serial_msg), with every link in it, or what
-wire listen --raw and wire tap --raw wrote. For each link, each direction and each type: how many,
-how many a second, the gaps between them; errors by cause; the share of the wire's capacity; for
-the bus the round trips; for the arduino the gaps between heartbeats, of which one over 30 ms
-stops the motor. Of a bag's link that is not known, types are numbers.
+A recording is a bag of serial_msg (rosbag record /serial_msg), with every link in it, or a file of
+wire listen --raw or wire tap --raw. For each link and direction the output has the count, the rate
+and the gaps of each type, the errors by cause, and the share of the wire's capacity; for the bus
+also the round trips; for the arduino the gaps between heartbeats (one over 30 ms stops the motor).
+For an unknown link in a bag, types are shown as numbers.
 
   wire stats drive.bag
   wire stats drive.bag --plot drive.png      a timeline with the errors marked
 """
 import argparse
 import json
-from typing import Any, Callable, Dict, List, Optional, Sequence
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from ...boards.description import Command, Description
 from ...framing.stream import FRAMING, Bad, StreamDecoder
 from . import lines
 from .figures import percentile
 from .lines import Settings
-from .recording import Recording, Seen, frames_of, load
-from .show import Paint, Trouble, complain
+from .recording import Recording, RecordedFrame, frames_of, load
+from .show import Paint, WireError, print_note
 
-SUMMARY = 'of a recording: counts, gaps, errors, load, round trips; a plot'
+SUMMARY = 'show statistics of a recording: counts, gaps, errors, load, round trips; a plot'
 
 _MATPLOTLIB = ('the plot needs matplotlib; install it: sudo apt-get install python3-matplotlib')
-_BITS_A_BYTE = 10        # start, eight, stop
+_BITS_A_BYTE = 10        # a start bit, eight data bits, a stop bit
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """What the command line may say."""
+    """Add the arguments of `wire stats`."""
     parser.add_argument('recording', metavar='RECORDING', help='a bag, or a file of --raw')
-    parser.add_argument('--topic', default='', help='of the bag, where several have frames')
+    parser.add_argument('--topic', default='', help='the topic of a bag with several')
     parser.add_argument('--baud', type=lines.baud, default=0, metavar='N',
-                        help="of the lines (a file of --raw says it; else each board's own)")
+                        help="baud rate of the lines (default: that of a file of --raw, or each "
+                             "board's default)")
     lines.add_config_option(parser)
     parser.add_argument('--plot', metavar='FILE.png', help='a timeline with the errors marked')
-    parser.add_argument('--json', action='store_true', help='the same for a program; times in s')
+    parser.add_argument('--json', action='store_true', help='the same as JSON; times in s')
 
 
 def run(options: argparse.Namespace) -> int:
-    """Say it; the exit status."""
+    """Print the statistics and return the exit status."""
     recording = load(options.recording, options.topic)
     line_of = lines.known_lines(options.config)
     baud = options.baud or recording.baud
     known = {link: _settings(link, recording, line_of, baud) for link in recording.links()}
-    seen = sorted((each for line in known.values() for each in frames_of(recording, line)),
-                  key=lambda each: each.frame.stamp)
-    if not seen:
-        raise Trouble(f'{options.recording}: there is no frame in it')
-    figures = measure(seen, known)
+    frames = sorted((each for line in known.values() for each in frames_of(recording, line)),
+                    key=lambda each: each.frame.stamp)
+    if not frames:
+        raise WireError(f'{options.recording}: contains no frames')
+    figures = measure(frames, known)
     print(json.dumps(figures, indent=1) if options.json else render(figures))
     if options.plot:
         try:
-            plot(seen, known, options.plot)
+            plot(frames, known, options.plot)
         except ImportError:
-            raise Trouble(_MATPLOTLIB) from None
+            raise WireError(_MATPLOTLIB) from None
         except (OSError, ValueError) as error:
-            raise Trouble(f'{options.plot}: {error}') from None
+            raise WireError(f'{options.plot}: {error}') from None
     return 0
 
 
-class _NoFrames(StreamDecoder):
-    """Of a board that is not known: finds and explains nothing."""
+class _UnknownDecoder(StreamDecoder):
+    """The decoder of an unknown board: finds and explains nothing."""
 
     STARTS = b'\0'
 
@@ -71,58 +72,58 @@ class _NoFrames(StreamDecoder):
 
 def _settings(link: str, recording: Recording, line_of: Callable[[str, int], Settings],
               baud: int) -> Settings:
-    """Of a link in the recording; of one that is not known, a bag can be counted all the same."""
+    """The settings of a link in the recording. An unknown link in a bag is still counted."""
     try:
         return line_of(link, baud)
     except lines.UnknownBoard as error:
         if link in recording.reads:
             raise
-        complain(f'wire: {error}; of {link}, types are shown by their numbers')
-        board = Description(link, '', lambda sent, parameters: _NoFrames())
+        print_note(f'wire: {error}; types of {link} are shown as numbers')
+        board = Description(link, '', lambda sent, parameters: _UnknownDecoder())
         return Settings(board, baud or board.baud)
 
 
 # -- figures --------------------------------------------------------------------------------
 
 
-def naming(known: Dict[str, Settings]) -> Callable[[Seen], str]:
-    """A function that gives the kind of a good frame, in the protocol's words."""
+def naming(known: Dict[str, Settings]) -> Callable[[RecordedFrame], str]:
+    """Return a function that names the type of a valid frame, as the protocol does."""
     names: Dict[Any, str] = {}     # each is looked up once
 
-    def name(seen: Seen) -> str:
-        frame, line = seen.frame, known[seen.link]
+    def name(recorded: RecordedFrame) -> str:
+        frame, line = recorded.frame, known[recorded.link]
         asked = frame.command if line.board.command is Command.FUNCTION else 0
-        key = (seen.link, seen.sent, frame.type, asked)
+        key = (recorded.link, recorded.sent, frame.type, asked)
         if key not in names:
-            names[key] = lines.type_name(line, seen.sent, frame)
+            names[key] = lines.type_name(line, recorded.sent, frame)
         return names[key]
 
     return name
 
 
-def measure(seen: Sequence[Seen], known: Dict[str, Settings]) -> Dict[str, Any]:
-    """Everything that is told, by link and direction. Times are in seconds."""
-    length = max(seen[-1].frame.stamp - seen[0].frame.stamp, 1e-6)
+def measure(frames: Sequence[RecordedFrame], known: Dict[str, Settings]) -> Dict[str, Any]:
+    """Return the figures by link and direction. Times are in seconds."""
+    length = max(frames[-1].frame.stamp - frames[0].frame.stamp, 1e-6)
     links: Dict[str, Any] = {}
     name_of = naming(known)
-    for link in sorted({each.link for each in seen}):
-        of_link = [each for each in seen if each.link == link]
+    for link in sorted({each.link for each in frames}):
+        of_link = [each for each in frames if each.link == link]
         about = links[link] = {'baud': known[link].baud}
         for sent in (False, True):
-            frames = [each for each in of_link if each.sent == sent]
-            if frames:
+            one_way = [each for each in of_link if each.sent == sent]
+            if one_way:
                 about['to the board' if sent else 'from the board'] = _direction(
-                    frames, length, known[link].baud, name_of)
-        about.update(_own_figures(known[link].board, of_link))
+                    one_way, length, known[link].baud, name_of)
+        about.update(_extra_figures(known[link].board, of_link))
     return {'seconds': length, 'links': links}
 
 
-def _direction(seen: Sequence[Seen], length: float, baud: int,
-               name_of: Callable[[Seen], str]) -> Dict[str, Any]:
+def _direction(frames: Sequence[RecordedFrame], length: float, baud: int,
+               name_of: Callable[[RecordedFrame], str]) -> Dict[str, Any]:
     errors: Dict[str, int] = {}
     by_type: Dict[str, List[float]] = {}
     size = 0
-    for each in seen:
+    for each in frames:
         frame = each.frame
         size += len(frame.raw)
         if frame.cause:
@@ -130,42 +131,45 @@ def _direction(seen: Sequence[Seen], length: float, baud: int,
         else:
             by_type.setdefault(name_of(each), []).append(frame.stamp)
     return {
-        'frames': len(seen), 'bad': sum(errors.values()), 'errors': errors, 'bytes': size,
+        'frames': len(frames), 'bad': sum(errors.values()), 'errors': errors, 'bytes': size,
         'share of capacity': size * _BITS_A_BYTE / baud / length,
         'types': {name: dict({'count': len(stamps), 'per second': len(stamps) / length},
                              **spread(gaps(stamps))) for name, stamps in sorted(by_type.items())}}
 
 
-def _own_figures(board: Description, seen: Sequence[Seen]) -> Dict[str, Any]:
-    """What only some boards have."""
-    own: Dict[str, Any] = {}
-    good = [each for each in seen if not each.frame.cause]
-    beat, received = board.heartbeat, [each.frame for each in good if not each.sent]
+def _extra_figures(board: Description, frames: Sequence[RecordedFrame]) -> Dict[str, Any]:
+    """The figures that only some boards have."""
+    extra: Dict[str, Any] = {}
+    valid = [each for each in frames if not each.frame.cause]
+    beat, received = board.heartbeat, [each.frame for each in valid if not each.sent]
     if board.command is Command.FUNCTION:
-        answered, unanswered = round_trips(good)
+        answered, unanswered = round_trips(valid)
         if answered or unanswered:
-            own['round trips'] = dict(spread(answered, 'round trip'), answered=len(answered),
-                                      unanswered=unanswered)
+            extra['round trips'] = dict(spread(answered, 'round trip'), answered=len(answered),
+                                        unanswered=unanswered)
     elif board.command is Command.SEQUENCE and received:
-        own['lost by SEQ'] = sum(
+        extra['lost by SEQ'] = sum(
             (after.command - before.command - 1) % 256 for before, after
             in zip(received, received[1:]) if (after.command, after.raw)
-            != (before.command, before.raw))     # a frame that came twice is not lost 255 times
+            != (before.command, before.raw))     # a repeated frame does not mean 255 lost ones
     if beat:
-        beats = gaps([each.frame.stamp for each in good
+        beats = gaps([each.frame.stamp for each in valid
                       if each.sent and each.frame.type == beat.type])
         if beats:
-            own['heartbeats'] = dict(spread(beats), count=len(beats) + 1, limit=beat.longest_gap,
-                                     too_long=sum(gap > beat.longest_gap for gap in beats))
-    return own
+            extra['heartbeats'] = dict(spread(beats), count=len(beats) + 1, limit=beat.longest_gap,
+                                       too_long=sum(gap > beat.longest_gap for gap in beats))
+    return extra
 
 
-def round_trips(seen: Sequence[Seen]) -> Any:
-    """Seconds from each request to the reply before the next one; how many had none."""
+def round_trips(frames: Sequence[RecordedFrame]) -> Tuple[List[float], int]:
+    """Return the seconds from each request to its reply, and the number of requests without one.
+
+    A reply belongs to the request before it.
+    """
     answered: List[float] = []
     unanswered = 0
     asked: Optional[float] = None
-    for each in seen:
+    for each in frames:
         if each.sent:
             unanswered += asked is not None
             asked = each.frame.stamp
@@ -176,22 +180,22 @@ def round_trips(seen: Sequence[Seen]) -> Any:
 
 
 def gaps(stamps: Sequence[float]) -> List[float]:
-    """From each to the next."""
+    """Return the time from each stamp to the next."""
     return [after - before for before, after in zip(stamps, stamps[1:])]
 
 
 def spread(values: Sequence[float], name: str = 'gap') -> Dict[str, Optional[float]]:
-    """p50, p99 and max; None without values."""
+    """Return p50, p99 and max of the values, by name; None without values."""
     return {f'{name} p50': percentile(values, 50) if values else None,
             f'{name} p99': percentile(values, 99) if values else None,
             f'{name} max': max(values) if values else None}
 
 
-# -- for people -----------------------------------------------------------------------------
+# -- for users ------------------------------------------------------------------------------
 
 
 def render(figures: Dict[str, Any]) -> str:
-    """As a table."""
+    """Return the figures as a table."""
     paint = Paint()
     bauds = sorted({about['baud'] for about in figures['links'].values()})
     text = [f'{figures["seconds"]:.1f} s at {" and ".join(map(str, bauds))} baud']
@@ -199,7 +203,7 @@ def render(figures: Dict[str, Any]) -> str:
         for name in ('from the board', 'to the board'):
             if name in about:
                 text += [''] + _render_direction(f'{link}, {name}', about[name], paint)
-        text += _render_own(about, paint)
+        text += _render_extra(about, paint)
     return '\n'.join(text)
 
 
@@ -207,7 +211,7 @@ def _render_direction(title: str, figures: Dict[str, Any], paint: Paint) -> List
     bad = figures['bad']
     text = [f'{title}: {figures["frames"]} frames, {figures["bytes"]} bytes, '
             f'{figures["share of capacity"]:.1%} of the wire, '
-            + paint(f'{bad} bad', 'bad' if bad else 'good')]
+            + paint(f'{bad} invalid', 'bad' if bad else 'good')]
     if figures['types']:
         text.append(f'  {"type":28}{"count":>8}{"per s":>9}{"gap p50":>11}{"p99":>9}{"max":>9}'
                     '  ms')
@@ -215,12 +219,12 @@ def _render_direction(title: str, figures: Dict[str, Any], paint: Paint) -> List
         text.append(f'  {name:28}{each["count"]:8}{each["per second"]:9.2f}'
                     f'{_ms(each["gap p50"]):>11}{_ms(each["gap p99"]):>9}'
                     f'{_ms(each["gap max"]):>9}')
-    text += [f'  {paint("bad: " + cause, "bad")}'.ljust(30) + f'{count:8}'
+    text += [f'  {paint("invalid: " + cause, "bad")}'.ljust(30) + f'{count:8}'
              for cause, count in sorted(figures['errors'].items())]
     return text
 
 
-def _render_own(about: Dict[str, Any], paint: Paint) -> List[str]:
+def _render_extra(about: Dict[str, Any], paint: Paint) -> List[str]:
     text = []
 
     def add(figures: str, bad: int, words: str) -> None:
@@ -248,28 +252,28 @@ def _ms(value: Optional[float]) -> str:
     return '-' if value is None else f'{value * 1e3:.2f}'
 
 
-def plot(seen: Sequence[Seen], known: Dict[str, Settings], path: str) -> None:
-    """A row a link, direction and type, or cause of errors.
+def plot(frames: Sequence[RecordedFrame], known: Dict[str, Settings], path: str) -> None:
+    """Draw a timeline with a line for each link, direction, and type or cause of errors.
 
     Raises:
         ImportError: matplotlib is missing.
-        OSError, ValueError: the file cannot be written, or is of no kind that can be.
+        OSError, ValueError: the file cannot be written, or matplotlib does not know its format.
     """
     import matplotlib
     matplotlib.use('Agg')
     from matplotlib import pyplot
 
     name_of = naming(known)
-    rows: Dict[Any, List[float]] = {}      # by name, and whether it is of errors
-    for each in seen:
+    tracks: Dict[Any, List[float]] = {}    # stamps, by name and whether these are errors
+    for each in frames:
         name = f'{each.link} {"->" if each.sent else "<-"} {each.frame.cause or name_of(each)}'
-        rows.setdefault((name, bool(each.frame.cause)), []).append(each.frame.stamp)
-    figure, axes = pyplot.subplots(figsize=(12, 1.5 + 0.3 * len(rows)))
-    in_order = sorted(rows, reverse=True)
-    for height, (name, is_bad) in enumerate(in_order):
-        stamps = rows[name, is_bad]
-        axes.plot(stamps, [height] * len(stamps), 'rx' if is_bad else 'k|')
-        for stamp in stamps if is_bad else ():
+        tracks.setdefault((name, bool(each.frame.cause)), []).append(each.frame.stamp)
+    figure, axes = pyplot.subplots(figsize=(12, 1.5 + 0.3 * len(tracks)))
+    in_order = sorted(tracks, reverse=True)
+    for height, (name, is_error) in enumerate(in_order):
+        stamps = tracks[name, is_error]
+        axes.plot(stamps, [height] * len(stamps), 'rx' if is_error else 'k|')
+        for stamp in stamps if is_error else ():
             axes.axvline(stamp, color='red', alpha=0.15, linewidth=0.8)
     axes.set_yticks(range(len(in_order)))
     axes.set_yticklabels([name for name, _ in in_order])

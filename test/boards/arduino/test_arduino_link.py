@@ -1,4 +1,4 @@
-"""The link to the model car, over a real tty: what reaches the motor, and when."""
+"""The link to the model car over a real tty: what reaches the motor, and when."""
 import os
 import re
 import signal
@@ -13,7 +13,7 @@ import pytest
 from fake_boards import PATIENCE, CarBoard, Rfc2217Server, until
 from serial_communication.boards.arduino import link as link_module
 from serial_communication.boards.arduino import calibration as calibration_module
-from serial_communication.boards.arduino import heart as heart_module
+from serial_communication.boards.arduino import heartbeat as heartbeat_module
 from serial_communication.boards.arduino.link import ArduinoLink, ArduinoSettings
 from serial_communication.link.link import OK, WARN, Refused
 from serial_communication.transport import pace
@@ -23,7 +23,7 @@ from serial_communication.boards.arduino.wire import (Heartbeat, ImuCalibration,
                                                       SpeedCommand, SteeringCommand)
 from serial_communication.framing.layout import Value, message_class
 
-STEADY = ArduinoSettings(speed_timeout=0.0)       # a speed holds
+STEADY = ArduinoSettings(speed_timeout=0.0)       # no speed times out
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def test_a_speed_is_saturated_with_a_warning(board, open_link, lines, asked, sen
 
 
 @pytest.mark.parametrize('text', ['x' * 31, 'blinké', 'a\0'])
-def test_a_led_text_that_cannot_be_is_refused(board, open_link, text):
+def test_an_invalid_led_text_is_refused(board, open_link, text):
     link = open_link()
     with pytest.raises(Refused) as refused:
         link.set_led(text)
@@ -76,57 +76,57 @@ GRIPPER = message_class('gripper', 48, '<hB', [Value('x', scale=0.1, maximum=100
 
 
 @pytest.fixture
-def own_board(line, running):
+def custom_board(line, running):
     return running(CarBoard(line, [GRIPPER]))
 
 
-def test_a_command_of_ones_own_keeps_the_rules_of_commands(own_board, open_link):
+def test_a_custom_command_is_refused_like_other_commands(custom_board, open_link):
     link = open_link()
     link.command(GRIPPER(12.5, 9))
-    until(own_board.commands)
-    assert own_board.commands() == [GRIPPER(12.5, 9)]
-    for message, said in ((GRIPPER(100.1, 9), 'gripper refused: x is 100.1, over 100'),
+    until(custom_board.commands)
+    assert custom_board.commands() == [GRIPPER(12.5, 9)]
+    for message, said in ((GRIPPER(100.1, 9), 'gripper refused: x is 100.1, above the maxi'),
                           (GRIPPER(1.0, 256), 'gripper refused: z is 256, which its place')):
         with pytest.raises(Refused, match=said):
             link.command(message)
     link.calibrate_imu()
-    with pytest.raises(Refused, match='gripper x=1 z=2 refused: the IMU is being calibrated'):
+    with pytest.raises(Refused, match='gripper x=1 z=2 refused: the board calibrates its IMU'):
         link.command(GRIPPER(1.0, 2))
 
 
 TEXT = message_class('text', 49, '<s', [Value('data')])
 
 
-def test_a_command_that_no_board_would_take_for_its_length_is_refused_in_few_words(line, open_link,
-                                                                                   running):
+def test_a_command_that_is_too_long_is_refused_with_a_short_text(line, open_link, running):
     board = running(CarBoard(line, [TEXT]))
     link = open_link()
     for text in ('x' * 256, 'x' * 1000000):
         with pytest.raises(Refused) as refused:
             link.command(TEXT(text))
-        assert str(refused.value) == 'text refused: a packet holds at most 255 bytes of data'
+        assert str(refused.value) == (
+            f'text refused: {len(text)} bytes of data, a packet holds at most 255')
     link.command(TEXT('x' * 255))
     until(board.commands)
     assert board.commands() == [TEXT('x' * 255)]
 
 
-def test_a_led_text_of_any_length_is_refused_in_few_words(board, open_link):
+def test_a_long_led_text_is_refused_with_a_short_text(board, open_link):
     link = open_link()
     with pytest.raises(Refused) as refused:
         link.set_led('x' * 1000000)
     assert len(str(refused.value)) < 100
 
 
-def test_a_command_of_ones_own_is_never_kept(own_board, open_link):
+def test_a_refused_custom_command_is_not_sent_later(custom_board, open_link):
     link = open_link()
-    with own_board.unplugged():
+    with custom_board.unplugged():
         until(lambda: not link.port.is_open)
         with pytest.raises(Refused, match='gripper x=1 z=2 refused'):
             link.command(GRIPPER(1.0, 2))
     until(lambda: link.port.is_open)
     link.set_led('left')
-    until(own_board.commands)
-    assert own_board.commands() == [LedCommand('left')]
+    until(custom_board.commands)
+    assert custom_board.commands() == [LedCommand('left')]
 
 
 def test_measurements_are_passed_on_with_their_stamps(board, line, open_link):
@@ -141,7 +141,7 @@ def test_measurements_are_passed_on_with_their_stamps(board, line, open_link):
 
 
 @pytest.mark.parametrize('check', [True, False])
-def test_implausible_values_are_dropped_if_it_is_set_so(line, board, open_link, check):
+def test_implausible_values_are_dropped_only_if_checked(line, board, open_link, check):
     got = []
     link = open_link(STEADY._replace(check_plausibility=check),
                      on_message=lambda message, stamp: got.append(message))
@@ -151,7 +151,7 @@ def test_implausible_values_are_dropped_if_it_is_set_so(line, board, open_link, 
     assert link.decoder.errors['implausible'] == check
 
 
-def test_the_boards_log_is_passed_on_sparingly(line, board, open_link, lines):
+def test_log_messages_are_passed_on_at_a_limited_rate(line, board, open_link, lines):
     said = []
     link = open_link(on_log=lambda severity, text: said.append((severity, text)))
     line.write(arduino.encode(arduino.Log(2, 'hot')))
@@ -166,14 +166,14 @@ def test_the_boards_log_is_passed_on_sparingly(line, board, open_link, lines):
 # -- the heartbeat --------------------------------------------------------------------------------
 
 def test_heartbeats_arrive_at_about_their_rate(board, open_link):
-    """Over half a second of the board's own clock: never more, and not half as many."""
+    """Over half a second of the board's clock: never more than the rate, and over half of it."""
     link = open_link()
     first = board.heartbeats()
     until(lambda: board.heartbeats() >= first + 60)
     times = [frame.stamp for frame in board.seen if isinstance(frame.message, Heartbeat)]
     rate = (len(times) - 1) / (times[-1] - times[0])
     assert 30 < rate < 115
-    assert link.heartbeats_sent >= len(times) and link._heart.max_gap > 0.005
+    assert link.heartbeats_sent >= len(times) and link._heartbeat.max_gap > 0.005
 
 
 def test_the_heartbeat_rate_is_a_parameter(board, open_link):
@@ -183,8 +183,8 @@ def test_the_heartbeat_rate_is_a_parameter(board, open_link):
     assert 5 < (len(times) - 1) / (times[-1] - times[0]) < 25
 
 
-def test_heartbeats_need_nobody_and_nothing_but_the_port(line, board, open_link):
-    """Not a callback that hangs, which holds the thread that reads."""
+def test_heartbeats_go_on_while_a_callback_blocks(line, board, open_link):
+    """The callback blocks the thread that reads."""
     hang = threading.Event()
     entered = threading.Event()
 
@@ -201,7 +201,7 @@ def test_heartbeats_need_nobody_and_nothing_but_the_port(line, board, open_link)
     hang.set()
 
 
-def test_a_command_whose_warning_hangs_holds_no_heartbeat_up(open_link, monkeypatch):
+def test_a_blocked_warning_of_a_command_does_not_delay_heartbeats(open_link, monkeypatch):
     link = open_link()
     hang = threading.Event()
     monkeypatch.setattr(link.log, 'warn', lambda *_: hang.wait(PATIENCE))
@@ -214,7 +214,7 @@ def test_a_command_whose_warning_hangs_holds_no_heartbeat_up(open_link, monkeypa
     command.join()
 
 
-def test_a_warning_of_the_heart_that_hangs_holds_no_heartbeat_up(board, open_link, monkeypatch):
+def test_a_blocked_warning_of_the_thread_does_not_delay_heartbeats(board, open_link, monkeypatch):
     link = open_link(STEADY._replace(speed_timeout=0.05))
     entered, hang = threading.Event(), threading.Event()
     monkeypatch.setattr(link.log, 'warn', lambda *_: entered.set() or hang.wait(PATIENCE))
@@ -226,7 +226,7 @@ def test_a_warning_of_the_heart_that_hangs_holds_no_heartbeat_up(board, open_lin
     hang.set()
 
 
-def test_after_a_stall_the_heartbeats_missed_do_not_follow_all_at_once(board, open_link):
+def test_missed_heartbeats_are_not_sent_after_a_stall(board, open_link):
     class Stalling(Port):
         stalls = False
         written = []
@@ -251,7 +251,7 @@ def test_after_a_stall_the_heartbeats_missed_do_not_follow_all_at_once(board, op
 
 # -- the speed timeout ----------------------------------------------------------------------------
 
-def test_speed_0_follows_once_if_no_speed_command_comes(board, open_link, lines):
+def test_speed_0_is_sent_if_no_speed_command_follows(board, open_link, lines):
     link = open_link(ArduinoSettings(speed_timeout=0.1))
     commanded = time.monotonic()    # not when the board has read it, which may be later
     link.set_speed(300)
@@ -262,11 +262,11 @@ def test_speed_0_follows_once_if_no_speed_command_comes(board, open_link, lines)
     before = board.heartbeats()
     until(lambda: board.heartbeats() >= before + 30)
     assert board.commands() == [SpeedCommand(300), SpeedCommand(0)]
-    until(lambda: lines('SPEED 0 sent'))
-    assert len(lines('SPEED 0 sent')) == 1
+    until(lambda: lines('sent SPEED 0'))
+    assert len(lines('sent SPEED 0')) == 1
 
 
-def test_speed_commands_that_go_on_hold_the_timeout_off(board, open_link):
+def test_steady_speed_commands_do_not_time_out(board, open_link):
     link = open_link(ArduinoSettings(speed_timeout=1.0))
     begun = time.monotonic()
     while time.monotonic() < begun + 1.3:
@@ -276,7 +276,7 @@ def test_speed_commands_that_go_on_hold_the_timeout_off(board, open_link):
     link.set_speed(0)
 
 
-def test_without_a_speed_nothing_times_out(board, open_link, lines):
+def test_speed_0_does_not_time_out(board, open_link, lines):
     link = open_link(ArduinoSettings(speed_timeout=0.05))
     link.set_speed(0)
     link.set_steering(1500)
@@ -285,14 +285,14 @@ def test_without_a_speed_nothing_times_out(board, open_link, lines):
     assert board.commands() == [SteeringCommand(1500)] and not lines('no speed command')
 
 
-def test_a_timeout_of_0_is_never(board, open_link):
+def test_with_a_speed_timeout_of_0_no_speed_times_out(board, open_link):
     open_link(ArduinoSettings(speed_timeout=0.0)).set_speed(77)
     before = board.heartbeats()
     until(lambda: board.heartbeats() >= before + 80)
     assert board.commands() == [SpeedCommand(77)]
 
 
-# -- a stop that cannot be lost -------------------------------------------------------------------
+# -- repetitions of a stop -------------------------------------------------------------------
 
 def test_a_stop_is_repeated_every_50_ms_for_a_second(board, open_link):
     link = open_link()
@@ -311,8 +311,8 @@ def test_a_stop_is_repeated_every_50_ms_for_a_second(board, open_link):
 
 
 @pytest.mark.parametrize('way', ['commanded', 'timed out'])
-def test_a_stop_whose_first_packets_the_line_loses_stops_the_motor(line, open_link, running, way):
-    """The board loses the first three SPEED 0 that it is sent after the motion."""
+def test_the_motor_stops_though_the_line_loses_the_first_stops(line, open_link, running, way):
+    """The line loses the first three SPEED 0 after the motion."""
     class Lossy(CarBoard):
         motor = 0
         lost = 0
@@ -333,7 +333,7 @@ def test_a_stop_whose_first_packets_the_line_loses_stops_the_motor(line, open_li
     assert board.lost == 3
 
 
-def test_another_speed_ends_the_repetitions(board, open_link):
+def test_another_speed_ends_the_repetitions_of_a_stop(board, open_link):
     link = open_link()
     link.set_speed(300)
     link.set_speed(0)
@@ -343,7 +343,7 @@ def test_another_speed_ends_the_repetitions(board, open_link):
     assert board.messages(SpeedCommand)[-1] == SpeedCommand(200)
 
 
-def test_a_calibration_ends_the_repetitions(board, open_link):
+def test_a_calibration_ends_the_repetitions_of_a_stop(board, open_link):
     link = open_link()
     link.set_speed(300)
     link.calibrate_imu()
@@ -353,9 +353,9 @@ def test_a_calibration_ends_the_repetitions(board, open_link):
     assert commands[-1] == ImuCalibration()
 
 
-def test_where_the_line_loses_a_calibration_and_the_stop_before_it_the_motor_stops(
+def test_the_motor_stops_though_the_line_loses_a_calibration_and_its_stop(
         line, open_link, running):
-    """The board goes on to read, to drive and to send IMU data."""
+    """The board keeps reading, driving and sending IMU data."""
     class Lossy(CarBoard):
         motor = 0
         lost = []
@@ -380,8 +380,8 @@ def test_where_the_line_loses_a_calibration_and_the_stop_before_it_the_motor_sto
 
 
 @pytest.mark.parametrize('way', ['commanded', 'timed out'])
-def test_a_speed_0_that_the_bridge_itself_drops_is_followed_by_another(line, open_link, lines, way):
-    """The board stops reading; SPEED 0 lies in the kernel, more follows, and all is dropped."""
+def test_speed_0_is_sent_again_after_the_bridge_dropped_its_output(line, open_link, lines, way):
+    """The board stops reading. SPEED 0 waits in the kernel with more data, and all is dropped."""
     decoder = arduino.BoardDecoder()
 
     def heard():
@@ -397,18 +397,18 @@ def test_a_speed_0_that_the_bridge_itself_drops_is_followed_by_another(line, ope
     link = open_link(ArduinoSettings(speed_timeout=0.2 if way == 'timed out' else 0.0))
     link.set_speed(500)
     until(lambda: SpeedCommand(500) in heard())
-    more(300)         # so that SPEED 0 is not the first in the kernel, which a flush may leave
+    more(300)         # a flush may leave the first packet: this must not be SPEED 0
     if way == 'commanded':
         link.set_speed(0)
     else:
-        until(lambda: lines('SPEED 0 sent'))
+        until(lambda: lines('sent SPEED 0'))
     sent = link.heartbeats_sent
     until(lambda: link.heartbeats_sent > sent + 130, what='the end of its repetitions')
-    until(lambda: more(100) or lines('what waited was dropped'))
+    until(lambda: more(100) or lines('the output that waited is dropped'))
     until(lambda: SpeedCommand(0) in heard())
 
 
-def test_a_speed_that_cannot_be_shown_to_a_listener_times_out_all_the_same(board, open_link):
+def test_a_speed_times_out_though_the_tap_raises(board, open_link):
     def fail(*_):
         raise OSError('no room')
 
@@ -420,9 +420,9 @@ def test_a_speed_that_cannot_be_shown_to_a_listener_times_out_all_the_same(board
     until(lambda: board.heartbeats() > before + 20)
 
 
-def test_no_heartbeat_leaves_while_speed_0_cannot(line, open_link):
-    """After output was dropped, and the kernel takes nothing: what leaves first is SPEED 0."""
-    class Choosy(Port):
+def test_no_heartbeat_is_sent_before_a_pending_speed_0(line, open_link):
+    """Output was dropped and the port refuses SPEED 0: nothing else may be sent before it."""
+    class Selective(Port):
         refuses = b''
         written = []
 
@@ -432,11 +432,11 @@ def test_no_heartbeat_leaves_while_speed_0_cannot(line, open_link):
             super().write(frame)
             self.written.append(frame)
 
-    link = open_link(port=Choosy)
+    link = open_link(port=Selective)
     link.set_speed(500)
     link.port.refuses = arduino.encode(SpeedCommand(0))
-    with link._sending:
-        link._unblock()
+    with link._send_lock:
+        link._drop_backlog()
         link.port.written = []
     with pytest.raises(Refused):
         link.set_speed(400)
@@ -447,25 +447,25 @@ def test_no_heartbeat_leaves_while_speed_0_cannot(line, open_link):
     assert link.port.written[0].endswith(arduino.encode(SpeedCommand(0)))
 
 
-# -- a standstill ---------------------------------------------------------------------------------
+# -- stalls ---------------------------------------------------------------------------------
 
 @pytest.fixture
-def standstill(monkeypatch):
-    """All the link's threads wake from one, as far as its clock can tell."""
-    def stand_still(link, seconds):
-        with link._sending:
+def stall(monkeypatch):
+    """Move the link's clock forward, as if all its threads had stalled."""
+    def stall_link(link, seconds):
+        with link._send_lock:
             skipped[0] += seconds
             del link.port.written[:]
 
     skipped = [0.0]
-    real = heart_module.clock
-    for module in (pace, heart_module, link_module):
+    real = heartbeat_module.clock
+    for module in (pace, heartbeat_module, link_module):
         monkeypatch.setattr(module, 'clock', lambda: real() + skipped[0])
-    return stand_still
+    return stall_link
 
 
-class Noted(Port):
-    """Keeps what it was given to write."""
+class RecordingPort(Port):
+    """Keeps the frames that were written."""
 
     def __init__(self, path):
         super().__init__(path)
@@ -476,23 +476,23 @@ class Noted(Port):
         self.written.append(frame)
 
 
-def test_after_a_standstill_speed_0_is_first_whoever_wakes_first(board, open_link, standstill,
-                                                                 lines):
-    link = open_link(ArduinoSettings(speed_timeout=0.5), port=Noted)
+def test_after_a_stall_speed_0_is_sent_first_whichever_thread_runs(
+        board, open_link, stall, lines):
+    link = open_link(ArduinoSettings(speed_timeout=0.5), port=RecordingPort)
     link.set_speed(500)
-    for _ in range(10):       # sometimes the heart wakes first, sometimes a command
-        standstill(link, 5.0)
+    for _ in range(10):       # either thread may run first: the heartbeat's or the caller's
+        stall(link, 5.0)
         with pytest.raises(Refused) as refused:
             link.set_speed(300)
-        assert 'stood still' in str(refused.value)
+        assert 'the bridge stalled' in str(refused.value)
         until(lambda: len(link.port.written) > 3)
         assert link.port.written[0] == arduino.encode(SpeedCommand(0))
     assert SpeedCommand(300) not in board.messages()
-    until(lambda: lines('the bridge stood still for'))
+    until(lambda: lines(' s: SPEED 0 is sent first'))
 
 
-def takes_speed(link, value):
-    """Whether it is sent; False where it is refused."""
+def accepts_speed(link, value):
+    """Whether the link sends it; False if it refuses it."""
     try:
         link.set_speed(value)
         return True
@@ -500,26 +500,25 @@ def takes_speed(link, value):
         return False
 
 
-def test_nothing_commanded_during_a_standstill_is_sent_and_what_comes_later_is(
-        board, open_link, standstill):
-    link = open_link(ArduinoSettings(speed_timeout=0.5), port=Noted)
-    standstill(link, 5.0)
+def test_commands_are_refused_just_after_a_stall_and_accepted_later(board, open_link, stall):
+    link = open_link(ArduinoSettings(speed_timeout=0.5), port=RecordingPort)
+    stall(link, 5.0)
     for command in (lambda: link.set_speed(1), lambda: link.set_steering(1),
                     lambda: link.set_led('left'), link.calibrate_imu):
         with pytest.raises(Refused):
             command()
     assert not link.calibrating
 
-    until(lambda: takes_speed(link, 2))
+    until(lambda: accepts_speed(link, 2))
     until(board.commands)
     assert board.commands()[0] == SpeedCommand(2)
 
 
-def test_a_standstill_while_the_port_is_closed_counts(board, open_link, standstill):
-    link = open_link(ArduinoSettings(speed_timeout=0.5), port=Noted)
+def test_commands_are_refused_after_a_stall_while_the_port_is_closed(board, open_link, stall):
+    link = open_link(ArduinoSettings(speed_timeout=0.5), port=RecordingPort)
     with board.unplugged():
         until(lambda: not link.port.is_open)
-        standstill(link, 5.0)
+        stall(link, 5.0)
         with pytest.raises(Refused) as refused:
             link.set_speed(1)
         assert refused.value.cause == 'stall'
@@ -544,7 +543,7 @@ STOPPED = ("import logging, sys\n"
            "link.join()\n")
 
 
-def test_where_only_receiving_stalls_the_heart_goes_on_and_the_car_stands(
+def test_if_only_receiving_stalls_heartbeats_go_on_and_the_motor_stops(
         board, line, open_link, lines):
     entered, free = threading.Event(), threading.Event()
 
@@ -559,7 +558,7 @@ def test_where_only_receiving_stalls_the_heart_goes_on_and_the_car_stands(
     until(entered.is_set)
     until(lambda: board.commands() == [SpeedCommand(500), SpeedCommand(0)])
     beats = board.heartbeats()
-    until(lambda: board.heartbeats() > beats + 150)     # as long as a stop is repeated, and longer
+    until(lambda: board.heartbeats() > beats + 150)     # longer than a stop is repeated
     assert len(board.messages(SpeedCommand)) <= 30, 'a SPEED 0 with every heartbeat'
     for command in (lambda: link.set_speed(1), lambda: link.set_steering(1500)):
         with pytest.raises(Refused) as refused:
@@ -567,12 +566,12 @@ def test_where_only_receiving_stalls_the_heart_goes_on_and_the_car_stands(
         assert refused.value.cause == 'stall'
     free.set()
     with pytest.raises(Refused):
-        link.set_speed(1)       # it may have waited as long
+        link.set_speed(1)       # it may have waited during the stall
 
-    until(lambda: takes_speed(link, 2))
+    until(lambda: accepts_speed(link, 2))
     until(lambda: board.commands()[-1] == SpeedCommand(2))
     assert SpeedCommand(1) not in board.messages()
-    until(lambda: lines('the bridge stood still for'))
+    until(lambda: lines(' s: SPEED 0 is sent first'))
 
 
 _PINNED = """\
@@ -583,7 +582,7 @@ from serial_communication.transport.pace import set_priority_of_all
 from serial_communication.transport.port import Port
 os.sched_setaffinity(0, {int(sys.argv[2])})
 link = ArduinoLink(Port(sys.argv[1]), ArduinoSettings(speed_timeout=0.0))
-set_priority_of_all(1)     # as the node does; the heart then takes more
+set_priority_of_all(1)     # as the node does; the heartbeat thread takes 20
 link.start()
 for command in sys.stdin:
     try:
@@ -593,7 +592,7 @@ for command in sys.stdin:
         print('refused', refused.cause, flush=True)
 link.stop()
 """
-_HOG = """\
+_BUSY_PROCESS = """\
 import os, sys, time
 os.sched_setaffinity(0, {int(sys.argv[1])})
 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
@@ -605,8 +604,8 @@ while time.monotonic() < end:
 
 
 @pytest.fixture
-def a_core():
-    """One that this test keeps away from."""
+def one_core():
+    """A processor core that this test does not use itself."""
     cores = os.sched_getaffinity(0)
     if len(cores) < 2:
         pytest.skip('there is one core only')
@@ -620,11 +619,10 @@ def a_core():
     os.sched_setaffinity(0, cores)
 
 
-def test_a_hog_that_keeps_the_bridge_from_receiving_lets_no_old_command_drive(
-        board, line, a_core):
-    """Its priority is between that of the heart and that of the threads that receive."""
+def test_no_old_command_is_sent_after_a_busy_process_stalled_receiving(board, line, one_core):
+    """Its priority is between those of the heartbeat thread and of the receiving threads."""
     environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)}
-    bridge = subprocess.Popen([sys.executable, '-c', _PINNED, line.path, a_core],
+    bridge = subprocess.Popen([sys.executable, '-c', _PINNED, line.path, one_core],
                               stdin=subprocess.PIPE, stdout=subprocess.PIPE,
                               universal_newlines=True, env=environment, bufsize=1)
 
@@ -636,11 +634,12 @@ def test_a_hog_that_keeps_the_bridge_from_receiving_lets_no_old_command_drive(
         until(lambda: command(500) or bridge.stdout.readline() == 'accepted\n')
         until(lambda: SpeedCommand(500) in board.messages())
         board.forget()
-        hog = subprocess.Popen([sys.executable, '-c', _HOG, a_core], stdout=subprocess.PIPE)
-        assert hog.stdout.readline() == b'begun\n'
+        busy = subprocess.Popen([sys.executable, '-c', _BUSY_PROCESS, one_core],
+                                stdout=subprocess.PIPE)
+        assert busy.stdout.readline() == b'begun\n'
         command(300)
-        assert hog.wait() == 0
-        hog.stdout.close()
+        assert busy.wait() == 0
+        busy.stdout.close()
         assert bridge.stdout.readline() == 'refused stall\n'
         until(lambda: command(200) or bridge.stdout.readline() == 'accepted\n')
         until(lambda: SpeedCommand(200) in board.messages())
@@ -650,9 +649,8 @@ def test_a_hog_that_keeps_the_bridge_from_receiving_lets_no_old_command_drive(
 
 
 @pytest.mark.parametrize('speed_timeout', ['0.5', '0'])
-def test_a_process_that_was_stopped_says_speed_0_first_and_none_of_what_waited(
-        board, line, speed_timeout):
-    """SIGSTOP and SIGCONT; ten commands wait in a pipe for a thread of that process."""
+def test_after_sigcont_speed_0_is_sent_first_and_no_waiting_command(board, line, speed_timeout):
+    """During SIGSTOP ten commands wait in a pipe for a thread of the process."""
     bridge = subprocess.Popen([sys.executable, '-c', STOPPED, line.path, speed_timeout],
                               stdin=subprocess.PIPE, stdout=subprocess.PIPE,
                               universal_newlines=True)
@@ -663,8 +661,8 @@ def test_a_process_that_was_stopped_says_speed_0_first_and_none_of_what_waited(
             return board.commands()[-1:] == [SpeedCommand(500)]
 
         until(lambda: board.heartbeats() > 3)
-        # The signal may come between the decision to send a heartbeat and its write: that one
-        # then leaves first, which nothing in the process can exclude, and SPEED 0 is next.
+        # If the signal stops the process just before the write of a heartbeat, that heartbeat is
+        # sent first and SPEED 0 second. The process cannot prevent that; so try three times.
         for _ in range(3):
             until(drive, every=0.05)
             bridge.send_signal(signal.SIGSTOP)
@@ -686,9 +684,9 @@ def test_a_process_that_was_stopped_says_speed_0_first_and_none_of_what_waited(
         bridge.communicate()
 
 
-# -- the port goes and comes ----------------------------------------------------------------------
+# -- reconnects ----------------------------------------------------------------------
 
-def test_commands_to_a_closed_port_are_refused_and_not_kept(board, open_link):
+def test_commands_to_a_closed_port_are_refused_and_not_sent_later(board, open_link):
     link = open_link()
     with board.unplugged():
         until(lambda: not link.port.is_open)
@@ -717,8 +715,8 @@ def test_after_a_reconnect_speed_0_is_first_and_repeated(board, open_link, speed
     assert set(board.messages(SpeedCommand)) == {SpeedCommand(0)}
 
 
-def test_a_command_between_the_opening_and_the_first_heartbeat_comes_after_speed_0(line, logger):
-    """As the port has opened, and before the link's threads have done anything with it."""
+def test_a_command_just_after_the_opening_follows_speed_0(line, logger):
+    """The port is open, and no thread of the link has used it yet."""
     link = ArduinoLink(Port(line.path), STEADY, logger=logger)
     link.port.open()
     link.set_speed(500)
@@ -733,17 +731,17 @@ def test_the_first_opening_begins_with_speed_0(board, open_link):
     assert board.messages()[0] == SpeedCommand(0)
 
 
-def test_the_time_while_the_port_is_closed_is_no_heartbeat_gap(board, open_link, standstill):
-    link = open_link(port=Noted)
+def test_a_closed_port_is_no_heartbeat_gap(board, open_link, stall):
+    link = open_link(port=RecordingPort)
     with board.unplugged():
         until(lambda: not link.port.is_open)
-        standstill(link, 1000.0)
+        stall(link, 1000.0)
     sent = link.heartbeats_sent
     until(lambda: link.heartbeats_sent > sent + 3)
-    assert link._heart.max_gap < 1000.0
+    assert link._heartbeat.max_gap < 1000.0
 
 
-def test_a_heartbeat_gap_is_a_warning_until_a_report_without_one(board, open_link):
+def test_a_heartbeat_gap_is_a_warning_until_a_report_without_a_gap(board, open_link):
     def is_ok():
         level, summary, _ = link.report(time.monotonic())
         return level == OK and summary == 'open'
@@ -751,7 +749,7 @@ def test_a_heartbeat_gap_is_a_warning_until_a_report_without_one(board, open_lin
     link = open_link()
     board.streaming = True
     until(is_ok)
-    with link._sending:         # so that no heartbeat can leave
+    with link._send_lock:         # so that no heartbeat can be sent
         sent = link.heartbeats_sent
         assert not threading.Event().wait(0.1)
         level, summary, values = link.report(time.monotonic())
@@ -780,7 +778,7 @@ def test_no_heartbeat_is_counted_while_the_port_is_closed(board, open_link):
 
 @pytest.fixture
 def network(logger, running):
-    """A link over a connection, and the server's end of it."""
+    """A function that connects a link to a server; link.peer is the server's end."""
     with socket.create_server(('127.0.0.1', 0)) as server:
         server.settimeout(PATIENCE)
 
@@ -802,8 +800,8 @@ def messages(data):
     return [frame.message for frame in arduino.BoardDecoder().feed(data, 0.0) if not frame.cause]
 
 
-def read_to_the_end(peer):
-    """All that comes until the connection has been ended or reset."""
+def read_until_closed(peer):
+    """All data until the connection is closed or reset."""
     data = b''
     peer.settimeout(PATIENCE)
     try:
@@ -816,8 +814,8 @@ def read_to_the_end(peer):
     return data
 
 
-def test_a_board_not_heard_over_a_network_gets_a_new_connection_and_no_old_speed(network, lines):
-    """The peer stands still: it neither speaks nor reads, and commands go on."""
+def test_a_silent_network_port_is_opened_anew_and_delivers_no_old_speed(network, lines):
+    """The peer neither sends nor reads, while commands go on."""
     link = network(0.4)
     begun = time.monotonic()
     while link.reconnects == 0:
@@ -827,24 +825,24 @@ def test_a_board_not_heard_over_a_network_gets_a_new_connection_and_no_old_speed
         except Refused:
             pass
         time.sleep(0.02)
-    assert lines('the board has not been heard for 0.4 s')
+    assert lines('nothing received from the board for 0.4 s')
     with link.accept() as peer:
         peer.settimeout(PATIENCE)
         assert messages(peer.recv(1 << 16))[0] == SpeedCommand(0)
-    # What the peer's kernel has is out of reach; it ends with a stop.
+    # The data in the peer's kernel is out of reach; it has to end with a stop.
     with link.peer as old:
-        speeds = [message for message in messages(read_to_the_end(old))
+        speeds = [message for message in messages(read_until_closed(old))
                   if isinstance(message, SpeedCommand)]
     assert len(speeds) > 1 and speeds[-1] == SpeedCommand(0)
 
 
 def limit_silence(link, seconds):
-    """From now on: a slow machine may have needed any time to come so far."""
+    """Set it only now: on a slow machine, getting here may take any time."""
     link.settings = link.settings._replace(network_silence=seconds)
     link.wake()
 
 
-def test_a_board_that_calibrates_may_be_silent_over_a_network(network):
+def test_a_network_port_is_not_opened_anew_during_a_calibration(network):
     link = network(0.0)
     link.peer.sendall(arduino.encode(arduino.Ticks(1)))
     link.calibrate_imu()
@@ -855,8 +853,8 @@ def test_a_board_that_calibrates_may_be_silent_over_a_network(network):
     link.peer.close()
 
 
-def test_a_connection_that_takes_no_data_is_broken_off_and_its_data_not_sent_later(network, lines):
-    # So that nothing but the stall ends it, and the peer's kernel has no room for the rest.
+def test_a_blocked_connection_is_closed_and_its_data_not_sent_later(network, lines):
+    # No silence limit, and a small buffer: only the blocked output can close the connection.
     link = network(0.0, window=1)
     peer = link.peer
     begun = time.monotonic()
@@ -866,17 +864,17 @@ def test_a_connection_that_takes_no_data_is_broken_off_and_its_data_not_sent_lat
             link.set_led('x' * 30)
         except Refused:
             time.sleep(0.005)
-    assert lines('the connection is broken off') and not lines('was dropped')
+    assert lines('the connection is closed') and not lines('is dropped')
     sent = link.port.bytes_sent
     with link.accept() as new:
         new.settimeout(PATIENCE)
         assert messages(new.recv(1 << 16))[0] == SpeedCommand(0)
     with peer:
-        assert len(read_to_the_end(peer)) < sent
+        assert len(read_until_closed(peer)) < sent
 
 
-def test_an_rfc2217_server_that_stands_still_delivers_no_drive_afterwards(line, logger, running):
-    """It takes commands until the link gives it up; they end with a stop."""
+def test_a_stalled_rfc2217_server_delivers_no_old_speed_afterwards(line, logger, running):
+    """It takes commands until the link closes the connection; the last of them is a stop."""
     with socket.create_server(('127.0.0.1', 0)) as listening:
         listening.settimeout(PATIENCE)
         server = Rfc2217Server(listening, line.path)
@@ -888,7 +886,7 @@ def test_an_rfc2217_server_that_stands_still_delivers_no_drive_afterwards(line, 
         link.set_speed(500)
         until(board.commands)
         board.streaming = False
-        server.stand_still()
+        server.stop_reading()
         limit_silence(link, 0.4)
         begun = time.monotonic()
         slowest = 0.0
@@ -904,7 +902,7 @@ def test_an_rfc2217_server_that_stands_still_delivers_no_drive_afterwards(line, 
         assert slowest < 1.0, 'a command waited for the network'
         server.go_on()
         until(lambda: not server.alive)
-    # What follows on the same tty comes behind all that the connection had delivered.
+    # Data written to the same tty now arrives after all that the connection delivered.
     with open(line.path, 'wb', buffering=0) as behind:
         behind.write(b'\0' + arduino.encode(LedCommand('brake')))
     until(lambda: LedCommand('brake') in board.commands())
@@ -942,47 +940,45 @@ def test_a_calibration_stops_the_car_and_refuses_commands_until_imu_data_returns
     assert len(board.commands()) == 4
 
 
-def test_imu_data_that_was_under_way_as_a_calibration_began_does_not_end_it(
+def test_imu_data_under_way_at_its_begin_does_not_end_a_calibration(
         board, line, open_link, lines):
-    """As over a network that takes 0.6 s each way: data goes on for 1.2 s."""
+    """As over a network with a delay of 0.6 s each way: data is received for 1.2 s more."""
     link = open_link()
     board.streaming = True
     until(lambda: link.last_frame_at)
     link.calibrate_imu()
     threading.Event().wait(1.2)
     board.streaming = False
-    with pytest.raises(Refused, match='the IMU is being calibrated'):
+    with pytest.raises(Refused, match='the board calibrates its IMU'):
         link.set_speed(500)
 
-    def say_after_a_silence():
-        if time.monotonic() > said[0] + 2.1:
-            said[0] = time.monotonic()
+    def send_after_a_silence():
+        if time.monotonic() > sent[0] + 2.1:
+            sent[0] = time.monotonic()
             line.write(CarBoard.IMU)
 
-    said = [time.monotonic()]
-    until(lambda: not link.calibrating, doing=say_after_a_silence)
+    sent = [time.monotonic()]
+    until(lambda: not link.calibrating, doing=send_after_a_silence)
     assert not lines('does not calibrate')
     link.set_speed(5)
     until(lambda: board.commands()[-1:] == [SpeedCommand(5)])
     assert SpeedCommand(500) not in board.messages()
 
 
-def test_a_board_that_does_not_calibrate_gets_commands_again(
-        board, open_link, lines, monkeypatch):
-    """Its IMU data goes on: the request was lost on the line, say."""
+def test_commands_are_accepted_again_if_imu_data_goes_on(board, open_link, lines, monkeypatch):
+    """The line may have lost the request."""
     monkeypatch.setattr(calibration_module, '_GOES_ON', 0.5)
     link = open_link()
     board.streaming = True
     link.calibrate_imu()
     until(lambda: not link.calibrating)
-    assert lines('IMU data has gone on for 5 s since the calibration was asked for')
-    until(lambda: takes_speed(link, 5))
+    until(lambda: lines('IMU data was still received 5 s after the request to calibrate'))
+    until(lambda: accepts_speed(link, 5))
     until(lambda: board.commands()[-1:] == [SpeedCommand(5)])
     board.streaming = False
 
 
-def test_a_board_that_was_reset_by_a_reconnect_calibrates_no_more(
-        board, open_link, monkeypatch):
+def test_a_calibration_ends_if_a_reconnect_reset_the_board(board, open_link, monkeypatch):
     monkeypatch.setattr(calibration_module, '_GOES_ON', 0.5)
     link = open_link()
     link.calibrate_imu()
@@ -994,8 +990,8 @@ def test_a_board_that_was_reset_by_a_reconnect_calibrates_no_more(
     board.streaming = False
 
 
-def test_the_time_of_a_stall_is_no_silence_that_ends_a_calibration(board, line):
-    """SIGSTOP as the calibration has begun; IMU data that was under way waits in the port."""
+def test_a_stall_is_no_silence_that_ends_a_calibration(board, line):
+    """SIGSTOP after its begin; IMU data that was under way waits in the port meanwhile."""
     bridge = subprocess.Popen([sys.executable, '-c', STOPPED, line.path, '0.5'],
                               stdin=subprocess.PIPE, stdout=subprocess.PIPE,
                               universal_newlines=True)
@@ -1013,12 +1009,12 @@ def test_the_time_of_a_stall_is_no_silence_that_ends_a_calibration(board, line):
         line.write(CarBoard.IMU * 20)
         threading.Event().wait(2.5)
         bridge.send_signal(signal.SIGCONT)
-        # As it wakes, every command is refused for half a second anyway.
+        # Half a second after SIGCONT: until then every command is refused because of the stall.
         before = board.heartbeats()
         until(lambda: board.heartbeats() > before + 70)
         ask('321')
         ask('calibrate')
-        assert 'speed 321 refused: the IMU is being calibrated' in bridge.stdout.readline()
+        assert 'speed 321 refused: the board calibrates its IMU' in bridge.stdout.readline()
     finally:
         bridge.kill()
         bridge.communicate()
@@ -1032,7 +1028,7 @@ def test_heartbeats_go_on_during_a_calibration(board, open_link):
     assert link.calibrating
 
 
-def test_a_calibration_without_an_end_is_over_after_its_timeout(board, open_link):
+def test_a_calibration_ends_after_its_timeout(board, open_link):
     changes = []
     link = open_link(STEADY._replace(calibration_timeout=0.1), on_calibrating=changes.append)
     link.calibrate_imu()
@@ -1040,7 +1036,7 @@ def test_a_calibration_without_an_end_is_over_after_its_timeout(board, open_link
     link.set_speed(1)
 
 
-def test_a_calibration_lasts_through_a_reconnect(board, open_link):
+def test_a_calibration_continues_after_a_reconnect(board, open_link):
     link = open_link()
     link.calibrate_imu()
     with board.unplugged():
@@ -1052,7 +1048,7 @@ def test_a_calibration_lasts_through_a_reconnect(board, open_link):
 
 # -- the end --------------------------------------------------------------------------------------
 
-def stop_and_listen(link, board):
+def stop_and_wait(link, board):
     link.stop()
     link.join()
     assert not link.port.is_open
@@ -1060,35 +1056,35 @@ def stop_and_listen(link, board):
     quiet.wait(0.1)
 
 
-def test_stopping_sends_speed_0_last_and_then_nothing(board, open_link):
+def test_stopping_sends_speed_0_and_nothing_after_it(board, open_link):
     link = open_link()
     link.set_speed(300)
     until(board.commands)
-    stop_and_listen(link, board)
+    stop_and_wait(link, board)
     assert board.messages()[-1] == SpeedCommand(0)
     with pytest.raises(Refused):
         link.set_speed(300)
 
 
-def test_stopping_sends_speed_0_also_while_the_board_talks(board, open_link):
-    """The reading thread wakes often then: it must not close the port before the last word."""
+def test_stopping_sends_speed_0_while_the_board_sends(board, open_link):
+    """The reading thread wakes often then: it must not close the port before SPEED 0 is sent."""
     link = open_link()
     board.streaming = True
     link.set_speed(300)
     until(board.commands)
     until(lambda: link.frames_received > 3)
     stopping = threading.Thread(target=link.stop, name='stopping', daemon=True)
-    with link._sending:               # as if a command were just on its way
+    with link._send_lock:               # as if a command were being sent
         stopping.start()
         threading.Event().wait(0.15)  # some thirty packets
     stopping.join(PATIENCE)
-    stop_and_listen(link, board)
+    stop_and_wait(link, board)
     board.streaming = False
     assert board.messages()[-1] == SpeedCommand(0), 'the last word was not SPEED 0'
 
 
-def test_stopping_lets_speed_0_leave_before_the_port_closes(line, board, open_link):
-    """As on a UART, whose buffer takes its time to empty and is lost by closing."""
+def test_the_port_is_closed_only_after_speed_0_is_sent(line, board, open_link):
+    """As on a UART, whose buffer empties slowly and is lost when the port is closed."""
     class SlowPort(Port):
         empty_at = 0.0
         left_at_close = None
@@ -1108,11 +1104,11 @@ def test_stopping_lets_speed_0_leave_before_the_port_closes(line, board, open_li
 
     link = open_link(port=SlowPort)
     link.set_speed(300)
-    stop_and_listen(link, board)
+    stop_and_wait(link, board)
     assert link.port.left_at_close is False
 
 
-def test_stopping_ends_soon_while_the_board_does_not_read(line, open_link):
+def test_stopping_does_not_wait_for_a_board_that_does_not_read(line, open_link):
     link = open_link()
     link.set_speed(300)
     begun = time.monotonic()
@@ -1122,7 +1118,7 @@ def test_stopping_ends_soon_while_the_board_does_not_read(line, open_link):
     assert not link.port.is_open
 
 
-def test_a_link_that_never_opened_stops(line, logger):
+def test_a_link_whose_port_never_opened_can_be_stopped(line, logger):
     link = ArduinoLink(Port(line.path + '.absent'), STEADY, logger=logger)
     link.start()
     link.stop()

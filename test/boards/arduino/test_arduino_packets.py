@@ -1,4 +1,4 @@
-"""The model car's packets: every type, its limits, and what is refused."""
+"""The model car's packets: every type and its limits."""
 import math
 import struct
 
@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol_cases import (ARDUINO, ARDUINO_CHECKED, BOARD_ARDUINO, check_case, check_rejected,
-                            decode, feed, give_up, good, hexed, no_errors, vectors)
+                            decode, feed, give_up, hexed, no_errors, valid, vectors)
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.framing import cobs
 from serial_communication.framing.stream import FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN
@@ -89,18 +89,18 @@ to_board = st.one_of(
 
 
 @given(from_board)
-def test_round_trip_of_what_the_board_sends(message):
+def test_round_trip_of_messages_from_the_board(message):
     frames, errors = decode(ARDUINO, arduino.encode(message), end=False)
     assert [frame.message for frame in frames] == [message]
     assert frames[0].type == message.TYPE
     assert errors == no_errors(ARDUINO)
     str(message)
-    # The other side's decoder knows none of these.
+    # The decoder of the other direction knows none of these types.
     assert decode(BOARD_ARDUINO, arduino.encode(message))[1][UNKNOWN] == 1
 
 
 @given(to_board)
-def test_round_trip_of_what_we_send(message):
+def test_round_trip_of_messages_to_the_board(message):
     frames, errors = decode(BOARD_ARDUINO, arduino.encode(message), end=False)
     assert [frame.message for frame in frames] == [message]
     assert errors == no_errors(BOARD_ARDUINO)
@@ -127,7 +127,7 @@ def test_a_known_type_has_one_length(kind, type_, size):
     assert len(decode(kind, wire_of(type_, bytes(size)))[0]) == 1
 
 
-def test_empty_packets_are_nothing():
+def test_empty_packets_are_ignored():
     ticks = arduino.encode(arduino.Ticks(3))
     frames, errors = decode(ARDUINO, b'\0\0\0' + ticks + b'\0\0' + ticks + b'\0')
     assert [frame.message for frame in frames] == [arduino.Ticks(3)] * 2
@@ -135,7 +135,7 @@ def test_empty_packets_are_nothing():
 
 
 @pytest.mark.parametrize('encoded', [b'\1', b'\5\1\2', b'\xff' * 20])
-def test_bytes_that_are_no_packet_are_a_framing_error(encoded):
+def test_invalid_cobs_is_a_framing_error(encoded):
     check_rejected(ARDUINO, encoded + b'\0', FRAMING)
 
 
@@ -155,8 +155,8 @@ def test_a_packet_holds_at_most_256_bytes():
         arduino.encode_raw(1, b'x' * 256)
 
 
-def test_the_rest_of_an_oversize_packet_is_no_packet():
-    """Not even where it would decode to one."""
+def test_the_rest_of_an_oversize_packet_is_dropped():
+    """Even if it would decode to a valid packet."""
     decoder = arduino.Decoder()
     decoder.feed(b'\1' * 300)
     assert decoder.pending
@@ -167,14 +167,14 @@ def test_the_rest_of_an_oversize_packet_is_no_packet():
     assert decoder.errors[OVERSIZE] == 1
 
 
-def test_a_packet_cut_short_is_given_up():
+def test_an_incomplete_packet_is_given_up():
     decoder = arduino.Decoder()
     assert decoder.feed(arduino.encode(arduino.Voltage(12.0))[:4]) == [] and decoder.pending
     given_up = decoder.give_up()
     assert [frame.cause for frame in given_up] == [FRAMING] and not decoder.pending
     assert decoder.errors[FRAMING] == 1
     assert decoder.give_up() == [] and decoder.errors[FRAMING] == 1
-    assert len(good(decoder.feed(arduino.encode(arduino.Ticks(4))))) == 1
+    assert len(valid(decoder.feed(arduino.encode(arduino.Ticks(4))))) == 1
 
 
 def test_reset_forgets_what_is_pending_and_keeps_the_counts():
@@ -182,35 +182,35 @@ def test_reset_forgets_what_is_pending_and_keeps_the_counts():
     decoder.feed(b'\1\0' + arduino.encode(arduino.Ticks(4))[:2])
     decoder.reset()
     assert not decoder.pending and decoder.errors[FRAMING] == 1
-    assert len(good(decoder.feed(arduino.encode(arduino.Ticks(4))))) == 1
+    assert len(valid(decoder.feed(arduino.encode(arduino.Ticks(4))))) == 1
     assert give_up(decoder) == []
 
 
 # -- plausibility ---------------------------------------------------------------------------------
 
-def refusal(message):
-    """Why the default decoder refuses a message; '' where it takes it."""
+def cause_of(message):
+    """The error cause of a message with the default decoder; '' if it is valid."""
     frames, errors = decode(ARDUINO_CHECKED, arduino.encode(message))
     assert errors == dict(no_errors(ARDUINO_CHECKED), **{IMPLAUSIBLE: 0 if frames else 1})
-    assert len(decode(ARDUINO, arduino.encode(message))[0]) == 1, 'the check is to be off'
+    assert len(decode(ARDUINO, arduino.encode(message))[0]) == 1, 'valid without the check'
     return '' if frames else IMPLAUSIBLE
 
 
-def test_plausible_steering_angles():
-    assert [refusal(arduino.SteeringAngle(value)) for value in (0, 1024, 1025, 65535)] == [
+def test_steering_angles_over_1024_are_implausible():
+    assert [cause_of(arduino.SteeringAngle(value)) for value in (0, 1024, 1025, 65535)] == [
         '', '', IMPLAUSIBLE, IMPLAUSIBLE]
 
 
 @pytest.mark.parametrize('volts, plausible', [
     (0.0, True), (-0.0, True), (100.0, True), (14.8, True), (100.00001, False),
     (-1e-9, False), (-1.0, False), (float('inf'), False), (float('-inf'), False), (1e38, False)])
-def test_plausible_voltages(volts, plausible):
-    assert bool(refusal(arduino.Voltage(volts))) != plausible
+def test_voltages_outside_0_to_100_v_are_implausible(volts, plausible):
+    assert bool(cause_of(arduino.Voltage(volts))) != plausible
 
 
-def test_a_voltage_that_is_no_number_is_implausible():
+def test_a_nan_voltage_is_implausible():
     decoder = arduino.Decoder()
-    assert good(decoder.feed(arduino.encode(arduino.Voltage(float('nan'))))) == []
+    assert valid(decoder.feed(arduino.encode(arduino.Voltage(float('nan'))))) == []
     assert decoder.errors[IMPLAUSIBLE] == 1
 
 
@@ -223,12 +223,12 @@ def test_a_voltage_that_is_no_number_is_implausible():
 def test_a_plausible_quaternion_has_a_norm_within_5_percent_of_1(part, value, plausible):
     fields = [0] * 11
     fields[part] = value
-    assert bool(refusal(arduino.Imu(*fields))) != plausible
+    assert bool(cause_of(arduino.Imu(*fields))) != plausible
 
 
 def test_other_values_have_no_limits():
-    assert not refusal(arduino.Imu(16384, 0, 0, 0, *[-32768] * 7))
-    assert not refusal(arduino.Ticks(255))
+    assert not cause_of(arduino.Imu(16384, 0, 0, 0, *[-32768] * 7))
+    assert not cause_of(arduino.Ticks(255))
 
 
 # -- texts ----------------------------------------------------------------------------------------
@@ -240,7 +240,7 @@ def test_other_values_have_no_limits():
     (b'bell\7 \x1b[31mred\0', 'bell\ufffd \ufffd[31mred'), (b'tab\there\nthere', None),
     (b'bad \xff\xfe\0', 'bad \ufffd\ufffd'), (b'cut \xe2\x82\0', 'cut \ufffd'),
     ('25 °C'.encode(), '25 °C'), ('\x85\u2028\u202e'.encode(), '\ufffd' * 3)])
-def test_log_texts_are_fit_to_print(data, text):
+def test_log_texts_are_printable(data, text):
     for severity in range(4):
         (frame,), errors = decode(ARDUINO, wire_of(severity, data))
         assert errors == no_errors(ARDUINO)
@@ -258,7 +258,7 @@ def test_led_texts_within_the_limits(text):
 
 @pytest.mark.parametrize('text, said', [
     ('x' * 31, '31 characters'), ('blink é', 'ASCII'), ('a\0b', 'ASCII')])
-def test_led_texts_beyond_the_limits_are_refused_in_words(text, said):
+def test_led_texts_outside_the_limits_are_refused(text, said):
     for act in (lambda command: command.pack(), arduino.encode):
         with pytest.raises(ValueError) as refused:
             act(arduino.LedCommand(text))
@@ -268,12 +268,12 @@ def test_led_texts_beyond_the_limits_are_refused_in_words(text, said):
 @pytest.mark.parametrize('message', [
     arduino.SpeedCommand(32768), arduino.SteeringCommand(-1), arduino.SteeringCommand(65536),
     arduino.Ticks(256), arduino.SteeringAngle(65536)])
-def test_numbers_outside_their_type_are_not_encoded(message):
+def test_numbers_out_of_range_of_their_type_are_refused(message):
     with pytest.raises(ValueError):
         arduino.encode(message)
 
 
-def test_a_packet_cut_short_has_the_stamp_of_the_read_that_brought_its_last_byte():
+def test_an_incomplete_packet_has_the_stamp_of_its_last_byte():
     decoder = arduino.Decoder()
     decoder.feed(b'\x03', 'first')
     decoder.feed(b'\x08', 'second')
@@ -284,7 +284,7 @@ def test_a_packet_cut_short_has_the_stamp_of_the_read_that_brought_its_last_byte
     (b'', True), (b'ready', True), ('Lenkung über 90°'.encode(), True), (b'a\x01', True),
     (b'100% \xb0C', True),      # one character of another encoding
     (b'\x8f', False), (b'a\x01\x02', False), (b'\x12\xfe\x90Q\x07\xb3\xc1', False)])
-def test_what_looks_like_a_log_line_but_can_hardly_be_read_is_implausible(text, taken):
+def test_a_mostly_unreadable_log_line_is_implausible(text, taken):
     for severity in arduino.Log.TYPES:
         decoder = arduino.Decoder()
         frame, = decoder.feed(wire_of(severity, text + b'\0'))
@@ -294,6 +294,6 @@ def test_what_looks_like_a_log_line_but_can_hardly_be_read_is_implausible(text, 
         assert isinstance(frame.message, arduino.Log)
 
 
-def test_a_wrong_length_is_told_with_the_right_one():
+def test_a_length_error_names_the_expected_length():
     frame, = arduino.Decoder().feed(wire_of(arduino.Ticks.TYPE, bytes(22)))
     assert frame.error == 'ticks packet with 22 bytes of data where 1 is right'

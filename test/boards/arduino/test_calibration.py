@@ -1,37 +1,39 @@
-"""When a calibration is over: rules with a clock of the test's own."""
+"""When a calibration is over; the tests set the time."""
 import pytest
 
 from serial_communication.boards.arduino.calibration import Calibration, End
 
-LOOK_PERIOD = 0.1
+STEP = 0.1
 
 
 @pytest.fixture
 def calibration():
-    """One that began at 0.0."""
+    """A calibration that begins at 0.0."""
     return Calibration(900.0, 0.0)
 
 
 def watch(calibration, begin, end, data_every=None):
-    """Look at it from `begin` to `end` as a link does, with IMU data meanwhile or without; the
-    first reason why it is over, and when."""
-    steps = round((end - begin) / LOOK_PERIOD)
+    """Call it from `begin` to `end` as a link does, with IMU data every `data_every` s, or without.
+
+    Returns the first reason why it is over, and when.
+    """
+    steps = round((end - begin) / STEP)
     for step in range(1, steps + 1):
         now = begin + (end - begin) * step / steps
-        why = calibration.look(now)
-        if not why and data_every and step % round(data_every / LOOK_PERIOD) == 0:
+        why = calibration.check_timeout(now)
+        if not why and data_every and step % round(data_every / STEP) == 0:
             why = calibration.imu_data(now)
         if why:
             return why, now
     return None, end
 
 
-def test_data_after_a_silence_ends_it(calibration):
+def test_imu_data_after_a_silence_ends_it(calibration):
     assert watch(calibration, 0.0, 310.0) == (None, 310.0)
     assert calibration.imu_data(310.0) is End.BACK
 
 
-def test_data_that_was_under_way_ends_nothing(calibration):
+def test_imu_data_under_way_at_the_begin_does_not_end_it(calibration):
     assert watch(calibration, 0.0, 1.5, data_every=0.1) == (None, 1.5)
     assert watch(calibration, 1.5, 3.4) == (None, 3.4)
     assert calibration.imu_data(3.4) is None, 'after 1.9 s'
@@ -39,13 +41,13 @@ def test_data_that_was_under_way_ends_nothing(calibration):
     assert calibration.imu_data(5.5) is End.BACK
 
 
-def test_data_that_goes_on_for_5_s_ends_it(calibration):
+def test_imu_data_for_5_s_without_a_silence_ends_it(calibration):
     why, now = watch(calibration, 0.0, 20.0, data_every=0.1)
     assert why is End.GOES_ON and now == pytest.approx(5.0, abs=0.11)
 
 
 @pytest.mark.parametrize('stall', [0.4, 1.5, 10.0, 600.0])
-def test_the_time_of_a_stall_is_no_silence(calibration, stall):
+def test_a_stall_does_not_count_as_silence(calibration, stall):
     assert watch(calibration, 0.0, 0.2, data_every=0.1) == (None, 0.2)
     now = 0.2 + stall
     calibration.stalled(stall, now)
@@ -56,7 +58,7 @@ def test_the_time_of_a_stall_is_no_silence(calibration, stall):
     assert calibration.imu_data(now + 4.0) is End.BACK
 
 
-def test_the_time_of_a_stall_is_no_time_in_which_data_went_on(calibration):
+def test_a_stall_does_not_count_as_time_with_imu_data(calibration):
     assert watch(calibration, 0.0, 2.0, data_every=0.1) == (None, 2.0)
     calibration.stalled(10.0, 12.0)
     assert calibration.imu_data(12.0) is None
@@ -64,20 +66,20 @@ def test_the_time_of_a_stall_is_no_time_in_which_data_went_on(calibration):
     assert why is End.GOES_ON and now == pytest.approx(15.0, abs=0.11)
 
 
-def test_what_the_board_does_while_the_port_is_closed_is_not_known(calibration):
+def test_the_time_of_a_closed_port_does_not_count(calibration):
     assert watch(calibration, 0.0, 0.5) == (None, 0.5)
     calibration.port_opened(60.0)
-    assert calibration.look(60.1) is None and calibration.imu_data(60.1) is None
+    assert calibration.check_timeout(60.1) is None and calibration.imu_data(60.1) is None
     why, now = watch(calibration, 60.1, 80.0, data_every=0.1)
     assert why is End.GOES_ON and now == pytest.approx(65.0, abs=0.11)
 
 
-def test_it_is_over_after_its_timeout_in_any_case(calibration):
+def test_it_ends_after_its_timeout_without_imu_data(calibration):
     assert watch(calibration, 0.0, 899.9)[0] is None
-    assert calibration.look(900.0) is End.TIMEOUT
+    assert calibration.check_timeout(900.0) is End.TIMEOUT
 
 
-def test_a_stall_that_began_before_the_calibration_counts_from_its_beginning(calibration):
+def test_a_stall_that_began_earlier_counts_from_the_begin(calibration):
     calibration.stalled(60.0, 1.0)
     assert watch(calibration, 1.0, 3.1) == (None, 3.1)
     assert calibration.imu_data(3.1) is End.BACK

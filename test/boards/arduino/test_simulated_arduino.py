@@ -19,7 +19,7 @@ def make(**arguments):
 
 
 def drive(bench, seconds, speed=None, steering=None):
-    """Send heartbeats for so long, and the commands at the beginning."""
+    """Send heartbeats for `seconds`, and the commands at the begin."""
     bench.feed(HEARTBEAT)
     for command in (arduino.SpeedCommand(speed) if speed is not None else None,
                     arduino.SteeringCommand(steering) if steering is not None else None):
@@ -46,7 +46,7 @@ def test_rates():
                                         arduino.Imu: 3000, arduino.Voltage: 30}
 
 
-def test_the_first_speed_0_of_each_stop_may_be_lost():
+def test_lose_stops_loses_the_first_speed_0_of_each_stop():
     bench = make(lose_stops=True)
     zero = arduino.encode(arduino.SpeedCommand(0))
     for _ in range(2):
@@ -63,7 +63,7 @@ def test_the_first_speed_0_of_each_stop_may_be_lost():
 def test_rates_do_not_drift_when_it_is_woken_late():
     bench = make()
     start = bench.now
-    for step in range(4000):     # every 7.5 ms, so never on time
+    for step in range(4000):     # every 7.5 ms, so not when it is due
         bench.now = start + step * 0.0075
         bench.line.tick(bench.now)
     assert 2995 <= counts(bench.messages())[arduino.Imu] <= 3000
@@ -78,7 +78,7 @@ def test_no_burst_after_a_stall():
     assert 10 <= counts(bench.messages())[arduino.Imu] <= 11
 
 
-def test_says_that_it_is_ready():
+def test_sends_a_log_message_when_it_is_ready():
     assert make().messages(arduino.Log) == [arduino.Log(1, 'IMU ready')]
 
 
@@ -106,7 +106,7 @@ def test_motor_stays_stopped_until_a_new_command():
     assert bench.board.motor_on and bench.board.command == -500
 
 
-def test_speed_without_heartbeat_moves_nothing():
+def test_speed_without_a_heartbeat_does_not_start_the_motor():
     bench = make()
     bench.feed(arduino.encode(arduino.SpeedCommand(300)))
     bench.feed(HEARTBEAT)
@@ -186,7 +186,7 @@ def test_leds():
     assert bench.messages(arduino.Log) == [arduino.Log(2, 'unknown LED command')]
 
 
-def test_calibration_is_deaf_and_reads_what_it_kept_all_at_once():
+def test_bytes_received_during_a_calibration_are_read_after_it():
     bench = make(calibration_time=20)
     drive(bench, 0.5, speed=200)
     bench.feed(arduino.encode(arduino.ImuCalibration()))
@@ -204,7 +204,7 @@ def test_calibration_is_deaf_and_reads_what_it_kept_all_at_once():
     assert bench.board.led == 'brake'
     kept = bytes.fromhex(bench.notes.of('calibrate')[-1]['kept'])
     assert kept == (led + HEARTBEAT + speed + HEARTBEAT * 64)[:64]
-    assert (True, 'SPEED 400') in motor(bench)      # the hazard that a bridge has to avoid
+    assert (True, 'SPEED 400') in motor(bench)      # the bridge has to avoid this
 
 
 def test_reset_stops_the_motor():
@@ -216,7 +216,7 @@ def test_reset_stops_the_motor():
 
 
 @given(st.lists(st.tuples(st.binary(max_size=80), st.floats(0, 0.1))))
-def test_survives_anything(chunks):
+def test_works_after_any_input(chunks):
     bench = make(calibration_time=0.2)
     for data, pause in chunks:
         bench.feed(data)
@@ -247,7 +247,7 @@ def car(cable):
 
 def test_link_drives_the_car(car):
     def driven():
-        car.set_speed(300)      # again and again, as a driver does
+        car.set_speed(300)      # repeated, as a driver does
         return sum(message.value for message in list(car.messages)
                    if isinstance(message, arduino.Ticks)) > 20
 
@@ -266,7 +266,7 @@ def test_link_calibrates(car):
     assert [fields['on'] for fields in car.notes.of('calibrate')] == [True, False]
 
 
-def test_motor_stops_when_the_cable_is_pulled_and_heartbeats_alone_do_not_wake_it(car, cable):
+def test_motor_stops_at_an_unplug_and_heartbeats_alone_do_not_restart_it(car, cable):
     def moves():
         car.set_speed(500)
         return car.board.motor_on
@@ -281,13 +281,13 @@ def test_motor_stops_when_the_cable_is_pulled_and_heartbeats_alone_do_not_wake_i
     assert not car.board.motor_on
 
 
-def test_is_not_late_for_what_was_due_before_it_was_known(cable):
-    """As a frame that waits in the receive buffer during a calibration."""
-    class Behind(ModelCar):
+def test_a_time_in_the_past_is_not_recorded_as_late(cable):
+    """As for a frame that waits in the receive buffer during a calibration."""
+    class DueInThePast(ModelCar):
         def advance(self, now):
             super().advance(now)
             return now - 1000.0
 
-    with running(Behind(), cable.b) as notes:
+    with running(DueInThePast(), cable.b) as notes:
         until(lambda: len(notes.of('tx')) > 3, 'measurements')
     assert not [fields for fields in notes.of('late') if fields['by'] > 900]

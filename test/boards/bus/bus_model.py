@@ -1,11 +1,11 @@
-"""A board on a robot-ctrl-bus, its line and its callers, in time that only the model knows.
+"""A model of a board on a robot-ctrl-bus, its line and its callers, with a simulated clock.
 
-The board loses, delays, doubles and damages, as a list of faults says. The Master under test is
-driven as `BusLink` drives it, and a real decoder stands between. A line keeps its order: what
-is late, or comes twice, is there before anything that the board says afterwards.
+The line loses, delays, doubles and damages replies as a list of faults says. The tested Master is
+called as `BusLink` calls it, with a real decoder in between. The line keeps the order: a late or
+doubled reply arrives before anything that the board sends afterwards.
 
-A fault is a name of `FAULTS`, or ('late', s) for a reply that comes so late, or ('double', s)
-for one that comes again so much later.
+A fault is a name of `FAULTS`, ('late', s) for a reply that is s seconds late, or ('double', s) for
+one that arrives again s seconds later.
 """
 import heapq
 import itertools
@@ -24,30 +24,30 @@ FAULTS = ('none', 'lose request', 'lose reply', ('late', REPLY_TIMEOUT + 0.2),
           ('late', MOTION_TIMEOUT + 0.9), ('double', 0.0), ('double', 0.005), ('double', 0.1),
           ('double', MOTION_TIMEOUT), 'damage reply', 'damage request', 'damage request, silent',
           'noise', 'noise before', 'cut', 'error', 'too long', 'reset', 'invalid for noise')
-ONCE = ('lift', 'gimbal', 'raw', 'act')         # never sent again after a timeout
-AGAIN = ('read', 'test')                         # functions that may be
-REQUESTS = ONCE + AGAIN + ('air', 'echo', 'sync')
+UNREPEATABLE = ('lift', 'gimbal', 'raw', 'act')         # never sent again after a timeout
+REPEATABLE = ('read', 'test')                         # functions that may be sent again
+REQUESTS = UNREPEATABLE + REPEATABLE + ('air', 'echo', 'sync')
 POLLS = ('poll air', 'poll one', 'poll two')
 RAW, ACT, READ, TEST, ONE, TWO = 0x30, 0x31, 0x32, 0x33, 0x40, 0x41    # CMD2 of custom functions
 _READ = Layout('<4x', ())      # 'read' returns its request's data reversed
 _VALUE = Layout('<6x', ())     # of both polled functions, and as long as an environment's
 
 
-class Asked(NamedTuple):
-    """One call and what the model must know to judge it."""
+class ModelCall(NamedTuple):
+    """One call and what the model needs to check its outcome."""
 
     call: Call
     kind: str
     at: float
-    executed_before: int      # what the board had executed by then
+    executed_before: int      # what the board had executed before the call
 
 
 class Board:
-    """Executes, and answers through a line that has faults."""
+    """Executes requests and answers them on a line with faults."""
 
     def __init__(self, faults, echoes: bool, ok_data: bytes) -> None:
         self.executed: List[bus.Request] = []
-        self.latest = {}               # request -> whether it was executed when it came last
+        self.latest = {}               # request -> whether it was executed the last time
         self.readings = 0
         self.echoed = 0
         self._faults = iter(faults)
@@ -61,7 +61,7 @@ class Board:
         self._faults = iter(())
 
     def take(self, request: bus.Request, now: float) -> List[tuple]:
-        """What the request leads to: (time, bytes) for the Master's end of the line."""
+        """Receive a request; return the replies as (time, bytes) at the Master's end."""
         fault, seconds = next(self._faults, 'none'), 0.0
         if isinstance(fault, tuple):
             fault, seconds = fault
@@ -99,7 +99,7 @@ class Board:
         return came
 
     def _at(self, when: float, wire: bytes) -> List[tuple]:
-        """A line keeps its order."""
+        """The line keeps the order."""
         self._line_free = max(self._line_free, when)
         return [(self._line_free, wire)]
 
@@ -131,7 +131,7 @@ class Model:
     def __init__(self, faults=(), echoes: bool = True, ok_data: bytes = b'') -> None:
         self.now = 10.0
         self.board = Board(faults, echoes, ok_data)
-        self.asked: List[Asked] = []
+        self.asked: List[ModelCall] = []
         logger = logging.getLogger('bus model')
         logger.propagate = False
         nonces = itertools.count()
@@ -141,12 +141,12 @@ class Model:
         self._line: List[tuple] = []        # (time, number, bytes) on their way to the Master
         self._number = itertools.count()
         self._last_byte = 0.0
-        self._wake_at = None        # when the Master is to be called again
+        self._wake_at = None        # when the Master has to be called again
         self._connected = False
         self.connect()
 
     def connect(self) -> None:
-        """The port opens; nothing of before is in it."""
+        """The port opens, without earlier bytes."""
         if not self._connected:
             self._connected = True
             self._decoder.reset()
@@ -160,7 +160,7 @@ class Model:
             self.master.disconnected(self.now, 'unplugged')
 
     def submit(self, kind: str) -> None:
-        """A caller asks; each request can be told from every other."""
+        """A caller submits a request; all requests differ from each other."""
         number = len(self.asked)
         tag = number.to_bytes(3, 'little')
         request = {
@@ -180,9 +180,9 @@ class Model:
                   'air': bus.Environment.LAYOUT, 'poll air': bus.Environment.LAYOUT,
                   'poll one': _VALUE, 'poll two': _VALUE}.get(kind, bus.NO_DATA)
         slow = kind in ('lift', 'gimbal')
-        call = Call(request, MOTION_TIMEOUT if slow else REPLY_TIMEOUT, kind not in ONCE, 3,
+        call = Call(request, MOTION_TIMEOUT if slow else REPLY_TIMEOUT, kind not in UNREPEATABLE, 3,
                     self.now, kind in POLLS, layout)
-        self.asked.append(Asked(call, kind, self.now, self.board.readings))
+        self.asked.append(ModelCall(call, kind, self.now, self.board.readings))
         self.master.submit(call)
 
     def run(self, seconds: float) -> None:
@@ -204,7 +204,7 @@ class Model:
             self.now = max(following, self.now + 1e-4)
 
     def _step(self) -> None:
-        """As `BusLink.tick`: all that has come is taken in before anything leaves."""
+        """As in `BusLink.tick`: everything received is decoded before anything is sent."""
         while True:
             while self._line and self._line[0][0] <= self.now:
                 _, _, wire = heapq.heappop(self._line)
@@ -230,53 +230,53 @@ class Model:
     # -- the invariants ---------------------------------------------------------------------
 
     def check(self) -> None:
-        """What callers were told is true."""
+        """Every outcome is true."""
         for asked in self.asked:
             outcome = asked.call.outcome
             if outcome is None:
                 continue
             request = asked.call.request
             times = self.board.executed.count(request)
-            said = '%s was told %r and executed %d times' % (request, outcome, times)
+            text = '%s was reported as %r and executed %d times' % (request, outcome, times)
             refused = not outcome.success and outcome.status != TIMEOUT
-            assert not refused or outcome.status in (NOT_SENT, bus.ERROR, bus.INVALID), said
-            if asked.kind in ONCE:
+            assert not refused or outcome.status in (NOT_SENT, bus.ERROR, bus.INVALID), text
+            if asked.kind in UNREPEATABLE:
                 if outcome.success:
-                    assert times == 1, said
-                    assert asked.kind == 'raw' or outcome.data == self.board.ok_data, said
+                    assert times == 1, text
+                    assert asked.kind == 'raw' or outcome.data == self.board.ok_data, text
                 elif refused:
-                    assert times == 0, said
+                    assert times == 0, text
                 else:
-                    assert times <= 1, said
-            if asked.kind in AGAIN:
-                # It may be sent again; what its caller is told is what the last one led to.
+                    assert times <= 1, text
+            if asked.kind in REPEATABLE:
+                # It may be sent again; the outcome is that of the last try.
                 if outcome.success:
-                    assert times >= 1 and self.board.latest[request], said
+                    assert times >= 1 and self.board.latest[request], text
                 elif refused:
-                    assert not self.board.latest.get(request), said
+                    assert not self.board.latest.get(request), text
             if outcome.success:
-                self._check_data(asked, request, outcome.data, said)
+                self._check_data(asked, request, outcome.data, text)
         once = [request for request in self.board.executed
                 if request.cmd2 not in (READ, TEST, ONE, TWO, bus.ENVIRONMENT)]
         assert len(set(once)) == len(once), 'executed twice'
 
     @staticmethod
-    def _check_data(asked: Asked, request: bus.Request, data: bytes, said: str) -> None:
-        """The data is this function's own."""
+    def _check_data(asked: ModelCall, request: bus.Request, data: bytes, text: str) -> None:
+        """The data belongs to this function."""
         if asked.kind in ('raw', 'read'):
-            assert data == request.data[::-1], said
+            assert data == request.data[::-1], text
         elif asked.kind == 'echo':
-            assert data == request.data, said
+            assert data == request.data, text
         elif asked.kind in ('poll one', 'poll two'):
-            assert data == bytes((request.cmd2,)) * 6, said
+            assert data == bytes((request.cmd2,)) * 6, text
         elif asked.kind in ('air', 'poll air'):
             reading = bus.Environment.unpack(data)
-            assert (reading.temperature, reading.humidity) == (20.0, 50.0), said
-            # A poll that follows its own kind has no fence, so of a reply that comes twice the
-            # second may be taken for the answer to the same poll sent again.
+            assert (reading.temperature, reading.humidity) == (20.0, 50.0), text
+            # A poll after the same poll has no fence, so a doubled reply to the first one may be
+            # taken for the reply to the second one.
             assert asked.kind == 'poll air' or reading.smoke > asked.executed_before, \
                 'a reading from before the call'
 
     def check_all_answered(self) -> None:
-        """Nobody waits for ever."""
+        """Every call has an outcome."""
         assert all(asked.call.outcome is not None for asked in self.asked)

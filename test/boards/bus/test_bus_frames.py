@@ -23,8 +23,8 @@ def by_name(cases):
     return pytest.mark.parametrize('case', cases, ids=lambda case: case['name'])
 
 
-def xored(frame):
-    """With its checksum."""
+def with_checksum(frame):
+    """The frame with its checksum appended."""
     return frame + bytes((xor_of(frame),))
 
 
@@ -49,13 +49,13 @@ def test_reply_vectors_both_ways(case):
 @by_name(VECTORS['rejected'])
 def test_rejected_vectors(case):
     wire = hexed(case['frame'])
-    # The seed's example is longer than the reply that it announces: noise behind it.
+    # The seed's example is longer than its Datelen: noise after the frame.
     rest = {FRAMING: 1} if len(wire) > 4 else {}
     check_rejected(BUS, wire, CHECKSUM, **rest)
 
 
 @by_name(VECTORS['rejected'])
-def test_a_reply_behind_a_rejected_one_is_found(case):
+def test_a_reply_after_an_invalid_one_is_found(case):
     reply = bus.Reply(bus.ECHO, b'good')
     frames, _ = decode(BUS, hexed(case['frame']) + bus.encode_reply(reply))
     assert [frame.message for frame in frames] == [reply]
@@ -70,18 +70,18 @@ def test_default_request_helpers_make_the_documented_frames():
         'a5 04 01 00 de ad be ef 82')
 
 
-@pytest.mark.parametrize('build, direction, amount, said', [
-    (bus.lift, 2, 10, 'direction is 2, may be 0 (up), 1 (down)'),
+@pytest.mark.parametrize('build, direction, amount, text', [
+    (bus.lift, 2, 10, 'lift: direction is 2, may be 0 (up), 1 (down)'),
     (bus.lift, -1, 10, 'direction is -1'),
-    (bus.lift, 0, 256, 'distance is 256, may be 0 to 255 mm'),
+    (bus.lift, 0, 256, 'lift: distance is 256 mm, may be 0 to 255'),
     (bus.lift, 0, -1, 'distance is -1'),
-    (bus.gimbal, 4, 10, 'direction is 4, may be 0 (left), 1 (right), 2 (up), 3 (down)'),
-    (bus.gimbal, 3, 256, 'angle is 256, may be 0 to 255 degrees'),
+    (bus.gimbal, 4, 10, 'gimbal: direction is 4, may be 0 (left), 1 (right), 2 (up), 3 (down)'),
+    (bus.gimbal, 3, 256, 'gimbal: angle is 256 degrees, may be 0 to 255'),
 ])
-def test_moves_out_of_range_are_refused_in_words(build, direction, amount, said):
+def test_moves_out_of_range_are_refused_with_the_range(build, direction, amount, text):
     with pytest.raises(ValueError) as refusal:
         build(direction, amount)
-    assert said in str(refusal.value)
+    assert text in str(refusal.value)
 
 
 # -- lengths ------------------------------------------------------------------------------
@@ -92,10 +92,10 @@ def test_the_flag_follows_the_length(size, start):
     data = bytes(value % 251 for value in range(size))
     request, reply = bus.Request(0x77, 0x12, data), bus.Reply(bus.OK, data)
     wire = bus.encode_request(request)
-    assert wire == xored(hexed(start) + b'\x77\x12' + data)
+    assert wire == with_checksum(hexed(start) + b'\x77\x12' + data)
     check_case(BOARD_BUS, wire, request, 0x77, 0x12, data)
     wire = bus.encode_reply(reply)
-    assert wire == xored(hexed(start) + b'\x02' + data)
+    assert wire == with_checksum(hexed(start) + b'\x02' + data)
     check_case(BUS, wire, reply, bus.OK, 0, data)
 
 
@@ -116,14 +116,14 @@ def test_more_than_the_longest_data_is_not_encoded():
     ('5a 01 04', 1025),      # longer than is accepted
     ('5a ff ff', 2000),
 ])
-def test_a_length_of_the_wrong_class_is_a_framing_error(kind, commands, start, size):
-    frames, errors = decode(kind, xored(hexed(start) + commands + bytes(size)))
+def test_an_invalid_datelen_is_a_framing_error(kind, commands, start, size):
+    frames, errors = decode(kind, with_checksum(hexed(start) + commands + bytes(size)))
     assert frames == []
     assert errors[CHECKSUM] == 0 and errors[FRAMING] >= 1
 
 
 @pytest.mark.parametrize('start', ['a5 ff', '5a fe 00', '5a 01 04', '5a ff ff'])
-def test_a_false_length_is_noticed_at_once_and_what_follows_is_found(start):
+def test_an_invalid_datelen_is_detected_at_once_and_the_next_frame_found(start):
     decoder = bus.ReplyDecoder()
     assert decoder.feed(hexed(start)) == [] and not decoder.begun
     frames = decoder.feed(bus.encode_reply(bus.Reply(bus.OK)))
@@ -154,7 +154,7 @@ def test_max_length_is_a_limit_of_both_kinds_of_frame(make):
 def test_a_reply_may_carry_cmd2():
     reply = bus.Reply(bus.OK, b'\1\2\3', 0x20)
     wire = bus.encode_reply(reply, has_cmd2=True)
-    assert wire == xored(hexed('a5 03 02 20 01 02 03'))
+    assert wire == with_checksum(hexed('a5 03 02 20 01 02 03'))
     check_case(BUS_CMD2, wire, reply, bus.OK, 0, b'\1\2\3')
     assert decode(BUS, wire)[0] == []
 
@@ -174,7 +174,7 @@ def test_request_round_trip(cmd1, cmd2, data):
 def test_reply_round_trip(cmd1, data, cmd2, has_cmd2):
     reply = bus.Reply(cmd1, data, cmd2 if has_cmd2 else 0)
     wire = bus.encode_reply(reply, has_cmd2)
-    assert wire == xored(wire[:-1])
+    assert wire == with_checksum(wire[:-1])
     frames, errors = decode(BUS_CMD2 if has_cmd2 else BUS, wire, end=False)
     assert [frame.message for frame in frames] == [reply]
     assert errors == no_errors(BUS)
@@ -186,7 +186,7 @@ def test_the_board_takes_environment_requests_with_datelen_2_and_0():
     for datelen in (2, 0):
         wire = bus.encode_request(expected, datelen)
         assert wire[1] == datelen and len(wire) == 5
-        # Between others, which must not be taken for its two bytes of DATE.
+        # Between other requests, whose bytes must not be taken for its DATE.
         stream = bus.encode_request(bus.lift(0, 7)) + wire * 2 + bus.encode_request(
             bus.gimbal(1, 9)) + wire
         frames, errors = decode(BOARD_BUS, stream, end=False)
@@ -195,14 +195,14 @@ def test_the_board_takes_environment_requests_with_datelen_2_and_0():
         assert errors == no_errors(BOARD_BUS)
 
 
-def test_an_environment_request_is_answered_without_waiting_for_more_bytes():
+def test_an_environment_request_is_decoded_without_waiting_for_more_bytes():
     decoder = bus.RequestDecoder()
     wire = bus.encode_request(bus.ENVIRONMENT_REQUEST)
     assert [decoder.feed(wire[at:at + 1]) for at in range(4)] == [[]] * 4
     assert [frame.message for frame in decoder.feed(wire[4:])] == [bus.ENVIRONMENT_REQUEST]
 
 
-def test_an_environment_request_with_a_wrong_checksum_is_refused():
+def test_an_environment_request_with_a_wrong_checksum_is_invalid():
     frames, errors = decode(BOARD_BUS, hexed('a5 02 55 22 d1 00 00'))
     assert frames == [] and errors[CHECKSUM] == 1
 
@@ -219,7 +219,7 @@ def test_error_codes_are_one_or_two_bytes_in_either_reply(cmd1, data, code):
 
 
 @pytest.mark.parametrize('code', sorted(bus.ERROR_TEXTS))
-def test_every_known_error_code_has_words(code):
+def test_every_known_error_code_has_a_text(code):
     assert bus.describe_error(code) == '0x%02x: %s' % (code, bus.ERROR_TEXTS[code])
     assert 'not a code' in bus.describe_error(0x1234)
 
@@ -245,7 +245,7 @@ def test_environment_round_trip(smoke, centidegrees, centipercent):
 
 # -- damage ---------------------------------------------------------------------------------------
 
-def test_every_single_bit_flip_is_noticed():
+def test_every_single_bit_error_is_detected():
     wire = bus.encode_reply(bus.Reply(bus.OK, bytes(range(40, 60))))
     for bit in range(len(wire) * 8):
         damaged = bytearray(wire)
@@ -257,7 +257,7 @@ def test_every_single_bit_flip_is_noticed():
         assert sum(decoder.errors.values()) >= 1
 
 
-def test_a_reply_is_found_behind_a_reply_cut_short():
+def test_a_reply_after_an_incomplete_one_is_found():
     cut = bus.encode_reply(bus.Reply(bus.OK, bytes(100)))[:50]
     reply = bus.Reply(bus.ECHO, b'here')
     frames, errors = decode(BUS, cut + bus.encode_reply(reply))
@@ -265,7 +265,7 @@ def test_a_reply_is_found_behind_a_reply_cut_short():
     assert errors == dict(no_errors(BUS), **{FRAMING: 1})
 
 
-@pytest.mark.parametrize('message, said', [
+@pytest.mark.parametrize('message, text', [
     (bus.lift(0, 100), 'lift up 100 mm'), (bus.lift(1, 1), 'lift down 1 mm'),
     (bus.gimbal(2, 30), 'gimbal up 30 degrees'), (bus.ENVIRONMENT_REQUEST, 'environment?'),
     (bus.SYNC_REQUEST, 'SYNC'), (bus.echo(b'\xab'), 'ECHO ab'),
@@ -273,5 +273,5 @@ def test_a_reply_is_found_behind_a_reply_cut_short():
     (bus.Reply(bus.ERROR, b'\2\x80'), 'ERROR 0x8002: the operation failed'),
     (bus.Reply(bus.INVALID, b'\x40'), 'INVALID 0x40: the checksum did not match'),
     (bus.Reply(bus.OK), 'OK'), (bus.Reply(0x77, b'\1'), 'reply 0x77 01')])
-def test_messages_read_as_a_person_would_say_them(message, said):
-    assert str(message) == said
+def test_texts_of_messages(message, text):
+    assert str(message) == text

@@ -8,7 +8,7 @@ from fake_boards import PATIENCE, BusBoard, until
 from serial_communication.link import link as link_module
 from serial_communication.boards.bus.link import BusLink, BusSettings, _Poller
 from serial_communication.link.link import ERROR, OK, RX, TX, WARN
-from serial_communication.boards.bus.master import NOT_SENT, QUIET, TIMEOUT, Condition
+from serial_communication.boards.bus.master import NOT_SENT, FENCE_SILENCE, TIMEOUT, Condition
 from serial_communication.transport.port import Port, PortBusy, PortError
 from serial_communication.boards.bus import wire as bus
 from serial_communication.framing.layout import Layout
@@ -30,7 +30,7 @@ def board(line, running):
 
 @pytest.fixture
 def open_link(line, logger, running):
-    """A function that starts a link with these settings, and waits until it is ready."""
+    """A function that starts a link with the given settings and waits until it is ready."""
     def start(settings=PATIENT, ready=True, **arguments):
         link = running(BusLink(Port(line.path), settings, logger=logger, **arguments))
         if ready:
@@ -39,8 +39,8 @@ def open_link(line, logger, running):
     return start
 
 
-def in_background(function, *arguments):
-    """Its outcome, in a list that fills as it returns."""
+def call_in_thread(function, *arguments):
+    """A list that has the outcome once the function has returned."""
     outcomes = []
     thread = threading.Thread(target=lambda: outcomes.append(function(*arguments)),
                               name='caller', daemon=True)
@@ -48,7 +48,7 @@ def in_background(function, *arguments):
     return outcomes
 
 
-def test_every_function_is_answered(board, open_link):
+def test_every_function_has_an_outcome(board, open_link):
     link = open_link()
     assert link.lift(0, 100).success and link.gimbal(3, 45).success
     outcome, reading = link.environment()
@@ -72,17 +72,17 @@ def test_the_environment_is_polled_and_published(board, open_link):
     assert set(board.executed) == {bus.ENVIRONMENT_REQUEST}
 
 
-def test_a_poll_comes_once_a_period(board, open_link):
+def test_a_poll_is_sent_once_a_period(board, open_link):
     readings = []
     link = open_link(PATIENT._replace(environment_period=60.0),
                      on_environment=lambda reading, stamp: readings.append(reading))
     until(lambda: readings)
     for _ in range(5):
-        assert link.echo().success      # the link has looked five times whether a poll is due
+        assert link.echo().success      # so the link has checked five times whether a poll is due
     assert len(readings) == board.executed.count(bus.ENVIRONMENT_REQUEST) == 1
 
 
-def test_a_poller_keeps_its_pace_and_does_not_make_up_for_what_it_missed():
+def test_a_poller_skips_missed_periods():
     class Asked:
         outcome = 'answered'
 
@@ -92,13 +92,13 @@ def test_a_poller_keeps_its_pace_and_does_not_make_up_for_what_it_missed():
     for now[0] in (10.0, 10.5, 11.25, 11.75, 12.0, 17.5, 18.0, 18.5, 19.0, 19.5):
         poller.tick(now[0])
     assert asked == [10.0, 11.25, 12.0, 17.5, 18.5, 19.5]
-    Asked.outcome = None        # it does not ask again before it is answered
+    Asked.outcome = None        # without an outcome there is no new poll
     for now[0] in (20.5, 21.5, 22.5):
         poller.tick(now[0])
     assert len(asked) == 6
 
 
-def test_several_things_are_polled_each_to_its_own(line, board, logger, running):
+def test_each_poll_gets_its_own_reply(line, board, logger, running):
     kept = {0x30: [], 0x31: []}
     board.rule = lambda request: (
         bus.encode_reply(bus.Reply(bus.OK, bytes((request.cmd2,)))) if is_move(request) else None)
@@ -112,7 +112,7 @@ def test_several_things_are_polled_each_to_its_own(line, board, logger, running)
         assert {outcome.data for outcome in outcomes} == {bytes((cmd2,))}
 
 
-def test_settings_reach_the_wire(line, running, logger):
+def test_settings_change_the_frames(line, running, logger):
     board = running(BusBoard(line, has_cmd2=True))
     link = running(BusLink(Port(line.path), PATIENT._replace(
         reply_has_cmd2=True, environment_datelen=0), logger=logger))
@@ -121,7 +121,7 @@ def test_settings_reach_the_wire(line, running, logger):
     assert bus.encode_request(bus.ENVIRONMENT_REQUEST, 0) in [frame.raw for frame in board.seen]
 
 
-def test_callers_of_many_threads_each_get_their_own_reply(board, open_link):
+def test_callers_in_many_threads_get_their_own_replies(board, open_link):
     board.rule = lambda request: (
         bus.encode_reply(bus.Reply(bus.OK, request.data[::-1])) if is_move(request) else None)
     link = open_link()
@@ -147,7 +147,7 @@ def test_callers_of_many_threads_each_get_their_own_reply(board, open_link):
 @pytest.mark.parametrize('wire, status, code', [
     (bus.encode_reply(bus.Reply(bus.ERROR, b'\2\x80')), bus.ERROR, 0x8002),
     (bus.encode_reply(bus.Reply(bus.INVALID, b'\x20')), bus.INVALID, 0x20)])
-def test_a_refusal_is_told(board, open_link, wire, status, code):
+def test_a_refusal_is_returned(board, open_link, wire, status, code):
     board.rule = lambda request: wire if is_move(request) else None
     outcome = open_link().lift(0, 100)
     assert (outcome.status, outcome.error_code, outcome.success) == (status, code, False)
@@ -158,7 +158,7 @@ def test_a_refusal_is_told(board, open_link, wire, status, code):
     (LIFT, True), (bus.gimbal(0, 1), True), (bus.Request(bus.FUNCTION, 0x30), False),
     (bus.ENVIRONMENT_REQUEST, False), (bus.Request(0x0C, bus.LIFT), False)], ids=str)
 def test_only_lift_and_gimbal_have_the_motion_timeout(board, open_link, request_, is_slow):
-    """Whether the service of their own or a raw request asks for them."""
+    """In a call of its own and in a raw request."""
     board.rule = lambda request: b'' if request == request_ else None
     settings = PATIENT._replace(reply_timeout=0.11, motion_timeout=0.22)
     outcome = open_link(settings).request(request_)
@@ -175,11 +175,11 @@ def test_no_reply_is_a_timeout_and_the_move_is_not_sent_again(board, open_link):
     board.rule = lambda request: None
     assert link.gimbal(0, 1).success
     assert board.moves() == [LIFT, bus.gimbal(0, 1)]
-    assert dict(link.own_values())['timeouts'] == 1
+    assert dict(link.extra_values())['timeouts'] == 1
 
 
-def test_a_late_reply_is_not_taken_for_the_next_requests(board, open_link):
-    """The lift's OK comes just before the echo; the gimbal, asked meanwhile, gets its own."""
+def test_a_late_reply_is_not_taken_for_the_reply_to_the_next_request(board, open_link):
+    """The lift's OK arrives just before the echo; the gimbal, called meanwhile, gets its own."""
     late = []
 
     def rule(request):
@@ -199,8 +199,8 @@ def test_a_late_reply_is_not_taken_for_the_next_requests(board, open_link):
     assert outcome.status == bus.ERROR and not late
 
 
-def test_a_refused_lift_is_not_told_as_done_where_the_ok_before_it_comes_twice(board, open_link):
-    """The OK's copy is on its way for 5 ms, so the next lift is asked before it is there."""
+def test_a_doubled_ok_does_not_hide_the_refusal_of_the_next_lift(board, open_link):
+    """The second OK is 5 ms late, so it arrives after the next lift is called."""
     refused = bus.lift(0, 200)
 
     def rule(request):
@@ -221,7 +221,7 @@ def test_a_refused_lift_is_not_told_as_done_where_the_ok_before_it_comes_twice(b
     assert board.moves() == [LIFT, refused] * 20
 
 
-def test_before_a_move_a_board_that_never_echoes_is_left_in_silence(board, open_link):
+def test_a_board_without_echo_gets_a_silence_before_a_move(board, open_link):
     answered = []       # when the board began to answer
 
     def rule(request):
@@ -235,11 +235,11 @@ def test_before_a_move_a_board_that_never_echoes_is_left_in_silence(board, open_
         before = answered[-1]
         assert link.lift(0, 100).success
         assert board.seen[-1].message == LIFT
-        assert board.seen[-1].stamp - before >= QUIET
+        assert board.seen[-1].stamp - before >= FENCE_SILENCE
 
 
-def test_a_reading_of_a_wrong_length_is_told_as_that_and_holds_nobody_up(board, open_link, lines):
-    """The timeouts are longer than this test may take."""
+def test_a_reading_of_a_wrong_length_is_reported_at_once(board, open_link, lines):
+    """The timeouts are longer than this test may last."""
     board.rule = lambda request: (
         bus.encode_reply(bus.Reply(bus.OK, bytes(4))) if request == bus.ENVIRONMENT_REQUEST
         else None)
@@ -253,12 +253,12 @@ def test_a_reading_of_a_wrong_length_is_told_as_that_and_holds_nobody_up(board, 
         assert link.lift(0, 100).success
     assert not readings and len(lines('6 were expected')) == 1
     assert not lines('no reply')
-    assert link.error_count() >= 2 and dict(link.own_values())['timeouts'] == 0
+    assert link.error_count() >= 2 and dict(link.extra_values())['timeouts'] == 0
 
 
-def test_a_damaged_reply_is_a_timeout_told_at_once(board, open_link):
+def test_a_damaged_reply_is_reported_as_a_timeout_at_once(board, open_link):
     board.rule = lambda request: b'\xa5\0\2\0' if is_move(request) else None
-    link = open_link()       # its timeouts are longer than this test may take
+    link = open_link()       # its timeouts are longer than this test may last
     outcome = link.lift(0, 100)
     assert outcome.status == TIMEOUT and 'damaged' in outcome.message
     assert board.moves() == [LIFT]
@@ -267,7 +267,7 @@ def test_a_damaged_reply_is_a_timeout_told_at_once(board, open_link):
 
 
 @pytest.mark.parametrize('noise', [b'\x11\x22\x33', b'\xa5\xff', b'\x00' * 200])
-def test_noise_during_a_motion_does_not_cost_the_good_reply_behind_it(board, open_link, noise):
+def test_a_reply_after_noise_during_a_motion_is_received(board, open_link, noise):
     board.rule = lambda request: noise + OK_WIRE if is_move(request) else None
     link = open_link()
     assert link.lift(0, 100).success
@@ -276,19 +276,18 @@ def test_noise_during_a_motion_does_not_cost_the_good_reply_behind_it(board, ope
     assert bus.ECHO in [request.cmd1 for request in board.requests()]
 
 
-def test_a_frame_that_stays_incomplete_is_given_up(board, open_link):
-    """A false start whose length swallows the reply holds it for `frame_timeout`, no longer."""
+def test_an_incomplete_frame_is_given_up(board, open_link):
+    """A false start whose length covers the reply delays it for `frame_timeout` at most."""
     board.rule = lambda request: b'\xa5\xc8' + OK_WIRE if is_move(request) else None
     link = open_link(frame_timeout=0.1)
     assert link.lift(0, 100).success
     assert link.decoder.errors['framing'] == 1
 
 
-def test_frame_timeout_is_as_long_as_it_says(board, open_link):
-    """Within it, a reply in two pieces is one reply."""
+def test_a_reply_in_two_pieces_within_frame_timeout_is_one_reply(board, open_link):
     board.rule = lambda request: OK_WIRE[:2] if is_move(request) else None
     link = open_link(frame_timeout=PATIENCE * 2)
-    outcomes = in_background(link.lift, 0, 100)
+    outcomes = call_in_thread(link.lift, 0, 100)
     until(board.moves)
     until(lambda: link.decoder.pending)
     board.line.write(OK_WIRE[2:])
@@ -296,13 +295,13 @@ def test_frame_timeout_is_as_long_as_it_says(board, open_link):
     assert not any(link.decoder.errors.values())
 
 
-def test_no_request_leaves_while_a_reply_is_coming_in(board, open_link):
-    """It would be taken for the request's. It is nobody's, so an ECHO goes before the request."""
+def test_no_request_is_sent_while_a_reply_is_incomplete(board, open_link):
+    """The reply has no request, so an ECHO is sent before the next request."""
     link = open_link(frame_timeout=PATIENCE * 2)
     board.line.write(OK_WIRE[:2])
     until(lambda: link.decoder.pending)
     known = len(board.seen)
-    outcomes = in_background(link.lift, 0, 100)
+    outcomes = call_in_thread(link.lift, 0, 100)
     until(lambda: link.master._waiting())
     threading.Event().wait(0.1)
     assert len(board.seen) == known and not outcomes
@@ -311,7 +310,7 @@ def test_no_request_leaves_while_a_reply_is_coming_in(board, open_link):
     assert [request.cmd1 for request in board.requests()][known:] == [bus.ECHO, bus.FUNCTION]
 
 
-def test_a_reset_board_is_synchronised_and_the_move_is_executed_once(board, open_link):
+def test_a_reset_board_is_synchronised_again_and_the_move_executed_once(board, open_link):
     link = open_link()
     answers = [bus.encode_reply(bus.Reply(bus.INVALID, b'\x10'))]
     board.rule = lambda request: answers.pop() if answers and is_move(request) else None
@@ -321,9 +320,9 @@ def test_a_reset_board_is_synchronised_and_the_move_is_executed_once(board, open
         bus.SYNC, bus.ECHO, bus.FUNCTION]
 
 
-def test_arguments_that_cannot_be_are_refused_here(board, open_link):
+def test_invalid_arguments_are_refused_without_sending(board, open_link):
     link = open_link()
-    for outcome, said in ((link.lift(2, 10), 'direction is 2'),
+    for outcome, said in ((link.lift(2, 10), 'lift: direction is 2'),
                           (link.gimbal(0, 256), 'angle is 256'),
                           (link.request(bus.Request(1, 0, bytes(1025))), '1025')):
         assert outcome.status == NOT_SENT and said in outcome.message
@@ -340,12 +339,12 @@ def test_a_closed_port_refuses_at_once(line, logger, running):
     assert link.report(time.monotonic()).level == ERROR
 
 
-def test_a_port_that_closes_during_a_motion_leaves_its_outcome_unknown(board, open_link):
+def test_the_outcome_is_unknown_if_the_port_closes_during_a_motion(board, open_link):
     board.rule = lambda request: b'' if is_move(request) else None
     link = open_link()
-    moving = in_background(link.lift, 0, 100)
+    moving = call_in_thread(link.lift, 0, 100)
     until(board.moves)
-    waiting = in_background(link.gimbal, 0, 1)
+    waiting = call_in_thread(link.gimbal, 0, 1)
     until(lambda: link.master._waiting())
     with board.unplugged():
         assert until(lambda: moving)[0].status == TIMEOUT
@@ -369,10 +368,10 @@ def test_a_port_that_is_absent_at_start_is_waited_for(line, logger, running, lin
     assert link.lift(0, 100).success and link.reconnects == 0
 
 
-def test_stopping_answers_those_who_wait(board, open_link):
+def test_stopping_ends_waiting_calls(board, open_link):
     board.rule = lambda request: b'' if is_move(request) else None
     link = open_link()
-    moving = in_background(link.lift, 0, 100)
+    moving = call_in_thread(link.lift, 0, 100)
     until(board.moves)
     link.stop()
     link.join()
@@ -382,14 +381,14 @@ def test_stopping_answers_those_who_wait(board, open_link):
 
 
 def test_a_board_that_is_silent_is_reported(line, logger, running, lines, monkeypatch):
-    monkeypatch.setattr(link_module, 'FIRST_WORD', 0.5)
+    monkeypatch.setattr(link_module, 'STARTUP_TIME', 0.5)
     link = running(BusLink(Port(line.path), SHORT, logger=logger))
     until(lambda: link.report(time.monotonic()).level == ERROR
           and link.report(time.monotonic()).summary == 'the board does not answer SYNC')
     begun = time.monotonic()
     assert link.lift(0, 1).status == NOT_SENT
     assert time.monotonic() - begun < SHORT.motion_timeout + PATIENCE / 2
-    until(lambda: lines('does not answer SYNC'))      # not at once: it may still start
+    until(lambda: lines('does not answer SYNC'))      # later: the board may still be booting
     assert len(lines('does not answer SYNC')) == 1
 
 
@@ -397,16 +396,16 @@ def test_a_board_that_is_silent_is_reported(line, logger, running, lines, monkey
     (Condition.READY, OK, True), (Condition.SYNCHRONISING, WARN, None),
     (Condition.OUT_OF_STEP, WARN, None), (Condition.NO_ECHO, ERROR, None),
     (Condition.NO_SYNC, ERROR, False)])
-def test_the_condition_is_a_level_and_a_word(board, open_link, monkeypatch, condition, level,
-                                             talks):
+def test_each_condition_has_a_level_and_a_summary(board, open_link, monkeypatch, condition, level,
+                                                  talks):
     link = open_link()
     monkeypatch.setattr(link.master, 'condition', lambda: condition)
     assert link.condition(0.0) == (level, condition.value or 'ready')
     assert link.talks(0.0) == talks
 
 
-def test_a_port_that_takes_no_data_is_not_asked_all_the_time(line, logger, running):
-    """What cannot leave now is tried again after a while, not ten thousand times a second."""
+def test_a_blocked_port_is_tried_again_only_after_a_pause(line, logger, running):
+    """Not ten thousand times a second."""
     class Stuck(Port):
         tries = 0
 
@@ -426,7 +425,7 @@ def test_a_port_that_takes_no_data_is_not_asked_all_the_time(line, logger, runni
     link.stop()
     link.join()
     closed = not port.is_open
-    port.close()          # so that a thread that spins comes to its end
+    port.close()          # ends a thread that loops
     assert tries < 100
     assert closed, 'the link did not end within a second'
 
@@ -445,7 +444,7 @@ def test_the_tap_sees_every_frame_both_ways(board, open_link):
     assert tapped[0][2].raw == bus.encode_request(LIFT)
 
 
-def test_a_fault_in_a_callback_does_not_leave_the_link_dead(board, open_link, lines):
+def test_the_link_continues_after_a_fault_in_a_callback(board, open_link, lines):
     broken = [True]
 
     def on_environment(reading, stamp):

@@ -1,5 +1,7 @@
-"""The Master against a board whose line loses, delays, doubles and damages: what callers are told
-is true. See `bus_model` for the faults."""
+"""The Master against a board whose line loses, delays, doubles and damages: every outcome is true.
+
+See `bus_model` for the faults.
+"""
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -8,23 +10,23 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 from bus_model import (FAULTS, MOTION_TIMEOUT, POLLS, REPLY_TIMEOUT, REQUESTS, TEST, Model)
 
 from serial_communication.boards.bus import master as master_module
-from serial_communication.boards.bus.master import QUIET, Master, State
+from serial_communication.boards.bus.master import FENCE_SILENCE, Master, SessionState
 from serial_communication.boards.bus import wire as bus
 
-# Faults on every second exchange or so. A board without ECHO has nothing but silences to tell
-# late replies from others: 20 ms before a request that needs a fence.
+# Faults on about every second exchange. On a board without ECHO, only a silence of 20 ms before a
+# request that needs a fence tells late replies from others.
 seconds = st.floats(0.0, 3.0)
 any_fault = st.one_of(st.sampled_from(FAULTS), st.tuples(st.just('late'), seconds),
                       st.tuples(st.just('double'), seconds))
 fault_without_echo = st.one_of(
     st.sampled_from([fault for fault in FAULTS if not isinstance(fault, tuple)]),
     st.tuples(st.just('late'), st.floats(0.0, REPLY_TIMEOUT - 0.1)),
-    st.tuples(st.just('double'), st.floats(0.0, QUIET - 0.001)))
+    st.tuples(st.just('double'), st.floats(0.0, FENCE_SILENCE - 0.001)))
 
 
 @pytest.fixture(autouse=True)
 def time_limit():
-    """None: there is no port that could hang, and how long it takes is the machine's matter."""
+    """No limit: no port can block, and the duration depends on the machine only."""
 
 
 def some(fault):
@@ -55,32 +57,32 @@ def play(model, script):
 
 @given(boards, steps, st.sampled_from((b'', b'\0', bytes(6))))
 @settings(max_examples=max(400, settings.default.max_examples))
-def test_what_callers_are_told_is_true(board, script, ok_data):
+def test_outcomes_are_true(board, script, ok_data):
     faults, echoes = board
     play(Model(faults, echoes, ok_data), script)
 
 
-def test_a_board_whose_first_echoes_return_late_is_one_that_echoes():
-    """The first ECHO is lost, and the others return after all three were given up. A lift's OK that
-    comes twice then does not answer the next lift, which is lost."""
+def test_a_board_whose_first_echoes_are_late_counts_as_echoing():
+    """The first ECHO is lost, and the others return after all three timed out. The doubled OK of a
+    lift must then not be taken for the reply to the next lift, which is lost."""
     faults = ['none', 'lose request', ('late', 2 * REPLY_TIMEOUT + 0.2), 'none', 'none',
-              ('double', QUIET + 0.001), 'lose request']
+              ('double', FENCE_SILENCE + 0.001), 'lose request']
     play(Model(faults, True, b''), [('lift', 0.3), ('lift', 0.0), ('lift', 0.0)])
 
 
-# The board says OK twice, the second time just after the next request has come.
+# The board sends OK twice, the second time just after it received the next request.
 TWICE_AND_REFUSED = [('lift', 0.012), ('lift', 3.0)]
 
 
-def test_an_ok_that_comes_twice_does_not_hide_a_refusal():
-    """SYNC and ECHO at the start; then a lift, the next fence, and a lift that is refused."""
+def test_a_doubled_ok_does_not_hide_a_refusal():
+    """The exchanges: SYNC, ECHO, a lift, the next fence, and a lift that is refused."""
     model = Model(['none', 'none', ('double', 0.005), 'none', 'error'])
     play(model, TWICE_AND_REFUSED)
     assert [asked.call.outcome.status for asked in model.asked] == [bus.OK, bus.ERROR]
 
 
 @pytest.mark.parametrize('fault', ['error', 'too long', 'damage request'])
-def test_an_ok_that_comes_twice_does_not_hide_the_refusal_of_a_repeatable_function(fault):
+def test_a_doubled_ok_does_not_hide_the_refusal_of_a_repeatable_function(fault):
     model = Model(['none', 'none', ('double', 0.005), 'none', fault, 'none', fault, 'none', fault])
     play(model, [('lift', 0.012), ('test', 3.0)])
     assert model.asked[-1].call.outcome.status in (bus.ERROR, bus.INVALID)
@@ -88,7 +90,7 @@ def test_an_ok_that_comes_twice_does_not_hide_the_refusal_of_a_repeatable_functi
 
 
 @pytest.mark.parametrize('echoes', [True, False], ids=('echoes', 'never echoes'))
-def test_polls_of_equal_length_whose_replies_come_twice_return_their_own_values(echoes):
+def test_polls_of_equal_length_get_their_own_values_from_doubled_replies(echoes):
     model = Model([('double', 0.005)] * 1000, echoes)
     model.run(10.0)
     for _ in range(50):
@@ -99,17 +101,17 @@ def test_polls_of_equal_length_whose_replies_come_twice_return_their_own_values(
     assert sum(asked.call.outcome.success for asked in model.asked) == 150
 
 
-def test_the_model_notices_a_missing_fence(monkeypatch):
+def test_the_model_detects_a_missing_fence(monkeypatch):
     monkeypatch.setattr(Master, '_needs_fence', lambda self, call: False)
     with pytest.raises(AssertionError, match='executed 0 times'):
         play(Model(['none', 'none', ('double', 0.005), 'error']), TWICE_AND_REFUSED)
 
 
-def test_the_model_notices_a_missing_silence_before_a_move(monkeypatch):
-    """Of a board without ECHO: SYNC, three ECHOs, SYNC and a silence come first."""
+def test_the_model_detects_a_missing_silence_before_a_move(monkeypatch):
+    """On a board without ECHO: SYNC, three ECHOs, SYNC and a silence come first."""
     faults = ['none'] * 5 + [('double', 0.005), 'error']
     play(Model(faults, echoes=False), [('sync', 3.0)] + TWICE_AND_REFUSED)
-    monkeypatch.setattr(master_module, 'QUIET', 0.0)
+    monkeypatch.setattr(master_module, 'FENCE_SILENCE', 0.0)
     with pytest.raises(AssertionError, match='executed 0 times'):
         play(Model(faults, echoes=False), [('sync', 3.0)] + TWICE_AND_REFUSED)
 
@@ -119,14 +121,14 @@ def test_the_model_notices_a_missing_silence_before_a_move(monkeypatch):
      [('lift', 0.012), ('test', 0.5)]),
     (lambda call: not call.poll, ['none', 'none'] + [('double', 0.005)] * 3,
      [('poll one', 0.012), ('poll two', 0.5)])], ids=('repeatable', 'poll'))
-def test_the_model_notices_a_fence_that_is_missing_for_some(monkeypatch, has_fence, faults,
-                                                            script):
+def test_the_model_detects_a_fence_missing_for_some_requests(monkeypatch, has_fence, faults,
+                                                             script):
     monkeypatch.setattr(Master, '_needs_fence', lambda self, call: has_fence(call))
-    with pytest.raises(AssertionError, match='was told'):
+    with pytest.raises(AssertionError, match='was reported'):
         play(Model(faults), script)
 
 
-def test_moves_of_a_board_that_puts_data_into_its_ok_succeed():
+def test_moves_succeed_with_data_in_the_ok():
     model = Model(ok_data=b'\1\2')
     for kind in ('lift', 'gimbal', 'act') * 10:
         model.submit(kind)
@@ -138,13 +140,13 @@ def test_moves_of_a_board_that_puts_data_into_its_ok_succeed():
 @pytest.mark.parametrize('fault', FAULTS, ids=str)
 @pytest.mark.parametrize('kind', REQUESTS)
 def test_every_fault_at_every_exchange(fault, kind):
-    """One fault, or one on every second exchange, wherever it falls."""
+    """One fault at each exchange, and one at every second exchange."""
     for at in range(6):
         for every in (1, 2):
             model = Model(['none'] * at + [fault, 'none'] * every)
             play(model, [(kind, 0.0), ('raw', 0.02), (kind, 0.0), ('lift', 3.0), (kind, 0.0)])
             model.board.heal()
-            for again in REQUESTS:      # nothing of the fault is left
+            for again in REQUESTS:      # the fault has no later effect
                 model.submit(again)
                 model.run(0.1)
                 assert model.asked[-1].call.outcome.success
@@ -161,10 +163,10 @@ def test_without_faults_every_call_succeeds_at_once():
     assert len(model.board.executed) == 140 and model.master.timeouts == 0
 
 
-def test_a_fence_stands_before_all_but_sync_echo_and_the_poll_that_was_sent_last():
+def test_every_request_but_sync_echo_and_the_latest_poll_has_a_fence():
     model = Model()
     model.run(0.1)
-    assert model.master.state is State.FENCED
+    assert model.master.state is SessionState.FENCED
     for kind, fences in (('lift', 0), ('lift', 1), ('air', 1), ('air', 1), ('read', 1),
                          ('test', 1), ('act', 1), ('raw', 1), ('echo', 0), ('sync', 0),
                          ('gimbal', 1), ('poll air', 1),
@@ -178,7 +180,7 @@ def test_a_fence_stands_before_all_but_sync_echo_and_the_poll_that_was_sent_last
         assert model.board.echoed - before - (kind == 'echo') == fences, kind
 
 
-def test_a_dead_board_answers_nobody_and_everybody_is_told():
+def test_every_call_to_a_dead_board_has_an_outcome():
     model = Model(['lose request'] * 10000)
     for kind in REQUESTS:
         model.submit(kind)
@@ -188,7 +190,7 @@ def test_a_dead_board_answers_nobody_and_everybody_is_told():
 
 
 class Session(RuleBasedStateMachine):
-    """The same with hypothesis at the wheel: faults are chosen as the session goes."""
+    """The same, with faults that hypothesis chooses during the session."""
 
     def __init__(self):
         super().__init__()
@@ -225,7 +227,7 @@ class Session(RuleBasedStateMachine):
             self.model.asked[number].call.wait(0.0)
 
     @invariant()
-    def told_the_truth(self):
+    def outcomes_are_true(self):
         self.model.check()
 
     def teardown(self):

@@ -37,7 +37,7 @@ def damaged(frame):
     return frame[:-1] + bytes((frame[-1] ^ 1,))
 
 
-def test_needs_sync_first():
+def test_refuses_requests_before_sync():
     bench = make(synchronised=False)
     assert ask(bench, bus.lift(0, 10)) == [bus.Reply(bus.INVALID, b'\x10')]
     assert bench.board.lift.at(bench.now) == 500
@@ -51,7 +51,7 @@ def test_echo(size):
     assert ask(make(), bus.echo(data[:size])) == [bus.Reply(bus.ECHO, data[:size])]
 
 
-def test_lift_takes_its_time_and_moves_by_what_was_asked():
+def test_lift_moves_by_the_requested_distance_at_its_speed():
     bench = make()
     bench.feed(bus.encode_request(bus.lift(1, 200)))
     bench.run(1.0)
@@ -63,7 +63,7 @@ def test_lift_takes_its_time_and_moves_by_what_was_asked():
     assert bench.said[-1] == 'lift: down 200 mm: 500 -> 300 mm'
 
 
-def test_longest_motions_end_before_a_master_gives_up():
+def test_longest_motions_end_within_the_motion_timeout():
     for request in (bus.lift(0, 255), bus.gimbal(0, 180), bus.gimbal(2, 90)):
         assert ask(make(), request, BusSettings().motion_timeout * 0.7) == [bus.Reply(bus.OK)]
 
@@ -119,7 +119,7 @@ def test_environment(datelen):
     assert second != first
 
 
-def test_function_that_no_bridge_knows():
+def test_memory_function():
     bench = make()
     assert ask(bench, bus.Request(0x55, MEMORY, b'abc')) == [bus.Reply(bus.OK, b'abc')]
     assert bench.board.memory == b'abc'
@@ -129,14 +129,14 @@ def test_replies_with_cmd2():
     assert ask(make(reply_has_cmd2=True), bus.lift(0, 1)) == [bus.Reply(bus.OK, b'', 0x20)]
 
 
-def test_too_long():
+def test_request_that_is_too_long_is_refused():
     bench = make(max_length=300)
     assert ask(bench, bus.echo(bytes(301))) == [bus.Reply(bus.INVALID, b'\x20')]
     assert ask(bench, bus.echo(bytes(300))) == [bus.Reply(bus.ECHO, bytes(300))]
 
 
 @pytest.mark.parametrize('start', ['5affff', '5a0104', '5a0004', 'a5fe'])
-def test_a_false_length_holds_no_request_for_long_though_others_follow(start):
+def test_an_invalid_datelen_does_not_delay_a_request_for_long(start):
     bench = make()
     bench.feed(bytes.fromhex(start))
     for _ in range(10):
@@ -145,7 +145,7 @@ def test_a_false_length_holds_no_request_for_long_though_others_follow(start):
     assert bench.messages()[:3] == [bus.Reply(bus.ECHO, b'hello')] * 3
 
 
-def test_damaged_request_is_answered_once_after_quiet():
+def test_damaged_request_gets_one_invalid_after_a_silence():
     bench = make()
     bench.feed(damaged(LIFT_10))
     bench.run(0.045)
@@ -158,8 +158,8 @@ def test_damaged_request_is_answered_once_after_quiet():
 
 @pytest.mark.parametrize('noise', [b'\x00', b'\xa5', b'\xa5\x00\x01', b'\x5a', damaged(LIFT_10),
                                    b'\xa5\x00\x00\x00\x11'])
-def test_noise_around_a_request_gets_no_answer_of_its_own(noise):
-    """An INVALID here would make a Master send the request again: two moves."""
+def test_noise_around_a_request_gets_no_invalid(noise):
+    """After an INVALID the Master would send the request again: two moves."""
     for data in (noise + LIFT_10, LIFT_10 + noise, noise + LIFT_10 + noise):
         bench = make()
         assert ask(bench, data) == [bus.Reply(bus.OK)]
@@ -171,13 +171,13 @@ def test_noise_around_a_request_gets_no_answer_of_its_own(noise):
 
 
 @pytest.mark.parametrize('data', [b'\x01\x02\x03', LIFT_10[:-1], LIFT_10[1:], b'\xa5', b'\x5a\xff'])
-def test_noise_and_cut_requests_get_no_answer(data):
+def test_noise_and_incomplete_requests_get_no_reply(data):
     bench = make()
     assert ask(bench, data) == []
     assert ask(bench, LIFT_10) == [bus.Reply(bus.OK)]
 
 
-def test_partial_request_is_given_up_after_50_ms():
+def test_incomplete_request_is_given_up_after_50_ms():
     bench = make()
     bench.feed(LIFT_10[:4])
     bench.run(0.06)
@@ -206,7 +206,7 @@ def test_reset_forgets_the_sync_and_leaves_the_lift_where_it_is():
 
 @given(st.lists(st.tuples(st.binary(max_size=40) | st.sampled_from(
     [SYNC, LIFT_10, damaged(LIFT_10), b'\xa5', b'\x5a\x00\x04']), st.floats(0, 0.2))))
-def test_survives_anything_and_never_answers_more_than_it_was_asked(chunks):
+def test_works_after_any_input_and_sends_at_most_one_reply_a_request(chunks):
     bench = make()
     before = len(bench.notes.of('request'))
     for data, pause in chunks:
@@ -223,15 +223,15 @@ def test_journal_of_a_request():
     ask(bench, LIFT_10)
     request, executed = bench.notes.of('request')[-1], bench.notes.of('executed')[-1]
     done, reply = bench.notes.of('done')[-1], bench.notes.of('tx')[-1]
-    assert request == {'k': 2, 'raw': LIFT_10.hex(), 'sound': True, 'text': 'lift up 10 mm'}
+    assert request == {'k': 2, 'raw': LIFT_10.hex(), 'valid': True, 'text': 'lift up 10 mm'}
     assert executed == {'n': 2, 'k': 2, 'raw': LIFT_10.hex(), 'cmd1': 0x55, 'cmd2': 0x20,
                         'data': '000a', 'text': 'lift up 10 mm'}
     assert done['k'] == 2 and done['lift'] == 510
     assert reply['k'] == 2 and reply['ok'] and reply['raw'] == 'a50002a7'
 
 
-def test_what_a_fault_made_of_a_request_is_not_called_genuine():
-    """Insert faults until one makes a sound request of another: the checksum cannot tell."""
+def test_a_request_changed_by_a_fault_is_not_genuine():
+    """Insert faults until one turns a request into another valid one, with a valid checksum."""
     bench = Bench(ControlBoard(), bus.ReplyDecoder(),
                   faults=Faults(parse(['rx-insert=1'], ControlBoard), 5))
     bench.board.synchronised = True
@@ -242,10 +242,10 @@ def test_what_a_fault_made_of_a_request_is_not_called_genuine():
         bench.board.power_off(bench.now)
         bench.board.power_on(bench.now)
         bench.board.synchronised = True
-    sound = [fields for fields in bench.notes.of('request') if fields['sound']]
-    odd = [fields for fields in sound if fields['raw'] != request.hex()]
-    assert sound and odd
-    assert all(('genuine' in fields) == (fields['raw'] != request.hex()) for fields in sound)
+    valid = [fields for fields in bench.notes.of('request') if fields['valid']]
+    odd = [fields for fields in valid if fields['raw'] != request.hex()]
+    assert valid and odd
+    assert all(('genuine' in fields) == (fields['raw'] != request.hex()) for fields in valid)
 
 
 # -- with the real Master over a real tty -------------------------------------------------------
@@ -273,7 +273,7 @@ def test_link_moves_the_lift_once(master):
     assert [fields['data'] for fields in lifts] == ['0064', '0132']
 
 
-def test_link_is_told_of_refusals(master):
+def test_link_returns_refusals(master):
     for _ in range(2):
         assert master.lift(0, 250).success
     outcome = master.lift(0, 1)
@@ -282,7 +282,7 @@ def test_link_is_told_of_refusals(master):
     assert (outcome.status, outcome.error_code) == (bus.ERROR, bus.UNSUPPORTED)
 
 
-def test_link_turns_the_gimbal_and_reads_the_air(master):
+def test_link_turns_the_gimbal_and_reads_the_environment(master):
     assert master.gimbal(1, 40).success and master.gimbal(2, 20).success
     assert (master.board.pan.at(1e9), master.board.tilt.at(1e9)) == (-40, 20)
     outcome, air = master.environment()
@@ -291,8 +291,8 @@ def test_link_turns_the_gimbal_and_reads_the_air(master):
 
 
 @pytest.fixture
-def odd_board(cable):
-    """A function that starts a board of these arguments and a link to it."""
+def unusual_board(cable):
+    """A function that starts a board with the given arguments and a link to it."""
     links, boards = [], contextlib.ExitStack()
 
     def start(**arguments):
@@ -309,20 +309,20 @@ def odd_board(cable):
     boards.close()
 
 
-def test_link_takes_data_in_the_ok_to_a_move(odd_board):
-    link = odd_board(ok_data=b'\1\2')
+def test_link_accepts_data_in_the_ok_to_a_move(unusual_board):
+    link = unusual_board(ok_data=b'\1\2')
     for _ in range(3):
         outcome = link.lift(0, 10)
         assert outcome.success and outcome.data == b'\1\2'
 
 
-def test_link_serves_a_board_that_never_echoes(odd_board):
-    link = odd_board(echoes=False)
+def test_link_serves_a_board_that_never_echoes(unusual_board):
+    link = unusual_board(echoes=False)
     assert link.lift(0, 10).success and link.gimbal(0, 5).success
     assert not link.echo().success
 
 
-def test_link_serves_many_callers_each_its_own_reply(master):
+def test_link_returns_each_of_many_callers_its_own_reply(master):
     outcomes = {}
 
     def call(number):
@@ -338,7 +338,7 @@ def test_link_serves_many_callers_each_its_own_reply(master):
                for data, row in outcomes.items() for outcome in row)
 
 
-def test_recovers_from_a_pulled_cable(master, cable):
+def test_recovers_after_an_unplug(master, cable):
     cable.unplug()
     until(lambda: not master.port.is_open, 'the loss')
     assert not master.lift(0, 10).success

@@ -6,8 +6,8 @@ from by_definition import xor_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol_cases import (MCU, check_case, check_rejected, decode, give_up, good, hexed,
-                            no_errors, vectors)
+from protocol_cases import (MCU, check_case, check_rejected, decode, give_up, hexed,
+                            no_errors, valid, vectors)
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.framing.stream import CHECKSUM, FRAMING, UNKNOWN
 
@@ -19,7 +19,7 @@ seqs = st.integers(0, 255)
 
 
 def sealed(type_, seq, payload, length=None):
-    """A frame by the definition; `length` where its LEN is to be another."""
+    """A frame by the definition; `length` replaces its LEN."""
     body = bytes((type_, seq)) + payload
     return bytes((2, len(body) if length is None else length)) + body + bytes((xor_of(body), 3))
 
@@ -62,7 +62,7 @@ def test_a_len_under_2_is_a_framing_error(length):
     assert errors == dict(no_errors(MCU), **{FRAMING: 1})
 
 
-def test_a_len_under_2_is_noticed_at_once():
+def test_a_len_under_2_is_detected_at_once():
     decoder = mcu.Decoder()
     decoder.feed(b'\x02\x01')
     assert not decoder.begun
@@ -70,27 +70,27 @@ def test_a_len_under_2_is_noticed_at_once():
     assert decoder.errors[FRAMING] == 1
 
 
-@pytest.mark.parametrize('type_, own', [(0x10, 12), (0x01, 14)])
-def test_a_known_type_has_one_len(type_, own):
+@pytest.mark.parametrize('type_, right_length', [(0x10, 12), (0x01, 14)])
+def test_a_known_type_has_one_len(type_, right_length):
     for length in range(2, 256):
         wire = sealed(type_, 7, bytes(length - 2))
         frames, errors = decode(MCU, wire)
-        if length == own:
+        if length == right_length:
             assert len(frames) == 1 and errors == no_errors(MCU)
         else:
             assert frames == [] and errors[FRAMING] >= 1 and errors[CHECKSUM] == 0
 
 
-def test_a_wrong_len_of_a_known_type_is_noticed_at_once():
+def test_a_wrong_len_of_a_known_type_is_detected_at_once():
     decoder = mcu.Decoder()
     decoder.feed(bytes((2, 200, 0x10)))
     assert not decoder.begun
-    assert len(good(decoder.feed(status()))) == 1 and decoder.errors[FRAMING] == 1
+    assert len(valid(decoder.feed(status()))) == 1 and decoder.errors[FRAMING] == 1
 
 
 @pytest.mark.parametrize('type_', [0, 2, 3, 0x11, 0xFF])
 @pytest.mark.parametrize('size', [0, 1, 253])
-def test_a_sound_frame_of_an_unknown_type_is_given_and_counted(type_, size):
+def test_a_valid_frame_of_an_unknown_type_is_returned_and_counted(type_, size):
     payload = bytes(value % 200 + 4 for value in range(size))
     wire = sealed(type_, 5, payload)
     assert mcu.encode_raw(type_, 5, payload) == wire
@@ -100,22 +100,22 @@ def test_a_sound_frame_of_an_unknown_type_is_given_and_counted(type_, size):
     assert errors == dict(no_errors(MCU), **{UNKNOWN: 1})
 
 
-def test_every_single_bit_flip_is_noticed():
-    """But of an unknown TYPE's SEQ or so: XOR sees any one bit, LEN and ETX their own."""
+def test_every_single_bit_error_is_detected():
+    """The XOR detects a single bit of TYPE to CRC; LEN and ETX are checked themselves."""
     wire = status(1234, -567, 890, 400, 500, 77)
     for bit in range(len(wire) * 8):
         damaged = bytearray(wire)
         damaged[bit // 8] ^= 1 << bit % 8
         decoder = mcu.Decoder()
         frames = decoder.feed(bytes(damaged)) + give_up(decoder)
-        assert good(frames) == []
+        assert valid(frames) == []
         assert sum(decoder.errors.values()) >= 1
 
 
 # -- values ---------------------------------------------------------------------------------------
 
 def test_yaw_over_the_whole_int16_range():
-    """Under -180° it is a heading that wrapped; everything else is as it stands."""
+    """A yaw under -180° is a heading that wrapped; any other is not changed."""
     for raw in range(-0x8000, 0x8000):
         message = mcu.SensorStatus.unpack(struct.pack('<HHhhh', 1, 2, raw, 3, 4))
         heading = raw + 65536 if raw < -18000 else raw
@@ -124,7 +124,7 @@ def test_yaw_over_the_whole_int16_range():
 
 
 @pytest.mark.parametrize('heading', [0.0, 179.99, 180.0, 327.67, 327.68, 350.0, 359.99])
-def test_every_heading_of_the_board_survives_its_int16(heading):
+def test_every_heading_is_restored_from_its_int16(heading):
     sent = mcu.SensorStatus(1, 2, heading, 0.0, 0.0)
     (frame,), _ = decode(MCU, mcu.encode(sent, 0))
     assert frame.message == sent

@@ -1,4 +1,4 @@
-"""The link to the sensor board, over a real tty: what was lost, and when it fell silent."""
+"""The link to the sensor board over a real tty: lost frames and silence."""
 import socket
 import threading
 import time
@@ -21,12 +21,12 @@ ADC = mcu.AdcStatus(1, 2, 3, 4, 5, 6)
 
 
 class Watched:
-    """A link and what it told."""
+    """A link and what it reports."""
 
     def __init__(self, link_arguments):
         self.got = []
         self.silences = []
-        self.link = McuLink(on_status=lambda *told: self.got.append(told),
+        self.link = McuLink(on_status=lambda *status: self.got.append(status),
                             on_silence=self._silent, **link_arguments)
 
     def _silent(self, kind, seq, age):
@@ -56,14 +56,14 @@ def test_frames_are_passed_on_with_seq_and_stamp(line, watch):
     assert watched.link.report(time.monotonic())[:2] == (OK, 'open')
 
 
-def test_checksum_errors_are_those_before_a_frame_though_one_read_brings_more(line, watch):
+def test_a_status_counts_only_the_checksum_errors_before_its_frame(line, watch):
     watched = watch()
     counted = []
     watched.link._on_status = lambda message, seq, stamp: counted.append(
         (seq, watched.link.checksum_errors))
     bad = bytearray(status(2))
     bad[-2] ^= 0xFF
-    line.write(status(1) + bytes(bad) + status(3) + bytes(bad) + status(4))     # read in one
+    line.write(status(1) + bytes(bad) + status(3) + bytes(bad) + status(4))     # in one read
     until(lambda: len(counted) == 3)
     assert counted == [(1, 0), (3, 1), (4, 2)]
     assert watched.link.decoder.errors['checksum'] == 2
@@ -77,7 +77,7 @@ def test_lost_frames_are_counted_over_the_modulo(line, watch, seqs, lost):
     line.write(b''.join(map(status, seqs)))
     until(lambda: len(watched.got) == len(seqs))
     assert watched.seqs() == list(seqs) and watched.link.frames_lost == lost
-    assert dict(watched.link.own_values())['frames lost'] == lost
+    assert dict(watched.link.extra_values())['frames lost'] == lost
 
 
 def test_a_doubled_frame_is_passed_on_once(line, watch):
@@ -88,7 +88,7 @@ def test_a_doubled_frame_is_passed_on_once(line, watch):
     assert (watched.link.duplicates, watched.link.frames_lost) == (2, 0)
 
 
-def test_noise_is_shown_as_often_as_it_is_counted_however_it_is_read(line, watch):
+def test_noise_is_shown_as_often_as_it_is_counted_in_any_chunks(line, watch):
     watched = watch(frame_timeout=0.05)
     link, shown = watched.link, []
     link.tap = lambda _link, _direction, frame: shown.append(frame.cause)
@@ -98,7 +98,7 @@ def test_noise_is_shown_as_often_as_it_is_counted_however_it_is_read(line, watch
         line.write(data)
         until(lambda: link.port.bytes_received == received)
 
-    # Whether these two are one stretch or a silence lies between them is up to the machine.
+    # On a slow machine a silence may separate these two; else they are one stretch of noise.
     read(b'\x11' * 5)
     read(b'\x12' * 5)
     line.write(status(1))
@@ -114,8 +114,8 @@ def test_noise_is_shown_as_often_as_it_is_counted_however_it_is_read(line, watch
     assert shown.count('framing') == link.error_count()
 
 
-def test_a_board_that_repeats_itself_is_alive(line, watch):
-    """The same bytes again, not at once behind the first: its own frame, and no loss."""
+def test_a_board_that_sends_the_same_frame_again_is_not_silent(line, watch):
+    """The same bytes, but not just after the first: another frame, and none is lost."""
     watched = watch(timeout=1.0)
     begun = time.monotonic()
     while time.monotonic() < begun + 1.3:
@@ -126,8 +126,8 @@ def test_a_board_that_repeats_itself_is_alive(line, watch):
     assert watched.link.frames_lost == 0
 
 
-def test_a_message_that_no_longer_comes_is_told_though_another_does(line, watch):
-    """Else its last values would look alive for as long as the other comes."""
+def test_a_missing_message_is_reported_though_another_is_received(line, watch):
+    """Otherwise its last values would look current while the other is received."""
     watched = watch(timeout=0.3)
     line.write(status(9))
     seq = 10
@@ -150,7 +150,7 @@ def test_a_damaged_frame_is_a_lost_one_and_is_not_passed_on(line, watch):
     assert watched.link.decoder.errors['checksum'] == 1
 
 
-def test_a_frame_of_an_unknown_type_keeps_the_count_and_is_not_passed_on(line, watch):
+def test_the_seq_of_an_unknown_type_counts_but_its_frame_is_not_passed_on(line, watch):
     watched = watch()
     line.write(status(1) + mcu.encode_raw(0x77, 2, b'?') + status(3))
     until(lambda: len(watched.got) == 2)
@@ -158,7 +158,7 @@ def test_a_frame_of_an_unknown_type_keeps_the_count_and_is_not_passed_on(line, w
     assert watched.link.decoder.errors['unknown type'] == 1
 
 
-def test_a_message_of_ones_own_is_passed_on_and_says_that_the_board_talks(line, watch):
+def test_a_custom_message_is_passed_on_and_ends_the_silence(line, watch):
     cliff = message_class('cliff', 0x20, '<H', [Value('range', maximum=2000)])
     watched = watch(messages=[cliff])
     line.write(mcu.encode(cliff(1500), 1))
@@ -171,14 +171,14 @@ def test_a_message_of_ones_own_is_passed_on_and_says_that_the_board_talks(line, 
         1, 1, 0)
 
 
-def test_a_frame_behind_a_false_start_comes_after_frame_timeout(line, watch):
+def test_a_frame_after_a_false_start_is_received_after_frame_timeout(line, watch):
     watched = watch(frame_timeout=0.1)
     line.write(b'\x02\xc8\x63' + status(5))
     until(lambda: watched.got)
     assert watched.seqs() == [5] and watched.link.decoder.errors['framing'] == 1
 
 
-def test_silence_is_told_once_a_second_with_a_growing_age(line, watch, lines):
+def test_silence_is_reported_once_a_second_with_its_age(line, watch, lines):
     watched = watch(timeout=0.2)
     last = time.monotonic()
     line.write(status(9) + mcu.encode(ADC, 10))
@@ -194,7 +194,7 @@ def test_silence_is_told_once_a_second_with_a_growing_age(line, watch, lines):
     assert watched.link.report(time.monotonic()).level == WARN
 
 
-def test_frames_that_return_end_the_silence(line, watch):
+def test_the_next_frame_ends_the_silence(line, watch):
     watched = watch(timeout=0.15)
     line.write(status(1))
     until(lambda: watched.silences)
@@ -206,7 +206,7 @@ def test_frames_that_return_end_the_silence(line, watch):
     assert watched.silences[-1][1] == 2 and watched.silences[-1][2] < watched.silences[0][2] + 5
 
 
-def test_no_silence_is_told_while_frames_come(line, watch):
+def test_no_silence_is_reported_while_frames_are_received(line, watch):
     watched = watch(timeout=1.0)
     begun, seq = time.monotonic(), 0
     while time.monotonic() < begun + 1.3:
@@ -217,7 +217,7 @@ def test_no_silence_is_told_while_frames_come(line, watch):
     assert watched.silences == [] and watched.link.frames_lost == 0
 
 
-def test_noise_does_not_count_as_life(line, watch):
+def test_noise_does_not_end_a_silence(line, watch):
     watched = watch(timeout=0.2)
     deadline = time.monotonic() + 5
     while not watched.silences and time.monotonic() < deadline:
@@ -226,14 +226,14 @@ def test_noise_does_not_count_as_life(line, watch):
     assert watched.silences and watched.got == []
 
 
-def test_a_board_that_never_spoke_is_silent_from_the_start(line, watch):
+def test_a_board_that_never_sent_is_silent_from_the_start(line, watch):
     watched = watch(timeout=0.1)
     until(lambda: watched.silences)
     assert watched.silences[0][0] is None
     assert watched.link.condition(time.monotonic()) == (WARN, 'open, the board is silent')
 
 
-def test_silence_is_told_while_the_port_is_away_and_ends_with_its_return(line, watch):
+def test_silence_is_reported_while_the_port_is_closed_and_ends_with_data(line, watch):
     watched = watch(timeout=0.1)
     line.write(status(200))
     until(lambda: watched.got)
@@ -251,7 +251,7 @@ def test_silence_is_told_while_the_port_is_away_and_ends_with_its_return(line, w
     assert watched.link.reconnects == 1
 
 
-def test_a_half_frame_of_before_is_forgotten_at_the_reconnect(line, watch):
+def test_an_incomplete_frame_is_dropped_at_a_reconnect(line, watch):
     watched = watch(frame_timeout=20.0)
     line.write(status(1)[:9])
     until(lambda: watched.link.decoder.pending)
@@ -264,19 +264,19 @@ def test_a_half_frame_of_before_is_forgotten_at_the_reconnect(line, watch):
     assert watched.seqs() == [2] and not any(watched.link.decoder.errors.values())
 
 
-def test_a_link_that_is_stopped_tells_nothing_more(line, watch):
+def test_a_stopped_link_reports_nothing(line, watch):
     watched = watch(timeout=0.1)
     watched.link.stop()
     watched.link.join()
-    told = len(watched.silences)
+    reported = len(watched.silences)
     threading.Event().wait(0.3)
-    assert len(watched.silences) == told and not watched.link.port.is_open
+    assert len(watched.silences) == reported and not watched.link.port.is_open
 
 
 # -- over a network -------------------------------------------------------------------------------
 
-def test_a_network_port_that_falls_silent_is_opened_anew(logger, running, lines):
-    """A peer that vanished says nothing; another connection reaches the board again."""
+def test_a_silent_network_port_is_opened_anew(logger, running, lines):
+    """A vanished peer sends nothing; a new connection reaches the board again."""
     with socket.create_server(('127.0.0.1', 0)) as server:
         server.settimeout(PATIENCE)
         watched = Watched(dict(port=Port('socket://127.0.0.1:%d' % server.getsockname()[1]),
@@ -287,7 +287,7 @@ def test_a_network_port_that_falls_silent_is_opened_anew(logger, running, lines)
             until(lambda: watched.link.port.is_open)
             first.sendall(status(1))
             until(lambda: watched.seqs() == [1])
-            # Only now, and not for the next one: a slow machine may need any time to speak.
+            # Only for this connection: on a slow machine the next peer may send late.
             watched.link._network_silence = 0.4
             watched.link.wake()
             until(lambda: not watched.link.port.is_open)
@@ -297,10 +297,10 @@ def test_a_network_port_that_falls_silent_is_opened_anew(logger, running, lines)
                 until(lambda: watched.link.port.is_open)
                 second.sendall(status(9))
                 until(lambda: watched.seqs() == [1, 9])
-    assert lines('the board has not been heard for 0.4 s')
+    assert lines('nothing received from the board for 0.4 s')
 
 
-def test_a_network_silence_of_0_is_never_and_another_port_may_be_silent(line, logger, watch):
+def test_only_a_network_port_with_a_limit_is_opened_anew(line, logger, watch):
     watched = watch(network_silence=0.05)
     assert watched.link.check_silence(time.monotonic() + 100, 0.05) is None
     link = McuLink(Port('socket://localhost:1'), logger=logger, network_silence=0.0)

@@ -18,13 +18,13 @@ def test_rate_and_sequence():
     assert seqs == [number % 256 for number in range(1200)]
 
 
-def test_other_rate():
+def test_another_rate():
     bench = Bench(SensorBoard(rate=50), mcu.Decoder())
     bench.run(10.0001)
     assert len(frames(bench)) == 500
 
 
-def test_heading_turns_past_the_wrap():
+def test_heading_turns_past_360_degrees():
     bench = Bench(SensorBoard(), mcu.Decoder())
     bench.run(40)
     yaws = [frame.message.yaw for frame in frames(bench)]
@@ -33,7 +33,7 @@ def test_heading_turns_past_the_wrap():
     assert sum(after < before for before, after in zip(yaws, yaws[1:])) == 2
 
 
-def test_ranges_move_and_fail_now_and_then():
+def test_ranges_change_and_some_time_out():
     bench = Bench(SensorBoard(seed=1), mcu.Decoder())
     bench.run(120)
     ranges = [frame.message.range_1 for frame in frames(bench)]
@@ -79,7 +79,7 @@ def test_journal_has_every_frame():
     assert all(fields['ok'] for fields in notes)
 
 
-def test_link_receives_it_and_finds_it_again(cable):
+def test_link_receives_its_frames_again_after_an_unplug(cable):
     seqs = []
     with running(SensorBoard(rate=100), cable.b) as notes:
         link = McuLink(Port(cable.a), on_status=lambda message, seq, stamp: seqs.append(seq))

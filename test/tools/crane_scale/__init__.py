@@ -1,4 +1,4 @@
-"""A board of another package, for the tests of `wire`: a scale on a crane."""
+"""A board of another package, for the tests of `wire`: a crane scale."""
 from serial_communication.boards.description import Command, CustomRows, Description, Heartbeat
 from serial_communication.framing.custom_messages import read_messages
 
@@ -6,7 +6,7 @@ from . import wire
 
 
 def custom_messages(entries):
-    """The messages of ``scale/messages``."""
+    """Return the messages of ``scale/messages``."""
     return read_messages(entries, 'scale/messages', range(3, 16), 8)
 
 

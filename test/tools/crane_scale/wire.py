@@ -1,4 +1,4 @@
-"""A colon, TYPE, number, DATA … and the XOR of these as hex digits, and a newline; both ways."""
+"""Frames in both directions: a colon, then TYPE, number, DATA and their XOR in hex, a newline."""
 from typing import Iterable
 
 from serial_communication.framing.layout import Value, message_class
@@ -11,17 +11,17 @@ Hold = message_class('Hold', 2, '<', (), 'hold')
 
 
 def encode(message, number: int) -> bytes:
-    """The frame; `number` is 0 … 255."""
+    """Return the frame of a message; `number` is 0 … 255."""
     return encode_raw(bytes((message.TYPE, number)) + message.pack())
 
 
 def encode_raw(body: bytes) -> bytes:
-    """The frame of TYPE, number and DATA."""
+    """Return the frame of TYPE, number and DATA."""
     return b':%b\n' % (body + running_xor(body, 0)[-1:]).hex().encode()
 
 
 class Decoder(StreamDecoder):
-    """Either way."""
+    """Decodes either direction."""
 
     STARTS = b':'
 
@@ -67,4 +67,4 @@ class Decoder(StreamDecoder):
         for part in inner.found:
             parts.add(part._replace(start=1 + 2 * part.start, end=1 + 2 * part.end))
         parts.take(1, 'end')
-        return parts.take_rest('noise', 'bytes behind the frame')
+        return parts.take_rest('noise', 'bytes after the frame')

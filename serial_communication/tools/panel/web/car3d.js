@@ -1,11 +1,11 @@
-/** The car in three dimensions on a canvas: boxes and wheels, painted from far to near. */
+/** The car in 3D on a canvas: boxes and wheels, painted from far to near. */
 import {colour, context} from './dom.js';
 
-const EYE = {distance: 6.2, up: 0.45, turn: 0.6};   // where we look from: radians above and aside
+const EYE = {distance: 6.2, up: 0.45, turn: 0.6};   // position of the viewer: up and turn in radians
 const LIGHT = [0.35, 0.5, 0.79];
 const WHEEL = {radius: 0.36, width: 0.24, corners: 14};
 
-/** Faces of a box: lists of corners, seen from outside in counter-clockwise order. */
+/** The faces of a box. Their corners are in counter-clockwise order, seen from outside. */
 function box(x0, x1, y0, y1, z0, z1, paint, taper = 0) {
   const p = (x, y, z) => [z === z1 ? x + (x === x0 ? taper : -taper) : x, y, z];
   const a = p(x0, y0, z0), b = p(x1, y0, z0), c = p(x1, y1, z0), d = p(x0, y1, z0);
@@ -48,14 +48,14 @@ const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const less = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
 const unit = (a) => a.map((each) => each / Math.hypot(...a));
 
-/** Body to world: yaw about z, then pitch about y, then roll about x (REP 103). */
+/** Rotate from body to world: yaw about z, then pitch about y, then roll about x (REP 103). */
 function turned([x, y, z], {roll, pitch, yaw}) {
   [y, z] = [y * Math.cos(roll) - z * Math.sin(roll), y * Math.sin(roll) + z * Math.cos(roll)];
   [x, z] = [x * Math.cos(pitch) + z * Math.sin(pitch), -x * Math.sin(pitch) + z * Math.cos(pitch)];
   return [x * Math.cos(yaw) - y * Math.sin(yaw), x * Math.sin(yaw) + y * Math.cos(yaw), z];
 }
 
-/** Draw the car. Angles in radians; steer: of the front wheels, to the left. */
+/** Draw the car. Angles in radians; `steer` is that of the front wheels, positive to the left. */
 export function drawCar(canvas, attitude, steer) {
   const area = context(canvas);
   if (!area) return;
@@ -93,7 +93,7 @@ export function drawCar(canvas, attitude, steer) {
   }
 }
 
-/** The level ground, and an arrow for the yaw that counts as 0. */
+/** The level ground, and an arrow in the direction of yaw 0. */
 function ground(ctx, seen) {
   const line = (from, to) => {
     const [x0, y0] = seen(from), [x1, y1] = seen(to);

@@ -1,13 +1,13 @@
 /**
- * The connection to the panel (session.py says what is said over it). It comes back by itself,
- * and it knows what time it is there: `now` runs on while nothing comes, so that ages are true
- * also of what the network has delayed.
+ * The connection to the panel; session.py describes its messages. It reconnects by itself. It also
+ * keeps the panel's clock, `now`, which continues while no update is received: therefore the ages
+ * shown are correct even if the network delays updates.
  */
-const SILENCE = 1.0;       // s without an update, which comes 25 times a second: it is gone
-const GIVE_UP = 4.0;       // s after which another connection is tried
-const AGAIN = [0.3, 2.0];  // s from one try to the next: first, last
-const HIDDEN = 60.0;       // s that a hidden tab stays connected
-const DRIFT = 0.0005;      // s a second that the two clocks may run apart
+const SILENCE = 1.0;       // s without an update, after which the connection counts as lost
+const GIVE_UP = 4.0;       // s without an update, after which a new connection is tried
+const RETRY = [0.3, 2.0];  // s between two tries: first, longest
+const HIDDEN = 60.0;       // s for which a hidden tab stays connected
+const DRIFT = 0.0005;      // s by which the two clocks may drift apart in a second
 
 const seconds = () => performance.now() / 1000;
 
@@ -16,10 +16,10 @@ export class Connection extends EventTarget {
     super();
     this.seen = 0;             // `now` of the latest update
     this.words = 'connecting …';
-    this._offset = Infinity;   // our clock less theirs, the network's least delay included
-    this._heard = -Infinity;
-    this._again = AGAIN[0];
-    this._due = 0;
+    this._offset = Infinity;   // this clock minus the panel's, with the network's shortest delay
+    this._receivedAt = -Infinity;
+    this._retry = RETRY[0];
+    this._nextTry = 0;
     this._hiddenAt = null;
     this._watch = [];
     document.addEventListener('visibilitychange', () => this._visibility());
@@ -30,20 +30,20 @@ export class Connection extends EventTarget {
   /** The panel's clock. */
   now() { return this.alive || this._offset !== Infinity ? seconds() - this._offset : 0; }
 
-  /** Whether it speaks. */
+  /** Whether updates are received. */
   get alive() { return this.silence() < SILENCE; }
 
-  /** Seconds since it last spoke. */
-  silence() { return seconds() - this._heard; }
+  /** Seconds since the latest update. */
+  silence() { return seconds() - this._receivedAt; }
 
-  /** Say something, and what had been seen by then; whether it could be said. */
-  send(what) {
+  /** Send a message with the time of the latest update seen; return whether it was sent. */
+  send(message) {
     if (this._socket?.readyState !== WebSocket.OPEN) return false;
-    this._socket.send(JSON.stringify({seen: this.seen, ...what}));
+    this._socket.send(JSON.stringify({seen: this.seen, ...message}));
     return true;
   }
 
-  /** These topics are shown. */
+  /** Subscribe to these topics. */
   watch(topics) {
     this._watch = [...topics];
     this.send({watch: this._watch});
@@ -52,7 +52,7 @@ export class Connection extends EventTarget {
   _open() {
     const socket = new WebSocket(`${location.protocol.replace('http', 'ws')}//${location.host}/socket`);
     this._socket = socket;
-    this._due = seconds() + GIVE_UP;
+    this._nextTry = seconds() + GIVE_UP;
     socket.onopen = () => this.send({watch: this._watch});
     socket.onmessage = (event) => {
       if (socket === this._socket) this._take(JSON.parse(event.data));
@@ -64,10 +64,10 @@ export class Connection extends EventTarget {
 
   _take(update) {
     const at = seconds();
-    if (update.now < this.seen) this._offset = Infinity;   // the machine has been started anew
-    this._offset = Math.min(this._offset + DRIFT * Math.min(at - this._heard, 1), at - update.now);
-    this._heard = at;
-    this._again = AGAIN[0];
+    if (update.now < this.seen) this._offset = Infinity;   // the panel's machine has been restarted
+    this._offset = Math.min(this._offset + DRIFT * Math.min(at - this._receivedAt, 1), at - update.now);
+    this._receivedAt = at;
+    this._retry = RETRY[0];
     this.seen = update.now;
     this.send({});
     this.dispatchEvent(new CustomEvent('update', {detail: update}));
@@ -75,20 +75,20 @@ export class Connection extends EventTarget {
 
   _closed(reason) {
     this._socket = null;
-    this._heard = -Infinity;
+    this._receivedAt = -Infinity;
     if (this._hiddenAt !== null) return;
     this.words = reason || this.words;
-    this._due = seconds() + this._again;
-    this._again = Math.min(this._again * 1.6, AGAIN[1]);
+    this._nextTry = seconds() + this._retry;
+    this._retry = Math.min(this._retry * 1.6, RETRY[1]);
     this.dispatchEvent(new Event('lost'));
-    this._ask();
+    this._findReason();
   }
 
-  /** A WebSocket does not say why it was refused: ask for a file. */
-  async _ask() {
+  /** Request a file to find out why the WebSocket was refused: its own error does not say. */
+  async _findReason() {
     try {
       const answer = await fetch('icon.svg', {cache: 'no-store'});
-      this.words = answer.ok ? 'the panel refuses another page: too many look already'
+      this.words = answer.ok ? 'the panel refuses another page: too many are open'
         : (await answer.text()).split('\n').filter((line) => line).join(' ');
     } catch {
       this.words = 'the panel does not answer';
@@ -100,12 +100,12 @@ export class Connection extends EventTarget {
       this._socket?.close();
       return;
     }
-    if (this._socket && seconds() - Math.max(this._heard, this._due - GIVE_UP) > GIVE_UP) {
+    if (this._socket && seconds() - Math.max(this._receivedAt, this._nextTry - GIVE_UP) > GIVE_UP) {
       const socket = this._socket;
       this._closed('');
       socket.close();
     }
-    if (!this._socket && seconds() > this._due) this._open();
+    if (!this._socket && seconds() > this._nextTry) this._open();
   }
 
   _visibility() {

@@ -1,6 +1,6 @@
-/** Elements, and numbers as text. Text of boards and topics becomes text nodes, never markup. */
+/** Elements, and numbers as text. Text from boards and topics becomes text nodes, never markup. */
 
-/** An element: attributes (`class`, `aria-…`, `onclick` …), then children: elements or text. */
+/** Create an element with attributes (`class`, `onclick` …) and children (elements or text). */
 export function h(tag, attributes = {}, ...children) {
   const element = document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) {
@@ -12,7 +12,7 @@ export function h(tag, attributes = {}, ...children) {
   return element;
 }
 
-/** A card: a section with a heading. Its name is what a screen reader says. */
+/** Create a card: a section with a heading, which is also its name for screen readers. */
 export function card(title, note, ...children) {
   const id = 'card-' + title.toLowerCase().replace(/[^a-z0-9]+/g, '-');
   return h('section', {class: 'card', id, 'aria-labelledby': id + '-title'},
@@ -21,13 +21,13 @@ export function card(title, note, ...children) {
     ...children);
 }
 
-/** Set text only where it changes: the page stands still where nothing happens. */
-export function say(element, text) {
+/** Set the text if it has changed. Otherwise the browser need not lay out the page again. */
+export function updateText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
-/** Set or remove an attribute, likewise. */
-export function mark(element, name, value) {
+/** Set an attribute, or remove it (null, false), if it has changed. */
+export function updateAttribute(element, name, value) {
   if (value === null || value === false) {
     if (element.hasAttribute(name)) element.removeAttribute(name);
   } else {
@@ -40,8 +40,8 @@ const UNITS = {'deg': '°', 'degrees C': '°C', 'm/s^2': 'm/s²', 'in 10 ms': '/
 
 export const unit = (name) => UNITS[name] ?? name;
 
-/** A number as text; U+2212 is as wide as a plus, a hyphen is not. */
-export function number(value, digits = null) {
+/** A value as text. The minus sign U+2212 is as wide as a plus sign; a hyphen is not. */
+export function formatNumber(value, digits = null) {
   if (typeof value === 'boolean') return value ? 'yes' : 'no';
   if (typeof value === 'string') return value;
   if (value === null || value === undefined || Number.isNaN(value)) return '–';
@@ -52,13 +52,13 @@ export function number(value, digits = null) {
   return text.replace('-', '−');
 }
 
-/** An age in few characters. */
-export function ago(seconds) {
+/** An age in s as a short text. */
+export function formatAge(seconds) {
   if (seconds < 120) return `${seconds < 10 ? seconds.toFixed(1) : seconds.toFixed(0)} s`;
   return seconds < 7200 ? `${Math.floor(seconds / 60)} min` : `${Math.floor(seconds / 3600)} h`;
 }
 
-/** A colour of the style sheet, for a canvas; asked anew when light and dark change. */
+/** A colour of the style sheet, for a canvas; cached until light or dark mode changes. */
 const colours = new Map();
 export function colour(name) {
   if (!colours.has(name)) {
@@ -68,7 +68,7 @@ export function colour(name) {
 }
 matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => colours.clear());
 
-/** A canvas's context in CSS pixels, wiped; null while it is not shown. */
+/** The context of a canvas, cleared and scaled to CSS pixels; null while it is not shown. */
 export function context(canvas) {
   const {clientWidth: width, clientHeight: height} = canvas;
   if (!width || !height) return null;

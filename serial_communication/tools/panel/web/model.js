@@ -1,51 +1,49 @@
-/** What the page knows of the bridge: everything that `update` has told so far. */
-const KEPT = 600;          // s of rows
-const MOST_ROWS = 4000;    // of one topic: 40 s of what comes a hundred times a second
-const MOST_CALLS = 30;     // whose answers stay to be read
-const ERRORS_SHOWN = 10;   // s that an error keeps its link from looking well
+/** What the page knows of the bridge: the sum of all updates. */
+const KEPT = 600;          // s of samples and errors
+const MAX_SAMPLES = 4000;  // of one topic: 40 s at 100 Hz
+const MAX_CALLS = 30;      // whose answers are kept
+const ERRORS_SHOWN = 10;   // s for which an error marks its link
 
-/** One topic: its values' names, and rows of [time, value …]. */
-class Topic {
+/** One topic: its fields, and samples of [time, value …]. */
+class TopicData {
   constructor(name) {
     this.name = name;
     this.fields = [];
-    this.rows = [];
+    this.samples = [];
     this.words = '';
     this.limit = null;
-    this.fresh = false;      // rows have come since the last drawing
   }
 
-  take({rows, words, limit, fields}) {
+  take({samples, words, limit, fields}) {
     if (fields) {
       const names = (shape) => shape.map(([name]) => name).join();
-      if (this.rows.length && names(fields) !== names(this._shape ?? [])) this.rows = [];
+      if (this.samples.length && names(fields) !== names(this._shape ?? [])) this.samples = [];
       this._shape = fields;
       this.fields = fields.map(([name, unit, digits, low, high], at) =>
         ({name, unit, digits, low, high, at: at + 1}));
     }
-    const last = this.rows.length ? this.rows[this.rows.length - 1][0] : -Infinity;
-    for (const row of rows) {
-      if (row[0] > last) this.rows.push(row.map((each) =>
+    const last = this.samples.length ? this.samples[this.samples.length - 1][0] : -Infinity;
+    for (const sample of samples) {
+      if (sample[0] > last) this.samples.push(sample.map((each) =>
         each === 'NaN' ? NaN : each === 'Infinity' ? Infinity : each === '-Infinity' ? -Infinity : each));
     }
-    if (this.rows.length > MOST_ROWS * 1.1) this.rows.splice(0, this.rows.length - MOST_ROWS);
+    if (this.samples.length > MAX_SAMPLES * 1.1) this.samples.splice(0, this.samples.length - MAX_SAMPLES);
     this.words = words;
     this.limit = limit;
-    this.fresh = true;
   }
 
   forgetBefore(time) {
-    if (this.rows.length > 1 && this.rows[0][0] < time) {
-      this.rows.splice(0, this.rows.findIndex((row) => row[0] >= time));
+    if (this.samples.length > 1 && this.samples[0][0] < time) {
+      this.samples.splice(0, this.samples.findIndex((sample) => sample[0] >= time));
     }
   }
 
   field(name) { return this.fields.find((each) => each.name === name); }
 
-  /** The latest row. */
-  get last() { return this.rows[this.rows.length - 1]; }
+  /** The latest sample; undefined if there is none. */
+  get last() { return this.samples[this.samples.length - 1]; }
 
-  /** The latest value of a field; undefined while there is none. */
+  /** The latest value of a field; undefined if there is none. */
   value(name) {
     const field = this.field(name);
     return field && this.last?.[field.at];
@@ -56,15 +54,15 @@ class Topic {
   stale(now) { return this.limit !== null && this.age(now) > this.limit; }
 }
 
-/** One link, as /diagnostics tells of it. */
-class Link {
+/** One link, as /diagnostics reports it. */
+class LinkStatus {
   constructor(name) {
     this.name = name;
     this.at = null;
     this.level = null;
     this.summary = '';
     this.values = {};
-    this.errors = [];        // rows of [time, Map of counts by cause]
+    this.errors = [];        // entries of [time, Map of counts by cause]
     this._counted = [];      // [time, frames received, frames sent]
   }
 
@@ -75,12 +73,12 @@ class Link {
     for (const [time, counts] of errors) {
       if (time > last) this.errors.push([time, new Map(Object.entries(counts))]);
     }
-    this.errors = this.errors.filter((row) => at - row[0] <= KEPT);
+    this.errors = this.errors.filter(([time]) => at - time <= KEPT);
     this._counted.push([at, Number(values['frames received']), Number(values['frames sent'])]);
     if (this._counted.length > 4) this._counted.shift();
   }
 
-  /** Frames a second, in or out; null while that is not known. */
+  /** Frames per second, sent or received; null if not known. */
   rate(sent) {
     const first = this._counted[0], last = this._counted[this._counted.length - 1];
     const column = sent ? 2 : 1;
@@ -88,7 +86,7 @@ class Link {
     return (last[column] - first[column]) / (last[0] - first[0]);
   }
 
-  /** How often what went wrong since then: a Map by cause. A cause may have any name. */
+  /** Errors since then: a Map from cause to count. A cause may have any name. */
   errorsSince(time) {
     const sums = new Map();
     for (const [at, counts] of this.errors) {
@@ -100,8 +98,8 @@ class Link {
 
   stale(now) { return this.at === null || now - this.at > 3; }
 
-  /** none, ok, warn or error: what the card looks like. */
-  look(now) {
+  /** none (no status), ok, warn or error. */
+  health(now) {
     if (this.stale(now)) return 'none';
     if (this.level >= 2) return 'error';
     const errors = [...this.errorsSince(now - ERRORS_SHOWN).values()].some((count) => count);
@@ -124,16 +122,16 @@ export class Model {
   }
 
   topic(name) {
-    if (!this.topics.has(name)) this.topics.set(name, new Topic(name));
+    if (!this.topics.has(name)) this.topics.set(name, new TopicData(name));
     return this.topics.get(name);
   }
 
   take(update) {
-    if (this._now > update.now) {        // the machine has been started anew
+    if (this._now > update.now) {        // the panel's machine has been restarted
       this.topics.clear();
       this.links.clear();
     }
-    if ('node' in update) {              // the first of a connection: it says all there is
+    if ('node' in update) {              // the first update of a connection has the whole state
       this.log = [];
       this.calls.clear();
       this.links.clear();
@@ -143,19 +141,19 @@ export class Model {
     for (const key of ['node', 'trouble', 'known', 'boards', 'drive', 'controls']) {
       if (key in update) this[key] = update[key];
     }
-    for (const [name, told] of Object.entries(update.topics ?? {})) {
-      this.topic(name).take(told);
+    for (const [name, changes] of Object.entries(update.topics ?? {})) {
+      this.topic(name).take(changes);
       this.topic(name).forgetBefore(update.now - KEPT);
     }
-    for (const [name, told] of Object.entries(update.links ?? {})) {
-      if (!this.links.has(name)) this.links.set(name, new Link(name));
-      this.links.get(name).take(told);
+    for (const [name, changes] of Object.entries(update.links ?? {})) {
+      if (!this.links.has(name)) this.links.set(name, new LinkStatus(name));
+      this.links.get(name).take(changes);
     }
     this.log.push(...update.log ?? []);
     this.log.splice(0, this.log.length - 100);
     for (const call of update.calls ?? []) this.calls.set(call.number, call);
     for (const number of this.calls.keys()) {
-      if (this.calls.size > MOST_CALLS) this.calls.delete(number);    // the oldest
+      if (this.calls.size > MAX_CALLS) this.calls.delete(number);    // the oldest
     }
   }
 }

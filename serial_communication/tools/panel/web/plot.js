@@ -1,25 +1,25 @@
-/** A plot that moves: the last seconds of some fields, the newest at the right edge. */
-import {colour, context, h, mark, number} from './dom.js';
+/** A moving plot of the last seconds of some fields; the latest sample is at the right edge. */
+import {colour, context, formatNumber, h, updateAttribute} from './dom.js';
 
-const DESCRIBED = 5;      // s from one description for a screen reader to the next
-const EDGE = 6;           // px above and below the lines
-const GREATEST = 1e300;   // beyond it, a difference of two numbers may be infinite
-const FINEST = 1e-12;     // of a number: a height that doubles can still divide
+const DESCRIBED = 5;      // s between two descriptions for screen readers
+const EDGE = 6;           // px above and below the curves
+const GREATEST = 1e300;   // the difference of two larger numbers may be infinite
+const FINEST = 1e-12;     // least height relative to the values, which doubles can still resolve
 
 export class Plot {
   /**
-   * @param lines [{topic, field, colour, name}]; a colour is a variable of the style sheet
-   * @param span seconds that are shown
-   * @param least the least height of what is shown, so that noise stays small
+   * @param curves [{topic, field, colour, name}]; a colour is a variable of the style sheet
+   * @param span s that are shown
+   * @param least smallest difference between the limits, so that noise looks small
    */
-  constructor(title, lines, {span = 20, least = 1, digits = 1, high = 120} = {}) {
-    Object.assign(this, {_title: title, _lines: lines, _span: span, _least: least,
+  constructor(title, curves, {span = 20, least = 1, digits = 1, high = 120} = {}) {
+    Object.assign(this, {_title: title, _curves: curves, _span: span, _least: least,
       _digits: digits, _described: -Infinity, _low: null, _high: null});
     this._canvas = h('canvas', {class: 'plot', role: 'img', 'aria-label': title});
     this._canvas.style.height = `${high}px`;
-    const keys = lines.length > 1 ? lines.map((line) => {
-      const key = h('span', {class: 'key'}, line.name);
-      key.style.setProperty('--key', `var(${line.colour})`);
+    const keys = curves.length > 1 ? curves.map((curve) => {
+      const key = h('span', {class: 'key'}, curve.name);
+      key.style.setProperty('--key', `var(${curve.colour})`);
       return key;
     }) : [];
     this.element = h('figure', {class: 'figure'},
@@ -32,9 +32,9 @@ export class Plot {
     const area = context(this._canvas);
     if (!area) return;
     const from = now - this._span;
-    const series = this._lines.map((line) => {
-      const topic = model.topic(line.topic), field = topic.field(line.field);
-      return {line, topic, at: field?.at, first: lowerBound(topic.rows, from)};
+    const series = this._curves.map((curve) => {
+      const topic = model.topic(curve.topic), field = topic.field(curve.field);
+      return {curve, topic, at: field?.at, first: lowerBound(topic.samples, from)};
     }).filter((each) => each.at !== undefined);
     const [low, high] = this._limits(series);
     this._frame(area, low, high);
@@ -44,12 +44,12 @@ export class Plot {
     this._describe(now, low, high, series);
   }
 
-  /** What is shown grows at once, and shrinks slowly, so that it does not jump. */
+  /** The limits grow at once and shrink slowly, so that the plot does not jump. */
   _limits(series) {
     let low = Infinity, high = -Infinity;
     for (const {topic, at, first} of series) {
-      for (let index = first; index < topic.rows.length; index++) {
-        const value = Number(topic.rows[index][at]);
+      for (let index = first; index < topic.samples.length; index++) {
+        const value = Number(topic.samples[index][at]);
         if (value < low && value >= -GREATEST) low = value;
         if (value > high && value <= GREATEST) high = value;
       }
@@ -81,14 +81,14 @@ export class Plot {
       ctx.lineTo(width, y);
       ctx.stroke();
       ctx.fillStyle = colour('--faint');
-      if (y > 10) ctx.fillText(number(value, Math.max(0, -Math.floor(Math.log10(step)))), 2, y - 3);
+      if (y > 10) ctx.fillText(formatNumber(value, Math.max(0, -Math.floor(Math.log10(step)))), 2, y - 3);
     }
   }
 
-  /** One line. Of the rows in one column of pixels, the least and the greatest are drawn. */
-  _trace(ctx, {line, topic, at, first}, x, y) {
+  /** Draw one curve: in each column of pixels, the least and the greatest sample. */
+  _trace(ctx, {curve, topic, at, first}, x, y) {
     const gap = topic.limit ?? Infinity;
-    ctx.strokeStyle = colour(line.colour);
+    ctx.strokeStyle = colour(curve.colour);
     ctx.lineWidth = 1.5;
     ctx.lineJoin = 'round';
     ctx.beginPath();
@@ -99,11 +99,11 @@ export class Plot {
       if (high !== low) ctx.lineTo(column, y(high));
       else if (alone) ctx.lineTo(column + 1, y(low));
     };
-    for (let index = Math.max(0, first - 1); index < topic.rows.length; index++) {
-      const row = topic.rows[index], value = Number(row[at]);
+    for (let index = Math.max(0, first - 1); index < topic.samples.length; index++) {
+      const sample = topic.samples[index], value = Number(sample[at]);
       if (!(Math.abs(value) <= GREATEST)) { flush(); column = null; before = -Infinity; continue; }
-      const px = Math.round(x(row[0]));
-      if (row[0] - before > gap || column === null) {
+      const px = Math.round(x(sample[0]));
+      if (sample[0] - before > gap || column === null) {
         flush();
         ctx.moveTo(px, y(value));
         [column, low, high, alone] = [px, value, value, true];
@@ -114,7 +114,7 @@ export class Plot {
         flush();
         [column, low, high, alone] = [px, value, value, false];
       }
-      before = row[0];
+      before = sample[0];
     }
     flush();
     ctx.stroke();
@@ -123,25 +123,25 @@ export class Plot {
   _describe(now, low, high, series) {
     if (now - this._described < DESCRIBED) return;
     this._described = now;
-    const said = series.map(({line, topic, at}) =>
-      `${line.name ?? line.field} ${number(topic.last?.[at], this._digits)}`).join(', ');
-    mark(this._canvas, 'aria-label', `${this._title}, the last ${this._span} seconds: between `
-      + `${number(low, this._digits)} and ${number(high, this._digits)}; now ${said}`);
+    const latest = series.map(({curve, topic, at}) =>
+      `${curve.name ?? curve.field} ${formatNumber(topic.last?.[at], this._digits)}`).join(', ');
+    updateAttribute(this._canvas, 'aria-label', `${this._title}, the last ${this._span} seconds: between `
+      + `${formatNumber(low, this._digits)} and ${formatNumber(high, this._digits)}; now ${latest}`);
   }
 }
 
-/** The first row that is not before this time. */
-export function lowerBound(rows, time) {
-  let low = 0, high = rows.length;
+/** The index of the first sample that is not before this time. */
+export function lowerBound(samples, time) {
+  let low = 0, high = samples.length;
   while (low < high) {
     const middle = (low + high) >> 1;
-    if (rows[middle][0] < time) low = middle + 1;
+    if (samples[middle][0] < time) low = middle + 1;
     else high = middle;
   }
   return low;
 }
 
-/** 1, 2 or 5 times a power of ten, not less than this. */
+/** The smallest of 1, 2 or 5 times a power of ten that is at least this. */
 function niceStep(least) {
   const power = 10 ** Math.floor(Math.log10(least));
   return power * [1, 2, 5, 10].find((each) => each * power >= least);

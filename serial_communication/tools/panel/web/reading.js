@@ -1,11 +1,12 @@
-/** A number with its label, unit and age: grey, and how old, once it is no longer renewed. */
-import {ago, h, mark, number, say, unit} from './dom.js';
+/** A value with its label and unit. A stale value is grey and shows its age. */
+import {formatAge, formatNumber, h, unit, updateAttribute, updateText} from './dom.js';
 
 export class Reading {
   /**
-   * @param label what a person calls it
-   * @param topic, field where it comes from
-   * @param format turns the value into text, where its own digits are not what is wanted
+   * @param label shown above the value
+   * @param topic, field that have the value
+   * @param format turns the value into text; null: by the field's digits
+   * @param units shown after the value; null: the field's unit
    */
   constructor(label, topic, field, {format = null, units = null} = {}) {
     this._topic = topic;
@@ -25,11 +26,11 @@ export class Reading {
     const value = topic.value(this._field);
     const stale = topic.stale(now);
     if (value !== undefined) {
-      say(this._number, this._format ? this._format(value, field)
-        : number(value, field.digits));
-      if (this._units === null) say(this._unit, Number.isNaN(value) ? '' : unit(field.unit));
+      updateText(this._number, this._format ? this._format(value, field)
+        : formatNumber(value, field.digits));
+      if (this._units === null) updateText(this._unit, Number.isNaN(value) ? '' : unit(field.unit));
     }
-    mark(this.element, 'data-state', value === undefined ? 'none' : stale ? 'stale' : 'fresh');
-    say(this._age, stale ? `${ago(topic.age(now))} old` : '');
+    updateAttribute(this.element, 'data-state', value === undefined ? 'none' : stale ? 'stale' : 'fresh');
+    updateText(this._age, stale ? `${formatAge(topic.age(now))} old` : '');
   }
 }

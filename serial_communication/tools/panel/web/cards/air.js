@@ -1,4 +1,4 @@
-/** The air: smoke, temperature and humidity, each with ten minutes of history. */
+/** The air: smoke, temperature and humidity, each with a plot of ten minutes. */
 import {card, h} from '../dom.js';
 import {Plot} from '../plot.js';
 import {Reading} from '../reading.js';

@@ -1,12 +1,12 @@
-/** The car: its attitude in 3D, and how it moves. */
-import {card, h, mark, say} from '../dom.js';
+/** The car: its attitude in 3D, its motion and its battery. */
+import {card, h, updateAttribute, updateText} from '../dom.js';
 import {drawCar} from '../car3d.js';
 import {Plot} from '../plot.js';
 import {Reading} from '../reading.js';
 
 const IMU = '~imu';
-const MIDDLE = 512, REACH = 512;     // of the steering's raw angle
-const STEERS = 0.5;                  // rad of the drawn wheels at the end of it
+const MIDDLE = 512, TURN = 512;      // of the raw steering angle: its middle, and its range to either side
+const WHEEL_ANGLE = 0.5;             // rad of the drawn wheels at the end of that range
 const radians = (degrees) => degrees * Math.PI / 180;
 
 export class Attitude {
@@ -29,13 +29,13 @@ export class Attitude {
     const [roll, pitch, yaw] = ['roll', 'pitch', 'yaw'].map((name) => imu.value(name) ?? 0);
     const steering = model.topic('~steering_angle').value('steering angle') ?? MIDDLE;
     const stale = imu.stale(now) || !imu.last;
-    mark(this._canvas, 'data-state', stale ? 'stale' : 'fresh');
+    updateAttribute(this._canvas, 'data-state', stale ? 'stale' : 'fresh');
     const calibrating = model.topic('~imu/calibrating').last?.[1] === true;
     this._note.hidden = !calibrating && !stale;
-    say(this._note, calibrating ? 'the IMU is being calibrated' : 'no fresh attitude');
+    updateText(this._note, calibrating ? 'the IMU is being calibrated' : 'the attitude is stale');
     drawCar(this._canvas, {roll: radians(roll), pitch: radians(pitch), yaw: radians(yaw)},
-      (steering - MIDDLE) / REACH * STEERS);
-    mark(this._canvas, 'aria-label', `attitude of the car: roll ${roll.toFixed(0)}, pitch `
+      (steering - MIDDLE) / TURN * WHEEL_ANGLE);
+    updateAttribute(this._canvas, 'aria-label', `attitude of the car: roll ${roll.toFixed(0)}, pitch `
       + `${pitch.toFixed(0)}, yaw ${yaw.toFixed(0)} degrees`);
   }
 }

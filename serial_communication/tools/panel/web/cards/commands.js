@@ -1,10 +1,10 @@
 /**
- * Calls. A control is disabled until its answer is there, and the answer stays to be read. What
- * was under way as the connection went is told as what it is: not known.
+ * Service calls. A control is disabled until its call is answered; the answers are listed. If the
+ * connection is lost during a call, its outcome is shown as not known.
  */
-import {ago, card, h, mark, say} from '../dom.js';
+import {card, formatAge, h, updateAttribute, updateText} from '../dom.js';
 
-const LEAST_DISABLED = 700;    // ms; the second click of a double click comes within 500
+const LEAST_DISABLED = 700;    // ms; the second click of a double click follows within 500
 const SHOWN = 12;              // answers
 const WORDS = {done: 'done', refused: 'refused', 'not known': 'not known'};
 const MOVES = {
@@ -23,13 +23,12 @@ export class Commands {
     this.topics = ['~imu/calibrating'];
     this._connection = connection;
     this._announce = announce;
-    this._pending = new Map();      // key -> {name, words, at}: asked for, not answered
+    this._pending = new Map();      // key -> {name, words, at} of what was requested and not answered
     this._groups = new Map();       // service -> its buttons
-    this._told = [];                // what this page itself has to say, beside the calls
+    this._ownAnswers = [];          // answers of this page, beside those of the calls
     this._body = h('div', {class: 'commands'});
-    this._answers = h('ol', {class: 'answers', 'aria-label': 'answers, the newest first'});
+    this._answers = h('ol', {class: 'answers', 'aria-label': 'answers, the latest first'});
     this._calibrateNote = h('p', {class: 'words'});
-    this._calibratingSince = null;
     this.element = card('Commands', '', this._body,
       h('h3', {id: 'answers-title'}, 'Answers'), this._answers);
     this.element.hidden = true;
@@ -52,57 +51,57 @@ export class Commands {
         each.name === name) || [...model.calls.values()].some((call) =>
         call.name === name && !call.outcome);
       buttons.forEach((button) => {
-        mark(button, 'disabled', busy || button.restsUntil > performance.now());
+        updateAttribute(button, 'disabled', busy || button.disabledUntil > performance.now());
       });
     }
     this._calibrating(model, now);
     this._list(model, now);
   }
 
-  /** The server refused what was asked with this key. */
+  /** The panel refused the command with this key. */
   refused({key, words}) {
-    const asked = this._pending.get(key);
-    if (!asked) return;
+    const request = this._pending.get(key);
+    if (!request) return;
     this._pending.delete(key);
-    this._tell(asked.words, 'refused', words);
+    this._addAnswer(request.words, 'refused', words);
   }
 
   _settle(model) {
     for (const call of model.calls.values()) {
-      const asked = this._pending.get(call.key);
-      if (!asked || !call.outcome) continue;
+      const request = this._pending.get(call.key);
+      if (!request || !call.outcome) continue;
       this._pending.delete(call.key);
-      this._announce(`${asked.words}: ${WORDS[call.outcome]}, ${call.words}`);
+      this._announce(`${request.words}: ${WORDS[call.outcome]}, ${call.words}`);
     }
   }
 
   _lost() {
-    for (const [key, asked] of this._pending) {
+    for (const [key, request] of this._pending) {
       this._pending.delete(key);
-      this._tell(asked.words, 'not known', 'the connection went before the answer came; '
+      this._addAnswer(request.words, 'not known', 'the connection was lost before the answer was received; '
         + 'look before you repeat it');
     }
   }
 
-  _tell(what, outcome, words) {
-    this._told.push({what, outcome, words, at: this._connection.now()});
-    this._told.splice(0, this._told.length - SHOWN);
+  _addAnswer(what, outcome, words) {
+    this._ownAnswers.push({what, outcome, words, at: this._connection.now()});
+    this._ownAnswers.splice(0, this._ownAnswers.length - SHOWN);
     this._announce(`${what}: ${WORDS[outcome]}, ${words}`);
   }
 
-  _ask(event, name, args, words) {
-    // The second click of a double click is no second wish.
+  _request(event, name, args, words) {
+    // The second click of a double click must not move anything again.
     if (event.detail > 1) return;
     const key = `${Date.now()}.${presses++}`;
     for (const button of this._groups.get(name)) {
-      button.restsUntil = performance.now() + LEAST_DISABLED;
-      mark(button, 'disabled', true);
+      button.disabledUntil = performance.now() + LEAST_DISABLED;
+      updateAttribute(button, 'disabled', true);
     }
     const at = this._connection.now();
     if (this._connection.alive && this._connection.send({call: {key, name, arguments: args}})) {
       this._pending.set(key, {name, words, at});
     } else {
-      this._tell(words, 'refused', 'nothing was sent: no connection to the panel');
+      this._addAnswer(words, 'refused', 'nothing was sent: no connection to the panel');
     }
   }
 
@@ -121,7 +120,7 @@ export class Commands {
 
   _button(name, words, press) {
     const button = h('button', {type: 'button', onclick: press}, words);
-    button.restsUntil = 0;
+    button.disabledUntil = 0;
     if (!this._groups.has(name)) this._groups.set(name, []);
     this._groups.get(name).push(button);
     return button;
@@ -133,16 +132,16 @@ export class Commands {
     const buttons = directions.map(([words, direction]) => this._button(name, words, (event) => {
       if (!input.reportValidity()) return;
       const value = Number(input.value);
-      this._ask(event, name, {direction, [amount]: value}, `${title} ${words.slice(2)} ${value} ${unit}`);
+      this._request(event, name, {direction, [amount]: value}, `${title} ${words.slice(2)} ${value} ${unit}`);
     }));
     return h('fieldset', {'data-service': name}, h('legend', {}, title),
-      h('div', {class: 'row'}, h('label', {class: 'amount'}, input, h('span', {}, unit)), ...buttons));
+      h('div', {class: 'controls'}, h('label', {class: 'amount'}, input, h('span', {}, unit)), ...buttons));
   }
 
   _bus() {
-    return h('fieldset', {}, h('legend', {}, 'bus'), h('div', {class: 'row'},
+    return h('fieldset', {}, h('legend', {}, 'bus'), h('div', {class: 'controls'},
       ...Object.entries(BUS).map(([name, words]) =>
-        this._button(name, words, (event) => this._ask(event, name, {}, words)))));
+        this._button(name, words, (event) => this._request(event, name, {}, words)))));
   }
 
   _led(limit) {
@@ -151,13 +150,13 @@ export class Commands {
     const show = (text) => {
       const key = `${Date.now()}.${presses++}`;
       if (!this._connection.send({led: {key, text}})) {
-        this._tell(`LED ${text}`, 'refused', 'nothing was sent: no connection to the panel');
+        this._addAnswer(`LED ${text}`, 'refused', 'nothing was sent: no connection to the panel');
         return;
       }
       this._pending.set(key, {name: '', words: `LED ${text}`});
-      setTimeout(() => this._pending.delete(key), 1000);    // a refusal would have come by then
+      setTimeout(() => this._pending.delete(key), 1000);    // a refusal is received earlier
     };
-    const form = h('form', {class: 'row', onsubmit: (event) => {
+    const form = h('form', {class: 'controls', onsubmit: (event) => {
       event.preventDefault();
       if (input.value) show(input.value);
     }}, ...LEDS.map((text) => h('button', {type: 'button', onclick: () => show(text)}, text)),
@@ -168,19 +167,19 @@ export class Commands {
   _calibrate() {
     const yes = this._button('~calibrate_imu', 'Calibrate now', (event) => {
       dialog.close();
-      this._ask(event, '~calibrate_imu', {}, PLAIN['~calibrate_imu']);
+      this._request(event, '~calibrate_imu', {}, PLAIN['~calibrate_imu']);
     });
     const dialog = h('dialog', {'aria-labelledby': 'calibrate-title'},
       h('h2', {id: 'calibrate-title'}, 'Calibrate the IMU?'),
-      h('p', {}, 'The car must stand still for over five minutes. It takes no commands meanwhile, '
-        + 'and no IMU data comes.'),
-      h('div', {class: 'row'}, yes, h('button', {type: 'button', onclick: () => dialog.close()}, 'Cancel')));
+      h('p', {}, 'The car must not move for over five minutes. During that time it takes no commands '
+        + 'and sends no IMU data.'),
+      h('div', {class: 'controls'}, yes, h('button', {type: 'button', onclick: () => dialog.close()}, 'Cancel')));
     const open = this._button('~calibrate_imu', 'calibrate …', () => dialog.showModal());
     return h('fieldset', {'data-service': '~calibrate_imu'}, h('legend', {}, 'IMU'),
-      h('div', {class: 'row'}, open, this._calibrateNote), dialog);
+      h('div', {class: 'controls'}, open, this._calibrateNote), dialog);
   }
 
-  /** A function of the configuration: a field for each part of its request. */
+  /** The form of a custom function, with an input for each field of its request. */
   _form(name, fields) {
     const inputs = fields.map(([field, type]) => [field, type, type === 'bool'
       ? h('input', {type: 'checkbox'})
@@ -191,33 +190,33 @@ export class Commands {
       if (!inputs.every(([, , input]) => input.reportValidity())) return;
       const args = Object.fromEntries(inputs.map(([field, type, input]) => [field,
         type === 'bool' ? input.checked : type === 'string' ? input.value : Number(input.value)]));
-      this._ask(event, name, args, `${title} ${Object.values(args).join(' ')}`.trim());
+      this._request(event, name, args, `${title} ${Object.values(args).join(' ')}`.trim());
     });
-    return h('fieldset', {'data-service': name}, h('legend', {}, title), h('div', {class: 'row'},
+    return h('fieldset', {'data-service': name}, h('legend', {}, title), h('div', {class: 'controls'},
       ...inputs.map(([field, , input]) => h('label', {class: 'amount'}, `${field} `, input)), call));
   }
 
-  // -- what became of it -----------------------------------------------------------------------
+  // -- answers ---------------------------------------------------------------------------------
 
   _calibrating(model, now) {
     const last = model.topic('~imu/calibrating').last;
     if (last?.[1] !== true) {
-      say(this._calibrateNote, '');
+      updateText(this._calibrateNote, '');
       return;
     }
-    say(this._calibrateNote, `being calibrated for ${ago(Math.max(0, now - last[0]))}, `
-      + 'of over 5 min; keep still');
+    updateText(this._calibrateNote, `calibrating for ${formatAge(Math.max(0, now - last[0]))} `
+      + 'of over 5 min; do not move the car');
   }
 
   _list(model, now) {
     const calls = [...model.calls.values()].map((call) => ({
       what: describe(call), outcome: call.outcome, at: call.began, number: call.number,
-      words: call.outcome ? `${said(call)} (${call.took.toFixed(2)} s)`.trim()
-        : `under way for ${ago(now - call.began)}`}));
+      words: call.outcome ? `${answerText(call)} (${call.took.toFixed(2)} s)`.trim()
+        : `under way for ${formatAge(now - call.began)}`}));
     const waiting = [...this._pending.values()].filter((each) => each.name && ![...model.calls.values()]
       .some((call) => this._pending.get(call.key) === each)).map((each) =>
-      ({what: each.words, at: each.at, words: 'asking …'}));
-    const all = [...calls, ...this._told, ...waiting].sort((one, other) => other.at - one.at).slice(0, SHOWN);
+      ({what: each.words, at: each.at, words: 'sending …'}));
+    const all = [...calls, ...this._ownAnswers, ...waiting].sort((one, other) => other.at - one.at).slice(0, SHOWN);
     const drawn = JSON.stringify(all.map(({what, outcome, words, at}) => [what, outcome, words, at]));
     if (drawn === this._drawnAnswers) return;
     this._drawnAnswers = drawn;
@@ -228,10 +227,10 @@ export class Commands {
   }
 }
 
-/** The answer's words, but for those that only repeat what was asked. */
-const said = ({outcome, words}) => outcome === 'done' && words.startsWith('done') ? '' : words;
+/** The text of an answer; empty if it only repeats the command. */
+const answerText = ({outcome, words}) => outcome === 'done' && words.startsWith('done') ? '' : words;
 
-/** A call in words, whichever page made it. */
+/** A call as text; it may be one of another page. */
 function describe({name, arguments: args}) {
   const move = MOVES[name];
   if (PLAIN[name]) return PLAIN[name];

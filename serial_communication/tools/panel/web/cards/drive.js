@@ -1,41 +1,43 @@
 /**
- * The driving pad, a dead man's switch: it drives while it is held. It stops on release, on a
- * lost or slow connection, on a hidden tab and on blur; and if this page can do none of that any
- * more, its silence stops the car at the panel, and the panel's at the bridge.
+ * The driving pad, a dead man's switch: the car drives while the pad is held. It stops on release, on
+ * a lost or slow connection, on a hidden tab and on blur. If this page hangs, the panel stops the car
+ * because no command is received; if the panel hangs, the bridge does.
  *
- * A key's release may never be reported (macOS keeps it back while Cmd is held, a remote desktop may
- * lose it). So nothing drives with a modifier, and a key that has ceased to repeat counts as released.
+ * The release of a key may never be reported: macOS does not report it while Cmd is held, and a remote
+ * desktop may lose it. Therefore no key drives together with a modifier, and a key that no longer
+ * repeats counts as released.
  */
-import {card, h, mark, say} from '../dom.js';
+import {card, h, updateAttribute, updateText} from '../dom.js';
 
 const TOPICS = '~speed, ~steering';
-const EVERY = 50;           // ms from one command to the next
-const SILENCE = 0.3;        // s without a word from the panel, after which the pad lets go
-const MIDDLE = 1500;        // µs of the servo
+const EVERY = 50;           // ms between two commands
+const SILENCE = 0.3;        // s without an update from the panel, after which the hold ends
+const PANEL_SILENT = `stopped: no update from the panel for ${SILENCE} s`;
+const MIDDLE = 1500;        // µs, the servo straight ahead
 const TURN = 400;           // µs to either side
-const SLOW = 200;           // of 1000: how fast the pad goes at first
-// By `code`, the place of the key: its `key` may be another one as it is released (keypad and Shift).
+const SLOW = 200;           // of 1000: the speed limit at first
+// By `code`, the position of the key: its `key` may differ at release (keypad with Shift).
 const KEYS = new Map([['ArrowUp', [0, 1]], ['ArrowDown', [0, -1]], ['ArrowLeft', [-1, 0]],
   ['ArrowRight', [1, 0]]]);
 const MODIFIERS = ['Alt', 'AltGraph', 'Control', 'Meta', 'Shift'];
-// Systems repeat the key that was pressed last. Where a release has been lost, the repeats end, too.
-const FIRST_REPEAT = 3000;  // ms from a press to its first repeat at most; Windows and macOS: up to 2 s
-const NEXT_REPEAT = 1000;   // ms from one repeat to the next at most; the slowest setting: 500 ms
+// Systems repeat the key that was pressed last. If its release is lost, the repeats end nevertheless.
+const FIRST_REPEAT = 3000;  // ms from a press to its first repeat, at most; Windows and macOS: up to 2 s
+const NEXT_REPEAT = 1000;   // ms between two repeats, at most; the slowest setting: 500 ms
 
 export class Drive {
   constructor(connection, announce) {
     this.topics = [];
     this._connection = connection;
     this._announce = announce;
-    this._hold = 0;             // presses so far
+    this._hold = 0;             // number of presses
     this._timer = null;         // while held
-    this._keys = new Set();     // those that are held: codes
-    this._repeats = false;      // this system repeats keys, as far as is known
-    this._repeatDue = Infinity; // ms of performance.now(): the next repeat comes until then
+    this._keys = new Set();     // codes of the keys that are held
+    this._repeats = false;      // whether this system is known to repeat keys
+    this._repeatDue = Infinity; // when the next repeat is due, ms of performance.now()
     this._at = [0, 0];          // right, ahead: -1 … 1
     this._knob = h('span', {class: 'knob', 'aria-hidden': 'true'});
     this._pad = h('div', {class: 'pad', role: 'application', tabindex: '0', id: 'pad',
-      'aria-label': 'driving pad: hold the arrow keys to drive, let go to stop',
+      'aria-label': 'driving pad: hold the arrow keys to drive, release them to stop',
       'aria-describedby': 'pad-words'}, this._knob);
     this._words = h('p', {class: 'words', id: 'pad-words', role: 'status'}, 'hold to drive');
     this._limit = h('input', {type: 'range', min: '50', max: '1000', step: '50', value: String(SLOW),
@@ -45,24 +47,24 @@ export class Drive {
       h('label', {class: 'amount', for: 'speed-limit'}, 'at most ', this._limit, this._limitWords));
     this.element.hidden = true;
     this._note = this.element.querySelector('.note');
-    this._limit.addEventListener('input', () => say(this._limitWords, this._limit.value));
-    this._listen();
+    this._limit.addEventListener('input', () => updateText(this._limitWords, this._limit.value));
+    this._addListeners();
   }
 
   get held() { return this._timer !== null; }
 
   draw(model) {
     this.element.hidden = model.controls === null;
-    if (this.held && this._connection.silence() > SILENCE) this._end('stopped: the panel fell silent');
-    mark(this._pad, 'data-held', this.held);
-    mark(this._pad, 'aria-disabled', this._connection.alive ? null : 'true');
-    say(this._note, model.drive.held && this._connection.alive ? 'a page drives' : TOPICS);
+    if (this.held && this._connection.silence() > SILENCE) this._end(PANEL_SILENT);
+    updateAttribute(this._pad, 'data-held', this.held);
+    updateAttribute(this._pad, 'aria-disabled', this._connection.alive ? null : 'true');
+    updateText(this._note, model.drive.held && this._connection.alive ? 'a page drives' : TOPICS);
   }
 
-  /** The panel did not let this drive. */
+  /** The panel refused a drive command. */
   refused(words) { this._end(`stopped: ${words}`); }
 
-  _listen() {
+  _addListeners() {
     const pad = this._pad;
     pad.addEventListener('pointerdown', (event) => {
       if (event.button !== 0) return;
@@ -80,13 +82,13 @@ export class Drive {
     for (const end of ['pointerup', 'pointercancel', 'lostpointercapture', 'contextmenu']) {
       pad.addEventListener(end, (event) => {
         if (end === 'contextmenu') event.preventDefault();
-        if (!this._keys.size) this._end('let go: stopped');
+        if (!this._keys.size) this._end('stopped: released');
       });
     }
     pad.addEventListener('keydown', (event) => this._keyDown(event));
     pad.addEventListener('keyup', (event) => this._keyUp(event));
-    pad.addEventListener('blur', () => this._end('stopped: the pad is no longer in focus'));
-    window.addEventListener('blur', () => this._end('stopped: the window is no longer in front'));
+    pad.addEventListener('blur', () => this._end('stopped: the pad has lost the focus'));
+    window.addEventListener('blur', () => this._end('stopped: the window has lost the focus'));
     window.addEventListener('pagehide', () => this._end('stopped'));
     document.addEventListener('visibilitychange', () => {
       if (document.hidden) this._end('stopped: the page was hidden');
@@ -117,21 +119,21 @@ export class Drive {
     }
     this._keys.add(event.code);
     this._repeatDue = this._repeats ? performance.now() + FIRST_REPEAT : Infinity;
-    this._steer();
+    this._pointByKeys();
     this._begin();
   }
 
-  /** Whatever key is released that is not held: the release of a held one may have been lost. */
+  /** The release of any key that is not held stops, too: that of a held key may have been lost. */
   _keyUp(event) {
     if (!this._keys.delete(event.code) || !this._keys.size) {
-      this._end('let go: stopped');
+      this._end('stopped: released');
       return;
     }
     this._repeatDue = Infinity;     // systems do not repeat the keys that are still held
-    this._steer();
+    this._pointByKeys();
   }
 
-  _steer() {
+  _pointByKeys() {
     this._at = [...this._keys].reduce(([x, y], code) => [x + KEYS.get(code)[0], y + KEYS.get(code)[1]], [0, 0]);
   }
 
@@ -139,17 +141,17 @@ export class Drive {
     if (this.held) return;
     if (!this._connection.alive) {
       this._keys.clear();
-      say(this._words, 'no connection to the panel');
+      updateText(this._words, 'no connection to the panel');
       return;
     }
     this._hold += 1;
-    this._timer = setInterval(() => this._tell(), EVERY);
-    this._tell();
+    this._timer = setInterval(() => this._sendDrive(), EVERY);
+    this._sendDrive();
   }
 
-  _tell() {
+  _sendDrive() {
     if (this._connection.silence() > SILENCE) {
-      this._end('stopped: the panel fell silent');
+      this._end(PANEL_SILENT);
       return;
     }
     if (performance.now() > this._repeatDue) {
@@ -160,22 +162,22 @@ export class Drive {
     const speed = Math.round(ahead * Number(this._limit.value));
     const steering = Math.round(MIDDLE + right * TURN);
     this._connection.send({drive: {key: 'drive', hold: this._hold, seen: this._connection.seen, speed, steering}});
-    this._place(right, ahead);
-    say(this._words, `speed ${speed}, steering ${steering}`);
+    this._moveKnob(right, ahead);
+    updateText(this._words, `speed ${speed}, steering ${steering}`);
   }
 
-  /** Whatever it was that ended it: nothing drives from here on. */
+  /** End the hold: stop the car, and show why. */
   _end(words) {
     if (!this.held) return;
     clearInterval(this._timer);
     this._timer = null;
     this._keys.clear();
     this._connection.send({release: {hold: this._hold}});
-    this._place(0, 0);
-    say(this._words, words);
+    this._moveKnob(0, 0);
+    updateText(this._words, words);
   }
 
-  _place(right, ahead) {
+  _moveKnob(right, ahead) {
     this._knob.style.transform = `translate(${(right * 50).toFixed(1)}cqmin, ${(-ahead * 50).toFixed(1)}cqmin)`;
   }
 }

@@ -1,14 +1,14 @@
-/** A card a link: how it is, in a colour and a word that are seen from across the room. */
-import {ago, card, colour, context, h, mark, number, say} from '../dom.js';
+/** A card for each link, with its status in a colour and a text that can be read from a distance. */
+import {card, colour, context, formatAge, formatNumber, h, updateAttribute, updateText} from '../dom.js';
 
-const SHOWN = 300;         // s of the sparkline
-const BIN = 3;             // s of one of its bars
+const SHOWN = 300;         // s, the span of the bar chart
+const BIN = 3;             // s, one bar
 const MINUTE = 60;
 const SIGNS = {ok: '✓', warn: '!', error: '✕', none: '?'};
-const WORDS = {ok: 'well', warn: 'trouble', error: 'down', none: 'not known'};
+const WORDS = {ok: 'OK', warn: 'warning', error: 'error', none: 'no status'};
 const CAUSES = ['--cause-1', '--cause-2', '--cause-3', '--cause-4', '--cause-5'];
 
-/** What else is worth a place on the card: label, and its text from the diagnostics' values. */
+/** Further values on the card: the label, and the text from the values of /diagnostics. */
 const MORE = [
   ['round trip', (v) => milliseconds(v['round trip p50 [ms]'])],
   ['slowest', (v) => milliseconds(v['round trip max [ms]'])],
@@ -25,9 +25,9 @@ class LinkCard {
   constructor(name, announce) {
     this._name = name;
     this._announce = announce;
-    this._look = null;
+    this._health = null;
     this._sign = h('span', {class: 'sign', 'aria-hidden': 'true'}, '?');
-    this._summary = h('p', {class: 'summary'}, 'no word from it yet');
+    this._summary = h('p', {class: 'summary'}, 'no status received yet');
     this._port = h('p', {class: 'port'});
     this._count = h('span', {class: 'count'}, '0');
     this._spark = h('canvas', {class: 'spark', role: 'img', 'aria-label': 'errors'});
@@ -35,7 +35,7 @@ class LinkCard {
     this._rates = {in: h('dd'), out: h('dd'), age: h('dd')};
     this._more = new Map(MORE.map(([label]) => [label, h('dd')]));
     this._all = h('tbody');
-    this._details = h('details', {class: 'all'}, h('summary', {}, 'everything it says'),
+    this._details = h('details', {class: 'all'}, h('summary', {}, 'all diagnostics'),
       h('table', {}, this._all));
     const item = (label, value) => h('div', {}, h('dt', {}, label), value);
     this.element = card(name, '',
@@ -57,38 +57,38 @@ class LinkCard {
   draw(model, now) {
     const link = model.links.get(this._name);
     if (!link) return;
-    const look = link.look(now), board = model.boards[this._name];
-    say(this._title, board?.title ?? '');
-    mark(this.element, 'data-look', look);
-    say(this._sign, SIGNS[look]);
+    const health = link.health(now), board = model.boards[this._name];
+    updateText(this._title, board?.title ?? '');
+    updateAttribute(this.element, 'data-health', health);
+    updateText(this._sign, SIGNS[health]);
     const stale = link.stale(now);
-    const said = link.at === null ? 'no word from it yet'
-      : stale ? `nothing heard for ${ago(now - link.at)}` : link.summary;
-    say(this._summary, said);
-    if (look !== this._look) {
-      if (this._look !== null || look === 'error') {
-        this._announce(`${this._name} link: ${WORDS[look]}, ${said}`);
+    const summary = link.at === null ? 'no status received yet'
+      : stale ? `no status for ${formatAge(now - link.at)}` : link.summary;
+    updateText(this._summary, summary);
+    if (health !== this._health) {
+      if (this._health !== null || health === 'error') {
+        this._announce(`${this._name} link: ${WORDS[health]}, ${summary}`);
       }
-      this._look = look;
+      this._health = health;
     }
     if (link.at === null) return;
     const values = link.values;
-    say(this._port, values['port'] ?? '');
-    mark(this._port, 'title', values['port'] ?? '');
+    updateText(this._port, values['port'] ?? '');
+    updateAttribute(this._port, 'title', values['port'] ?? '');
     this._errors(link, now);
     const rate = (sent) => {
       const value = link.rate(sent);
-      return value === null || stale ? '–' : `${number(value, value < 10 ? 1 : 0)}/s`;
+      return value === null || stale ? '–' : `${formatNumber(value, value < 10 ? 1 : 0)}/s`;
     };
-    say(this._rates.in, rate(false));
-    say(this._rates.out, rate(true));
+    updateText(this._rates.in, rate(false));
+    updateText(this._rates.out, rate(true));
     const age = Number(values['last frame age [s]']);
-    say(this._rates.age, Number.isNaN(age) ? 'never' : `${ago(age + (now - link.at))} ago`);
+    updateText(this._rates.age, Number.isNaN(age) ? 'never' : `${formatAge(age + (now - link.at))} ago`);
     for (const [label, text] of MORE) {
       const value = text(values), place = this._more.get(label);
       place.parentElement.hidden = value === undefined;
-      say(place, value ?? '');
-      mark(place, 'data-bad', label === 'heartbeat gap'
+      updateText(place, value ?? '');
+      updateAttribute(place, 'data-too-long', label === 'heartbeat gap'
         && parseFloat(value) > 1000 * (board?.longest_gap ?? Infinity));
     }
     if (this._details.open) this._list(values);
@@ -97,8 +97,8 @@ class LinkCard {
   _errors(link, now) {
     const minute = link.errorsSince(now - MINUTE);
     const sum = [...minute.values()].reduce((all, each) => all + each, 0);
-    say(this._count, number(sum));
-    mark(this._count, 'data-some', sum > 0);
+    updateText(this._count, formatNumber(sum));
+    updateAttribute(this._count, 'data-some', sum > 0);
     const shown = link.errorsSince(now - SHOWN);
     const causes = [...shown.keys()].sort();
     const words = causes.map((cause) => `${cause} ${minute.get(cause) ?? 0}`).join(' ');
@@ -111,7 +111,7 @@ class LinkCard {
         item.style.setProperty('--key', `var(${CAUSES[at % CAUSES.length]})`);
         return item;
       }));
-      mark(this._spark, 'aria-label', `errors in the last five minutes: ${causes.map((cause) =>
+      updateAttribute(this._spark, 'aria-label', `errors in the last five minutes: ${causes.map((cause) =>
         `${cause} ${shown.get(cause)}`).join(', ') || 'none'}`);
     }
     const area = context(this._spark);
@@ -150,7 +150,7 @@ class LinkCard {
   }
 }
 
-/** The links that there are; a card each, as they become known. */
+/** The cards of all links that are known. */
 export class Links {
   constructor(announce) {
     this.topics = [];
@@ -174,15 +174,15 @@ export class Links {
   }
 }
 
-/** The worst of all links, and in a few words which: for the tab's title. */
+/** The health of the worst link and which it is, for the title of the tab. */
 export function worst(model, now) {
   const order = ['none', 'error', 'warn', 'ok'];
   let found = 'ok', words = '';
   for (const link of model.links.values()) {
-    const look = link.look(now);
-    if (order.indexOf(look) < order.indexOf(found)) {
-      [found, words] = [look, `${link.name}: ${WORDS[look]}`];
+    const health = link.health(now);
+    if (order.indexOf(health) < order.indexOf(found)) {
+      [found, words] = [health, `${link.name}: ${WORDS[health]}`];
     }
   }
-  return {look: found, sign: SIGNS[found], words};
+  return {health: found, sign: SIGNS[found], words};
 }

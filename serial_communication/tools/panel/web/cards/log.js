@@ -1,5 +1,5 @@
-/** What the bridge and its boards said. */
-import {ago, card, h, say} from '../dom.js';
+/** The log lines of the bridge. */
+import {card, formatAge, h, updateText} from '../dom.js';
 
 const SHOWN = 30;
 const LEVELS = {1: 'debug', 2: 'info', 4: 'warn', 8: 'error', 16: 'fatal'};
@@ -7,8 +7,8 @@ const LEVELS = {1: 'debug', 2: 'info', 4: 'warn', 8: 'error', 16: 'fatal'};
 export class Log {
   constructor() {
     this.topics = [];
-    this._list = h('ol', {class: 'log', tabindex: '0', 'aria-label': 'what was said, the newest first'});
-    this.element = card('What was said', '/rosout', this._list);
+    this._list = h('ol', {class: 'log', tabindex: '0', 'aria-label': 'log lines, the latest first'});
+    this.element = card('Log', '/rosout', this._list);
     this._last = null;
   }
 
@@ -20,8 +20,8 @@ export class Log {
       this._list.replaceChildren(...lines.map(([, level, text]) =>
         h('li', {'data-level': LEVELS[level] ?? 'info'}, h('time', {}), h('span', {}, text))));
     }
-    lines.forEach(([at], index) => say(this._list.children[index].firstChild,
-      `${ago(Math.max(0, now - at))}`));
-    if (!lines.length) this._list.replaceChildren(h('li', {class: 'words'}, 'nothing, since the page was opened'));
+    lines.forEach(([at], index) => updateText(this._list.children[index].firstChild,
+      `${formatAge(Math.max(0, now - at))}`));
+    if (!lines.length) this._list.replaceChildren(h('li', {class: 'words'}, 'no lines since the page was opened'));
   }
 }

@@ -1,9 +1,9 @@
-/** The sensor board: two ranges as bars with their limits, its angles, its ADC channels. */
-import {ago, card, h, mark, number, say} from '../dom.js';
+/** The sensor board: two ranges as bars with their limits, its angles and its ADC channels. */
+import {card, formatAge, formatNumber, h, updateAttribute, updateText} from '../dom.js';
 import {Reading} from '../reading.js';
 
 const ADC = 'mcu/adc_status';
-const FULL = 4095;       // of an ADC channel, as the bars show it
+const FULL = 4095;       // ADC value of a full bar
 
 class Range {
   constructor(name, topic) {
@@ -24,21 +24,21 @@ class Range {
     const topic = model.topic(this._topic), field = topic.field('range');
     const value = topic.value('range');
     const stale = topic.stale(now);
-    mark(this.element, 'data-state', !field ? 'none' : stale ? 'stale' : 'fresh');
-    say(this._age, stale ? `${ago(topic.age(now))} old` : '');
+    updateAttribute(this.element, 'data-state', !field ? 'none' : stale ? 'stale' : 'fresh');
+    updateText(this._age, stale ? `${formatAge(topic.age(now))} old` : '');
     if (!field) return;
-    say(this._words, topic.words);
-    say(this._low, `${number(field.low, 2)} m`);
-    say(this._high, `${number(field.high, 2)} m`);
+    updateText(this._words, topic.words);
+    updateText(this._low, `${formatNumber(field.low, 2)} m`);
+    updateText(this._high, `${formatNumber(field.high, 2)} m`);
     const part = Number.isNaN(value) ? 0
       : Math.min(1, Math.max(0, (value - field.low) / (field.high - field.low)));
     this._fill.style.width = `${(part * 100).toFixed(1)}%`;
-    mark(this.element, 'data-beyond', Number.isNaN(value) ? 'none' : value === Infinity ? 'far'
+    updateAttribute(this.element, 'data-beyond', Number.isNaN(value) ? 'none' : value === Infinity ? 'far'
       : value === -Infinity ? 'near' : null);
-    mark(this._bar, 'aria-valuemin', field.low);
-    mark(this._bar, 'aria-valuemax', field.high);
-    mark(this._bar, 'aria-valuenow', (field.low + part * (field.high - field.low)).toFixed(3));
-    mark(this._bar, 'aria-valuetext', topic.words);
+    updateAttribute(this._bar, 'aria-valuemin', field.low);
+    updateAttribute(this._bar, 'aria-valuemax', field.high);
+    updateAttribute(this._bar, 'aria-valuenow', (field.low + part * (field.high - field.low)).toFixed(3));
+    updateAttribute(this._bar, 'aria-valuetext', topic.words);
   }
 }
 
@@ -57,28 +57,28 @@ export class Sensors {
 
   draw(model, now) {
     this._parts.forEach((part) => part.draw(model, now));
-    say(this._status, model.topic('mcu/status').words);
+    updateText(this._status, model.topic('mcu/status').words);
   }
 }
 
-/** Only for a board that has channels instead. */
+/** The ADC channels; hidden unless the board has them. */
 export class Channels {
   constructor() {
     this.topics = [ADC];
-    this._rows = Array.from({length: 6}, (_, channel) => {
+    this._channels = Array.from({length: 6}, (_, channel) => {
       const reading = new Reading(`adc ${channel}`, ADC, `adc${channel}`);
       const fill = h('span', {class: 'fill'});
       return {channel, reading, fill, element: h('div', {class: 'channel'}, reading.element,
         h('div', {class: 'bar', 'aria-hidden': 'true'}, fill))};
     });
-    this.element = card('Channels', ADC, ...this._rows.map((row) => row.element));
+    this.element = card('Channels', ADC, ...this._channels.map((each) => each.element));
     this.element.hidden = true;
   }
 
   draw(model, now) {
     const topic = model.topic(ADC);
     this.element.hidden = !topic.last;
-    for (const {channel, reading, fill} of this._rows) {
+    for (const {channel, reading, fill} of this._channels) {
       reading.draw(model, now);
       const value = topic.value(`adc${channel}`) ?? 0;
       fill.style.width = `${(Math.min(1, value / FULL) * 100).toFixed(1)}%`;

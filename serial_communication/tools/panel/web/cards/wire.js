@@ -1,16 +1,16 @@
 /**
- * The wire: the last frames of serial_msg, bytes coloured by field, words beside them. Only while
- * this part is open is serial_msg watched at all.
+ * The wire: the latest frames of serial_msg as text and as bytes coloured by field. serial_msg is
+ * subscribed to only while this card is open.
  */
-import {h, mark, say} from '../dom.js';
+import {h, updateAttribute, updateText} from '../dom.js';
 
 const KEPT = 2000;          // frames
-const ROWS = 16;            // that are shown
-const REDRAW = 0.25;        // s; faster than that nobody reads
-const QUIET = /heartbeat/;  // kinds that are hidden at first
+const SHOWN = 16;           // frames
+const REDRAW = 0.25;        // s; nobody reads faster
+const QUIET = /heartbeat/;  // kinds of frames that are hidden at first
 const COLOURS = 6;
 
-/** What a frame is, apart from its values: link, direction and type, and a word for it. */
+/** The kind of a frame: link, direction and type, and a name for it. */
 function kindOf([, link, sent, type, words, error]) {
   if (error) return {key: `${link} damaged`, link, word: 'damaged'};
   const word = words.match(/^[A-Za-z][A-Za-z_ ]*[A-Za-z]/)?.[0] ?? 'frame';
@@ -25,26 +25,26 @@ export class Wire {
     this._links = new Map();       // name -> button
     this._paused = false;
     this._pointed = false;
-    this._leftOut = -Infinity;     // when frames were last left out
+    this._leftOut = -Infinity;     // when frames were left out last
     this._drawn = 0;
     this._selected = null;
     this._dirty = false;
     this._pause = h('button', {type: 'button', 'aria-pressed': 'false',
       onclick: () => this._setPaused(!this._paused)}, 'Pause');
     this._note = h('span', {class: 'note', role: 'status'});
-    this._linkRow = h('div', {class: 'chips', role: 'group', 'aria-label': 'links'});
-    this._kindRow = h('div', {class: 'chips', role: 'group', 'aria-label': 'kinds of frames'});
+    this._linkChips = h('div', {class: 'chips', role: 'group', 'aria-label': 'links'});
+    this._kindChips = h('div', {class: 'chips', role: 'group', 'aria-label': 'kinds of frames'});
     this._list = h('ol', {class: 'frames', 'aria-label': 'frames, the newest first',
       onmouseenter: () => { this._pointed = true; },
-      onmouseleave: () => { this._pointed = false; this._light(null); },
-      onmouseover: (event) => this._light(event.target.closest('[data-field]')),
+      onmouseleave: () => { this._pointed = false; this._highlight(null); },
+      onmouseover: (event) => this._highlight(event.target.closest('[data-field]')),
       onfocusin: () => { this._pointed = true; },
       onfocusout: () => { this._pointed = false; }});
     this._detail = h('div', {class: 'frame-detail', hidden: true});
     this._detail.addEventListener('mouseover', (event) =>
-      this._light(event.target.closest('[data-field]')));
+      this._highlight(event.target.closest('[data-field]')));
     this._detail.addEventListener('focusin', (event) =>
-      this._light(event.target.closest('[data-field]')));
+      this._highlight(event.target.closest('[data-field]')));
     this.element = h('details', {class: 'card wire', id: 'card-wire', ontoggle: () => {
       this._frames = [];
       this._leftOut = -Infinity;
@@ -52,15 +52,15 @@ export class Wire {
       changed();
     }},
     h('summary', {class: 'card-head'}, h('h2', {}, 'The wire'),
-      h('span', {class: 'note'}, 'serial_msg, watched while this is open')),
-    h('div', {class: 'tools'}, this._pause, this._linkRow, this._note),
-    this._kindRow, this._list, this._detail);
+      h('span', {class: 'note'}, 'serial_msg, subscribed to while this is open')),
+    h('div', {class: 'tools'}, this._pause, this._linkChips, this._note),
+    this._kindChips, this._list, this._detail);
   }
 
-  /** serial_msg, while this is open. */
+  /** serial_msg while this is open, else nothing. */
   get topics() { return this.element.open ? ['serial_msg'] : []; }
 
-  /** Frames have come. */
+  /** Add the frames of an update. */
   take(wire) {
     if (!this.element.open) return;
     for (const frame of wire.frames) {
@@ -80,9 +80,9 @@ export class Wire {
   draw(model, now) {
     if (!this.element.open || now - this._drawn < REDRAW && now >= this._drawn) return;
     this._drawn = now;
-    for (const kind of this._kinds.values()) say(kind.counter, String(kind.count));
-    say(this._note, this._paused ? 'paused' : this._pointed ? 'held while you point at it'
-      : now - this._leftOut < 5 ? 'frames are left out: more than can be shown' : '');
+    for (const kind of this._kinds.values()) updateText(kind.counter, String(kind.count));
+    updateText(this._note, this._paused ? 'paused' : this._pointed ? 'paused while you point at it'
+      : now - this._leftOut < 5 ? 'some frames are left out: too many to be shown' : '');
     if (!this._dirty || this._pointed || this._paused) return;
     this._dirty = false;
     this._show();
@@ -90,26 +90,25 @@ export class Wire {
 
   _show() {
     const shown = [];
-    for (let index = this._frames.length - 1; index >= 0 && shown.length < ROWS; index--) {
+    for (let index = this._frames.length - 1; index >= 0 && shown.length < SHOWN; index--) {
       const {kind} = this._frames[index];
       if (kind.shown && this._links.get(kind.link).shown) shown.push(this._frames[index]);
     }
-    this._list.replaceChildren(...shown.map((frame) => this._row(frame)));
+    this._list.replaceChildren(...shown.map((frame) => this._item(frame)));
   }
 
-  _row(frame) {
+  _item(frame) {
     const [at, link, sent, , words, error] = frame;
-    const row = h('li', {class: 'frame', tabindex: '0', 'data-link': link, 'data-error': Boolean(error),
+    return h('li', {class: 'frame', tabindex: '0', 'data-link': link, 'data-error': Boolean(error),
       onclick: () => this._select(frame),
       onkeydown: (event) => { if (event.key === 'Enter') this._select(frame); }},
     h('time', {}, (at % 1000).toFixed(3)),
     h('span', {class: 'frame-link'}, `${link} ${sent ? '→' : '←'}`),
     h('span', {class: 'frame-words'}, error || words),
     h('span', {class: 'bytes'}, ...this._bytes(frame)));
-    return row;
   }
 
-  /** The bytes, each stretch of one field in one colour. */
+  /** The bytes; neighbours of one field share a colour. */
   _bytes([, , , , , , hex, fields], most = 28) {
     const out = [], bytes = hex.match(/../g) ?? [];
     const owner = new Array(bytes.length).fill(null);
@@ -127,7 +126,7 @@ export class Wire {
     return out;
   }
 
-  /** One frame, field by field. */
+  /** Show the fields of one frame. */
   _select(frame) {
     const [, link, sent, , words, error, , fields] = frame;
     this._selected = frame;
@@ -142,13 +141,13 @@ export class Wire {
           h('dd', {class: 'note'}, end - first > 1 ? `bytes ${first} – ${end - 1}` : `byte ${first}`)))));
   }
 
-  /** Light up every place of the field that is pointed at, in its frame. */
-  _light(target) {
-    for (const lit of this.element.querySelectorAll('[data-lit]')) mark(lit, 'data-lit', false);
+  /** Highlight all bytes and values of the field that is pointed at. */
+  _highlight(target) {
+    for (const lit of this.element.querySelectorAll('[data-lit]')) updateAttribute(lit, 'data-lit', false);
     if (!target) return;
     const home = target.closest('.frame, .frame-detail');
     for (const same of home.querySelectorAll(`[data-field="${target.dataset.field}"]`)) {
-      mark(same, 'data-lit', true);
+      updateAttribute(same, 'data-lit', true);
     }
   }
 
@@ -157,21 +156,21 @@ export class Wire {
     kind.counter = h('span', {class: 'counter'}, '0');
     kind.button = this._chip(kind, `${link} ${word}`, kind.counter);
     this._kinds.set(key, kind);
-    this._kindRow.append(kind.button);
+    this._kindChips.append(kind.button);
     if (!this._links.has(link)) {
       const chip = {shown: true};
       this._links.set(link, chip);
-      this._linkRow.append(this._chip(chip, link));
+      this._linkChips.append(this._chip(chip, link));
     }
     return kind;
   }
 
-  /** A button that shows or hides. */
+  /** Create a button that shows or hides frames. */
   _chip(what, ...words) {
     const button = h('button', {type: 'button', class: 'chip', 'aria-pressed': String(what.shown),
       onclick: () => {
         what.shown = !what.shown;
-        mark(button, 'aria-pressed', String(what.shown));
+        updateAttribute(button, 'aria-pressed', String(what.shown));
         this._show();
       }}, ...words);
     return button;
@@ -179,8 +178,8 @@ export class Wire {
 
   _setPaused(paused) {
     this._paused = paused;
-    mark(this._pause, 'aria-pressed', String(paused));
-    say(this._pause, paused ? 'Go on' : 'Pause');
+    updateAttribute(this._pause, 'aria-pressed', String(paused));
+    updateText(this._pause, paused ? 'Resume' : 'Pause');
     this._drawn = 0;
   }
 }

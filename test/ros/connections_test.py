@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""New subscribers, callers and publishers are served, whatever others do or did before."""
+"""New subscribers, callers and publishers are served, whatever other connections do or did."""
 import io
 import os
 import resource
@@ -29,33 +29,33 @@ from serial_communication.boards.arduino import wire as arduino
 from serial_communication.ros.rospy_mends import handshake, shortage
 
 NAME = '/' + PACKAGE
-MASTER = rosgraph.Master('/doors_test')
+MASTER = rosgraph.Master('/connections_test')
 
 
 def connected(address):
-    """A connection to a node's ROS port."""
+    """Connect to a node's ROS port."""
     return socket.create_connection(address, PATIENCE)
 
 
 def service_address(name):
-    """Host and port that serve it."""
+    """The host and port of a service."""
     parts = urlsplit(MASTER.lookupService(name))
     return parts.hostname, parts.port
 
 
 def shake(connection, **fields):
-    """Do the handshake; the node's header, or None where it closes the connection."""
+    """Do the handshake; return the node's header, or None if it closes the connection."""
     connection.sendall(encode_ros_handshake_header(
-        {'callerid': '/doors_test', 'md5sum': '*', **fields}))
+        {'callerid': '/connections_test', 'md5sum': '*', **fields}))
     try:
-        # One byte at a time: what follows the header is a message's.
+        # Read one byte at a time: the bytes after the header belong to a message.
         return read_ros_handshake_header(connection, io.BytesIO(), 1)
     except (rosgraph.network.ROSHandshakeException, OSError):
         return None
 
 
 def is_closed(connection):
-    """Whether the node has closed it without a word."""
+    """Whether the node has closed it without sending anything."""
     if not select.select([connection], [], [], 0)[0]:
         return False
     try:
@@ -65,7 +65,7 @@ def is_closed(connection):
 
 
 class Short(unittest.TestCase):
-    """A bridge that is short of something for a while."""
+    """A bridge that runs out of something for a while."""
 
     def setUp(self):
         self.folder = own_folder()
@@ -89,7 +89,7 @@ class Short(unittest.TestCase):
         shutil.rmtree(self.folder)
 
     def assert_everybody_is_served(self):
-        """A subscriber, a caller and a publisher that come now."""
+        """A new subscriber, a new caller and a new publisher are served."""
         with connected(service_address(NAME + '/get_loggers')) as subscriber:
             header = shake(subscriber, topic=NAME + '/voltage', type=Voltage._type)
             self.assertEqual(header['type'], Voltage._type)
@@ -101,7 +101,7 @@ class Short(unittest.TestCase):
         self.assert_drives(400)
 
     def assert_drives(self, value):
-        """A new publisher of speeds is connected."""
+        """Speeds of a new publisher reach the car."""
         speed = command_topic(NAME + '/speed', SpeedPWMCommand)
         until(lambda: value in self.car.speeds, 'the car drives',
               doing=lambda: speed.publish(value=value), every=0.05)
@@ -109,7 +109,7 @@ class Short(unittest.TestCase):
 
 
 class OutOfDescriptors(Short):
-    """More subscribers than it has file descriptors for; then they go."""
+    """More subscribers than file descriptors; then they disconnect."""
 
     def setUp(self):
         super().setUp()
@@ -117,13 +117,13 @@ class OutOfDescriptors(Short):
         self.address = service_address(NAME + '/get_loggers')
 
     def cpu(self):
-        """Seconds of processor that the bridge has used."""
+        """The processor time that the bridge has used, in s."""
         with open('/proc/%d/stat' % self.bridge.process.pid) as file:
             fields = file.read().rpartition(')')[2].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
 
     def subscribe(self):
-        """One more, without waiting."""
+        """Add a subscriber, without waiting."""
         connection = socket.socket()
         self.open.append(connection)
         connection.setblocking(False)
@@ -135,7 +135,7 @@ class OutOfDescriptors(Short):
         except OSError:
             pass        # the node's queue is full
 
-    def test_all_are_served_after_they_have_gone(self):
+    def test_everybody_is_served_after_they_have_disconnected(self):
         began = time.monotonic()
         until(lambda: 'out of file descriptors (ulimit -n is 128)' in self.bridge.output(),
               'there are more than it can take', doing=self.subscribe)
@@ -156,15 +156,15 @@ class OutOfDescriptors(Short):
 
 
 class OutOfThreads(Short):
-    """No memory for another thread, as a hundred publishers come."""
+    """No memory for another thread while a hundred publishers connect."""
 
     def test_publishers_are_connected_as_soon_as_there_is_memory(self):
         self.start()
         pid = self.bridge.process.pid
-        # Kept open, so that its calls need no new thread.
+        # Keep the connection open, so that its calls need no new thread.
         node = ServerProxy(MASTER.lookupNode(NAME))
-        node.getPid('/doors_test')
-        with socket.socket() as hangs:      # nothing answers there: each takes a thread
+        node.getPid('/connections_test')
+        with socket.socket() as hangs:      # nothing answers there, so each takes a thread
             hangs.bind(('127.0.0.1', 0))
             hangs.listen(128)
             publishers = ['http://127.0.0.1:%d/%d' % (hangs.getsockname()[1], number)
@@ -180,7 +180,7 @@ class OutOfThreads(Short):
 
 
 class Handshakes(unittest.TestCase):
-    """This process is the node. Nobody's time is over unless a test says so."""
+    """This process is the node. Its time limit for headers is long unless a test changes it."""
 
     def setUp(self):
         self.address = service_address(rospy.resolve_name('~get_loggers'))
@@ -189,27 +189,27 @@ class Handshakes(unittest.TestCase):
         self.addCleanup(patience.stop)
 
     def connect(self, first=b''):
-        """A connection that has sent this."""
+        """Open a connection and send this."""
         connection = connected(self.address)
         self.addCleanup(connection.close)
         connection.sendall(first)
         return connection
 
     def call(self, **fields):
-        """The header that answers a caller's, who is served."""
+        """Send a caller's header; return the node's."""
         with connected(self.address) as caller:
             header = shake(caller, service=rospy.resolve_name('~get_loggers'), **fields)
         self.assertEqual(header['type'], 'roscpp/GetLoggers')
 
-    def test_those_that_have_not_finished_their_header_hold_up_nobody(self):
+    def test_connections_with_an_incomplete_header_delay_nobody(self):
         slow = [self.connect(first) for first in (b'', b'\x40', b'\x40\0\0\0', b'\x40\0\0\0half')
                 for _ in range(5)]
         self.call()
         self.assertFalse(any(is_closed(each) for each in slow))
 
-    def test_a_header_in_pieces_is_taken(self):
-        whole = encode_ros_handshake_header({'callerid': '/doors_test', 'md5sum': '*', 'service':
-                                             rospy.resolve_name('~get_loggers')})
+    def test_a_header_in_pieces_is_accepted(self):
+        whole = encode_ros_handshake_header({'callerid': '/connections_test', 'md5sum': '*',
+                                             'service': rospy.resolve_name('~get_loggers')})
         caller = self.connect()
         caller.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         for byte in whole:
@@ -217,13 +217,13 @@ class Handshakes(unittest.TestCase):
         header = read_ros_handshake_header(caller, io.BytesIO(), 4096)
         self.assertEqual(header['type'], 'roscpp/GetLoggers')
 
-    def test_what_is_too_long_for_a_header_is_closed_at_once(self):
+    def test_a_connection_with_too_long_a_header_is_closed_at_once(self):
         for size in (64 << 10) + 1, (2 << 30) - 1, (4 << 30) - 1:
             with self.subTest(size):
                 self.assertEqual(self.connect(struct.pack('<I', size)).recv(1), b'')
         self.call(more='x' * 60000)
 
-    def test_one_deadline_for_all_of_it(self):
+    def test_the_deadline_is_for_the_complete_header(self):
         header = iter(struct.pack('<I', 60000) + bytes(60000))
 
         def drip():
@@ -235,7 +235,7 @@ class Handshakes(unittest.TestCase):
             slow = self.connect()
             until(lambda: is_closed(slow), 'it is closed', doing=drip, every=0.2)
 
-    def test_of_more_than_64_the_oldest_has_to_go(self):
+    def test_of_more_than_64_pending_connections_the_oldest_is_closed(self):
         slow = [self.connect() for _ in range(70)]
         until(lambda: is_closed(slow[0]), 'the oldest is closed')
         self.call()
@@ -243,7 +243,7 @@ class Handshakes(unittest.TestCase):
               'one for each that came later')
         self.assertFalse(any(is_closed(each) for each in slow[8:]))
 
-    def test_a_handler_that_raises_shuts_out_nobody(self):
+    def test_after_a_handler_raises_others_are_still_served(self):
         server = tcpros_base._tcpros_server.tcp_ros_server
         with mock.patch.object(server, 'inbound_handler', side_effect=MemoryError('no more')):
             self.assertIsNone(shake(self.connect(), service='/any'))
@@ -251,39 +251,39 @@ class Handshakes(unittest.TestCase):
 
 
 class AnotherRospy(unittest.TestCase):
-    """What it was not written against stays as it is, and a line says so."""
+    """An unknown rospy is not patched, and a warning is logged."""
 
-    def assert_left_alone(self, install, holder, name):
+    def assert_not_patched(self, install, holder, name):
         before = getattr(holder, name)
         log = mock.Mock()
         install(SparingLog('ROS', log))
         self.assertIs(getattr(holder, name), before)
         (_level, form, *values), = [call[0] for call in log.log.call_args_list]
-        self.assertIn('in another way than 1.15.15 and 1.16.0', form % tuple(values))
+        self.assertIn('differently from 1.15.15 and 1.16.0', form % tuple(values))
 
-    def test_a_server_that_takes_connections_in_another_way(self):
+    def test_an_unknown_server_loop_is_not_patched(self):
         def run(server):
-            """Unlike all that are known."""
+            """An unknown loop."""
             server.serve()
         with mock.patch.object(tcpros_base.TCPServer, 'run', run):
-            self.assert_left_alone(handshake.install, tcpros_base.TCPServer, 'run')
+            self.assert_not_patched(handshake.install, tcpros_base.TCPServer, 'run')
 
-    def test_a_server_that_reads_headers_in_another_way(self):
+    def test_an_unknown_reader_of_headers_is_not_patched(self):
         with mock.patch.object(tcpros_base.TCPServer, 'run', RUN), \
                 mock.patch.object(tcpros_base.TCPROSServer, '_tcp_server_callback', RUN):
-            self.assert_left_alone(handshake.install, tcpros_base.TCPServer, 'run')
+            self.assert_not_patched(handshake.install, tcpros_base.TCPServer, 'run')
 
-    def test_modules_that_have_no_threads_of_their_own(self):
+    def test_modules_that_do_not_start_threads_are_not_patched(self):
         with mock.patch.object(tcpros_pubsub, 'threading', None):
-            self.assert_left_alone(shortage.install, registration, 'threading')
+            self.assert_not_patched(shortage.install, registration, 'threading')
 
-    def test_the_one_that_is_installed_here_fits(self):
+    def test_the_installed_rospy_is_patched(self):
         self.assertIsNot(tcpros_base.TCPServer.run, RUN)
         self.assertIsNot(registration.threading, threading)
 
 
 class PatientThread(unittest.TestCase):
-    """What starts the threads of connections to publishers."""
+    """The threads of connections to publishers."""
 
     def test_a_thread_that_has_been_started_cannot_be_started_again(self):
         thread = registration.threading.Thread(target=lambda: None)
@@ -298,5 +298,5 @@ if __name__ == '__main__':
     LOG = SparingLog('ROS', mock.Mock())
     handshake.install(LOG)
     shortage.install(LOG)
-    rospy.init_node('doors_test')
-    rostest.rosrun(PACKAGE, 'doors', '__main__')
+    rospy.init_node('connections_test')
+    rostest.rosrun(PACKAGE, 'connections', '__main__')

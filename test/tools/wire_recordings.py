@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""Makes the recordings of doc/wire.md anew: python3 test/tools/wire_stories.py [FOLDER].
+"""Makes the recordings of doc/wire.md: python3 test/tools/wire_recordings.py [FOLDER].
 
-Simulated boards with faults, a computer's link and `wire tap` or `wire listen` between them, over
-real ttys; it takes ten seconds. The page's words are about the recordings that are kept.
+Each records a simulated board with faults over real ttys: with `wire listen`, or with `wire tap`
+between it and a link of the bridge. It takes ten seconds. The page describes those in doc/wire.
 """
 import os
 import pty
@@ -34,14 +34,14 @@ PATIENCE = 15.0
 def wait_for(condition, what):
     deadline = time.monotonic() + PATIENCE
     while not condition():
-        assert time.monotonic() < deadline, f'waited in vain for {what}'
+        assert time.monotonic() < deadline, f'not within {PATIENCE:g} s: {what}'
         time.sleep(0.01)
 
 
 # -- the stage ------------------------------------------------------------------------------------
 
 class Stage:
-    """A board, a tap and a computer's port in one line."""
+    """Ports for a board, a tap and a computer on one line."""
 
     def __init__(self, folder):
         self.ports = {name: os.path.join(folder, name) for name in (
@@ -52,7 +52,7 @@ class Stage:
 
     @contextmanager
     def tapped(self, link, path):
-        """`wire tap --raw` at work."""
+        """Run `wire tap --raw` until the block ends."""
         with tempfile.TemporaryFile() as output:
             program = subprocess.Popen(
                 WIRE + ['tap', link, self.ports['tap_board'], self.ports['tap_computer'], '--raw',
@@ -75,7 +75,7 @@ class Stage:
 
 @contextmanager
 def running(board, port, faults=None):
-    """A simulated board in a thread."""
+    """Run a simulated board in a thread until the block ends."""
     runner = Runner(board, Port(port), faults=faults)
     thread = threading.Thread(target=runner.run, name='board', daemon=True)
     thread.start()
@@ -88,7 +88,7 @@ def running(board, port, faults=None):
 
 @contextmanager
 def computer(link):
-    """The bridge's link, started and ended."""
+    """Run one of the bridge's links until the block ends."""
     link.start()
     try:
         wait_for(lambda: link.port.is_open, 'the port')
@@ -98,68 +98,68 @@ def computer(link):
         link.join()
 
 
-# -- a swapped baud rate --------------------------------------------------------------------------
+# -- a wrong baud rate ----------------------------------------------------------------------------
 
-def heard_at(data, sent_baud, heard_baud):
-    """What a UART at another speed makes of bytes that come back to back."""
-    levels = []                             # of the line, a bit each
+def received_at(data, sent_baud, received_baud):
+    """What a UART at another baud rate receives of bytes sent back to back."""
+    levels = []                             # of the line, one for each bit
     for byte in data:
         levels += [0] + [byte >> bit & 1 for bit in range(8)] + [1]
     levels += [1] * 20
-    step = sent_baud / heard_baud           # sent bits in a heard one
-    heard, at = bytearray(), 0.0
+    step = sent_baud / received_baud        # sent bits in a received one
+    received, at = bytearray(), 0.0
     while True:
         while int(at) < len(levels) and levels[int(at)]:
             at = int(at) + 1                # the line is idle until a start bit
         if at + 9.5 * step >= len(levels):
-            return bytes(heard)
-        heard.append(sum(levels[int(at + (bit + 1.5) * step)] << bit for bit in range(8)))
+            return bytes(received)
+        received.append(sum(levels[int(at + (bit + 1.5) * step)] << bit for bit in range(8)))
         at += 9.5 * step                    # the middle of the stop bit: ready for the next
 
 
 def baud(folder, path):
-    """A sensor board at 115200 baud, heard at 57600: one second."""
-    (sim, sim_device), (ear, ear_device) = pty.openpty(), pty.openpty()
-    for device in sim_device, ear_device:
+    """One second of a sensor board at 115200 baud, received at 57600."""
+    (board, board_device), (receiver, receiver_device) = pty.openpty(), pty.openpty()
+    for device in board_device, receiver_device:
         tty.setraw(device)
 
     def garble():
         while True:
-            data = os.read(sim, 4096)
+            data = os.read(board, 4096)
             if not data:
                 return
-            os.write(ear, heard_at(data, 115200, 57600))
+            os.write(receiver, received_at(data, 115200, 57600))
 
     threading.Thread(target=garble, name='line', daemon=True).start()
-    with running(SensorBoard(seed=1), os.ttyname(sim_device)):
-        subprocess.run(WIRE + ['listen', 'mcu', os.ttyname(ear_device), '--baud', '57600', '--raw',
-                               path, '--duration', '1'], stdout=subprocess.DEVNULL,
+    with running(SensorBoard(seed=1), os.ttyname(board_device)):
+        subprocess.run(WIRE + ['listen', 'mcu', os.ttyname(receiver_device), '--baud', '57600',
+                               '--raw', path, '--duration', '1'], stdout=subprocess.DEVNULL,
                        stderr=subprocess.DEVNULL, check=True)
 
 
 # -- a board that resets under load ---------------------------------------------------------------
 
 class WeakSupply(Faults):
-    """The battery gives in when the motor is to run fast: the board resets, once."""
+    """The supply fails when the motor runs fast: the board resets, once."""
 
     def __init__(self):
         super().__init__()
         self.board = ModelCar(seed=2)
         self._full_since = None
-        self._has_struck = False
+        self._has_failed = False
 
     def events(self, now):
-        if self._has_struck or not self.board.motor_on or self.board.command < 800:
+        if self._has_failed or not self.board.motor_on or self.board.command < 800:
             return []
         self._full_since = self._full_since or now
         if now < self._full_since + 0.1:
             return []
-        self._has_struck = True
+        self._has_failed = True
         return [('reset', 0.4)]
 
 
 def reset(folder, path):
-    """A car that is told to go fast; of it 0.9 s around the reset."""
+    """0.9 s around the reset of a car that is sent a high speed."""
     whole = os.path.join(folder, 'whole.txt')
     supply = WeakSupply()
     with Stage(folder) as stage, stage.tapped('arduino', whole):
@@ -174,7 +174,7 @@ def reset(folder, path):
 
 
 def cut(whole, path, where, before, after):
-    """Of a recording what stands around the first line with `where`."""
+    """Copy the part of a recording around the first line that contains `where`."""
     with open(whole, encoding='utf-8') as file:
         lines = file.readlines()
     middle = next(float(line.split()[0]) for line in lines if where in line)
@@ -187,10 +187,10 @@ def cut(whole, path, where, before, after):
                 file.write(line)
 
 
-# -- a reply that comes too late ------------------------------------------------------------------
+# -- a late reply ---------------------------------------------------------------------------------
 
 class SlowOnce(Faults):
-    """One reply is held back for longer than the Master waits: that to the lift."""
+    """Delays the reply to the lift, once, for longer than the Master waits."""
 
     def sent(self, frame, now):
         fate = super().sent(frame, now)
@@ -212,12 +212,12 @@ def late(folder, path):
             bus.lift(0, 40)
 
 
-STORIES = {'baud': baud, 'reset': reset, 'late': late}
+RECORDINGS = {'baud': baud, 'reset': reset, 'late': late}
 
 
 def main():
     target = sys.argv[1] if len(sys.argv) > 1 else os.path.join(ROOT, 'doc', 'wire')
-    for name, record in STORIES.items():
+    for name, record in RECORDINGS.items():
         with tempfile.TemporaryDirectory(prefix='wire') as folder:
             record(folder, os.path.join(target, name + '.txt'))
         print(os.path.join(target, name + '.txt'))

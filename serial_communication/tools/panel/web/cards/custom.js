@@ -1,20 +1,20 @@
-/** Own messages of the configuration, and whatever else a bridge publishes: a card each. */
-import {card, h, say} from '../dom.js';
+/** A card for each topic that is not built in, such as those of custom messages. */
+import {card, h, updateText} from '../dom.js';
 import {Plot} from '../plot.js';
 import {Reading} from '../reading.js';
 
 const COLOURS = ['--line-1', '--line-2', '--line-3', '--line-4', '--line-5'];
-const MOST_LINES = COLOURS.length;    // of one plot
-const SLOW = 0.7;                     // s of a stale limit above which ten minutes are shown
+const MAX_CURVES = COLOURS.length;    // curves in one plot
+const SLOW = 0.7;                     // s; if the limit of a topic is greater, its plot shows ten minutes
 
-class OwnCard {
+class CustomCard {
   constructor(name, type) {
     this.name = name;
     this._shape = null;
     this._parts = [];
-    this._body = h('div', {class: 'own'}, h('p', {class: 'words'}, 'nothing yet'));
+    this._body = h('div', {class: 'custom'}, h('p', {class: 'words'}, 'no message received yet'));
     this.element = card(name, type, this._body);
-    this.element.dataset.own = name;
+    this.element.dataset.custom = name;
   }
 
   draw(model, now) {
@@ -26,19 +26,19 @@ class OwnCard {
       this._build(topic, slow);
     }
     this._parts.forEach((part) => part.draw(model, now));
-    if (!this._parts.length && topic.words) say(this._body.firstChild, topic.words);
+    if (!this._parts.length && topic.words) updateText(this._body.firstChild, topic.words);
   }
 
   _build(topic, slow) {
     const numbers = topic.fields.filter((field) => typeof topic.last[field.at] !== 'string');
     const readings = topic.fields.map((field) => new Reading(field.name, this.name, field.name));
     this._parts = [...readings];
-    const lines = numbers.slice(0, MOST_LINES).map((field, index) =>
+    const curves = numbers.slice(0, MAX_CURVES).map((field, index) =>
       ({topic: this.name, field: field.name, colour: COLOURS[index], name: field.name}));
     this._body.replaceChildren(
       h('div', {class: 'readings'}, ...readings.map((reading) => reading.element)));
-    if (lines.length) {
-      const plot = new Plot(lines.length > 1 ? '' : lines[0].name, lines,
+    if (curves.length) {
+      const plot = new Plot(curves.length > 1 ? '' : curves[0].name, curves,
         {span: slow ? 600 : 20, least: 1e-3, digits: null, high: 84});
       this._parts.push(plot);
       this._body.prepend(plot.element);
@@ -46,18 +46,18 @@ class OwnCard {
   }
 }
 
-export class OwnMessages {
+export class CustomMessages {
   constructor() {
-    this.element = h('div', {class: 'owns'});
+    this.element = h('div', {class: 'customs'});
     this._cards = new Map();
   }
 
-  /** Those that are known now: what to watch. */
+  /** The topics that have a card. */
   get topics() { return [...this._cards.keys()]; }
 
-  /** The bridge publishes these; whether that is news. */
+  /** Add and remove cards for what the bridge publishes; return whether any changed. */
   learn(known) {
-    const names = Object.keys(known).filter((name) => known[name].own);
+    const names = Object.keys(known).filter((name) => known[name].custom);
     const before = this.topics.join();
     for (const name of this.topics) {
       if (!names.includes(name)) {
@@ -67,7 +67,7 @@ export class OwnMessages {
     }
     for (const name of names) {
       if (!this._cards.has(name)) {
-        const made = new OwnCard(name, known[name].type);
+        const made = new CustomCard(name, known[name].type);
         this._cards.set(name, made);
         this.element.append(made.element);
       }

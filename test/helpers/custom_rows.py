@@ -1,4 +1,4 @@
-"""Any row of a message of one's own, and an encoder that shares no code with the package's."""
+"""Hypothesis strategies for rows of custom messages, and an encoder that is not the package's."""
 import struct
 from typing import Any, List
 
@@ -9,9 +9,9 @@ _SIZES = {'b': 1, 'B': 1, 'h': 2, 'H': 2, 'i': 4, 'I': 4, 'l': 4, 'L': 4, 'q': 8
 
 
 def encoded(layout: str, raws: List[Any]) -> bytes:
-    """The bytes of these raw numbers and texts, one value after the other.
+    """The bytes of these raw numbers and texts.
 
-    `layout` has single characters, and a last ``*`` or ``s``; no padding.
+    `layout` has single characters and a last ``*`` or ``s``, but no counts and no padding.
     """
     order = 'little' if layout[0] == '<' else 'big'
     data, codes = b'', layout[1:].replace('*', '')
@@ -30,7 +30,7 @@ def encoded(layout: str, raws: List[Any]) -> bytes:
 
 
 def numbers(code: str) -> Any:
-    """Numbers of one code."""
+    """Strategy: a number of one of struct's codes."""
     if code == '?':
         return st.booleans()
     if code in _SIZES:
@@ -47,7 +47,7 @@ _TEXTS = st.text(st.characters(blacklist_characters='\0', blacklist_categories=(
 
 @st.composite
 def layout_and_raws(draw):
-    """A valid layout, and raw numbers for it."""
+    """Strategy: a valid layout, and raw numbers for it."""
     codes = draw(st.lists(st.sampled_from(_CODES), max_size=6))
     layout, raws = draw(st.sampled_from('<>')) + ''.join(codes), [draw(numbers(c)) for c in codes]
     ending = draw(st.sampled_from(('', '*', 's')))
@@ -63,7 +63,7 @@ def layout_and_raws(draw):
 
 @st.composite
 def row_and_raws(draw):
-    """A valid entry of arduino/messages, and raw numbers for it."""
+    """Strategy: a valid row of arduino/messages, and raw numbers for it."""
     layout, raws = draw(layout_and_raws())
     paths = [draw(st.sampled_from((f'field{index}', f'list[{index}]', f'a.b{index}', '')))
              for index in range(len(raws))]

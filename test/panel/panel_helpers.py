@@ -1,4 +1,4 @@
-"""What the tests of the panel share: a master, a robot, a panel, and a page that is a program."""
+"""What the tests of the panel share: a master, a robot, a panel, and a page without a browser."""
 import base64
 import contextlib
 import json
@@ -26,7 +26,7 @@ TOKEN = 'a-token-of-the-tests'
 
 
 def free_port():
-    """A TCP port that nobody uses."""
+    """A free TCP port."""
     with socket.socket() as probe:
         probe.bind(('127.0.0.1', 0))
         return probe.getsockname()[1]
@@ -40,7 +40,7 @@ class Core:
         self.start()
 
     def start(self):
-        """Start it; it answers when this returns."""
+        """Start it, and wait until it answers."""
         self._process = subprocess.Popen(
             ['roscore', '-p', os.environ['ROS_MASTER_URI'].rsplit(':', 1)[1]],
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -49,8 +49,8 @@ class Core:
 
     @contextlib.contextmanager
     def hung(self):
-        """It takes connections and answers nothing."""
-        pid = rosgraph.Master('/panel_test').getPid()      # roscore only watches this process
+        """Inside this block, it accepts connections and answers nothing."""
+        pid = rosgraph.Master('/panel_test').getPid()      # roscore itself only supervises it
         os.kill(pid, signal.SIGSTOP)
         try:
             yield
@@ -58,13 +58,13 @@ class Core:
             os.kill(pid, signal.SIGCONT)
 
     def stop(self):
-        """Nothing listens there any more when this returns."""
+        """Stop it, and wait until it has ended."""
         self._process.send_signal(signal.SIGINT)
         self._process.wait(PATIENCE)
 
 
 def publishers_and_subscribers():
-    """{topic: nodes}, of each kind."""
+    """{topic: nodes that publish it}, {topic: nodes that subscribe to it}."""
     try:
         publishers, subscribers, _services = rosgraph.Master('/panel_test').getSystemState()
     except OSError:
@@ -73,13 +73,13 @@ def publishers_and_subscribers():
 
 
 def subscribed(node):
-    """The topics that a node subscribes to; but /clock and the like, which rospy adds."""
+    """The topics that a node subscribes to, except /clock, which rospy adds."""
     return {topic for topic, nodes in publishers_and_subscribers()[1].items()
             if node in nodes and topic != '/clock'}
 
 
 class Robot:
-    """Lines, boards and a bridge. The boards talk as real ones do, until they are told not to."""
+    """Lines, boards and a bridge. The boards send as real ones do, while `sends` is true."""
 
     def __init__(self, folder):
         self.lines = {name: Line(os.path.join(folder, name)).plug()
@@ -87,32 +87,32 @@ class Robot:
         self.bus = BusBoard(self.lines['bus'].far, polled=True)
         self.car = CarBoard(self.lines['arduino'].far)
         self.sensors = SensorBoard(self.lines['mcu'].far)
-        self.rest()
+        self.reset()
         self._ended = threading.Event()
-        threading.Thread(target=self._talk, daemon=True).start()
+        threading.Thread(target=self._send, daemon=True).start()
         self.start_bridge()
 
-    def rest(self):
-        """The boards measure again what they do at first."""
+    def reset(self):
+        """The boards send the initial values again."""
         self.bus.air = AIR
         self.imu = level_imu()
         self.others = [arduino.Voltage(7.4), arduino.Ticks(3), arduino.SteeringAngle(600)]
         self.ranges = ranges()
-        self.talks = True
+        self.sends = True
 
     def start_bridge(self):
-        """Start the bridge; its services are there when this returns."""
+        """Start the bridge, and wait for its services."""
         self.bridge = Bridge(parameters={
             **{f'{name}/port': line.near for name, line in self.lines.items()},
             'bus/environment_period': 0.2, 'bus/motion_timeout': 1.0,
-            # Two whose responses have no status; the first has nothing of an outcome.
+            # The responses of both have no status; the first also has no field for success.
             'bus/functions': {
                 'beep': {'cmd2': 0x30, 'srv_type': 'std_srvs/Empty', 'timeout': 0.3},
                 'dock': {'cmd2': 0x31, 'srv_type': 'std_srvs/Trigger', 'timeout': 0.3}}})
         rospy.wait_for_service(NODE + '/calibrate_imu', PATIENCE)
 
     def end(self):
-        """All of it."""
+        """End the bridge, the boards and the lines."""
         self._ended.set()
         self.bridge.end()
         for board in (self.bus, self.car, self.sensors):
@@ -120,23 +120,23 @@ class Robot:
         for line in self.lines.values():
             line.unplug()
 
-    def _talk(self):
+    def _send(self):
         while not self._ended.wait(0.02):
-            if self.talks:
+            if self.sends:
                 self.car.say(self.imu)
                 for message in self.others:
                     self.car.say(message)
                 self.sensors.say(self.ranges)
 
     @property
-    def lifts(self):
-        """The lift's requests that the board has got."""
+    def lift_requests(self):
+        """The requests for the lift that the board has received."""
         return [frame.message for frame in list(self.bus.frames)
                 if frame.message.cmd1 == 0x55 and frame.message.cmd2 == 0x20]
 
 
 class Panel:
-    """The program. It prints into a file."""
+    """A panel in a process of its own, whose output goes to a file."""
 
     def __init__(self, *arguments, port=0, name='panel', environment=None):
         self.node = '/' + name
@@ -151,27 +151,27 @@ class Panel:
         self.token = (re.search(r'token=(.*)', self.url) or [None, None])[1]
 
     def output(self):
-        """What it has printed so far."""
+        """The output so far."""
         self._output.seek(0)
         return re.sub('\033\\[[0-9;]*m', '', self._output.read())
 
     def wait_for(self, words):
-        """It prints a line with these words."""
+        """Wait until it has printed this text."""
         until(lambda: words in self.output(), f'the panel prints {words!r}')
 
     @property
     def alive(self):
-        """Whether its process runs."""
+        """Whether the process runs."""
         return self.process.poll() is None
 
     def end(self, number=signal.SIGINT):
-        """Send a signal; the status it ends with."""
+        """Send a signal; return the exit status."""
         if self.alive:
             self.process.send_signal(number)
         return self.process.wait(PATIENCE)
 
     def get(self, path='/', **headers):
-        """A request over HTTP, exactly as told: status, headers, text."""
+        """Send an HTTP request with exactly these headers; return status, headers and text."""
         request = urllib.request.Request(f'http://127.0.0.1:{self.port}{path}', headers={
             name.replace('_', '-'): value for name, value in headers.items()})
         try:
@@ -183,7 +183,7 @@ class Panel:
 
 
 class Network:
-    """What lies between a browser and a panel: it can be cut, and it can keep all back."""
+    """A network between a browser and a panel that can be cut or delayed."""
 
     def __init__(self, panel):
         self._to = panel.port
@@ -197,7 +197,7 @@ class Network:
         threading.Thread(target=self._accept, daemon=True).start()
 
     def cut(self):
-        """Every connection ends, and no other is made."""
+        """Close every connection, and accept no other."""
         self._is_cut = True
         for end in [each for pair in self._pairs for each in pair]:
             try:
@@ -206,20 +206,20 @@ class Network:
                 pass
         self._pairs.clear()
 
-    def mend(self):
-        """Connections are made again."""
+    def restore(self):
+        """Accept connections again."""
         self._is_cut = False
 
-    def keep_back(self):
-        """Nothing arrives any more, in either way; nothing is lost."""
+    def delay(self):
+        """Deliver nothing in either direction; lose nothing."""
         self._flows.clear()
 
     def deliver(self):
-        """All that was kept back arrives, at once."""
+        """Deliver everything that was delayed, at once."""
         self._flows.set()
 
     def close(self):
-        """No more."""
+        """Close all connections and the port."""
         self._listener.close()
         self.deliver()
         self.cut()
@@ -256,17 +256,17 @@ class Network:
 
 
 class Page:
-    """The other end of a panel's WebSocket, with nothing between: it may misbehave."""
+    """A client of a panel's WebSocket, which may also misbehave."""
 
     def __init__(self, panel, token=None, watch=(), acknowledges=True, origin='', host='',
                  reads=True):
         host = host or f'127.0.0.1:{panel.port}'
         self.updates = deque(maxlen=5000)
         self.status = None          # of the HTTP answer
-        self.closed = ''            # why, once it is
+        self.closed = ''            # the reason, once it is closed
         self.now = 0.0
-        self.known = {}             # all that updates have said, the latest of each
-        self.rows = {}              # topic -> latest row by field
+        self.known = {}             # the latest value of each key of the updates
+        self.samples = {}           # topic -> latest sample by field
         self.calls = {}
         self.pongs = 0
         self.holds = 0              # presses of the driving pad
@@ -275,7 +275,7 @@ class Page:
         self._sending = threading.Lock()
         self._socket = socket.socket()
         self._socket.settimeout(PATIENCE)
-        if not reads:       # and the system takes little in its stead
+        if not reads:       # and the system buffers little
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
         self._socket.connect(('127.0.0.1', panel.port))
         lines = ['GET /socket HTTP/1.1', f'Host: {host}', 'Upgrade: websocket',
@@ -291,32 +291,32 @@ class Page:
         while self._stream.readline().strip():
             pass
         if self.status == 101:
-            self.say(watch=list(watch))
+            self.send(watch=list(watch))
             if reads:
                 threading.Thread(target=self._read, daemon=True).start()
 
-    def say(self, **what):
-        """Send a message, and what had been seen by then."""
-        self.write(json.dumps({'seen': self.now, **what}).encode())
+    def send(self, **message):
+        """Send a message with the time of the latest update."""
+        self.write(json.dumps({'seen': self.now, **message}).encode())
 
     def write(self, data, kind=0x81):
-        """Send these bytes as one message, or as one frame of another kind."""
+        """Send these bytes as one message, or as one WebSocket frame of another kind."""
         mask = os.urandom(4)
         size = struct.pack('>BB', kind, 0x80 | len(data)) if len(data) < 126 \
             else struct.pack('>BBH', kind, 0x80 | 126, len(data))
         masked = bytes(byte ^ mask[index % 4] for index, byte in enumerate(data))
-        self.flood(size + mask + masked)
+        self.send_raw(size + mask + masked)
 
-    def flood(self, data):
-        """Send these bytes, whatever they are."""
+    def send_raw(self, data):
+        """Send these bytes as they are."""
         with self._sending:
             try:
                 self._socket.sendall(data)
             except OSError:
-                pass        # `closed` tells
+                pass        # see `closed`
 
     def close(self):
-        """Go, without a word."""
+        """Close the connection without a close frame."""
         try:
             self._socket.shutdown(socket.SHUT_RDWR)
         except OSError:
@@ -347,13 +347,14 @@ class Page:
     def _take(self, update):
         self.now = update['now']
         if self.acknowledges:
-            self.say()
+            self.send()
         self.known.update(update)
-        for name, told in update.get('topics', {}).items():
-            if 'fields' in told:
-                self._fields[name] = [field[0] for field in told['fields']]
-            if told['rows']:
-                self.rows[name] = dict(zip(['time', *self._fields[name]], told['rows'][-1]))
+        for name, changes in update.get('topics', {}).items():
+            if 'fields' in changes:
+                self._fields[name] = [field[0] for field in changes['fields']]
+            if changes['samples']:
+                self.samples[name] = dict(zip(['time', *self._fields[name]],
+                                              changes['samples'][-1]))
         for call in update.get('calls', ()):
             self.calls[call['key']] = call
         self.updates.append(update)

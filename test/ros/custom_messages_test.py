@@ -1,6 +1,6 @@
 #!/usr/bin/python3
-"""Messages and functions of one's own: every example of config/own_messages.yaml and odd ones
-more, values on both sides of real ttys; and every mistake that needs ROS to be found."""
+"""Custom messages and functions: every example of config/custom_messages.yaml and more, checked by
+values on both sides of real ttys, and every mistake that only ROS can reveal."""
 import contextlib
 import io
 import os
@@ -38,21 +38,21 @@ from serial_communication.srv import GetEnvironment, Lift
 OWN = '/' + PACKAGE + '/'
 NO_REPLY = ('no reply within %g s: it is not known whether this was executed; '
             'look before you repeat it')
-EXAMPLES = __file__.rsplit('/', 3)[0] + '/config/own_messages.yaml'
+EXAMPLES = __file__.rsplit('/', 3)[0] + '/config/custom_messages.yaml'
 
 
-class OwnCar(CarBoard):
-    """The model car, which also keeps the packets whose types it does not know."""
+class RecordingCar(CarBoard):
+    """The model car, which also records the packets of unknown types."""
 
     @property
     def unknown(self):
-        """Packets of types that no built-in has, as they were on the wire."""
+        """The bytes of the packets whose types are not built in."""
         return [frame.raw for frame in self.bad]
 
 
-class OwnBoard(BusBoard):
-    """Answers functions of one's own as `answers` has it, which may be a function that returns
-    the answer; others as always. None: no answer."""
+class AnsweringBoard(BusBoard):
+    """Answers custom functions from `answers`: an answer, a function that returns it, or None for
+    no answer. It answers other requests as usual."""
 
     def __init__(self, path):
         self.answers = {}
@@ -69,12 +69,12 @@ class OwnBoard(BusBoard):
 
 
 def setUpModule():
-    """The boards, which every test here shares, and what the bridge says."""
+    """Start the boards, which all tests share, and record the log."""
     global CAR, SENSORS, BOARD, ROSOUT, DIAGNOSTICS
     line = rospy.get_param('~line')
-    CAR = OwnCar(line + '_arduino_board')
+    CAR = RecordingCar(line + '_arduino_board')
     SENSORS = SensorBoard(line + '_mcu_board')
-    BOARD = OwnBoard(line + '_bus_board')
+    BOARD = AnsweringBoard(line + '_bus_board')
     ROSOUT = Rosout()
     DIAGNOSTICS = Diagnostics()
     until(lambda: CAR.connected and SENSORS.connected, 'the boards have their ports')
@@ -82,7 +82,7 @@ def setUpModule():
 
 
 def packet(type_, data=b''):
-    """A packet on the wire, by COBS's definition."""
+    """A packet on the wire, encoded by the definition of COBS."""
     return cobs.encode(bytes((type_,)) + data) + b'\0'
 
 
@@ -90,18 +90,18 @@ class FromTheCar(unittest.TestCase):
     """Topics of the arduino link."""
 
     def first(self, name, message_class, type_, data, condition=lambda message: True):
-        """The message that a packet, sent until it is there, makes of itself."""
+        """Send a packet until its message is received, and return that."""
         topic = Topic(OWN + name, message_class)
         self.addCleanup(topic.close)
         return topic.first(condition, doing=lambda: CAR.write(packet(type_, data)),
                            what=f'has what {data.hex()} means')
 
-    def test_one_number(self):
+    def test_a_single_number_is_published(self):
         for raw, value in ((12345, 123.45), (0, 0.0), (30000, 300.0)):
             self.first('force', Float32, 32, struct.pack('<h', raw),
                        lambda message, value=value: abs(message.data - value) < 1e-4)
 
-    def test_nested_fields_a_header_big_endian_and_a_value_left_out(self):
+    def test_nested_fields_a_header_big_endian_values_and_a_value_left_out_are_published(self):
         began = rospy.Time.now()
         message = self.first('magnetic_field', MagneticField, 33, b'\xff' + struct.pack(
             '>3h', 1000, -32768, 32767))
@@ -111,7 +111,7 @@ class FromTheCar(unittest.TestCase):
         self.assertEqual(message.header.frame_id, 'robot/magnetometer')
         self.assertGreaterEqual(message.header.stamp, began)
 
-    def test_arrays_of_any_length(self):
+    def test_arrays_of_any_length_are_published(self):
         for values in (), (1,), (1, 2, 1023) * 20:
             self.first('line_sensors', UInt16MultiArray, 34,
                        struct.pack(f'<{len(values)}H', *values),
@@ -120,24 +120,24 @@ class FromTheCar(unittest.TestCase):
             self.first('bits', UInt8MultiArray, 201, values,
                        lambda message, values=values: message.data == values)
 
-    def test_elements_of_arrays_and_an_offset(self):
+    def test_elements_of_arrays_and_an_offset_are_published(self):
         message = self.first('joints', JointState, 35, struct.pack('<2H', 0, 4096))
         for value, angle in zip(message.position, (-3.141592653589793, 3.141592653589793)):
             self.assertAlmostEqual(value, angle, 12)
         self.assertEqual((len(message.position), message.velocity), (2, ()))
 
-    def test_texts(self):
+    def test_texts_are_published(self):
         for data, text in ((b'1.2', '1.2'), (b'1.2\0', '1.2'), (b'a\0b', 'a'), (b'', ''),
                            ('°'.encode(), '°'), (b'\xff', '\ufffd')):
             self.first('firmware_version', String, 36, data,
                        lambda message, text=text: message.data == text)
 
-    def test_true_and_false(self):
+    def test_bools_are_published(self):
         for data, value in ((b'\0', False), (b'\1', True), (b'\x80', True)):
             self.first('bumper', Bool, 37, data,
                        lambda message, value=value: message.data is value)
 
-    def test_an_odd_row(self):
+    def test_a_row_with_many_keys_is_published(self):
         data = struct.pack('>hxQ2sdH', -7, 2**40, b'ab', 5.5, 9)
         message = self.first('odd', CameraInfo, 200, data)
         self.assertEqual((message.height, message.P[3], message.distortion_model,
@@ -145,7 +145,7 @@ class FromTheCar(unittest.TestCase):
                          (114, 2.0**40, 'ab', 6, True))
         self.assertEqual(set(message.P[:3] + message.P[4:]), {0.0})
 
-    def test_errors_are_counted_and_shown_and_nothing_is_published(self):
+    def test_invalid_packets_are_counted_and_shown_but_not_published(self):
         topics = [Topic(OWN + 'force', Float32), Topic(OWN + 'odd', CameraInfo),
                   Topic(OWN + 'line_sensors', UInt16MultiArray)]
         frames = Topic('/serial_msg', SerialMsg)
@@ -154,16 +154,16 @@ class FromTheCar(unittest.TestCase):
         odd = '>hxQ2sdH'
         wrong = (
             (32, b'\1\2\3', 'length: force packet with 3 bytes of data where 2 is right'),
-            (32, struct.pack('<h', -1), 'implausible: force: data is -0.01, not within 0 to 300'),
+            (32, struct.pack('<h', -1), 'implausible: force: data is -0.01, out of range (0 …'),
             (34, b'\1', 'length: line_sensors packet with 1 bytes of data where 0'),
-            (34, struct.pack('<2H', 3, 1024), 'implausible: line_sensors: data is 1024, over 1023'),
+            (34, struct.pack('<2H', 3, 1024), 'implausible: line_sensors: data is 1024, above'),
             (200, struct.pack(odd, 51, 0, b'', 0.0, 0), 'implausible: odd: height is -2, which'),
             (200, struct.pack(odd, 0, 0, b'', -1.0, 0), 'implausible: odd: roi.x_offset is -1'),
             (200, struct.pack(odd, 0, 0, b'', float('nan'), 0), 'implausible: odd: roi.x_off'))
         for type_, data, said in wrong:
             frames.first(lambda m, said=said: m.error.startswith(said), what=said,
                          doing=lambda t=type_, d=data: CAR.write(packet(t, d)), seconds=5)
-        # What comes on a topic behind them is the first that comes on it.
+        # The next valid message is the first on its topic.
         for topic, type_, data in ((topics[0], 32, struct.pack('<h', 7)),
                                    (topics[1], 200, struct.pack(odd, 0, 0, b'', 0.0, 0)),
                                    (topics[2], 34, b'\5\0')):
@@ -176,7 +176,7 @@ class FromTheCar(unittest.TestCase):
             and int(s.keys['length errors']) >= 2, 'they are counted').keys
         self.assertEqual(keys['unknown type errors'], '0')
 
-    def test_texts_of_serial_msg_have_name_and_values(self):
+    def test_texts_of_serial_msg_have_the_name_and_the_values(self):
         frames = Topic('/serial_msg', SerialMsg)
         self.addCleanup(frames.close)
         for type_, data, text in (
@@ -189,7 +189,7 @@ class FromTheCar(unittest.TestCase):
                              (text, 'arduino', data))
             frames.forget()
 
-    def test_a_number_that_is_none_is_neither_true_nor_false(self):
+    def test_nan_is_implausible_for_a_bool(self):
         truth, frames = Topic(OWN + 'ready', Bool), Topic('/serial_msg', SerialMsg)
         for topic in truth, frames:
             self.addCleanup(topic.close)
@@ -199,14 +199,14 @@ class FromTheCar(unittest.TestCase):
         for number, value in ((0.0, False), (0.3, True)):
             truth.first(lambda m, v=value: m.data is v,
                         doing=lambda n=number: CAR.write(packet(206, struct.pack('<f', n))))
-        self.assertIs(truth.messages[0].data, False)    # nothing came of what was before
+        self.assertIs(truth.messages[0].data, False)    # nothing else was published before
 
-    def test_a_row_may_be_named_as_a_keyword_of_python(self):
+    def test_a_row_may_have_the_name_of_a_python_keyword(self):
         self.first('class', Bool, 207, b'\1', lambda m: m.data is True)
 
 
 class ToTheCar(unittest.TestCase):
-    """Commands of one's own."""
+    """Custom commands."""
 
     def command(self, name, message_class):
         topic = rospy.Publisher(OWN + name, message_class, queue_size=10)
@@ -218,7 +218,7 @@ class ToTheCar(unittest.TestCase):
         topic.publish(message)
         until(lambda: expected in CAR.unknown, f'{expected} on the wire')
 
-    def test_their_exact_bytes(self):
+    def test_commands_have_their_exact_bytes(self):
         gripper = self.command('gripper', Vector3)
         for x, z, raw in ((12.5, 0.5, (125, 128)), (-100, 0, (-1000, 0)), (100, 1, (1000, 255))):
             self.sends(gripper, Vector3(x, 7.0, z), packet(48, struct.pack('<hB', *raw)))
@@ -230,32 +230,33 @@ class ToTheCar(unittest.TestCase):
         self.sends(self.command('third', JointState), JointState(position=[7, 8, 9]),
                    packet(204, struct.pack('<h', 9)))
 
-    def test_what_cannot_be_sent_is_refused_with_a_warning(self):
+    def test_commands_that_cannot_be_sent_are_refused_with_a_warning(self):
         say = self.command('say', String)
         several = self.command('several', Int16MultiArray)
         offset = Int16MultiArray()
         offset.layout.data_offset = 256
         for topic, message, said in (
                 (self.command('gripper', Vector3), Vector3(100.1, 0, 0),
-                 'gripper refused: x is 100.1, not within -100 to 100'),
-                # Not of the gripper too: the log says that of each command every 10 s.
+                 'gripper refused: x is 100.1, out of range (-100 … 100)'),
+                # Not the gripper again: the log has a warning for each command every 10 s only.
                 (self.command('clamp', Vector3), Vector3(float('nan'), 0, 0),
                  'clamp refused: x is nan'),
                 (self.command('enable', Float32), Float32(float('nan')),
                  'enable refused: data is nan, which its place (?) cannot hold'),
                 (several, offset, 'several refused: layout.data_offset is 256, which its place'),
-                (several, Int16MultiArray(data=[0] * 200), 'at most 255 bytes'),
+                (several, Int16MultiArray(data=[0] * 200),
+                 '401 bytes of data, a packet holds at most 255'),
                 (say, String('a\0b'), "say refused: data is 'a\\x00b', which its place"),
                 (self.command('third', JointState), JointState(position=[1, 2]),
                  'third refused: position has no element 2')):
             with self.subTest(said):
                 ROSOUT.wait_for(PACKAGE, said, doing=lambda t=topic, m=message: t.publish(m))
-        # None of it reached the line: what comes next is the first of its type.
+        # None of them was sent: the next command is the first of its type.
         self.sends(say, String('after'), packet(202, b'after'))
         sent = [frame for frame in CAR.unknown if frame[1:2] == b'\xca']
         self.assertNotIn(packet(202, b'a\0b'), sent)
 
-    def test_the_rules_of_commands_hold(self):
+    def test_custom_commands_follow_the_rules_of_commands(self):
         topic = rospy.Publisher('/closed/gripper', Vector3, queue_size=10)
         self.addCleanup(topic.unregister)
         ROSOUT.wait_for('closed', 'gripper x=1 z=0.2 refused: ',
@@ -266,7 +267,7 @@ class ToTheCar(unittest.TestCase):
 class FromTheSensors(unittest.TestCase):
     """Topics of the mcu link."""
 
-    def test_a_frame_of_ones_own(self):
+    def test_a_custom_frame_is_published(self):
         topic = Topic('/mcu/cliff', Range)
         self.addCleanup(topic.close)
         seqs = iter(range(1 << 30))
@@ -277,7 +278,7 @@ class FromTheSensors(unittest.TestCase):
         frames = Topic('/serial_msg', SerialMsg)
         self.addCleanup(frames.close)
         for data, error in ((b'\1\0\0', 'length: cliff frame with 3 bytes of data where 2 is'),
-                            (struct.pack('<H', 2001), 'implausible: cliff: range is 2.001, over'),
+                            (struct.pack('<H', 2001), 'implausible: cliff: range is 2.001, abo'),
                             (struct.pack('<H', 2000), '')):
             frames.first(lambda m, e=error: m.type == 0x20 and m.error.startswith(e),
                          doing=lambda d=data: SENSORS.write(mcu.encode_raw(
@@ -285,7 +286,7 @@ class FromTheSensors(unittest.TestCase):
 
 
 class Functions(unittest.TestCase):
-    """Functions of the bus: services and what is polled."""
+    """Custom functions of the bus: services and polled topics."""
 
     def setUp(self):
         until(lambda: BOARD.connected and bus.SYNC_REQUEST in [f.message for f in BOARD.all],
@@ -300,7 +301,7 @@ class Functions(unittest.TestCase):
         return [frame.raw for frame in BOARD.all
                 if frame.type == bus.FUNCTION and frame.command == cmd2]
 
-    def test_a_request_and_its_answer(self):
+    def test_a_call_sends_its_request_and_returns_the_reply(self):
         BOARD.answers[0x30] = bus.Reply(bus.OK)
         answer = self.call('pump', SetBool, True).result()
         self.assertEqual((answer.success, answer.message), (True, 'done: pump data=true'))
@@ -313,7 +314,7 @@ class Functions(unittest.TestCase):
         answer = self.call('pump', SetBool, False).result()
         self.assertTrue(answer.success, 'a board may send data where none is expected')
 
-    def test_outcome_and_values_in_one_response(self):
+    def test_a_response_has_the_outcome_and_the_values(self):
         BOARD.answers[0x35] = bus.Reply(bus.OK, b'\0')
         answer = self.call('gentle', Lift, 1, 9).result()
         self.assertEqual((answer.success, answer.status, answer.error_code), (True, bus.OK, 0))
@@ -321,10 +322,10 @@ class Functions(unittest.TestCase):
         before = len(self.asked(0x35))
         answer = self.call('gentle', Lift, 1, 10).result()
         self.assertEqual((answer.success, answer.status), (False, NOT_SENT))
-        self.assertIn('distance is 10, over 9', answer.message)
+        self.assertIn('distance is 10, above the maximum of 9', answer.message)
         self.assertEqual(len(self.asked(0x35)), before)
 
-    def test_it_is_never_sent_twice_unless_it_may_be(self):
+    def test_only_a_repeatable_request_is_sent_twice(self):
         BOARD.answers[0x35] = None
         before = len(self.asked(0x35))
         answer = self.call('gentle', Lift, 0, 1).result()
@@ -335,18 +336,18 @@ class Functions(unittest.TestCase):
         self.assertFalse(self.call('reading', Trigger).result().success)
         self.assertEqual(len(self.asked(0x36)), before + 3)
 
-    def test_values_beyond_their_limits_in_a_reply(self):
+    def test_a_reply_with_a_value_out_of_range_is_an_error(self):
         BOARD.answers[0x36] = bus.Reply(bus.OK, b'ok\5')
         answer = self.call('reading', Trigger).result()
         self.assertEqual((answer.success, answer.message), (True, 'ok'))
         BOARD.answers[0x36] = bus.Reply(bus.OK, b'ok\6')
         answer = self.call('reading', Trigger).result()
         self.assertFalse(answer.success)
-        self.assertIn('6, over 5', answer.message)
+        self.assertIn('6, above the maximum of 5', answer.message)
         DIAGNOSTICS.wait_for('bus', lambda s: int(s.keys['implausible errors']) >= 1,
                              'it is counted')
 
-    def test_nested_fields_of_a_response(self):
+    def test_a_response_may_have_nested_fields(self):
         BOARD.answers[0x33] = bus.Reply(bus.OK, struct.pack('<HhH', 7, -1250, 5000))
         answer = self.call('raw_environment', GetEnvironment).result()
         self.assertTrue(answer.success)
@@ -366,7 +367,7 @@ class Functions(unittest.TestCase):
         self.assert_error('level', Verdict.NOT_KNOWN, 'status 254 (not known): ', NO_REPLY % 0.3)
 
     def assert_error(self, name, verdict, status, message):
-        """Calling a service whose type has nothing of an outcome raises this."""
+        """A service whose type has no outcome fields raises this."""
         with self.assertRaises(rospy.ServiceException) as caught:
             self.call(name, GetLoggers).result()
         self.assertIn(status + message, str(caught.exception))
@@ -374,7 +375,7 @@ class Functions(unittest.TestCase):
 
     @contextlib.contextmanager
     def answering_late(self, cmd2, reply):
-        """The board executes the next request, and answers it as this ends."""
+        """The board executes the next request, and answers it when the block ends."""
         called = threading.Event()
 
         def answer():
@@ -387,14 +388,14 @@ class Functions(unittest.TestCase):
         finally:
             called.set()
 
-    def test_what_was_executed_and_answered_too_late_is_not_known(self):
+    def test_the_outcome_of_a_late_reply_is_not_known(self):
         with self.answering_late(0x34, bus.Reply(bus.OK, b'full')):
             self.assert_error('level', Verdict.NOT_KNOWN, 'status 254 (not known): ',
                               NO_REPLY % 0.3)
         answer = self.call('level', GetLoggers).result()
         self.assertEqual([logger.name for logger in answer.loggers], ['full'])
 
-    def test_so_it_is_in_the_message_where_the_type_has_success_but_no_status(self):
+    def test_the_message_has_the_outcome_if_the_type_has_success_but_no_status(self):
         with self.answering_late(0x30, bus.Reply(bus.OK)):
             answer = self.call('pump', SetBool, True).result()
         self.assertEqual((answer.success, answer.message),
@@ -405,7 +406,7 @@ class Functions(unittest.TestCase):
         self.assertEqual(read_response(answer), (
             Verdict.REFUSED, 'the board refused: 0x8002: the operation failed'))
 
-    def test_callers_read_the_status_where_there_is_one(self):
+    def test_callers_read_the_status_if_there_is_one(self):
         for reply, verdict in ((bus.Reply(bus.OK, b'\0'), Verdict.DONE),
                                (bus.Reply(bus.OK, b'\0\0'), Verdict.NOT_KNOWN),
                                (bus.Reply(bus.ERROR, b'\2\x80'), Verdict.REFUSED),
@@ -417,14 +418,14 @@ class Functions(unittest.TestCase):
             self.assertIn(answer.message, words)
             self.assertEqual('look before you repeat it' in words, verdict is Verdict.NOT_KNOWN)
 
-    def test_a_function_of_a_closed_port_is_not_sent(self):
+    def test_a_function_is_not_sent_to_a_closed_port(self):
         rospy.wait_for_service('/closed/pump', 10)
         answer = rospy.ServiceProxy('/closed/pump', SetBool)(True)
         self.assertFalse(answer.success)
         self.assertIn('nothing was sent', answer.message)
         self.assertIs(read_response(answer)[0], Verdict.REFUSED)
 
-    def test_what_is_polled_is_published(self):
+    def test_replies_of_polled_functions_are_published(self):
         BOARD.answers[0x32] = bus.Reply(bus.OK, struct.pack('<H', 10132))
         topic = Topic(OWN + 'tank', FluidPressure)
         frames = Topic('/serial_msg', SerialMsg)
@@ -438,29 +439,29 @@ class Functions(unittest.TestCase):
 
 
 class OtherEnds(unittest.TestCase):
-    """What a caller reads where it is not the bridge that answers."""
+    """What a caller reads if something other than the bridge answers."""
 
     def verdict(self, uri):
-        """Of a call of a service that is said to be there."""
-        master = rosgraph.Master('/somebody')      # not this node, whose address is another
+        """The verdict of a call of a service that is registered at a URI."""
+        master = rosgraph.Master('/somebody')      # another node than this one
         master.registerService('/elsewhere', uri, 'http://127.0.0.1:9/')
         self.addCleanup(master.unregisterService, '/elsewhere', uri)
         with self.assertRaises(rospy.ServiceException) as caught:
             rospy.ServiceProxy('/elsewhere', Trigger)()
         return read_error(caught.exception)
 
-    def test_nothing_was_sent_where_nobody_listens(self):
+    def test_nothing_was_sent_if_nobody_listens(self):
         with socket.socket() as unused:
             unused.bind(('127.0.0.1', 0))
             self.assertEqual(self.verdict('rosrpc://127.0.0.1:%d' % unused.getsockname()[1]),
                              (Verdict.REFUSED, 'nothing was sent: the bridge does not answer'))
 
-    def test_a_connection_that_ends_in_the_middle_of_a_call_leaves_it_not_known(self):
+    def test_the_outcome_is_not_known_if_the_connection_ends_during_a_call(self):
         verdict, words = self.verdict(self.serve(lambda connection: None))
         self.assertIs(verdict, Verdict.NOT_KNOWN)
-        self.assertRegex(words, '^no answer came: .*; look before you repeat it$')
+        self.assertRegex(words, '^no answer was received: .*; look before you repeat it$')
 
-    def test_an_error_of_another_form_leaves_it_not_known(self):
+    def test_the_outcome_is_not_known_after_an_error_of_another_form(self):
         said = b'error processing request: "\xc3\xbc"'
         verdict, words = self.verdict(self.serve(lambda connection: connection.sendall(
             struct.pack('<BI', 0, len(said)) + said)))
@@ -468,7 +469,7 @@ class OtherEnds(unittest.TestCase):
         self.assertEqual(words, 'error processing request: "\u00fc"; look before you repeat it')
 
     def serve(self, answer):
-        """The URI of a service that takes one request and answers it so."""
+        """Start a service that answers one request with these bytes; return its URI."""
         server = socket.socket()
         self.addCleanup(server.close)
         server.bind(('127.0.0.1', 0))
@@ -488,14 +489,14 @@ class OtherEnds(unittest.TestCase):
 
 
 class Names(unittest.TestCase):
-    """What is registered, and what may not be."""
+    """Names of topics and services."""
 
-    def test_every_name_of_the_bridge_is_taken(self):
+    def test_every_name_of_the_bridge_is_reserved(self):
         published, subscribed, services = rosgraph.Master('/test').getSystemState()
         with open(EXAMPLES) as file:
             rows = yaml.safe_load(file)
         own = set(rows['arduino']['messages']) | set(rows['bus']['functions'])
-        # `closed` has the examples and no others.
+        # `closed` has only the examples.
         names = {name.split('/')[2] for kind in (published, subscribed, services)
                  for name, nodes in kind if '/closed' in nodes and name.startswith('/closed/')}
         self.assertTrue(own <= names)
@@ -509,7 +510,7 @@ PUMP = {'cmd2': 0x30, 'srv_type': 'std_srvs/SetBool'}
 
 
 class Mistakes(unittest.TestCase):
-    """What only ROS can tell of a row."""
+    """Mistakes in rows that only ROS can reveal."""
 
     def assert_mistake(self, group, name, row, key, said):
         section, rows = group.split('/')
@@ -522,41 +523,43 @@ class Mistakes(unittest.TestCase):
         self.assertIn(said.rstrip('$'), text)
         self.assertNotIn('\n', text)
 
-    def test_types_fields_and_names(self):
+    def test_wrong_types_fields_and_names_are_refused(self):
         for changes, key, said in (
                 ({'ros_type': 'std_msgs/Flot32'}, '/ros_type', 'did you mean std_msgs/Float32?'),
                 ({'ros_type': 'std_msg/Float32'}, '/ros_type', 'did you mean std_msgs/Float32?'),
-                # Only types that there are: shape_msgs is installed, but has no such one.
-                ({'ros_type': 'ackermann_msgs/AckermannDrive'}, '/ros_type', 'is no installed '
-                 'type: a package ackermann_msgs with such types is not installed, or its '
-                 'workspace not sourced$'),
+                # Only installed types are suggested; shape_msgs has no such type.
+                ({'ros_type': 'ackermann_msgs/AckermannDrive'}, '/ros_type', 'is not an '
+                 'installed type: the package ackermann_msgs is not installed or has no such '
+                 'types, or its workspace is not sourced$'),
                 ({'ros_type': 'geometry_msgs/Imu'}, '/ros_type',
-                 'is no installed type; did you mean sensor_msgs/Imu?'),
-                # Modules, and what stands in them, that are no messages.
-                ({'ros_type': 'rospy/struct'}, '/ros_type', 'rospy with such types'),
-                ({'ros_type': 'rospy/AnyMsg'}, '/ros_type', 'rospy with such types'),
-                ({'ros_type': 'os/path'}, '/ros_type', 'os with such types'),
+                 'is not an installed type; did you mean sensor_msgs/Imu?'),
+                # Modules and classes that are not messages.
+                ({'ros_type': 'rospy/struct'}, '/ros_type', 'rospy is not installed or has'),
+                ({'ros_type': 'rospy/AnyMsg'}, '/ros_type', 'rospy is not installed or has'),
+                ({'ros_type': 'os/path'}, '/ros_type', 'os is not installed or has no such'),
                 ({'fields': ['dta']}, '/fields', 'has no field dta; did you mean data?'),
-                ({'fields': ['data.x']}, '/fields', 'may not go on behind data, which is float32'),
-                ({'fields': ['data[0]']}, '/fields', 'data is no array'),
-                ({'layout': '<s'}, '/fields', 'is float32; a text needs a string'),
-                ({'layout': '<h*'}, '/fields', 'a * needs an array of any length'),
+                ({'fields': ['data.x']}, '/fields', 'must end at data, a float32 without fields'),
+                ({'fields': ['data[0]']}, '/fields', 'data is not an array'),
+                ({'layout': '<s'}, '/fields',
+                 'is float32; the text (s) in the layout needs a string'),
+                ({'layout': '<h*'}, '/fields', 'the * in the layout needs an array of any length'),
                 ({'frame_id': 'x'}, '/frame_id', 'needs a type with a header'),
-                ({'ros_type': 'std_msgs/String'}, '/fields', 'is string, which holds no number'),
+                ({'ros_type': 'std_msgs/String'}, '/fields',
+                 'is string, which cannot hold a number'),
                 ({'ros_type': 'std_msgs/Header', 'fields': ['stamp']}, '/fields', 'is time'),
                 ({'ros_type': 'sensor_msgs/Imu', 'fields': ['orientation_covariance']}, '/fields',
-                 'one number needs one element, as orientation_covariance[0]'),
+                 'a single number needs one element, such as orientation_covariance[0]'),
                 ({'ros_type': 'sensor_msgs/Imu', 'fields': ['orientation_covariance[9]']},
                  '/fields', 'orientation_covariance has elements 0 to 8'),
                 ({'ros_type': 'sensor_msgs/Imu', 'fields': ['orientation.q']}, '/fields',
                  'geometry_msgs/Quaternion has no field q; it has x, y, z, w'),
                 ({'layout': '<h*', 'ros_type': 'sensor_msgs/Imu',
-                  'fields': ['orientation_covariance']}, '/fields', 'a * needs an array of any'),
+                  'fields': ['orientation_covariance']}, '/fields', 'needs an array of any'),
                 ({'scale': 0}, '/scale', 'may be a number but 0')):
             with self.subTest(said):
                 self.assert_mistake('arduino/messages', 'force', dict(FORCE, **changes), key, said)
         for changes, key, said in (
-                ({'srv_type': 'std_srvs/SetBoolRequest'}, '/srv_type', 'no installed type; did '
+                ({'srv_type': 'std_srvs/SetBoolRequest'}, '/srv_type', 'not an installed type; did '
                  'you mean std_srvs/SetBool?'),
                 ({'srv_type': 'std_srv/SetBool'}, '/srv_type', 'did you mean std_srvs/SetBool?'),
                 ({'srv_type': 'std_srvs/SetBol'}, '/srv_type', 'did you mean std_srvs/SetBool?'),
@@ -567,18 +570,18 @@ class Mistakes(unittest.TestCase):
             with self.subTest(said):
                 self.assert_mistake('bus/functions', 'pump', dict(PUMP, **changes), key, said)
 
-    def test_values_with_one_place_in_the_message(self):
+    def test_values_that_overlap_in_the_message_are_refused(self):
         for layout, fields, said in (
                 ('<hh*', ['position[2]', 'position'], 'position[2]'),
                 ('<hh', ['position[0]', 'position[00]'], 'position[0]')):
             self.assert_mistake('arduino/messages', 'arm', dict(
                 FORCE, ros_type='sensor_msgs/JointState', layout=layout, fields=fields),
-                '/fields', f"is '{said}' (str), has its place in that of {fields[1]}")
+                '/fields', f"is '{said}' (str), overlaps with {fields[1]}")
         check({'arduino': {'messages': {'arm': dict(
             FORCE, ros_type='sensor_msgs/JointState', layout='<hhh*',
             fields=['position[0]', 'position[2]', 'velocity'])}}}, '/node')
 
-    def test_a_package_that_cannot_be_imported(self):
+    def test_a_type_in_a_package_that_cannot_be_imported_is_refused(self):
         for body in 'raise SystemExit(3)', 'import serial_communication.nothing', '1 / 0', '1 +':
             with self.subTest(body), tempfile.TemporaryDirectory() as folder:
                 os.makedirs(os.path.join(folder, 'broken_msgs', 'msg'))
@@ -586,27 +589,28 @@ class Mistakes(unittest.TestCase):
                     file.write(body)
                 with mock.patch.object(sys, 'path', [*sys.path, folder]):
                     self.assert_mistake('arduino/messages', 'force', dict(
-                        FORCE, ros_type='broken_msgs/Broken'), '/ros_type', 'no installed type')
+                        FORCE, ros_type='broken_msgs/Broken'), '/ros_type',
+                                        'not an installed type')
 
-    def test_names_that_are_taken(self):
+    def test_reserved_and_repeated_names_are_refused(self):
         for group, name, row in (
                 ('arduino/messages', 'voltage', FORCE), ('arduino/messages', 'lift', FORCE),
                 ('mcu/messages', 'range_1', FORCE), ('bus/functions', 'gimbal', PUMP)):
-            self.assert_mistake(group, name, row, '', 'may have a name that the bridge has not')
+            self.assert_mistake(group, name, row, '', 'may not be a name that the bridge uses')
         with self.assertRaisesRegex(ParameterError,
-                                    'arduino/messages/both is .* bus/functions/both'):
+                                    'arduino/messages/both has the name of .*bus/functions/both'):
             check({'arduino': {'messages': {'both': FORCE}},
                    'bus': {'functions': {'both': PUMP}}}, '/node')
-        # These are other names: mcu/imu is not ~force, and a topic may be called as a parameter.
+        # These names differ: mcu/imu is not ~imu, and a topic may have the name of a parameter.
         check({'arduino': {'messages': {'status': FORCE, 'port': dict(FORCE, type=33)}},
                'mcu': {'messages': {'voltage': FORCE}}}, '/node')
 
-    def test_no_rows_by_default(self):
+    def test_there_are_no_rows_by_default(self):
         values, _ = check({}, '/node')
         for name in 'arduino/messages', 'mcu/messages', 'bus/functions':
             self.assertEqual((PARAMETERS[name].default, values[name]), ({}, []))
 
 
 if __name__ == '__main__':
-    rospy.init_node('own_messages_test')
-    rostest.rosrun(PACKAGE, 'own_messages', '__main__')
+    rospy.init_node('custom_messages_test')
+    rostest.rosrun(PACKAGE, 'custom_messages', '__main__')

@@ -1,6 +1,6 @@
 #!/usr/bin/python3
-"""doc/own_messages.md, step by step: its files, its commands, and its firmware on an emulated
-board."""
+"""Follows doc/custom_messages.md step by step, with its files, its commands, and its firmware on an
+emulated board."""
 import os
 import re
 import shutil
@@ -17,9 +17,9 @@ from avr_boards import EmulatedBoard, build_firmware
 from boards import PACKAGE, PATIENCE, Topic, own_folder, until
 
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
-PAGE = os.path.join(ROOT, 'doc', 'own_messages.md')
+PAGE = os.path.join(ROOT, 'doc', 'custom_messages.md')
 SKETCHES = ('nano_car/nano_car.ino', 'ctrl_board/ctrl_board.ino')
-PORT = '/dev/ttyUSB0'      # as the page calls it
+PORT = '/dev/ttyUSB0'      # the page's name of the port
 
 
 def blocks():
@@ -29,7 +29,7 @@ def blocks():
 
 
 class Tutorial(unittest.TestCase):
-    """The page as a reader follows it."""
+    """Follows the page as a reader does."""
 
     def setUp(self):
         self.folder = own_folder()
@@ -40,16 +40,16 @@ class Tutorial(unittest.TestCase):
         self.addCleanup(self.board.close)
 
     def end(self):
-        """Ctrl-C in the terminal where roslaunch runs."""
+        """Send Ctrl-C to roslaunch."""
         if self.launched and self.launched.poll() is None:
             os.killpg(self.launched.pid, signal.SIGINT)
             self.launched.wait(PATIENCE)
 
     def run_line(self, line):
-        """One line of a block of commands."""
+        """Run one line of a block of commands."""
         line = line.replace(PORT, self.board.port)
         if 'flash' in line.split():
-            return      # the emulator has that image already
+            return      # the emulator already has the image
         if line.startswith('roslaunch'):
             self.end()
             self.output = tempfile.TemporaryFile('w+')
@@ -58,17 +58,17 @@ class Tutorial(unittest.TestCase):
                                              start_new_session=True)
             until(lambda: 'open' in self.said(), f'{line} opens a port', every=0.1)
             return
-        # As a reader does: again, if the bridge was not there yet.
+        # Repeat it if the bridge was not running yet, as a reader does.
         until(lambda: subprocess.run(
             ['bash', '-c', 'timeout 8 ' + line], cwd=self.folder, stdout=subprocess.DEVNULL,
             stderr=subprocess.STDOUT).returncode == 0, f'{line} succeeds', 4 * PATIENCE)
 
     def said(self):
-        """What roslaunch has printed."""
+        """The output of roslaunch."""
         self.output.seek(0)
         return self.output.read()
 
-    def test_every_step_in_its_order(self):
+    def test_every_step_of_the_page_works(self):
         self.board.set('force', 500)
         commands = 0
         for language, name, text in blocks():
@@ -83,7 +83,7 @@ class Tutorial(unittest.TestCase):
         self.assertGreater(commands, 8)
 
     def check(self, line):
-        """What the page's words promise of a command."""
+        """Check what the page says about a command."""
         if PORT in line and line.startswith('roslaunch'):
             topic = Topic('/serial_communication/force', Float32)
             topic.first(lambda m: abs(m.data - 145.0) < 1e-3, what='is 500 * 29 / 100 N')
@@ -92,7 +92,7 @@ class Tutorial(unittest.TestCase):
             until(lambda: self.board.get('gripper_pwm') == (500 + 1000) * 255 // 2000,
                   'the gripper moves')
 
-    def test_the_firmware_of_the_page_is_that_of_the_sketches(self):
+    def test_the_page_has_the_firmware_of_the_sketches(self):
         sources = ''
         for sketch in SKETCHES:
             with open(os.path.join(ROOT, 'firmware', sketch), encoding='utf-8') as file:
@@ -103,8 +103,8 @@ class Tutorial(unittest.TestCase):
             for part in text.strip('\n').split('\n\n'):
                 self.assertIn(part, sources)
 
-    def test_it_is_as_short_as_it_says(self):
-        """Ten lines of firmware and five of YAML."""
+    def test_the_example_has_ten_lines_of_firmware_and_five_of_yaml(self):
+        """The page says so."""
         rows = [text for language, _, text in blocks() if language == 'yaml'][0]
         self.assertLessEqual(len(rows.splitlines()), 5)
         firmware = [text for language, _, text in blocks() if language == 'cpp'][:2]
@@ -112,5 +112,5 @@ class Tutorial(unittest.TestCase):
 
 
 if __name__ == '__main__':
-    rospy.init_node('own_tutorial_test')
-    rostest.rosrun(PACKAGE, 'own_tutorial', '__main__')
+    rospy.init_node('custom_tutorial_test')
+    rostest.rosrun(PACKAGE, 'custom_tutorial', '__main__')

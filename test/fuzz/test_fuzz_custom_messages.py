@@ -1,5 +1,5 @@
-"""Any valid rows, any values: from the board over a real tty to the fields of a ROS message as a
-subscriber gets it, and from a message as a publisher makes it back to the board's bytes."""
+"""Any valid rows and any values, in both directions: from a board over a real tty to the fields of
+a ROS message that a subscriber gets, and from a published message to the bytes for the board."""
 import logging
 import math
 import os
@@ -14,7 +14,7 @@ import pytest
 import waiting
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from own_rows import encoded, layout_and_raws
+from custom_rows import encoded, layout_and_raws
 
 pytest.importorskip('rospy')
 from sensor_msgs.msg import CameraInfo  # noqa: E402
@@ -30,14 +30,14 @@ from serial_communication.transport.port import Port  # noqa: E402
 PATIENCE = 10.0     # s; only a test that fails waits as long
 until = partial(waiting.until, seconds=PATIENCE, every=0.001)
 
-# A type that has everything: whole numbers, fractions, a bool, a text, arrays of both kinds.
+# CameraInfo has all kinds of fields: integers, fractions, a bool, a text, and both kinds of arrays.
 WHOLE = ('height', 'width', 'binning_x', 'binning_y', 'roi.x_offset', 'roi.height')   # uint32
 FRACTIONS = tuple(f'{name}[{index}]' for name in 'KP' for index in range(4))          # float64
 TRUTHS = ('roi.do_rectify',)
 
 
 def published_as(ros_type, layout):
-    """The class of a message with one value, which goes on into the field `data`."""
+    """The class of a message with one value, which is published in the field `data`."""
     row, = message_rows(DESCRIPTION, {'own': {'type': 32, 'ros_type': f'std_msgs/{ros_type}',
                                               'layout': layout, 'fields': ['data']}})
     return row.kind
@@ -49,27 +49,27 @@ def published_as(ros_type, layout):
     ('Int32', -2**31, 2**31 - 1, [-2**31 - 1, 2**31]), ('UInt32', 0, 2**32 - 1, [-1, 2**32]),
     ('Int64', -2**63, 2**63 - 1, [-2**64, 2**63]), ('UInt64', 0, 2**64 - 1, [-1, 2**64]),
     ('Float32', -3.4e38, 3.4e38, [-7e38, 7e38]), ('Float64', -1e308, 1e308, [])])
-def test_what_a_field_of_the_ros_message_cannot_hold_is_implausible(ros_type, least, most, beyond):
+def test_a_value_that_its_ros_field_cannot_hold_is_implausible(ros_type, least, most, beyond):
     kind = published_as(ros_type, '<d')
     no_numbers = [math.nan, math.inf, -math.inf]
     holds_them = ros_type.startswith('Float')
     for value in [least, most, (least + most) / 2] + no_numbers * holds_them:
         assert not kind(value).implausible(), value
     for value in beyond + no_numbers * (not holds_them):
-        assert kind(value).implausible() == (f'data is {value:.6g}, which its place in the message '
+        assert kind(value).implausible() == (f'data is {value:.6g}, which its ROS field '
                                              'cannot hold')
 
 
-def test_each_number_of_an_array_has_to_fit_its_field():
+def test_an_array_with_a_number_that_its_field_cannot_hold_is_implausible():
     kind = published_as('UInt8MultiArray', '<h*')
     assert not kind((0, 255)).implausible()
-    assert kind((0, 256)).implausible().startswith('data is 256, which its place')
+    assert kind((0, 256)).implausible().startswith('data is 256, which its ROS field')
     assert published_as('UInt8', '<B')(255).implausible() == ''
 
 
 @st.composite
 def row_and_raws(draw):
-    """A valid entry for a CameraInfo, and raw numbers for it."""
+    """A valid row for a CameraInfo, and raw numbers for it."""
     layout, raws = draw(layout_and_raws())
     paths = draw(st.permutations(WHOLE + FRACTIONS + TRUTHS))[:len(raws)]
     if layout[-1] in '*s':
@@ -82,7 +82,7 @@ def row_and_raws(draw):
 
 
 def expected_of(row, raws):
-    """What each field is to be, by the contract; None where a value cannot be."""
+    """The expected value of each field; None for a value that is implausible."""
     wanted = []
     scales, offsets = (row[key] if isinstance(row[key], list) else [row[key]] * len(raws)
                        for key in ('scale', 'offset'))
@@ -107,20 +107,20 @@ def expected_of(row, raws):
 
 
 def field(message, path):
-    """The value at a path, by Python's own means."""
+    """The value at a path, evaluated by Python."""
     value = eval('message.' + path, {'message': message})   # a path of this file
     return list(value) if isinstance(value, tuple) else value
 
 
 def delivered(message):
-    """The message as the other side of a topic has it."""
+    """The message that a subscriber gets."""
     buffer = BytesIO()
     message.serialize(buffer)
     return CameraInfo().deserialize(buffer.getvalue())
 
 
 class Stage:
-    """A link on a real tty, whose other end is here."""
+    """A link on a real tty, whose other end this process has."""
 
     def __init__(self, rows):
         self.near, slave = pty.openpty()
@@ -128,7 +128,7 @@ class Stage:
         self.got = deque()
         self.link = ArduinoLink(
             Port(os.ttyname(slave), 115200), messages=[
-                row.kind for row in rows if not row.own.is_command],
+                row.kind for row in rows if not row.custom.is_command],
             on_message=lambda message, stamp: self.got.append(message),
             logger=logging.getLogger('fuzz'))
         self._slave = slave
@@ -147,7 +147,7 @@ class Stage:
                 return
 
     def sent(self, type_):
-        """The data of the first packet of a type that has come."""
+        """Wait for a packet of a type; return the data of the first."""
         decoded = [cobs.decode(each) for each in self._packets.split(b'\0')[:-1] if each]
         return [each[1:] for each in decoded if each[0] == type_]
 
@@ -162,13 +162,13 @@ class Stage:
 
 @settings(max_examples=max(20, settings().max_examples // 2))
 @given(st.lists(row_and_raws(), min_size=1, max_size=6))
-def test_any_rows_and_values_from_the_board_to_the_topic_and_back(cases):
+def test_any_values_of_any_rows_are_published_and_sent_back_unchanged(cases):
     entries = {}
     for index, (row, _) in enumerate(cases):
         entries[f'from{index}'] = dict(row, type=20 + index)
         entries[f'to{index}'] = dict(row, type=120 + index, direction='to_board')
     checked, _ = check({'arduino': {'messages': entries}}, '/node')
-    rows = {row.own.name: row for row in checked['arduino/messages']}
+    rows = {row.custom.name: row for row in checked['arduino/messages']}
     stage = Stage(rows.values())
     try:
         for index, (row, raws) in enumerate(cases):
@@ -193,11 +193,11 @@ def test_any_rows_and_values_from_the_board_to_the_topic_and_back(cases):
 
 
 def check_way_back(stage, back, row, raws, message, data):
-    """What was received, published to the board: the same bytes, where nothing was lost."""
+    """Publish the received message to the board; the bytes are the same, unless rounded."""
     try:
         stage.link.command(back.kind(*back.fields.read(message)))
     except Refused:
-        # Rounding and scaling lead out of the raw number's range by a step, no more.
+        # Rounding and scaling may exceed the raw number's range, but only by one step.
         assert (row['scale'], row['offset']) != (1, 0) or not lossless(row, raws)
         return
     until(lambda: stage.sent(back.kind.TYPE), 'the command')
@@ -206,7 +206,7 @@ def check_way_back(stage, back, row, raws, message, data):
 
 
 def lossless(row, raws):
-    """Whether each value is itself again behind its field."""
+    """Whether each value is unchanged after conversion to its field and back."""
     for path, raw in zip(row['fields'], raws):
         for each in raw if isinstance(raw, list) else [raw]:
             if isinstance(each, str):
