@@ -6,6 +6,7 @@ half hour the exact part comes again. Ctrl-C ends it with the table of what it h
 every promise held.
 """
 import argparse
+import contextlib
 import os
 import signal
 import sys
@@ -64,9 +65,11 @@ def _run(field: Field, options) -> None:
 
 
 def _keep_writing(field: Field) -> None:
-    with open(field.path('table~'), 'w') as file:
-        file.write(f'{time.strftime("%F %T")}\n{field.table.render()}\n{field.table.summary()}\n')
-    os.replace(field.path('table~'), field.path('table.txt'))
+    with contextlib.suppress(OSError):      # at the end the folder goes
+        with open(field.path('table~'), 'w') as file:
+            print(time.strftime('%F %T'), field.table.render(), field.table.summary(), sep='\n',
+                  file=file)
+        os.replace(field.path('table~'), field.path('table.txt'))
     field.clock.after(_WRITE, lambda: _keep_writing(field))
 
 
