@@ -11,7 +11,7 @@ import binascii
 import struct
 from typing import Dict, List, NamedTuple, Optional, Tuple
 
-from .layout import Layout, Value, layout_methods, readable
+from .layout import Layout, LayoutMessage, Value, readable
 from .parts import Part
 
 TYPE = 255           # message type (arduino), TYPE (mcu), CMD2 (bus)
@@ -27,18 +27,20 @@ def crc_of(text: bytes) -> int:
     return binascii.crc_hqx(text, 0xFFFF)
 
 
-@layout_methods
-class Chunk(NamedTuple):
-    """One chunk of an announcement."""
-
-    TYPE = TYPE
-    LABEL = 'announcement'
-    LAYOUT = Layout('<BBHs', [Value('index'), Value('count'), Value('crc'), Value('text')])
-
+class _ChunkValues(NamedTuple):
     index: int
     count: int
     crc: int         # of the whole text
     text: bytes      # may begin or end inside a character
+
+
+class Chunk(LayoutMessage, _ChunkValues):
+    """One chunk of an announcement."""
+
+    __slots__ = ()
+    TYPE = TYPE
+    LABEL = 'announcement'
+    LAYOUT = Layout('<BBHs', [Value('index'), Value('count'), Value('crc'), Value('text')])
 
     @classmethod
     def unpack(cls, data: bytes) -> 'Chunk':

@@ -30,25 +30,25 @@ class ConfiguredRows(list):
 def add_options(parser: argparse.ArgumentParser, board: Description) -> None:
     """Add the options --config FILE, whose value is the list of the board's custom messages, and
     --announce."""
-    custom = board.custom
-    if custom is None:
+    if board.custom is None:
         # Accepted, since a launch file passes it to all boards.
         parser.add_argument('--config', metavar='FILE',
                             help='parameters of the bridge; not used by this board')
         return
+    parameter, read_rows, _ = board.custom
 
     def read(path: str) -> ConfiguredRows:
         try:
             given = board_parameters(read_parameters(path), board.name)
-            found = ConfiguredRows(custom.read(given.get(custom.parameter) or {}))
-            found.rows = given.get(custom.parameter) or {}
+            found = ConfiguredRows(read_rows(given.get(parameter) or {}))
+            found.rows = given.get(parameter) or {}
             return found
         except (OSError, ValueError) as error:
             raise argparse.ArgumentTypeError(f'{path}: {error}') from None
 
     parser.add_argument('--config', type=read, default=[], metavar='FILE',
                         help='parameters of the bridge; the board has the custom messages in '
-                             f'{board.name}/{custom.parameter}')
+                             f'{board.name}/{parameter}')
     parser.add_argument('--announce', action='store_true',
                         help='announce them to the bridge, which then needs no such file')
 
