@@ -2,15 +2,15 @@
 
 config/custom_messages.yaml shows their keys. The names of ROS types are plain text here.
 """
-from typing import Any, List, NamedTuple, Optional, Tuple
+from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
 from ...framing.custom_messages import LAYOUT_KEYS, ROS_TYPE, Row, RowError, rows
 from ...framing.layout import Layout
 from . import wire
 
 _BUILT_IN = (wire.LIFT, wire.GIMBAL, wire.ENVIRONMENT)
-_KEYS = ('cmd2', 'srv_type', 'ros_type', 'period', 'frame_id', 'request', 'reply', 'timeout',
-         'repeatable')
+_KEYS = ('cmd2', 'srv_type', 'ros_type', 'period', 'frame_id', 'constants', 'request', 'reply',
+         'timeout', 'repeatable')
 
 
 class CustomFunction(NamedTuple):
@@ -25,6 +25,7 @@ class CustomFunction(NamedTuple):
     ros_type: str          # '' for a service
     period: float          # s between two polls; 0 for a service
     frame_id: str
+    constants: Dict[str, Any]    # see CustomMessage
     timeout: Optional[float]     # s; None: bus/reply_timeout
     repeatable: bool
 
@@ -65,17 +66,17 @@ def read_functions(entries: Any, key: str = 'bus/functions') -> List[CustomFunct
                           'a whole number from 0 to 255 but 32, 33 and 34', whole=True)
         row.refuse_second('cmd2', cmd2, {other.cmd2: other.name for other in functions})
         polled = 'ros_type' in row.given
-        for unused in ('srv_type', 'repeatable') if polled else ('period', 'frame_id'):
-            if unused in row.given:
-                raise RowError(row.name(unused), row.given[unused],
-                               f'has no meaning beside {"ros_type" if polled else "srv_type"}')
+        if polled:
+            row.refuse_unused(['repeatable'], 'ros_type')
+        else:
+            row.refuse_unused(['period', 'frame_id', 'constants'], 'srv_type')
         functions.append(CustomFunction(
             name, row.key, cmd2, _layout(row, 'request', only_zeros=polled), _layout(row, 'reply'),
             row.text('srv_type', ROS_TYPE, 'a service type, as std_srvs/Trigger', ''),
             row.text('ros_type', ROS_TYPE, 'a message type, as std_msgs/Float32', ''),
             row.number('period', lambda n: 0.001 <= n <= 86400, 'a number from 0.001 to 86400 (s)')
             if polled else 0.0,
-            row.text('frame_id', None, 'text', ''),
+            row.text('frame_id', None, 'text', ''), row.constants(),
             row.number('timeout', lambda n: 0.01 <= n <= 600, 'a number from 0.01 to 600 (s)',
                        default=0.0) or None,
             polled or row.flag('repeatable')))
