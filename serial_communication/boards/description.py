@@ -26,7 +26,9 @@ class CustomRows(NamedTuple):
     """The rows of parameters that make custom messages or functions."""
 
     parameter: str                        # the board's parameter that holds the rows by name
-    read: Callable[[Any], List[Any]]      # raises RowError for the first mistake
+    # Raises RowError for the first mistake. Each row has the properties of a CustomMessage that
+    # programs go by: name, key, number, layouts and purpose.
+    read: Callable[[Any], List[Any]]
     prefix: str                           # prefix + the row's name is the name of its topic
 
 

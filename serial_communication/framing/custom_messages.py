@@ -48,6 +48,21 @@ class CustomMessage(NamedTuple):
     frame_id: str
     constants: Dict[str, Any]     # values by path, of fields that the board does not send
 
+    @property
+    def number(self) -> Tuple[str, int]:
+        """The key of its number on the wire, and that number."""
+        return 'type', self.kind.TYPE
+
+    @property
+    def layouts(self) -> Dict[str, Layout]:
+        """Its one layout, without a name."""
+        return {'': self.kind.LAYOUT}
+
+    @property
+    def purpose(self) -> str:
+        """What it is for, in a few words."""
+        return f'{"to" if self.is_command else "from"} the board: {self.ros_type}'
+
 
 def read_messages(entries: Any, key: str, types: Sequence[int], longest: int,
                   directions: Tuple[str, ...] = (FROM_BOARD,)) -> List[CustomMessage]:
