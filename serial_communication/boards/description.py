@@ -74,6 +74,9 @@ class Description:
     # data that was sent may wait in the network, out of sight. 0: never.
     network_silence: float = 0.0
     silent_after: bytes = b''        # a frame after which the board is silent for minutes
+    # A frame that the board answers and that changes nothing; only for one that is silent until it
+    # is asked.
+    question: bytes = b''
 
     @property
     def interface(self) -> Any:

@@ -45,7 +45,22 @@ def _by_descriptor(device: str, port: os.stat_result) -> Set[int]:
                 found.add(int(descriptor.split('/')[2]))
         except OSError:
             pass     # closed meanwhile
+    if device.startswith('/dev/pts/'):
+        found = {pid for pid in found if not _has_master(pid, device.rpartition('/')[2])}
     return found
+
+
+def _has_master(pid: int, number: str) -> bool:
+    """Whether a program has the other end of a pseudo terminal: socat, or a simulated board."""
+    for descriptor in glob.iglob(f'/proc/{pid}/fd/*'):
+        try:
+            if os.readlink(descriptor).endswith('ptmx'):
+                with open(descriptor.replace('/fd/', '/fdinfo/')) as file:
+                    if ['tty-index:', number] in map(str.split, file):
+                        return True
+        except OSError:
+            pass
+    return False
 
 
 def _program(pid: int) -> str:
