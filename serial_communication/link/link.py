@@ -74,6 +74,7 @@ class Link:
         self.frames_sent = 0
         self.last_frame_at: Optional[float] = None   # monotonic
         self.last_byte_at = 0.0                      # monotonic
+        self._understood_at = float('-inf')          # the latest frame of a known type; monotonic
         self.stale = 0                     # bytes dropped since they waited during a stall
         # When the thread last returned from a read, by `pace.clock`; _NEVER: the port is closed.
         self.awake_at = _NEVER
@@ -417,7 +418,7 @@ class Link:
         """Decode the bytes of one read and deliver their frames."""
         self.last_byte_at = now
         self._deliver(self.decoder.feed(data, stamp), now)
-        if self.last_frame_at is None or now - self.last_frame_at > SILENCE:
+        if now - self._understood_at > SILENCE:
             self._guarded(self._unknown_bytes.take, data, now)
         elif self._unknown_bytes.size:
             self._unknown_bytes.reset()
@@ -435,6 +436,8 @@ class Link:
             else:
                 self.frames_received += 1
                 self.last_frame_at = now
+                if frame.message is not None:     # another board's bytes may be an unknown frame
+                    self._understood_at = now
                 self.received(frame, now)
             if tap:
                 self._guarded(tap, self.name, RX, shown)

@@ -4,7 +4,7 @@ from typing import Callable, Iterable, NamedTuple
 from ..framing.recognition import Recognition
 from ..framing.stream import Decoder
 
-_ENOUGH = 16      # bytes; fewer may be noise on a line without a board
+_ENOUGH = 32      # bytes; fewer may be noise on a line without a board
 _PAUSE = 3.0      # s without a byte after which the bytes before no longer count
 
 

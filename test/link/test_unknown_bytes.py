@@ -68,6 +68,14 @@ def test_bytes_without_any_frame_are_not_reported_as_silence(line, link_of, line
     assert lines('the board is silent') == [] and lines(f'mcu: {OTHER}{HINT}')
 
 
+def test_frames_of_an_unknown_type_do_not_hide_that_the_bytes_are_anothers(line, link_of):
+    link = link_of(McuLink)
+    unknown = mcu.encode_raw(0x77, 1, b'')
+    until(lambda: line.write(TICKS + unknown + TICKS) or time.sleep(0.01) or
+          link.condition(time.monotonic())[1] == 'open, ' + SWAPPED.format('arduino'))
+    assert link.last_frame_at is not None
+
+
 def test_a_few_bytes_of_noise_are_silence(line, link_of):
     link = link_of(McuLink)
     until(lambda: link.port.is_open)
@@ -93,7 +101,7 @@ def test_bytes_of_before_a_pause_do_not_count():
     assert unknown.meaning(9600, 13.1) == ''
     unknown.take(GARBAGE, 14.0)
     assert unknown.meaning(9600, 14.0) == ''
-    unknown.take(GARBAGE, 15.0)
+    unknown.take(GARBAGE * 2, 15.0)
     assert unknown.meaning(9600, 15.0) == OTHER.replace('115200', '9600')
     unknown.reset()
     assert unknown.meaning(9600, 15.0) == ''
