@@ -1,7 +1,6 @@
 """The serial ports of this computer, with all their names."""
 import glob
 import os
-import re
 from typing import Any, Dict, List, NamedTuple, Tuple
 
 from serial.tools import list_ports
@@ -36,7 +35,8 @@ def devices() -> List[Device]:
 
 def paths() -> List[str]:
     """The paths of all serial ports, sorted."""
-    found = [f'/dev/{name}' for name in map(os.path.basename, glob.glob(f'{_TTYS}/*'))
+    names = [os.path.basename(path) for path in glob.glob(f'{_TTYS}/*')]
+    found = [f'/dev/{name}' for name in names
              if os.path.exists(f'{_TTYS}/{name}/device')
              and first_line(f'{_TTYS}/{name}/type') != '0']     # 0: an 8250 without hardware
     return sorted(filter(os.path.exists, found), key=_order)
@@ -52,8 +52,8 @@ def first_line(path: str) -> str:
 
 
 def _order(path: str) -> Tuple[str, int]:
-    name, number = re.fullmatch(r'(.*?)(\d*)', path).groups()
-    return name, int(number or 0)
+    name = path.rstrip('0123456789')
+    return name, int(path[len(name):] or 0)
 
 
 def _usb_adapters() -> Dict[str, Any]:

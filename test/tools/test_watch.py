@@ -300,7 +300,7 @@ def test_all_ok_requires_every_link_and_no_trouble():
     assert not bridge.all_ok(5.0)
     bridge.set_link('mcu', reported(0, 5.0))
     bridge.expect_links(['gps'])
-    assert not bridge.all_ok(5.0)     # no report of it yet
+    assert not bridge.all_ok(5.0)     # no status of it yet
     bridge.set_link('gps', reported(0, 1.0))
     assert not bridge.all_ok(5.0)     # reported too long ago
 

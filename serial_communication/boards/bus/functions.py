@@ -10,7 +10,7 @@ from . import wire
 
 _BUILT_IN = (wire.LIFT, wire.GIMBAL, wire.ENVIRONMENT)
 _KEYS = ('cmd2', 'srv_type', 'ros_type', 'period', 'frame_id', 'constants', 'request', 'reply',
-         'timeout', 'repeatable')
+         'timeout', 'repeatable', 'interrupts')
 
 
 class CustomFunction(NamedTuple):
@@ -28,6 +28,7 @@ class CustomFunction(NamedTuple):
     constants: Dict[str, Any]    # see CustomMessage
     timeout: Optional[float]     # s; None: bus/reply_timeout
     repeatable: bool
+    interrupts: bool       # a stop: sent at once, whatever is outstanding; it is repeatable
 
     @property
     def number(self) -> Tuple[str, int]:
@@ -82,7 +83,7 @@ def read_functions(entries: Any, key: str = 'bus/functions') -> List[CustomFunct
         row.refuse_second('cmd2', cmd2, {other.cmd2: other.name for other in functions})
         polled = 'ros_type' in row.given
         if polled:
-            row.refuse_unused(['repeatable'], 'ros_type')
+            row.refuse_unused(['repeatable', 'interrupts'], 'ros_type')
         else:
             row.refuse_unused(['period', 'frame_id', 'constants'], 'srv_type')
         functions.append(CustomFunction(
@@ -94,7 +95,10 @@ def read_functions(entries: Any, key: str = 'bus/functions') -> List[CustomFunct
             row.text('frame_id', None, 'text', ''), row.constants(),
             row.number('timeout', lambda n: 0.01 <= n <= 600, 'a number from 0.01 to 600 (s)',
                        default=0.0) or None,
-            polled or row.flag('repeatable')))
+            polled or row.flag('repeatable'), not polled and row.flag('interrupts')))
+        if functions[-1].interrupts and not functions[-1].repeatable:
+            raise RowError(row.name('repeatable'), False,
+                           'has to be true where interrupts is true: it is sent more than once')
     return functions
 
 

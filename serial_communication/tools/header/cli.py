@@ -8,11 +8,11 @@ import argparse
 import os
 import signal
 import sys
-from typing import Any, Dict, List, Optional
+from typing import Any, Dict, List, Optional, Tuple
 
 from ...boards import BOARDS, BoardError, find
 from ...boards.config_file import board_parameters, read_parameters
-from ...boards.description import Description
+from ...boards.description import CustomRows, Description
 from ...output import prepare_output
 from .cpp import header
 
@@ -61,9 +61,9 @@ def _arguments(arguments: Optional[List[str]]) -> argparse.Namespace:
 def _header(path: str, link: str) -> str:
     try:
         parameters = read_parameters(path)
-        board = _board(parameters, link)
+        board, custom = _board(parameters, link)
         rows = _rows(parameters, board)
-        read = board.custom.read(rows)
+        read = custom.read(rows)
     except OSError as error:
         raise _Mistake(error.strerror) from None
     except (BoardError, ValueError) as error:
@@ -71,8 +71,8 @@ def _header(path: str, link: str) -> str:
     return header(os.path.basename(path), board.name, read, rows)
 
 
-def _board(parameters: Dict[str, Any], link: str) -> Description:
-    """The board with that link; '': the only one with rows."""
+def _board(parameters: Dict[str, Any], link: str) -> Tuple[Description, CustomRows]:
+    """The board with that link; '': the only one with rows. And how its rows are read."""
     packages = parameters.get('boards')
     packages = packages if isinstance(packages, list) else []
     if link:
@@ -83,12 +83,14 @@ def _board(parameters: Dict[str, Any], link: str) -> Description:
                              f'{error}') from None
         if not board.custom:
             raise _WrongLink(f'the board {link} has no custom messages')
-        return board
-    boards = [board for board in map(find, (*BOARDS, *packages)) if _rows(parameters, board)]
-    names = [board.name for board in boards]
+        return board, board.custom
+    boards = [(board, board.custom) for board in map(find, (*BOARDS, *packages))
+              if board.custom and _rows(parameters, board)]
+    names = [board.name for board, _ in boards]
     if not boards:
         raise _Mistake('has no custom messages: no rows in ' + ', '.join(
-            f'{board.name}/{board.custom.parameter}' for board in map(find, BOARDS)))
+            f'{board.name}/{board.custom.parameter}' for board in map(find, BOARDS)
+            if board.custom))
     if len(boards) > 1:
         raise _WrongLink(f'has rows of {" and ".join(names)}; a header is for one board: name it '
                          f'after the file, as {names[-1]}')

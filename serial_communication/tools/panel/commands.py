@@ -45,7 +45,8 @@ _BUILT_IN = {'~lift': Lift, '~gimbal': Gimbal, '~calibrate_imu': Empty, '~bus/ec
 def custom_services(boards: Iterable[Description], parameters: Any) -> Dict[str, Any]:
     """The boards' custom functions that are services and whose types are installed here."""
     found = {board.custom.prefix + name: roslib.message.get_service_class(row['srv_type'])
-             for board in boards for name, row in custom_rows(board, parameters).items()
+             for board in boards if board.custom
+             for name, row in custom_rows(board, parameters).items()
              if isinstance(row.get('srv_type'), str)}
     return {name: service_class for name, service_class in found.items() if service_class}
 

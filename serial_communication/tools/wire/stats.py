@@ -11,7 +11,7 @@ For an unknown link in a bag, types are shown as numbers.
 """
 import argparse
 import json
-from typing import Any, Callable, Dict, List, Optional, Sequence
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from ...boards.description import Command, Description
 from ...framing.stream import FRAMING, Bad, StreamDecoder
@@ -161,7 +161,7 @@ def _extra_figures(board: Description, frames: Sequence[RecordedFrame]) -> Dict[
     return extra
 
 
-def round_trips(frames: Sequence[RecordedFrame]) -> Any:
+def round_trips(frames: Sequence[RecordedFrame]) -> Tuple[List[float], int]:
     """Return the seconds from each request to its reply, and the number of requests without one.
 
     A reply belongs to the request before it.

@@ -5,7 +5,7 @@ import {Reading} from '../reading.js';
 
 const COLOURS = ['--line-1', '--line-2', '--line-3', '--line-4', '--line-5'];
 const MAX_CURVES = COLOURS.length;    // curves in one plot
-const SLOW = 0.7;                     // s; the plot of a topic that becomes stale later than this shows ten minutes
+const SLOW = 0.7;                     // s; if the limit of a topic is greater, its plot shows ten minutes
 
 class CustomCard {
   constructor(name, type) {
