@@ -107,12 +107,8 @@ def test_requests_and_replies_of_the_bus_have_their_structs(tmp_path):
                   ) == ['01', '3412', '6f6b', '48', '50', '49']
 
 
-@pytest.mark.parametrize('link', ['arduino', 'mcu', 'bus'])
-def test_the_announcement_is_the_rows_and_their_crc(tmp_path, link):
-    header = made(EXAMPLES, link)
-    (tmp_path / 'rows.h').write_text(header)
-    group = description(link).custom.parameter
-    rows = read_parameters(EXAMPLES)[link][group]
+def announced(tmp_path, header):
+    """The text of the announcement; its size and its CRC are checked."""
     size, crc = (int(re.search(fr'kAnnouncement{what} = (\w+);', header).group(1), 0)
                  for what in ('Size', 'Crc'))
     printed = tmp_path / 'text'
@@ -122,10 +118,44 @@ def test_the_announcement_is_the_rows_and_their_crc(tmp_path, link):
         fclose(file);''')
     text = printed.read_bytes()
     assert (len(text), binascii.crc_hqx(text, 0xFFFF)) == (size, crc)
-    lines = text.decode().splitlines()
-    assert len(lines) == len(rows)
-    # One row a line, each of them YAML of its own.
-    assert {name: row for line in lines for name, row in yaml.safe_load(line).items()} == rows
+    return text.decode()
+
+
+def rows_of(text):
+    """The rows of an announcement: one a line, each of them YAML of its own."""
+    found = {}
+    for line in text.splitlines():
+        (name, row), = yaml.safe_load(line).items()
+        found[name] = row
+    return found
+
+
+@pytest.mark.parametrize('link', ['arduino', 'mcu', 'bus'])
+def test_the_announcement_is_the_rows(tmp_path, link):
+    rows = read_parameters(EXAMPLES)[link][description(link).custom.parameter]
+    assert rows_of(announced(tmp_path, made(EXAMPLES, link))) == rows
+
+
+def test_the_announcement_has_no_references_and_names_that_yaml_would_change_are_quoted(tmp_path):
+    path = tmp_path / 'robot.yaml'
+    path.write_text('arduino: {messages: {"on": {type: 32, ros_type: geometry_msgs/Point, '
+                    'layout: "<hh", fields: [x, y], scale: &half [0.5, 0.5], offset: *half}}}')
+    text = announced(tmp_path, made(path))
+    assert '*' not in text and '&' not in text
+    assert rows_of(text) == read_parameters(str(path))['arduino']['messages']
+
+
+def test_the_firmware_is_the_first_line_of_the_announcement(tmp_path):
+    text = announced(tmp_path, made(EXAMPLES, 'mcu', '--firmware', 'my_robot 1.0'))
+    first, rest = text.split('\n', 1)
+    assert first == 'firmware: my_robot 1.0'
+    assert rest == announced(tmp_path, made(EXAMPLES, 'mcu'))
+
+
+@pytest.mark.parametrize('name', ['a\nb', 'x' * 81, '{a: 1}', 'é'])
+def test_a_firmware_that_cannot_be_announced_is_refused(name):
+    done = run(EXAMPLES, 'mcu', '--firmware', name)
+    assert (done.returncode, done.stdout) == (2, '') and 'without braces' in done.stderr
 
 
 def test_more_rows_than_an_announcement_may_have_are_left_out(tmp_path):

@@ -73,7 +73,8 @@ struct __attribute__((packed)) BigEndian {
 """
 
 
-def header(file: str, link: str, read: Iterable[Any], rows: Dict[str, Any]) -> str:
+def header(file: str, link: str, read: Iterable[Any], rows: Dict[str, Any],
+           firmware: str = '') -> str:
     """The text of the header.
 
     Args:
@@ -81,12 +82,13 @@ def header(file: str, link: str, read: Iterable[Any], rows: Dict[str, Any]) -> s
         link: the name of the board's link.
         read: the rows, as the board's description reads them.
         rows: the same rows, as the file has them.
+        firmware: its name and version, for the announcement; '': not announced.
     """
     names = _Names(_ARDUINO)
     parts = [part for row in read for part in _row(row, names)]
     big_endian = any('BigEndian<' in part for part in parts)
     return '\n'.join([_TOP.format(file=_one_line(file), link=link) + _BIG_ENDIAN * big_endian,
-                      *parts, _announcement(rows)])
+                      *parts, _announcement(rows, firmware)])
 
 
 class _Names:
@@ -200,15 +202,12 @@ def _constants(value: Value, name: str) -> List[str]:
             if value.name and number != default and abs(number) < _LARGEST_FLOAT]
 
 
-def _announcement(rows: Dict[str, Any]) -> str:
+def _announcement(rows: Dict[str, Any], firmware: str) -> str:
     """The text with which the board announces these rows, one a line."""
-    import yaml     # it has read the file
-    lines = [f'{name}: ' + yaml.safe_dump(rows[name], default_flow_style=True, width=10 ** 6,
-                                          sort_keys=False, allow_unicode=True).strip() + '\n'
-             for name in sorted(rows)]
+    lines = [f'firmware: {firmware}\n'] * bool(firmware) + _row_lines(rows)
     text = ''.join(lines).encode()
-    if len(text) > _MOST_TEXT or len(lines) > _MOST_ROWS:
-        return (f'// No announcement: these are {len(lines)} rows and {len(text)} bytes, the most '
+    if len(text) > _MOST_TEXT or len(rows) > _MOST_ROWS:
+        return (f'// No announcement: these are {len(rows)} rows and {len(text)} bytes, the most '
                 f'are {_MOST_ROWS} and {_MOST_TEXT}.\n')
     quoted = '\n'.join(f'    "{_escaped(line)}"' for line in lines)
     return f"""\
@@ -224,6 +223,21 @@ const char kAnnouncement[] SERIAL_COMMUNICATION_FLASH =
 const uint16_t kAnnouncementSize = {len(text)};
 const uint16_t kAnnouncementCrc = 0x{binascii.crc_hqx(text, 0xFFFF):04x};
 """
+
+
+def _row_lines(rows: Dict[str, Any]) -> List[str]:
+    """The rows in YAML's flow form."""
+    import yaml     # it has read the file
+
+    class Dumper(yaml.SafeDumper):
+        """Writes what two keys share twice, since an announcement has no references."""
+
+        def ignore_aliases(self, data: Any) -> bool:
+            return True
+
+    return [yaml.dump({name: rows[name]}, Dumper=Dumper, default_flow_style=True, width=10 ** 6,
+                      sort_keys=False, allow_unicode=True).strip()[1:-1] + '\n'
+            for name in sorted(rows)]
 
 
 def _escaped(line: str) -> str:
