@@ -139,6 +139,7 @@ class Storm:
         field.start(POLLING)
         self.car, self.sensors = Car(field.car_line), Sensors(field.mcu_line)
         self.bus = BusBoard(field.bus_line, field.clock)
+        self.bus.readings = field.bus.readings + 1000     # no number of the board before it
         self._connect_lines()
         field.robot.listen_to_traffic()
         listener = field.user('listener', 'storm_listener')
@@ -180,7 +181,6 @@ class Storm:
     def _connect_lines(self) -> None:
         """Boards that remember nothing, behind lines that damage what they carry."""
         field = self.field
-        field.robot.on_message = self.published.take
         self.bus.rule, self.bus.executed = self._bus_rule, self.calls.executed
         self.car.on_packet, self.bus.on_request = (lambda packet: None), (lambda request: None)
         for link, board in (('arduino', self.car), ('bus', self.bus), ('mcu', self.sensors)):
@@ -188,6 +188,10 @@ class Storm:
             board.line.to_bridge = functools.partial(self._to_bridge, link)
             board.line.take = functools.partial(self._to_board, link, board.line.take)
         self.car.line.cut = lambda: (self.motor.open_anew(), self.car.open_anew())
+        for topic in POLLED_TOPICS:     # a value from before cannot arrive after this one
+            field.wait(lambda: any(self.wires['bus'].written((topic, got.key))
+                                   for got in list(field.robot.got[topic])), f'a value of {topic}')
+        field.robot.on_message = self.published.take
 
     def _disconnect_lines(self) -> None:
         field = self.field
