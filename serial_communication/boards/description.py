@@ -30,7 +30,8 @@ class CustomRows(NamedTuple):
 
     parameter: str                        # the board's parameter that holds the rows by name
     # read(rows, key) makes them; `key` is the parameter that holds them, BOARD/parameter if it is
-    # left out. Raises RowError for the first mistake.
+    # left out. Raises RowError for the first mistake. Each row has the properties of a
+    # CustomMessage that programs go by: name, key, number, layouts and purpose.
     read: Callable[..., List[Any]]
     prefix: str                           # prefix + the row's name is the name of its topic
 
@@ -77,6 +78,9 @@ class Description:
     # opened again, since the data may still wait in the network. 0: never.
     network_silence: float = 0.0
     silent_after: bytes = b''        # a frame after which the board is silent for minutes
+    # A frame that the board answers and that changes nothing; only for one that is silent until it
+    # is asked.
+    question: bytes = b''
 
     @property
     def interface(self) -> Any:

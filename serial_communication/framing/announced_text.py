@@ -25,7 +25,9 @@ def read_announcement(text: bytes) -> Announcement:
 
     It may hold anything: nothing is raised.
     """
-    firmware, rows, problems = '', {}, []
+    firmware = ''
+    rows: Dict[str, Any] = {}
+    problems: List[str] = []
     for number, line in enumerate(text.splitlines(), 1):
         try:
             words = line.decode().strip()
@@ -81,10 +83,17 @@ def announcement_text(rows: Dict[str, Any], firmware: str = '') -> bytes:
         ValueError: it is too long, or there are too many rows.
     """
     import yaml
+
+    class Dumper(yaml.SafeDumper):
+        """Writes out what two keys share, since an announcement may have no references."""
+
+        def ignore_aliases(self, data: Any) -> bool:
+            return True
+
     lines = [f'firmware: {firmware}'] if firmware else []
     for name, row in rows.items():
-        flow = yaml.safe_dump({name: row}, default_flow_style=True, sort_keys=False,
-                              width=float('inf'), allow_unicode=True)
+        flow = yaml.dump({name: row}, Dumper=Dumper, default_flow_style=True, sort_keys=False,
+                         width=float('inf'), allow_unicode=True)
         lines.append(flow.strip()[1:-1])       # without the braces of the group
     text = ''.join(line + '\n' for line in lines).encode()
     if len(rows) > MOST_ROWS or len(text) > LONGEST:

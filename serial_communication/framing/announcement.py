@@ -28,8 +28,8 @@ def crc_of(text: bytes) -> int:
 
 
 class _ChunkValues(NamedTuple):
-    index: int
-    count: int
+    index: int       # type: ignore[assignment]  # not tuple's methods
+    count: int       # type: ignore[assignment]
     crc: int         # of the whole text
     text: bytes      # may begin or end inside a character
 

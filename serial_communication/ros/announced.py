@@ -50,6 +50,7 @@ class AnnouncedRows:
                  add: Callable[[Any], Callable[[], None]]) -> None:
         self.link = link
         self._key = f'{board.name}/{ANNOUNCED}'
+        assert board.custom, f'{board.name} has no custom rows'
         self._custom = board.custom
         self._configured = list(configured)
         self._resolve = resolve

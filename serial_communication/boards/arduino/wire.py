@@ -272,11 +272,11 @@ class _Decoder:
         self._messages.update((message.TYPE, message) for message in messages)
         self.reset()
 
-    def add_message(self, kind: Any) -> None:
+    def add_message(self, kind: Type[LayoutMessage]) -> None:
         """Decode custom messages of this class from now on; from any thread."""
         self._messages = {**self._messages, kind.TYPE: kind}
 
-    def remove_message(self, kind: Any) -> None:
+    def remove_message(self, kind: Type[LayoutMessage]) -> None:
         """Decode them no longer; from any thread."""
         self._messages = {type_: each for type_, each in self._messages.items() if each is not kind}
 

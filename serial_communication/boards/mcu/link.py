@@ -16,7 +16,7 @@ _DOUBLED = 0.01        # s; the same bytes again within this are one frame, doub
 class _Latest(NamedTuple):
     """The latest message of one TYPE."""
 
-    kind: Optional[type]
+    kind: Optional[Type[LayoutMessage]]
     seq: int
     received_at: float
     silent_at: float     # when its absence is reported next
@@ -38,7 +38,7 @@ class McuLink(Link):
 
     def __init__(self, port: Port, timeout: float = 1.0,
                  on_status: Optional[Callable[[Any, int, Any], None]] = None,
-                 on_silence: Optional[Callable[[Optional[type], int, float], None]] = None,
+                 on_silence: Optional[Callable[[Optional[Type[LayoutMessage]], int, float], None]] = None,
                  network_silence: float = 5.0, messages: Iterable[Type[LayoutMessage]] = (),
                  **link_arguments: Any) -> None:
         super().__init__('mcu', port, wire.Decoder(messages), **link_arguments)
@@ -109,7 +109,8 @@ class McuLink(Link):
     def condition(self, now: float) -> Tuple[int, str]:
         if not self.port.is_open:
             return super().condition(now)
-        return (WARN, 'open, the board is silent') if self.silent else (OK, 'open')
+        silence = self.unknown_bytes(now) or 'the board is silent'
+        return (WARN, f'open, {silence}') if self.silent else (OK, 'open')
 
     def talks(self, now: float) -> Optional[bool]:
         return not self.silent

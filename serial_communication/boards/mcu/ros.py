@@ -2,13 +2,14 @@
 import time
 from functools import partial
 from math import inf, nan, pi, radians
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Any, Dict, List, Optional, Tuple, Type
 
 import rospy
 from sensor_msgs.msg import Imu, Range
 
 from serial_communication.msg import McuStatus, McuStatus2
 
+from ...framing.layout import LayoutMessage
 from ...ros.announced import AnnouncedRows
 from ...ros.custom_topics import add_announced, custom_topics, message_rows, names_of, resolve
 from ...ros.geometry import OrientationBroadcaster, quaternion
@@ -117,7 +118,7 @@ class McuInterface(Interface):
             if self._orientation:
                 self._orientation.send(turned, stamp)
 
-    def _silent(self, kind: Optional[type], seq: int, age: float) -> None:
+    def _silent(self, kind: Optional[Type[LayoutMessage]], seq: int, age: float) -> None:
         if kind and kind.TYPE not in wire.MESSAGES:
             return      # custom messages have no status: their topics are silent, too
         head = (rospy.Time.now(), seq, False, False, self.link.checksum_errors, age)

@@ -10,7 +10,7 @@ a frame, modulo 256. Little-endian. Only the board sends.
 """
 import struct
 from math import isnan, nan
-from typing import Iterable, List, NamedTuple, Type, Union
+from typing import Dict, Iterable, List, NamedTuple, Type, Union
 
 from ...framing.announcement import Chunk
 from ...framing.layout import Layout, LayoutMessage, Value, message_class
@@ -128,14 +128,14 @@ class Decoder(StreamDecoder):
     def __init__(self, messages: Iterable[Type[LayoutMessage]] = ()) -> None:
         super().__init__()
         self.errors.update({UNKNOWN: 0, LENGTH: 0, IMPLAUSIBLE: 0})
-        self._messages = {**MESSAGES, Chunk.TYPE: Chunk}
+        self._messages: Dict[int, Type[LayoutMessage]] = {**MESSAGES, Chunk.TYPE: Chunk}
         self._messages.update((message.TYPE, message) for message in messages)
 
-    def add_message(self, kind: Any) -> None:
+    def add_message(self, kind: Type[LayoutMessage]) -> None:
         """Decode custom messages of this class from now on; from any thread."""
         self._messages = {**self._messages, kind.TYPE: kind}
 
-    def remove_message(self, kind: Any) -> None:
+    def remove_message(self, kind: Type[LayoutMessage]) -> None:
         """Decode them no longer; from any thread."""
         self._messages = {type_: each for type_, each in self._messages.items() if each is not kind}
 

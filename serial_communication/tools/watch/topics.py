@@ -175,9 +175,9 @@ def expected_links(parameters: Dict[str, Any]) -> List[str]:
 def custom_rows(board: Description, parameters: Any) -> Dict[str, Dict[str, Any]]:
     """Return the custom messages or functions of a board, by name: the rows of its parameters, and
     those that it announces."""
-    group = board_parameters(parameters, board.name) if board.custom else {}
-    groups = [group.get(name) for name in (ANNOUNCED, board.custom.parameter)] if group else []
-    return {name: row for rows in groups if isinstance(rows, dict)
+    names = (ANNOUNCED, board.custom.parameter) if board.custom else ()
+    given = board_parameters(parameters, board.name)
+    return {name: row for rows in map(given.get, names) if isinstance(rows, dict)
             for name, row in rows.items() if isinstance(row, dict)}
 
 
