@@ -38,7 +38,8 @@ class McuLink(Link):
 
     def __init__(self, port: Port, timeout: float = 1.0,
                  on_status: Optional[Callable[[Any, int, Any], None]] = None,
-                 on_silence: Optional[Callable[[Optional[Type[LayoutMessage]], int, float], None]] = None,
+                 on_silence: Optional[
+                     Callable[[Optional[Type[LayoutMessage]], int, float], None]] = None,
                  network_silence: float = 5.0, messages: Iterable[Type[LayoutMessage]] = (),
                  **link_arguments: Any) -> None:
         super().__init__('mcu', port, wire.Decoder(messages), **link_arguments)
