@@ -521,7 +521,7 @@ def _what_is_there(path: str) -> str:
     if '/' in path and not path.startswith('/dev/'):
         return ''     # not a device but a link, as of a simulated board
     there = devices.paths()
-    return f'; there is {", ".join(there)}' if there else '; this computer has no serial port'
+    return f"; this computer has {', '.join(there) or 'no serial port'}"
 
 
 def _who_has_it_open(path: str) -> str:

@@ -159,7 +159,9 @@ def test_custom_messages_alone_are_enough_to_find_a_board(board, tmp_path):
                       'layout: "<h", fields: [data]}}}')
     path = board('port', arduino.encode_raw(32, b'\1\2')).path
     assert found(path)['port']['board'] is None
+    assert 'sends only custom messages' in run(path).stdout
     assert found('--config', config, path)['port']['board'] == 'arduino'
+    assert f'arduino_port:={path} config:={config}\n' in run('--config', config, path).stdout
 
 
 _READER = '''
@@ -198,7 +200,7 @@ def test_the_text_has_lines_to_paste(board):
     assert f'{boards[2].path}  silent\n' in done.stdout
     assert f'{boards[3].path}  bytes of no known board, at no usual baud rate\n' in done.stdout
     assert "(text: 'boot: ok" in done.stdout
-    assert f'board is silent until it is asked: ports --ask {boards[2].path}\n' in done.stdout
+    assert 'board is silent until it is asked: run this again with --ask\n' in done.stdout
     assert (f'bridge.launch arduino_port:={boards[1].path} mcu_port:={boards[0].path}\n'
             in done.stdout)
 
@@ -271,21 +273,23 @@ CLONES = [Found(Device(f'/dev/ttyUSB{number}', '/dev/serial/by-id/usb-1a86_USB_S
 
 
 def test_adapters_without_a_serial_number_are_named_by_their_socket():
-    text = report.as_text(CLONES, BOARDS, 2.0, False)
+    text = report.as_text(CLONES, BOARDS, 2.0, False, '')
     assert text.count('the same for every adapter of this kind') == 2
     assert ('arduino_port:=/dev/serial/by-path/pci-0 mcu_port:=/dev/serial/by-path/pci-1'
             in text)
     assert 'USB Serial (1a86:7523)' in text
     same = [CLONES[0], CLONES[1]._replace(heard=CLONES[0].heard)]
     assert ('note: arduino is on several ports; the first is taken: /dev/serial/by-path/pci-0'
-            in report.as_text(same, BOARDS, 2.0, False))
+            in report.as_text(same, BOARDS, 2.0, False, ''))
 
 
 def test_an_adapter_with_a_serial_number_is_named_by_it():
     one = Found(Device('/dev/ttyUSB0', '/dev/serial/by-id/usb-FTDI_A5005A00', '/dev/serial/x',
                        'FTDI', '0403:6001', 'A5005A00'), [Holder(12, 'screen')], Heard())
     assert json.loads(report.as_json([one]))[0]['name'] == one.device.by_id
-    assert 'open in  screen (pid 12)' in report.as_text([one], BOARDS, 2.0, True)
+    text = report.as_text([one], BOARDS, 2.0, True, '')
+    assert 'open in  screen (pid 12)' in text
+    assert 'No board was found. End the programs that have a port open' in text
 
 
 def test_what_makes_a_port_slow_or_stolen_has_its_remedy(tmp_path, monkeypatch):

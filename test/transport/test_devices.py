@@ -80,7 +80,7 @@ def test_the_error_for_an_absent_device_lists_those_that_are_there(computer):
     assert refusal(ABSENT) == words + 'this computer has no serial port'
     computer.add('ttyUSB1')
     computer.add('ttyACM0')
-    assert refusal(ABSENT) == words + 'there is /dev/ttyACM0, /dev/ttyUSB1'
+    assert refusal(ABSENT) == words + 'this computer has /dev/ttyACM0, /dev/ttyUSB1'
     assert refusal('no_such_port') == refusal(ABSENT)
 
 

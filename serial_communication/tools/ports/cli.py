@@ -107,7 +107,7 @@ def _run(options: argparse.Namespace) -> int:
     boards = {candidate.board.name: candidate.board for candidate in options.candidates}
     if ports:
         print(as_json(ports) if options.json else
-              as_text(ports, boards, options.seconds, options.ask))
+              as_text(ports, boards, options.seconds, options.ask, options.config))
     if not options.write:
         return 0
     try:

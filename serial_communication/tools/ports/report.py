@@ -1,5 +1,6 @@
 """The report of `ports`, as text and as JSON."""
 import json
+import os
 from typing import Dict, Iterable, List, Mapping, NamedTuple
 
 from ...boards import BOARDS
@@ -48,10 +49,10 @@ def as_json(ports: Iterable[Found]) -> str:
 
 
 def as_text(ports: List[Found], boards: Mapping[str, Description], seconds: float,
-            asked: bool) -> str:
-    """A paragraph for each port, and lines to paste."""
+            asked: bool, config: str) -> str:
+    """A paragraph for each port, and lines to paste; with the configuration if one was given."""
     parts = [_port(port, boards, seconds) for port in ports]
-    parts.append('\n'.join(_to_paste(ports, boards, asked)))
+    parts.append('\n'.join(_to_paste(ports, boards, asked, config)))
     remedies = advice.of_computer()
     if remedies:
         parts.append('\n'.join(f'note: {remedy}' for remedy in remedies))
@@ -90,24 +91,31 @@ def _received(heard: Heard, seconds: float) -> str:
         f' (text: {words!r})' if words else '')
 
 
-def _to_paste(ports: List[Found], boards: Mapping[str, Description], asked: bool) -> List[str]:
+def _to_paste(ports: List[Found], boards: Mapping[str, Description], asked: bool,
+              config: str) -> List[str]:
     found = connections(ports)
     lines = [f'note: {name} is on several ports; the first is taken: {connection.port}'
              for name, connection in found.items()
              if sum(port.heard.board == name for port in ports) > 1]
-    silent = [port.device.path for port in ports
-              if port.heard.kind == 'nothing' and not port.heard.trouble]
+    is_silent = any(port.heard.kind == 'nothing' and not port.heard.trouble for port in ports)
     questions = [board.name for board in boards.values()
                  if board.question and board.name not in found]
-    if silent and questions and not asked:
+    if is_silent and questions and not asked:
         lines.append(f'note: the {" and the ".join(questions)} board is silent until it is asked: '
-                     f'ports --ask {" ".join(silent)}')
+                     'run this again with --ask')
+    if not config and any(port.heard.kind == 'noise' for port in ports):
+        lines.append('note: a board that sends only custom messages is found with their '
+                     'configuration: run this again with --config FILE')
+    if not found and any(port.holders for port in ports):
+        return lines + ['No board was found. End the programs that have a port open, and run this '
+                        'again.']
     if not found:
         return lines + ['No board was found.']
     if all(name in BOARDS and connection.baud == boards[name].baud
            for name, connection in found.items()):
-        return lines + ['roslaunch serial_communication bridge.launch ' + ' '.join(
-            f'{name}_port:={found[name].port}' for name in BOARDS if name in found)]
+        arguments = [f'{name}_port:={found[name].port}' for name in BOARDS if name in found]
+        arguments += [f'config:={os.path.abspath(config)}'] * bool(config)
+        return lines + ['roslaunch serial_communication bridge.launch ' + ' '.join(arguments)]
     return lines + ['In the configuration:'] + [
         f'{name}: {{port: {connection.port}, baud: {connection.baud}}}'
         for name, connection in found.items()]
