@@ -8,7 +8,6 @@ import re
 from typing import Any, Dict, Iterable, List, Set, Tuple
 
 from ...framing.announced_text import announcement_text
-from ...framing.announcement import crc_of
 from ...framing.layout import Layout, Value
 
 _TYPES = {'b': 'int8_t', 'B': 'uint8_t', 'h': 'int16_t', 'H': 'uint16_t', 'i': 'int32_t',
@@ -73,8 +72,7 @@ struct __attribute__((packed)) BigEndian {
 """
 
 
-def header(file: str, link: str, read: Iterable[Any], rows: Dict[str, Any],
-           firmware: str = '') -> str:
+def header(file: str, link: str, read: Iterable[Any], rows: Dict[str, Any]) -> str:
     """The text of the header.
 
     Args:
@@ -82,13 +80,12 @@ def header(file: str, link: str, read: Iterable[Any], rows: Dict[str, Any],
         link: the name of the board's link.
         read: the rows, as the board's description reads them.
         rows: the same rows, as the file has them.
-        firmware: its name and version, for the announcement; '': not announced.
     """
     names = _Names(_ARDUINO)
     parts = [part for row in read for part in _row(row, names)]
     big_endian = any('BigEndian<' in part for part in parts)
     return '\n'.join([_TOP.format(file=_one_line(file), link=link) + _BIG_ENDIAN * big_endian,
-                      *parts, _announcement(rows, firmware)])
+                      *parts, _announcement(rows)])
 
 
 class _Names:
@@ -202,15 +199,16 @@ def _constants(value: Value, name: str) -> List[str]:
             if value.name and number != default and abs(number) < _LARGEST_FLOAT]
 
 
-def _announcement(rows: Dict[str, Any], firmware: str) -> str:
+def _announcement(rows: Dict[str, Any]) -> str:
     """The text with which the board announces these rows."""
     try:
-        text = announcement_text(rows, firmware)
+        text = announcement_text(rows)
     except ValueError as error:
         return f'// No announcement: {error}\n'
     quoted = '\n'.join(f'    "{_escaped(line)}"' for line in text.splitlines(keepends=True))
     return f"""\
-// These rows, as the board announces them to the bridge.
+// These rows, for `announce(kAnnouncement)` of a link. If FIRMWARE_NAME and FIRMWARE_VERSION, two
+// texts, are defined before this file is included, the board announces them, too.
 #ifdef __AVR__
 #include <avr/pgmspace.h>
 #define SERIAL_COMMUNICATION_FLASH PROGMEM
@@ -218,9 +216,10 @@ def _announcement(rows: Dict[str, Any], firmware: str) -> str:
 #define SERIAL_COMMUNICATION_FLASH
 #endif
 const char kAnnouncement[] SERIAL_COMMUNICATION_FLASH =
+#ifdef FIRMWARE_NAME
+    "firmware: " FIRMWARE_NAME " " FIRMWARE_VERSION "\\n"
+#endif
 {quoted};
-const uint16_t kAnnouncementSize = {len(text)};
-const uint16_t kAnnouncementCrc = 0x{crc_of(text):04x};
 """
 
 
