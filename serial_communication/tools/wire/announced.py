@@ -1,28 +1,33 @@
 """Learns the custom messages of a line from the announcements in its frames."""
-from typing import Any, Dict, Iterable, List
+import struct
+from typing import Any, Dict, Iterable, List, Optional, Tuple
 
+from ...boards.description import Command
 from ...framing.announced_text import read_announcement
-from ...framing.announcement import Assembly, Chunk
+from ...framing.announcement import TYPE, Assembly, Chunk
 from ...framing.custom_messages import RowError
 from ...framing.stream import Frame
 from .lines import Settings
 
 
 class Learner:
-    """Takes the frames from a board; `line` then has the rows that the board announces, too.
+    """Takes the frames of a line; `line` then has the rows that the board announces, too.
 
-    On the bus it learns nothing: there a chunk is a reply, which only its request tells apart.
+    A board that only replies has its chunks in replies, which only their requests tell apart. So of
+    such a board both directions are needed.
     """
 
     def __init__(self, line: Settings) -> None:
         self.line = line
         self._configured = line.parameters
         self._assembly = Assembly()
+        self._asked = False     # the latest frame was a request for a chunk
 
-    def take(self, frame: Frame) -> List[Any]:
+    def take(self, sent: bool, frame: Frame) -> List[Any]:
         """Take a frame; return all custom messages of the line if they have changed, else []."""
+        chunk = self._chunk(sent, frame)
         try:
-            text = self._assembly.take(frame.message) if isinstance(frame.message, Chunk) else None
+            text = self._assembly.take(chunk) if chunk else None
         except ValueError:
             return []       # too long
         custom = self.line.board.custom
@@ -40,10 +45,22 @@ class Learner:
             parameters={**self._configured, custom.parameter: rows})
         return custom.read(rows)
 
+    def _chunk(self, sent: bool, frame: Frame) -> Optional[Chunk]:
+        if frame.cause:
+            return None
+        asked, self._asked = self._asked, (
+            sent and self.line.board.command is Command.FUNCTION and frame.command == TYPE)
+        if isinstance(frame.message, Chunk):
+            return frame.message
+        try:
+            return Chunk.unpack(frame.data) if asked and not sent else None
+        except struct.error:
+            return None     # the reply is an error
 
-def with_announced(line: Settings, frames: Iterable[Frame]) -> Settings:
-    """Return the line with the rows that its board announces last in these frames from it."""
+
+def with_announced(line: Settings, frames: Iterable[Tuple[bool, Frame]]) -> Settings:
+    """Return the line with the rows that its board announces last in these (sent, frame)."""
     learner = Learner(line)
-    for frame in frames:
-        learner.take(frame)
+    for sent, frame in frames:
+        learner.take(sent, frame)
     return learner.line

@@ -7,8 +7,9 @@ import os
 import queue
 import threading
 import time
-from typing import Callable, NamedTuple, Optional, Sequence, Union
+from typing import Any, Callable, NamedTuple, Optional, Sequence, Union
 
+from ...framing.custom_messages import CustomMessage
 from ...framing.stream import Frame
 from ...link.backlog import STALL, Backlog
 from ...transport import pace
@@ -251,8 +252,10 @@ def decode_inbox(inbox: Inbox, line: Settings, until: Optional[float],
 
     def take(sent: bool, frame: Frame) -> None:
         on_frame(sent, frame)
-        for custom in [] if sent else learner.take(frame):
-            directions[custom.is_command].decoder.add_message(custom.kind)
+        for custom in learner.take(sent, frame):
+            if isinstance(custom, CustomMessage):     # others change nothing that is shown live
+                decoder: Any = directions[custom.is_command].decoder    # of a board that announces
+                decoder.add_message(custom.kind)
 
     while True:
         times = [time_ for time_ in [until] + [direction.due() for direction in directions]
