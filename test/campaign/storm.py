@@ -139,6 +139,7 @@ class Storm:
         rig.start(POLLING)
         self.car, self.sensors = Car(rig.car_line), Sensors(rig.mcu_line)
         self.bus = BusBoard(rig.bus_line, rig.clock)
+        self.bus.readings = rig.bus.readings + 1000     # no number of the board before it
         self._connect_lines()
         traffic = rig.robot.subscribe_to_traffic(lambda message: None)
         subscriber = rig.user('subscriber', 'storm_subscriber')
@@ -180,7 +181,6 @@ class Storm:
 
     def _connect_lines(self) -> None:
         """Boards without records, and lines that damage what they transfer."""
-        self.rig.robot.on_message = self._values.check
         self.bus.react, self.bus.executed = self._react, self.calls.executed
         self.car.on_packet, self.bus.on_request = (lambda packet: None), (lambda request: None)
         for link, board in (('arduino', self.car), ('bus', self.bus), ('mcu', self.sensors)):
@@ -189,6 +189,11 @@ class Storm:
             board.line.on_bytes = functools.partial(self._to_board, link, board.line.on_bytes)
         self.car.line.on_unplugged = lambda: (
             self.motor.start_connection(), self.car.start_connection())
+        for topic in POLLED_TOPICS:     # an earlier value cannot arrive after this one
+            self.rig.wait(lambda: any(self.histories['bus'].sent_at((topic, message.key))
+                                      for message in list(self.rig.robot.published[topic])),
+                          f'a value of {topic}')
+        self.rig.robot.on_message = self._values.check
 
     def _disconnect_lines(self) -> None:
         rig = self.rig

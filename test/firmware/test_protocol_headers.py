@@ -5,6 +5,7 @@ import struct
 import subprocess
 
 import pytest
+from board_ends import request
 from by_definition import cobs_encode, xor_of
 from protocol_cases import hexed, vectors
 
@@ -189,16 +190,6 @@ LIFT_UP_100, OK = 'a50255200064b6', 'a50002a7'
 def invalid(code):
     frame = bytes([0xA5, 1, 0xFF, code])
     return (frame + bytes([xor_of(frame)])).hex()
-
-
-def request(cmd1, cmd2=0, data=b''):
-    flag = (
-        struct.pack('<BH', 0x5A, len(data))
-        if len(data) >= 255
-        else struct.pack('<BB', 0xA5, len(data))
-    )
-    frame = flag + bytes([cmd1, cmd2]) + data
-    return frame + bytes([xor_of(frame)])
 
 
 def bus(driver, *tokens):

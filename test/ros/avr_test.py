@@ -104,7 +104,9 @@ class Car(CarBench):
                           doing=lambda v=value: speed.publish(value=v))
             self.drive_until_pwm(speed, value, pwm)
             self.assertEqual(self.board.get('motor_direction'), direction)
-        ticks.first(lambda m: 0 < m.value <= 12)
+            if value:
+                ticks.next(lambda m: 0 < m.value <= 12,
+                           doing=lambda v=value: speed.publish(value=v))
 
     def test_the_motor_stops_after_the_speed_timeout_and_stays_off(self):
         speed, traffic = self.speed(), self.collect(Topic('/serial_msg', SerialMsg))

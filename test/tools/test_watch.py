@@ -150,6 +150,8 @@ def test_built_in_types_as_text():
                       yaw=1.25, last_frame_age_sec=3.0)
     assert words('serial_communication/McuStatus2', sensors) == (
         '470 and 80 mm, yaw 1.2 deg, valid, 2 CRC errors, seq 7')
+    sensors.yaw, sensors.valid = float('nan'), False
+    assert 'angles unknown' in words('serial_communication/McuStatus2', sensors)
     sensors.connected = False
     assert words('serial_communication/McuStatus2', sensors) == 'silent for 3.0 s'
     assert words('serial_communication/Voltage', Message(value=8.071)) == '8.07 V'

@@ -308,7 +308,7 @@ _WORDS = {
         m, ' '.join(value.text() for value in _channels(m))),
     'serial_communication/McuStatus2': lambda m: _status_words(
         m, f'{m.vl53_1} and {m.vl53_2} mm, '
-        + ('angles unknown' if m.pitch != m.pitch else f'yaw {m.yaw:.1f} deg')),
+        + ('angles unknown' if m.yaw != m.yaw else f'yaw {m.yaw:.1f} deg')),
     'serial_communication/SerialMsg': lambda m:
         f"{m.link} {'sent' if m.direction else 'received'} {m.error or m.text}",
     'serial_communication/SteeringFeedback': lambda m: f'{m.value} of 1024',
