@@ -151,7 +151,7 @@ bool Mcu::run_until(uint64_t cycle) {
   return true;
 }
 
-// In the boot loader and while stalled the CPU sleeps where it stands. Interrupts wake it, and it runs
+// In the bootloader and while stalled the CPU sleeps where it stands. Interrupts wake it, and it runs
 // on one instruction at a time, until it is back in the program proper with interrupts on.
 void Mcu::hold_program() {
   const bool booting = avr_->cycle < boot_end_;

@@ -44,7 +44,7 @@ class Mcu {
   void reset();
   // As reset(), but the RAM holds noise and the I2C devices start anew. The EEPROM stays.
   void power_cycle();
-  // What opening a real Nano's port does: a reset, then a second in the boot loader, with all pins floating.
+  // What opening a real Nano's port does: a reset, then a second in the bootloader, with all pins floating.
   void dtr();
   // dtr() as soon as an I2C device is sending.
   void dtr_in_read() { dtr_in_read_ = true; }

@@ -168,7 +168,7 @@ class CarWorld : public World {
 
   void record_outputs() {
     const bool pwm_on = mcu_.data(kTccr2a) & 0x20;
-    // A pin that nobody drives, as in the boot loader, reads high here without its pull-down.
+    // A pin that nobody drives, as in the bootloader, reads high here without its pull-down.
     const bool pwm_high = floating('D', 3) || (!pwm_on && mcu_.output_pin('D', 3));
     const bool forward = floating('D', 7) || mcu_.output_pin('D', 7);
     const bool backward = floating('B', 0) || mcu_.output_pin('B', 0);

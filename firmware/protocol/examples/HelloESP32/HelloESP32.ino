@@ -1,7 +1,7 @@
 // Hello on an ESP32. The rows are those of Hello. For the bridge this board is the `arduino`, not the `mcu`:
 // sketch and link have to have the same protocol, and that of the `mcu` only sends.
 //
-// The boot loader of an ESP32 prints text; after a reset the bridge counts some errors.
+// The bootloader of an ESP32 prints text; after a reset the bridge counts some errors.
 
 #include <PacketLink.h>
 
