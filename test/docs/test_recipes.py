@@ -8,7 +8,7 @@ import subprocess
 
 import pytest
 from pages import ROOT, blocks
-from stage import Stage, until
+from stage import Stage
 
 PAGE = ROOT / 'doc' / 'recipes.md'
 UNIT = ROOT / 'config' / 'serial_communication.service'
@@ -29,8 +29,7 @@ def master(tmp_path):
 @pytest.mark.parametrize('launch, commands', list(zip(COMMANDS[::2], COMMANDS[1::2])))
 def test_the_commands_of_a_recipe_succeed_beside_its_launch(master, launch, commands):
     with master.background([launch]):
-        until(lambda: master.links_are_ok('bus', 'arduino', 'mcu'),
-              f'all links are OK: {master.output()}')
+        master.until(lambda: master.links_are_ok('bus', 'arduino', 'mcu'), 'all links are OK')
         for command in commands.splitlines():
             done = master.run(f'timeout 30 {command}')
             assert done.returncode == 0 and done.stdout.strip(), (command, done.stdout)
@@ -58,7 +57,7 @@ def test_the_command_of_the_unit_starts_the_bridge_and_its_signal_ends_it(master
         process = subprocess.Popen(command, env=master.environment, stdin=subprocess.DEVNULL,
                                    stdout=output, stderr=output, start_new_session=True)
     try:
-        until(lambda: master.node_answers('/serial_communication'), master.output())
+        master.until(lambda: master.node_answers('/serial_communication'), 'the bridge answers')
         process.send_signal(signal.SIGINT)      # KillMode=mixed: to the main process alone
         assert process.wait(int(settings['TimeoutStopSec'])) == 0
         assert not master.node_answers('/serial_communication')
