@@ -132,7 +132,7 @@ def _direction(frames: Sequence[RecordedFrame], length: float, baud: int,
         else:
             by_type.setdefault(name_of(each), []).append(frame.stamp)
     return {
-        'frames': len(frames), 'bad': sum(errors.values()), 'errors': errors, 'bytes': size,
+        'frames': len(frames), 'invalid': sum(errors.values()), 'errors': errors, 'bytes': size,
         'share of capacity': size * _BITS_A_BYTE / baud / length,
         'types': {name: dict({'count': len(stamps), 'per second': len(stamps) / length},
                              **spread(gaps(stamps))) for name, stamps in sorted(by_type.items())}}
@@ -209,10 +209,10 @@ def render(figures: Dict[str, Any]) -> str:
 
 
 def _render_direction(title: str, figures: Dict[str, Any], paint: Paint) -> List[str]:
-    bad = figures['bad']
+    invalid = figures['invalid']
     text = [f'{title}: {figures["frames"]} frames, {figures["bytes"]} bytes, '
             f'{figures["share of capacity"]:.1%} of the wire, '
-            + paint(f'{bad} invalid', 'bad' if bad else 'good')]
+            + paint(f'{invalid} invalid', 'bad' if invalid else 'good')]
     if figures['types']:
         text.append(f'  {"type":28}{"count":>8}{"per s":>9}{"gap p50":>11}{"p99":>9}{"max":>9}'
                     '  ms')

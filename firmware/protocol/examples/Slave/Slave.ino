@@ -1,11 +1,11 @@
-// A board on the bus with three functions: one with data, one with a reply, and one that takes its time and can
-// be stopped. For an AVR. It announces them: the bridge asks for the rows with `bus/announcements: true`.
+// A board on the bus with three functions: one with data, one with a reply, and a slow one that can be
+// stopped. For an AVR. It announces them: the bridge asks for the rows with `bus/announcements: true`.
 //
-// Lift, gimbal and environment of the bridge itself are kFunctionLift, kFunctionGimbal and
+// The built-in lift, gimbal and environment are kFunctionLift, kFunctionGimbal and
 // kFunctionEnvironment; firmware/ctrl_board has them.
 
 #include <BusSlave.h>
-#include <avr_i2c.h>  // bounded waits, and it frees a bus that hangs, neither of which Wire does
+#include <avr_i2c.h>  // unlike Wire, its waits are bounded, and it frees a blocked bus
 
 const char kRows[] PROGMEM =
     "firmware: slave 1.0\n"
@@ -48,7 +48,7 @@ BusResult water() {
   return BusResult::ok(water);
 }
 
-// What takes long must not wait: it begins, and door_moves() is asked until it has ended.
+// A slow function must not wait: it starts the move, and door_moves() is called until the move has ended.
 BusResult door(const Door& request) {
   if (request.open > 1) return BusResult::failed(kErrorMalformed);
   digitalWrite(kDirectionPin, request.open);
