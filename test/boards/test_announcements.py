@@ -111,6 +111,36 @@ def test_the_silence_of_classes_that_were_replaced_is_not_kept(line, logger, run
     assert len(link._latest) == 1
 
 
+# What the links sent before there were announcements: recorded, each frame once, without ECHOs.
+RECORDED_CAR = {b'\x02\x04\x01\x01', b'\x02\x0b'}                       # SPEED 0, heartbeat
+RECORDED_BUS = {b'\xa5\x00\x00\x00\xa5', b'\xa5\x02\x55\x22\xd0'}    # SYNC, environment
+
+
+@pytest.mark.parametrize('announces', [False, True])
+def test_the_car_gets_no_byte_that_it_did_not_get_before(line, logger, running, announces):
+    link = ArduinoLink(Port(line.path), logger=logger)
+    texts = []
+    link.on_announcement = texts.append
+    running(link)
+    received = line.read(10)
+    line.write(b''.join(packets(TEXT)) if announces else TICKS)
+    until(lambda: link.frames_received)
+    until(lambda: link.heartbeats_sent > 30)
+    received += line.read_all(0.005)
+    assert texts == [TEXT] * announces
+    assert set(received.split(b'\0')[:-1]) == RECORDED_CAR
+
+
+def test_the_sensor_board_gets_no_byte(line, logger, running):
+    link = McuLink(Port(line.path), logger=logger)
+    texts = []
+    link.on_announcement = texts.append
+    running(link)
+    line.write(b''.join(mcu.encode(chunk, seq) for seq, chunk in enumerate(chunks_of(TEXT, 20))))
+    until(lambda: texts)
+    assert line.read(0.1) == b''
+
+
 # -- the bus ---------------------------------------------------------------------------------------
 
 ASKED = bus.FUNCTION, 0xFF
@@ -154,6 +184,16 @@ def test_a_bus_board_is_asked_only_if_the_parameter_says_so(bus_board, bus_link)
     bus_link(announcements=False)
     until(lambda: len(bus_board.executed) > 5)
     assert bus_board.questions() == [] and set(bus_board.executed) == {bus.ENVIRONMENT_REQUEST}
+
+
+def test_a_bus_board_gets_no_byte_that_it_did_not_get_before(line, logger, running, bus_board):
+    link = BusLink(Port(line.path), BusSettings(reply_timeout=0.2, environment_period=0.01),
+                   logger=logger)
+    link.on_announcement = lambda text: None
+    running(link)
+    until(lambda: bus_board.executed.count(bus.ENVIRONMENT_REQUEST) > 10)
+    assert {frame.raw for frame in list(bus_board.seen)
+            if frame.message.cmd1 != bus.ECHO} == RECORDED_BUS
 
 
 def test_a_bus_board_is_asked_for_each_chunk_once_a_connection_after_sync(bus_board, bus_link):
