@@ -43,6 +43,8 @@ class Tutorial(unittest.TestCase):
         self.addCleanup(shutil.rmtree, self.folder, ignore_errors=True)
         self.launched = None
         self.addCleanup(self.end)
+        if rospy.has_param('/' + PACKAGE):      # of another page
+            rospy.delete_param('/' + PACKAGE)
         self.build = build_firmware()
         self.board = None
         self.addCleanup(self.unplug)
