@@ -136,6 +136,7 @@ def test_the_sensor_board_gets_no_byte(line, logger, running):
     texts = []
     link.on_announcement = texts.append
     running(link)
+    until(lambda: link.port.is_open)
     line.write(b''.join(mcu.encode(chunk, seq) for seq, chunk in enumerate(chunks_of(TEXT, 20))))
     until(lambda: texts)
     assert line.read(0.1) == b''
