@@ -215,7 +215,11 @@ class Browser:
         finally:
             self._driver.switch_to.default_content()
 
-    def forget_cookies(self, url):
-        """Delete all cookies of this site."""
+    def forget_storage(self, url):
+        """Delete what this site has stored."""
         self._driver.get(url)
-        self._driver.delete_all_cookies()
+        self._driver.execute_script('localStorage.clear()')
+
+    def cookies(self):
+        """All cookies of the page's host."""
+        return self._driver.get_cookies()

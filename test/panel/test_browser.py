@@ -10,7 +10,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import pytest
 import rospy
 from boards import Diagnostics, Topic, ranges, until
-from panel_helpers import NODE, TOKEN, Network, Panel, free_port
+from panel_helpers import NODE, Network, Panel, free_port
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Vector3
@@ -820,11 +820,22 @@ def test_a_page_of_another_site_can_neither_connect_nor_embed(chromium, panel):
     chromium.errors()
 
 
-def test_the_page_needs_the_token_once(chromium, control_panel):
-    chromium.forget_cookies(control_panel.url)
-    chromium.open(control_panel.url.split('?')[0])
-    assert 'with its token' in chromium.text('body')
-    chromium.open(control_panel.url)
+def test_the_page_needs_the_token_once(chromium, control_panel, panel):
+    chromium.forget_storage(control_panel.url)
+    chromium.open('about:blank')
+    chromium.open(control_panel.url.split('#')[0])
+    chromium.wait(lambda page: 'open the address that the panel printed last' in page.text(
+        '#trouble'), 'the page shows it')
+    chromium.errors()
+    chromium.open(control_panel.url)        # in the same tab: only the part after # changes
     chromium.wait_for_text('#connection', 'live')
-    assert TOKEN not in chromium.script('return location.href')
+    assert chromium.script('return location.href') == control_panel.url.split('#')[0]
+    chromium.open('about:blank')
+    chromium.open(control_panel.url.split('#')[0])
+    chromium.wait_for_text('#connection', 'live')
+    # Nothing of it is sent to another port of this machine.
+    assert chromium.cookies() == []
+    chromium.open(panel.url)
+    chromium.wait_for_text('#connection', 'live')
+    assert chromium.script('return localStorage.length') == 0
     chromium.errors()

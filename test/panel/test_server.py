@@ -2,6 +2,7 @@
 import contextlib
 import json
 import os
+import re
 import resource
 import signal
 import socket
@@ -61,10 +62,11 @@ def driver(control_panel, robot):
 # -- the command line -------------------------------------------------------------------------
 
 
-def run(*arguments):
+def run(*arguments, environment=None):
     return subprocess.run([program('panel'), *arguments], text=True, timeout=60,
                           stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                          env={**os.environ, 'ROS_MASTER_URI': 'http://127.0.0.1:1'})
+                          env={**os.environ, 'ROS_MASTER_URI': 'http://127.0.0.1:1',
+                               **(environment or {})})
 
 
 def test_help_names_every_option():
@@ -84,12 +86,43 @@ def test_a_wrong_argument_ends_with_status_2_and_a_message(arguments, words):
     assert done.returncode == 2 and words in done.stderr and not done.stdout
 
 
+@pytest.fixture
+def no_tornado(tmp_path):
+    """The environment of a machine without tornado."""
+    (tmp_path / 'tornado.py').write_text(
+        "raise ModuleNotFoundError('No module named tornado', name='tornado')")
+    return {'PYTHONPATH': f'{tmp_path}:{os.environ["PYTHONPATH"]}'}
+
+
+def test_without_tornado_one_line_names_the_package_and_help_works(no_tornado):
+    done = run(environment=no_tornado)
+    assert (done.returncode, done.stdout, done.stderr) == (
+        1, '', 'panel: the page needs tornado; install it: sudo apt-get install python3-tornado\n')
+    assert run('--help', environment=no_tornado).stdout.startswith('usage: panel')
+
+
 @pytest.mark.usefixtures('two_pages')       # so that their 5 s begin
-def test_a_port_in_use_ends_with_status_1_and_one_line(panel):
+def test_a_port_in_use_ends_with_one_line_that_names_its_holder_and_a_free_port(panel):
     done = run('--port', str(panel.port))
-    assert done.returncode == 1
-    assert done.stderr.startswith('panel: cannot listen on 127.0.0.1 port') \
-        and len(done.stderr.splitlines()) == 1
+    assert done.returncode == 1 and len(done.stderr.splitlines()) == 1
+    found = re.fullmatch(r'panel: cannot listen on 127.0.0.1 port (\d+): Address already in use, '
+                         r'by panel \(process (\d+)\); free: --port (\d+)\n', done.stderr)
+    assert found.group(1, 2) == (str(panel.port), str(panel.process.pid))
+    assert int(found.group(3)) > panel.port
+
+
+def test_a_second_panel_without_options_takes_the_next_port_and_name(robot):
+    one = Panel(port=None, name=None)
+    until(lambda: is_registered('/panel'), 'it is registered')
+    other = Panel(port=None, name=None)
+    assert other.port > one.port >= 8080
+    other.wait_for(f'port 8080 is taken by panel (process {one.process.pid}); the next')
+    until(lambda: is_registered('/panel_2'), 'it is registered under another name')
+    for panel in one, other:
+        page = Page(panel, watch=TOPICS)
+        page.until(lambda page: '~imu' in page.samples, 'it shows the bridge')
+        page.close()
+        assert panel.end() == 0
 
 
 def test_without_a_master_the_panel_serves_pages_that_say_so():
@@ -130,6 +163,7 @@ def test_a_second_panel_of_the_same_name_ends_and_the_first_continues(panel):
     second = Panel(name='panel_read_only')
     assert second.process.wait(30) == 3
     second.wait_for('another node is named /panel_read_only')
+    second.wait_for('or name this one: __name:=panel_read_only_2')
     assert 'Traceback' not in second.output()
     page = Page(panel, watch=TOPICS)
     page.until(lambda page: '~imu' in page.samples, 'the first continues')
@@ -190,18 +224,15 @@ def test_a_file_is_refused_to_a_foreign_origin_only(panel):
     assert panel.get('/app.js', Origin=f'http://127.0.0.1:{panel.port}')[0] == 200
 
 
-def test_every_request_needs_the_token_or_its_cookie(control_panel):
-    assert control_panel.url.endswith(f'?token={TOKEN}')
-    status, headers, text = control_panel.get('/')
-    assert status == 401 and 'with its token' in text and 'Set-Cookie' not in headers
-    assert control_panel.get('/app.js')[0] == 401
-    assert control_panel.get('/?token=not-the-right-one')[0] == 401
+def test_a_connection_needs_the_key_that_the_token_is_exchanged_for(control_panel):
+    assert control_panel.url.endswith(f'/#{TOKEN}')
+    status, headers, _text = control_panel.get('/')
+    assert status == 200 and 'Set-Cookie' not in headers       # the files are the same everywhere
     assert Page(control_panel).status == 401
-    assert Page(control_panel, 'not-the-right-one').status == 401
-    status, headers, _text = control_panel.get(f'/?token={TOKEN}')
-    cookie = headers['Set-Cookie']
-    assert status == 200 and 'HttpOnly' in cookie and 'SameSite=Strict' in cookie
-    assert control_panel.get('/app.js', Cookie=cookie.split(';')[0])[0] == 200
+    assert control_panel.get('/key')[0] == 401
+    status, headers, key = control_panel.exchange(TOKEN)
+    assert status == 200 and 'Set-Cookie' not in headers and TOKEN not in key
+    assert control_panel.get('/key', X_Key=key)[0] == 200
     page = Page(control_panel, TOKEN)
     assert page.status == 101
     page.close()
@@ -209,11 +240,30 @@ def test_every_request_needs_the_token_or_its_cookie(control_panel):
     assert control_panel.output().count(TOKEN) == 1
 
 
+@pytest.mark.parametrize('origin', ['http://evil.example', 'null', ''])
+def test_a_page_of_another_site_cannot_send_a_token(control_panel, origin):
+    assert control_panel.exchange(TOKEN, Origin=origin)[0] == 403
+
+
+def test_a_wrong_token_is_refused_and_guesses_are_slowed():
+    panel = Panel('--control', name='panel_guessed')
+    status, _headers, text = panel.exchange('not-the-right-one')
+    assert status == 401 and 'the token is wrong' in text
+    status, _headers, text = panel.exchange(panel.token)
+    assert status == 401 and 'try again in 2 s' in text
+    until(lambda: panel.exchange(panel.token)[0] == 200, 'it is accepted later', every=0.5)
+    panel.wait_for('panel: for another browser: http://127.0.0.1:')
+    addresses = re.findall(r'http://\S+#\S+', panel.output())
+    assert len(addresses) == len(set(addresses)) == 2
+    assert panel.exchange(panel.token)[0] == 401
+    assert panel.end() == 0
+
+
 @pytest.mark.parametrize('arguments', [['--control'], ['--bind', '0.0.0.0']])
 def test_control_and_other_addresses_need_a_new_token(arguments):
     one, other = Panel(*arguments, name='one'), Panel(*arguments, name='other')
     assert len(one.token) >= 20 and one.token != other.token
-    assert one.get('/')[0] == 401
+    assert one.get('/key')[0] == Page(one).status == 401
     assert one.end() == other.end() == 0
 
 

@@ -42,7 +42,7 @@ import json
 import math
 import time
 from collections import deque
-from typing import Any, Deque, Dict, Optional
+from typing import Any, Deque, Dict, List, Optional
 
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
@@ -57,6 +57,7 @@ _RATE = 120.0         # frames a second that a page may send; it sends 25, and 4
 _BURST = 240.0        # frames that it may send at once
 _DROPPED_RATE = 10.0  # frames a second read from a dropped page, until it answers the close frame
 _MAX_TOPICS = 200     # that a page may watch
+_PROTOCOL = 'panel'
 _NOT_READING = 'it does not read what is sent to it'
 
 
@@ -82,8 +83,14 @@ class Session(GuardedHandler, WebSocketHandler):
         if not self.refuse('origin', self.guard.check_origin(self.request.headers.get('Origin'),
                                                              self.request.host)):
             await super().prepare()
-        if not self._finished:
-            self.refuse('pages', self._hub.check_room(), 503)
+        offered = self.request.headers.get('Sec-WebSocket-Protocol', '').split(',')
+        self.refuse_without_key(next((each.strip() for each in offered
+                                      if each.strip() not in ('', _PROTOCOL)), None))
+        self.refuse('pages', self._hub.check_room(), 503)
+
+    def select_subprotocol(self, subprotocols: List[str]) -> Optional[str]:
+        """A page may offer its key as a second protocol: it can set no other header."""
+        return _PROTOCOL if _PROTOCOL in subprotocols else None
 
     @property
     def shows_wire(self) -> bool:

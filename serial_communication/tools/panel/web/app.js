@@ -14,9 +14,6 @@ import {Model} from './model.js';
 
 const IDLE = 200;         // ms between two drawings while no update is received
 
-// The token is a cookie by now: remove it from the address bar and the history.
-if (location.search) history.replaceState(null, '', location.pathname);
-
 const place = (id) => document.getElementById(id);
 const announce = (words) => { place('announcer').textContent = words; };
 
