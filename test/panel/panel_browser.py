@@ -1,6 +1,9 @@
 """Headless Chromium, controlled through its driver."""
 import base64
 import contextlib
+import os
+import signal
+import subprocess
 import tempfile
 
 from boards import until
@@ -195,6 +198,28 @@ class Browser:
         """
         self._driver.execute_cdp_cmd('Input.dispatchKeyEvent', {
             'type': what, 'key': key, 'code': code, **more})
+
+    @contextlib.contextmanager
+    def frozen(self):
+        """Inside this block, no process of the browser runs."""
+        processes = self._processes()
+        for process in processes:
+            os.kill(process, signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            for process in processes:
+                os.kill(process, signal.SIGCONT)
+
+    def _processes(self):
+        """The ids of the browser's processes: the descendants of its driver."""
+        table = [line.split() for line in subprocess.check_output(
+            ['ps', '-eo', 'ppid,pid'], text=True).splitlines()[1:]]
+        found, new = [], [str(self._driver.service.process.pid)]
+        while new:
+            new = [pid for parent, pid in table if parent in new]
+            found += map(int, new)
+        return found
 
     @contextlib.contextmanager
     def other_tab(self):

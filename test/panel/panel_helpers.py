@@ -23,6 +23,7 @@ from serial_communication.boards.arduino import wire as arduino
 
 NODE = '/serial_communication'
 TOKEN = 'a-token-of-the-tests'
+GRIPPER = arduino.encode_raw(40, struct.pack('<hhB', -25, 500, 3))     # x -2.5, y 50, z 3
 
 
 def free_port():
@@ -105,6 +106,10 @@ class Robot:
         self.bridge = Bridge(parameters={
             **{f'{name}/port': line.near for name, line in self.lines.items()},
             'bus/environment_period': 0.2, 'bus/motion_timeout': 1.0,
+            'arduino/messages': {'gripper': {
+                'type': 40, 'direction': 'to_board', 'ros_type': 'geometry_msgs/Vector3',
+                'layout': '<hhB', 'fields': ['x', 'y', 'z'], 'scale': [0.1, 0.1, 1],
+                'minimum': [-10, 0, 0], 'maximum': [10, 50, 3]}},
             # The responses of both have no status; the first also has no field for success.
             'bus/functions': {
                 'beep': {'cmd2': 0x30, 'srv_type': 'std_srvs/Empty', 'timeout': 0.3},

@@ -15,7 +15,7 @@ import pytest
 import rosgraph
 import rospy
 from boards import PATIENCE, program, ranges, until
-from panel_helpers import (NODE, TOKEN, Page, Panel, free_port, publishers_and_subscribers,
+from panel_helpers import (GRIPPER, NODE, TOKEN, Page, Panel, free_port, publishers_and_subscribers,
                            subscribed)
 
 from std_msgs.msg import String
@@ -655,8 +655,57 @@ def test_a_call_with_an_invalid_number_does_not_disturb_other_pages(floats, numb
 
 def test_led_text_is_sent_and_too_long_a_one_is_refused(driver, robot):
     driver.until(lambda page: send_led(page, robot), 'the car receives it')
+    driver.until(lambda page: page.calls.get('led', {}).get('outcome') == 'sent', 'the answer')
     driver.send(led={'key': 'long', 'text': 'x' * 31})
     driver.until(lambda page: page.known.get('refused', {}).get('key') == 'long', 'refused')
+
+
+def gripper(page, key, **values):
+    page.send(send={'key': key, 'name': '~gripper', 'values': values})
+
+
+def test_a_custom_command_reaches_the_board_and_values_out_of_range_are_refused(driver, robot):
+    driver.until(lambda page: '~gripper' in page.known.get('controls', {}).get('messages', ()),
+                 'it is offered')
+
+    def try_it():
+        if 'good' not in driver.calls:
+            gripper(driver, 'good', x=-2.5, y=50, z=3)
+            time.sleep(0.2)
+    until(lambda: GRIPPER in robot.car.wire, 'the board receives it', doing=try_it)
+    driver.until(lambda page: page.calls.get('good', {}).get('outcome') == 'sent', 'the answer')
+    gripper(driver, 'twice', x=-2.5, y=50, z=3)
+    time.sleep(0.6)
+    gripper(driver, 'wrong', x=-2.5, y=50.1, z=3)
+    refused = {}
+
+    def collect(page):
+        refused.update((update['refused']['key'], update['refused']['words'])
+                       for update in list(page.updates) if 'refused' in update)
+        return {'twice', 'wrong'} <= set(refused)
+    driver.until(collect, 'both are refused')
+    assert refused['twice'] == '~gripper: one call at a time; wait for the answer'
+    assert refused['wrong'] == 'gripper: y is 50.1, out of range (0 … 50)'
+    assert robot.car.wire.count(GRIPPER) == 1
+
+
+def test_stop_ends_the_driving_of_another_page_however_old_it_is(driver, control_panel, robot):
+    other = Page(control_panel, TOKEN)
+    other.until(lambda page: 'node' in page.known, 'the other page receives updates')
+    hold = drive_until(driver, drives(robot), 'the car drives')
+
+    def keep_driving():
+        drive(driver, hold)
+    other.send(seen=0, stop={'key': 'stop'})
+    until(has_stopped(robot), 'the car stops', doing=keep_driving, every=0.04)
+    other.until(lambda page: page.calls.get('stop', {}).get('outcome') == 'sent', 'the answer')
+    count = len(robot.car.speeds)
+    for _ in range(10):
+        keep_driving()
+    driver.until(lambda page: 'press again' in page.known.get('refused', {}).get('words', ''),
+                 'the hold that was ended is refused')
+    assert not any(robot.car.speeds[count:])
+    other.close()
 
 
 def send_led(page, robot):

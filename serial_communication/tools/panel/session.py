@@ -20,19 +20,22 @@ are in every message, the other keys only if they have changed:
                 of `errors` is [time, {cause: increase}]
     log         [[time, level, text]]: log lines of the bridge
     wire        {frames, left_out}: see wire.py; only while this page shows the wire
-    controls    (first message, with --control) the services and their fields
-    calls       [{number, key, name, arguments, began, outcome, words, took}] of every page;
-                without the last three while the call is under way
+    controls    (first message, with --control) {services, messages: {name: {link, fields}}}; a
+                field is {name, kind, whole, unit, low, high}
+    calls       [{number, key, name, arguments, began, outcome, words, took}] of every page, calls
+                and messages; without the last three while the call is under way
     drive       {held, words}
     refused     {key, words}: why a command of this page was not executed
 
 From the page, any of these keys in one message:
 
-    seen        the `now` of the latest message received; acknowledges it and all before it. `call`
-                and `led` are refused if it is older than 2 s
+    seen        the `now` of the latest message received; acknowledges it and all before it.
+                `call`, `send` and `led` are refused if it is older than 2 s
     watch       [topic]: the topics that the page shows; serial_msg: the wire
     call        {key, name, arguments}: call a service
+    send        {key, name, values}: send a custom command
     led         {key, text}
+    stop        {key}: end any page's driving, and send SPEED 0
     drive       {key, hold, seen, speed, steering}: at least ten times a second while the pad is
                 held; `hold` counts presses
     release     {hold}
@@ -182,7 +185,7 @@ class Session(GuardedHandler, WebSocketHandler):
         if 'watch' in message:
             self.topics = frozenset(str(name) for name in message['watch'][:_MAX_TOPICS])
             self._hub.watch()
-        for name in ('call', 'led', 'drive', 'release'):
+        for name in ('call', 'send', 'led', 'stop', 'drive', 'release'):
             if name in message:
                 self._command(name, message[name], float(message.get('seen', 0)))
 
@@ -194,8 +197,12 @@ class Session(GuardedHandler, WebSocketHandler):
                 raise CommandRefused('this panel is read-only; start it with --control')
             if name == 'call':
                 commands.call(self, key, seen, str(values['name']), dict(values['arguments']))
+            elif name == 'send':
+                commands.send(self, key, seen, str(values['name']), dict(values['values']))
             elif name == 'led':
-                commands.led(seen, str(values['text']))
+                commands.led(key, seen, str(values['text']))
+            elif name == 'stop':
+                commands.stop_car(key)
             elif name == 'drive':
                 commands.drive(self, int(values['hold']), float(values['seen']),
                                int(values['speed']), int(values['steering']))

@@ -24,7 +24,7 @@ export class Connection extends EventTarget {
     this._offset = Infinity;   // this clock minus the panel's, with the network's shortest delay
     this._receivedAt = -Infinity;
     this._retry = RETRY[0];
-    this._nextTry = 0;
+    this._nextTry = Infinity;  // until the token in the address has been exchanged
     this._hiddenAt = null;
     this._watch = [];
     document.addEventListener('visibilitychange', () => this._visibility());
@@ -133,6 +133,6 @@ export class Connection extends EventTarget {
 
   _visibility() {
     this._hiddenAt = document.hidden ? seconds() : null;
-    if (!document.hidden && !this._socket) this._open();
+    if (!document.hidden && !this._socket && this._nextTry < Infinity) this._open();
   }
 }
