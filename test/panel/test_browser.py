@@ -16,7 +16,7 @@ from panel_helpers import GRIPPER, NODE, TOKEN, Network, Page, Panel, free_port
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Vector3
 from sensor_msgs.msg import Imu, Range
-from std_msgs.msg import Float32, Float64, Int64, String
+from std_msgs.msg import ColorRGBA, Float32, Float64, Int64, String
 from std_srvs.srv import SetBool, SetBoolResponse
 
 from serial_communication.link.outcome import NOT_SENT, Outcome
@@ -33,6 +33,7 @@ from panel_browser import Browser  # noqa: E402
 
 LEFT, RIGHT = '\ue012', '\ue014'
 UP = '\ue013'
+ESCAPE = '\ue00c'
 
 
 @pytest.fixture(scope='module')
@@ -129,7 +130,7 @@ def test_link_cards_show_diagnostics(page):
     for name, status in diagnostics.wait_for_all(TITLES, lambda *_: True, 'a status').items():
         card = f'[data-link="{name}"]'
         assert page.text(card + ' .card-head .note') == TITLES[name]
-        assert page.text(card + ' .port') == status.keys['port']
+        assert page.text(card + ' .port').replace('\n', '') == status.keys['port']
         page.script("document.querySelector(arguments[0]).open = true", card + ' details')
 
         def shows_latest(page, name=name, card=card):
@@ -202,6 +203,7 @@ def test_markup_in_a_text_is_shown_as_text(page, robot):
             "return [...document.querySelectorAll('.chip')]"
             ".some(chip => chip.textContent.includes('WARN'))")
     page.wait(shows, 'log and wire show it', doing=lambda: robot.car.say(arduino.Log(2, text)))
+    assert 'arduino' in page.texts('.log .link-name')       # it leads to the link's card
     assert page.all('.log img') == page.all('.log script') == page.all('.frame img') == []
     assert 'pwned' not in page.title
     page.script("document.getElementById('card-wire').open = false")
@@ -248,10 +250,33 @@ def test_pointing_at_a_field_highlights_its_bytes_and_the_reverse(page, robot):
     page.click('#card-wire > summary')
 
 
+def test_a_plot_zooms_pauses_and_shows_values_at_the_cursor_by_keyboard(page):
+    note = '#card-motion .figure .span'
+    page.wait_for_text(note, '20 s')        # 50 samples a second
+    page.script("document.querySelector('#card-motion canvas').focus()")
+    for key, text in (('+', '10 s'), ('-', '20 s'), ('-', '60 s')):
+        page.press(key)
+        page.wait_for_text(note, text)
+    page.press(LEFT)
+    values = r'[0-9.]+ s ago: x .*, y .*, z 9\.8.'
+    page.wait(lambda page: re.fullmatch(values, page.text(note)), 'the values are shown')
+    page.press(' ')
+    page.wait(lambda page: re.fullmatch('paused, ' + values, page.text(note)), 'it is paused')
+    shown = page.text(note)
+    page.wait(lambda page: page.text(note).partition(':')[0] != shown.partition(':')[0],
+              'the paused time gets older')
+    assert page.text(note).partition(':')[2] == shown.partition(':')[2]     # but the values stay
+    page.press(ESCAPE)
+    page.wait_for_text(note, '60 s')
+    page.hover('#card-motion canvas')
+    page.wait(lambda page: re.fullmatch(values, page.text(note)), 'pointing shows them, too')
+
+
 def test_custom_topics_appear_and_vanish(chromium, core):
     """This process simulates a bridge that publishes custom topics."""
     wind = rospy.Publisher('~wind', Vector3, queue_size=1)
     words = rospy.Publisher('~motto', String, queue_size=1)
+    colour = rospy.Publisher('~colour', ColorRGBA, queue_size=1)
     panel = Panel('--node', rospy.get_name(), name='panel_custom')
     try:
         chromium.open(panel.url)
@@ -261,13 +286,16 @@ def test_custom_topics_appear_and_vanish(chromium, core):
         def publish():
             while not done.wait(0.05):
                 wind.publish(1.5, -2.25, 1.25e-9)
+                colour.publish(1, 2, 3, 4)
                 words.publish('<b>semper idem</b>')
         threading.Thread(target=publish, daemon=True).start()
         card = '[data-custom="~wind"] '
         chromium.wait_for_text('[data-reading="~wind:y"] .number', '\N{MINUS SIGN}2.25')
         assert chromium.text('[data-reading="~wind:x"] .number') == '1.5'
         assert chromium.text('[data-reading="~wind:z"] .number') == '1.25e\N{MINUS SIGN}9'
-        assert chromium.all(card + 'canvas')
+        assert len(chromium.all(card + 'canvas')) == 1      # the parts of one vector
+        chromium.wait_for_text('[data-reading="~colour:a"] .number', '4')
+        assert len(chromium.all('[data-custom="~colour"] canvas')) == 4
         chromium.wait_for_text('[data-reading="~motto:data"] .number', '<b>semper idem</b>')
         assert not chromium.all('[data-custom="~motto"] canvas')
         # A range whose limits are not finite, as another program may publish it.
@@ -283,8 +311,8 @@ def test_custom_topics_appear_and_vanish(chromium, core):
         done.set()
         assert chromium.errors() == []
     finally:
-        wind.unregister()
-        words.unregister()
+        for topic in wind, words, colour:
+            topic.unregister()
         chromium.open('about:blank')
         panel.end()
 

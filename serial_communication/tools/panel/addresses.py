@@ -1,5 +1,6 @@
 """Where the page is served: a free port, who has one that is taken, and the address to open."""
 import glob
+import io
 import os
 import socket
 from contextlib import suppress
@@ -73,6 +74,18 @@ def page_address(bind: str, port: int, token: Optional[str]) -> str:
     host = _own_address() if bind in ('0.0.0.0', '::', '') else bind
     host = f'[{host}]' if ':' in host else host
     return f'http://{host}:{port}/' + (f'#{token}' if token else '')
+
+
+def qr_code(text: str) -> str:
+    """The text as a QR code for a terminal; empty without the package python3-qrcode."""
+    try:
+        import qrcode
+    except ImportError:
+        return ''
+    code, out = qrcode.QRCode(border=2), io.StringIO()
+    code.add_data(text)
+    code.print_ascii(out, invert=True)
+    return out.getvalue()
 
 
 def _own_address() -> str:

@@ -24,7 +24,7 @@ from ...ros.rospy_mends import background_logging
 from ...ros.rospy_mends.log_file import init_node
 from ...ros.rospy_mends.master_watch import MasterWatch
 from ..watch.watcher import leave_ros
-from .addresses import free_port, holder, listen, listen_near, page_address
+from .addresses import free_port, holder, listen, listen_near, page_address, qr_code
 from .cli import DEFAULT_PORT, print_error
 from .commands import Commands
 from .feed import Feed
@@ -142,8 +142,9 @@ def _serve(options: argparse.Namespace) -> int:
 
     def print_address(words: str = '') -> None:
         # Printed, not logged: readers of the log must not get the token.
-        print(f'panel: {words}' + page_address(options.bind, sockets[0].getsockname()[1],
-                                               entrance.token), flush=True)
+        address = page_address(options.bind, sockets[0].getsockname()[1], entrance.token)
+        code = qr_code(address) if sys.stdout.isatty() and not is_loopback(options.bind) else ''
+        print(f'panel: {words}{address}' + f'\n{code}'.rstrip(), flush=True)
     entrance.on_used = lambda: print_address('for another browser: ')
     server = serve(sockets, hub, Guard([*host_names(), options.bind]), entrance)
     statuses: List[int] = []
