@@ -135,10 +135,12 @@ def test_link_cards_show_diagnostics(page):
 
         def shows_latest(page, name=name, card=card):
             latest = diagnostics.statuses(name)[-1]
-            shown = dict(page.script(
-                "return [...document.querySelectorAll(arguments[0])].map(tr => "
-                "[...tr.children].map(cell => cell.textContent))", card + ' details tr'))
-            return page.text(card + ' .summary') == latest.message and shown == latest.keys
+            summary, rows = page.script("""
+                const card = document.querySelector(arguments[0]);
+                return [card.querySelector('.summary').textContent,
+                        [...card.querySelectorAll('details tr')].map(
+                            tr => [...tr.children].map(cell => cell.textContent))];""", card)
+            return summary == latest.message and dict(rows) == latest.keys
         page.wait(shows_latest, f'{name}: summary and all keys of the latest status')
 
         def age_fits(page, name=name, card=card):
@@ -280,7 +282,6 @@ def test_custom_topics_appear_and_vanish(chromium, core):
     panel = Panel('--node', rospy.get_name(), name='panel_custom')
     try:
         chromium.open(panel.url)
-        chromium.wait_for_text('#connection', 'live')
         done = threading.Event()
 
         def publish():

@@ -40,8 +40,8 @@ place('below').append(...below.map((each) => each.element));
 flow(place('columns'), flowing, () => drive.held);
 
 function showTab(name) {
-  for (const part of document.querySelectorAll('[data-tab]')) {
-    updateAttribute(part, 'data-elsewhere', part.dataset.tab !== name);    // has an effect on a phone only
+  for (const {element} of cards) {
+    updateAttribute(element, 'data-elsewhere', element.dataset.tab !== name);    // has an effect on a phone only
   }
   for (const button of place('tabs').children) {
     updateAttribute(button, 'aria-pressed', String(button.textContent === name));

@@ -8,19 +8,15 @@ const GAP = 1;               // rem
  */
 export function flow(place, cards, busy) {
   const columns = [];
-  let shape = '';
+  let rem = 16, count = 0, shape = '';
   const arrange = () => {
-    const rem = parseFloat(getComputedStyle(document.documentElement).fontSize);
-    const count = Math.max(1, Math.floor((place.clientWidth / rem + GAP) / (LEAST_WIDTH + GAP)));
-    const shown = cards.filter((card) => !card.hidden);
-    const wanted = `${count}: ${shown.map((card) => card.id).join()}`;
-    if (wanted === shape || busy() || !place.clientWidth) return;
+    const wanted = `${count}: ${cards.filter((card) => !card.hidden).map((card) => card.id).join()}`;
+    if (wanted === shape || busy() || !count) return;
     shape = wanted;
     while (columns.length < count) columns.push(place.appendChild(document.createElement('div')));
     while (columns.length > count) columns.pop().remove();
     columns.forEach((column) => { column.className = 'column'; });
-    const heights = columns.map(() => 0);
-    const focused = document.activeElement;
+    const heights = columns.map(() => 0), focused = document.activeElement;
     for (const card of cards) {
       const at = heights.indexOf(Math.min(...heights));
       columns[at].append(card);
@@ -28,7 +24,10 @@ export function flow(place, cards, busy) {
     }
     focused?.focus({preventScroll: true});
   };
-  new ResizeObserver(arrange).observe(place);
+  new ResizeObserver(([{contentRect}]) => {
+    rem = parseFloat(getComputedStyle(document.documentElement).fontSize);
+    count = Math.max(1, Math.floor((contentRect.width / rem + GAP) / (LEAST_WIDTH + GAP)));
+    arrange();
+  }).observe(place);
   new MutationObserver(arrange).observe(place, {attributes: true, attributeFilter: ['hidden'], subtree: true});
-  arrange();
 }
