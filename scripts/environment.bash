@@ -20,12 +20,15 @@ test   | python3-rostest python3-rosbag              | ros-noetic-rostest ros-no
 test   | python3-pytest python3-hypothesis           | python3-pytest python3-hypothesis
 test   | catkin-lint python3-flake8                  | catkin-lint python3-flake8
 test   | shellcheck libxml2-utils                    | shellcheck libxml2-utils
+# Ubuntu's mypy is too old.
+test   | mypy                                        |
 bench  | python3-psutil python3-tqdm                 | python3-psutil python3-tqdm
 bench  | python3-tabulate                            | python3-tabulate
 # Ubuntu has chromium only as a snap, which the driver cannot start.
 browser | chromium chromium-driver python3-selenium  |
 avr    | gcc-avr avr-libc arduino-core-avr           | gcc-avr avr-libc arduino-core-avr
 avr    | simavr libsimavr-dev libelf-dev pkg-config  | simavr libsimavr-dev libelf-dev pkg-config
+esp    | gcc-xtensa-lx106                            | gcc-xtensa-lx106
 view   | rviz python3-rviz ros-robot-state-publisher | ros-noetic-rviz ros-noetic-robot-state-publisher
 view   | xvfb                                        | xvfb
 pictures | imagemagick                               | imagemagick

@@ -16,11 +16,6 @@ sys.path.insert(0, os.path.join(os.path.dirname(os.path.abspath(__file__)), 'hel
 if importlib.util.find_spec('serial_communication') is None:
     sys.path.insert(0, os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 
-
-def pytest_configure(config):
-    config.addinivalue_line('markers', 'slow: takes seconds; left out by `scripts/test quick`')
-
-
 _EXAMPLES = os.environ.get('SERIAL_COMMUNICATION_FUZZ_EXAMPLES', '')
 
 settings.register_profile('quick', max_examples=60, derandomize=True)

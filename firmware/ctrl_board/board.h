@@ -13,22 +13,25 @@ const uint8_t kPanStepPin = 5;
 const uint8_t kPanDirectionPin = 6;  // high: left
 const uint8_t kTiltStepPin = 7;
 const uint8_t kTiltDirectionPin = 8;  // high: up
-// End switches of the lift, closing to ground.
+// End switches of the lift, normally closed, to ground: a broken wire reads as an open switch and stops the lift.
 const uint8_t kLiftTopPin = 9;
 const uint8_t kLiftBottomPin = 10;
 const uint8_t kSmokePin = A0;
 // A4 and A5 are the I2C bus of the SHT3x.
-// Of the example of functions of one's own.
+// Of the example of custom functions.
 const uint8_t kPumpPin = 11;
 const uint8_t kTankPin = A1;
 
 // Leadscrew with 8 mm a turn, 200 steps a turn.
 const uint16_t kLiftStepsPerMm = 25;
-const uint16_t kLiftStepsPerSecond = 2000;
+#ifndef LIFT_STEPS_PER_SECOND
+#define LIFT_STEPS_PER_SECOND 2000
+#endif
+const uint16_t kLiftStepsPerSecond = LIFT_STEPS_PER_SECOND;
 // 200 steps a turn, geared 18:1.
 const uint16_t kGimbalStepsPerDegree = 10;
 const uint16_t kGimbalStepsPerSecond = 900;
-// How far the gimbal may turn from where it stood at power-on, degrees.
+// How far the gimbal may turn from where it stood when power came, degrees.
 const int16_t kPanLimit = 170;
 const int16_t kTiltLimit = 90;
 

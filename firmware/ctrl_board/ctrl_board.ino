@@ -1,31 +1,81 @@
 // The main control board: a robot-ctrl-bus Slave with a lift, a gimbal, and smoke, temperature and
 // humidity sensors.
 
-#include <Wire.h>
+#include <BusSlave.h>
 #include <avr/sleep.h>
-#include <robot_ctrl_bus.h>
+#include <avr_i2c.h>
 
 #include "board.h"
 #include "sht3x.h"
 #include "stepper.h"
 
-using namespace serial_communication;
+// A reset does not turn the gimbal, and opening the port may reset the board: the counts outlive it.
+static StepCount pan_count __attribute__((section(".noinit")));
+static StepCount tilt_count __attribute__((section(".noinit")));
 
-struct SerialSink {
-  void operator()(const uint8_t* bytes, size_t size) const { Serial.write(bytes, size); }
-};
-
-static const StepperAxis kLift = {kLiftStepPin, kLiftDirectionPin, kLiftStepsPerSecond};
-static const StepperAxis kPan = {kPanStepPin, kPanDirectionPin, kGimbalStepsPerSecond};
-static const StepperAxis kTilt = {kTiltStepPin, kTiltDirectionPin, kGimbalStepsPerSecond};
+static const StepperAxis kLift = {kLiftStepPin, kLiftDirectionPin, kLiftStepsPerSecond, 0};
+static const StepperAxis kPan = {kPanStepPin, kPanDirectionPin, kGimbalStepsPerSecond, &pan_count};
+static const StepperAxis kTilt = {kTiltStepPin, kTiltDirectionPin, kGimbalStepsPerSecond, &tilt_count};
 
 static Sht3x sht3x;
 
-#ifdef OWN_MESSAGES
-// An example of functions of one's own, the rows `pump` and `tank` of config/own_messages.yaml.
-const uint8_t kFunctionPump = 0x30;
-const uint8_t kFunctionTank = 0x32;
+static BusSlave bus(Serial);
 
+struct PACKED Lift {
+  uint8_t direction;  // 0 up, 1 down
+  uint8_t distance_mm;
+};
+struct PACKED Gimbal {
+  uint8_t direction;  // 0 left, 1 right, 2 up, 3 down
+  uint8_t degrees;
+};
+struct PACKED Environment {
+  uint16_t smoke;       // of the ADC, 0 … 1023
+  int16_t temperature;  // 0.01 degrees Celsius
+  uint16_t humidity;    // 0.01 %
+};
+
+static BusResult start(const StepperAxis& axis, bool positive, uint32_t steps, EndSwitchPin end_switch) {
+  if (steps == 0) return BusResult::ok();
+  stepper_start(axis, positive, steps, end_switch);
+  return BusResult::pending();
+}
+
+// An open end switch refuses the move, or stops it.
+static BusResult lift(const Lift& request) {
+  if (request.direction > 1) return BusResult::failed(kErrorMalformed);
+  const bool up = request.direction == 0;
+  const EndSwitchPin end_switch = up ? kLiftTopPin : kLiftBottomPin;
+  if (digitalRead(end_switch) == HIGH) return BusResult::failed(kErrorOperation);
+  return start(kLift, up, uint32_t(request.distance_mm) * kLiftStepsPerMm, end_switch);
+}
+
+// The gimbal has no switches: its position is counted, and a move beyond the limit refused as a whole.
+static BusResult gimbal(const Gimbal& request) {
+  if (request.direction > 3) return BusResult::failed(kErrorMalformed);
+  const bool pan = request.direction <= 1;
+  const bool positive = request.direction == 0 || request.direction == 2;  // left, tilt up
+  const StepperAxis& axis = pan ? kPan : kTilt;
+  const int16_t limit = (pan ? kPanLimit : kTiltLimit) * kGimbalStepsPerDegree;
+  const int16_t steps = request.degrees * kGimbalStepsPerDegree;
+  const int16_t target = axis.count->steps + (positive ? steps : -steps);
+  if (target > limit || target < -limit) return BusResult::failed(kErrorOperation);
+  return start(axis, positive, steps, 0);
+}
+
+static BusResult motion() {
+  if (stepper_running()) return BusResult::pending();
+  return stepper_steps_missed() == 0 ? BusResult::ok() : BusResult::failed(kErrorOperation);
+}
+
+static BusResult environment() {
+  if (!sht3x.valid(millis())) return BusResult::failed(kErrorOperation);
+  const Environment reading = {static_cast<uint16_t>(analogRead(kSmokePin)), sht3x.temperature(), sht3x.humidity()};
+  return BusResult::ok(reading);
+}
+
+#ifdef CUSTOM_MESSAGES
+// An example of custom functions, the rows `pump` and `tank` of config/custom_messages.yaml.
 struct PACKED Pump {
   uint8_t on;
 };
@@ -33,9 +83,7 @@ struct PACKED Tank {
   uint16_t decapascals;
 };
 
-static BusResult pump(const uint8_t* data, uint16_t size) {
-  Pump pump;
-  if (!from_bytes(data, size, &pump)) return BusResult::failed(kErrorMalformed);
+static BusResult pump(const Pump& pump) {
   digitalWrite(kPumpPin, pump.on != 0);
   return BusResult::ok();
 }
@@ -46,78 +94,10 @@ static BusResult tank() {
 }
 #endif
 
-class ControlBoard : public BusHandler {
- public:
-  BusResult request(uint8_t cmd2, const uint8_t* data, uint16_t size) override {
-    switch (cmd2) {
-      case kFunctionLift:
-        return size == 2 && data[0] <= 1 ? lift(data[0] == 0, data[1]) : BusResult::failed(kErrorMalformed);
-      case kFunctionGimbal:
-        return size == 2 && data[0] <= 3 ? gimbal(data[0], data[1]) : BusResult::failed(kErrorMalformed);
-      case kFunctionEnvironment:
-        return environment();
-#ifdef OWN_MESSAGES
-      case kFunctionPump:
-        return pump(data, size);
-      case kFunctionTank:
-        return tank();
-#endif
-      default:
-        return BusResult::failed(kErrorUnsupported);
-    }
-  }
-
-  BusResult poll() override {
-    if (stepper_running()) return BusResult::pending();
-    return stepper_steps_missed() == 0 ? BusResult::ok() : BusResult::failed(kErrorOperation);
-  }
-
- private:
-  // A closed end switch refuses the move, or stops it.
-  static BusResult lift(bool up, uint8_t distance_mm) {
-    const EndSwitchPin end_switch = up ? kLiftTopPin : kLiftBottomPin;
-    if (digitalRead(end_switch) == LOW) return BusResult::failed(kErrorOperation);
-    return start(kLift, up, uint32_t(distance_mm) * kLiftStepsPerMm, end_switch);
-  }
-
-  // The gimbal has no switches: its position is counted, and a move beyond the limit refused as a whole.
-  BusResult gimbal(uint8_t direction, uint8_t angle) {
-    const bool pan = direction <= 1;
-    const bool positive = direction == 0 || direction == 2;  // left, tilt up
-    int16_t& position = pan ? pan_ : tilt_;
-    const int16_t limit = pan ? kPanLimit : kTiltLimit;
-    const int16_t target = position + (positive ? angle : -int16_t(angle));
-    if (target > limit || target < -limit) return BusResult::failed(kErrorOperation);
-    position = target;
-    return start(pan ? kPan : kTilt, positive, uint32_t(angle) * kGimbalStepsPerDegree, 0);
-  }
-
-  static BusResult start(const StepperAxis& axis, bool positive, uint32_t steps, EndSwitchPin end_switch) {
-    if (steps == 0) return BusResult::ok();
-    stepper_start(axis, positive, steps, end_switch);
-    return BusResult::pending();
-  }
-
-  static BusResult environment() {
-    if (!sht3x.valid(millis())) return BusResult::failed(kErrorOperation);
-    BusResult result = BusResult::ok();
-    result.append_uint16(analogRead(kSmokePin));
-    result.append_uint16(uint16_t(sht3x.temperature()));
-    result.append_uint16(sht3x.humidity());
-    return result;
-  }
-
-  int16_t pan_ = 0;   // degrees from where it stood at power-on
-  int16_t tilt_ = 0;
-};
-
-static ControlBoard board;
-static RobotCtrlBusSlave<SerialSink, 300> slave{SerialSink(), board};
-
 static void sleep_until_interrupt() {
   set_sleep_mode(SLEEP_MODE_IDLE);
   cli();
-  if (Serial.available() == 0 || !slave.ready()) {
+  if (Serial.available() == 0) {
     sleep_enable();
     sei();  // the instruction after it still runs before any interrupt: no byte can slip in between
     sleep_cpu();
@@ -132,21 +112,27 @@ void setup() {
     pinMode(axis.step_pin, OUTPUT);
     pinMode(axis.direction_pin, OUTPUT);
   }
-#ifdef OWN_MESSAGES
+  pan_count.begin();
+  tilt_count.begin();
+  bus.on<Lift>(kFunctionLift, lift);
+  bus.on<Gimbal>(kFunctionGimbal, gimbal);
+  bus.on(kFunctionEnvironment, environment);
+  bus.on_pending(motion);
+  bus.on_stop(stepper_stop);
+#ifdef CUSTOM_MESSAGES
   pinMode(kPumpPin, OUTPUT);
+  bus.on<Pump>(0x30, pump);
+  bus.on(0x32, tank);
 #endif
   pinMode(kLiftTopPin, INPUT_PULLUP);
   pinMode(kLiftBottomPin, INPUT_PULLUP);
   stepper_begin();
   Serial.begin(kBaud);
-  Wire.begin();
-  Wire.setClock(400000);
-  Wire.setWireTimeout(3000, true);
+  i2c_begin();
 }
 
 void loop() {
-  slave.poll(millis());
-  while (slave.ready() && Serial.available() > 0) slave.feed(Serial.read(), millis());
+  bus.update();
   sht3x.poll(millis());
   sleep_until_interrupt();
 }

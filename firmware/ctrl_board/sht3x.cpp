@@ -2,7 +2,9 @@
 
 #include "sht3x.h"
 
-#include <Wire.h>
+#include <avr_i2c.h>
+
+using serial_communication::i2c_transfer;
 
 namespace {
 
@@ -13,13 +15,11 @@ const uint32_t kPeriodMs = 250;
 const uint32_t kValidMs = 2000;
 
 // A word and its CRC (polynomial 0x31, from 0xFF): over all three bytes the CRC is 0.
-bool read_word(uint16_t* word) {
-  *word = 0;
+bool take_word(const uint8_t* bytes, uint16_t* word) {
+  *word = uint16_t(bytes[0]) << 8 | bytes[1];
   uint8_t crc = 0xFF;
   for (uint8_t i = 0; i < 3; ++i) {
-    const uint8_t byte = Wire.read();
-    if (i < 2) *word = *word << 8 | byte;
-    crc ^= byte;
+    crc ^= bytes[i];
     for (uint8_t bit = 0; bit < 8; ++bit) crc = crc & 0x80 ? crc << 1 ^ 0x31 : crc << 1;
   }
   return crc == 0;
@@ -43,16 +43,13 @@ void Sht3x::poll(uint32_t now_ms) {
 
 bool Sht3x::valid(uint32_t now_ms) const { return measured_ && now_ms - measured_ms_ < kValidMs; }
 
-bool Sht3x::start() {
-  Wire.beginTransmission(kAddress);
-  Wire.write(kSingleShot, sizeof kSingleShot);
-  return Wire.endTransmission() == 0;
-}
+bool Sht3x::start() { return i2c_transfer(kAddress, kSingleShot, sizeof kSingleShot, 0, 0); }
 
 bool Sht3x::fetch() {
   uint16_t temperature, humidity;
-  if (Wire.requestFrom(kAddress, uint8_t(6)) != 6) return false;
-  if (!read_word(&temperature) || !read_word(&humidity)) return false;
+  uint8_t bytes[6];
+  if (!i2c_transfer(kAddress, 0, 0, bytes, sizeof bytes)) return false;
+  if (!take_word(bytes, &temperature) || !take_word(bytes + 3, &humidity)) return false;
   temperature_ = int16_t((int32_t(temperature) * 17500 + 32767) / 65535 - 4500);
   humidity_ = uint16_t((uint32_t(humidity) * 10000 + 32767) / 65535);
   return true;

@@ -16,18 +16,21 @@ constexpr uint16_t phase_per_tick(uint16_t steps_per_second) {
   return uint16_t(uint32_t(steps_per_second) * 65536 / kTickHz);
 }
 
-// From standstill a stepper takes this rate at once; beyond it, 1 a tick more, which is 3900 steps/s².
+// From rest a stepper takes this rate at once; beyond it, 1 a tick more, which is 3900 steps/s².
 const uint16_t kStartVelocity = phase_per_tick(300);
 
 volatile uint8_t* step_port;
 uint8_t step_mask;
 volatile uint8_t* switch_port;
 uint8_t switch_mask;
+StepCount* step_count;
+int8_t step_sign;
 
 volatile uint32_t steps_left = 0;
 volatile uint32_t steps_missed = 0;
 uint32_t ramp_steps;  // taken while speeding up: as many are needed to slow down
 uint16_t velocity;
+uint16_t start_velocity;
 uint16_t top_velocity;
 uint16_t phase;
 
@@ -41,13 +44,13 @@ void stop() {
 
 ISR(TIMER2_COMPA_vect) {
   *step_port &= ~step_mask;  // a step's pulse lasts one tick
-  if (steps_left == 0 || (switch_mask != 0 && !(*switch_port & switch_mask))) {
+  if (steps_left == 0 || (switch_mask != 0 && (*switch_port & switch_mask))) {
     stop();
     return;
   }
   const bool slowing = steps_left <= ramp_steps;
   if (slowing) {
-    if (velocity > kStartVelocity) --velocity;
+    if (velocity > start_velocity) --velocity;
   } else if (velocity < top_velocity) {
     ++velocity;
   }
@@ -56,6 +59,7 @@ ISR(TIMER2_COMPA_vect) {
   if (phase < before) {
     *step_port |= step_mask;
     --steps_left;
+    if (step_count) step_count->set(step_count->steps + step_sign);
     if (!slowing && velocity < top_velocity) ++ramp_steps;
   }
 }
@@ -72,16 +76,25 @@ void stepper_start(const StepperAxis& axis, bool positive, uint32_t steps, EndSw
   step_mask = digitalPinToBitMask(axis.step_pin);
   switch_port = portInputRegister(digitalPinToPort(end_switch));
   switch_mask = end_switch == 0 ? 0 : digitalPinToBitMask(end_switch);
+  step_count = axis.count;
+  step_sign = positive ? 1 : -1;
   ramp_steps = 0;
   phase = 0;
-  velocity = kStartVelocity;
   top_velocity = phase_per_tick(axis.steps_per_second);
+  velocity = start_velocity = min(kStartVelocity, top_velocity);
   ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
     steps_missed = 0;
     steps_left = steps;
     TCNT2 = 0;
     TIFR2 = _BV(OCF2A);
     TIMSK2 = _BV(OCIE2A);
+  }
+}
+
+void stepper_stop() {
+  ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
+    *step_port &= ~step_mask;
+    stop();
   }
 }
 

@@ -5,13 +5,29 @@
 
 #include <stdint.h>
 
+// A position in steps that outlives a reset: a variable of this type belongs into the section ".noinit".
+struct StepCount {
+  int16_t steps;
+  int16_t complement;
+
+  // After a reset: begins at 0 where the RAM holds no count, which is when power came.
+  void begin() {
+    if (complement != ~steps) set(0);
+  }
+  void set(int16_t value) {
+    steps = value;
+    complement = ~value;
+  }
+};
+
 struct StepperAxis {
   uint8_t step_pin;
   uint8_t direction_pin;
   uint16_t steps_per_second;
+  StepCount* count;  // 0: nobody counts
 };
 
-// An end switch that stops a move: a pin that goes low; 0 for none.
+// An end switch that stops a move: a pin that goes high; 0 for none.
 typedef uint8_t EndSwitchPin;
 
 void stepper_begin();
@@ -19,9 +35,12 @@ void stepper_begin();
 // Starts a move; none may be running. `steps` is above 0.
 void stepper_start(const StepperAxis& axis, bool positive, uint32_t steps, EndSwitchPin end_switch);
 
+// Ends the move under way at once.
+void stepper_stop();
+
 bool stepper_running();
 
-// Steps that the last move was short of when its end switch stopped it.
+// Steps that the last move was short of when it was stopped.
 uint32_t stepper_steps_missed();
 
 #endif

@@ -14,7 +14,11 @@
 //   pins, and a pin ignores a level that it has had: each driven pin is given the other level first.
 // - Each write to a port pulls its input pins up again, over what drives them from outside: it is told
 //   of every level that is driven.
-// - TWI: START and the address take no time, data bytes take their nine clocks.
+// - Its TWI takes an address for a data byte, since TWDR was written before it, and it leaves TWINT set
+//   where the program clears it: both are put right at each write to TWCR. START takes no time, a clock
+//   a microsecond. Nothing on its bus can hold a line: while one is held, writes to TWCR wait here.
+// - A reset by its watchdog is one more that ends all cycle timers.
+// - Its UART samples perfectly: at another baud rate the bits that a chip would sample are computed here.
 
 #include "mcu.h"
 
@@ -32,6 +36,7 @@ extern "C" {
 #include <sim_avr.h>
 #include <sim_cycle_timers.h>
 #include <sim_elf.h>
+#include <sim_interrupts.h>
 #include <sim_io.h>
 }
 
@@ -39,11 +44,27 @@ namespace {
 
 const uint32_t kFrequency = 16000000;
 const uint16_t kUbrr0l = 0xC4;
+const uint16_t kTwcr = 0xBC;
+const uint16_t kDdrc = 0x27;
+const uint8_t kTwint = 0x80, kTwsta = 0x20, kTwsto = 0x10, kTwen = 0x04;
+const char kI2cPort = 'C';
+const int kSdaBit = 4, kSclBit = 5;
+const unsigned kBitsOfAByte = 8;
+const double kBootSeconds = 1;
 const double kVcc = 5.0;
 // How many cycles the core may run between two looks at its timers.
 const avr_cycle_count_t kRunCycleLimit = 64;
 
 void keep_pace_elsewhere(avr_t*, avr_cycle_count_t) {}
+
+// The byte that a UART reads whose bits are `ratio` of the sender's: each is sampled in its middle, from
+// the start bit's edge on. The line is idle after the stop bit.
+uint8_t sampled(uint8_t byte, double ratio) {
+  const unsigned wire = ~0u << 9 | unsigned(byte) << 1;  // from the start bit, 0, to the stop bit
+  uint8_t read = 0;
+  for (int bit = 0; bit < 8; ++bit) read |= uint8_t((wire >> int((bit + 1.5) * ratio) & 1) << bit);
+  return read;
+}
 
 void log_errors(avr_t*, const int level, const char* format, va_list arguments) {
   if (level == LOG_ERROR) vfprintf(stderr, format, arguments);
@@ -67,10 +88,13 @@ Mcu::Mcu(const std::string& elf, unsigned baud) : cycles_per_wire_byte_(10.0 * k
   firmware.vcc = firmware.avcc = firmware.aref = uint32_t(kVcc * 1000);
   avr_load_firmware(avr_, &firmware);
   avr_->sleep = keep_pace_elsewhere;
+  run_ = avr_->run;
 
   uart_ = nullptr;
+  twi_ = nullptr;
   for (avr_io_t* io = avr_->io_port; io != nullptr; io = io->next) {
     if (strcmp(io->kind, "uart") == 0) uart_ = reinterpret_cast<avr_uart_t*>(io);
+    if (strcmp(io->kind, "twi") == 0) twi_ = reinterpret_cast<avr_twi_t*>(io);
   }
   uint32_t flags = 0;
   avr_ioctl(avr_, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
@@ -85,11 +109,24 @@ Mcu::Mcu(const std::string& elf, unsigned baud) : cycles_per_wire_byte_(10.0 * k
       avr_io_getirq(avr_, AVR_IOCTL_TWI_GETIRQ(0), TWI_IRQ_OUTPUT),
       [](avr_irq_t*, uint32_t value, void* self) { static_cast<Mcu*>(self)->i2c_message(value); }, this);
 
+  auto& twcr = avr_->io[AVR_DATA_TO_IO(kTwcr)].w;
+  twi_write_ = twcr.c;
+  twi_parameter_ = twcr.param;
+  twcr.c = [](avr_t*, avr_io_addr_t address, uint8_t value, void* self) {
+    static_cast<Mcu*>(self)->twcr_write(address, value);
+  };
+  twcr.param = this;
+  on_output_pin(kI2cPort, kSclBit, [this](bool high) {
+    const bool driven = avr_->data[kDdrc] >> kSclBit & 1;
+    if (!high && driven && !scl_held_ && sda_clocks_ > 0) hold_sda(sda_clocks_ - 1);
+  });
+
   adc_ = avr_io_getirq(avr_, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_ADC0);
   avr_irq_register_notify(
       avr_io_getirq(avr_, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_OUT_TRIGGER),
       [](avr_irq_t*, uint32_t value, void* self) { static_cast<Mcu*>(self)->adc_trigger(value); }, this);
   start_timers();
+  i2c_lines_changed();
 }
 
 Mcu::~Mcu() { avr_terminate(avr_); }
@@ -101,18 +138,55 @@ uint8_t Mcu::data(uint16_t address) const { return avr_->data[address]; }
 
 bool Mcu::run_until(uint64_t cycle) {
   while (avr_->cycle < cycle) {
+    if (dtr_due_) dtr();
+    hold_program();
+    const bool resetting = avr_->run != run_;
     const int state = avr_run(avr_);
+    if (resetting) {
+      ++watchdog_resets_;
+      after_cpu_reset();
+    }
     if (state == cpu_Crashed || state == cpu_Done) return false;
   }
   return true;
 }
 
+// In the boot loader and while stalled the CPU sleeps where it stands. Interrupts wake it, and it runs
+// on one instruction at a time, until it is back in the program proper with interrupts on.
+void Mcu::hold_program() {
+  const bool booting = avr_->cycle < boot_end_;
+  if (!booting && avr_->cycle >= stall_end_) {
+    if (program_held_) {
+      program_held_ = false;
+      avr_->run_cycle_limit = kRunCycleLimit;
+      if (boot_end_ != 0) avr_->sreg[S_I] = 0;
+      boot_end_ = stall_end_ = 0;
+      avr_->state = cpu_Running;
+    }
+    return;
+  }
+  program_held_ = true;
+  avr_->run_cycle_limit = 1;
+  if (booting) avr_->sreg[S_I] = 1;  // nothing sleeps without
+  const bool interrupted = avr_->interrupts.running_ptr != 0 || avr_->interrupt_state != 0 || !avr_->sreg[S_I];
+  if (!interrupted) avr_->state = cpu_Sleeping;
+}
+
 void Mcu::reset() {
   avr_reset(avr_);
+  after_cpu_reset();
+}
+
+void Mcu::after_cpu_reset() {
   avr_->state = cpu_Running;
+  boot_end_ = stall_end_ = 0;
+  program_held_ = false;
   uart_in_.clear();
   uart_feeding_ = false;
+  // A device that was sending goes on with the bits of its byte: the chip has forgotten it.
+  if (i2c_sending_) hold_sda(kBitsOfAByte);
   i2c_selected_ = nullptr;
+  i2c_sending_ = false;
   start_timers();
   for (const auto& port : driven_pins_) {
     apply_driven_pins(port.first, port.second);
@@ -129,12 +203,62 @@ void Mcu::reset() {
 
 void Mcu::power_cycle() {
   for (auto& device : i2c_devices_) device.second->power_on();
+  i2c_sending_ = false;
   reset();
+  hold_sda(0);
   uint32_t noise = 1;
   for (uint32_t address = avr_->ioend + 1u; address <= avr_->ramend; ++address) {
     noise = noise * 1664525 + 1013904223;
     avr_->data[address] = uint8_t(noise >> 24);
   }
+}
+
+void Mcu::dtr() {
+  dtr_due_ = false;
+  reset();
+  boot_end_ = avr_->cycle + uint64_t(kBootSeconds * kFrequency);
+}
+
+void Mcu::crash() {
+  const uint32_t loop = avr_->flashend - 1;  // rjmp .-2
+  avr_->flash[loop] = 0xFF;
+  avr_->flash[loop + 1] = 0xCF;
+  avr_->pc = loop;
+  avr_->sreg[S_I] = 0;
+  avr_->state = cpu_Running;
+}
+
+void Mcu::stall(double seconds) { stall_end_ = avr_->cycle + uint64_t(seconds * kFrequency); }
+
+void Mcu::hold_sda(unsigned clocks) {
+  sda_clocks_ = clocks;
+  i2c_lines_changed();
+}
+
+void Mcu::hold_scl(bool low) {
+  scl_held_ = low;
+  i2c_lines_changed();
+}
+
+void Mcu::i2c_lines_changed() {
+  drive_pin(kI2cPort, kSdaBit, sda_clocks_ == 0);
+  drive_pin(kI2cPort, kSclBit, !scl_held_);
+  if (!twi_waiting_ || !i2c_lines_free()) return;
+  twi_waiting_ = false;
+  const uint8_t value = avr_->data[kTwcr];
+  avr_->data[kTwcr] = uint8_t(value & ~(kTwsta | kTwsto));
+  twcr_write(kTwcr, value | kTwint);
+}
+
+void Mcu::twcr_write(uint16_t address, uint8_t value) {
+  twi_waiting_ = (value & kTwen) && (value & kTwint) && !i2c_lines_free();
+  if (twi_waiting_) {
+    avr_->data[address] = uint8_t(value & ~kTwint);
+    return;
+  }
+  if (!(twi_->state & TWI_COND_ADDR)) twi_->state &= uint8_t(~TWI_COND_WRITE);
+  twi_write_(avr_, address, value, twi_parameter_);
+  if (value & kTwint) avr_->data[address] &= uint8_t(~kTwint);
 }
 
 void Mcu::start_timers() {
@@ -182,6 +306,12 @@ bool Mcu::output_pin(char port, int bit) const {
   return (state.port & state.ddr) >> bit & 1;
 }
 
+bool Mcu::input_pin(char port, int bit) const {
+  avr_ioport_state_t state;
+  if (avr_ioctl(avr_, uint32_t(AVR_IOCTL_IOPORT_GETSTATE(port)), &state) != 0) return false;
+  return !(state.ddr >> bit & 1);
+}
+
 void Mcu::drive_pin(char port, int bit, bool level) {
   DrivenPins& pins = driven_pins_[port];
   pins.mask |= uint8_t(1 << bit);
@@ -223,9 +353,9 @@ uint64_t Mcu::feed_uart(uint64_t) {
   if (unread >= 3) {
     ++uart_overruns_;
   } else {
-    avr_raise_irq(uart_input_, byte);
+    avr_raise_irq(uart_input_, sampled(byte, uart_->cycles_per_byte / 10.0 / wire_bit()));
   }
-  uart_line_free_ += cycles_per_wire_byte_;
+  uart_line_free_ += 10 * wire_bit();
   uart_last_received_ = uart_line_free_ / avr_->frequency;
   uart_feeding_ = !uart_in_.empty();
   return uart_feeding_ ? uint64_t(uart_line_free_) : 0;
@@ -234,7 +364,7 @@ uint64_t Mcu::feed_uart(uint64_t) {
 void Mcu::uart_output(uint8_t byte) {
   const uint64_t start = uart_out_free_ > avr_->cycle ? uart_out_free_ : avr_->cycle;
   uart_out_free_ = start + uart_->cycles_per_byte;
-  uart_out_.emplace_back(uart_out_free_, byte);
+  uart_out_.emplace_back(uart_out_free_, sampled(byte, wire_bit() * 10.0 / uart_->cycles_per_byte));
 }
 
 std::string Mcu::uart_take_sent() {
@@ -251,6 +381,7 @@ void Mcu::i2c_message(uint32_t value) {
   message.u.v = value;
   const uint8_t kind = message.u.twi.msg;
   const uint8_t address = message.u.twi.addr;
+  i2c_sending_ = false;
   if (kind & TWI_COND_STOP) i2c_selected_ = nullptr;
   if (kind & TWI_COND_START) {
     const auto found = i2c_devices_.find(address >> 1);
@@ -265,6 +396,11 @@ void Mcu::i2c_message(uint32_t value) {
   }
   if (kind & TWI_COND_READ) {
     avr_raise_irq(i2c_input_, avr_twi_irq_msg(TWI_COND_READ, address, i2c_selected_->read()));
+    i2c_sending_ = kind & TWI_COND_ACK;
+    if (i2c_sending_ && dtr_in_read_) {
+      dtr_in_read_ = false;
+      dtr_due_ = true;
+    }
   }
 }
 

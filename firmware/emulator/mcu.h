@@ -13,6 +13,7 @@
 
 struct avr_t;
 struct avr_uart_t;
+struct avr_twi_t;
 struct avr_irq_t;
 
 // A device on the I2C bus.
@@ -43,6 +44,22 @@ class Mcu {
   void reset();
   // As reset(), but the RAM holds noise and the I2C devices start anew. The EEPROM stays.
   void power_cycle();
+  // What opening a real Nano's port does: a reset, then a second in the boot loader, with all pins floating.
+  void dtr();
+  // dtr() as soon as an I2C device is sending.
+  void dtr_in_read() { dtr_in_read_ = true; }
+  // The program ends in an endless loop with its interrupts off.
+  void crash();
+  // Holds the program up for so many seconds; its interrupts go on.
+  void stall(double seconds);
+  unsigned watchdog_resets() const { return watchdog_resets_; }
+
+  // A device that holds SDA low until it has seen so many clocks; 0: none does.
+  void hold_sda(unsigned clocks);
+  unsigned sda_clocks() const { return sda_clocks_; }
+  // A device that holds SCL low.
+  void hold_scl(bool low);
+  bool scl_held() const { return scl_held_; }
 
   // Bytes on their way to the board: they arrive one by one at wire speed.
   void uart_receive(const uint8_t* bytes, size_t size);
@@ -51,6 +68,9 @@ class Mcu {
   std::string uart_take_sent();
   // Emulated seconds at which the last byte had arrived.
   double uart_last_received() const { return uart_last_received_; }
+  // How much faster than nominal the other end of the wire sends and samples.
+  void set_baud_error(double share) { baud_error_ = share; }
+  double baud_error() const { return baud_error_; }
   uint64_t uart_received() const { return uart_received_; }
   uint64_t uart_overruns() const { return uart_overruns_; }
 
@@ -66,6 +86,8 @@ class Mcu {
   void on_write(uint16_t address, std::function<void()> callback);
   void on_output_pin(char port, int bit, std::function<void(bool level)> callback);
   bool output_pin(char port, int bit) const;
+  // Whether the program drives it neither high nor low.
+  bool input_pin(char port, int bit) const;
   void drive_pin(char port, int bit, bool level);
   // Calls back every `cycles`, across resets.
   void every(uint64_t cycles, std::function<void()> callback);
@@ -86,14 +108,28 @@ class Mcu {
   };
 
   void apply_driven_pins(char port, const DrivenPins& pins);
+  void after_cpu_reset();
+  void hold_program();
   void start_timers();
   void start_timer(Hook& hook);
   void i2c_message(uint32_t value);
+  void twcr_write(uint16_t address, uint8_t value);
+  bool i2c_lines_free() const { return sda_clocks_ == 0 && !scl_held_; }
+  void i2c_lines_changed();
   void adc_trigger(uint32_t value);
   uint64_t feed_uart(uint64_t when);
   void uart_output(uint8_t byte);
+  double wire_bit() const { return cycles_per_wire_byte_ / 10 / (1 + baud_error_); }
 
   avr_t* avr_;
+  void (*run_)(avr_t*);  // avr_->run, but while the watchdog resets the chip
+  uint64_t boot_end_ = 0;
+  uint64_t stall_end_ = 0;
+  bool program_held_ = false;
+  bool dtr_in_read_ = false;
+  bool dtr_due_ = false;
+  unsigned watchdog_resets_ = 0;
+
   avr_uart_t* uart_;
   avr_irq_t* uart_input_;
   avr_irq_t* i2c_input_;
@@ -102,6 +138,7 @@ class Mcu {
   std::deque<Hook> hooks_;  // a deque keeps their addresses
 
   double cycles_per_wire_byte_;
+  double baud_error_ = 0;
   std::deque<uint8_t> uart_in_;
   double uart_line_free_ = 0;  // cycle at which the next byte from the wire may start
   bool uart_feeding_ = false;
@@ -113,6 +150,13 @@ class Mcu {
 
   std::map<uint8_t, I2cDevice*> i2c_devices_;
   I2cDevice* i2c_selected_ = nullptr;
+  bool i2c_sending_ = false;  // the device, with more to come
+  avr_twi_t* twi_;
+  void (*twi_write_)(avr_t*, uint16_t, uint8_t, void*);
+  void* twi_parameter_;
+  bool twi_waiting_ = false;  // for the lines
+  unsigned sda_clocks_ = 0;
+  bool scl_held_ = false;
 };
 
 #endif

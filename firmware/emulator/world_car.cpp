@@ -63,13 +63,24 @@ class Mpu6050 : public I2cRegisters {
  public:
   explicit Mpu6050(const Attitude& attitude) : attitude_(attitude) { power_on(); }
 
+  bool start(bool read) override {
+    if (failures > 0) {
+      --failures;
+      return false;
+    }
+    return I2cRegisters::start(read);
+  }
+
+  double id = 0x68;     // WHO_AM_I
+  double failures = 0;  // so many transfers get no answer
+
  protected:
   void defaults() override {
     registers_[0x6B] = 0x40;  // asleep
-    registers_[0x75] = 0x68;
   }
 
   void before_read(uint8_t pointer) override {
+    registers_[0x75] = uint8_t(id);
     if (pointer < 0x3B || pointer > 0x48 || (registers_[0x6B] & 0x40)) return;
     const double roll = attitude_.roll.value * kDegree;
     const double pitch = attitude_.pitch.value * kDegree;
@@ -111,7 +122,7 @@ class CarWorld : public World {
     const auto changed = [this] { record_outputs(); };
     for (uint16_t address : {kOcr2a, kOcr2b, kTccr2a, kOcr1al, kTccr1b}) mcu.on_write(address, changed);
     for (int bit : {5, 6, 7}) mcu.on_output_pin('D', bit, [this](bool) { record_outputs(); });
-    for (int bit : {0, 3, 4}) mcu.on_output_pin('B', bit, [this](bool) { record_outputs(); });
+    for (int bit : {0, 3, 4, 5}) mcu.on_output_pin('B', bit, [this](bool) { record_outputs(); });
     record_outputs();
 
     add_angle("yaw", attitude_.yaw);
@@ -127,6 +138,12 @@ class CarWorld : public World {
     }
     values.variable("imu_temperature", &attitude_.temperature);
     values.variable("imu_present", &mpu_.present);
+    values.variable("imu_id", &mpu_.id);
+    values.variable("imu_failures", &mpu_.failures);
+    values.variable("motor_pull_downs", [this] { return pull_downs_; }, [this](double fitted) {
+      pull_downs_ = fitted;
+      record_outputs();
+    });
     values.variable("battery", &battery_);
     values.variable("force", &force_);
     values.variable("steering_feedback", [this] { return steering_feedback(); },
@@ -151,8 +168,12 @@ class CarWorld : public World {
 
   void record_outputs() {
     const bool pwm_on = mcu_.data(kTccr2a) & 0x20;
-    motor_pwm_ = pwm_on ? mcu_.data(kOcr2b) : 0;
-    motor_direction_ = int(mcu_.output_pin('D', 7)) - int(mcu_.output_pin('B', 0));
+    // A pin that nobody drives, as in the boot loader, reads high here without its pull-down.
+    const bool pwm_high = floating('D', 3) || (!pwm_on && mcu_.output_pin('D', 3));
+    const bool forward = floating('D', 7) || mcu_.output_pin('D', 7);
+    const bool backward = floating('B', 0) || mcu_.output_pin('B', 0);
+    motor_pwm_ = pwm_high ? 255 : pwm_on ? mcu_.data(kOcr2b) : 0;
+    motor_direction_ = int(forward) - int(backward);
     const unsigned top = mcu_.data(kIcr1h) << 8 | mcu_.data(kIcr1l);
     const unsigned match = mcu_.data(kOcr1ah) << 8 | mcu_.data(kOcr1al);
     // Fast PWM with the clock divided by eight: half microseconds, and one more than the match.
@@ -162,11 +183,15 @@ class CarWorld : public World {
     values.record("gripper_pwm", mcu_.data(kTccr2a) & 0x80 ? mcu_.data(kOcr2a) : 255 * mcu_.output_pin('B', 3));
     values.record("motor_pwm", motor_pwm_);
     values.record("motor_direction", motor_direction_);
+    values.record("bridge_inputs", int(forward) + 2 * int(backward));
     values.record("servo_us", servo_us_);
     values.record("led_left", mcu_.output_pin('D', 5));
     values.record("led_right", mcu_.output_pin('D', 6));
     values.record("led_brake", mcu_.output_pin('B', 4));
+    values.record("led_builtin", mcu_.output_pin('B', 5));
   }
+
+  bool floating(char port, int bit) const { return pull_downs_ == 0 && mcu_.input_pin(port, bit); }
 
   double steering_feedback() const {
     return forced_feedback_ >= 0 ? forced_feedback_ : 512 + (servo_position_ - 1500) * 0.6;
@@ -209,10 +234,11 @@ class CarWorld : public World {
   Attitude attitude_;
   Mpu6050 mpu_;
   double battery_ = 14.8;
-  double force_ = 100;           // raw ADC, of the example of messages of one's own
+  double force_ = 100;           // raw ADC, of the example of custom messages
   double forced_feedback_ = -1;  // below 0: the servo's own position
   double servo_position_ = 1500;
   double servo_us_ = 0;
+  double pull_downs_ = 1;  // 10 kOhm each on the motor's pins
   int motor_pwm_ = 0;
   int motor_direction_ = 0;
   double wheel_speed_ = 0;

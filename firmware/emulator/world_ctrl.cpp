@@ -7,7 +7,9 @@
 
 namespace {
 
-// One stepper: counts the steps that its driver is given.
+// One stepper: counts the steps that its driver is given, and the fewer that its rotor takes. From rest it
+// takes up to `pull_in_` steps a second; beyond, its rate may grow by `kAcceleration`, up to `pull_out_`.
+// A step that comes sooner is lost, and then the rotor is at rest.
 class Axis {
  public:
   Axis(Mcu& mcu, Values& values, const std::string& name, double steps_per_unit, double start, char step_port,
@@ -21,26 +23,51 @@ class Axis {
     values.reading(name + "_steps", [this] { return double(steps_); });
     values.reading(name + "_moves", [this] { return double(moves_); });
     values.reading(name + "_last_step", [this] { return last_step_; });
+    values.reading(name + "_top_rate", [this] { return top_rate_; });
+    values.reading(name + "_lost_steps", [this] { return double(lost_steps_); });
+    values.variable(name + "_pull_in", &pull_in_);
+    values.variable(name + "_pull_out", &pull_out_);
   }
 
-  double position() const { return start_ + steps_ / steps_per_unit_; }
+  // Of what the rotor turns, in mm or degrees.
+  double position() const { return start_ + rotor_ / steps_per_unit_; }
 
  private:
   // A pause this long, or a turn back, makes the next step the first of another move.
   static constexpr double kPause = 0.02;
+  static constexpr double kAcceleration = 6000;  // steps/s²
+  static constexpr double kJitter = 1.25;        // one step may come so much sooner
 
   void step(bool positive) {
     const double now = mcu_.seconds();
-    if (moves_ == 0 || now - last_step_ > kPause || positive != positive_) ++moves_;
+    const double pause = now - last_step_;
+    const bool turned = moves_ == 0 || positive != positive_;
+    if (turned || pause > kPause) ++moves_;
+    const double rate = 1 / pause;
+    top_rate_ = turned || pause > kPause ? 0 : std::fmax(top_rate_, rate);
+    const double allowed = std::fmin(pull_out_, std::fmax(pull_in_, turned ? 0 : rate_ + kAcceleration * pause));
+    const bool taken = moves_ == 0 || rate <= allowed * kJitter;
+    rate_ = taken ? rate : 0;
     last_step_ = now;
     positive_ = positive;
     steps_ += positive ? 1 : -1;
+    if (taken) {
+      rotor_ += positive ? 1 : -1;
+    } else {
+      ++lost_steps_;
+    }
   }
 
   Mcu& mcu_;
   double steps_per_unit_;
   double start_;
+  double pull_in_ = 350;    // steps/s
+  double pull_out_ = 2500;  // steps/s
   long steps_ = 0;
+  long rotor_ = 0;
+  long lost_steps_ = 0;
+  double rate_ = 0;
+  double top_rate_ = 0;  // of the latest move
   unsigned moves_ = 0;
   double last_step_ = 0;
   bool positive_ = false;
@@ -118,6 +145,13 @@ class CtrlWorld : public World {
     values.variable("sht3x_present", &sht3x_.present);
     values.variable("lift_bottom", &lift_bottom_);
     values.variable("lift_top", &lift_top_);
+    for (int end = 0; end < 2; ++end) {
+      values.variable(end == 0 ? "lift_bottom_wire" : "lift_top_wire", [this, end] { return wires_[end]; },
+                      [this, end](double intact) {
+                        wires_[end] = intact;
+                        drive_switches();
+                      });
+    }
   }
 
  private:
@@ -132,21 +166,22 @@ class CtrlWorld : public World {
     sht3x_.humidity = wave(now, 45, 40, 50);
   }
 
-  // The end switches close to ground.
+  // The end switches are normally closed, to ground: at the end, and where a wire is broken, the pull-up wins.
   void drive_switches() {
     at_top_ = lift_.position() >= lift_top_;
     at_bottom_ = lift_.position() <= lift_bottom_;
-    mcu_.drive_pin('B', 1, !at_top_);
-    mcu_.drive_pin('B', 2, !at_bottom_);
+    mcu_.drive_pin('B', 1, at_top_ || wires_[1] == 0);
+    mcu_.drive_pin('B', 2, at_bottom_ || wires_[0] == 0);
   }
 
   Mcu& mcu_;
   Axis lift_, pan_, tilt_;
   Sht3x sht3x_;
   double smoke_ = 120;       // raw ADC
-  double tank_ = 300;        // likewise, of the example of functions of one's own
+  double tank_ = 300;        // likewise, of the example of custom functions
   double lift_bottom_ = 0;   // mm
   double lift_top_ = 600;    // mm
+  double wires_[2] = {1, 1};  // of the bottom and the top switch; 0: broken
   bool at_top_ = false;
   bool at_bottom_ = false;
 };

@@ -40,26 +40,44 @@ class Vl53l0x : public I2cRegisters {
   double next_ready_ = INFINITY;
 };
 
-// Identity, mode and Euler angles.
+// Identity, mode, status and Euler angles. Without power it forgets its mode, and its angles are 0.
 class Bno055 : public I2cRegisters {
  public:
-  Bno055() { power_on(); }
+  explicit Bno055(Mcu& mcu) : mcu_(mcu) { power_on(); }
+
+  void set_present(double now_present) {
+    if (present == 0 && now_present != 0) power_on();
+    present = now_present;
+  }
 
   double heading = 0;  // degrees, clockwise
   double pitch = 0, roll = 0;
 
  protected:
-  void defaults() override { registers_[0x00] = 0xA0; }
+  void defaults() override {
+    registers_[0x00] = 0xA0;
+    fusion_at_ = INFINITY;
+  }
 
   void before_read(uint8_t pointer) override {
-    if (pointer != 0x1A || registers_[0x3D] != 0x0C) return;
+    const bool fusing = mcu_.seconds() >= fusion_at_;
+    registers_[0x39] = fusing ? 5 : 0;
+    if (pointer != 0x1A || !fusing) return;
     const double turns = std::floor(heading / 360);
     put_uint16_le(0x1A, sixteenths(heading - 360 * turns));
     put_uint16_le(0x1C, sixteenths(pitch));
     put_uint16_le(0x1E, sixteenths(roll));
   }
 
+  void written(uint8_t reg, uint8_t value) override {
+    if (reg == 0x3D) fusion_at_ = value == 0x0C ? mcu_.seconds() + kStartsIn : INFINITY;
+  }
+
  private:
+  static constexpr double kStartsIn = 0.02;
+  Mcu& mcu_;
+  double fusion_at_ = INFINITY;
+
   static uint16_t sixteenths(double degrees) { return uint16_t(int16_t(std::lround(degrees * 16))); }
 };
 
@@ -99,7 +117,11 @@ class BehindTca : public I2cDevice {
 
 class RangeWorld : public World {
  public:
-  RangeWorld(Mcu& mcu, bool still) : mcu_(mcu), range_{Vl53l0x(mcu), Vl53l0x(mcu)}, behind_(tca_, range_[0], range_[1]) {
+  RangeWorld(Mcu& mcu, bool still)
+      : mcu_(mcu),
+        range_{Vl53l0x(mcu), Vl53l0x(mcu)},
+        behind_(tca_, range_[0], range_[1]),
+        bno055_(mcu) {
     values.clock = [this] { return mcu_.seconds(); };
     mcu.attach_i2c(0x70, &tca_);
     mcu.attach_i2c(0x29, &behind_);
@@ -113,7 +135,8 @@ class RangeWorld : public World {
     values.variable("heading", &bno055_.heading);
     values.variable("pitch", &bno055_.pitch);
     values.variable("roll", &bno055_.roll);
-    values.variable("bno055_present", &bno055_.present);
+    values.variable("bno055_present", [this] { return bno055_.present; },
+                    [this](double present) { bno055_.set_present(present); });
     if (!still) mcu.every(uint64_t(0.005 * mcu.frequency()), [this] { move(); });
   }
 

@@ -20,7 +20,7 @@ const uint8_t kLedBrakePin = 12;
 const uint8_t kSteeringFeedbackPin = A0;
 const uint8_t kBatteryPin = A1;
 // A4 and A5 are the I2C bus of the MPU6050.
-// Of the example of messages of one's own; the gripper needs Timer2's other output, OC2A.
+// Of the example of custom messages; the gripper needs Timer2's other output, OC2A.
 const uint8_t kForcePin = A6;
 const uint8_t kGripperPin = 11;
 

@@ -3,6 +3,7 @@
 #include "drive.h"
 
 #include <avr/interrupt.h>
+#include <avr/wdt.h>
 #include <util/atomic.h>
 
 #include "board.h"
@@ -13,23 +14,46 @@ namespace {
 const uint16_t kTimer1Top = 39999;
 const uint16_t kTimer1Half = 20000;
 
-// Timer0 interrupts every 1.024 ms. The first tick may come right after a heartbeat; the motor stops at
-// the tick after these, so never before the timeout.
-const uint8_t kHeartbeatTimeoutTicks = kHeartbeatTimeoutMs * 1000UL / 1024 + 1;
+// Timer0 interrupts every 1.024 ms. The first tick may follow right after a heartbeat, and the motor must
+// not stop before the timeout.
+const uint8_t kHeartbeatTimeoutTicks = kHeartbeatTimeoutMs * 1000UL / 1024 + 2;
+// Both inputs of the bridge stay low for so long before the motor turns the other way. Timer2 takes a new
+// duty at the end of a period, 2.04 ms: until then the bridge may still be enabled.
+const uint8_t kPauseTicks = 3;
 
-volatile uint8_t ticks_since_heartbeat = kHeartbeatTimeoutTicks;
-volatile bool motor_on = false;
-volatile bool heartbeat_lost = false;
+// Shared with the timer's interrupt, and used with interrupts off alone.
+HeartbeatWatch heartbeats(kHeartbeatTimeoutTicks);
+int8_t direction = 0;         // of the bridge: 1, -1, or 0 with both inputs low
+int8_t wanted_direction = 0;  // what it is to be after the pause
+uint8_t wanted_duty = 0;
+uint8_t pause_ticks = 0;
+bool heartbeat_lost = false;
 
 volatile uint8_t encoder_ticks = 0;
 volatile uint8_t ticks_of_beats = 0;
 volatile uint8_t beats = 0;
 
-void motor_off() {
+void bridge_off() {
   OCR2B = 0;  // phase correct PWM holds the pin low at 0
   digitalWrite(kMotorForwardPin, LOW);
   digitalWrite(kMotorBackwardPin, LOW);
-  motor_on = false;
+  if (direction != 0) pause_ticks = kPauseTicks;
+  direction = 0;
+}
+
+void motor_off() {
+  wanted_direction = 0;
+  bridge_off();
+}
+
+// Brings the bridge to what is wanted; called again at the end of a pause.
+void drive_motor() {
+  if (direction != wanted_direction) bridge_off();
+  if (pause_ticks > 0) return;
+  direction = wanted_direction;
+  digitalWrite(kMotorForwardPin, direction > 0);
+  digitalWrite(kMotorBackwardPin, direction < 0);
+  OCR2B = wanted_duty;
 }
 
 void beat() {
@@ -42,13 +66,20 @@ void beat() {
 
 }  // namespace
 
+// After a reset by the watchdog it is on, with 16 ms: off, before the variables are set up.
+void watchdog_off() __attribute__((naked, used, section(".init3")));
+void watchdog_off() {
+  MCUSR = 0;
+  wdt_disable();
+}
+
 ISR(TIMER0_COMPA_vect) {
-  if (ticks_since_heartbeat < kHeartbeatTimeoutTicks) {
-    ++ticks_since_heartbeat;
-  } else if (motor_on) {
+  heartbeats.tick(Serial.available());
+  if (wanted_direction != 0 && !heartbeats.alive()) {
     motor_off();
     heartbeat_lost = true;
   }
+  if (pause_ticks > 0 && --pause_ticks == 0 && wanted_direction != 0) drive_motor();
 }
 
 ISR(TIMER1_OVF_vect) { beat(); }
@@ -58,7 +89,8 @@ ISR(INT0_vect) {
   if (encoder_ticks < 255) ++encoder_ticks;
 }
 
-void drive_begin() {
+void drive_begin(PacketLink& link) {
+  link.watch(heartbeats);
   pinMode(kMotorPwmPin, OUTPUT);
   pinMode(kMotorForwardPin, OUTPUT);
   pinMode(kMotorBackwardPin, OUTPUT);
@@ -85,20 +117,18 @@ void drive_begin() {
     EICRA = _BV(ISC01) | _BV(ISC00);
     EIMSK = _BV(INT0);
   }
+  wdt_enable(WDTO_120MS);
 }
-
-void drive_heartbeat() { ticks_since_heartbeat = 0; }
 
 void drive_set_speed(int16_t speed) {
   const uint16_t size = speed < 0 ? -speed : speed;
   ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
-    if (speed == 0 || ticks_since_heartbeat >= kHeartbeatTimeoutTicks) {
+    if (speed == 0 || !heartbeats.alive()) {
       motor_off();
     } else {
-      digitalWrite(kMotorForwardPin, speed > 0);
-      digitalWrite(kMotorBackwardPin, speed < 0);
-      OCR2B = (size * 51 + 100) / 200;  // 0 … 1000 to 0 … 255, rounded
-      motor_on = true;
+      wanted_direction = speed > 0 ? 1 : -1;
+      wanted_duty = (size * 51 + 100) / 200;  // 0 … 1000 to 0 … 255, rounded
+      drive_motor();
     }
   }
 }
@@ -121,6 +151,7 @@ uint8_t drive_take_beats(uint8_t* ticks) {
   ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
     const uint8_t count = beats;
     beats = 0;
+    if (count > 0) wdt_reset();
     *ticks = ticks_of_beats;
     ticks_of_beats = 0;
     return count;

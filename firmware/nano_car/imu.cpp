@@ -3,14 +3,16 @@
 #include "imu.h"
 
 #include <Arduino.h>
-#include <Wire.h>
 #include <avr/eeprom.h>
+#include <avr/wdt.h>
+#include <avr_i2c.h>
 #include <math.h>
 #include <string.h>
 
 #include "board.h"
 
-using serial_communication::ImuData;
+using serial_communication::i2c_read_registers;
+using serial_communication::i2c_write_register;
 
 namespace {
 
@@ -22,6 +24,9 @@ const uint8_t kAccelConfig = 0x1C;
 const uint8_t kAccelXoutH = 0x3B;
 const uint8_t kPowerManagement1 = 0x6B;
 const uint8_t kWhoAmI = 0x75;
+// What answers at WHO_AM_I: MPU6050, MPU6500, MPU9250, and chips that are sold as an MPU6050. Their registers
+// are alike; only an MPU6050's temperature is right.
+const uint8_t kKnownIds[] = {0x68, 0x70, 0x71, 0x72, 0x98};
 
 // ±4 g and ±1000 degrees/s: enough for a model car in a crash.
 const float kLsbPerG = 8192.0f;
@@ -34,7 +39,9 @@ const float kProportionalGain = 1.0f;
 // How far the measured acceleration may be off 1 g and still count as "down".
 const float kGravityTolerance = 0.15f;
 
-const uint16_t kCalibrationSamples = CALIBRATION_SECONDS * 100;
+const uint16_t kCalibrationSamples = CALIBRATION_SECONDS * 100UL;
+// So many failed reads in a row end a calibration; a few are left out.
+const uint8_t kFailedReads = 20;
 static_assert(CALIBRATION_SECONDS <= 600, "the sums of a calibration are 32 bits wide");
 // More than this between the smallest and the largest rate is a car that moved: 10 degrees/s.
 const int16_t kStillSpread = int16_t(10 * kLsbPerDegree);
@@ -55,21 +62,13 @@ uint8_t checksum_of(const StoredOffsets& stored) {
   return sum;
 }
 
-bool write_register(uint8_t reg, uint8_t value) {
-  Wire.beginTransmission(kAddress);
-  Wire.write(reg);
-  Wire.write(value);
-  return Wire.endTransmission() == 0;
-}
+bool write_register(uint8_t reg, uint8_t value) { return i2c_write_register(kAddress, reg, value); }
 
 bool read_registers(uint8_t reg, uint8_t* out, uint8_t size) {
-  Wire.beginTransmission(kAddress);
-  Wire.write(reg);
-  if (Wire.endTransmission(false) != 0) return false;
-  if (Wire.requestFrom(kAddress, size) != size) return false;
-  for (uint8_t i = 0; i < size; ++i) out[i] = Wire.read();
-  return true;
+  return i2c_read_registers(kAddress, reg, out, size);
 }
+
+bool known(uint8_t id) { return memchr(kKnownIds, id, sizeof kKnownIds) != 0; }
 
 int16_t saturate(float value) {
   return int16_t(lroundf(value > 32767 ? 32767 : value < -32768 ? -32768 : value));
@@ -81,7 +80,7 @@ bool Imu::begin() {
   load();
   aligned_ = false;
   uint8_t id = 0;
-  return read_registers(kWhoAmI, &id, 1) && id == kAddress && write_register(kPowerManagement1, 0x01) &&
+  return read_registers(kWhoAmI, &id, 1) && known(id) && write_register(kPowerManagement1, 0x01) &&
          write_register(kSampleRateDivider, 9) && write_register(kConfig, 0x03) &&
          write_register(kGyroConfig, 0x10) && write_register(kAccelConfig, 0x08);
 }
@@ -157,6 +156,7 @@ void Imu::rotate(const float a[3], const float rate[3], float seconds) {
 
 void Imu::start_calibration() {
   samples_ = 0;
+  failed_reads_ = 0;
   for (uint8_t i = 0; i < 3; ++i) {
     sum_acceleration_[i] = sum_rate_[i] = 0;
     rate_min_[i] = INT16_MAX;
@@ -166,7 +166,8 @@ void Imu::start_calibration() {
 
 Imu::Calibration Imu::calibrate() {
   Sample sample;
-  if (!read(&sample)) return Failed;
+  if (!read(&sample)) return ++failed_reads_ < kFailedReads ? Running : Failed;
+  failed_reads_ = 0;
   for (uint8_t i = 0; i < 3; ++i) {
     sum_acceleration_[i] += sample.acceleration[i];
     sum_rate_[i] += sample.rate[i];
@@ -205,5 +206,9 @@ void Imu::store() const {
   stored.magic = kEepromMagic;
   memcpy(stored.offsets, &offsets_, sizeof stored.offsets);
   stored.checksum = checksum_of(stored);
-  eeprom_update_block(&stored, kEepromAddress, sizeof stored);
+  const uint8_t* bytes = reinterpret_cast<const uint8_t*>(&stored);
+  for (uint8_t i = 0; i < sizeof stored; ++i) {
+    wdt_reset();  // a byte takes 3.4 ms, all of them nearly as long as the watchdog waits
+    eeprom_update_byte(kEepromAddress + i, bytes[i]);
+  }
 }

@@ -3,8 +3,7 @@
 #ifndef NANO_CAR_IMU_H
 #define NANO_CAR_IMU_H
 
-#include <arduino_packets.h>
-#include <stdint.h>
+#include <PacketLink.h>
 
 class Imu {
  public:
@@ -16,7 +15,7 @@ class Imu {
   bool calibrated() const { return calibrated_; }
 
   // Reads the sensor once and turns the orientation by `seconds` of the rate. False: no answer.
-  bool update(float seconds, serial_communication::ImuData* out);
+  bool update(float seconds, ImuData* out);
 
   // The car must stand level and still until calibrate() has returned Done or Moved.
   void start_calibration();
@@ -49,6 +48,7 @@ class Imu {
 
   // Sums of a running calibration.
   uint16_t samples_;
+  uint8_t failed_reads_;  // since the last good one
   int32_t sum_acceleration_[3];
   int32_t sum_rate_[3];
   int16_t rate_min_[3];

@@ -1,18 +1,12 @@
 // The sensor board: two VL53L0X behind a TCA9548A and a BNO055, reported in a status frame 20 times a second.
 // Meant for an ESP32; the same program runs on an ATmega328P with other sensor access (see sensors.h).
 
-#include <stx_etx.h>
+#include <FrameLink.h>
 
 #include "sensors.h"
 #if defined(ARDUINO_ARCH_AVR)
 #include <avr/sleep.h>
 #endif
-
-using namespace serial_communication;
-
-struct SerialSink {
-  void operator()(const uint8_t* bytes, size_t size) const { Serial.write(bytes, size); }
-};
 
 static const uint32_t kBaud = 115200;
 static const uint32_t kFramePeriodMs = 50;
@@ -20,63 +14,64 @@ static const uint32_t kFramePeriodMs = 50;
 static const uint32_t kRangeTimeoutMs = 200;
 static const uint32_t kRestartMs = 1000;
 
-static StxEtxSender<SerialSink> sender{SerialSink()};
-static SensorStatus status = {{kRangeTimedOut, kRangeTimedOut}, 0, 0, 0};
+static FrameLink bridge(Serial);
+static SensorStatus status = {{kRangeTimedOut, kRangeTimedOut}, 0, kAngleUnknown, kAngleUnknown};
 
-struct RangeState {
-  uint32_t read_ms;
-  uint32_t started_ms;
-};
-static RangeState range_states[2];
-static bool attitude_running = false;
-static uint32_t attitude_started_ms = 0;
+static uint32_t read_ms[2];
+static uint32_t started_ms[3] = {0 - kRestartMs, 0 - kRestartMs, 0 - kRestartMs};  // two ranges, attitude
 static uint32_t frame_ms = 0;
 
 static void update_range(uint8_t sensor, uint32_t now) {
-  RangeState& state = range_states[sensor];
   uint16_t millimetres;
   if (range_read(sensor, &millimetres)) {
-    state.read_ms = now;
+    read_ms[sensor] = now;
     status.range_mm[sensor] = millimetres;
-  } else if (now - state.read_ms >= kRangeTimeoutMs) {
+  } else if (now - read_ms[sensor] >= kRangeTimeoutMs) {
     status.range_mm[sensor] = kRangeTimedOut;
-    if (now - state.started_ms >= kRestartMs) {
-      state.started_ms = now;
-      range_begin(sensor);
-    }
   }
 }
 
-static void update_attitude(uint32_t now) {
-  if (!attitude_running && now - attitude_started_ms >= kRestartMs) {
-    attitude_started_ms = now;
-    attitude_running = attitude_begin();
+// A sensor that gives nothing is started once a second; one a frame, since on the ESP32 it takes its time.
+static void start_one(uint32_t now) {
+  for (uint8_t sensor = 0; sensor < 3; ++sensor) {
+    const bool silent = sensor < 2 ? status.range_mm[sensor] == kRangeTimedOut : status.pitch == kAngleUnknown;
+    if (!silent || now - started_ms[sensor] < kRestartMs) continue;
+    started_ms[sensor] = now;
+    if (sensor < 2) {
+      range_begin(sensor);
+    } else {
+      attitude_begin();
+    }
+    return;
   }
-  if (!attitude_running) return;
+}
+
+static void update_attitude() {
   Attitude attitude;
-  attitude_running = attitude_read(&attitude);
-  if (!attitude_running) return;
-  status.yaw = attitude.yaw;
-  status.pitch = attitude.pitch;
-  status.roll = attitude.roll;
+  if (attitude_read(&attitude)) {
+    status.yaw = attitude.yaw;
+    status.pitch = attitude.pitch;
+    status.roll = attitude.roll;
+  } else {
+    status.pitch = status.roll = kAngleUnknown;
+  }
 }
 
 void setup() {
   Serial.begin(kBaud);
   sensors_begin();
-  for (uint8_t sensor = 0; sensor < 2; ++sensor) range_begin(sensor);
-  attitude_running = attitude_begin();
 }
 
 void loop() {
   const uint32_t now = millis();
-  // On the ESP32 millis() may have run on during a slow start-up of the sensors.
+  // After the slow start of a sensor the frames go on from now, without a burst.
   if (now - frame_ms >= kFramePeriodMs) {
     frame_ms = now - frame_ms >= 2 * kFramePeriodMs ? now : frame_ms + kFramePeriodMs;
     update_range(0, now);
     update_range(1, now);
-    update_attitude(now);
-    sender.send_sensor_status(status);
+    update_attitude();
+    bridge.send_sensor_status(status);
+    start_one(now);
   }
 #if defined(ARDUINO_ARCH_AVR)
   set_sleep_mode(SLEEP_MODE_IDLE);

@@ -1,53 +1,52 @@
-// The sensors on an ESP32, through the libraries VL53L0X (Pololu) and Adafruit BNO055.
-// Written against the libraries' documented interface; it has not been compiled or run with the
-// ESP32 toolchain, and no ESP32 is emulated here.
+// The bus and the VL53L0X on an ESP32, the latter through Pololu's library. The tests compile this file
+// against stubs with the libraries' signatures; it has not run on an ESP32.
 
 #if defined(ARDUINO_ARCH_ESP32)
 
-#include <Adafruit_BNO055.h>
 #include <VL53L0X.h>
 #include <Wire.h>
-#include <math.h>
 
 #include "sensors.h"
 #include "tca9548a.h"
 
 static VL53L0X ranges[2];
-static Adafruit_BNO055 bno(55, 0x28);
 
 void sensors_begin() {
   Wire.begin(21, 22);
   Wire.setClock(400000);
+  Wire.setTimeOut(3);  // ms
+  for (VL53L0X& range : ranges) range.setTimeout(50);
+}
+
+bool bus_write(uint8_t device, const uint8_t* bytes, uint8_t size) {
+  Wire.beginTransmission(device);
+  Wire.write(bytes, size);
+  return Wire.endTransmission() == 0;
+}
+
+bool bus_read(uint8_t device, uint8_t reg, uint8_t* out, uint8_t size) {
+  Wire.beginTransmission(device);
+  Wire.write(reg);
+  if (Wire.endTransmission(false) != 0) return false;
+  if (Wire.requestFrom(device, size) != size) return false;
+  for (uint8_t i = 0; i < size; ++i) out[i] = uint8_t(Wire.read());
+  return true;
 }
 
 bool range_begin(uint8_t sensor) {
-  if (!tca_select(kRangeChannels[sensor])) return false;
-  ranges[sensor].setTimeout(50);
-  if (!ranges[sensor].init()) return false;
+  if (!tca_select(kRangeChannels[sensor]) || !ranges[sensor].init()) return false;
   ranges[sensor].startContinuous();
-  return true;
+  return ranges[sensor].last_status == 0;
 }
 
 bool range_read(uint8_t sensor, uint16_t* millimetres) {
+  VL53L0X& range = ranges[sensor];
   if (!tca_select(kRangeChannels[sensor])) return false;
   // The library's read waits for a measurement: it is called only once there is one.
-  if ((ranges[sensor].readReg(VL53L0X::RESULT_INTERRUPT_STATUS) & 0x07) == 0) return false;
-  *millimetres = ranges[sensor].readRangeContinuousMillimeters();
-  return !ranges[sensor].timeoutOccurred();
-}
-
-bool attitude_begin() {
-  if (!bno.begin()) return false;
-  bno.setExtCrystalUse(true);
-  return true;
-}
-
-bool attitude_read(Attitude* attitude) {
-  const imu::Vector<3> euler = bno.getVector(Adafruit_BNO055::VECTOR_EULER);
-  attitude->yaw = lround(euler.x() * 100);
-  attitude->pitch = int16_t(lround(euler.y() * 100));
-  attitude->roll = int16_t(lround(euler.z() * 100));
-  return true;
+  const uint8_t status = range.readReg(VL53L0X::RESULT_INTERRUPT_STATUS);
+  if (range.last_status != 0 || (status & 0x07) == 0) return false;
+  *millimetres = range.readRangeContinuousMillimeters();
+  return range.last_status == 0 && !range.timeoutOccurred();
 }
 
 #endif

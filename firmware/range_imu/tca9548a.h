@@ -3,17 +3,11 @@
 #ifndef RANGE_IMU_TCA9548A_H
 #define RANGE_IMU_TCA9548A_H
 
-#include <Wire.h>
 #include <stdint.h>
 
 const uint8_t kRangeChannels[2] = {3, 6};
 
 // False when the multiplexer does not answer.
-inline bool tca_select(uint8_t channel) {
-  const uint8_t kTcaAddress = 0x70;
-  Wire.beginTransmission(kTcaAddress);
-  Wire.write(uint8_t(1 << channel));
-  return Wire.endTransmission() == 0;
-}
+bool tca_select(uint8_t channel);
 
 #endif

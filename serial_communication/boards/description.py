@@ -1,4 +1,4 @@
-"""The description of a board: everything that programs need to know of it, typed.
+"""The description of a board: what the programs need to know about it.
 
 The `__init__.py` of a board's folder holds it as `DESCRIPTION` and imports only the board's `wire`.
 The modules with the link, ROS and the simulator are imported on first use.
@@ -18,7 +18,7 @@ class Topic(NamedTuple):
     type: str                         # ROS type: package/Type
     period: Optional[float] = None    # s between two messages; None: not known
     period_parameter: str = ''        # name of the board's parameter with the period
-    ages: bool = True                 # False: published on change only, so never too old
+    ages: bool = True                 # False: published on change only, so it never becomes stale
     optional: bool = False            # only some boards send it
 
 
@@ -34,8 +34,8 @@ class Command(enum.Enum):
     """The meaning of a frame's `command`."""
 
     NOTHING = 'nothing'
-    FUNCTION = 'function'    # the requested function. The board sends nothing but one reply a
-    #                          request; the decoder of replies has explain(frame, request)
+    FUNCTION = 'function'    # the requested function. The board only replies, once to each request;
+    #                          the decoder of replies has explain(frame, request)
     SEQUENCE = 'sequence'    # a running number, modulo 256
 
 
@@ -68,8 +68,8 @@ class Description:
     # Bytes that end a frame, are never inside one, and may also separate two frames.
     between: bytes = b''
     first_after_loss: bytes = b''    # has to be sent first after some output was dropped
-    # s. A network port is opened anew if the board is silent for so long after something was sent:
-    # data that was sent may wait in the network, out of sight. 0: never.
+    # s. If the board is silent for so long after something was sent, a network port is closed and
+    # opened again, since the data may still wait in the network. 0: never.
     network_silence: float = 0.0
     silent_after: bytes = b''        # a frame after which the board is silent for minutes
 

@@ -15,6 +15,6 @@ Every message class has
     parts(data)      which bytes hold which value
     str(message)     one line for people
 
-`layout.message_class` makes the simple classes. `layout.layout_methods` adds the methods that a
-class written by hand does not define.
+`layout.message_class` makes the simple classes. The others derive from `layout.LayoutMessage` and
+override what differs.
 """

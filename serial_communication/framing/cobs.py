@@ -83,7 +83,8 @@ def decode_with_places(encoded: bytes) -> Tuple[bytes, List[int], int]:
         the decoded bytes; for each of them its index in `encoded`, where a decoded zero maps to its
         code byte; and the number of bytes by which the last code runs past the end.
     """
-    out, places = bytearray(), []
+    out = bytearray()
+    places: List[int] = []
     at = past = 0
     while at < len(encoded):
         code = encoded[at]

@@ -7,9 +7,10 @@ and topics stay text here; `ros` resolves them.
 import difflib
 import re
 from math import inf, isnan
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Pattern, Sequence, Tuple, Type
 
-from .layout import Layout, LayoutTooLong, Value, brief, count_values, message_class, readable
+from .layout import (Layout, LayoutMessage, LayoutTooLong, Value, brief, count_values,
+                     message_class, readable)
 
 FROM_BOARD, TO_BOARD = 'from_board', 'to_board'
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
@@ -42,7 +43,7 @@ class CustomMessage(NamedTuple):
 
     name: str
     key: str               # of the row, as arduino/messages/force
-    kind: Any              # the message class; its values have the names of their fields
+    kind: Type[LayoutMessage]    # the names of its values are paths of ROS fields
     is_command: bool       # sent to the board
     ros_type: str
     frame_id: str
@@ -112,7 +113,8 @@ class Row:
             raise RowError(self.name(key), value, f'may be {allowed}')
         return value
 
-    def text(self, key: str, pattern: Any, allowed: str, default: Optional[str] = None) -> str:
+    def text(self, key: str, pattern: Optional[Pattern[str]], allowed: str,
+             default: Optional[str] = None) -> str:
         """The text of a key, which matches the pattern."""
         if default is not None and key not in self.given:
             return default
@@ -160,8 +162,9 @@ class Row:
         offsets = self._each('offset', len(paths), 0, lambda n: abs(n) < inf, 'a number')
         minima = self._each('minimum', len(paths), -inf, lambda n: True, 'a number')
         maxima = self._each('maximum', len(paths), inf, lambda n: True, 'a number')
-        values = [Value(path, '', *numbers) for path, *numbers in zip(
-            paths, scales, offsets, minima, maxima)]
+        values = [Value(path, '', scale, offset, minimum, maximum)
+                  for path, scale, offset, minimum, maximum in zip(
+                      paths, scales, offsets, minima, maxima)]
         self._check_limits(Layout(layout, values))
         return layout, values
 

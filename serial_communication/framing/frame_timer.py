@@ -26,7 +26,7 @@ class FrameTimer:
         self._front_at = 0.0               # when it was first seen there
 
     def reset(self) -> None:
-        """Begin anew, as after a reconnect."""
+        """Begin again, as after a reconnect."""
         self._front = None
 
     def due(self, last_byte: float, now: float) -> Optional[float]:

@@ -31,7 +31,7 @@ class Value(NamedTuple):
     # Its place in the data, filled in by the `Layout` that has it:
     code: str = ''             # struct's code; 's': a text
     start: int = 0             # index of its first byte
-    end: int = 0               # index behind its last byte; -1: the end of the data
+    end: int = 0               # index after its last byte; -1: it extends to the end of the data
 
     @property
     def kind(self) -> str:
@@ -40,14 +40,14 @@ class Value(NamedTuple):
 
     @property
     def room(self) -> Optional[int]:
-        """How many bytes its place has; None: all that are left."""
+        """How many bytes its place has; None: all up to the end of the data."""
         return self.end - self.start if self.end >= 0 else None
 
     @property
     def is_scaled(self) -> bool:
         """Whether the value differs from the raw number.
 
-        A scale of 1.0 does not count as one, so a whole number stays whole.
+        A scale of 1.0 counts as none, so an int stays an int.
         """
         return self.scale != 1 or self.offset != 0
 
@@ -70,7 +70,7 @@ class Value(NamedTuple):
         return min(low, high), max(low, high)
 
     def scaled(self, raw: Any) -> Any:
-        """The value of a raw number, of each number in a tuple; a text is returned as it is."""
+        """The value of a raw number, or of each number in a tuple; a text stays as it is."""
         if isinstance(raw, str) or not self.is_scaled:
             return raw
         if isinstance(raw, tuple):
@@ -165,7 +165,7 @@ class Layout:
 
     @property
     def is_empty(self) -> bool:
-        """Whether there is no data."""
+        """Whether such a message has no data."""
         return not self.size and not self.values
 
     def fits(self, size: int) -> bool:
@@ -181,14 +181,14 @@ class Layout:
         return f'{self.size}, {self.size + self._step}, {self.size + 2 * self._step} …'
 
     def _unpack(self, data: bytes) -> Tuple:
-        """The values, as `unpack`; struct.error if `data` has the wrong length."""
+        """The general `unpack`: the values; struct.error if `data` has the wrong length."""
         values = list(self.raw(data))
         for index, value in self._scaled:
             values[index] = value.scaled(values[index])
         return tuple(values)
 
     def _raw(self, data: bytes) -> Tuple:
-        """The raw numbers and texts, as `raw`; struct.error if `data` has the wrong length."""
+        """The general `raw`: raw numbers and texts; struct.error if `data` has the wrong length."""
         if not self.fits(len(data)):
             raise struct.error(f'{len(data)} bytes of data, not {self.sizes()}')
         raw = self._struct.unpack_from(data)
@@ -280,7 +280,7 @@ class Layout:
 
 
 def _split(layout: str) -> Tuple[str, str]:
-    """The format without a last value that extends to the end of the data, and its code, or ''."""
+    """Split off the code of a last value that extends to the end of the data; '' if none does."""
     if layout[:1] not in ('<', '>'):
         raise ValueError('it does not begin with < or >')
     fixed, rest = layout.replace(' ', ''), ''
@@ -362,8 +362,12 @@ def brief(given: Any, most: int) -> str:
     return words if len(words) <= most else words[:most - 1] + '…'
 
 
-class LayoutMessage:
-    """Base of the classes that `message_class` makes: a message is a tuple of its values."""
+class LayoutMessage(tuple):
+    """Base of the messages that a layout describes: a message is a tuple of its values.
+
+    `message_class` makes the simple ones. Another one is a class of its own, which also derives
+    from a NamedTuple with its fields.
+    """
 
     __slots__ = ()
     TYPE: int
@@ -392,17 +396,6 @@ class LayoutMessage:
         return f'{self.LABEL} {self.LAYOUT.text(self)}'.rstrip()
 
 
-def layout_methods(kind: Any) -> Any:
-    """Decorator: adds the methods of `LayoutMessage` that a NamedTuple does not define.
-
-    `kind` has TYPE, LABEL and LAYOUT.
-    """
-    for name in ('unpack', 'pack', 'parts', 'implausible', '__str__'):
-        if name not in vars(kind):
-            setattr(kind, name, vars(LayoutMessage)[name])
-    return kind
-
-
 def message_class(name: str, type_: int, layout: str, values: Sequence[Value] = (),
                   label: str = '', doc: str = '') -> Any:
     """Make the class of a message that a layout describes.
@@ -415,7 +408,8 @@ def message_class(name: str, type_: int, layout: str, values: Sequence[Value] = 
         label: the message's name for people; `name` if empty.
     """
     # Not `name`, which may be a keyword of Python.
-    fields = namedtuple('Values', [value.name for value in values], rename=True)
+    fields = namedtuple(  # type: ignore[misc]  # mypy wants the names in the source
+        'Values', [value.name for value in values], rename=True)
     return type(name, (LayoutMessage, fields), {
         '__slots__': (), '__doc__': doc, 'TYPE': type_, 'LABEL': label or name,
         'LAYOUT': Layout(layout, values)})

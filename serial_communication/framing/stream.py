@@ -14,7 +14,7 @@ from bisect import bisect_left
 from collections import deque
 from copy import copy
 from functools import partial
-from typing import Any, Deque, Dict, List, NamedTuple, Protocol, Tuple, Union
+from typing import Any, Callable, Deque, Dict, List, NamedTuple, Protocol, Tuple, Union
 
 from .parts import Part, Parts
 
@@ -56,7 +56,8 @@ class Frame(NamedTuple):
 
 
 # Makes a `Frame` of a tuple with all its fields, in half the time that calling the class takes.
-frame_of = partial(tuple.__new__, Frame)
+frame_of: Callable[[Tuple], Frame] = partial(
+    tuple.__new__, Frame)    # type: ignore[assignment]  # mypy does not see that it is a Frame
 
 
 def invalid_frame(raw: bytes, cause: str, error: str, stamp: Any = None, type_: int = 0,
@@ -74,10 +75,22 @@ class Decoder(Protocol):
     """
 
     errors: Dict[str, int]     # counts by cause; always has `FRAMING`
-    pending: bool              # whether bytes wait that are in no returned frame
-    begun: bool                # whether a frame has begun that is not complete
-    front: int                 # where it begins: how many bytes of the stream are before it
-    needed: int                # how many bytes it has, as far as is known
+
+    @property
+    def pending(self) -> bool:
+        """Whether bytes wait that are in no returned frame."""
+
+    @property
+    def begun(self) -> bool:
+        """Whether a frame has begun that is not complete."""
+
+    @property
+    def front(self) -> int:
+        """Where that frame begins: how many bytes of the stream are before it."""
+
+    @property
+    def needed(self) -> int:
+        """How many bytes that frame has, as far as is known."""
 
     def feed(self, data: bytes, stamp: Any = None) -> List[Frame]:
         """Decode the bytes of one read; return the frames, valid and invalid, now complete."""
@@ -276,7 +289,8 @@ class StreamDecoder:
 
     def _search(self, at: int) -> List[Frame]:
         """Decide as many bytes as possible, from buffer[at] on; before it no frame begins."""
-        self._frames = frames = []
+        frames: List[Frame] = []
+        self._frames = frames
         buffer, size = self.buffer, len(self.buffer)
         need = 1
         while at < size:
@@ -285,16 +299,15 @@ class StreamDecoder:
                 at = start.start() if start else size
                 continue
             found = self.frame_at(at)
-            kind = type(found)
-            if kind is Good:
-                self._add(at, found)
-                # Its LEN may be false: two equal frames inside do not change an XOR.
-                at += 1 if found.cause == LENGTH else found.size
-            elif kind is Bad:
+            if isinstance(found, Bad):
                 # An invalid frame inside another one that was returned is the same error.
                 if found.cause != FRAMING and self._offset + at >= self._classified:
                     self._add_bad(at, found)
                 at += 1
+            elif isinstance(found, Good):
+                self._add(at, found)
+                # Its LEN may be false: two equal frames inside do not change an XOR.
+                at += 1 if found.cause == LENGTH else found.size
             else:
                 need = found.size
                 break
@@ -325,8 +338,7 @@ class StreamDecoder:
 
     def _add_bad(self, start: int, bad: Bad) -> None:
         """Add the invalid frame that begins at `start`."""
-        if self._noise or self._classified < self._offset + start:
-            self._end_noise(start)
+        self._end_noise(start)
         end = start + bad.size
         self.errors[bad.cause] += 1
         self._frames.append(invalid_frame(self.buffer[start:end], bad.cause, bad.error,

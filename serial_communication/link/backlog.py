@@ -32,7 +32,7 @@ class Backlog:
         self.extend(seconds, now)
 
     def extend(self, seconds: float, now: float) -> None:
-        """Another stall happened meanwhile: begin anew."""
+        """Another stall happened meanwhile: measure the rate again."""
         self.seconds += seconds
         self._window = min(max(_WINDOW[0], self.seconds * _PART_OF_STALL), _WINDOW[1])
         self._end = now + _LONGEST

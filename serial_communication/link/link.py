@@ -17,12 +17,12 @@ from .sparing_log import SparingLog
 OK, WARN, ERROR = 0, 1, 2      # as in diagnostic_msgs/DiagnosticStatus
 RX, TX = 0, 1                  # as in SerialMsg
 SILENCE = 1.0                  # s without a frame after which a board counts as silent
-_SHUTDOWN_TIME = 0.5           # s within which boards and bridge end if they are ended together
+_SHUTDOWN_TIME = 0.5           # s within which bridge and simulated boards end if stopped together
 _AFTER_FAULT = 0.1             # s until the thread goes on after an unexpected error
 _NEVER = float('inf')
 _OLD = object()                # the stamp of bytes that waited during a stall
 
-Tap = Callable[[str, int, Frame], None]
+Tap = Callable[[str, int, Frame], None]      # gets the link's name, RX or TX, and the frame
 
 
 class Refused(Exception):
@@ -53,11 +53,11 @@ class Link:
         port: the link alone opens and closes it.
         decoder: for the bytes that the board sends.
         frame_timeout: s without a byte after which an incomplete frame is given up.
-        clock: makes the stamp of each read, and nothing else.
+        clock: returns the stamp of each read; it is used for nothing else.
         logger: None: the logger of this module.
     """
 
-    STOPS_FIRST = False     # True: at shutdown this link must not wait for others to end
+    STOPS_FIRST = False     # True: at shutdown this link is stopped before the others
 
     def __init__(self, name: str, port: Port, decoder: Decoder, frame_timeout: float = 0.05,
                  clock: Callable[[], Any] = time.time,
@@ -71,14 +71,14 @@ class Link:
         self.frames_sent = 0
         self.last_frame_at: Optional[float] = None   # monotonic
         self.last_byte_at = 0.0                      # monotonic
-        self.stale = 0                     # bytes dropped since they waited during a stall
+        self.stale = 0                     # bytes dropped because they waited during a stall
         # When the thread last returned from a read, by `pace.clock`; _NEVER: the port is closed.
         self.awake_at = _NEVER
         self._clock = clock
         self._timer = FrameTimer(decoder, frame_timeout, port.baud)
         self.connections = 0               # how often the port has been opened
         self._trouble = ''                 # why the port is closed
-        self._lost = ''                    # why it was lost; '': never, or already logged
+        self._lost = ''                    # why the port was lost; '': not lost, or already logged
         self._lost_at = 0.0                # when; monotonic
         self._opener = Opener(port, name + ' opening', self._port_opened)
         self._stopping = self._opener.ending
@@ -105,9 +105,9 @@ class Link:
         """An invalid frame or noise was received; it is already counted and logged."""
 
     def stalled(self, seconds: float, now: float) -> None:
-        """The thread stalled for so long (over `STALL`).
+        """The thread stalled for `seconds`, which are more than `STALL`.
 
-        The backlog is dropped after this; until it ends, no frame is `received`.
+        After this call the backlog is dropped; `received` is not called until that is done.
         """
 
     def altered(self, now: float) -> None:
@@ -118,7 +118,7 @@ class Link:
         self.stalled(0.0, now)
 
     def tick(self, now: float) -> Optional[float]:
-        """Do what is due; return when to be called next at the latest, or None.
+        """Do what is due; return the time of the next call at the latest, or None.
 
         Raises:
             PortError: to have the port closed and opened again.
@@ -130,7 +130,7 @@ class Link:
         return None
 
     def shown(self, frame: Frame) -> Frame:
-        """A received frame as `tap` gets it; called before `received`."""
+        """Return what `tap` gets for a received frame; called before `received`."""
         return frame
 
     def talks(self, now: float) -> Optional[bool]:
@@ -164,7 +164,7 @@ class Link:
         self._thread.start()
 
     def stop(self) -> None:
-        """Tell the link to end; returns at once."""
+        """Make the link's threads end; returns at once."""
         self._opener.end()
         self.port.wake()
 
@@ -192,14 +192,14 @@ class Link:
         tap = self.tap      # another thread may set it to None meanwhile
         if tap:
             # Guarded: an error here would look as if the frame had not been sent.
-            self._guarded(lambda: tap(self.name, TX, Frame(frame, type_, command, data, message,
-                                                           self._clock())))
+            self._guarded(lambda tap: tap(self.name, TX, Frame(
+                frame, type_, command, data, message, self._clock())), tap)
 
     def check_silence(self, now: float, limit: float) -> Optional[float]:
-        """For `tick`: give up a network port that has been silent for `limit` s.
+        """For `tick`: have a network port closed if it has been silent for `limit` s.
 
-        The network and the peer's kernel hide unsent bytes, so they are dropped this way. A limit
-        of 0 turns the check off.
+        That drops unsent bytes, which may wait unseen in the network or in the peer's kernel. A
+        limit of 0 turns the check off.
 
         Returns:
             when to check again; None: never, since the port is not a network port or `limit` is 0.
@@ -217,8 +217,8 @@ class Link:
     # -- diagnostics ------------------------------------------------------------------
 
     def report(self, now: float) -> Report:
-        """The state of the link; to be called once a second, since it has the errors since the
-        last call."""
+        """The state of the link, with the errors since the previous call as those of the last
+        second. So it has to be called once a second."""
         errors = self.error_count()
         new_errors, self._reported_errors = errors - self._reported_errors, errors
         level, summary = self.condition(now)
@@ -273,7 +273,7 @@ class Link:
 
     def _serve_connections(self) -> None:
         """Open the port, serve it and close it, again and again."""
-        if self.port.is_open:       # the call before was ended by an error
+        if self.port.is_open:       # an error ended the previous call
             self._close_port()
         while self._opener.open(self._not_opened, lambda now: self._guarded(self.idle, now)):
             self._guarded(self._serve)
@@ -291,7 +291,7 @@ class Link:
     def _not_opened(self, trouble: str) -> None:
         self.awake_at = _NEVER
         self._trouble = trouble
-        # If all is ended together, the port of a simulated board may vanish first: no warning.
+        # If everything is stopped together, a simulated board's port may vanish first: no warning.
         if time.monotonic() >= self._lost_at + _SHUTDOWN_TIME:
             self._report_loss()
             self.log.warn('closed', f'{self.port.url}: {trouble}')
@@ -338,15 +338,16 @@ class Link:
             if now >= look_at:
                 look_at = now + LONGEST_SLEEP
                 self._check_port(now)
-            if self.decoder.pending:
-                wake_at = min(wake_at, timer.due(self.last_byte_at, now))
+            due = timer.due(self.last_byte_at, now)
+            if due is not None:
+                wake_at = min(wake_at, due)
             data = self.port.read(wake_at - now)
             stamp = self._clock()
             now = time.monotonic()
             self.drained = not data
             self._check_stall(now)
             if self._backlog is not None:
-                self._drop(data, now)
+                self._drop(self._backlog, data, now)
             elif data:
                 self.take(data, stamp, now)
             if self.decoder.pending:
@@ -380,9 +381,8 @@ class Link:
             self.stalled(seconds, now)
         self.awake_at = awake_at
 
-    def _drop(self, data: bytes, now: float) -> None:
+    def _drop(self, backlog: Backlog, data: bytes, now: float) -> None:
         """Drop the bytes of one read; end the backlog if they are the last of it."""
-        backlog = self._backlog
         self.stale += len(data)
         if data:
             self.last_byte_at = now
@@ -392,8 +392,8 @@ class Link:
         if backlog.size:
             self.log.warn('stalled', f'the bridge stalled for {backlog.seconds:.3g} s: '
                           f'{backlog.size} bytes that waited in the port are old and were dropped')
-        # A frame that began in the backlog ends in the next read. Without a checksum its rest
-        # alone could be taken for another frame, so the decoder gets the beginning, too.
+        # A frame may begin in the backlog and end in the next read. If it has no checksum, its end
+        # alone could be taken for another frame. So the decoder gets the beginning, too.
         errors = dict(self.decoder.errors)
         self.decoder.feed(backlog.last, _OLD)
         self.decoder.errors.update(errors)

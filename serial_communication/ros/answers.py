@@ -5,7 +5,7 @@ type has them. Without a field `status`, the message of a failed call is the out
 a field `success`, a failed call raises a service error with that text.
 """
 import ast
-from typing import Any, List, Tuple
+from typing import Any, List, Optional, Tuple
 
 import rospy
 from rospy.exceptions import TransportInitError
@@ -60,7 +60,7 @@ def read_error(error: rospy.ServiceException) -> Tuple[Verdict, str]:
     return _failure(*read_text(_text_of(error)))
 
 
-def _failure(status: Any, text: str) -> Tuple[Verdict, str]:
+def _failure(status: Optional[int], text: str) -> Tuple[Verdict, str]:
     verdict = verdict_of_failure(status)
     if verdict is Verdict.NOT_KNOWN and status != TIMEOUT:      # a TIMEOUT's text has LOOK already
         text = f'{text or "no reason was given"}; {LOOK}'

@@ -3,13 +3,14 @@
 The ROS types and fields in the rows are resolved while the parameters are checked. So a mistake in
 a row ends the node before it has registered anything or opened a port.
 """
-from typing import Any, Dict, List, NamedTuple, Sequence, Set, Tuple
+from typing import Any, Dict, List, NamedTuple, Sequence, Set, Tuple, Type
 
 import rospy
 
 from ..boards import BOARDS, description
 from ..boards.description import Description
 from ..framing.custom_messages import CustomMessage, RowError
+from ..framing.layout import LayoutMessage
 from .commands import CommandTopic
 from .fields import RosFields, find_type
 from .publishing import publisher, wanted
@@ -22,8 +23,8 @@ class RosMessage(NamedTuple):
     """A custom message with its ROS type and fields."""
 
     custom: CustomMessage
-    kind: Any             # its class; a value that a ROS field cannot hold is implausible
-    message_class: Any    # of ROS
+    kind: Type[LayoutMessage]    # its message class, with the limits of the ROS fields, too
+    message_class: Any           # of ROS
     fields: RosFields
 
 
@@ -33,7 +34,8 @@ def message_rows(board: Description, given: Any) -> List[RosMessage]:
     Raises:
         RowError: for the first mistake.
     """
-    return [_resolve(custom, board.custom.prefix) for custom in board.custom.read(given)]
+    rows = board.custom
+    return [_resolve(custom, rows.prefix) for custom in rows.read(given)] if rows else []
 
 
 def names_of(rows: Sequence[Tuple], prefix: str) -> List[Tuple[str, str]]:
@@ -98,13 +100,13 @@ class ValuePublisher:
             self._topic.publish(self._fields.fill(self._message, values))
 
 
-def built_in_topic(name: str, ros_class: Any, kind: Any) -> ValuePublisher:
-    """Return the topic of a built-in message; the values are named like the ROS fields."""
+def built_in_topic(name: str, ros_class: Any, kind: Type[LayoutMessage]) -> ValuePublisher:
+    """Return the topic of a built-in message whose values have the names of the ROS fields."""
     return ValuePublisher(name, ros_class, RosFields(ros_class, kind.LAYOUT, name))
 
 
 def custom_topics(rows: List[RosMessage], prefix: str,
-                  frame_prefix: str) -> Dict[type, ValuePublisher]:
+                  frame_prefix: str) -> Dict[Type[LayoutMessage], ValuePublisher]:
     """Return the topics of the custom messages from the board, by the messages' classes."""
     return {row.kind: ValuePublisher(prefix + row.custom.name, row.message_class, row.fields,
                                      row.custom.frame_id and frame_prefix + row.custom.frame_id)

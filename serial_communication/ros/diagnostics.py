@@ -2,7 +2,7 @@
 import logging
 import threading
 import time
-from typing import Iterable
+from typing import Any, Callable, Iterable
 
 import rospy
 from diagnostic_updater import Updater
@@ -52,8 +52,8 @@ class Diagnostics:
                     self._log.error('fault', f'fault in the bridge: {error!r}')
 
 
-def _task(link: Link):
-    def run(status):
+def _task(link: Link) -> Callable[[Any], Any]:
+    def run(status: Any) -> Any:
         report = link.report(time.monotonic())
         status.summary(report.level, report.summary)
         for key, value in report.values:

@@ -9,7 +9,7 @@ import re
 import struct
 import sys
 from math import isfinite
-from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Iterable, List, NamedTuple, Optional, Sequence, Tuple, Union
 
 import roslib.message
 
@@ -21,7 +21,6 @@ _CODES = {'bool': '?', 'int8': 'b', 'byte': 'b', 'uint8': 'B', 'char': 'B', 'int
           'float32': 'f', 'float64': 'd'}      # struct's codes
 _MOST_ELEMENTS = 1000     # of an array whose elements are named singly, such as position[2]
 _STEP = re.compile(r'([A-Za-z]\w*)(?:\[(\d+)\])?')
-_TYPE = re.compile(r'([\w/]+)(\[(\d*)\])?')
 
 
 def find_type(key: str, name: str, kind: str = 'msg') -> Any:
@@ -92,8 +91,9 @@ class RosFields:
         self._places = [self._resolve(key, value) if value.name else None
                         for value in layout.values]
         self._refuse_shared(key, [value.name for value in layout.values])
-        self._filled = [(index, place.owner, place.last, isinstance(place.last, int), place.to_ros)
-                        for index, place in enumerate(self._places) if place]
+        self._filled: List[Tuple] = [
+            (index, place.owner, place.last, isinstance(place.last, int), place.to_ros)
+            for index, place in enumerate(self._places) if place]
 
     def narrowed(self, layout: Layout) -> Layout:
         """Return the layout; there, a value that its field cannot hold is implausible."""
@@ -130,8 +130,11 @@ class RosFields:
         """
         values = []
         for place in self._places:
+            if place is None:
+                values.append(0)
+                continue
             try:
-                value = _walk(message, (*place.owner, place.last)) if place else 0
+                value = _walk(message, (*place.owner, place.last))
             except IndexError:
                 raise ValueError(f'{place.owner[-1]} has no element {place.last}') from None
             values.append(tuple(value) if isinstance(value, (list, bytes)) else value)
@@ -139,7 +142,8 @@ class RosFields:
 
     def _resolve(self, key: str, value: Value) -> _Place:
         path = value.name
-        message_class, steps, type_, size = self._class, (), '', None
+        message_class, type_, array, size = self._class, '', '', ''
+        steps: Tuple[Union[str, int], ...] = ()
         for name, element in _STEP.findall(path):
             if message_class is None:
                 raise RowError(key, path, f'must end at {steps[-1]}, a {type_} without fields')
@@ -147,7 +151,8 @@ class RosFields:
             if name not in fields:
                 raise RowError(key, path, f'{message_class._type} has no field {name}'
                                + _nearest(name, list(fields)))
-            type_, array, size = _TYPE.fullmatch(fields[name]).groups()
+            type_, bracket, size = fields[name].rstrip(']').partition('[')
+            array = bracket and f'[{size}]'
             message_class = None if type_ in _CODES or type_ in ('string', 'time', 'duration') \
                 else roslib.message.get_message_class(
                     'std_msgs/Header' if type_ == 'Header' else type_)
@@ -156,7 +161,7 @@ class RosFields:
                 self._lengthen(key, path, steps, int(element), array, size,
                                message_class or _default_of(type_))
                 steps += (int(element),)
-                array = None
+                array = ''
         return self._checked(key, value, steps, type_, array, size)
 
     def _refuse_shared(self, key: str, paths: List[str]) -> None:
@@ -170,22 +175,22 @@ class RosFields:
                 if other != path:
                     raise RowError(key, path, f'overlaps with {other}')
 
-    def _lengthen(self, key: str, path: str, steps: Tuple, element: int, array: Optional[str],
-                  size: Optional[str], default: Any) -> None:
+    def _lengthen(self, key: str, path: str, steps: Tuple, element: int, array: str, size: str,
+                  default: Any) -> None:
         most = int(size) if size else _MOST_ELEMENTS
-        if array is None:
+        if not array:
             raise RowError(key, path, f'{steps[-1]} is not an array')
         if element >= most:
             raise RowError(key, path, f'{steps[-1]} has elements 0 to {most - 1}')
         self._arrays.append((steps, element + 1, default))
 
     @staticmethod
-    def _checked(key: str, value: Value, steps: Tuple, type_: str, array: Optional[str],
-                 size: Optional[str]) -> _Place:
+    def _checked(key: str, value: Value, steps: Tuple, type_: str, array: str,
+                 size: str) -> _Place:
         """Return the place if its type can hold the value; otherwise raise RowError."""
         path, has = value.name, value.kind
-        is_array, is_fixed = array is not None, bool(size)
-        there = type_ + (array or '')
+        is_array, is_fixed = bool(array), bool(size)
+        there = type_ + array
         if has == 'text' and (type_ != 'string' or is_array):
             raise RowError(key, path, f'is {there}; the text (s) in the layout needs a string')
         if has != 'text' and type_ not in _CODES:
@@ -196,13 +201,13 @@ class RosFields:
         if has == 'number' and is_array:
             raise RowError(key, path, f'is {there}; a single number needs one element, such as '
                            f'{path}[0]')
-        convert = None
+        convert: Optional[Callable[[Any], Any]] = None
         if type_ == 'bool':
             convert = bool
         elif has != 'text' and type_ not in ('float32', 'float64') and not value.is_whole:
             convert = round
         if convert and has == 'array':
-            one, convert = convert, lambda numbers: [one(number) for number in numbers]
+            convert = _for_each(convert)
         return _Place(steps[:-1], steps[-1], convert, _CODES.get(type_, ''))
 
 
@@ -250,6 +255,10 @@ def _walk(message: Any, steps: Sequence) -> Any:
 
 def _default_of(type_: str) -> Callable[[], Any]:
     return str if type_ == 'string' else bool if type_ == 'bool' else int
+
+
+def _for_each(convert: Callable[[Any], Any]) -> Callable[[Iterable], list]:
+    return lambda numbers: [convert(number) for number in numbers]
 
 
 def _nearest(name: str, names: List[str]) -> str:

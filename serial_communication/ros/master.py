@@ -3,7 +3,7 @@ import sys
 import threading
 import time
 import xmlrpc.client
-from typing import Callable, List, Optional
+from typing import Any, Callable, List, Optional
 
 import rosgraph
 
@@ -76,15 +76,17 @@ def _ask(name: str, found: List[str]) -> None:
     try:
         uri = rosgraph.Master(name).lookupNode(name)
         with xmlrpc.client.ServerProxy(uri) as node:
-            if node.getPid(name)[0] == 1 and _name_of(node, name) == name:
+            if _is_running(node, name):
                 found.append(uri)
     except Exception:  # pylint: disable=broad-except
         pass    # no such node; or a process that is ending, or is no node, may answer anything
 
 
-def _name_of(node: xmlrpc.client.ServerProxy, default: str) -> str:
-    """Return the name that a node reports; `default` if it cannot (only rospy's nodes can)."""
+def _is_running(node: Any, name: str) -> bool:
+    """Return whether the process at a node's address is a node, and has not another name."""
+    if node.getPid(name)[0] != 1:
+        return False
     try:
-        return node.getName(default)[2]
+        return node.getName(name)[2] == name
     except xmlrpc.client.Fault:
-        return default
+        return True     # only rospy's nodes report their name

@@ -5,7 +5,7 @@ import signal
 import sys
 import time
 from contextlib import contextmanager
-from typing import Iterator
+from typing import Iterator, Type
 
 import rospy
 
@@ -17,7 +17,7 @@ from ..transport.pace import set_priority_of_all
 from . import parameters, starting
 from .diagnostics import Diagnostics
 from .geometry import publish_mounts
-from .interface import LinkOptions
+from .interface import Interface, LinkOptions
 from .last_resort import LastResort
 from .launch_arguments import unknown_arguments
 from .master import full_name
@@ -28,7 +28,7 @@ from .traffic import Traffic
 
 _SWITCH_INTERVAL = 0.0005   # s; so that a busy thread does not delay the heartbeat
 _NAME = 'serial_communication'    # the default
-_PRIORITY = 1               # real-time, where the system allows it
+_PRIORITY = 1               # real-time priority of all threads, if the system allows it
 _SHUTDOWN = 1.0             # s for all links to end
 _LAST_RESORT = 1.5          # s from a signal until the process ends, even if something hangs
 _LOGGER = logging.getLogger('rosout')    # rospy's, for terminal, file and /rosout
@@ -75,8 +75,7 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
     # before there is a bridge to stop.
     rospy.on_shutdown(last_resort.begin)
     if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:    # nohup ignores it
-        signal.signal(signal.SIGHUP, lambda *_: (
-            start.stopping.set(), rospy.signal_shutdown('the terminal has gone')))
+        signal.signal(signal.SIGHUP, lambda *_: _hang_up(start))
     bridge = None
     try:
         given = rospy.get_param('~', {})
@@ -85,7 +84,7 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
             rospy.logwarn(warning)
         bridge = Bridge(values)
         rospy.on_shutdown(bridge.stop)
-        if not rospy.core.is_shutdown_requested():      # else the hook may have missed it
+        if not rospy.core.is_shutdown_requested():      # otherwise nothing may call `stop` later
             bridge.start()
             MasterWatch(given, _LOGGER).start()
     except rospy.ROSInterruptException:
@@ -100,8 +99,13 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
     return 0
 
 
+def _hang_up(start: starting.Start) -> None:
+    start.stopping.set()
+    rospy.signal_shutdown('the terminal has gone')
+
+
 @contextmanager
-def _naming(board: type) -> Iterator[None]:
+def _errors_naming(board: Type[Interface]) -> Iterator[None]:
     """Turn what a board's code raises at the start into a ParameterError that names the board."""
     try:
         yield
@@ -123,14 +127,14 @@ class Bridge:
 
     def __init__(self, p: dict) -> None:
         link_options = LinkOptions(p['frame_timeout'], rospy.Time.now, _LOGGER)
-        boards = [(board, own) for board, own in (
-            (board, parameters.of_board(board, p)) for board in p['boards']) if own['port']]
+        boards = [(board, values) for board, values in (
+            (board, parameters.of_board(board, p)) for board in p['boards']) if values['port']]
         self._interfaces, self._links = [], []
-        for board, own in boards:
-            with _naming(board):
-                interface = board(own, link_options)
+        for board, values in boards:
+            with _errors_naming(board):
+                interface = board(values, link_options)
                 if not isinstance(interface.link, Link):
-                    raise TypeError(f'its link is {interface.link!r}, may be a Link')
+                    raise TypeError(f'its link is {interface.link!r}, must be a Link')
                 self._interfaces.append(interface)
                 self._links.append(interface.link)
         if not self._links:
@@ -138,24 +142,24 @@ class Bridge:
             rospy.logwarn(f'no port is set ({ports}): the bridge has nothing to do')
         off = [board.NAME for board in p['boards'] if not parameters.of_board(board, p)['port']]
         if self._links and off:
-            rospy.loginfo(f'off, because no port is set: {", ".join(off)} (bridge.launch: if any '
-                          'port is an argument, the ports without an argument are empty)')
+            rospy.loginfo(f'off, because no port is set: {", ".join(off)} (bridge.launch: if a '
+                          'port is given as an argument, links without a port argument are off)')
         self._mounts = publish_mounts(p['base_frame_id'], {
-            own[f'{name}_frame_id']: own[f'{name}_mount']
-            for board, own in boards for name in board.MOUNTS})
+            values[f'{name}_frame_id']: values[f'{name}_mount']
+            for board, values in boards for name in board.MOUNTS})
         self._traffic = Traffic(self._links, _LOGGER)
         self._diagnostics = Diagnostics(self._links, _LOGGER)
 
     def start(self) -> None:
         """Open the ports, subscribe to commands and offer services."""
-        # All threads get it, not only the heartbeat's: the heartbeat waits for any thread that
-        # holds the interpreter's lock while it waits for the processor.
+        # Not only the heartbeat's thread gets it: while any thread holds the interpreter's lock
+        # and waits for the processor, the heartbeat waits, too.
         set_priority_of_all(_PRIORITY)
         for interface in self._interfaces:
-            with _naming(type(interface)):
+            with _errors_naming(type(interface)):
                 interface.link.start()
         for interface in self._interfaces:
-            with _naming(type(interface)):
+            with _errors_naming(type(interface)):
                 interface.advertise()
         self._diagnostics.start()
 
@@ -167,7 +171,7 @@ class Bridge:
         for link in self._links:
             link.join(max(0.0, deadline - time.monotonic()))
         self._diagnostics.stop()
-        # rospy's server thread spins once its socket is closed. With real-time priority it would
-        # starve the threads that it waits for. A process that replaces this one (execve) would
-        # inherit the priority, too.
+        # After its socket is closed, rospy's server thread runs in a busy loop. With real-time
+        # priority it would keep the processor from the threads that it waits for. Also, a process
+        # that replaces this one (execve) would inherit the priority.
         set_priority_of_all(0)

@@ -100,7 +100,7 @@ def _wrong(described: str, interface: Any, taken: Iterable[str]) -> str:
             return wrong
     if 'port' not in parameters or not isinstance(parameters['port'].default, str):
         return _other(".PARAMETERS['port']", parameters.get('port'), 'PORT, which is required')
-    return _wrong_mounts(interface.MOUNTS, parameters)
+    return _wrong_mounts(getattr(interface, 'MOUNTS', None), parameters)
 
 
 def _wrong_parameter(key: Any, parameter: Any) -> str:

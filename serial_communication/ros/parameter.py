@@ -50,7 +50,7 @@ class Parameter(NamedTuple):
         Raises:
             ValueError: it has another type, or is out of range.
         """
-        if self.default in ({}, []):
+        if self.parse and self.default in ({}, []):
             return self.parse(value)
         wanted = type(self.default)
         if wanted is float and type(value) is int:

@@ -1,8 +1,10 @@
 """Publishers with the options that this node needs."""
+from typing import Any
+
 import rospy
 
 
-def publisher(name: str, message_class, **options) -> rospy.Publisher:
+def publisher(name: str, message_class: Any, **options: Any) -> rospy.Publisher:
     """Return a publisher whose slow subscribers lose messages, but do not delay anybody else.
 
     Up to 100 messages wait for each subscriber; a newer one replaces the oldest. Small messages

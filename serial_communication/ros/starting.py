@@ -27,6 +27,7 @@ _DISPLACEMENTS = 'SERIAL_COMMUNICATION_DISPLACEMENTS'    # environment of the ne
 _MOST_DISPLACEMENTS = 5   # in a row; after them the other node must be running, but unreachable
 _LONG_LIFE = 60.0         # s of running after which displacements are counted from 0 again
 _REASON = 0.4             # s to wait for the reason of a shutdown
+_STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _PROGRAM = 'serial_communication_node'
 _ARGUMENT = re.compile(r'[\w~/]+:=')    # ROS: a remapping, a parameter, or a special key (__name)
 _USAGE = f"""\
@@ -83,8 +84,9 @@ class Start:
         Returns:
             None: call rospy.init_node, then `registered`. Otherwise the exit status to end with.
         """
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in _STOP_SIGNALS:
             signal.signal(number, lambda *_: self.stopping.set())
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _STOP_SIGNALS)
         if not wait_for_master(self.stopping, _say):
             return 0
         rospy.core.add_preshutdown_hook(self._on_shutdown)
@@ -102,6 +104,8 @@ class Start:
         if not self._displaced or self.stopping.is_set():
             return
         before = _displacements() if time.monotonic() - self._began < _LONG_LIFE else 0
+        # Unblocked in `wait_until_allowed`; until then Python would end with a traceback.
+        signal.pthread_sigmask(signal.SIG_BLOCK, _STOP_SIGNALS)
         try:
             # One interpreter cannot initialise rospy twice.
             os.execve(sys.executable, [sys.executable, *sys.argv],

@@ -2,7 +2,7 @@
 import logging
 import queue
 import threading
-from typing import Iterable
+from typing import Callable, Iterable, Tuple
 
 import rospy
 
@@ -26,16 +26,18 @@ class Traffic(rospy.SubscribeListener):
         super().__init__()
         self._log = SparingLog('serial_msg', logger)
         self._links = {link.name: link for link in links}
-        self._queue: queue.SimpleQueue = queue.SimpleQueue()   # put() never blocks
+        # put() never blocks.
+        self._queue: 'queue.SimpleQueue[Tuple[str, int, Frame, int]]' = queue.SimpleQueue()
         threading.Thread(target=self._run, name='serial_msg', daemon=True).start()
         self._topic = publisher('serial_msg', SerialMsg, subscriber_listener=self)
 
-    def peer_subscribe(self, topic_name, topic_publish, peer_publish) -> None:
+    def peer_subscribe(self, topic_name: str, topic_publish: Callable,
+                       peer_publish: Callable) -> None:
         """Pass on the frames of all links; called by rospy."""
         for link in self._links.values():
             link.tap = self._enqueue
 
-    def peer_unsubscribe(self, topic_name, num_peers) -> None:
+    def peer_unsubscribe(self, topic_name: str, num_peers: int) -> None:
         """Stop that if there is no subscriber left; called by rospy."""
         if not num_peers:
             for link in self._links.values():

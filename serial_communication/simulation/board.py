@@ -4,7 +4,7 @@ import time
 from typing import Any, Callable, Optional
 
 from ..framing.frame_timer import FrameTimer
-from ..framing.stream import Frame
+from ..framing.stream import Decoder, Frame
 from ..transport.opener import Opener
 from ..transport.pace import set_priority
 from ..transport.port import Port, PortError
@@ -44,6 +44,7 @@ class Board:
     MEASURES_PACE = False                # True: it needs to be woken in time, as for heartbeats
     CHATTER = b''                        # bytes that it sends at a reset
     DELIMITER: Optional[bytes] = None    # byte that a decoder needs before a frame; None: nothing
+    line: SimulatedLine                  # which sets it
 
     @classmethod
     def add_options(cls, parser: argparse.ArgumentParser) -> None:
@@ -58,8 +59,7 @@ class Board:
         """
         return cls()
 
-    def __init__(self, decoder: Any = None) -> None:
-        self.line: Any = None            # set by the SimulatedLine
+    def __init__(self, decoder: Optional[Decoder] = None) -> None:
         self.decoder = decoder
         self._timer = FrameTimer(decoder, FRAME_TIMEOUT) if decoder is not None else None
         self._last_byte = 0.0

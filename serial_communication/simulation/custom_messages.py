@@ -19,23 +19,23 @@ _OSCILLATION = 10.0    # s; period of a value
 
 def add_option(parser: argparse.ArgumentParser, board: Description) -> None:
     """Add the option --config FILE, whose value is the list of the board's custom messages."""
-    custom = board.custom
-    if custom is None:
+    if board.custom is None:
         # Accepted, since a launch file passes it to all boards.
         parser.add_argument('--config', metavar='FILE',
                             help='parameters of the bridge; not used by this board')
         return
+    parameter, read_rows, _ = board.custom
 
     def read(path: str) -> List[Any]:
         try:
             given = board_parameters(read_parameters(path), board.name)
-            return custom.read(given.get(custom.parameter) or {})
+            return read_rows(given.get(parameter) or {})
         except (OSError, ValueError) as error:
             raise argparse.ArgumentTypeError(f'{path}: {error}') from None
 
     parser.add_argument('--config', type=read, default=[], metavar='FILE',
                         help='parameters of the bridge; the board has the custom messages in '
-                             f'{board.name}/{custom.parameter}')
+                             f'{board.name}/{parameter}')
 
 
 class CustomMessagePlayer:

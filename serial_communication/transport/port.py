@@ -255,6 +255,8 @@ class Port:
     def _read_sliced(self, timeout: Optional[float]) -> bytes:
         deadline = None if timeout is None else time.monotonic() + timeout
         port = self._serial
+        if port is None:
+            raise PortError('the port is closed')
         try:
             while True:
                 if self._failure:
@@ -394,7 +396,8 @@ class Port:
                 (tcp, socket.TCP_NODELAY, 1), (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1),
                 (tcp, socket.TCP_KEEPIDLE, 1), (tcp, socket.TCP_KEEPINTVL, 1),
                 (tcp, socket.TCP_KEEPCNT, _VANISHED - 1),
-                (tcp, socket.TCP_USER_TIMEOUT, _VANISHED * 1000)):
+                # mypy does not know this one.
+                (tcp, socket.TCP_USER_TIMEOUT, _VANISHED * 1000)):  # type: ignore[attr-defined]
             connection.setsockopt(level, option, value)
         return connection.fileno()
 

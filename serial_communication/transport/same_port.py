@@ -1,7 +1,7 @@
 """Finds out whether two URLs name the same port."""
 import os
 import stat
-from typing import Any
+from typing import Hashable, Optional
 from urllib.parse import urlsplit
 
 import serial
@@ -9,7 +9,7 @@ import serial
 from .port import NETWORK, read_url
 
 
-def identity(url: str) -> Any:
+def identity(url: str) -> Optional[Hashable]:
     """A value that is equal for two URLs of the same port.
 
     None: each opening leads to a different port (loop://). A device that is absent is identified

@@ -17,6 +17,7 @@ import psutil
 
 from serial_communication.output import prepare_output
 from processes import StageError
+from .hostile import hostile
 from .report import Results, judge, render
 from .sections import SECTIONS, Plan
 from .stage import BenchStage
@@ -30,6 +31,8 @@ def main(arguments: Optional[List[str]] = None) -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)    # the children end
     before, load = psutil.cpu_times(), os.getloadavg()[0]
     try:
+        if options.hostile:
+            return 0 if hostile() else 1
         results = measure(options.only, plan, options.against)
     except KeyboardInterrupt:
         print('stopped', file=sys.stderr)
@@ -72,6 +75,9 @@ def _parser() -> argparse.ArgumentParser:
                         help='build this commit and measure its bridge in the same rounds')
     parser.add_argument('--only', metavar='SECTION,...', type=_sections, default=list(SECTIONS),
                         help='measure only these sections, of ' + ', '.join(SECTIONS))
+    parser.add_argument('--hostile', action='store_true',
+                        help='measure only the cost of the worst bytes, compared with normal '
+                             'traffic')
     parser.add_argument('--json', metavar='FILE', help='write the figures to this file')
     return parser
 

@@ -1,8 +1,8 @@
 """Properties of every decoder for any bytes on the line."""
 import random
 
+import by_definition
 import pytest
-from by_definition import xor_of
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
@@ -29,40 +29,25 @@ spiteful = st.one_of(
              max_size=60).map(b''.join))
 
 
-# -- a reference decoder, which has the whole stream -----------------
+FRAME_AT = {BUS: by_definition.reply_at, BOARD_BUS: by_definition.request_at,
+            MCU: by_definition.mcu_at}
+
+
+def frame_at(kind, stream, at):
+    return FRAME_AT.get(kind, lambda stream, at: by_definition.bus_at(stream, at, 2))(stream, at)
+
 
 def valid_frame_end(kind, stream, at):
     """The end of the valid frame that begins at `at`, or 0."""
-    rest = stream[at:at + 1100]
-    if kind is MCU:
-        if len(rest) < 6 or rest[0] != 2 or rest[1] < 2:
-            return 0
-        size = rest[1] + 4
-        right_length = {0x10: 12, 0x01: 14}.get(rest[2], rest[1])
-        if rest[1] != right_length or size > len(rest) or rest[size - 1] != 3:
-            return 0
-        return at + size if not xor_of(rest[2:size - 1]) else 0
-    commands = 1 if kind is BUS else 2
-    if kind is BOARD_BUS and rest[:5] == b'\xa5\x02\x55\x22\xd0':
-        return at + 5
-    if rest[:1] == b'\xa5' and len(rest) > 1 and rest[1] < 255:
-        size = 3 + commands + rest[1]
-    elif rest[:1] == b'\x5a' and len(rest) > 2 and 255 <= rest[1] + 256 * rest[2] <= 1024:
-        size = 4 + commands + rest[1] + 256 * rest[2]
-    else:
-        return 0
-    return at + size if size <= len(rest) and not xor_of(rest[:size]) else 0
+    found = frame_at(kind, stream, at)
+    return found.end if isinstance(found, by_definition.Frame) else 0
 
 
 def frames_by_definition(kind, stream):
     """The bytes of every frame: after a failed check the search continues one byte later."""
-    found, at = [], 0
-    while at < len(stream):
-        end = valid_frame_end(kind, stream, at)
-        if end:
-            found.append(stream[at:end])
-        at = end or at + 1
-    return found
+    found, _end = by_definition.decode(
+        stream, lambda stream, at: frame_at(kind, stream, at), True)
+    return [stream[frame.start:frame.end] for frame in found]
 
 
 def packets_by_definition(stream):
@@ -436,11 +421,11 @@ def false_frame(kind, inside):
     """The begin and the end of a frame around these bytes, with a wrong checksum."""
     if kind is MCU:
         begin, filler, end = bytes((2, len(inside) + 3, 0x63, 0)), b'\x11', b'\3'
-        right = xor_of(begin[2:] + inside + filler)
+        right = by_definition.xor_of(begin[2:] + inside + filler)
     else:
         begin = bytes((0xA5, len(inside) + 1)) + b'\x09' * (1 if kind is BUS else 2)
         filler, end = b'\x11', b''
-        right = xor_of(begin + inside + filler)
+        right = by_definition.xor_of(begin + inside + filler)
     return begin, filler + bytes((right ^ 0x40,)) + end
 
 

@@ -6,6 +6,8 @@ import subprocess
 import pytest
 
 import emulated_board
+from board_ends import Car, Frames, Master
+from emulated_board import EmulatedBoard
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 
@@ -30,7 +32,7 @@ def protocol_driver(tmp_path_factory):
             '-fsanitize=address,undefined',
             '-fno-sanitize-recover=all',
             '-I',
-            os.path.join(emulated_board.FIRMWARE, 'protocol'),
+            os.path.join(emulated_board.FIRMWARE, 'protocol', 'src'),
             os.path.join(HERE, 'protocol_driver.cpp'),
             '-o',
             path,
@@ -41,3 +43,39 @@ def protocol_driver(tmp_path_factory):
     ) as compiler:
         yield path, compiler
         compiler.kill()
+
+
+@pytest.fixture
+def car(firmware_build):
+    with EmulatedBoard(firmware_build, 'car') as board:
+        car = Car(board)
+        car.wait_for_text('IMU ready')
+        yield car
+        # A board that crashed has lost what arrived until the watchdog's reset.
+        assert board.get('rx_overruns') == 0 or board.get('watchdog_resets') > 0
+        car.port.close()
+
+
+@pytest.fixture
+def master(firmware_build):
+    with EmulatedBoard(firmware_build, 'ctrl') as board:
+        board.wait_until(lambda: board.time > 0.05, 1)
+        master = Master(board)
+        yield master
+        assert board.get('rx_overruns') == 0
+        master.port.close()
+
+
+@pytest.fixture
+def bus(master):
+    master.sync()
+    return master
+
+
+@pytest.fixture
+def sensors(firmware_build):
+    with EmulatedBoard(firmware_build, 'range') as board:
+        frames = Frames(board)
+        board.wait_until(lambda: frames.next()[0][4:] == (0, 0), 3)    # all sensors have started
+        yield frames
+        frames.port.close()

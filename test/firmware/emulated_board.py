@@ -41,7 +41,7 @@ def build_firmware():
     with open(os.path.join(build, '.lock'), 'w') as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)  # others may build it just now
         result = subprocess.run(
-            ['make', '-C', FIRMWARE, 'BUILD=' + build, '-j2'],
+            ['make', '-C', FIRMWARE, 'BUILD=' + build, '-j2', 'WARNINGS=-Wall -Wextra -Werror'],
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             universal_newlines=True,
@@ -67,7 +67,7 @@ class EmulatedBoard(object):
         self._pending = b''
         self.port = port or os.path.join(self._directory, 'uart')
         control = os.path.join(self._directory, 'control')
-        command = [os.path.join(build, 'avr_board'), '--world', world, '--control', control]
+        command = [os.path.join(build, 'avr_emulator'), '--world', world, '--control', control]
         command += ['--port', port] if port else ['--link', self.port]
         command += ['--still'] if still else []
         command += ['--eeprom', eeprom] if eeprom else []

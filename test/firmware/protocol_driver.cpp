@@ -7,11 +7,14 @@
 //   parse TOKEN…                                  packets out of a stream, then the counters
 //   bus TOKEN…                                    the Slave's replies after each token, then what was executed
 //   skip N | sensor N*5 | adc N*6                 the STX/ETX sender; skip sends N frames to nowhere
-//   own packet|frame N N F                        a packed struct of one's own: int16, uint8, float
+//   custom packet|frame N N F                        a custom packed struct: int16, uint8, float
+//   watch TOKEN…                                  a heartbeat watch of 31 ticks: after each tick, whether it is alive.
+//                                                 aN: N bytes arrive; rN: N are read; h1: a heartbeat; tN: N ticks
 //
 // A token is HEX (bytes arriving now), +N (N ms pass, polled each ms) or, for the bus, ! (the motion ends).
 
 #include <arduino_packets.h>
+#include <heartbeat_watch.h>
 #include <robot_ctrl_bus.h>
 #include <stx_etx.h>
 
@@ -26,7 +29,7 @@ using namespace serial_communication;
 typedef std::vector<uint8_t> Bytes;
 
 // A custom message: type 48 of a packet, 0x30 of a function and of a frame.
-struct PACKED Own {
+struct PACKED Custom {
   int16_t position;
   uint8_t force;
   float speed;
@@ -50,7 +53,10 @@ static std::string to_hex(const uint8_t* bytes, size_t size) {
 
 struct Collect {
   std::string* out;
-  void operator()(const uint8_t* bytes, size_t size) const { *out += to_hex(bytes, size); }
+  bool operator()(const uint8_t* bytes, size_t size) const {
+    *out += to_hex(bytes, size);
+    return true;
+  }
 };
 
 // A board whose lift takes until it is told to end, and whose other functions answer at once.
@@ -70,8 +76,8 @@ class TestBoard : public BusHandler {
       result.append_uint16(4812);
       return result;
     }
-    Own own;
-    if (cmd2 == 0x30) return from_bytes(data, size, &own) ? BusResult::ok(own) : BusResult::failed(kErrorMalformed);
+    Custom custom;
+    if (cmd2 == 0x30) return from_bytes(data, size, &custom) ? BusResult::ok(custom) : BusResult::failed(kErrorMalformed);
     if (cmd2 == kFunctionGimbal) return size == 2 && data[0] <= 3 ? BusResult::ok() : BusResult::failed(kErrorMalformed);
     if (cmd2 != kFunctionLift) return BusResult::failed(kErrorUnsupported);
     moving = true;
@@ -85,27 +91,19 @@ static std::string run_bus(std::istringstream& tokens) {
   std::string sent, line, token;
   TestBoard board;
   RobotCtrlBusSlave<Collect, 300> slave(Collect{&sent}, board);
-  Bytes waiting;  // the UART's buffer while a motion lasts
   uint32_t now = 1000;
-  const auto run = [&] {
-    slave.poll(now);
-    size_t used = 0;
-    while (used < waiting.size() && slave.ready()) slave.feed(waiting[used++], now);
-    waiting.erase(waiting.begin(), waiting.begin() + long(used));
-  };
   while (tokens >> token) {
     if (token == "!") {
       board.moving = false;
-      run();
+      slave.poll(now);
     } else if (token[0] == '+') {
       for (int i = std::stoi(token.substr(1)); i > 0; --i) {
         ++now;
-        run();
+        slave.poll(now);
       }
     } else {
-      const Bytes bytes = from_hex(token);
-      waiting.insert(waiting.end(), bytes.begin(), bytes.end());
-      run();
+      for (uint8_t byte : from_hex(token)) slave.feed(byte, now);
+      slave.poll(now);
     }
     line += (sent.empty() ? "-" : sent) + " ";
     sent.clear();
@@ -115,7 +113,7 @@ static std::string run_bus(std::istringstream& tokens) {
 
 static std::string run_parse(std::istringstream& tokens) {
   PacketDecoder<256> decoder;
-  decoder.accept<Own>(48);
+  decoder.accept<Custom>(48);
   std::string line, token;
   uint32_t now = 1000;
   while (tokens >> token) {
@@ -136,8 +134,8 @@ static std::string run_parse(std::istringstream& tokens) {
         imu_to_bytes(packet.imu(), again);
         line += "=" + to_hex(again, sizeof again);
       }
-      Own own;
-      if (packet.is(48, &own)) line += "=" + std::to_string(own.position) + "/" + std::to_string(own.force);
+      Custom custom;
+      if (packet.is(48, &custom)) line += "=" + std::to_string(custom.position) + "/" + std::to_string(custom.force);
       line += " ";
     }
   }
@@ -146,6 +144,21 @@ static std::string run_parse(std::istringstream& tokens) {
   counters << "| cobs=" << c.cobs_errors << " long=" << c.too_long << " length=" << c.wrong_length
            << " unknown=" << c.unknown_type << " timeout=" << c.timeouts;
   return line + counters.str();
+}
+
+static std::string run_watch(std::istringstream& tokens) {
+  HeartbeatWatch watch;
+  std::string line, token;
+  uint8_t waiting = 0;
+  while (tokens >> token) {
+    for (int left = std::stoi(token.substr(1)); left > 0; --left) {
+      if (token[0] == 'a') ++waiting;
+      if (token[0] == 'r') --waiting, watch.byte_read();
+      if (token[0] == 'h') watch.heartbeat();
+      if (token[0] == 't') watch.tick(waiting), line += watch.alive() ? '1' : '0';
+    }
+  }
+  return line;
 }
 
 int main() {
@@ -207,6 +220,8 @@ int main() {
       out = run_parse(words);
     } else if (command == "bus") {
       out = run_bus(words);
+    } else if (command == "watch") {
+      out = run_watch(words);
     } else if (command == "skip" && words >> number) {
       for (long i = 0; i < number; ++i) frames.send(0x7F, nullptr, 0);
       out = "ok";
@@ -214,16 +229,16 @@ int main() {
       SensorStatus status;
       words >> status.range_mm[0] >> status.range_mm[1] >> status.yaw >> status.pitch >> status.roll;
       frames.send_sensor_status(status);
-    } else if (command == "own") {
+    } else if (command == "custom") {
       std::string kind;
       int force;
       float speed;
       words >> kind >> number >> force >> speed;
-      const Own own = {int16_t(number), uint8_t(force), speed};
+      const Custom custom = {int16_t(number), uint8_t(force), speed};
       if (kind == "packet") {
-        packets.send(48, own);
+        packets.send(48, custom);
       } else {
-        frames.send(0x30, own);
+        frames.send(0x30, custom);
       }
     } else if (command == "adc") {
       uint16_t channels[6];

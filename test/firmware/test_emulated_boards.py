@@ -9,183 +9,15 @@ import struct
 import subprocess
 
 import pytest
-import serial
-from by_definition import cobs_encode, xor_of
 
+from board_ends import (
+    ANGLE, CALIBRATION, DOWN, ENVIRONMENT, FORCE, GIMBAL, GRIPPER, HEARTBEAT, IMU, INFO, LED,
+    LIFT, OK, PUMP, SPEED, STEERING, TANK, TICKS, UP, VOLTAGE, WARN, Car, Master, angle_between,
+    drive_until, driving, error, from_euler, imu_values, packet, request, takes,
+)
 from emulated_board import EmulatedBoard, IMAGES
 
-(
-    DEBUG,
-    INFO,
-    WARN,
-    ERROR,
-    SPEED,
-    STEERING,
-    LED,
-    ANGLE,
-    TICKS,
-    IMU,
-    VOLTAGE,
-    HEARTBEAT,
-    CALIBRATION,
-) = range(13)
-FORCE, GRIPPER = 32, 48    # of one's own
-PUMP, TANK = 0x30, 0x32    # likewise, functions of the bus
-RATE_SCALE = 4000.0 / 65536 * math.pi / 180 * 25  # rad/s
-ACCELERATION_SCALE = 8.0 / 65536 * 9.81  # m/s^2
-
-
-def open_port(board):
-    return serial.Serial(board.port, 115200, timeout=0)
-
-
 # The model car
-
-
-def cobs_decode(data):
-    """The packet, or nothing for one that was cut off."""
-    out = b''
-    at = 0
-    while at < len(data):
-        code = data[at]
-        if at + code > len(data):
-            return b''
-        out += data[at + 1:at + code] + b'\x00'
-        at += code
-    return out[:-1]
-
-
-# Of the packets with data of one length, for telling those that a reset has cut off.
-LENGTHS = {ANGLE: 2, TICKS: 1, IMU: 22, VOLTAGE: 4}
-
-
-def packet(kind, data=b''):
-    return cobs_encode(bytes([kind]) + data) + b'\x00'
-
-
-def driving(speed):
-    """A heartbeat and a speed command."""
-    return packet(HEARTBEAT) + packet(SPEED, struct.pack('<h', speed))
-
-
-class Car(object):
-    """The computer's end of the car's link; collects every packet from the board's start on."""
-
-    def __init__(self, board):
-        self.board = board
-        self.port = open_port(board)
-        self.packets = []
-        # Opening the port drops what was sent before, in the middle of a packet.
-        board.reset()
-        self._rest = b''
-        board.wait_until(lambda: b'\x00' in self._receive(), 1)
-        self._rest = self._rest.split(b'\x00', 1)[1]
-
-    def _receive(self):
-        self._rest += self.port.read(4096)
-        return self._rest
-
-    def send(self, kind, data=b''):
-        self.port.write(packet(kind, data))
-
-    def drive(self, speed):
-        """To be repeated, as a driver does."""
-        self.port.write(driving(speed))
-
-    def read(self, kind=None):
-        """Takes in what has arrived; returns the data of all packets of that kind so far."""
-        frames = self._receive().split(b'\x00')
-        self._rest = frames.pop()
-        for frame in frames:
-            decoded = cobs_decode(frame)
-            if decoded and len(decoded) - 1 == LENGTHS.get(decoded[0], len(decoded) - 1):
-                self.packets.append((decoded[0], decoded[1:]))
-        return [data for packet_kind, data in self.packets if packet_kind == kind]
-
-    def forget(self):
-        self.read()
-        self.packets = []
-
-    def next(self, kind, count=1, seconds=5):
-        """The data of the next packets of that kind."""
-        self.forget()
-        self.board.wait_until(lambda: len(self.read(kind)) >= count, seconds)
-        return self.read(kind)[:count]
-
-    def texts(self):
-        return [
-            (kind, data.rstrip(b'\x00').decode('ascii', 'replace'))
-            for kind, data in self.packets
-            if kind <= ERROR
-        ]
-
-    def wait_for_text(self, text, seconds=5):
-        def arrived():
-            self.read()
-            return any(text in logged for _, logged in self.texts())
-
-        self.board.wait_until(arrived, seconds)
-
-    def orientation(self):
-        return imu_values(self.next(IMU)[0])[0]
-
-
-def imu_values(data):
-    """Orientation (w, x, y, z), rates, accelerations, temperature; in ROS's axes and units."""
-    fields = struct.unpack('>11h', data)
-    w, x, y, z = [value / 16384.0 for value in fields[:4]]
-    rates = [value * RATE_SCALE for value in fields[4:7]]
-    accelerations = [value * ACCELERATION_SCALE for value in fields[7:10]]
-    return (
-        (w,) + to_ros((x, y, z)),
-        to_ros(rates),
-        to_ros(accelerations),
-        fields[10] / 340.0 + 36.53,
-    )
-
-
-def to_ros(vector):
-    """The board's axes into ROS's."""
-    return vector[1], -vector[0], vector[2]
-
-
-def from_euler(yaw, pitch, roll):
-    """The quaternion of these angles in degrees, in ROS's order."""
-    cy, sy = math.cos(math.radians(yaw) / 2), math.sin(math.radians(yaw) / 2)
-    cp, sp = math.cos(math.radians(pitch) / 2), math.sin(math.radians(pitch) / 2)
-    cr, sr = math.cos(math.radians(roll) / 2), math.sin(math.radians(roll) / 2)
-    return (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )
-
-
-def angle_between(a, b):
-    """Degrees between two orientations."""
-    dot = abs(sum(p * q for p, q in zip(a, b)))
-    norm = math.sqrt(sum(p * p for p in a) * sum(q * q for q in b))
-    return math.degrees(2 * math.acos(min(1.0, dot / norm)))
-
-
-@pytest.fixture
-def car(firmware_build):
-    with EmulatedBoard(firmware_build, 'car') as board:
-        car = Car(board)
-        car.wait_for_text('IMU ready')
-        yield car
-        assert board.get('rx_overruns') == 0
-        car.port.close()
-
-
-def drive_until(car, speed, condition, seconds=5):
-    def step():
-        car.drive(speed)
-        car.read()
-        return condition()
-
-    car.board.wait_until(step, seconds)
 
 
 @pytest.mark.parametrize(
@@ -311,19 +143,6 @@ def test_imu_at_rest(car):
     assert temperature == pytest.approx(25.0, abs=0.01)
 
 
-def takes(board, action, seconds):
-    """Whether `action` takes so long, within 5 %.
-
-    A test that was kept from running sees a longer time: again.
-    """
-    for _ in range(5):
-        start = board.time
-        action()
-        if board.time - start == pytest.approx(seconds, rel=0.05):
-            return True
-    return False
-
-
 def test_imu_comes_at_100_hz(car):
     assert takes(car.board, lambda: car.next(IMU, 100), 1)
 
@@ -425,6 +244,21 @@ def test_calibration_of_a_moving_car_is_dropped(car):
     car.wait_for_text('not calibrated')
 
 
+def test_calibration_goes_on_over_a_few_failed_reads(car):
+    car.send(CALIBRATION)
+    car.wait_for_text('IMU calibration')
+    car.board.set('imu_failures', 5)
+    car.wait_for_text('IMU calibrated', seconds=10)
+
+
+@pytest.mark.parametrize('who_am_i', [0x70, 0x98])
+def test_chips_sold_as_an_mpu6050(car, who_am_i):
+    car.board.set('imu_id', who_am_i)
+    car.forget()
+    car.board.reset()
+    car.wait_for_text('IMU ready')
+
+
 def test_imu_that_is_pulled_and_put_back(car):
     car.board.set('imu_present', 0)
     car.wait_for_text('IMU does not answer')
@@ -465,90 +299,6 @@ def test_demo_world_turns_the_driving_car(firmware_build):
 
 
 # The control board
-
-SYNC = bytes.fromhex('a5000000a5')
-LIFT, GIMBAL, ENVIRONMENT = 0x20, 0x21, 0x22
-UP, DOWN = 0, 1
-OK = b'\x02'
-
-
-def request(cmd1, cmd2=0, data=b''):
-    flag = (
-        struct.pack('<BH', 0x5A, len(data))
-        if len(data) >= 255
-        else struct.pack('<BB', 0xA5, len(data))
-    )
-    frame = flag + bytes([cmd1, cmd2]) + data
-    return frame + bytes([xor_of(frame)])
-
-
-class Master(object):
-    """The computer's end of the bus; a reply is returned as CMD1 and DATE."""
-
-    def __init__(self, board):
-        self.board = board
-        self.port = open_port(board)
-        self._received = b''
-
-    def write(self, data):
-        self.port.write(data)
-
-    def reply(self, seconds=1):
-        def whole():
-            self._received += self.port.read(4096)
-            return self._size() is not None
-
-        self.board.wait_until(whole, seconds)
-        size = self._size()
-        frame, self._received = self._received[:size], self._received[size:]
-        assert xor_of(frame) == 0, frame.hex()
-        return frame[2 if frame[0] == 0xA5 else 3:-1]
-
-    def _size(self):
-        data = self._received
-        if len(data) < 3:
-            return None
-        assert data[0] in (0xA5, 0x5A), data.hex()
-        size = data[1] + 4 if data[0] == 0xA5 else struct.unpack_from('<H', data, 1)[0] + 5
-        return size if len(data) >= size else None
-
-    def ask(self, cmd1, cmd2=0, data=b'', seconds=1):
-        self.write(request(cmd1, cmd2, data))
-        return self.reply(seconds)
-
-    def function(self, cmd2, data=b'', seconds=5):
-        return self.ask(0x55, cmd2, data, seconds)
-
-    def sync(self):
-        assert self.ask(0) == b'\x00'
-
-    def silence(self, seconds):
-        """Nothing arrives for so long."""
-        end = self.board.time + seconds
-        self.board.wait_until(lambda: self.board.time > end, 2 * seconds + 1)
-        self._received += self.port.read(4096)
-        assert self._received == b''
-
-
-def error(code):
-    return b'\x03' + struct.pack('<H', code)
-
-
-@pytest.fixture
-def master(firmware_build):
-    with EmulatedBoard(firmware_build, 'ctrl') as board:
-        board.wait_until(lambda: board.time > 0.05, 1)
-        master = Master(board)
-        yield master
-        assert board.get('rx_overruns') == 0
-        master.port.close()
-
-
-@pytest.fixture
-def bus(master):
-    master.sync()
-    return master
-
 
 def test_invalid_before_sync(master):
     assert master.function(LIFT, bytes([UP, 10])) == b'\xff\x10'
@@ -713,12 +463,12 @@ def test_ctrl_reset_in_mid_motion_recovers(bus):
     assert board.get('lift_steps') == stopped + 250
 
 
-# Messages of one's own: the example behind -DOWN_MESSAGES
+# Custom messages: the example behind -DCUSTOM_MESSAGES
 
 
 @pytest.fixture
-def own_car(firmware_build):
-    with EmulatedBoard(firmware_build, 'car', image='nano_car_own.elf') as board:
+def custom_car(firmware_build):
+    with EmulatedBoard(firmware_build, 'car', image='nano_car_custom.elf') as board:
         car = Car(board)
         car.wait_for_text('IMU ready')
         yield car
@@ -726,26 +476,26 @@ def own_car(firmware_build):
         car.port.close()
 
 
-def test_a_custom_measurement(own_car):
+def test_a_custom_measurement(custom_car):
     for raw in (0, 500, 1023):
-        own_car.board.set('force', raw)
-        own_car.next(FORCE)     # may be of before
-        assert own_car.next(FORCE) == [struct.pack('<h', raw * 29)]
+        custom_car.board.set('force', raw)
+        custom_car.next(FORCE)     # may be of before
+        assert custom_car.next(FORCE) == [struct.pack('<h', raw * 29)]
 
 
-def test_a_custom_command(own_car):
-    board = own_car.board
+def test_a_custom_command(custom_car):
+    board = custom_car.board
     for position, force, pwm in ((1000, 1, 255), (0, 255, 127), (-900, 9, 12), (500, 0, 0)):
-        own_car.send(GRIPPER, struct.pack('<hB', position, force))
+        custom_car.send(GRIPPER, struct.pack('<hB', position, force))
         board.wait_until(lambda: board.get('gripper_pwm') == pwm, 1)
-    own_car.send(GRIPPER, b'\x01')    # too short: dropped
-    own_car.send(STEERING, struct.pack('<H', 1200))
+    custom_car.send(GRIPPER, b'\x01')    # too short: dropped
+    custom_car.send(STEERING, struct.pack('<H', 1200))
     board.wait_until(lambda: board.get('servo_us') == 1200, 1)
     assert board.get('gripper_pwm') == 0
 
 
 def test_custom_functions(firmware_build):
-    with EmulatedBoard(firmware_build, 'ctrl', image='ctrl_board_own.elf') as board:
+    with EmulatedBoard(firmware_build, 'ctrl', image='ctrl_board_custom.elf') as board:
         board.wait_until(lambda: board.time > 0.05, 1)
         master = Master(board)
         master.sync()
@@ -766,47 +516,6 @@ def test_without_the_flag_they_are_unknown(bus, car):
 
 
 # The sensor board
-
-
-class Frames(object):
-    """Sensor status frames from the board."""
-
-    def __init__(self, board):
-        self.board = board
-        self.port = open_port(board)
-        self._received = b''
-        self.frames = []
-
-    def read(self):
-        self._received += self.port.read(4096)
-        while len(self._received) >= 16:
-            frame, self._received = self._received[:16], self._received[16:]
-            assert (
-                frame[:3] == b'\x02\x0c\x10' and frame[15] == 3 and xor_of(frame[2:14]) == frame[14]
-            ), frame.hex()
-            self.frames.append((frame[3],) + struct.unpack('<HHhhh', frame[4:14]))
-        return self.frames
-
-    def forget_a_cut_frame(self):
-        """After a reset, before the first new frame."""
-        start = self.board.time
-        self.board.wait_until(lambda: self.board.time > start + 0.02, 1)
-        self.port.read(4096)
-        self._received = b''
-
-    def next(self, count=1):
-        self.read()
-        self.frames = []
-        self.board.wait_until(lambda: len(self.read()) >= count, 1 + count / 10.0)
-        return self.frames[:count]
-
-
-@pytest.fixture
-def sensors(firmware_build):
-    with EmulatedBoard(firmware_build, 'range') as board:
-        frames = Frames(board)
-        yield frames
-        frames.port.close()
 
 
 def test_sensor_values_arrive(sensors):
@@ -856,6 +565,40 @@ def test_sensor_that_times_out(sensors, fault):
     assert sensors.next()[0][1] == 800
     board.set('range2_' + fault, 1)
     board.wait_until(lambda: sensors.next()[0][2] == 333, 3)
+
+
+KNOWN, UNKNOWN = (-1225, 3300), (-32768, -32768)    # pitch and roll
+
+
+def test_angles_are_unknown_while_the_bno055_is_gone(sensors):
+    board = sensors.board
+    board.set('pitch', -12.25)
+    board.set('roll', 33)
+    board.wait_until(lambda: sensors.next()[0][4:] == KNOWN, 3)
+    board.set('bno055_present', 0)
+    board.wait_until(lambda: sensors.next()[0][4:] == UNKNOWN, 1)
+    assert sensors.next()[0][1:3] == (800, 800)
+    board.set('bno055_present', 1)    # without its mode: it answers, and its angles are 0
+    frames = []
+
+    def known():
+        frames.extend(sensors.next())
+        return frames[-1][4:] == KNOWN
+
+    board.wait_until(known, 3)
+    assert {frame[4:] for frame in frames} <= {KNOWN, UNKNOWN}
+
+
+def test_angles_are_unknown_from_the_start(sensors):
+    board = sensors.board
+    board.set('pitch', -12.25)
+    board.set('roll', 33)
+    board.set('bno055_present', 0)
+    board.power_cycle()
+    sensors.forget_a_cut_frame()
+    assert {frame[4:] for frame in sensors.next(10)} == {UNKNOWN}
+    board.set('bno055_present', 1)
+    board.wait_until(lambda: sensors.next()[0][4:] == KNOWN, 3)
 
 
 def test_range_board_restarts(sensors):
@@ -935,7 +678,7 @@ def test_control_channel_answers_one_line(firmware_build):
 def test_roslaunch_arguments_and_clear_errors(firmware_build, tmp_path):
     def run(*arguments):
         result = subprocess.run(
-            [os.path.join(firmware_build, 'avr_board')] + list(arguments),
+            [os.path.join(firmware_build, 'avr_emulator')] + list(arguments),
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             universal_newlines=True,
@@ -945,18 +688,18 @@ def test_roslaunch_arguments_and_clear_errors(firmware_build, tmp_path):
 
     elf = os.path.join(firmware_build, IMAGES['car'])
     extra = ['__name:=car', '__log:=' + str(tmp_path / 'log')]
-    assert run(*extra) == (1, 'avr_board: no ELF file given; --help lists the options')
+    assert run(*extra) == (1, 'avr_emulator: no ELF file given; --help lists the options')
     assert run('--world', 'moon', elf, *extra) == (
         1,
-        'avr_board: --world must be car, ctrl or range, not "moon"',
+        'avr_emulator: --world must be car, ctrl or range, not "moon"',
     )
     assert run('--world', 'car', '/no/such.elf') == (
         1,
-        'avr_board: cannot load the ELF file /no/such.elf',
+        'avr_emulator: cannot load the ELF file /no/such.elf',
     )
     assert (
         run('--world', 'car', '--link', '/no/such/link', elf)[1]
-        == 'avr_board: cannot make the link /no/such/link: No such file or directory'
+        == 'avr_emulator: cannot make the link /no/such/link: No such file or directory'
     )
     assert run('--world', 'car', '--control', '/no/such/socket', elf)[0] == 1
     assert run('--world', 'car', '--frobnicate', elf)[0] == 1

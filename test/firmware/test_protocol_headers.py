@@ -5,6 +5,7 @@ import struct
 import subprocess
 
 import pytest
+from board_ends import request
 from by_definition import cobs_encode, xor_of
 from protocol_cases import hexed, vectors
 
@@ -150,16 +151,16 @@ def test_a_packet_without_its_end_is_given_up(driver):
     assert driver('parse 0404 +50 020b00') == '11: | cobs=0 long=0 length=0 unknown=0 timeout=1'
 
 
-OWN = struct.pack('<hBf', -300, 128, 1.5)
+CUSTOM = struct.pack('<hBf', -300, 128, 1.5)
 
 
 def test_a_custom_packed_struct_is_sent_and_taken_as_it_stands(driver):
-    wire = cobs_encode(b'\x30' + OWN) + b'\x00'
-    assert driver('own packet -300 128 1.5') == wire.hex()
-    assert driver('parse ' + wire.hex()).startswith('48:%s=-300/128 |' % OWN.hex())
+    wire = cobs_encode(b'\x30' + CUSTOM) + b'\x00'
+    assert driver('custom packet -300 128 1.5') == wire.hex()
+    assert driver('parse ' + wire.hex()).startswith('48:%s=-300/128 |' % CUSTOM.hex())
     # Another length is none, and no other type has become known.
-    for data, counted in ((b'\x30' + OWN[:-1], 'length=1 unknown=0'),
-                          (b'\x31' + OWN, 'length=0 unknown=1')):
+    for data, counted in ((b'\x30' + CUSTOM[:-1], 'length=1 unknown=0'),
+                          (b'\x31' + CUSTOM, 'length=0 unknown=1')):
         answer = driver('parse ' + (cobs_encode(data) + b'\x00').hex())
         assert answer.startswith('|') and counted in answer
 
@@ -168,15 +169,15 @@ def test_a_custom_function_takes_and_answers_a_packed_struct(driver):
     def frame(head, data):
         return (head + data + bytes([xor_of(head + data)])).hex()
 
-    asked = frame(b'\xa5\x07\x55\x30', OWN)
-    assert driver('bus a5000000a5 ' + asked).split()[1] == frame(b'\xa5\x07\x02', OWN)
-    asked = frame(b'\xa5\x06\x55\x30', OWN[:-1])
+    asked = frame(b'\xa5\x07\x55\x30', CUSTOM)
+    assert driver('bus a5000000a5 ' + asked).split()[1] == frame(b'\xa5\x07\x02', CUSTOM)
+    asked = frame(b'\xa5\x06\x55\x30', CUSTOM[:-1])
     assert driver('bus a5000000a5 ' + asked).split()[1] == frame(b'\xa5\x02\x03', b'\x01\x80')
 
 
 def test_a_custom_frame_carries_a_packed_struct(driver):
-    wire = bytes.fromhex(driver('own frame -300 128 1.5'))
-    assert wire[:3] == b'\x02\x09\x30' and wire[4:-2] == OWN
+    wire = bytes.fromhex(driver('custom frame -300 128 1.5'))
+    assert wire[:3] == b'\x02\x09\x30' and wire[4:-2] == CUSTOM
     assert wire[-1] == 3 and xor_of(wire[2:-1]) == 0
 
 
@@ -189,16 +190,6 @@ LIFT_UP_100, OK = 'a50255200064b6', 'a50002a7'
 def invalid(code):
     frame = bytes([0xA5, 1, 0xFF, code])
     return (frame + bytes([xor_of(frame)])).hex()
-
-
-def request(cmd1, cmd2=0, data=b''):
-    flag = (
-        struct.pack('<BH', 0x5A, len(data))
-        if len(data) >= 255
-        else struct.pack('<BB', 0xA5, len(data))
-    )
-    frame = flag + bytes([cmd1, cmd2]) + data
-    return frame + bytes([xor_of(frame)])
 
 
 def bus(driver, *tokens):
@@ -474,3 +465,39 @@ def test_heading_wraps_and_can_be_restored(driver):
         frame = hexed(driver('sensor 1 2 %d 0 0' % heading))
         yaw = struct.unpack_from('<h', frame, 8)[0]
         assert (yaw + 65536 if yaw < -18000 else yaw) == heading
+
+
+# The heartbeat watch
+
+
+def test_heartbeat_lives_for_31_ticks_from_its_arrival(driver):
+    assert driver('watch a3 r3 h1 t40') == '1' * 30 + '0' * 10
+    assert driver('watch a3 t20 r3 h1 t20') == '0' * 20 + '1' * 10 + '0' * 10
+    assert driver('watch a3 t31 r3 h1 t5') == '0' * 36
+    # One that came late does not make a newer one old.
+    assert driver('watch a6 t9 a3 r9 h1 t40') == '0' * 9 + '1' * 30 + '0' * 10
+
+
+def test_heartbeat_watch_agrees_with_the_model(driver):
+    rng = random.Random(3)
+    for _ in range(100):
+        tokens, expected = [], ''
+        arrivals = []    # at which tick each byte that waits has come
+        now, age = 0, 31
+        for _ in range(300):
+            count = min(rng.randrange(13), 63 - len(arrivals))
+            arrivals += [now] * count
+            tokens.append('a%d' % count)
+            while arrivals and rng.random() < 0.95:
+                arrived = arrivals.pop(0)
+                tokens.append('r1')
+                if rng.random() < 0.02:
+                    age = min(age, now - arrived)
+                    tokens.append('h1')
+            ticks = rng.choice([1, 1, 1, 1, 1, 1, 1, 2, 5, 33, 60])
+            tokens.append('t%d' % ticks)
+            for _ in range(ticks):
+                now, age = now + 1, age + 1
+                expected += '1' if age < 31 else '0'
+        assert driver('watch ' + ' '.join(tokens)) == expected
+        assert '1' in expected and '0' in expected

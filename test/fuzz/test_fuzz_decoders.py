@@ -1,4 +1,4 @@
-"""Any bytes into each decoder: it raises nothing, keeps no more than it may, and never gets stuck.
+"""Any bytes into each decoder: it raises nothing, does not grow, and never gets stuck.
 
 The last test searches for the most expensive stream, by counting work instead of measuring time:
 hypothesis gets the cost of each stream and looks for a more expensive one. With

@@ -19,8 +19,7 @@ from serial_communication.boards.arduino import wire as arduino  # noqa: E402
 from serial_communication.boards.mcu import wire as mcu  # noqa: E402
 from serial_communication.boards.bus import wire as bus  # noqa: E402
 from serial_communication.srv import BusRequest  # noqa: E402
-from campaign.run import usage_of  # noqa: E402
-from campaign.stage import CampaignStage  # noqa: E402
+from processes import Stage, usage_of  # noqa: E402
 
 NODE = '/serial_communication'
 PATIENCE = 10.0          # s; only a test that fails waits as long
@@ -76,7 +75,7 @@ class Scene:
     """The node, its three ports, and what it publishes."""
 
     def __init__(self, folder):
-        self.stage = CampaignStage(folder).__enter__()
+        self.stage = Stage('', folder).__enter__()
         self.ports = {'bus': BusFar(), 'arduino': Far(), 'mcu': Far()}
         self.bridge = self.stage.bridge({name: port.name for name, port in self.ports.items()},
                                         {'bus/reply_timeout': 0.2, 'bus/environment_period': 0.0})

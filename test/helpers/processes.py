@@ -290,6 +290,17 @@ class Stage:
             time.sleep(0.02)
 
 
+def usage_of(pid: int) -> Dict[str, float]:
+    """Resident MB, threads and open files of a process; empty if it has ended."""
+    try:
+        process = psutil.Process(pid)
+        with process.oneshot():
+            return {'memory': process.memory_info().rss / (1 << 20),
+                    'threads': process.num_threads(), 'files': process.num_fds()}
+    except (OSError, psutil.Error):
+        return {}
+
+
 def _runs_in(process: psutil.Process, folder: str) -> bool:
     try:
         return os.path.samefile(process.cwd(), folder)

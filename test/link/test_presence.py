@@ -1,4 +1,4 @@
-"""The log lines about a board that talks, falls silent and is back; about the heartbeat's priority;
+"""The log lines about a board that stops sending and starts again, about the heartbeat's priority,
 and about a lost port."""
 import logging
 import os

@@ -24,12 +24,13 @@ class OnBoard(unittest.TestCase):
     """An emulated board in a world at rest, and a bridge with only that link."""
 
     WORLD = ''           # car, ctrl or range
+    IMAGE = None         # the firmware; None: the one that belongs into the world
     LINK = ''            # the link's name in the parameters
     PARAMETERS = {}      # of the bridge, without the port
 
     @classmethod
     def setUpClass(cls):
-        cls.board = EmulatedBoard(build_firmware(), cls.WORLD)
+        cls.board = EmulatedBoard(build_firmware(), cls.WORLD, image=cls.IMAGE)
         cls.addClassCleanup(cls.board.close)
         cls.bridge = None
         cls.addClassCleanup(cls.end_bridge)

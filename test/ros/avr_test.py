@@ -18,8 +18,9 @@ import rosgraph
 import rospy
 import rostest
 import tf2_ros
+import yaml
 from sensor_msgs.msg import Imu, Range, RelativeHumidity, Temperature
-from std_msgs.msg import Bool, String
+from std_msgs.msg import Bool, String, UInt16
 from std_srvs.srv import Empty, Trigger
 
 from avr_boards import LossyLine, OnBoard, apart, turn, upward
@@ -32,6 +33,7 @@ from serial_communication.boards.bus import wire as bus
 from serial_communication.srv import (BusRequest, GetEnvironment, Gimbal, GimbalRequest, Lift,
                                       LiftRequest)
 
+ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 LOG_WARN = 4     # levels of rosgraph_msgs/Log
 GRAVITY = 9.81
 TRIES = 10       # of a test that a stall of this computer of 30 ms may spoil
@@ -102,7 +104,9 @@ class Car(CarBench):
                           doing=lambda v=value: speed.publish(value=v))
             self.drive_until_pwm(speed, value, pwm)
             self.assertEqual(self.board.get('motor_direction'), direction)
-        ticks.first(lambda m: 0 < m.value <= 12)
+            if value:
+                ticks.next(lambda m: 0 < m.value <= 12,
+                           doing=lambda v=value: speed.publish(value=v))
 
     def test_the_motor_stops_after_the_speed_timeout_and_stays_off(self):
         speed, traffic = self.speed(), self.collect(Topic('/serial_msg', SerialMsg))
@@ -363,6 +367,8 @@ class ControlBoard(OnBoard):
     """Lift, gimbal and air."""
 
     WORLD, LINK = 'ctrl', 'bus'
+    PARAMETERS = {'bus/functions': {'stop': {
+        'cmd2': 0x2F, 'srv_type': 'std_srvs/Trigger', 'repeatable': True, 'interrupts': True}}}
     AXES = 'lift', 'pan', 'tilt'
 
     def setUp(self):
@@ -443,6 +449,20 @@ class ControlBoard(OnBoard):
         self.assert_refused(request(0x55, 0x77, b''), bus.ERROR, bus.UNSUPPORTED, before)
         # The other way it goes.
         self.assert_moves(lambda: self.lift(1, 3), lift=(-3, -75, 1))
+
+    def test_a_stop_ends_a_move_whose_outcome_is_then_unknown(self):
+        stop = service(self.own('stop'), Trigger)
+        before = self.settled()['lift']
+        lift = Waiter(self.lift, 1, 100)
+        until(lambda: self.board.get('lift_position') < before[0] - 5, 'the lift moves')
+        answer = stop()
+        self.assertTrue(answer.success, answer.message)
+        stopped = self.board.get('lift_position')
+        self.assertGreater(stopped, before[0] - 99)
+        self.assertEqual(lift.result().status, TIMEOUT)
+        self.assertEqual(self.settled()['lift'][0], stopped)
+        self.assert_moves(lambda: self.lift(0, 2), lift=(2, 50, 1))
+        self.assertTrue(stop().success, 'nothing moves')
 
     def test_readings_of_the_air_are_published_as_they_are_in_the_world(self):
         get = service(self.own('get_environment'), GetEnvironment)
@@ -595,6 +615,32 @@ class SensorBoard(OnBoard):
         sent = self.board.get('tx_bytes')
         until(lambda: self.board.get('tx_bytes') != sent, 'the board sends', every=0)
         self.board.reset()
+
+
+class Hello(OnBoard):
+    """The library's first example."""
+
+    WORLD, LINK, IMAGE = 'car', 'arduino', 'Hello.elf'
+    PARAMETERS = {'arduino/messages': {
+        'light': {'type': 32, 'ros_type': 'std_msgs/UInt16', 'layout': '<H', 'fields': ['data']},
+        'lamp': {'type': 33, 'direction': 'to_board', 'ros_type': 'std_msgs/Bool', 'layout': '<?',
+                 'fields': ['data']}}}
+
+    def test_its_rows_are_those_in_its_comment(self):
+        with open(os.path.join(ROOT, 'firmware/protocol/examples/Hello/Hello.ino')) as file:
+            comment = [line[2:] for line in file if line.startswith('//')]
+        rows = yaml.safe_load(''.join(line for line in comment if line.startswith('  ')))
+        self.assertEqual(rows['arduino']['messages'], self.PARAMETERS['arduino/messages'])
+
+    def test_its_value_is_published_and_its_lamp_follows_the_command(self):
+        light = self.collect(Topic(self.own('light'), UInt16))
+        for raw in 700, 12:
+            self.board.set('steering_feedback', raw)     # what is at A0 here
+            light.first(lambda message, raw=raw: message.data == raw)
+        lamp = command_topic(self.own('lamp'), Bool)
+        self.addCleanup(lamp.unregister)
+        for on in True, False:
+            self.until_is('led_builtin', on, doing=lambda on=on: lamp.publish(on))
 
 
 class Launched(unittest.TestCase):

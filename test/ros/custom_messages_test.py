@@ -244,7 +244,8 @@ class ToTheCar(unittest.TestCase):
                 (self.command('enable', Float32), Float32(float('nan')),
                  'enable refused: data is nan, which its place (?) cannot hold'),
                 (several, offset, 'several refused: layout.data_offset is 256, which its place'),
-                (several, Int16MultiArray(data=[0] * 200), 'at most 255 bytes'),
+                (several, Int16MultiArray(data=[0] * 200),
+                 '401 bytes of data, a packet holds at most 255'),
                 (say, String('a\0b'), "say refused: data is 'a\\x00b', which its place"),
                 (self.command('third', JointState), JointState(position=[1, 2]),
                  'third refused: position has no element 2')):

@@ -36,7 +36,7 @@ class Tutorial(unittest.TestCase):
         self.addCleanup(shutil.rmtree, self.folder, ignore_errors=True)
         self.launched = None
         self.addCleanup(self.end)
-        self.board = EmulatedBoard(build_firmware(), 'car', image='nano_car_own.elf')
+        self.board = EmulatedBoard(build_firmware(), 'car', image='nano_car_custom.elf')
         self.addCleanup(self.board.close)
 
     def end(self):

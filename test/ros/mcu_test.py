@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 """The mcu link: each frame's topics with their exact values, and the status of a silent board."""
 import unittest
-from math import inf, isinf, isnan, pi, sqrt
+from math import inf, isinf, isnan, nan, pi, sqrt
 
 import rospy
 import rostest
@@ -80,6 +80,18 @@ class Frames(McuTest):
     def test_a_timeout_of_the_other_sensor_makes_it_invalid_too(self):
         status = self.first('status', McuStatus2, ranges(100, 0xFFFF), lambda m: m.vl53_1 == 100)
         self.assertFalse(status.valid)
+
+    def test_unknown_angles_are_nan_and_no_imu_message(self):
+        unknown = mcu.SensorStatus(123, 200, nan, nan, nan)
+        imus = self.topic('imu', Imu)
+        status = self.first('status', McuStatus2, unknown, lambda m: m.vl53_1 == 123)
+        self.assertEqual(values_of(status, *GOT[:2]), (True, False))
+        self.assertTrue(all(isnan(value) for value in values_of(status, 'yaw', 'pitch', 'roll')))
+        self.first('range_1', Range, unknown, lambda m: abs(m.range - 0.123) < 1e-6)
+        # The first message of the topic is of the first frame that has angles.
+        turned = imus.first(doing=lambda: self.board.say(ranges(yaw=90.0)))
+        self.assert_orientation(turned, 0, 0, -HALF, HALF)
+        imus.close()
 
     def test_crc_errors_are_counted(self):
         counts = self.topic('status', McuStatus2)

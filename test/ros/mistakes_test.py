@@ -43,7 +43,8 @@ MODULES = {      # by name: the code, and a part of the line that the node logs
     'exits_as_made': (BOARD + '        raise SystemExit(3)',
                       'the board wind (exits_as_made) cannot start: SystemExit: 3 ('),
     'linkless': (BOARD + '        self.link = 5',
-                 'the board wind (linkless) cannot start: TypeError: its link is 5, may be a Link'),
+                 'the board wind (linkless) cannot start: TypeError: its link is 5, '
+                 'must be a Link'),
     'not_advertised': (BOARD + '    def advertise(self): 1 / 0',
                        'the board wind (not_advertised) cannot start: ZeroDivisionError'),
 }

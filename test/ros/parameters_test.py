@@ -150,7 +150,7 @@ class Names(unittest.TestCase):
         self.start('bus', 'arduino', 'mcu', mcu__timeuot=3.0, publish_ft=True, mcu__colour='red')
         for name, words in (('mcu/timeuot', 'did you mean mcu/timeout?'),
                             ('publish_ft', 'did you mean publish_tf?'), ('mcu/colour', '')):
-            line = self.bridge.wait_for('parameter /bridge/%s is not known' % name)
+            line = self.bridge.wait_for('parameter /bridge/%s is unknown' % name)
             self.assertIn('WARN', line)
             self.assertIn(words, line)
         self.assert_interface('bus', 'arduino', 'mcu')

@@ -1,7 +1,7 @@
 """--help, wrong arguments and an early Ctrl-C of every program.
 
-Those of scripts/demo and scripts/test: test_demo_arguments; of the node beside a running one:
-test/ros/same_name_test.
+test_demo_arguments has those of scripts/demo and scripts/test; test/ros/same_name_test has those of
+a node while another one of its name runs.
 """
 import os
 import signal

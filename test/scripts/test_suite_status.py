@@ -34,20 +34,21 @@ def test_saves():
 @pytest.fixture(name='suite')
 def fixture_suite(tmp_path):
     """A function that starts scripts/test on the given tests; the fixture ends it."""
-    for name in ('.ci/run', 'scripts/test', 'test/scripts/results.py'):
-        (tmp_path / name).parent.mkdir(parents=True)
-        shutil.copy(str(CHECKOUT / name), str(tmp_path / name))
-    (tmp_path / 'scripts/environment.bash').write_text(ENVIRONMENT)
+    checkout = tmp_path / 'checkout'
+    for name in ('.ci/run', 'scripts/test', 'test/scripts/results.py', 'test/pytest.ini'):
+        (checkout / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(str(CHECKOUT / name), str(checkout / name))
+    (checkout / 'scripts/environment.bash').write_text(ENVIRONMENT)
     started = []
 
     def start(program='scripts/test', environment=None, **tests):
         for part, text in tests.items():
             if text is None:
                 continue
-            (tmp_path / 'test' / part).mkdir(exist_ok=True)
-            (tmp_path / 'test' / part / 'test_it.py').write_text(text)
+            (checkout / 'test' / part).mkdir(exist_ok=True)
+            (checkout / 'test' / part / 'test_it.py').write_text(text)
         started.append(subprocess.Popen(
-            ['bash', str(tmp_path / program), *tests], env=environment, text=True,
+            ['bash', str(checkout / program), *tests], env=environment, text=True,
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT))
         return started[-1]
 
@@ -70,8 +71,14 @@ def test_the_status_is_that_of_the_tests(suite, tests, status, last):
     assert process.returncode == status
 
 
+def test_a_conftest_above_the_checkout_is_not_loaded(suite, tmp_path):
+    (tmp_path / 'conftest.py').write_text('import no_module_of_this_name\n')
+    said = suite(framing=GREEN).communicate(timeout=4 * PATIENCE)[0]
+    assert said.splitlines()[-1] == '1 passed, 0 failed'
+
+
 def test_each_folder_of_a_part_is_a_process(suite, tmp_path):
-    below = tmp_path / 'test/boards/below'
+    below = tmp_path / 'checkout/test/boards/below'
     below.mkdir(parents=True)
     (below / 'test_it.py').write_text(GREEN)    # in one process, two files of one name clash
     said = suite(boards=GREEN).communicate(timeout=4 * PATIENCE)[0]
@@ -84,13 +91,14 @@ def test_quick_leaves_out_slow_tests_and_parts_that_need_ros(suite, tmp_path):
     parts = subprocess.check_output(
         ['bash', '-c', '. <(sed -n "/^quick=/,/)$/p" "$0"); echo "${quick[*]}"',
          str(CHECKOUT / 'scripts/test')], text=True).split()
-    assert 'link' in parts and not {'ros', 'panel', 'firmware', 'docs', 'soak'} & set(parts)
+    assert 'link' in parts and not set(parts) & {
+        'ros', 'panel', 'firmware', 'docs', 'exact', 'soak'}
     for part in [*parts, 'panel']:
-        (tmp_path / 'test' / part).mkdir()
-        (tmp_path / 'test' / part / 'test_it.py').write_text(GREEN)
-    (tmp_path / 'test/link/test_slow.py').write_text(
+        (tmp_path / 'checkout/test' / part).mkdir()
+        (tmp_path / 'checkout/test' / part / 'test_it.py').write_text(GREEN)
+    (tmp_path / 'checkout/test/link/test_slow.py').write_text(
         'import pytest\npytestmark = pytest.mark.slow\n' + RED)
-    (tmp_path / 'test/panel/test_it.py').write_text(RED)
+    (tmp_path / 'checkout/test/panel/test_it.py').write_text(RED)
     process = suite(quick=None)
     said = process.communicate(timeout=4 * PATIENCE)[0]
     assert said.splitlines()[-1] == f'{len(parts)} passed, 0 failed'
@@ -102,7 +110,7 @@ def test_continuous_integration_uses_no_variable_of_this_machine(suite, tmp_path
                                 'ANYTHING': 'else', **home}, framing=SAVES_ENVIRONMENT)
     said = process.communicate(timeout=4 * PATIENCE)[0]
     assert said.splitlines()[-1] == '1 passed, 0 failed'
-    seen = json.loads((tmp_path / 'test/framing/environment').read_text())
+    seen = json.loads((tmp_path / 'checkout/test/framing/environment').read_text())
     assert os.path.isabs(seen['HOME']) and seen['HOME'] == home.get('HOME', seen['HOME'])
     assert seen['TERM'] and seen['LANG'] == 'C.UTF-8' and '/usr/bin' in seen['PATH'].split(':')
     assert not {'PYTHONUNBUFFERED', 'ANYTHING'} & set(seen)
@@ -111,7 +119,7 @@ def test_continuous_integration_uses_no_variable_of_this_machine(suite, tmp_path
 @pytest.mark.parametrize('sent, status', [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
 def test_a_signal_ends_the_running_tests(suite, tmp_path, sent, status):
     process = suite(link=LONG)
-    pid = tmp_path / 'test/link/pid'
+    pid = tmp_path / 'checkout/test/link/pid'
     until(lambda: pid.exists() and pid.read_text(), 'the test runs')
     process.send_signal(sent)
     process.communicate(timeout=PATIENCE)

@@ -150,6 +150,8 @@ def test_built_in_types_as_text():
                       yaw=1.25, last_frame_age_sec=3.0)
     assert words('serial_communication/McuStatus2', sensors) == (
         '470 and 80 mm, yaw 1.2 deg, valid, 2 CRC errors, seq 7')
+    sensors.yaw, sensors.valid = float('nan'), False
+    assert 'angles unknown' in words('serial_communication/McuStatus2', sensors)
     sensors.connected = False
     assert words('serial_communication/McuStatus2', sensors) == 'silent for 3.0 s'
     assert words('serial_communication/Voltage', Message(value=8.071)) == '8.07 V'
@@ -300,7 +302,7 @@ def test_all_ok_requires_every_link_and_no_trouble():
     assert not bridge.all_ok(5.0)
     bridge.set_link('mcu', reported(0, 5.0))
     bridge.expect_links(['gps'])
-    assert not bridge.all_ok(5.0)     # no report of it yet
+    assert not bridge.all_ok(5.0)     # no status of it yet
     bridge.set_link('gps', reported(0, 1.0))
     assert not bridge.all_ok(5.0)     # reported too long ago
 

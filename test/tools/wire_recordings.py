@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Makes the recordings of doc/wire.md: python3 test/tools/wire_recordings.py [FOLDER].
 
-They are of simulated boards with faults, a link of the computer, and `wire tap` or `wire listen`
-between them, over real ttys. It takes ten seconds. The page describes the recordings in doc/wire.
+Each records a simulated board with faults over real ttys: with `wire listen`, or with `wire tap`
+between it and a link of the bridge. It takes ten seconds. The page describes those in doc/wire.
 """
 import os
 import pty

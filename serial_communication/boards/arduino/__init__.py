@@ -23,6 +23,7 @@ def _decoder(sent: bool, parameters: Mapping[str, Any]) -> Decoder:
     return wire.BoardDecoder(messages=kinds) if sent else wire.Decoder(messages=kinds)
 
 
+LONGEST_GAP = 0.03     # s between heartbeats
 DESCRIPTION = Description(
     'arduino', __name__, _decoder, 'model car',
     topics=(
@@ -34,7 +35,7 @@ DESCRIPTION = Description(
         Topic('~steering_angle', 'serial_communication/SteeringFeedback', 0.01)),
     other_names=('~speed', '~steering', '~led', '~calibrate_imu'),
     custom=CustomRows('messages', custom_messages, '~'),
-    heartbeat=Heartbeat(wire.Heartbeat.TYPE, longest_gap=0.03),
+    heartbeat=Heartbeat(wire.Heartbeat.TYPE, LONGEST_GAP),
     between=b'\0',
     first_after_loss=b'\0' + wire.encode(wire.SpeedCommand(0)),
     network_silence=1.0,

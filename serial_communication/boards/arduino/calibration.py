@@ -54,7 +54,7 @@ class Calibration:
         self._last_data = min(self._last_data + seconds, now)
 
     def port_opened(self, now: float) -> None:
-        """The port is open again. What the board did before is not known: start anew."""
+        """The port is open again; what the board did meanwhile is not known. Observe it again."""
         self._watched_since = self._last_data = now
 
     def imu_data(self, now: float) -> Optional[End]:

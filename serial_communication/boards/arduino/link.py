@@ -1,18 +1,19 @@
 """The link to the model car: sends commands and heartbeats, receives measurements.
 
-What may reach the motor, and when, is decided here and in `motor` and `calibration` alone.
+Only this module, `motor` and `calibration` decide what may reach the motor, and when.
 """
 import threading
 import time
 import traceback
 from collections import deque
-from typing import Any, Callable, Deque, Iterable, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Deque, Iterable, List, NamedTuple, Optional, Tuple, Type
 
+from ...framing.layout import LayoutMessage
 from ...framing.stream import Frame
 from ...link.link import OK, WARN, Link, Refused, Report
 from ...transport.pace import Allowance, clock
 from ...transport.port import Port, PortBusy, PortError
-from . import DESCRIPTION, wire
+from . import DESCRIPTION, LONGEST_GAP, wire
 from .calibration import Calibration, End
 from .heartbeat import HeartbeatThread
 from .motor import Motor, Stop
@@ -23,7 +24,7 @@ _LAST_STOP_TIME = 0.1    # s for the last SPEED 0 to leave the port before it is
 _SPEED_0 = wire.SpeedCommand(0)
 _HEARTBEAT = wire.Heartbeat()
 _HEARTBEAT_PACKET = wire.encode(_HEARTBEAT)
-_BOARD_LINES = 100, 10.0     # log lines of the board: at most in a burst, and then per second
+_BOARD_LINES = 100, 10.0     # log lines of the board that are taken: in a burst, then per second
 
 
 class ArduinoSettings(NamedTuple):
@@ -31,9 +32,9 @@ class ArduinoSettings(NamedTuple):
 
     heartbeat_rate: float = 100.0        # Hz
     speed_timeout: float = 0.5           # 0: never
-    calibration_timeout: float = 900.0   # then a calibration counts as over
+    calibration_timeout: float = 900.0   # after this time a calibration counts as over
     check_plausibility: bool = True
-    # A network port is opened anew after this silence of the board; 0: never.
+    # A network port is closed and opened again after this silence of the board; 0: never.
     network_silence: float = DESCRIPTION.network_silence
 
 
@@ -44,7 +45,7 @@ class ArduinoLink(Link):
         on_message: called in the link's thread with the (message, stamp) of each message except
             log messages.
         on_log: called in the link's thread with the (severity 0 … 3, text) of each log message; if
-            they are too many, some are left out.
+            the board sends too many, some are dropped.
         on_calibrating: called with True when a calibration begins, with False when it ends.
         messages: classes of custom messages that the board sends.
         link_arguments: frame_timeout, clock and logger, as for `Link`.
@@ -56,7 +57,7 @@ class ArduinoLink(Link):
                  on_message: Optional[Callable[[Any, Any], None]] = None,
                  on_log: Optional[Callable[[int, str], None]] = None,
                  on_calibrating: Optional[Callable[[bool], None]] = None,
-                 messages: Iterable[Any] = (), **link_arguments) -> None:
+                 messages: Iterable[Type[LayoutMessage]] = (), **link_arguments: Any) -> None:
         super().__init__('arduino', port, wire.Decoder(settings.check_plausibility, messages),
                          **link_arguments)
         self.settings = settings
@@ -74,7 +75,7 @@ class ArduinoLink(Link):
             'arduino heartbeat', settings.heartbeat_rate, self._send_what_is_due,
             lambda text: self._log_later('fault', text),
             lambda text: self._log_later('priority', text, self.log.info))
-        self._recent_gap = 0.0               # s; longest between heartbeats, for the latest report
+        self._recent_gap = 0.0               # s; longest recent gap, when the last report was made
         self._unlogged: Deque[Tuple[Callable[[str, str], None], str, str]] = deque()
         self._board_lines = Allowance(*_BOARD_LINES)
 
@@ -133,7 +134,7 @@ class ArduinoLink(Link):
         if self._on_calibrating:
             self._on_calibrating(True)
 
-    def command(self, message: Any) -> None:
+    def command(self, message: LayoutMessage) -> None:
         """Send any message to the board at once.
 
         Raises:
@@ -143,7 +144,7 @@ class ArduinoLink(Link):
             reason = message.implausible()
             if reason:
                 raise ValueError(reason)
-            wire.encode(message)     # raises before a text that is too long fills a log line
+            wire.encode(message)     # before any log line below quotes a text that is too long
         except ValueError as error:
             too_long = len(getattr(message, 'text', '')) > wire.LED_LIMIT
             raise Refused(f'{message.LABEL} refused: {error}',
@@ -164,7 +165,7 @@ class ArduinoLink(Link):
             if calibration:
                 self._calibration = Calibration(self.settings.calibration_timeout, now)
 
-    def _refuse_if_not_ready(self, message: Any, now: float) -> None:
+    def _refuse_if_not_ready(self, message: LayoutMessage, now: float) -> None:
         if self._stopped:
             raise Refused(f'{message} refused: the bridge is stopping', 'stopping')
         if self.calibrating:
@@ -178,16 +179,16 @@ class ArduinoLink(Link):
 
     # -- sending: the caller holds the lock -----------------------------------------------
 
-    def _send_packet(self, message: Any, now: float) -> None:
+    def _send_packet(self, message: LayoutMessage, now: float) -> None:
         """Write one packet, and SPEED 0 before it while the board's speed is unknown.
 
         Raises:
-            PortBusy, PortError: the packet is not sent; SPEED 0 may be.
+            PortBusy, PortError: the packet was not sent, but SPEED 0 may have been.
         """
         if self._motor.speed_unknown and message != _SPEED_0:
             self._send_packet(_SPEED_0, now)
         if message is _HEARTBEAT and not (self.tap or self._cut_off):
-            # A short cut: the same three bytes a hundred times a second, without a subscriber.
+            # A shortcut for the most frequent packet while no `tap` gets it.
             self.port.write(_HEARTBEAT_PACKET)
             self.frames_sent += 1
             return
@@ -202,14 +203,16 @@ class ArduinoLink(Link):
         self.written(packet, message.TYPE, 0, data, message)
 
     def _check_for_stall(self, now: float) -> None:
-        # The link's thread has the same priority as the threads that receive commands.
+        # If the link's thread stalls, so do the threads that receive commands: all have the same
+        # priority.
         stalled_for = self._motor.detect_stall(now, self.awake_at)
         if stalled_for is not None:
             self._log_later('stall', f'the bridge stalled for {stalled_for:.3g} s: SPEED 0 is sent '
                             'first, and commands from that time are dropped')
 
     def _drop_backlog(self) -> None:
-        """The port is blocked: drop the output that waits, or old commands reach the board."""
+        """Drop the output that waits in a blocked port, so that no old command reaches the
+        board."""
         self._motor.forget_speed()
         self._cut_off = True
         dropped = self.port.discard_output()
@@ -252,7 +255,7 @@ class ArduinoLink(Link):
         Returns whether a heartbeat was sent.
         """
         with self._send_lock:
-            now = clock()       # not before the lock is held: the bridge may stall in between
+            now = clock()       # read with the lock held: the bridge may stall while it waits
             self._check_for_stall(now)
             self._motor.awake(now)
             if self._stopped or not self.port.is_open:
@@ -332,7 +335,7 @@ class ArduinoLink(Link):
         self._log_now()
         self._check_calibration_timeout()
         if self._calibration:
-            return None     # the board may be silent; and this is called every 0.1 s anyway
+            return None     # the board may be silent; `tick` runs every 0.1 s in any case
         try:
             return self.check_silence(now, self.settings.network_silence)
         except PortError:
@@ -351,7 +354,7 @@ class ArduinoLink(Link):
             log(cause, text)
 
     def _append_speed_0(self) -> None:
-        """Make SPEED 0 the last of the commands that wait in the network, out of reach."""
+        """Send SPEED 0 behind the commands that wait in the network, which cannot be dropped."""
         with self._send_lock:
             try:
                 self._send_packet(_SPEED_0, clock())
@@ -363,7 +366,7 @@ class ArduinoLink(Link):
             self._end_calibration(self._calibration.check_timeout(clock()))
 
     def _end_calibration(self, end: Optional[End]) -> None:
-        """The calibration is over for this reason; None: it is not over."""
+        """End the calibration for this reason; None: it is not over."""
         if end is None:
             return
         self._calibration = None
@@ -395,7 +398,7 @@ class ArduinoLink(Link):
             return level, summary
         if self.calibrating:
             return WARN if level else OK, 'calibrating the IMU'
-        if self._recent_gap <= DESCRIPTION.heartbeat.longest_gap:
+        if self._recent_gap <= LONGEST_GAP:
             return level, summary
         gap = (f'heartbeat gap of {self._recent_gap * 1e3:.1f} ms: after 30 ms the board stops '
                'its motor; see "Let the bridge come first" in doc/troubleshooting.md')

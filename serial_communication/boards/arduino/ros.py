@@ -55,6 +55,7 @@ class ArduinoInterface(Interface):
         'imu_mount': MOUNT,
     }
     MOUNTS = ('imu',)
+    link: ArduinoLink
 
     def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
         p = parameters
@@ -106,7 +107,7 @@ class ArduinoInterface(Interface):
         take_commands(self._custom_messages, '~', link, age)
         rospy.Service('~calibrate_imu', Empty, self._calibrate)
 
-    def _calibrate(self, _request) -> EmptyResponse:
+    def _calibrate(self, _request: Any) -> EmptyResponse:
         try:
             self.link.calibrate_imu()
         except Refused as refused:

@@ -60,6 +60,7 @@ class ModelCar(Board):
         lose_stops: the line loses the first SPEED 0 of each stop, as noise may do.
     """
 
+    decoder: wire.BoardDecoder
     NAME = DESCRIPTION.name
     SUMMARY = 'model car: motor, servo, encoder, IMU, battery'
     FAULTS = ('drop=0.001 cut=0.001 lose=0.001 flip=0.001 insert=0.001 double=0.001 '
@@ -101,7 +102,7 @@ class ModelCar(Board):
         self._lose_stops = lose_stops
         self._lost_stop = False    # whether a SPEED 0 was lost since the motor was switched on
         self._kept = b''           # in the receive buffer while calibrating
-        self._heartbeat: Optional[float] = None   # time of the latest
+        self._heartbeat = -math.inf    # time of the latest
         self._servo_target = float(SERVO_CENTRE)
         self._now = 0.0            # time of the computed motion
         self._acceleration = 0.0   # m/s², along the car
@@ -117,7 +118,7 @@ class ModelCar(Board):
     def power_on(self, now: float) -> None:
         self._move(now)
         self.decoder.reset()
-        self._heartbeat = None
+        self._heartbeat = -math.inf
         self.calibrating = False
         self._kept = b''
         self.led = 'disable'
@@ -195,7 +196,7 @@ class ModelCar(Board):
         value = min(max(value, -wire.SPEED_LIMIT), wire.SPEED_LIMIT)
         if value == 0:
             self._motor_off('SPEED 0')
-        elif self._heartbeat is None or now >= self._heartbeat + HEARTBEAT_TIMEOUT:
+        elif now >= self._heartbeat + HEARTBEAT_TIMEOUT:
             self.note('motor', on=False, speed=0, why=f'SPEED {value} without a heartbeat')
         else:
             if not self.motor_on or self.command * value < 0:

@@ -10,10 +10,10 @@ limits. doc/protocols.md lists the decisions where the source says nothing.
 """
 import struct
 from math import pi
-from typing import Any, Dict, Iterable, List, NamedTuple, Tuple
+from typing import Any, Dict, Iterable, List, NamedTuple, Tuple, Type
 
 from ...framing import cobs
-from ...framing.layout import Layout, Value, layout_methods, message_class, readable
+from ...framing.layout import Layout, LayoutMessage, Value, message_class, readable
 from ...framing.parts import Part, Parts
 from ...framing.stream import (FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN, Frame, frame_of,
                                invalid_frame)
@@ -30,19 +30,22 @@ _LEAST_SQUARED = 0.95 ** 2 * _UNIT_SQUARED    # least and most of a plausible qu
 _MOST_SQUARED = 1.05 ** 2 * _UNIT_SQUARED
 
 Vector = Tuple[float, float, float]
+Quaternion = Tuple[float, float, float, float]      # x, y, z, w
 
 
-@layout_methods
-class Log(NamedTuple):
+class _LogValues(NamedTuple):
+    severity: int
+    text: str      # control characters and bad UTF-8 replaced
+
+
+class Log(_LogValues):
     """DEBUG, INFO, WARN, ERROR (0 … 3), board -> us: a log line."""
 
+    __slots__ = ()
     TYPES = (0, 1, 2, 3)
     LABEL = 'log'
     LABELS = ('DEBUG', 'INFO', 'WARN', 'ERROR')
     LAYOUT = Layout('<s', [Value('text')])
-
-    severity: int
-    text: str      # control characters and bad UTF-8 replaced
 
     @classmethod
     def unpack(cls, severity: int, data: bytes) -> 'Log':
@@ -57,6 +60,11 @@ class Log(NamedTuple):
         if 2 * unreadable <= len(self.text):
             return ''
         return f'{unreadable} of {len(self.text)} characters are unreadable'
+
+    @classmethod
+    def parts(cls, data: bytes) -> List[Part]:
+        """The text with its bytes."""
+        return cls.LAYOUT.parts(data)
 
     @property
     def TYPE(self) -> int:  # noqa: N802 - the type is the severity
@@ -77,15 +85,17 @@ SteeringCommand = message_class(
     'STEERING_CMD, us -> board: PWM of the steering servo, µs.')
 
 
-@layout_methods
-class LedCommand(NamedTuple):
+class _LedValues(NamedTuple):
+    text: str
+
+
+class LedCommand(LayoutMessage, _LedValues):
     """LED_CMD, us -> board: left, right, brake, disable …: at most 30 characters of ASCII."""
 
+    __slots__ = ()
     TYPE = 6
     LABEL = 'LED'
     LAYOUT = Layout('<s', [Value('text')])
-
-    text: str
 
     @classmethod
     def unpack(cls, data: bytes) -> 'LedCommand':
@@ -126,21 +136,7 @@ ImuCalibration = message_class(
     'IMU_CALIBRATION, us -> board: it calibrates for over 5 minutes and reads nothing meanwhile.')
 
 
-@layout_methods
-class Imu(NamedTuple):
-    """IMU, board -> us: the raw numbers of the motion processor, in its axes and units.
-
-    The methods return SI units in ROS's axes: x = board y, y = -board x, z = board z.
-    """
-
-    TYPE = 9
-    LABEL = 'IMU'
-    LAYOUT = Layout('>11h', [    # in the board's axes, with the default gyro_scale
-        *[Value(f'quaternion {axis}', '', _QUATERNION) for axis in 'wxyz'],
-        *[Value(f'angular rate {axis}', 'rad/s', GYRO_SCALE) for axis in 'xyz'],
-        *[Value(f'acceleration {axis}', 'm/s²', _ACCELERATION) for axis in 'xyz'],
-        Value('temperature', '°C', 1 / 340, 36.53)])
-
+class _ImuValues(NamedTuple):
     qw: int
     qx: int
     qy: int
@@ -153,8 +149,24 @@ class Imu(NamedTuple):
     az: int
     raw_temperature: int
 
+
+class Imu(LayoutMessage, _ImuValues):
+    """IMU, board -> us: the raw numbers of the motion processor, in its axes and units.
+
+    The methods return SI units in ROS's axes: x = board y, y = -board x, z = board z.
+    """
+
+    __slots__ = ()
+    TYPE = 9
+    LABEL = 'IMU'
+    LAYOUT = Layout('>11h', [    # in the board's axes, with the default gyro_scale
+        *[Value(f'quaternion {axis}', '', _QUATERNION) for axis in 'wxyz'],
+        *[Value(f'angular rate {axis}', 'rad/s', GYRO_SCALE) for axis in 'xyz'],
+        *[Value(f'acceleration {axis}', 'm/s²', _ACCELERATION) for axis in 'xyz'],
+        Value('temperature', '°C', 1 / 340, 36.53)])
+
     @classmethod
-    def from_si(cls, orientation, angular_velocity: Vector, linear_acceleration: Vector,
+    def from_si(cls, orientation: Quaternion, angular_velocity: Vector, linear_acceleration: Vector,
                 temperature: float, gyro_scale: float = GYRO_SCALE) -> 'Imu':
         """The message for these values, saturated to int16: the inverse of the methods below."""
         x, y, z, w = orientation
@@ -182,8 +194,8 @@ class Imu(NamedTuple):
             parts[0] = parts[0]._replace(error=cls.unpack(data).implausible())
         return parts
 
-    def orientation(self) -> Tuple[float, float, float, float]:
-        """Quaternion x, y, z, w."""
+    def orientation(self) -> Quaternion:
+        """x, y, z, w."""
         return (self.qy * _QUATERNION, -self.qx * _QUATERNION, self.qz * _QUATERNION,
                 self.qw * _QUATERNION)
 
@@ -252,7 +264,8 @@ class _Decoder:
     front = needed = 0     # for `skip_false_start`, which has no use in this framing
     _messages: Dict[int, Any] = {}
 
-    def __init__(self, check_plausibility: bool = True, messages: Iterable[Any] = ()) -> None:
+    def __init__(self, check_plausibility: bool = True,
+                 messages: Iterable[Type[LayoutMessage]] = ()) -> None:
         self.errors = dict.fromkeys((FRAMING, OVERSIZE, LENGTH, UNKNOWN, IMPLAUSIBLE), 0)
         self._unchecked = frozenset(() if check_plausibility else self._messages)
         self._messages = dict(self._messages)
@@ -264,7 +277,10 @@ class _Decoder:
         """Whether there is an incomplete packet."""
         return bool(self._begun) or self._dropping
 
-    begun = pending     # every byte belongs to a packet: there is no noise between packets
+    @property
+    def begun(self) -> bool:
+        """The same: every byte belongs to a packet, so there is no noise between packets."""
+        return self.pending
 
     def reset(self) -> None:
         """Forget the incomplete packet, as after a reconnect; the counts stay."""
@@ -333,7 +349,8 @@ class _Decoder:
             return self._bad(raw, IMPLAUSIBLE, f'{kind.LABEL}: {reason}', stamp, type_, data)
         return frame_of((raw, type_, 0, data, message, stamp, '', ''))
 
-    def _bad(self, raw, cause, error, stamp, type_=0, data=b'') -> Frame:
+    def _bad(self, raw: bytes, cause: str, error: str, stamp: Any, type_: int = 0,
+             data: bytes = b'') -> Frame:
         self.errors[cause] += 1
         return invalid_frame(raw, cause, error, stamp, type_, data)
 

@@ -10,7 +10,7 @@ from . import wire
 
 _BUILT_IN = (wire.LIFT, wire.GIMBAL, wire.ENVIRONMENT)
 _KEYS = ('cmd2', 'srv_type', 'ros_type', 'period', 'frame_id', 'request', 'reply', 'timeout',
-         'repeatable')
+         'repeatable', 'interrupts')
 
 
 class CustomFunction(NamedTuple):
@@ -27,6 +27,7 @@ class CustomFunction(NamedTuple):
     frame_id: str
     timeout: Optional[float]     # s; None: bus/reply_timeout
     repeatable: bool
+    interrupts: bool       # a stop: sent at once, whatever is outstanding; it is repeatable
 
     def make_request(self, values: Tuple) -> wire.Request:
         """The request with these values.
@@ -65,7 +66,8 @@ def read_functions(entries: Any, key: str = 'bus/functions') -> List[CustomFunct
                           'a whole number from 0 to 255 but 32, 33 and 34', whole=True)
         row.refuse_second('cmd2', cmd2, {other.cmd2: other.name for other in functions})
         polled = 'ros_type' in row.given
-        for unused in ('srv_type', 'repeatable') if polled else ('period', 'frame_id'):
+        for unused in (('srv_type', 'repeatable', 'interrupts') if polled else
+                       ('period', 'frame_id')):
             if unused in row.given:
                 raise RowError(row.name(unused), row.given[unused],
                                f'has no meaning beside {"ros_type" if polled else "srv_type"}')
@@ -78,7 +80,10 @@ def read_functions(entries: Any, key: str = 'bus/functions') -> List[CustomFunct
             row.text('frame_id', None, 'text', ''),
             row.number('timeout', lambda n: 0.01 <= n <= 600, 'a number from 0.01 to 600 (s)',
                        default=0.0) or None,
-            polled or row.flag('repeatable')))
+            polled or row.flag('repeatable'), not polled and row.flag('interrupts')))
+        if functions[-1].interrupts and not functions[-1].repeatable:
+            raise RowError(row.name('repeatable'), False,
+                           'has to be true where interrupts is true: it is sent more than once')
     return functions
 
 

@@ -1,4 +1,4 @@
-"""The link to the control board: serves callers, who wait for their outcome, and polls."""
+"""The link to the control board: sends polls, and requests of callers, who wait for the outcome."""
 import os
 import time
 from typing import Any, Callable, List, NamedTuple, Optional, Tuple
@@ -55,7 +55,7 @@ class _Poller:
 
 
 class BusLink(Link):
-    """Takes requests from any thread. Each has an outcome, whatever happens to the port.
+    """Takes requests from any thread. Each gets an outcome, whatever happens to the port.
 
     Args:
         on_environment: called in the link's thread with each reading and its stamp.
@@ -64,7 +64,7 @@ class BusLink(Link):
 
     def __init__(self, port: Port, settings: BusSettings = BusSettings(),
                  on_environment: Optional[Callable[[wire.Environment, Any], None]] = None,
-                 **link_arguments) -> None:
+                 **link_arguments: Any) -> None:
         super().__init__('bus', port, wire.ReplyDecoder(settings.reply_has_cmd2),
                          **link_arguments)
         self.settings = settings
@@ -104,11 +104,12 @@ class BusLink(Link):
 
     def request(self, request: wire.Request, repeatable: bool = False,
                 timeout: Optional[float] = None, reply_layout: Optional[Layout] = None,
-                on_success: Optional[Callable[[Outcome], None]] = None) -> Outcome:
+                on_success: Optional[Callable[[Outcome], None]] = None,
+                interrupts: bool = False) -> Outcome:
         """Send any request and wait for its outcome.
 
-        Returns within the timeout of each try and the time that the request waits for its turn:
-        at most `motion_timeout`, or 0.8 s if that is longer.
+        Returns after the timeouts of all its tries at the latest, plus the time that it waits for
+        its turn, which is at most `motion_timeout`, or 0.8 s if that is longer.
 
         Args:
             repeatable: it only reads, so it may be sent again after a timeout.
@@ -118,6 +119,9 @@ class BusLink(Link):
                 but a board may send some.
             on_success: called in the link's thread with a successful outcome, before or after
                 this returns.
+            interrupts: a repeatable request that is sent at once, also while the reply to another
+                one is expected: a stop. The outcome of that other one is then unknown, and calls
+                that wait for their turn are not sent.
         """
         if len(request.data) > wire.MAX_LENGTH:
             return Outcome(NOT_SENT, f'data is {len(request.data)} bytes long, may be at most '
@@ -125,7 +129,8 @@ class BusLink(Link):
         if not self.port.is_open:
             return Outcome(NOT_SENT, f'the port {self.port.url} is closed '
                            f'({self._trouble or "not opened yet"}); nothing was sent')
-        call = self._call(request, repeatable, timeout, reply_layout, on_success)
+        call = self._call(request, repeatable, timeout, reply_layout, on_success,
+                          interrupts=interrupts)
         self.master.submit(call)
         self.wake()
         return call.wait(max(self.settings.motion_timeout, NOT_READY_WAIT)
@@ -154,13 +159,13 @@ class BusLink(Link):
 
     def _call(self, request: wire.Request, repeatable: bool, timeout: Optional[float],
               reply_layout: Optional[Layout], on_success: Optional[Callable[[Outcome], None]],
-              poll: bool = False) -> Call:
+              poll: bool = False, interrupts: bool = False) -> Call:
         settings = self.settings
         if timeout is None:
             moves = request.cmd1 == wire.FUNCTION and request.cmd2 in _MOVES
             timeout = settings.motion_timeout if moves else settings.reply_timeout
         return Call(request, timeout, repeatable, 1 + settings.retries, time.monotonic(), poll,
-                    reply_layout, on_success)
+                    reply_layout, on_success, interrupts)
 
     def _environment_received(self, outcome: Outcome) -> None:
         if self._on_environment:
@@ -224,7 +229,8 @@ class BusLink(Link):
         try:
             self.send(frame, request.cmd1, request.cmd2, request.data, request)
         except PortBusy as error:
-            self.log.warn('busy', f'{error}; what waits is dropped; does flow control hold it up?')
+            self.log.warn('busy', f'{error}; the output that waited is dropped; '
+                          'does flow control block the port?')
             self.port.discard_output()
             self.master.not_sent(str(error))
             self._blocked_until = now + _BLOCKED

@@ -1,8 +1,8 @@
 """The Master's session on a robot-ctrl-bus: which request may be sent when, and what a reply means.
 
 A state machine without I/O and without a clock. The link, which owns the port, reports what it
-received and at what time, and calls `step`; that returns the request to send and when to call it
-again. The rules:
+received and at what time, and calls `step`, which returns the request to send and the time of the
+next call. The rules:
 
 1. At most one request is outstanding. Callers queue; calls go before polls.
 2. After a connect, and after INVALID "not synchronised", the Master sends SYNC until the board
@@ -18,27 +18,32 @@ again. The rules:
    to this request, whatever data it has. From a board that never echoes it counts as another
    request's reply.
    Any other OK with the wrong number of data bytes, or with impossible values, is reported as
-   such: at once behind a fence; without a fence, a poll is first sent once more, behind the ECHO.
+   such: at once behind a fence; without a fence, a poll is first sent again, behind one.
 6. Replies have no number, so a late or doubled one could be taken for the reply to the next
    request. But a line keeps the order: a reply that is under way arrives before the reply to a
    later ECHO. So there is a fence before every request: an ECHO with a new nonce has returned
-   since the last byte of the exchange before. Only SYNC and ECHO need no fence, and a poll after
-   an exchange of the same request, byte for byte: a reply of that is at least of the same kind.
+   since the last byte of the exchange before. SYNC and ECHO need no fence. Nor does a poll if the
+   exchange before was the same request, byte for byte: a late reply has the same meaning.
    After a SYNC, a timeout, a damaged reply, a reply of a wrong length, or a reply that was not
    requested, the link is out of step: nothing is sent before such an ECHO, and everything received
    before it returns is dropped.
    After `ECHO_TRIES` unanswered ECHOs in a row, a SYNC and a silence of the reply timeout replace
    the ECHO. For a board that has never echoed, a silence of `FENCE_SILENCE` is the fence.
-7. The reported outcome is always true. Success: executed exactly once (a repeatable request: by
-   the try with the reply). Refused or not sent: not executed (a repeatable request: not by its
-   last try). Timeout: unknown, executed once or not at all.
+7. The reported outcome is always true. Success: executed exactly once. Refused or not sent: not
+   executed. Timeout: unknown, executed once or not at all. For a repeatable request this describes
+   the last try alone.
+8. A call that interrupts, a stop, is the exception to rules 1 and 6. Calls that wait are not sent.
+   If a request of a call is outstanding, its outcome is unknown, and the stop is sent at once;
+   likewise if the link is out of step, and again after each unanswered ECHO or SYNC. All replies
+   are dropped until an ECHO returns. Then the stop is sent in its turn like any repeatable request,
+   and the reply to that is its outcome.
 """
 import enum
 import os
 import threading
 from collections import deque
 from dataclasses import dataclass
-from typing import Any, Callable, Deque, List, Optional, Tuple
+from typing import Any, Callable, Deque, Dict, List, Optional, Tuple
 
 from ...framing.layout import Layout
 from ...framing.stream import CHECKSUM, Frame
@@ -51,6 +56,7 @@ FENCE_SILENCE = 0.02   # s of silence as a fence: a USB adapter delivers bytes u
 NOT_READY_WAIT = 0.8   # s that a call waits while the link is not ready
 
 _UNKNOWN = f'it is not known whether this was executed; {LOOK}'
+_NOT_TRIED = Outcome(NOT_SENT, 'nothing was sent')
 
 
 class Call:
@@ -62,14 +68,16 @@ class Call:
         repeatable: whether it may be sent again if its outcome is unknown.
         tries: how often it may be sent in all.
         now: the time of the call.
-        poll: whether it is a poll, which every call precedes.
+        poll: whether it is a poll, which is sent only when no other call waits.
         reply_layout: layout of the data in its OK; None: any data; empty: see rule 5.
         on_success: called in the link's thread with a successful outcome.
+        interrupts: whether it is sent at once, whatever is outstanding; see rule 8.
     """
 
     def __init__(self, request: wire.Request, timeout: float, repeatable: bool, tries: int,
                  now: float, poll: bool = False, reply_layout: Optional[Layout] = None,
-                 on_success: Optional[Callable[[Outcome], None]] = None) -> None:
+                 on_success: Optional[Callable[[Outcome], None]] = None,
+                 interrupts: bool = False) -> None:
         self.request = request
         self.timeout = timeout
         self.repeatable = repeatable
@@ -78,11 +86,12 @@ class Call:
         self.poll = poll
         self.reply_layout = reply_layout
         self.on_success = on_success
-        self.last_try: Optional[Outcome] = None   # outcome of the try before this one
+        self.interrupts = interrupts
+        self.last_try = _NOT_TRIED      # outcome of the try before this one
         # Whether the last try ended with an INVALID that the board may have sent because of noise.
         # An ECHO that returns before any other reply confirms that it was for this request.
         self.invalid_unconfirmed = False
-        self.expires = float('inf')     # when it is given up unless it has been sent
+        self.expires = float('inf')     # when it is given up if it still waits
         self.outcome: Optional[Outcome] = None
         self._sent = False
         self._lock = threading.Lock()
@@ -90,16 +99,16 @@ class Call:
 
     @property
     def always_fenced(self) -> bool:
-        """Whether it needs a fence after any exchange; see rule 6."""
+        """Whether it needs a fence whatever the exchange before was; see rule 6."""
         is_probe = self.repeatable and self.request.cmd1 in (wire.SYNC, wire.ECHO)
         return not (self.poll or is_probe)
 
-    def claim(self) -> bool:
+    def claim(self, tries: int = 1) -> bool:
         """Count a try; False if the caller has given up, so it must not be sent."""
         with self._lock:
             if self.outcome is None:
                 self._sent = True
-                self.tries -= 1
+                self.tries -= tries
             return self.outcome is None
 
     def finish(self, outcome: Outcome) -> None:
@@ -111,10 +120,12 @@ class Call:
 
     def wait(self, seconds: float) -> Outcome:
         """Wait for the outcome, at most `seconds`; after that the request is never sent."""
-        if not self._done.wait(seconds):
-            self.finish(Outcome(TIMEOUT, f'the bridge is stuck: {_UNKNOWN}') if self._sent else
-                        Outcome(NOT_SENT, 'the bridge is stuck; nothing was sent'))
-        return self.outcome
+        self._done.wait(seconds)
+        with self._lock:        # so that it is not claimed, and then sent, meanwhile
+            if self.outcome is None:
+                self.outcome = Outcome(TIMEOUT, f'the bridge is stuck: {_UNKNOWN}') if self._sent \
+                    else Outcome(NOT_SENT, 'the bridge is stuck; nothing was sent')
+            return self.outcome
 
 
 class SessionState(enum.Enum):
@@ -154,10 +165,16 @@ class _Exchange:
     request: wire.Request
     sent: float
     deadline: float
-    call: Optional[Call] = None
-    fenced: bool = False                       # no reply to an earlier request can arrive
-    other_reply: Optional[wire.Reply] = None   # the latest that cannot be the reply to it
-    may_have_missed: bool = False              # its reply may have been dropped
+
+
+@dataclass
+class _CallExchange(_Exchange):
+    """The outstanding request of a call."""
+
+    call: Call
+    fenced: bool                               # no reply to an earlier request can arrive
+    other_reply: Optional[wire.Reply] = None   # the latest reply that cannot be for this request
+    reply_may_be_lost: bool = False            # the reply may have been received and dropped
 
 
 class Master:
@@ -185,6 +202,7 @@ class Master:
         self._calls: Deque[Call] = deque()
         self._polls: Deque[Call] = deque()
         self._retry: Optional[Call] = None      # the call to send again, before all others
+        self._at_once: List[Call] = []          # to be sent now, whatever is outstanding
         self._exchange: Optional[_Exchange] = None
         self._latest_request: Optional[wire.Request] = None
         self._served_until = 0.0                # when the exchange of the latest call ended
@@ -192,10 +210,10 @@ class Master:
         self._unanswered_syncs = 0
         self._unanswered_echoes = 0
         self._has_echoed = False                # since the port opened
-        self._reply_handlers = {
+        self._reply_handlers: Dict[_Kind, Callable[..., None]] = {
             _Kind.SYNC: self._sync_answered, _Kind.ECHO: self._echo_answered,
             _Kind.SILENCE: self._silence_interrupted, _Kind.CALL: self._call_answered}
-        self._timeout_handlers = {
+        self._timeout_handlers: Dict[_Kind, Callable[..., None]] = {
             _Kind.SYNC: self._sync_timed_out, _Kind.ECHO: self._echo_timed_out,
             _Kind.SILENCE: self._silence_complete, _Kind.CALL: self._call_timed_out}
 
@@ -219,16 +237,16 @@ class Master:
         """The port is closed: every call returns."""
         self.state = SessionState.CLOSED
         exchange, self._exchange = self._exchange, None
-        if exchange is not None and exchange.call:
+        if isinstance(exchange, _CallExchange):
             exchange.call.finish(Outcome(
                 TIMEOUT, f'the port closed before the reply arrived ({why}): {_UNKNOWN}'))
-        self._queue_submitted()
+        self._queue_submitted(now)
 
     def received(self, frame: Frame, now: float) -> None:
         """A valid reply was received."""
         self._last_received = now
         exchange, reply = self._exchange, frame.message
-        if reply.cmd1 == wire.ECHO:      # however late
+        if reply.cmd1 == wire.ECHO:      # late or not, the board knows ECHO
             self._has_echoed = True
         if self._retry is not None and _may_answer_after_invalid(reply, self._retry):
             # Either the INVALID was for noise, or this is the reply to another request.
@@ -250,9 +268,9 @@ class Master:
             self._expect_silence(now)
             return
         self._out_of_step('received bytes that are no valid reply')
-        if exchange is not None and exchange.kind is _Kind.CALL and frame.cause == CHECKSUM:
-            # Only a frame with a wrong checksum can be the reply. After mere noise, during a
-            # motion say, the reply may still arrive.
+        if isinstance(exchange, _CallExchange) and frame.cause == CHECKSUM:
+            # Only a frame with a wrong checksum can be the reply. After noise, for example during
+            # a motion, the reply may still arrive.
             self._repeat_or_finish(exchange, now, Outcome(
                 TIMEOUT, f'the reply was damaged: {_UNKNOWN}'))
 
@@ -261,10 +279,10 @@ class Master:
         self._last_received = now
         self._out_of_step(why)
         exchange = self._exchange
-        if exchange is not None:
-            exchange.may_have_missed = True
-            if exchange.kind is _Kind.SILENCE:
-                self._expect_silence(now)
+        if isinstance(exchange, _CallExchange):
+            exchange.reply_may_be_lost = True
+        elif exchange is not None and exchange.kind is _Kind.SILENCE:
+            self._expect_silence(now)
         if self._retry is not None and self._retry.invalid_unconfirmed:
             # One of them may have shown that the INVALID was for noise.
             call, self._retry = self._retry, None
@@ -283,12 +301,14 @@ class Master:
             The request to send now, or None, and the time of the next call at the latest, or None.
             The request counts as outstanding from now on.
         """
-        self._queue_submitted()
+        self._queue_submitted(now)
         exchange = self._exchange
         if exchange is not None and now >= exchange.deadline:
             self._exchange = None
             self._timeout_handlers[exchange.kind](exchange, now)
         self._abandon_overdue(now)
+        if may_send and self._at_once:
+            return self._send_at_once(), now
         request, silent_until = self._next_request(now) if may_send else (None, None)
         times = [self._expiry(call) for call in self._waiting()]
         if silent_until is not None:
@@ -323,9 +343,12 @@ class Master:
     def not_sent(self, why: str) -> None:
         """The request that `step` returned could not be sent."""
         exchange, self._exchange = self._exchange, None
-        if exchange is not None and exchange.call:
-            exchange.call.finish(exchange.call.last_try
-                                 or Outcome(NOT_SENT, f'{why}; nothing was sent'))
+        if exchange is None:
+            self._repeat_interruption()
+        elif isinstance(exchange, _CallExchange):
+            last_try = exchange.call.last_try
+            exchange.call.finish(Outcome(NOT_SENT, f'{why}; nothing was sent')
+                                 if last_try is _NOT_TRIED else last_try)
 
     # -- fences -------------------------------------------------------------------------
 
@@ -380,8 +403,8 @@ class Master:
         call.invalid_unconfirmed = False
         fenced = self.state is SessionState.FENCED
         self.state = SessionState.IN_STEP
-        return self._begin(_Exchange(_Kind.CALL, call.request, now, now + call.timeout, call,
-                                     fenced))
+        return self._begin(_CallExchange(_Kind.CALL, call.request, now, now + call.timeout, call,
+                                         fenced))
 
     def _begin(self, exchange: _Exchange) -> wire.Request:
         self._exchange = exchange
@@ -420,7 +443,7 @@ class Master:
     def _silence_interrupted(self, _exchange: _Exchange, _frame: Frame, now: float) -> None:
         self._expect_silence(now)
 
-    def _call_answered(self, exchange: _Exchange, frame: Frame, now: float) -> None:
+    def _call_answered(self, exchange: _CallExchange, frame: Frame, now: float) -> None:
         reply, request, call = frame.message, exchange.request, exchange.call
         if not self._answers(reply, call):
             # The reply to another request, or an echo of other bytes. The right one may follow.
@@ -439,7 +462,7 @@ class Master:
         if reply.cmd1 != wire.INVALID:
             self._finish(exchange, now, outcome)
             return
-        if exchange.may_have_missed and call.always_fenced:     # so the INVALID may be for noise
+        if exchange.reply_may_be_lost and call.always_fenced:     # so the INVALID may be for noise
             if _lost_synchronism(reply):
                 self.state = SessionState.UNSYNCHRONISED
             self._finish(exchange, now, _unknown_after_invalid(outcome))
@@ -464,7 +487,7 @@ class Master:
         layout = call.reply_layout
         if (self._never_echoes and reply.cmd1 == wire.OK and reply.data
                 and layout is not None and layout.is_empty):
-            return False     # without a fence it may be another request's
+            return False     # without a fence it may be the reply to another request
         return _may_answer(reply, call.request)
 
     def _data_error(self, reply: wire.Reply, call: Call) -> str:
@@ -480,7 +503,7 @@ class Master:
             self.implausible += 1
         return reason
 
-    def _unexpected_data(self, exchange: _Exchange, frame: Frame, data_error: str,
+    def _unexpected_data(self, exchange: _CallExchange, frame: Frame, data_error: str,
                          now: float) -> None:
         """An OK with data that the call does not expect was received."""
         data, call = frame.message.data, exchange.call
@@ -502,11 +525,13 @@ class Master:
         self.timeouts += 1
         self.state = SessionState.UNSYNCHRONISED
         self._unanswered_syncs += 1
+        self._repeat_interruption()
 
     def _echo_timed_out(self, _exchange: _Exchange, _now: float) -> None:
         self.timeouts += 1
         self.state = SessionState.OUT_OF_STEP
         self._echo_unanswered()
+        self._repeat_interruption()
 
     def _echo_unanswered(self) -> None:
         self._unanswered_echoes += 1
@@ -519,7 +544,7 @@ class Master:
         if self._has_echoed:        # the board knows ECHO, so the line lost these: try ECHO again
             self._unanswered_echoes = 0
 
-    def _call_timed_out(self, exchange: _Exchange, now: float) -> None:
+    def _call_timed_out(self, exchange: _CallExchange, now: float) -> None:
         self.timeouts += 1
         within = f'within {exchange.call.timeout:g} s'
         if exchange.other_reply is not None:
@@ -530,14 +555,14 @@ class Master:
 
     # -- the end of an exchange -----------------------------------------------------------
 
-    def _repeat_or_finish(self, exchange: _Exchange, now: float, outcome: Outcome) -> None:
+    def _repeat_or_finish(self, exchange: _CallExchange, now: float, outcome: Outcome) -> None:
         """End a try whose outcome is unknown."""
         if exchange.call.repeatable and exchange.call.tries:
             self._send_again(exchange, now, outcome)
         else:
             self._finish(exchange, now, outcome)
 
-    def _send_again(self, exchange: _Exchange, now: float, outcome: Outcome) -> None:
+    def _send_again(self, exchange: _CallExchange, now: float, outcome: Outcome) -> None:
         """Queue the call again: before all other calls; a poll before all other polls."""
         self._exchange = None
         self._served_until = now
@@ -552,13 +577,38 @@ class Master:
         else:
             self._retry = call
 
-    def _finish(self, exchange: _Exchange, now: float, outcome: Outcome) -> None:
+    def _finish(self, exchange: _CallExchange, now: float, outcome: Outcome) -> None:
         self._exchange = None
         self._served_until = now
         call = exchange.call
         call.finish(outcome)
         if outcome.success and call.on_success:
             call.on_success(outcome)
+
+    # -- interruptions; see rule 8 ----------------------------------------------------------
+
+    def _interrupt(self, call: Call, now: float) -> None:
+        """Prepare to send this call at once, unless the board is idle."""
+        exchange = self._exchange
+        if not self.in_step or isinstance(exchange, _CallExchange):
+            self._out_of_step(f'{call.request} was called')
+            if isinstance(exchange, _CallExchange):
+                self._repeat_or_finish(exchange, now, Outcome(
+                    TIMEOUT, f'{call.request} was sent before the reply: {_UNKNOWN}'))
+            self._exchange = None
+            self._at_once.append(call)
+        for other in self._waiting():
+            if not other.interrupts:
+                self._abandon(other, f'{call.request} was called')
+
+    def _send_at_once(self) -> Optional[wire.Request]:
+        call = self._at_once.pop(0)
+        call.last_try = Outcome(TIMEOUT, f'no reply is known to be the one to this: {_UNKNOWN}')
+        return call.request if call.claim(tries=0) else None
+
+    def _repeat_interruption(self) -> None:
+        """Send calls that interrupt at once again: the line may have lost them."""
+        self._at_once = [call for call in self._waiting() if call.interrupts]
 
     # -- calls that wait ------------------------------------------------------------------
 
@@ -575,16 +625,20 @@ class Master:
             waiting.append(self._retry)
         return waiting
 
-    def _queue_submitted(self) -> None:
+    def _queue_submitted(self, now: float) -> None:
         while self._submitted:
             call = self._submitted.popleft()
             call.expires = call.submitted + self._longest_wait
+            if call.interrupts and self.state is not SessionState.CLOSED:
+                self._interrupt(call, now)
             (self._polls if call.poll else self._calls).append(call)
         if self.state is SessionState.CLOSED:
             for call in self._waiting():
                 self._abandon(call, 'the port is closed')
 
     def _remove(self, call: Call) -> None:
+        if call in self._at_once:
+            self._at_once.remove(call)
         if call is self._retry:
             self._retry = None
             return
@@ -597,11 +651,11 @@ class Master:
     def _expiry(self, call: Call) -> float:
         """When a waiting call is given up.
 
-        That is sooner while the link is not ready. But the reply to an ECHO may have to wait until
-        the board is no longer busy, with a move say.
+        That is sooner while the link is not ready. But a synchronised board may first have to
+        finish something, such as a move, before it answers ECHO.
         """
         exchange = self._exchange
-        if self.in_step or (exchange is not None and exchange.kind is _Kind.CALL):
+        if self.in_step or call.interrupts or isinstance(exchange, _CallExchange):
             return call.expires
         wait = max(NOT_READY_WAIT, call.timeout) if self.synchronised else NOT_READY_WAIT
         return min(call.expires, max(call.submitted, self._served_until) + wait)
@@ -618,10 +672,10 @@ class Master:
         self._remove(call)
         if call.invalid_unconfirmed:
             call.finish(_unknown_after_invalid(call.last_try))
-        elif call.last_try:
+        elif call.last_try is not _NOT_TRIED:
             call.finish(call.last_try)
         elif call.request == wire.SYNC_REQUEST:
-            call.finish(Outcome(NOT_SENT, why))     # the Master may have sent SYNCs itself
+            call.finish(Outcome(NOT_SENT, why))     # but the Master itself may have sent SYNC
         else:
             call.finish(Outcome(NOT_SENT, f'{why}; nothing was sent'))
 

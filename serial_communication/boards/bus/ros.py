@@ -40,6 +40,7 @@ class BusInterface(Interface):
         'reply_has_cmd2': Parameter(_DEFAULTS.reply_has_cmd2),
         'functions': Parameter({}, parse=lambda given: _ros_functions(given)),
     }
+    link: BusLink
 
     def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
         p = parameters
@@ -68,13 +69,13 @@ class BusInterface(Interface):
             rospy.Service(name, service, handler)
         _advertise_functions(self._functions, self.link)
 
-    def _lift(self, request) -> LiftResponse:
+    def _lift(self, request: Any) -> LiftResponse:
         return fill_response(LiftResponse(), self.link.lift(request.direction, request.distance))
 
-    def _gimbal(self, request) -> GimbalResponse:
+    def _gimbal(self, request: Any) -> GimbalResponse:
         return fill_response(GimbalResponse(), self.link.gimbal(request.direction, request.angle))
 
-    def _get_environment(self, _request) -> GetEnvironmentResponse:
+    def _get_environment(self, _request: Any) -> GetEnvironmentResponse:
         outcome, reading = self.link.environment()
         response = fill_response(GetEnvironmentResponse(), outcome)
         if reading:
@@ -82,21 +83,21 @@ class BusInterface(Interface):
             response.message = f'done: {reading}'
         return response
 
-    def _request(self, request) -> BusRequestResponse:
+    def _request(self, request: Any) -> BusRequestResponse:
         outcome = self.link.request(wire.Request(request.cmd1, request.cmd2,
                                                  bytes(request.data)))
         response = fill_response(BusRequestResponse(), outcome)
         response.data = outcome.data
         return response
 
-    def _echo(self, _request) -> TriggerResponse:
+    def _echo(self, _request: Any) -> TriggerResponse:
         outcome = self.link.echo()
         response = fill_response(TriggerResponse(), outcome)
         if outcome.success:
             response.message = f'{outcome.round_trip * 1e3:.2f} ms'
         return response
 
-    def _sync(self, _request) -> TriggerResponse:
+    def _sync(self, _request: Any) -> TriggerResponse:
         outcome = self.link.sync()
         response = fill_response(TriggerResponse(), outcome)
         if outcome.success:
@@ -172,20 +173,21 @@ def _values(function: CustomFunction, outcome: Outcome) -> Tuple:
 
 def _advertise_functions(functions: List[RosFunction], link: BusLink) -> None:
     for each in functions:
-        if not each.custom.period:
-            rospy.Service('~' + each.custom.name, each.ros_class, _service(each, link))
+        if each.request:
+            rospy.Service('~' + each.custom.name, each.ros_class,
+                          _service(each.custom, each.request, each.reply, link))
 
 
-def _service(ros_function: RosFunction, link: BusLink) -> Callable[[Any], Any]:
-    function, _, request_fields, reply_fields = ros_function
-
+def _service(function: CustomFunction, request_fields: RosFields, reply_fields: RosFields,
+             link: BusLink) -> Callable[[Any], Any]:
     def handle(ros_request: Any) -> Any:
         try:
             request = function.make_request(request_fields.read(ros_request))
         except ValueError as error:
             outcome = Outcome(NOT_SENT, f'{error}; nothing was sent')
         else:
-            outcome = link.request(request, function.repeatable, function.timeout, function.reply)
+            outcome = link.request(request, function.repeatable, function.timeout, function.reply,
+                                   interrupts=function.interrupts)
         response = fill_response(reply_fields.new(), outcome)
         if outcome.success:
             reply_fields.fill(response, _values(function, outcome))

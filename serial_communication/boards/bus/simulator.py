@@ -1,7 +1,9 @@
 """The simulated control board: lift, gimbal and environment, the Slave on a robot-ctrl-bus.
 
 It answers every valid request once, in order, and sends nothing else. Requests that it receives
-during a motion are answered afterwards, as by a board with one loop.
+during a motion are answered afterwards, as by a board with one loop. But a custom function that
+interrupts ends the motion at once, which is then answered with ERROR 0x8002, and requests that wait
+are dropped.
 
 Its answer to an invalid request is a matter of safety. INVALID means that nothing was executed, so
 the Master sends the request again. But noise can look like an invalid frame, with a valid request
@@ -95,6 +97,7 @@ class ControlBoard(Board):
         custom: custom functions; the values of their replies vary with time.
     """
 
+    decoder: wire.RequestDecoder
     NAME = DESCRIPTION.name
     SUMMARY = 'main control board: lift, gimbal, environment'
     FAULTS = ('drop=0.01 cut=0.01 lose=0.01 flip=0.01 insert=0.01 double=0.01 repeat=0.01 '
@@ -178,6 +181,8 @@ class ControlBoard(Board):
         self._invalid_due = 0
         self.note('request', k=number, raw=frame.raw.hex(), valid=True,
                   text=f'{frame.message}', **self._genuine(frame))
+        if self._motion and self._interrupts(frame.message):
+            self._stop(self._motion, now)
         if self._motion is None:
             self._serve(number, frame, now)
         elif len(self._queue) < _MOST_QUEUED:
@@ -211,8 +216,23 @@ class ControlBoard(Board):
 
     # -- requests -------------------------------------------------------------------------
 
+    def _interrupts(self, request: wire.Request) -> bool:
+        return (self.synchronised and request.cmd1 == wire.FUNCTION and request.cmd2 in self._custom
+                and self._custom[request.cmd2].interrupts)
+
+    def _stop(self, motion: '_Motion', now: float) -> None:
+        """End the motion, and drop the requests that wait."""
+        self._motion = None
+        for axis in (self.lift, self.pan, self.tilt):
+            axis.halt(now)
+        self._queue.clear()
+        self.say(f'stopped at {round(self.lift.at(now), 1):g} mm, '
+                 f'{round(self.pan.at(now), 1):g}°, {round(self.tilt.at(now), 1):g}°')
+        self._reply(motion.number, _error(wire.OPERATION_FAILED), motion.request)
+
     def _serve(self, number: int, frame: Frame, now: float) -> None:
         request = frame.message
+        reply: Optional[wire.Reply]
         if len(request.data) > self._max_length:
             reply = _invalid(wire.TOO_LONG)
         elif request.cmd1 == wire.SYNC:

@@ -80,9 +80,10 @@ class Request(NamedTuple):
         if self.cmd1 == FUNCTION:
             if self.cmd2 == ENVIRONMENT and not data:
                 return 'environment?'
-            name, directions, amount = _MOVES.get(self.cmd2, ('', (), None))
-            if len(data) == 2 and data[0] < len(directions):
-                return f'{name} {directions[data[0]]} {data[1]} {amount.unit}'
+            if self.cmd2 in _MOVES and len(data) == 2:
+                name, directions, amount = _MOVES[self.cmd2]
+                if data[0] < len(directions):
+                    return f'{name} {directions[data[0]]} {data[1]} {amount.unit}'
         return f'request 0x{self.cmd1:02x} 0x{self.cmd2:02x} {data.hex()}'
 
 
@@ -128,15 +129,18 @@ class NamedReply(Reply):
         return self.text
 
 
-class Environment(NamedTuple):
-    """The DATE of an OK reply to the environment request."""
-
-    LAYOUT = Layout('<HhH', [Value('smoke'), Value('temperature', '°C', 0.01),
-                             Value('humidity', '%', 0.01)])
-
+class _EnvironmentValues(NamedTuple):
     smoke: int          # raw, 0 … 65535
     temperature: float  # °C, in steps of 0.01
     humidity: float     # relative, %, in steps of 0.01
+
+
+class Environment(_EnvironmentValues):
+    """The DATE of an OK reply to the environment request."""
+
+    __slots__ = ()
+    LAYOUT = Layout('<HhH', [Value('smoke'), Value('temperature', '°C', 0.01),
+                             Value('humidity', '%', 0.01)])
 
     @classmethod
     def unpack(cls, data: bytes) -> 'Environment':
@@ -274,7 +278,7 @@ class _Decoder(StreamDecoder):
         parts = Parts(frame)
         flag = frame[:1]
         if flag not in (bytes((STANDARD_FLAG,)), bytes((LONG_FLAG,))):
-            return parts.take_rest('noise', 'no frame begins so')
+            return parts.take_rest('noise', 'no frame begins with these bytes')
         is_long = flag[0] == LONG_FLAG
         header = 3 if is_long else 2
         parts.take(1, 'Flag', 'long frame' if is_long else 'standard frame')
@@ -364,7 +368,7 @@ class RequestDecoder(_Decoder):
     _ENVIRONMENT = encode_request(ENVIRONMENT_REQUEST)
 
     def _good(self, size: int, commands: bytes, data: bytes) -> Good:
-        return Good(size, commands[0], commands[1], data, Request(*commands, data))
+        return Good(size, commands[0], commands[1], data, Request(commands[0], commands[1], data))
 
     def frame_at(self, at: int) -> Union[Good, Bad, Need]:
         begun = self.buffer[at:at + len(self._ENVIRONMENT)]

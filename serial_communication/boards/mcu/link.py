@@ -1,7 +1,8 @@
 """The link to the sensor board: counts lost frames and reports when the board falls silent."""
 import time
-from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tuple, Type
 
+from ...framing.layout import LayoutMessage
 from ...framing.stream import CHECKSUM, Frame
 from ...link.link import OK, WARN, Link
 from ...transport.port import Port
@@ -24,7 +25,7 @@ class McuLink(Link):
 
     Args:
         timeout: s without a valid frame after which the board counts as silent.
-        network_silence: s without a byte after which a network port is opened anew; 0: never.
+        network_silence: s without a byte after which a network port is opened again; 0: never.
         messages: classes of custom messages.
         on_status: called with the (message, seq, stamp) of each valid frame.
         on_silence: called once a second with (class, seq, age) for each class of message that the
@@ -36,8 +37,8 @@ class McuLink(Link):
     def __init__(self, port: Port, timeout: float = 1.0,
                  on_status: Optional[Callable[[Any, int, Any], None]] = None,
                  on_silence: Optional[Callable[[Optional[type], int, float], None]] = None,
-                 network_silence: float = 5.0, messages: Iterable[Any] = (),
-                 **link_arguments) -> None:
+                 network_silence: float = 5.0, messages: Iterable[Type[LayoutMessage]] = (),
+                 **link_arguments: Any) -> None:
         super().__init__('mcu', port, wire.Decoder(messages), **link_arguments)
         self.frames_lost = 0
         self.duplicates = 0

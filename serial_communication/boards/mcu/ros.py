@@ -46,6 +46,7 @@ class McuInterface(Interface):
         'range_2_mount': MOUNT,
     }
     MOUNTS = ('imu', 'range_1', 'range_2')
+    link: McuLink
 
     def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
         p = parameters
@@ -82,7 +83,8 @@ class McuInterface(Interface):
         if custom_topic:
             custom_topic.publish(message, stamp)
             return
-        age = time.monotonic() - self.link.last_frame_at
+        now = time.monotonic()
+        age = now - (self.link.last_frame_at or now)
         if type(message) is wire.AdcStatus:
             if wanted(self._adc_status):
                 self._adc_status.publish(stamp, seq, True, True, self.link.checksum_errors, age,
@@ -96,7 +98,7 @@ class McuInterface(Interface):
                 out.header.stamp = stamp
                 out.range = _metres(millimetres, out.min_range, out.max_range)
                 topic.publish(out)
-        if self._orientation or wanted(self._imu):
+        if message.angles_known and (self._orientation or wanted(self._imu)):
             turned = quaternion(radians(message.roll), radians(message.pitch),
                                 radians(message.yaw) * self._turn)
             out = self._imu_message

@@ -32,6 +32,7 @@ class SensorBoard(Board):
     Args:
         rate: frames a second.
         adc: send the six ADC channels instead of the sensor status.
+        imu: whether there is an IMU; without one the angles are unknown.
         seed: seed of the noise and the timeouts.
         custom: custom messages, sent in addition.
     """
@@ -51,16 +52,20 @@ class SensorBoard(Board):
                             help='frames a second (%(default)g)')
         parser.add_argument('--adc', action='store_true',
                             help='send six ADC channels instead of the sensor status')
+        parser.add_argument('--no-imu', action='store_true',
+                            help='the IMU does not answer: the angles are unknown')
 
     @classmethod
     def from_options(cls, options: argparse.Namespace) -> 'SensorBoard':
-        return cls(options.rate, options.adc, options.seed, options.config)
+        return cls(options.rate, options.adc, options.seed, options.config,
+                   not options.no_imu)
 
     def __init__(self, rate: float = RATE, adc: bool = False, seed: int = 0,
-                 custom: Iterable[CustomMessage] = ()) -> None:
+                 custom: Iterable[CustomMessage] = (), imu: bool = True) -> None:
         super().__init__()
         self.seq = 0        # of the next frame
         self._adc = adc
+        self._imu = imu
         self._period = 1 / rate
         self._random = Random(f'{seed} sensors')
         self._pace = Every(self._period, 0.0)
@@ -94,9 +99,12 @@ class SensorBoard(Board):
     def status(self, now: float) -> wire.SensorStatus:
         """What the range sensors and the IMU measure."""
         gauss = self._random.gauss
+        ranges = (self._range(1250 + 1150 * math.sin(now / 3)),
+                  self._range(700 + 450 * math.sin(now / 1.7 + 2)))
+        if not self._imu:
+            return wire.SensorStatus(*ranges, math.nan, math.nan, math.nan)
         return wire.SensorStatus(
-            self._range(1250 + 1150 * math.sin(now / 3)),
-            self._range(700 + 450 * math.sin(now / 1.7 + 2)),
+            *ranges,
             (now - self._on_since) * TURN_RATE % 360,
             4 * math.sin(now / 2.3) + gauss(0, 0.05),
             6 * math.sin(now / 3.1) + gauss(0, 0.05))

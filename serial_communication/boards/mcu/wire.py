@@ -9,9 +9,10 @@ LEN counts TYPE, SEQ and PAYLOAD; CRC is the XOR of TYPE, SEQ and PAYLOAD; SEQ c
 a frame, modulo 256. Little-endian. Only the board sends.
 """
 import struct
-from typing import Any, Iterable, List, NamedTuple, Union
+from math import isnan, nan
+from typing import Iterable, List, NamedTuple, Type, Union
 
-from ...framing.layout import Layout, Value, layout_methods, message_class
+from ...framing.layout import Layout, LayoutMessage, Value, message_class
 from ...framing.parts import Part, Parts
 from ...framing.stream import (CHECKSUM, IMPLAUSIBLE, LENGTH, NO_FRAME, UNKNOWN, Bad, Good, Need,
                                StreamDecoder, running_xor)
@@ -21,25 +22,28 @@ ETX = 0x03
 MIN_LEN = 2            # TYPE and SEQ
 MAX_PAYLOAD = 253      # bytes
 RANGE_TIMED_OUT = 0xFFFF  # in place of a range: the sensor timed out
+ANGLE_UNKNOWN = -0x8000   # pitch and roll where the IMU did not answer: no attitude has -327.68°
 
 _WRAP = 655.36         # degrees by which a heading over 327.67 wraps in the int16
 
 
-@layout_methods
-class SensorStatus(NamedTuple):
+class _SensorValues(NamedTuple):
+    range_1: int   # mm; 0xFFFF: the sensor timed out
+    range_2: int   # mm; 0xFFFF: the sensor timed out
+    yaw: float     # degrees, heading 0 … 360, clockwise; NaN: the IMU did not answer
+    pitch: float   # degrees; NaN likewise
+    roll: float    # degrees; NaN likewise
+
+
+class SensorStatus(LayoutMessage, _SensorValues):
     """TYPE 0x10: two range sensors and the orientation as Euler angles."""
 
+    __slots__ = ()
     TYPE = 0x10
     LABEL = 'sensor status'
     LAYOUT = Layout('<HHhhh', [
         Value('range_1', 'mm'), Value('range_2', 'mm'), Value('yaw', 'degrees', 0.01),
         Value('pitch', 'degrees', 0.01), Value('roll', 'degrees', 0.01)])
-
-    range_1: int   # mm; 0xFFFF: the sensor timed out
-    range_2: int   # mm; 0xFFFF: the sensor timed out
-    yaw: float     # degrees, heading 0 … 360, clockwise
-    pitch: float   # degrees
-    roll: float    # degrees
 
     @classmethod
     def unpack(cls, data: bytes) -> 'SensorStatus':
@@ -49,14 +53,17 @@ class SensorStatus(NamedTuple):
             struct.error: the payload does not have ten bytes.
         """
         range_1, range_2, yaw, pitch, roll = cls.LAYOUT.raw(data)
+        if pitch == roll == ANGLE_UNKNOWN:    # yaw alone cannot tell: it may be a heading
+            return cls(range_1, range_2, nan, nan, nan)
         yaw /= 100
         return tuple.__new__(cls, (range_1, range_2, yaw if yaw >= -180 else round(yaw + _WRAP, 2),
                                    pitch / 100, roll / 100))
 
     def pack(self) -> bytes:
         """The payload. Angles are rounded to 0.01° and wrap as the board's int16 does."""
-        wrapped = [(round(angle * 100) + 0x8000) % 0x10000 - 0x8000
-                   for angle in (self.yaw, self.pitch, self.roll)]
+        wrapped = [0, ANGLE_UNKNOWN, ANGLE_UNKNOWN] if not self.angles_known else [
+            (round(angle * 100) + 0x8000) % 0x10000 - 0x8000
+            for angle in (self.yaw, self.pitch, self.roll)]
         return self.LAYOUT.pack_raw((self.range_1, self.range_2, *wrapped))
 
     @classmethod
@@ -68,18 +75,25 @@ class SensorStatus(NamedTuple):
                 parts[index] = part._replace(meaning='the sensor timed out')
             elif part.name == 'yaw' and part.raw is not None and part.raw < -18000:
                 parts[index] = part._replace(meaning='a heading that wrapped')
+        if [part.raw for part in parts[3:5]] == [ANGLE_UNKNOWN, ANGLE_UNKNOWN]:
+            parts[2:5] = [part._replace(meaning='the IMU did not answer') for part in parts[2:5]]
         return parts
 
     @property
+    def angles_known(self) -> bool:
+        """Whether the IMU answered."""
+        return not isnan(self.pitch)
+
+    @property
     def valid(self) -> bool:
-        """Whether neither range sensor timed out."""
-        return self.range_1 != RANGE_TIMED_OUT and self.range_2 != RANGE_TIMED_OUT
+        """Whether all sensors answered."""
+        return RANGE_TIMED_OUT not in (self.range_1, self.range_2) and self.angles_known
 
     def __str__(self) -> str:
         ranges = ' '.join('timed out' if value == RANGE_TIMED_OUT else f'{value} mm'
                           for value in (self.range_1, self.range_2))
-        return (f'sensor status: {ranges}, yaw {self.yaw:.2f} pitch {self.pitch:.2f} '
-                f'roll {self.roll:.2f}')
+        angles = f'yaw {self.yaw:.2f} pitch {self.pitch:.2f} roll {self.roll:.2f}'
+        return f"sensor status: {ranges}, {angles if self.angles_known else 'angles unknown'}"
 
 
 AdcStatus = message_class(
@@ -90,7 +104,7 @@ MESSAGES = {message.TYPE: message for message in (SensorStatus, AdcStatus)}
 _LENS = {type_: MIN_LEN + message.LAYOUT.size for type_, message in MESSAGES.items()}
 
 
-def encode(message: Any, seq: int) -> bytes:
+def encode(message: LayoutMessage, seq: int) -> bytes:
     """The frame with `message` and the running number `seq` (0 … 255)."""
     return encode_raw(message.TYPE, seq, message.pack())
 
@@ -110,7 +124,7 @@ class Decoder(StreamDecoder):
 
     STARTS = bytes((STX,))
 
-    def __init__(self, messages: Iterable[Any] = ()) -> None:
+    def __init__(self, messages: Iterable[Type[LayoutMessage]] = ()) -> None:
         super().__init__()
         self.errors.update({UNKNOWN: 0, LENGTH: 0, IMPLAUSIBLE: 0})
         self._messages = dict(MESSAGES)
@@ -120,7 +134,7 @@ class Decoder(StreamDecoder):
         """The named parts of one frame, valid or not, incomplete, or of noise."""
         parts = Parts(frame)
         if frame[:1] != bytes((STX,)):
-            return parts.take_rest('noise', 'no frame begins so')
+            return parts.take_rest('noise', 'no frame begins with these bytes')
         parts.take(1, 'STX')
         kind = self._messages.get(frame[2]) if len(frame) > 2 else None
         length = frame[1] if len(frame) > 1 else MIN_LEN

@@ -11,7 +11,7 @@ import queue
 import sys
 import threading
 import time
-from typing import Dict
+from typing import Dict, Optional
 
 _QUEUED = 1000    # lines that may wait for one handler; newer ones are dropped
 _LAST = 0.5       # s to write the waiting lines when the process ends
@@ -26,7 +26,8 @@ class _Writer:
 
     def __init__(self, handler: logging.Handler) -> None:
         self._handler = handler
-        self._queue: queue.SimpleQueue = queue.SimpleQueue()    # put() never blocks
+        # put() never blocks; None ends the thread.
+        self._queue: 'queue.SimpleQueue[Optional[logging.LogRecord]]' = queue.SimpleQueue()
         self._dropped = 0
         self.thread = threading.Thread(target=self._run, name=f'log {type(handler).__name__}',
                                        daemon=True)
@@ -61,7 +62,7 @@ class _Writer:
 
 def install() -> None:
     """Patch all handlers of this process; call this before rospy creates its handlers."""
-    logging.Handler.handle = _enqueue
+    logging.Handler.handle = _enqueue   # type: ignore[assignment]  # it replaces a method
     logging.raiseExceptions = False     # otherwise logging reports failures on stderr
 
 

@@ -10,7 +10,7 @@ import inspect
 import logging
 import os
 import tempfile
-from typing import Any, Optional
+from typing import Any, List, Optional
 
 import rosgraph.roslogging
 import rospkg
@@ -25,7 +25,7 @@ _LOGGER = logging.getLogger('rosout')
 
 def init_node(name: str, **arguments: Any) -> None:
     """Call `rospy.init_node`, and succeed even if the log file cannot be written."""
-    warnings = []       # logged below, once there is a log
+    warnings: List[str] = []    # logged below, once there is a log
     if are_known(lambda: list(inspect.signature(_configure).parameters) == _PARAMETERS,
                  'sets up logging', 'programs do not start if the log file cannot be written',
                  warnings.append):

@@ -3,6 +3,7 @@
 A new roscore does not know the nodes that are running. Connected peers stay connected, but nobody
 can find the node's topics, services and parameters.
 """
+import http.client
 import logging
 import threading
 import xmlrpc.client
@@ -19,7 +20,7 @@ _TIMEOUT = 2.0    # s for each answer
 class _Transport(xmlrpc.client.Transport):
     """HTTP with a timeout, since the master may hang."""
 
-    def make_connection(self, host):
+    def make_connection(self, host: Any) -> http.client.HTTPConnection:
         connection = super().make_connection(host)
         connection.timeout = _TIMEOUT
         return connection
@@ -61,7 +62,7 @@ class MasterWatch:
         """Register again if the master is a new one, or does not know this node."""
         with xmlrpc.client.ServerProxy(self._uri, _Transport()) as master:
             name = rospy.get_name()
-            ask = xmlrpc.client.MultiCall(master)
+            ask: Any = xmlrpc.client.MultiCall(master)
             ask.getPid(name)
             ask.getParam(name, '/run_id')       # each roscore has a new one; rosmaster has none
             ask.lookupNode(name, name)
@@ -77,12 +78,12 @@ class MasterWatch:
                 self._logger.info('%s is a new ROS master: registered topics, services and '
                                   'parameters there', self._uri)
 
-    def _register(self, master: xmlrpc.client.ServerProxy, name: str) -> None:
+    def _register(self, master: Any, name: str) -> None:
         """Register all topics and services, and set the parameters, in one request."""
         uri = rospy.get_node_uri()
         topics = registration.get_topic_manager()
         subscriptions = topics.get_subscriptions()
-        calls = xmlrpc.client.MultiCall(master)
+        calls: Any = xmlrpc.client.MultiCall(master)
         for topic, type_ in subscriptions:
             calls.registerSubscriber(name, topic, type_, uri)
         for topic, type_ in topics.get_publications():

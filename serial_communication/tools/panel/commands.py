@@ -105,11 +105,11 @@ class Commands:
 
     def describe(self) -> Dict[str, Any]:
         """What the page needs to build its controls."""
-        services, messages = ({name: {'link': each.link, 'fields': each.fields}
-                               for name, each in given.items()}
-                              for given in (self._services, self._messages))
-        return {'services': services, 'messages': messages, 'speed_limit': SPEED_LIMIT,
-                'steering': STEERING, 'led_limit': LED_LIMIT}
+        return {'services': {name: {'link': each.link, 'fields': each.fields}
+                             for name, each in self._services.items()},
+                'messages': {name: {'link': each.link, 'fields': each.fields}
+                             for name, each in self._messages.items()},
+                'speed_limit': SPEED_LIMIT, 'steering': STEERING, 'led_limit': LED_LIMIT}
 
     def changes(self, bridge: BridgeState) -> Dict[str, Any]:
         """What has changed since the last call, for every page.

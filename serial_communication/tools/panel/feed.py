@@ -159,14 +159,13 @@ class Feed:
 
     def _register(self) -> None:
         """Subscribe to what is wanted now. Runs in the registrar's thread."""
-        watches = self._log is not None
-        if self._active and not watches:
+        if self._active and self._log is None:
             self._log = rospy.Subscriber('/rosout_agg', Log, self._on_log, queue_size=100)
             self._watcher = self._new_watcher()
             self._watcher.start()
         elif self._active:
             self._watcher.subscribe()
-        elif watches:
+        elif self._log is not None:
             self._watcher.stop()
             self._log.unregister()
             self._log = None
@@ -217,7 +216,8 @@ class Feed:
 
     def _unpack(self) -> Tuple[List[Any], int]:
         """Unpack the messages that wait; return frames, and how many frames were left out."""
-        frames, left_out = [], 0
+        frames: List[Any] = []
+        left_out = 0
         for _ in range(len(self._waiting)):
             topic, packed, at = self._waiting.popleft()
             if topic.name == SERIAL_MSG and len(frames) >= _MAX_FRAMES:

@@ -7,7 +7,7 @@ from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Tuple
 import genpy
 import roslib.message
 
-from ...boards.description import Description
+from ...boards.description import CustomRows, Description
 from ...framing.custom_messages import RowError
 from ...framing.layout import Value
 from ...ros.custom_topics import RosMessage, message_rows
@@ -71,40 +71,40 @@ def service(service_class: Any, link: str, values: Iterable[Value] = ()) -> Serv
 def custom_services(boards: Iterable[Description], parameters: Any) -> Dict[str, Service]:
     """The boards' custom functions that are services and whose types are installed here."""
     found = {}
-    for board, name, row in _rows(boards, parameters):
+    for board, custom, name, row in _rows(boards, parameters):
         type_ = row.get('srv_type')
         service_class = roslib.message.get_service_class(type_) if isinstance(type_, str) else None
         if service_class:
-            found[board.custom.prefix + name] = service(
-                service_class, board.name, _request_values(board, name, row))
+            found[custom.prefix + name] = service(
+                service_class, board.name, _request_values(custom, name, row))
     return found
 
 
 def custom_messages(boards: Iterable[Description], parameters: Any) -> Dict[str, Message]:
     """The boards' custom commands whose types are installed here."""
     found = {}
-    for board, name, row in _rows(boards, parameters):
+    for board, custom, name, row in _rows(boards, parameters):
         if row.get('direction') != 'to_board':
             continue
         try:
             message = message_rows(board, {name: row})[0]
         except RowError:
             continue        # the bridge has not started with it
-        found[board.custom.prefix + name] = Message(message, board.name, [
+        found[custom.prefix + name] = Message(message, board.name, [
             _field(value.name, '', value) for value in message.kind.LAYOUT.values if value.name])
     return found
 
 
-def _rows(boards: Iterable[Description],
-          parameters: Any) -> Iterable[Tuple[Description, str, Dict[str, Any]]]:
-    return [(board, name, row) for board in boards
+def _rows(boards: Iterable[Description], parameters: Any,
+          ) -> Iterable[Tuple[Description, CustomRows, str, Dict[str, Any]]]:
+    return [(board, board.custom, name, row) for board in boards if board.custom
             for name, row in custom_rows(board, parameters).items()]
 
 
-def _request_values(board: Description, name: str, row: Dict[str, Any]) -> Iterable[Value]:
+def _request_values(custom: CustomRows, name: str, row: Dict[str, Any]) -> Iterable[Value]:
     """The values of a function's request, by its row."""
     try:
-        return board.custom.read({name: row})[0].request.values
+        return custom.read({name: row})[0].request.values
     except (RowError, AttributeError):
         return ()
 

@@ -45,7 +45,7 @@ import json
 import math
 import time
 from collections import deque
-from typing import Any, Deque, Dict, List, Optional
+from typing import Any, Deque, Dict, FrozenSet, List, Optional
 
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
@@ -70,7 +70,7 @@ class Session(GuardedHandler, WebSocketHandler):
     def initialize(self, hub: Any) -> None:
         self._hub = hub
         self.is_new = True         # no update has been sent yet
-        self.topics = frozenset()
+        self.topics: FrozenSet[str] = frozenset()
         self.stream: Any = None    # once it is open
         self._dropped = False
         self._unacknowledged: Deque[float] = deque()    # `now` of each update

@@ -4,6 +4,7 @@ from typing import Any, Dict, Iterable, List, Tuple
 from ...boards.config_file import board_parameters
 from ...boards.description import Description
 from ...framing.parts import Part
+from ...framing.stream import Decoder
 
 _MAX_BYTES = 300       # of a frame that are shown; valid frames of the built-in boards are shorter
 
@@ -17,7 +18,7 @@ class FrameExplainer:
     """
 
     def __init__(self, boards: Iterable[Description], parameters: Any) -> None:
-        self._decoders: Dict[Tuple[str, bool], Any] = {}
+        self._decoders: Dict[Tuple[str, bool], Decoder] = {}
         for board in boards:
             for sent in (False, True):
                 try:

@@ -62,7 +62,8 @@ def layout(bridge: BridgeState, heading: Heading, now: float, width: int = 80,
         blocks.append([TextLine('commands', 'head')] + commands)
     blocks.append([TextLine(f"{'topic':<24}{'rate':>10}  last value", 'head')]
                   + [_topic_line(each, now) for each in topics])
-    for gap in [TextLine('')], []:
+    gaps: List[List[TextLine]] = [[TextLine('')], []]
+    for gap in gaps:
         lines = [line for block in blocks for line in gap + block][len(gap):]
         if sum(line.rows(width) for line in lines) <= height:
             break
@@ -129,7 +130,7 @@ def _topic_line(group: List[TopicState], now: float) -> TextLine:
 
 def _link_line(name: str, link: Optional[LinkState], now: float, width: int) -> TextLine:
     if link is None:
-        return TextLine(f'{name:<7} no report yet', 'warn')
+        return TextLine(f'{name:<7} no status received yet', 'warn')
     level = min(link.level, len(LEVELS) - 1)
     status = f'{name:<7} {LEVELS[level]:<5} {link.summary}'
     if link.stale(now):

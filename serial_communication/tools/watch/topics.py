@@ -183,7 +183,8 @@ def custom_rows(board: Description, parameters: Any) -> Dict[str, Dict[str, Any]
 
 def custom_topics(board: Description, parameters: Any) -> List[BridgeTopic]:
     """Return the topics of a board's custom messages and polled functions."""
-    return [BridgeTopic(board.custom.prefix + name, str(row['ros_type']), (board.name,),
+    prefix = board.custom.prefix if board.custom else ''
+    return [BridgeTopic(prefix + name, str(row['ros_type']), (board.name,),
                         _number(row.get('period')), fields=_fields(row.get('reply', row)))
             for name, row in custom_rows(board, parameters).items()
             if 'ros_type' in row and row.get('direction') != 'to_board']
@@ -306,7 +307,8 @@ _WORDS = {
     'serial_communication/McuStatus': lambda m: _status_words(
         m, ' '.join(value.text() for value in _channels(m))),
     'serial_communication/McuStatus2': lambda m: _status_words(
-        m, f'{m.vl53_1} and {m.vl53_2} mm, yaw {m.yaw:.1f} deg'),
+        m, f'{m.vl53_1} and {m.vl53_2} mm, '
+        + ('angles unknown' if m.yaw != m.yaw else f'yaw {m.yaw:.1f} deg')),
     'serial_communication/SerialMsg': lambda m:
         f"{m.link} {'sent' if m.direction else 'received'} {m.error or m.text}",
     'serial_communication/SteeringFeedback': lambda m: f'{m.value} of 1024',

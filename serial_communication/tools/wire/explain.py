@@ -185,7 +185,7 @@ def _noise(data: bytes) -> Frame:
                  '1 byte that is no frame')
 
 
-def _plausibility(found: Sequence[Explained]) -> Any:
+def _plausibility(found: Sequence[Explained]) -> Tuple[int, int, int]:
     """The sort key of a guess at the sender: more valid bytes, then fewer wrong fields."""
     parts = [part for each in found for part in each.parts]
     return (sum(len(each.frame.raw) for each in found if not each.trouble),
@@ -203,8 +203,8 @@ def _match_replies(found: Sequence[Explained], line: Settings) -> List[Explained
         if each.sent:
             request = each.frame.message
         elif request:
-            each = each._replace(parts=lines.decoder(line, False).explain(
-                each.frame.raw, request))
+            replies: Any = lines.decoder(line, False)      # see Command.FUNCTION
+            each = each._replace(parts=replies.explain(each.frame.raw, request))
             request = None
         matched.append(each)
     return matched

@@ -101,7 +101,7 @@ class Forwarder:
             self.start_silence_check(now)
         elif (limit and self._port.is_network and not self._silence_announced
                 and 0.0 < self._unanswered_since <= now - limit):
-            raise PortError(f'the {self._other_end} has not been heard for {limit:g} s')
+            raise PortError(f'nothing received from the {self._other_end} for {limit:g} s')
 
     # -- writing ----------------------------------------------------------------------------
 

@@ -1,7 +1,7 @@
 """Formatting for users: bytes, times and text of a frame, with colours on a terminal."""
 import os
 import sys
-from typing import Any
+from typing import Optional, TextIO
 
 from ...framing.stream import Frame
 
@@ -14,7 +14,7 @@ class WireError(Exception):
     status = 1     # exit status of the program
 
 
-def is_terminal(stream: Any = None) -> bool:
+def is_terminal(stream: Optional[TextIO] = None) -> bool:
     """Whether a stream shows colours and rewritten lines; None: standard output."""
     stream = sys.stdout if stream is None else stream
     return stream.isatty() and os.environ.get('TERM', 'dumb') != 'dumb'
@@ -23,7 +23,7 @@ def is_terminal(stream: Any = None) -> bool:
 class Paint:
     """Colours text, if the stream is a terminal and NO_COLOR is not set."""
 
-    def __init__(self, stream: Any = None) -> None:
+    def __init__(self, stream: Optional[TextIO] = None) -> None:
         self._on = is_terminal(stream) and 'NO_COLOR' not in os.environ
 
     def __call__(self, text: str, colour: str) -> str:

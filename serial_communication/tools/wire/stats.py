@@ -182,7 +182,7 @@ def _extra_figures(board: Description, frames: Sequence[RecordedFrame]) -> Dict[
     return extra
 
 
-def round_trips(frames: Sequence[RecordedFrame]) -> Any:
+def round_trips(frames: Sequence[RecordedFrame]) -> Tuple[List[float], int]:
     """Return the seconds from each request to its reply, and the number of requests without one.
 
     A reply belongs to the request before it.

@@ -53,11 +53,13 @@ def test_another_speed_0_neither_ends_nor_extends_the_repetitions(motor):
     assert times[0] == pytest.approx(0.05) and times[-1] <= 0.5
 
 
-def test_another_speed_ends_the_repetitions(motor):
+def test_another_speed_ends_the_repetitions_and_a_calibration_holds_them_back(motor):
     motor.sent(500, 100.0)
     motor.sent(0, 100.0)
     motor.sent(1, 100.1)
     assert motor.due(100.2) is None
+    motor.sent(0, 100.2)
+    assert motor.due(100.3, board_reads=False) is None and motor.due(100.3) is Stop.REPEATED
 
 
 def test_repetitions_held_back_are_not_made_up_for(motor):

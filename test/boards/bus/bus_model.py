@@ -25,10 +25,10 @@ FAULTS = ('none', 'lose request', 'lose reply', ('late', REPLY_TIMEOUT + 0.2),
           ('double', MOTION_TIMEOUT), 'damage reply', 'damage request', 'damage request, silent',
           'noise', 'noise before', 'cut', 'error', 'too long', 'reset', 'invalid for noise')
 UNREPEATABLE = ('lift', 'gimbal', 'raw', 'act')         # never sent again after a timeout
-REPEATABLE = ('read', 'test')                         # functions that may be sent again
+REPEATABLE = ('read', 'test', 'stop')                 # functions that may be sent again
 REQUESTS = UNREPEATABLE + REPEATABLE + ('air', 'echo', 'sync')
 POLLS = ('poll air', 'poll one', 'poll two')
-RAW, ACT, READ, TEST, ONE, TWO = 0x30, 0x31, 0x32, 0x33, 0x40, 0x41    # CMD2 of custom functions
+RAW, ACT, READ, TEST, STOP, ONE, TWO = 0x30, 0x31, 0x32, 0x33, 0x2F, 0x40, 0x41    # CMD2
 _READ = Layout('<4x', ())      # 'read' returns its request's data reversed
 _VALUE = Layout('<6x', ())     # of both polled functions, and as long as an environment's
 
@@ -170,6 +170,7 @@ class Model:
             'act': bus.Request(bus.FUNCTION, ACT, b'a' + tag),
             'read': bus.Request(bus.FUNCTION, READ, b'f' + tag),
             'test': bus.Request(bus.FUNCTION, TEST, b't' + tag),
+            'stop': bus.Request(bus.FUNCTION, STOP, b's' + tag),
             'air': bus.ENVIRONMENT_REQUEST,
             'echo': bus.echo(b'e' + tag),
             'sync': bus.SYNC_REQUEST,
@@ -181,7 +182,7 @@ class Model:
                   'poll one': _VALUE, 'poll two': _VALUE}.get(kind, bus.NO_DATA)
         slow = kind in ('lift', 'gimbal')
         call = Call(request, MOTION_TIMEOUT if slow else REPLY_TIMEOUT, kind not in UNREPEATABLE, 3,
-                    self.now, kind in POLLS, layout)
+                    self.now, kind in POLLS, layout, interrupts=kind == 'stop')
         self.asked.append(ModelCall(call, kind, self.now, self.board.readings))
         self.master.submit(call)
 
@@ -257,7 +258,7 @@ class Model:
             if outcome.success:
                 self._check_data(asked, request, outcome.data, text)
         once = [request for request in self.board.executed
-                if request.cmd2 not in (READ, TEST, ONE, TWO, bus.ENVIRONMENT)]
+                if request.cmd2 not in (READ, TEST, STOP, ONE, TWO, bus.ENVIRONMENT)]
         assert len(set(once)) == len(once), 'executed twice'
 
     @staticmethod

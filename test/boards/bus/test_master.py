@@ -21,10 +21,11 @@ AIR = bus.ENVIRONMENT_REQUEST
 RAW = bus.Request(bus.FUNCTION, 0x30, b'raw')
 CUSTOM = bus.Request(bus.FUNCTION, 0x40)      # a custom function without data in its OK
 READ, OTHER = (bus.Request(bus.FUNCTION, cmd2) for cmd2 in (0x41, 0x42))    # two bytes in the OK
+STOP = bus.Request(bus.FUNCTION, 0x2F)
 TWO_BYTES = Layout('<H', [Value('number')])
-LAYOUTS = {LIFT: bus.NO_DATA, GIMBAL: bus.NO_DATA, CUSTOM: bus.NO_DATA,
+LAYOUTS = {LIFT: bus.NO_DATA, GIMBAL: bus.NO_DATA, CUSTOM: bus.NO_DATA, STOP: bus.NO_DATA,
            AIR: bus.Environment.LAYOUT, READ: TWO_BYTES, OTHER: TWO_BYTES}
-ALL_REPEATABLE = (AIR, READ, OTHER)
+ALL_REPEATABLE = (AIR, READ, OTHER, STOP)
 MOVING_OR_RAW = pytest.mark.parametrize('request_', [LIFT, GIMBAL, RAW], ids=str)
 REPEATABLE = pytest.mark.parametrize('request_, answer', [
     (AIR, AIR_REPLY), (bus.echo(b'mine'), bus.Reply(bus.ECHO, b'mine')),
@@ -60,7 +61,7 @@ class Session:
         slow = request.cmd2 in (bus.LIFT, bus.GIMBAL)
         repeatable = request.cmd1 in (bus.SYNC, bus.ECHO) or request in ALL_REPEATABLE
         call = Call(request, self._motion_timeout if slow else REPLY_TIMEOUT, repeatable, tries,
-                    self.now, poll, LAYOUTS.get(request))
+                    self.now, poll, LAYOUTS.get(request), interrupts=request == STOP)
         self.master.submit(call)
         return call
 
@@ -1287,6 +1288,27 @@ def test_a_call_whose_caller_has_given_up_is_not_sent_again(session):
     assert call.outcome is outcome
 
 
+def test_the_outcome_of_a_request_sent_while_its_caller_gives_up_is_not_known():
+    call = Call(LIFT, 1.0, False, 1, 0.0)
+    lock = call._lock
+
+    class ClaimedFirst:
+        """The link's thread holds the lock before the caller does."""
+
+        def __enter__(self):
+            call._lock = lock
+            assert call.claim()
+            lock.acquire()
+
+        def __exit__(self, *_):
+            lock.release()
+
+    call._lock = ClaimedFirst()
+    outcome = call.wait(0.0)
+    assert outcome.status == TIMEOUT and 'not known' in outcome.message
+    assert call.outcome is outcome
+
+
 def test_only_the_first_outcome_counts():
     call = Call(LIFT, 1.0, False, 1, 0.0)
     first, second = (master_module.Outcome(status, '') for status in (NOT_SENT, bus.OK))
@@ -1404,3 +1426,117 @@ def test_a_stall_restarts_the_silence(fresh):
     assert not fresh.master.in_step and fresh.next_request() is None
     fresh.later(REPLY_TIMEOUT * 0.5)
     assert fresh.master.in_step
+
+
+# -- 8. interruptions ------------------------------------------------------------------------
+
+def moving(session):
+    """A call whose lift is moving."""
+    call = session.call(LIFT)
+    assert session.send_next() == LIFT
+    return call
+
+
+def test_a_stop_is_sent_during_a_move_whose_outcome_is_then_unknown(session):
+    lift = moving(session)
+    session.later(1.0)
+    stop = session.call(STOP)
+    assert session.next_request() == STOP
+    assert lift.outcome.status == TIMEOUT and 'not known' in lift.outcome.message
+    # The board answers the move, which has just ended or was stopped, and this stop; neither is
+    # taken for the reply to a request that has a reply of its own.
+    session.reply(OK_REPLY, OK_REPLY)
+    assert stop.outcome is None
+    session.get_in_step()
+    assert session.next_request() == STOP
+    session.reply(OK_REPLY)
+    assert stop.outcome.success
+    assert session.send_next() is None
+
+
+def test_a_stop_is_not_successful_before_the_board_answers_it_behind_a_fence(session):
+    moving(session)
+    stop = session.call(STOP)
+    assert session.next_request() == STOP
+    session.get_in_step()
+    assert session.next_request() == STOP
+    session.reply(error(bus.UNSUPPORTED))
+    assert stop.outcome.status == bus.ERROR and not stop.outcome.success
+
+
+def test_a_stop_goes_out_again_with_each_echo_until_the_board_answers(session):
+    moving(session)
+    stop = session.call(STOP)
+    for _ in range(ECHO_TRIES):
+        assert session.next_request() == STOP
+        assert session.next_request().cmd1 == bus.ECHO
+        session.later(REPLY_TIMEOUT)
+    assert session.next_request() == STOP
+    assert session.next_request() == bus.SYNC_REQUEST
+    assert stop.outcome is None
+    session.later(MOTION_TIMEOUT)
+    assert stop.outcome.status == TIMEOUT, 'one of them may have been executed'
+    assert session.next_request() == bus.SYNC_REQUEST
+
+
+def test_a_stop_that_the_port_did_not_take_is_sent_later(session):
+    moving(session)
+    stop = session.call(STOP)
+    assert session.next_request() == STOP
+    session.master.not_sent('the port is busy')
+    assert session.next_request() == STOP
+    session.master.disconnected(session.now, 'unplugged')
+    assert stop.outcome.status == TIMEOUT
+    session.master.connected(session.now)
+    assert session.next_request() == bus.SYNC_REQUEST
+
+
+def test_a_stop_that_was_sent_at_once_never_counts_as_not_sent(session):
+    moving(session)
+    stop = session.call(STOP)
+    assert session.next_request() == STOP
+    assert stop.wait(0.0).status == TIMEOUT
+
+
+def test_calls_that_wait_are_not_sent_after_a_stop(session):
+    moving(session)
+    waiting = [session.call(GIMBAL), session.call(AIR, poll=True), session.call(RAW)]
+    session.call(STOP)
+    after = session.call(LIFT)
+    assert session.next_request() == STOP
+    assert [call.outcome.status for call in waiting] == [NOT_SENT] * 3
+    assert after.outcome is None
+
+
+def test_a_stop_takes_the_place_of_a_move_that_waits_for_its_fence(session):
+    session.call(AIR)
+    assert session.send_next() == AIR
+    session.reply(AIR_REPLY)
+    lift = session.call(LIFT)
+    assert session.next_request().cmd1 == bus.ECHO
+    stop = session.call(STOP)
+    assert session.next_request() is None, 'the board is idle: the stop is sent in its turn'
+    assert lift.outcome.status == NOT_SENT
+    session.reply(bus.Reply(bus.ECHO, session.nonces[-1]))
+    assert session.next_request() == STOP
+    session.reply(OK_REPLY)
+    assert stop.outcome.success
+
+
+def test_a_stop_is_sent_at_once_while_a_move_with_an_unknown_outcome_may_last(session):
+    moving(session)
+    session.later(MOTION_TIMEOUT)
+    assert session.next_request().cmd1 == bus.ECHO
+    session.call(STOP)
+    assert session.next_request() == STOP
+
+
+def test_of_two_stops_both_have_an_outcome(session):
+    moving(session)
+    stops = [session.call(STOP), session.call(STOP)]
+    assert session.next_request() == STOP and session.next_request() == STOP
+    session.get_in_step()
+    for stop in stops:
+        assert session.send_next() == STOP
+        session.reply(OK_REPLY)
+        assert stop.outcome.success

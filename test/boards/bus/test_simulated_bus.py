@@ -7,7 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from simulation_bench import Bench, running, until
 
+from serial_communication.boards.bus.functions import read_functions
 from serial_communication.boards.bus.link import BusLink, BusSettings
+from serial_communication.link.outcome import TIMEOUT
 from serial_communication.transport.port import Port
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.bus.simulator import MEMORY, ControlBoard
@@ -15,6 +17,9 @@ from serial_communication.simulation.faults import Faults, parse
 
 SYNC = bus.encode_request(bus.SYNC_REQUEST)
 LIFT_10 = bus.encode_request(bus.lift(0, 10))
+STOP = bus.Request(bus.FUNCTION, 0x2F)
+STOPS = read_functions({'stop': {'cmd2': 0x2F, 'srv_type': 'std_srvs/Trigger', 'repeatable': True,
+                                 'interrupts': True}})
 
 
 def make(synchronised=True, **arguments):
@@ -194,6 +199,17 @@ def test_requests_during_a_motion_are_answered_after_it():
                                 bus.Reply(bus.ECHO, b'2')]
 
 
+def test_a_function_that_interrupts_ends_the_motion():
+    bench = make(custom=STOPS)
+    bench.feed(bus.encode_request(bus.lift(0, 100)) + bus.encode_request(bus.gimbal(0, 30)))
+    bench.run(0.5)
+    bench.feed(bus.encode_request(STOP))
+    assert bench.messages() == [bus.Reply(bus.ERROR, b'\2\x80'), bus.Reply(bus.OK)]
+    bench.run(3)
+    assert bench.messages() == [] and bench.board.pan.at(bench.now) == 0
+    assert bench.board.lift.at(bench.now) == pytest.approx(550)
+
+
 def test_reset_forgets_the_sync_and_leaves_the_lift_where_it_is():
     bench = make()
     bench.feed(bus.encode_request(bus.lift(0, 100)))
@@ -296,12 +312,13 @@ def unusual_board(cable):
     links, boards = [], contextlib.ExitStack()
 
     def start(**arguments):
-        boards.enter_context(running(ControlBoard(
-            lift_speed=2000, gimbal_speed=2000, **arguments), cable.b))
+        board = ControlBoard(**{'lift_speed': 2000, 'gimbal_speed': 2000, **arguments})
+        notes = boards.enter_context(running(board, cable.b))
         links.append(BusLink(Port(cable.a), BusSettings(reply_timeout=0.1,
                                                         environment_period=0.0)))
         links[0].start()
         until(lambda: links[0].master.in_step, 'the board is found')
+        links[0].board, links[0].notes = board, notes
         return links[0]
 
     yield start
@@ -314,6 +331,20 @@ def test_link_accepts_data_in_the_ok_to_a_move(unusual_board):
     for _ in range(3):
         outcome = link.lift(0, 10)
         assert outcome.success and outcome.data == b'\1\2'
+
+
+def test_link_stops_the_lift(unusual_board):
+    link, outcomes = unusual_board(lift_speed=50, custom=STOPS), []
+    lift = threading.Thread(target=lambda: outcomes.append(link.lift(0, 200)))
+    lift.start()
+    until(lambda: any(fields['cmd2'] == bus.LIFT for fields in link.notes.of('executed')),
+          'the lift moves')
+    stop = link.request(STOP, True, reply_layout=bus.NO_DATA, interrupts=True)
+    lift.join()
+    assert stop.success and outcomes[0].status == TIMEOUT, (stop, outcomes)
+    stopped = link.board.lift.at(1e9)
+    assert 500 <= stopped < 700
+    assert link.lift(1, 1).success and link.board.lift.at(1e9) == pytest.approx(stopped - 1)
 
 
 def test_link_serves_a_board_that_never_echoes(unusual_board):

@@ -1,5 +1,6 @@
 """The sensor board's frames."""
 import struct
+from math import nan
 
 import pytest
 from by_definition import xor_of
@@ -150,8 +151,30 @@ def test_a_status_is_valid_unless_a_range_sensor_timed_out(ranges, valid):
     assert ('timed out' in str(frame.message)) != valid
 
 
+@pytest.mark.parametrize('yaw', [0, -0x8000, 9000])
+def test_pitch_and_roll_of_the_marker_are_unknown_angles(yaw):
+    (frame,), errors = decode(MCU, status(yaw, -0x8000, -0x8000, 400, 500))
+    message = frame.message
+    assert errors == no_errors(MCU)
+    assert message == mcu.SensorStatus(400, 500, nan, nan, nan)
+    assert not message.angles_known and not message.valid
+    assert str(message) == 'sensor status: 400 mm 500 mm, angles unknown'
+    assert message.pack() == struct.pack('<HHhhh', 400, 500, 0, -0x8000, -0x8000)
+    meanings = [part.meaning for part in mcu.SensorStatus.parts(frame.data)]
+    assert meanings[2:] == ['the IMU did not answer'] * 3
+
+
+@pytest.mark.parametrize('pitch, roll', [(-0x8000, 0), (0, -0x8000), (-0x7FFF, -0x8000)])
+def test_one_angle_of_the_marker_is_an_angle(pitch, roll):
+    (frame,), _ = decode(MCU, status(0, pitch, roll))
+    assert frame.message == mcu.SensorStatus(100, 200, 0.0, pitch / 100, roll / 100)
+    assert frame.message.valid
+
+
 @given(uint16, uint16, hundredths, hundredths, hundredths, seqs)
 def test_sensor_status_round_trip(range_1, range_2, yaw, pitch, roll, seq):
+    if pitch == roll == -0x8000:
+        yaw = 0    # of unknown angles it means nothing
     wire = status(yaw, pitch, roll, range_1, range_2, seq)
     frames, errors = decode(MCU, wire, end=False)
     assert [(frame.type, frame.command) for frame in frames] == [(0x10, seq)]

@@ -43,6 +43,14 @@ def test_ranges_change_and_some_time_out():
     assert ranges.count(mcu.RANGE_TIMED_OUT) < len(ranges) / 50
 
 
+def test_without_its_imu_the_angles_are_unknown():
+    bench = Bench(SensorBoard(imu=False), mcu.Decoder())
+    bench.run(2)
+    messages = [frame.message for frame in frames(bench)]
+    assert messages and not any(message.angles_known for message in messages)
+    assert any(message.range_1 != mcu.RANGE_TIMED_OUT for message in messages)
+
+
 def test_adc():
     bench = Bench(SensorBoard(adc=True), mcu.Decoder())
     bench.run(10)

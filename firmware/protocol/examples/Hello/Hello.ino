@@ -1,0 +1,38 @@
+// Sends one value and takes one command: any AVR or ESP32. (HelloESP32: where there is no LED_BUILTIN.)
+// On the computer:
+//   arduino:
+//     messages:
+//       light: {type: 32, ros_type: std_msgs/UInt16, layout: "<H", fields: [data]}
+//       lamp: {type: 33, direction: to_board, ros_type: std_msgs/Bool, layout: "<?", fields: [data]}
+
+#include <PacketLink.h>
+
+struct PACKED Light {
+  uint16_t raw;
+};
+struct PACKED Lamp {
+  uint8_t on;
+};
+
+PacketLink bridge(Serial);
+
+void handle_lamp(const Lamp& lamp) {
+  digitalWrite(LED_BUILTIN, lamp.on ? HIGH : LOW);
+}
+
+void setup() {
+  pinMode(LED_BUILTIN, OUTPUT);
+  Serial.begin(115200);
+  bridge.on<Lamp>(33, handle_lamp);
+}
+
+void loop() {
+  static uint32_t sent_ms = 0;
+  bridge.update();
+  if (millis() - sent_ms >= 100) {
+    sent_ms += 100;
+    Light light;
+    light.raw = analogRead(A0);
+    bridge.send(32, light);
+  }
+}

@@ -1,0 +1,40 @@
+// Hello on an ESP32. The rows are those of Hello. For the bridge this board is the `arduino`, not the `mcu`:
+// sketch and link have to have the same protocol, and that of the `mcu` only sends.
+//
+// The boot loader of an ESP32 prints text; after a reset the bridge counts some errors.
+
+#include <PacketLink.h>
+
+const uint8_t kLampPin = 2;    // the blue LED of most boards
+const uint8_t kLightPin = 34;  // an input of ADC1: ADC2 does not work while WiFi is on
+
+struct PACKED Light {
+  uint16_t raw;  // 0 … 4095
+};
+struct PACKED Lamp {
+  uint8_t on;
+};
+
+PacketLink bridge(Serial);
+
+void handle_lamp(const Lamp& lamp) {
+  digitalWrite(kLampPin, lamp.on ? HIGH : LOW);
+}
+
+void setup() {
+  pinMode(kLampPin, OUTPUT);
+  Serial.begin(115200);
+  bridge.on<Lamp>(33, handle_lamp);
+}
+
+void loop() {
+  static uint32_t sent_ms = 0;
+  bridge.update();
+  if (millis() - sent_ms >= 100) {
+    sent_ms += 100;
+    Light light;
+    light.raw = analogRead(kLightPin);
+    if (!bridge.send(32, light)) bridge.warn("light was not sent");  // false: it did not leave as a whole
+  }
+  delay(1);  // the ESP32's own tasks
+}

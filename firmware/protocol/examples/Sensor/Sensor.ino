@@ -1,0 +1,35 @@
+// A sensor board, which only sends: the status of its range sensors and its IMU, and a value of its own. Any AVR
+// or ESP32. On the computer mcu/status and the like, and with a row:
+//
+//   mcu:
+//     messages:
+//       cliff: {type: 0x20, ros_type: sensor_msgs/Range, layout: "<H", fields: [range], scale: 0.001}
+
+#include <FrameLink.h>
+
+struct PACKED Cliff {
+  uint16_t millimetres;
+};
+
+FrameLink bridge(Serial);
+
+void setup() {
+  Serial.begin(115200);
+}
+
+void loop() {
+  static uint32_t sent_ms = 0;
+  if (millis() - sent_ms < 50) return;
+  sent_ms += 50;
+
+  SensorStatus status;
+  status.range_mm[0] = analogRead(A0);
+  status.range_mm[1] = kRangeTimedOut;            // this sensor gave nothing
+  status.yaw = 0;                                 // 0.01 degree, clockwise, 0 … 35999
+  status.pitch = status.roll = kAngleUnknown;     // there is no IMU: the bridge publishes none
+  bridge.send_sensor_status(status);
+
+  Cliff cliff;
+  cliff.millimetres = analogRead(A1);
+  bridge.send(0x20, cliff);
+}

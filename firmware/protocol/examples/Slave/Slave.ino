@@ -1,0 +1,87 @@
+// A board on the bus with three functions: one with data, one with a reply, and one that takes its time and can
+// be stopped. For an AVR. On the computer:
+//
+//   bus:
+//     functions:
+//       pump: {cmd2: 0x30, srv_type: std_srvs/SetBool, request: {layout: "<?", fields: [data]}}
+//       water: {cmd2: 0x32, ros_type: sensor_msgs/Temperature, period: 1.0,
+//               reply: {layout: "<h", fields: [temperature], scale: 0.00390625}}
+//       door: {cmd2: 0x33, srv_type: std_srvs/SetBool, request: {layout: "<?", fields: [data]}, timeout: 6.0}
+//       stop: {cmd2: 0x2F, srv_type: std_srvs/Trigger, repeatable: true, interrupts: true}
+//
+// Lift, gimbal and environment of the bridge itself are kFunctionLift, kFunctionGimbal and
+// kFunctionEnvironment; firmware/ctrl_board has them.
+
+#include <BusSlave.h>
+#include <avr_i2c.h>  // bounded waits, and it frees a bus that hangs, neither of which Wire does
+
+const uint8_t kPumpPin = 11;
+const uint8_t kDoorPin = 5;       // its motor
+const uint8_t kDirectionPin = 6;  // high: opens
+const uint32_t kDoorMs = 4000;
+const uint8_t kThermometer = 0x48;  // an LM75, on A4 and A5
+
+struct PACKED Pump {
+  uint8_t on;
+};
+struct PACKED Door {
+  uint8_t open;
+};
+struct PACKED Water {
+  int16_t temperature;  // 1/256 degree Celsius
+};
+
+BusSlave bus(Serial);
+uint32_t door_since_ms;
+bool door_stopped;
+
+BusResult pump(const Pump& request) {
+  digitalWrite(kPumpPin, request.on != 0);
+  return BusResult::ok();
+}
+
+BusResult water() {
+  uint8_t raw[2];
+  if (!i2c_read_registers(kThermometer, 0, raw, sizeof raw)) return BusResult::failed(kErrorOperation);
+  Water water;
+  water.temperature = int16_t(uint16_t(raw[0]) << 8 | raw[1]);
+  return BusResult::ok(water);
+}
+
+// What takes long must not wait: it begins, and door_moves() is asked until it has ended.
+BusResult door(const Door& request) {
+  if (request.open > 1) return BusResult::failed(kErrorMalformed);
+  digitalWrite(kDirectionPin, request.open);
+  digitalWrite(kDoorPin, HIGH);
+  door_since_ms = millis();
+  door_stopped = false;
+  return BusResult::pending();
+}
+
+BusResult door_moves() {
+  if (!door_stopped && millis() - door_since_ms < kDoorMs) return BusResult::pending();
+  digitalWrite(kDoorPin, LOW);
+  return door_stopped ? BusResult::failed(kErrorOperation) : BusResult::ok();
+}
+
+void stop() {
+  digitalWrite(kDoorPin, LOW);
+  door_stopped = true;
+}
+
+void setup() {
+  const uint8_t outputs[] = {kPumpPin, kDoorPin, kDirectionPin};
+  for (uint8_t pin : outputs) pinMode(pin, OUTPUT);
+  i2c_begin();
+  i2c_write_register(kThermometer, 1, 0);  // it measures; i2c_transfer() writes and reads any bytes
+  Serial.begin(115200);
+  bus.on<Pump>(0x30, pump);
+  bus.on(0x32, water);
+  bus.on<Door>(0x33, door);
+  bus.on_pending(door_moves);
+  bus.on_stop(stop);
+}
+
+void loop() {
+  bus.update();
+}

@@ -1,0 +1,117 @@
+// A Slave on the robot-ctrl-bus (`bus`): calls a function for each request, and sends the reply.
+//
+//   BusSlave bus(Serial);
+//   BusResult pump(const Pump& pump) { …; return BusResult::ok(); }
+//   BusResult tank() { …; return BusResult::ok(tank); }       // a packed struct
+//   bus.on<Pump>(0x30, pump);                                 // in setup()
+//   bus.on(0x32, tank);
+//   bus.update();                                             // in loop(), often
+//
+// See examples/Slave.
+
+#ifndef BUSSLAVE_H
+#define BUSSLAVE_H
+
+#include "robot_ctrl_bus.h"
+#include "stream_sink.h"
+
+namespace serial_communication {
+
+class BusSlave : private BusHandler {
+ public:
+  static const uint8_t kMaxHandlers = 8;
+  static const uint16_t kMaxData = 300;  // bytes of DATE
+
+  explicit BusSlave(Stream& port) : port_(port), slave_(StreamSink{&port}, *this) {}
+
+  // Calls `handle` for each request of function `cmd2` (0 … 254) whose DATE is a T; a request with another size
+  // gets ERROR 0x8001. False where cmd2 is 255 or has its function, or there are kMaxHandlers.
+  template <class T>
+  bool on(uint8_t cmd2, BusResult (*handle)(const T&)) {
+    check_can_cross_the_wire<T>();
+    static_assert(sizeof(T) <= 255, "a request for this holds no more");
+    return add(cmd2, sizeof(T), &call_with_data<T>, reinterpret_cast<void (*)()>(handle));
+  }
+
+  // Likewise for a function without DATE.
+  bool on(uint8_t cmd2, BusResult (*handle)()) {
+    return add(cmd2, 0, &call_without_data, reinterpret_cast<void (*)()>(handle));
+  }
+
+  // `ask` is called again and again after a function has returned BusResult::pending(), until it returns
+  // another result, which is the reply. No other function is called meanwhile.
+  void on_pending(BusResult (*ask)()) { ask_ = ask; }
+
+  // `stop` is called at once when function 0x2F is requested while another one is pending. That one has to end
+  // then; what was requested between the two is dropped.
+  void on_stop(void (*stop)()) { stop_ = stop; }
+
+  // Calls the functions for what was received.
+  void update() {
+    const uint32_t now = millis();  // everything that arrived before it is fed before poll() sees the silence
+    while (port_.available() > 0) slave_.feed(static_cast<uint8_t>(port_.read()), now);
+    slave_.poll(now);
+  }
+
+ private:
+  typedef BusResult (*Call)(void (*handle)(), const uint8_t* data);
+  struct Handler {
+    uint8_t cmd2;
+    uint8_t size;
+    Call call;
+    void (*handle)();
+  };
+
+  template <class T>
+  static BusResult call_with_data(void (*handle)(), const uint8_t* data) {
+    T value;
+    memcpy(&value, data, sizeof value);
+    return reinterpret_cast<BusResult (*)(const T&)>(handle)(value);
+  }
+
+  static BusResult call_without_data(void (*handle)(), const uint8_t*) {
+    return reinterpret_cast<BusResult (*)()>(handle)();
+  }
+
+  bool add(uint8_t cmd2, uint8_t size, Call call, void (*handle)()) {
+    if (count_ == kMaxHandlers || cmd2 == kFunctionAnnouncement || find(cmd2)) return false;
+    handlers_[count_++] = {cmd2, size, call, handle};
+    return true;
+  }
+
+  const Handler* find(uint8_t cmd2) const {
+    for (uint8_t i = 0; i < count_; ++i) {
+      if (handlers_[i].cmd2 == cmd2) return handlers_ + i;
+    }
+    return 0;
+  }
+
+  BusResult request(uint8_t cmd2, const uint8_t* data, uint16_t size) override {
+    const Handler* handler = find(cmd2);
+    const bool stops = cmd2 == kFunctionStop && stop_;
+    if (!handler && !stops) return BusResult::failed(kErrorUnsupported);
+    if (size != (handler ? handler->size : 0)) return BusResult::failed(kErrorMalformed);
+    return handler ? handler->call(handler->handle, data) : BusResult::ok();  // what was pending has ended
+  }
+
+  BusResult poll() override { return ask_ ? ask_() : BusResult::failed(kErrorOperation); }
+
+  bool received_while_pending(uint8_t cmd2) override {
+    if (cmd2 != kFunctionStop || !stop_) return false;
+    stop_();
+    return true;
+  }
+
+  Stream& port_;
+  RobotCtrlBusSlave<StreamSink, kMaxData> slave_;
+  Handler handlers_[kMaxHandlers];
+  uint8_t count_ = 0;
+  BusResult (*ask_)() = 0;
+  void (*stop_)() = 0;
+};
+
+}  // namespace serial_communication
+
+using namespace serial_communication;
+
+#endif

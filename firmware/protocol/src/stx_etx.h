@@ -1,0 +1,98 @@
+// The sender of the status frames of the sensor boards (two VL53L0X and a BNO055, or six ADC channels).
+//
+//   | 0x02 STX | LEN | TYPE | SEQ | PAYLOAD … | CRC | 0x03 ETX |
+//
+// LEN counts TYPE, SEQ and PAYLOAD; CRC is the XOR of the same bytes; SEQ counts up by one a frame.
+// Little-endian.
+//
+// This is what FrameLink.h is made of; a sketch includes that. Bytes are sent through a sink, any callable
+// (const uint8_t* bytes, size_t size) that returns whether it took them all: one call a frame.
+
+#ifndef SERIAL_COMMUNICATION_STX_ETX_H
+#define SERIAL_COMMUNICATION_STX_ETX_H
+
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#include "packed.h"
+
+namespace serial_communication {
+
+const uint8_t kStx = 0x02;
+const uint8_t kEtx = 0x03;
+const uint8_t kTypeAdcStatus = 0x01;
+const uint8_t kTypeSensorStatus = 0x10;
+const uint16_t kRangeTimedOut = 0xFFFF;
+const uint8_t kTypeAnnouncement = 0xFF;
+const int16_t kAngleUnknown = -32768;
+
+inline uint8_t stx_etx_crc(const uint8_t* bytes, size_t size) {
+  uint8_t crc = 0;
+  for (size_t i = 0; i < size; ++i) crc ^= bytes[i];
+  return crc;
+}
+
+struct SensorStatus {
+  uint16_t range_mm[2];  // kRangeTimedOut: no reading
+  int32_t yaw;           // 0.01 degree, clockwise, 0 … 35999; wraps in the frame's int16
+  int16_t pitch;         // 0.01 degree; kAngleUnknown in both: no attitude, and yaw means nothing
+  int16_t roll;          // 0.01 degree
+};
+
+template <class Sink>
+class StxEtxSender {
+ public:
+  static const size_t kMaxPayload = 32;
+
+  explicit StxEtxSender(Sink sink) : sink_(sink) {}
+
+  // False: the payload is too long, or not all of the frame was sent.
+  bool send(uint8_t type, const uint8_t* payload, size_t size) {
+    if (size > kMaxPayload) return false;
+    uint8_t frame[kMaxPayload + 6];
+    frame[0] = kStx;
+    frame[1] = static_cast<uint8_t>(2 + size);
+    frame[2] = type;
+    frame[3] = sequence_++;
+    if (size > 0) memcpy(frame + 4, payload, size);
+    frame[4 + size] = stx_etx_crc(frame + 2, 2 + size);
+    frame[5 + size] = kEtx;
+    return sink_(static_cast<const uint8_t*>(frame), size + 6);
+  }
+
+  // A custom message: any packed struct. False also where the type (any but 0x01, 0x10 and 0xFF) is none of a
+  // custom message.
+  template <class T>
+  bool send(uint8_t type, const T& value) {
+    check_can_cross_the_wire<T>();
+    static_assert(sizeof(T) <= kMaxPayload, "a frame of this sender holds no more");
+    if (type == kTypeAdcStatus || type == kTypeSensorStatus || type == kTypeAnnouncement) return false;
+    return send(type, reinterpret_cast<const uint8_t*>(&value), sizeof value);
+  }
+
+  bool send_sensor_status(const SensorStatus& status) {
+    const uint16_t fields[5] = {status.range_mm[0], status.range_mm[1], static_cast<uint16_t>(status.yaw),
+                                static_cast<uint16_t>(status.pitch), static_cast<uint16_t>(status.roll)};
+    return send_uint16(kTypeSensorStatus, fields, 5);
+  }
+
+  bool send_adc_status(const uint16_t channels[6]) { return send_uint16(kTypeAdcStatus, channels, 6); }
+
+ private:
+  bool send_uint16(uint8_t type, const uint16_t* fields, uint8_t count) {
+    uint8_t payload[12];
+    for (uint8_t i = 0; i < count; ++i) {
+      payload[2 * i] = static_cast<uint8_t>(fields[i]);
+      payload[2 * i + 1] = static_cast<uint8_t>(fields[i] >> 8);
+    }
+    return send(type, payload, 2 * count);
+  }
+
+  Sink sink_;
+  uint8_t sequence_ = 0;
+};
+
+}  // namespace serial_communication
+
+#endif

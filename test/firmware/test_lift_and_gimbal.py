@@ -1,0 +1,225 @@
+"""The lift and the gimbal: switches, wires, steps, requests and stops during a motion."""
+
+import pytest
+
+from board_ends import DOWN, ENVIRONMENT, GIMBAL, LIFT, OK, UP, Master, error, request, takes
+from emulated_board import EmulatedBoard
+
+STOP = 0x2F
+FAILED = error(0x8002)
+LEFT, RIGHT, TILT_UP = 0, 1, 2
+
+
+def lift(direction, distance):
+    return request(0x55, LIFT, bytes([direction, distance]))
+
+
+def start_lift(bus, direction=UP, distance=200):
+    moves = bus.board.get('lift_moves')
+    bus.write(lift(direction, distance))
+    bus.board.wait_until(lambda: bus.board.get('lift_moves') == moves + 1, 1)
+
+
+@pytest.mark.parametrize('wire, direction', [('lift_top_wire', UP), ('lift_bottom_wire', DOWN)])
+def test_broken_wire_of_an_end_switch_stops_the_lift(bus, wire, direction):
+    board = bus.board
+    start_lift(bus, direction)
+    board.set(wire, 0)
+    assert bus.reply(seconds=1) == FAILED
+    stopped = board.get('lift_steps')
+    assert bus.function(LIFT, bytes([direction, 10])) == FAILED    # refused
+    assert board.get('lift_steps') == stopped
+    assert bus.function(LIFT, bytes([DOWN if direction == UP else UP, 10])) == OK
+    board.set(wire, 1)
+    assert bus.function(LIFT, bytes([direction, 10])) == OK
+    assert board.get('lift_steps') == stopped
+
+
+@pytest.mark.parametrize('reset', ['dtr', 'reset'])
+def test_gimbal_keeps_its_limit_over_a_reset(bus, reset):
+    board = bus.board
+    assert bus.function(GIMBAL, bytes([LEFT, 100])) == OK
+    board.ask(reset)
+    board.wait_until(lambda: sync_answered(bus), 3)
+    assert bus.function(GIMBAL, bytes([LEFT, 71])) == FAILED
+    assert board.get('pan_position') == 100
+    assert bus.function(GIMBAL, bytes([LEFT, 70])) == OK
+    assert board.get('pan_position') == 170
+
+
+def test_gimbal_reset_in_the_middle_of_a_move_knows_where_it_stands(bus):
+    board = bus.board
+    bus.write(request(0x55, GIMBAL, bytes([RIGHT, 90])))
+    board.wait_until(lambda: board.get('pan_position') < -20, 2)
+    board.ask('dtr')
+    board.wait_until(lambda: sync_answered(bus), 3)
+    left = 170 + board.get('pan_position')    # degrees, with tenths
+    assert bus.function(GIMBAL, bytes([RIGHT, int(left) + 1])) == FAILED
+    assert bus.function(GIMBAL, bytes([RIGHT, int(left)])) == OK
+    assert board.get('pan_position') >= -170
+
+
+def test_gimbal_begins_at_0_when_power_comes(bus):
+    board = bus.board
+    assert bus.function(GIMBAL, bytes([TILT_UP, 90])) == OK
+    board.power_cycle()
+    board.wait_until(lambda: sync_answered(bus), 3)
+    assert bus.function(GIMBAL, bytes([TILT_UP, 90])) == OK
+    assert bus.function(GIMBAL, bytes([TILT_UP, 1])) == FAILED
+
+
+def sync_answered(bus):
+    """Whether SYNC is answered; what a reset cut off is dropped."""
+    bus.forget()
+    bus.write(request(0))
+    start = bus.board.time
+    bus.board.wait_until(lambda: bus.board.time > start + 0.05, 1)
+    return bus.forget().endswith(bytes.fromhex('a50000a5'))
+
+
+def test_slow_lift_goes_as_slow_as_asked(firmware_build):
+    with EmulatedBoard(firmware_build, 'ctrl', image='ctrl_board_slow.elf') as board:
+        board.wait_until(lambda: board.time > 0.05, 1)
+        master = Master(board)
+        master.sync()
+        assert takes(board, lambda: master.function(LIFT, bytes([UP, 5])), 125 / 120.0)
+        assert board.get('lift_top_rate') == pytest.approx(120, rel=0.02)
+        master.port.close()
+
+
+def test_no_step_is_lost_within_the_torque_curve(bus):
+    board = bus.board
+    assert bus.function(LIFT, bytes([UP, 255])) == OK
+    assert bus.function(GIMBAL, bytes([LEFT, 170])) == OK
+    assert board.get('lift_lost_steps') == board.get('pan_lost_steps') == 0
+    assert board.get('lift_top_rate') == pytest.approx(2000, rel=0.1)
+    board.set('lift_pull_out', 1500)    # a weaker motor: the emulator would tell
+    assert bus.function(LIFT, bytes([DOWN, 255])) == OK
+    assert board.get('lift_lost_steps') > 0
+
+
+@pytest.mark.parametrize('count', [20, 34, 80])
+def test_fences_during_a_move_are_answered_after_it(bus, count):
+    """A Master that has lost patience sends ECHO after ECHO, and needs the last one back."""
+    board = bus.board
+    start_lift(bus)
+    for number in range(count):
+        bus.write(request(1, 0, b'n%03d' % number))
+    assert bus.reply(seconds=5) == OK
+    assert board.get('lift_steps') == 5000
+    replies = [bus.reply()]
+    while replies[-1] != b'\x01n%03d' % (count - 1):
+        replies.append(bus.reply())
+    expected = range(count - len(replies), count)
+    assert replies == [b'\x01n%03d' % number for number in expected]
+    if count <= 34:
+        assert len(replies) == count
+    bus.silence(0.1)
+    assert board.get('lift_moves') == 1
+
+
+def test_too_many_requests_during_a_move_are_executed_once_or_never(bus):
+    board = bus.board
+    start_lift(bus, UP, 100)
+    for _ in range(100):    # 700 bytes of a buffer's 306
+        bus.write(request(0x55, GIMBAL, bytes([LEFT, 1])))
+    bus.write(request(1, 0, b'last'))
+    replies = [bus.reply(seconds=5)]
+    while replies[-1] != b'\x01last':
+        replies.append(bus.reply(seconds=2))
+    assert set(replies[:-1]) == {OK}
+    assert board.get('pan_steps') == 10 * (len(replies) - 2)
+    assert board.get('lift_steps') == 2500
+
+
+def test_stop_ends_the_move_at_once(bus):
+    board = bus.board
+    start_lift(bus)
+    board.wait_until(lambda: board.get('lift_position') > 305, 2)
+    bus.write(request(0x55, STOP))
+    heard = board.time
+    assert bus.reply(seconds=1) == FAILED    # the lift: carried out in part
+    assert bus.reply() == OK                 # the stop
+    assert board.get('lift_last_step') < heard + 0.03
+    stopped = board.get('lift_steps')
+    bus.silence(0.2)
+    assert board.get('lift_steps') == stopped < 5000
+    assert bus.function(LIFT, bytes([DOWN, 1])) == OK
+    assert board.get('lift_steps') == stopped - 25
+
+
+def test_stop_without_a_move_is_answered(bus):
+    assert bus.function(STOP) == OK
+    assert bus.function(STOP, b'\x01') == error(0x8001)
+    assert bus.function(LIFT, bytes([UP, 1])) == OK
+
+
+def test_stop_takes_the_place_of_the_moves_that_wait(bus):
+    board = bus.board
+    start_lift(bus)
+    bus.write(lift(UP, 200) + request(0x55, GIMBAL, bytes([LEFT, 90])) + request(0x55, STOP))
+    bus.write(request(1, 0, b'after'))
+    assert bus.reply(seconds=1) == FAILED
+    assert bus.reply() == OK
+    assert bus.reply() == b'\x01after'
+    bus.silence(0.3)
+    assert board.get('lift_moves') == 1
+    assert board.get('pan_steps') == 0
+
+
+@pytest.mark.parametrize('noise', [b'\xa5', b'\xa5\x80\x55', b'\x5a\xff\x00', b'\x00' * 80])
+def test_stop_behind_noise_is_heard(bus, noise):
+    board = bus.board
+    start_lift(bus)
+    bus.write(noise + request(0x55, STOP))
+    heard = board.time
+    assert bus.reply(seconds=1) == FAILED
+    assert board.get('lift_last_step') < heard + 0.15
+    assert bus.reply() == OK
+
+
+def test_request_that_waited_behind_noise_is_not_called_invalid(bus):
+    """INVALID says that nothing is executed: a Master that reads it sends the request again."""
+    board = bus.board
+    noise = bytes.fromhex('a500000001')    # a request whose checksum is wrong
+    held_up = 0
+    for count in range(1, 31):
+        sent, received = board.get('tx_bytes'), board.get('rx_bytes')
+        bus.write(noise)
+        board.wait_until(lambda: board.get('rx_bytes') == received + len(noise), 1)
+        board.ask('stall 0.05')
+        bus.write(request(0x55, GIMBAL, bytes([count % 2, 1])))
+        board.wait_until(lambda: board.get('rx_bytes') == received + len(noise) + 7, 1)
+        in_time = board.get('tx_bytes') == sent    # else INVALID came before the request
+        replies = [bus.reply(seconds=2)]
+        if replies != [OK]:
+            replies.append(bus.reply(seconds=2))
+        assert replies == ([OK] if in_time else [b'\xff\x40', OK])
+        held_up += in_time
+        if held_up == 3:
+            break
+    assert held_up
+    assert board.get('pan_moves') == count
+
+
+@pytest.mark.parametrize('error_percent', [-2, 2])
+def test_baud_rate_off_by_2_percent(bus, error_percent):
+    bus.board.set('baud_error', error_percent)
+    data = bytes(range(256))[:254]
+    assert bus.ask(1, 0, data) == b'\x01' + data
+    assert bus.function(ENVIRONMENT)[:1] in (OK, b'\x03')
+
+
+def test_wrong_baud_rate_moves_nothing(firmware_build):
+    with EmulatedBoard(firmware_build, 'ctrl') as board:
+        board.wait_until(lambda: board.time > 0.05, 1)
+        master = Master(board)
+        master.sync()
+        for percent in (-60, -12, 12, 100):
+            board.set('baud_error', percent)
+            for _ in range(20):
+                master.write(lift(UP, 50) + request(0x55, GIMBAL, bytes([LEFT, 9])))
+            start = board.time
+            board.wait_until(lambda: board.time > start + 0.3, 1)
+        assert board.get('lift_steps') == board.get('pan_steps') == 0
+        master.port.close()

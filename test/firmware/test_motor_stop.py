@@ -1,0 +1,157 @@
+"""The car's motor stops, whatever the board, its bus or its cable do at that moment."""
+
+import os
+import statistics
+
+import pytest
+
+from board_ends import HEARTBEAT, TICKS, drive_until, driving, packet
+
+# MOTOR_STOP_ROUNDS=1000 measures each condition so often, and prints what came out.
+ROUNDS = int(os.environ.get('MOTOR_STOP_ROUNDS', '3'))
+
+
+PWM = 179    # of speed 700
+
+
+def drive(car):
+    drive_until(car, 700, lambda: car.board.get('motor_pwm') == PWM)
+
+
+def nothing(car):
+    pass
+
+
+def sda_stuck(car):
+    car.board.set('sda_stuck', 1000)
+
+
+def scl_stuck(car):
+    car.board.set('scl_stuck', 1)
+
+
+def uart_full(car):
+    """More than the buffer holds, while nobody reads it."""
+    car.board.ask('stall 0.02')
+    car.port.write((driving(700) + packet(HEARTBEAT)) * 10)
+
+
+def stalled(car):
+    """Heartbeats and commands come while loop() is held up; it finds them afterwards."""
+    car.board.ask('stall 0.1')
+    car.port.write(driving(700) * 4)
+
+
+def port_opened(car):
+    car.board.ask('dtr')
+
+
+@pytest.mark.parametrize(
+    'condition', [nothing, sda_stuck, scl_stuck, uart_full, stalled, port_opened]
+)
+def test_time_from_the_last_heartbeat_to_pwm_0(car, condition):
+    board = car.board
+    taken = []
+    for _ in range(ROUNDS):
+        drive(car)
+        condition(car)
+        # With a speed, should this computer have been late and the motor stopped already.
+        car.port.write(driving(700) + packet(HEARTBEAT))
+        # Long enough for a loop() that was held up to read what had come meanwhile.
+        board.wait_until(lambda: board.time - board.get('last_rx_time') > 0.15, 2)
+        on, off = board.history('motor_pwm')[-2:]
+        # Bytes that a full UART loses can make another speed: the link has no checksum.
+        assert on[1] == PWM or (condition is uart_full and on[1] > 0)
+        assert off[1] == 0
+        taken.append(off[0] - board.get('last_rx_time'))
+        if condition is port_opened:
+            car.wait_for_text('IMU ready')
+        board.set('sda_stuck', 0)
+        board.set('scl_stuck', 0)
+        car.forget()
+    print('%s: %d times, %.1f / %.1f / %.1f ms (min / median / max)' % (
+        condition.__name__, len(taken), min(taken) * 1000, statistics.median(taken) * 1000,
+        max(taken) * 1000))
+    assert max(taken) <= 0.033
+    if condition in (nothing, sda_stuck, scl_stuck):
+        assert min(taken) >= 0.030    # nor is a heartbeat too early called lost
+
+
+@pytest.mark.parametrize('held_up', [0.05, 0.1])
+def test_heartbeats_found_late_do_not_start_the_motor(car, held_up):
+    board = car.board
+    drive(car)
+    board.ask('stall %g' % held_up)
+    car.port.write(driving(700) * 6)
+    board.wait_until(lambda: board.time - board.get('last_rx_time') > 0.2, 2)
+    last = board.get('last_rx_time')
+    assert not [when for when, pwm in board.history('motor_pwm') if pwm and when > last]
+    car.wait_for_text('heartbeat lost')
+    assert board.get('watchdog_resets') == 0
+    drive(car)
+
+
+def test_watchdog_ends_a_crash_with_interrupts_off(car):
+    board = car.board
+    drive(car)
+    car.forget()
+    crashed = board.time
+    board.ask('crash')
+    board.wait_until(lambda: board.get('motor_pwm') == 0, 1)
+    assert board.history('motor_pwm')[-1][0] - crashed < 0.16
+    assert board.get('watchdog_resets') == 1
+    car.wait_for_text('IMU ready')
+    drive(car)    # and the watchdog does not bite again
+    car.next(TICKS, 30)
+    assert board.get('watchdog_resets') == 1
+
+
+def test_watchdog_ends_a_loop_that_hangs(car):
+    board = car.board
+    car.forget()
+    board.ask('stall 10')
+    board.wait_until(lambda: board.get('watchdog_resets') == 1, 1)
+    car.wait_for_text('IMU ready')
+
+
+def test_pull_downs_keep_the_motor_off_in_the_boot_loader(car):
+    board = car.board
+    drive(car)
+    board.ask('dtr')
+    assert board.get('motor_pwm') == board.get('bridge_inputs') == 0
+    board.set('motor_pull_downs', 0)
+    assert board.get('motor_pwm') == 255    # what floating pins may do
+    board.set('motor_pull_downs', 1)
+    opened = board.time
+    car.forget()
+    car.wait_for_text('IMU ready')
+    assert board.time - opened > 0.9
+    assert board.history('motor_pwm')[-1][1] == 0
+
+
+def test_bridge_inputs_are_never_both_high_and_pause_at_a_turn(car):
+    board = car.board
+    for speed in (600, -600, 600, -600, 600):
+        drive_until(car, speed, lambda: board.get('motor_direction') == (1 if speed > 0 else -1))
+    history = board.history('bridge_inputs')
+    assert {inputs for _, inputs in history} == {0, 1, 2}
+    pauses = []
+    for (_, before), (low, inputs), (high, after) in zip(history[1:], history[2:], history[3:]):
+        assert inputs == 0 or before == after == 0    # low between any two that are not
+        if {before, after} == {1, 2}:
+            pauses.append(high - low)
+    assert len(pauses) == 4
+    assert min(pauses) >= 0.00204    # a period of the PWM
+    assert min(pauses) < 0.005       # one is longer where a heartbeat was late
+
+
+def test_commands_that_turn_faster_than_the_pause_end_with_the_last(car):
+    board = car.board
+    drive(car)
+    car.port.write(driving(-700) + driving(700) + driving(-300))
+    # From the history: it lasts only for 31 ms.
+    board.wait_until(lambda: 77 in [pwm for _, pwm in board.history('motor_pwm')], 1)
+    assert [way for _, way in board.history('motor_direction') if way][-1] == -1
+    car.port.write(driving(300) + driving(0) + packet(HEARTBEAT))
+    board.wait_until(lambda: board.time - board.get('last_rx_time') > 0.02, 1)
+    assert board.history('motor_pwm')[-1][1] == 0
