@@ -5,10 +5,11 @@ import os
 import signal
 import subprocess
 import tempfile
+import time
 
 from boards import until
 from selenium import webdriver
-from selenium.common.exceptions import StaleElementReferenceException
+from selenium.common.exceptions import StaleElementReferenceException, WebDriverException
 from selenium.webdriver.chrome.options import Options
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.action_chains import ActionChains
@@ -38,7 +39,8 @@ class Browser:
 
     def quit(self):
         """Close the browser."""
-        self._driver.quit()
+        with contextlib.suppress(WebDriverException):    # it was killed
+            self._driver.quit()
         self._profile.cleanup()
 
     def open(self, url):
@@ -201,15 +203,25 @@ class Browser:
 
     @contextlib.contextmanager
     def frozen(self):
-        """Inside this block, no process of the browser runs."""
+        """Inside this block, no process of the browser runs; the value is when it began."""
         processes = self._processes()
+        began = time.monotonic()
         for process in processes:
             os.kill(process, signal.SIGSTOP)
         try:
-            yield
+            yield began
         finally:
             for process in processes:
                 os.kill(process, signal.SIGCONT)
+
+    def kill(self):
+        """Kill every process of the browser; return when that began."""
+        processes = self._processes()
+        began = time.monotonic()
+        for process in processes:
+            with contextlib.suppress(ProcessLookupError):    # it ended with another
+                os.kill(process, signal.SIGKILL)
+        return began
 
     def _processes(self):
         """The ids of the browser's processes: the descendants of its driver."""

@@ -846,6 +846,22 @@ def test_a_frozen_browser_stops(control_page, robot):
     control_page.errors()
 
 
+def test_a_killed_browser_stops(control_panel, robot):
+    browser = Browser()
+    try:
+        browser.open(control_panel.url)
+        browser.wait_for_text('#connection', 'live')
+        robot.car.forget()
+        hold(browser, robot)
+        browser.kill()
+        until(lambda: robot.car.speeds[-1] == 0, 'the car stops')
+        count = len(robot.car.speeds)
+        robot.car.wait_for_heartbeats(100)
+        assert not any(robot.car.speeds[count:])
+    finally:
+        browser.quit()
+
+
 def test_arrow_keys_drive(control_page, robot):
     control_page.script("document.getElementById('pad').focus()")
 

@@ -55,7 +55,7 @@ def test_the_demo_prints_the_address_of_a_page_that_has_commands():
             page.close()
             # Nothing else moves the robot, and nobody else can read the token.
             until(lambda: shown('none; the page has them'), 'the table is shown')
-            log = CHECKOUT / 'build' / 'ros' / 'log' / 'demo.log'
+            log = CHECKOUT / 'build' / 'ros' / 'log' / f'demo_{demo.pid}.log'
             assert stat.S_IMODE(log.stat().st_mode) == 0o600
         finally:
             demo.send_signal(signal.SIGINT)

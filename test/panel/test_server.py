@@ -2,6 +2,7 @@
 import contextlib
 import json
 import os
+import pty
 import re
 import resource
 import signal
@@ -12,6 +13,7 @@ import time
 import types
 
 import pytest
+import qrcode
 import rosgraph
 import rospy
 from boards import PATIENCE, program, ranges, until
@@ -123,6 +125,34 @@ def test_a_second_panel_without_options_takes_the_next_port_and_name(robot):
         page.until(lambda page: '~imu' in page.samples, 'it shows the bridge')
         page.close()
         assert panel.end() == 0
+
+
+def test_on_a_terminal_an_address_for_the_network_is_a_qr_code_as_well():
+    """Tells dark from light as a camera does, on a terminal with a dark background."""
+    near, far = pty.openpty()
+    panel = subprocess.Popen([program('panel'), '--port', '0', '--bind', '0.0.0.0',
+                              '__name:=panel_qr'], stdin=far, stdout=far, stderr=far,
+                             env={**os.environ, 'ROS_MASTER_URI': 'http://127.0.0.1:1'})
+    os.close(far)
+    shown = bytearray()
+    try:
+        def is_complete():
+            shown.extend(os.read(near, 65536))
+            return b'waiting for the ROS master' in shown
+        until(is_complete, 'it prints')
+        text = shown.decode().replace('\r', '').split('panel: waiting')[0]
+        address, _, code = text.partition('\n')
+        url = re.fullmatch(r'panel: (http://[^/:]+:\d+/#\S+)', address).group(1)
+        rows = [[cell in dark for cell in line] for line in code.rstrip('\n').split('\n')
+                for dark in (' \N{NO-BREAK SPACE}\N{LOWER HALF BLOCK}',
+                             ' \N{NO-BREAK SPACE}\N{UPPER HALF BLOCK}')]
+        wanted = qrcode.QRCode(border=2)
+        wanted.add_data(url)
+        assert rows[:len(wanted.get_matrix())] == wanted.get_matrix()
+    finally:
+        panel.terminate()
+        panel.wait(PATIENCE)
+        os.close(near)
 
 
 def test_without_a_master_the_panel_serves_pages_that_say_so():

@@ -1,15 +1,20 @@
 """Where the page is served: a free port, who has one that is taken, and the address to open."""
+import fcntl
 import glob
 import io
 import os
 import socket
+import struct
 from contextlib import suppress
 from pathlib import Path
-from typing import List, Optional
+from typing import List, Optional, Tuple
 
 import tornado.netutil
 
+from .guard import is_loopback
+
 _LISTENS = '0A'        # state of a socket in /proc/net/tcp
+_SIOCGIFADDR = 0x8915  # the request for an interface's address
 _NEXT_PORTS = 20       # that are tried after one that is taken
 
 
@@ -77,11 +82,11 @@ def page_address(bind: str, port: int, token: Optional[str]) -> str:
 
 
 def qr_code(text: str) -> str:
-    """The text as a QR code for a terminal; empty without the package python3-qrcode."""
+    """The text as a QR code for a terminal, or how to get one."""
     try:
         import qrcode
     except ImportError:
-        return ''
+        return 'for a QR code of it: sudo apt-get install python3-qrcode'
     code, out = qrcode.QRCode(border=2), io.StringIO()
     code.add_data(text)
     code.print_ascii(out, invert=True)
@@ -93,4 +98,14 @@ def _own_address() -> str:
     with suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.connect(('192.0.2.1', 9))     # sends nothing; 192.0.2.0/24 is for documentation
         return probe.getsockname()[0]
-    return socket.gethostname()
+    # No route: perhaps this machine is the access point.
+    return next((each for each in map(_address_of, socket.if_nameindex())
+                 if not is_loopback(each)), socket.gethostname())
+
+
+def _address_of(interface: Tuple[int, str]) -> str:
+    """The IPv4 address of a network interface; that of loopback if it has none."""
+    with suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        answer = fcntl.ioctl(probe, _SIOCGIFADDR, struct.pack('256s', interface[1].encode()))
+        return socket.inet_ntoa(answer[20:24])
+    return '127.0.0.1'
