@@ -162,9 +162,11 @@ def test_a_heartbeat_gap_is_marked_until_it_is_over_and_dropped_bytes_are_shown(
               and len(page.all(marked)) == 1, 'the gap is shown and marked')
     page.wait(lambda page: re.search(r'stale\s+[1-9][0-9]* bytes', page.text(card + ' .facts')),
               'the dropped bytes are counted')
-    page.wait(lambda page: page.attribute(card, 'data-health') == 'ok' and page.all(marked) == [],
-              'it is over')
-    assert re.fullmatch(r'[0-9.]+ ms, [0-9.]+ s ago', page.text(card + ' .gap'))
+    page.wait(lambda page: page.attribute(card, 'data-health') == 'ok' and page.all(marked) == []
+              and re.fullmatch(r'[0-9.]+ ms, [0-9.]+ s ago', page.text(card + ' .gap')),
+              'it is over, and the card says when it was')
+    assert page.script('const gap = document.querySelector(arguments[0]);'
+                       'return gap.scrollWidth <= gap.clientWidth', card + ' .gap'), 'it is cut off'
 
 
 def test_an_error_is_shown_and_counted_by_its_cause(page, robot):

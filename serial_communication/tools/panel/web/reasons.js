@@ -1,5 +1,5 @@
 /** Why a command cannot be carried out now; '' if it can. */
-import {formatAge} from './dom.js';
+import {formatAge, withoutAges} from './dom.js';
 
 /** @param link the name of the link that the command needs */
 export function whyNot(model, connection, now, link) {
@@ -13,7 +13,7 @@ export function whyNot(model, connection, now, link) {
   return status.summary.startsWith('calibrating') ? 'the IMU is being calibrated' : '';
 }
 
-/** Likewise for a service, for which the ROS master is asked. */
+/** Likewise for a service, for which the ROS master is asked. The page's head has the trouble in full. */
 export function whyNoCall(model, connection, now, link) {
-  return whyNot(model, connection, now, link) || model.trouble;
+  return whyNot(model, connection, now, link) || withoutAges(model.trouble).replace(/ at http:\S+$/, '');
 }

@@ -12,7 +12,7 @@ const LEAST_DISABLED = 700;    // ms; the second click of a double click follows
 const LEDS = ['left', 'right', 'brake', 'disable'];
 const READ_ONLY = [
   'This page only looks: it sends nothing to the robot. A page with commands is served by '
-  + '“rosrun serial_communication panel --control”, “bridge.launch control:=true” and “scripts/demo --control”.',
+  + '“rosrun serial_communication panel --control”, “bridge.launch control:=true” and “scripts/demo --panel --control”.',
   'Who reaches its address sees this page: on the panel’s machine every user, and through an ssh tunnel every '
   + 'user of the machine where the tunnel begins.'];
 

@@ -39,7 +39,7 @@ class LinkCard {
     this._all = h('tbody');
     this._details = h('details', {class: 'all'}, h('summary', {}, 'all diagnostics'),
       h('table', {}, this._all));
-    const item = (label, value) => h('div', {}, h('dt', {}, label), value);
+    const item = (label, value, shape = null) => h('div', {class: shape}, h('dt', {}, label), value);
     this.element = card(name, '',
       h('div', {class: 'now'},
         h('div', {class: 'state'}, this._sign, h('div', {}, this._summary, this._port)),
@@ -49,7 +49,7 @@ class LinkCard {
       this._causes,
       h('dl', {class: 'facts'}, item('in', this._rates.in), item('out', this._rates.out),
         item('last frame', this._rates.age),
-        ...MORE.map(([label]) => item(label, this._more.get(label))), item('last long gap', this._gap)),
+        ...MORE.map(([label]) => item(label, this._more.get(label))), item('last long gap', this._gap, 'wide')),
       this._details);
     this._title = this.element.querySelector('.note');
     this.element.classList.add('link');
