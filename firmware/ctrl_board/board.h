@@ -1,4 +1,4 @@
-// Pins and constants of the control board; what an owner of another robot changes.
+// Pins and constants of the control board; adapt them to another robot.
 
 #ifndef CTRL_BOARD_BOARD_H
 #define CTRL_BOARD_BOARD_H
@@ -31,7 +31,7 @@ const uint16_t kLiftStepsPerSecond = LIFT_STEPS_PER_SECOND;
 // 200 steps a turn, geared 18:1.
 const uint16_t kGimbalStepsPerDegree = 10;
 const uint16_t kGimbalStepsPerSecond = 900;
-// How far the gimbal may turn from where it stood when power came, degrees.
+// How far the gimbal may turn from its position at power-up, degrees.
 const int16_t kPanLimit = 170;
 const int16_t kTiltLimit = 90;
 

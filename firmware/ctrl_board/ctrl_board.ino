@@ -9,7 +9,7 @@
 #include "sht3x.h"
 #include "stepper.h"
 
-// A reset does not turn the gimbal, and opening the port may reset the board: the counts outlive it.
+// A reset does not turn the gimbal, and opening the port may reset the board, so the counts are kept through a reset.
 static StepCount pan_count __attribute__((section(".noinit")));
 static StepCount tilt_count __attribute__((section(".noinit")));
 
@@ -99,7 +99,7 @@ static void sleep_until_interrupt() {
   cli();
   if (Serial.available() == 0) {
     sleep_enable();
-    sei();  // the instruction after it still runs before any interrupt: no byte can slip in between
+    sei();  // the next instruction runs before any interrupt, so no byte can arrive in between
     sleep_cpu();
     sleep_disable();
   }

@@ -1,4 +1,4 @@
-// An SHT3x, measured again and again without waiting for it.
+// An SHT3x, measured repeatedly without waiting for it.
 
 #ifndef CTRL_BOARD_SHT3X_H
 #define CTRL_BOARD_SHT3X_H
@@ -7,10 +7,10 @@
 
 class Sht3x {
  public:
-  // To be called often.
+  // Has to be called often.
   void poll(uint32_t now_ms);
 
-  // Whether there is a reading of the last two seconds.
+  // Whether the last reading is at most two seconds old.
   bool valid(uint32_t now_ms) const;
 
   int16_t temperature() const { return temperature_; }  // 0.01 degree Celsius

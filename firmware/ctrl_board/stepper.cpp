@@ -8,7 +8,7 @@
 
 namespace {
 
-// While a move lasts Timer2 interrupts at this rate; a step comes when the phase overflows.
+// During a move Timer2 interrupts at this rate; when the phase overflows, a step is made.
 const uint32_t kTickHz = 16000;
 const uint8_t kTimer2Top = F_CPU / 8 / kTickHz - 1;
 
@@ -16,7 +16,7 @@ constexpr uint16_t phase_per_tick(uint16_t steps_per_second) {
   return uint16_t(uint32_t(steps_per_second) * 65536 / kTickHz);
 }
 
-// From rest a stepper takes this rate at once; beyond it, 1 a tick more, which is 3900 steps/s².
+// From rest a stepper starts at this rate; above it the rate rises by 1 a tick, which is 3900 steps/s².
 const uint16_t kStartVelocity = phase_per_tick(300);
 
 volatile uint8_t* step_port;
@@ -28,7 +28,7 @@ int8_t step_sign;
 
 volatile uint32_t steps_left = 0;
 volatile uint32_t steps_missed = 0;
-uint32_t ramp_steps;  // taken while speeding up: as many are needed to slow down
+uint32_t ramp_steps;  // made while accelerating: slowing down needs as many
 uint16_t velocity;
 uint16_t start_velocity;
 uint16_t top_velocity;

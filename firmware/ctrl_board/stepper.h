@@ -5,12 +5,12 @@
 
 #include <stdint.h>
 
-// A position in steps that outlives a reset: a variable of this type belongs into the section ".noinit".
+// A position in steps that is kept through a reset: put a variable of this type into the section ".noinit".
 struct StepCount {
   int16_t steps;
   int16_t complement;
 
-  // After a reset: begins at 0 where the RAM holds no count, which is when power came.
+  // To be called after a reset: starts at 0 if the RAM has no valid count, which is at power-up.
   void begin() {
     if (complement != ~steps) set(0);
   }
@@ -24,7 +24,7 @@ struct StepperAxis {
   uint8_t step_pin;
   uint8_t direction_pin;
   uint16_t steps_per_second;
-  StepCount* count;  // 0: nobody counts
+  StepCount* count;  // 0: no counter
 };
 
 // An end switch that stops a move: a pin that goes high; 0 for none.
@@ -35,12 +35,12 @@ void stepper_begin();
 // Starts a move; none may be running. `steps` is above 0.
 void stepper_start(const StepperAxis& axis, bool positive, uint32_t steps, EndSwitchPin end_switch);
 
-// Ends the move under way at once.
+// Ends the present move at once.
 void stepper_stop();
 
 bool stepper_running();
 
-// Steps that the last move was short of when it was stopped.
+// The steps that were left when the last move was stopped.
 uint32_t stepper_steps_missed();
 
 #endif

@@ -1,5 +1,5 @@
 // avr_emulator: runs a board's firmware in an emulated ATmega328P at real time, with its UART on a pty or tty
-// and a small world attached, which a control socket reads and changes. See firmware/README.md.
+// and a small world connected to it, which a control socket reads and changes. See firmware/README.md.
 
 #include <poll.h>
 #include <signal.h>
@@ -27,10 +27,10 @@
 
 namespace {
 
-// The emulator computes this much ahead, then waits for the clock on the wall.
+// The emulator runs ahead of real time by this much, then waits.
 const double kSlice = 0.001;
-// An emulator that was kept from running catches up this much at most. A longer gap is left out of the
-// emulated time: made up for in a rush, it would show the board 30 ms without a heartbeat that never were.
+// An emulator that was stalled catches up this much at most. The rest of a longer stall is left out of the
+// emulated time. Otherwise the board would see 30 ms without a heartbeat that the wire never had.
 const double kCatchUp = 0.008;
 // The chip's UART never holds more than this many bytes back on the wire; the rest waits in the tty.
 const size_t kWireBacklog = 64;
@@ -314,7 +314,7 @@ int main(int argc, char** argv) {
   action.sa_handler = request_stop;
   sigaction(SIGTERM, &action, nullptr);
   sigaction(SIGINT, &action, nullptr);
-  // Where it is allowed: a board that is asleep most of the time shall wake on time on a busy computer.
+  // If permitted: a board that mostly sleeps has to wake in time on a busy computer.
   setpriority(PRIO_PROCESS, 0, -10);
   try {
     Board board(parse(argc, argv));

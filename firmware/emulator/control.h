@@ -1,4 +1,4 @@
-// The control channel: a Unix socket; a client writes one line and is answered with one line.
+// The control channel: a Unix socket; a client writes one line and receives one line.
 
 #ifndef EMULATOR_CONTROL_H
 #define EMULATOR_CONTROL_H
@@ -12,7 +12,7 @@
 
 class Control {
  public:
-  // `answer` is given each line and returns the reply, both without the line's end.
+  // `answer` is called with each line and returns the reply, both without the newline.
   Control(const std::string& path, std::function<std::string(const std::string&)> answer);
   ~Control();
   Control(const Control&) = delete;
@@ -24,7 +24,7 @@ class Control {
   std::string path_;
   std::function<std::string(const std::string&)> answer_;
   int listener_ = -1;
-  std::map<int, std::string> clients_;  // descriptor and the line that is not yet whole
+  std::map<int, std::string> clients_;  // descriptor and the incomplete line
 };
 
 #endif

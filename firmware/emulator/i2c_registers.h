@@ -43,7 +43,7 @@ class I2cRegisters : public I2cDevice {
  protected:
   // Fills the registers as they are after power-on.
   virtual void defaults() = 0;
-  // Brings the registers up to date before a read that begins at `pointer`.
+  // Updates the registers before a read that begins at `pointer`.
   virtual void before_read(uint8_t pointer) = 0;
   virtual void written(uint8_t, uint8_t) {}
 

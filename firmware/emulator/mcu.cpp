@@ -1,24 +1,24 @@
-// See mcu.h. What libsimavr 1.6 does differently from the chip, and what is done about it:
+// See mcu.h. libsimavr 1.6 differs from the chip in these points, which are corrected here:
 //
-// - Its UART counts a parity bit that 8N1 does not have: the time of a byte is put right after each
+// - Its UART counts a parity bit that 8N1 does not have. The time of a byte is corrected after each
 //   write to UBRR0.
-// - Its UART hands out a byte when the program writes it; it leaves here when its stop bit would end.
-// - It takes input as fast as it is given, into 64 places: bytes are fed at wire speed, and one that
-//   would find two bytes and the shift register full is lost and counted, as on the chip.
-// - By default it sleeps a microsecond on each read of UCSR0A and prints what is sent: switched off.
-// - Its ADC computes volts * 1023 / reference, the chip 1024: the voltage given to it makes up for that.
-// - Its sleep would call usleep() and lose time at every call: the pace is kept outside, in main().
-// - It polls a low pin of a level-triggered INT each cycle, enabled or not, and INT1 (pin 3) is one
-//   after a reset: switched off, or the chip would never sleep.
-// - After a reset all its cycle timers are gone: they are started again. So are the levels of input
-//   pins, and a pin ignores a level that it has had: each driven pin is given the other level first.
-// - Each write to a port pulls its input pins up again, over what drives them from outside: it is told
-//   of every level that is driven.
-// - Its TWI takes an address for a data byte, since TWDR was written before it, and it leaves TWINT set
-//   where the program clears it: both are put right at each write to TWCR. START takes no time, a clock
-//   a microsecond. Nothing on its bus can hold a line: while one is held, writes to TWCR wait here.
-// - A reset by its watchdog is one more that ends all cycle timers.
-// - Its UART samples perfectly: at another baud rate the bits that a chip would sample are computed here.
+// - Its UART outputs a byte when the program writes it. Here the byte is sent when its stop bit would end.
+// - Its UART accepts input at any speed, into a buffer of 64 bytes. Bytes are fed at wire speed. A byte that
+//   arrives while two bytes and the shift register are full is lost and counted, as on the chip.
+// - By default it sleeps a microsecond on each read of UCSR0A and prints the output. Both are disabled.
+// - Its ADC computes volts * 1023 / reference, the chip 1024. The voltage is scaled to compensate.
+// - Its sleep calls usleep(), which loses time at every call. main() keeps real time instead.
+// - It polls a low pin of a level-triggered INT each cycle, even if disabled, and INT1 (pin 3) is such a pin
+//   after a reset, so the chip would never sleep. The polling is disabled.
+// - A reset removes all its cycle timers; they are started again. A reset also forgets the levels of input
+//   pins, but a pin ignores a level that it had before, so each driven pin first gets the other level.
+// - Each write to a port applies the pull-ups to its input pins again, even to pins that are driven from
+//   outside. So every driven level is set as the external level, too.
+// - Its TWI takes an address for a data byte, since TWDR was written before it, and leaves TWINT set
+//   when the program clears it. Both are corrected at each write to TWCR. START takes no time, a clock
+//   a microsecond. Its bus cannot hold a line low; while a line is held, writes to TWCR are delayed here.
+// - A reset by its watchdog removes all cycle timers, too.
+// - Its UART samples without error. At another baud rate the bits that a chip would sample are computed here.
 
 #include "mcu.h"
 
@@ -52,13 +52,13 @@ const int kSdaBit = 4, kSclBit = 5;
 const unsigned kBitsOfAByte = 8;
 const double kBootSeconds = 1;
 const double kVcc = 5.0;
-// How many cycles the core may run between two looks at its timers.
+// How many cycles the core may run between two checks of its timers.
 const avr_cycle_count_t kRunCycleLimit = 64;
 
 void keep_pace_elsewhere(avr_t*, avr_cycle_count_t) {}
 
-// The byte that a UART reads whose bits are `ratio` of the sender's: each is sampled in its middle, from
-// the start bit's edge on. The line is idle after the stop bit.
+// The byte that a UART reads if its bits are `ratio` times as long as the sender's. Each bit is sampled in its
+// middle, counted from the edge of the start bit. The line is idle after the stop bit.
 uint8_t sampled(uint8_t byte, double ratio) {
   const unsigned wire = ~0u << 9 | unsigned(byte) << 1;  // from the start bit, 0, to the stop bit
   uint8_t read = 0;
@@ -151,7 +151,7 @@ bool Mcu::run_until(uint64_t cycle) {
   return true;
 }
 
-// In the boot loader and while stalled the CPU sleeps where it stands. Interrupts wake it, and it runs
+// In the bootloader and while stalled the CPU sleeps at its current instruction. Interrupts wake it, and it runs
 // on one instruction at a time, until it is back in the program proper with interrupts on.
 void Mcu::hold_program() {
   const bool booting = avr_->cycle < boot_end_;
@@ -167,7 +167,7 @@ void Mcu::hold_program() {
   }
   program_held_ = true;
   avr_->run_cycle_limit = 1;
-  if (booting) avr_->sreg[S_I] = 1;  // nothing sleeps without
+  if (booting) avr_->sreg[S_I] = 1;  // it would not sleep without
   const bool interrupted = avr_->interrupts.running_ptr != 0 || avr_->interrupt_state != 0 || !avr_->sreg[S_I];
   if (!interrupted) avr_->state = cpu_Sleeping;
 }
@@ -183,7 +183,7 @@ void Mcu::after_cpu_reset() {
   program_held_ = false;
   uart_in_.clear();
   uart_feeding_ = false;
-  // A device that was sending goes on with the bits of its byte: the chip has forgotten it.
+  // A device that was sending still has the rest of its byte to send; the chip does not know.
   if (i2c_sending_) hold_sda(kBitsOfAByte);
   i2c_selected_ = nullptr;
   i2c_sending_ = false;
@@ -329,8 +329,8 @@ void Mcu::apply_driven_pins(char port, const DrivenPins& pins) {
   avr_ioctl(avr_, uint32_t(AVR_IOCTL_IOPORT_SET_EXTERNAL(port)), &external);
 }
 
-// UART: from the wire into the chip. simavr makes a byte readable one byte time after it was given,
-// so what is given here is the start bit.
+// UART: from the wire into the chip. simavr makes a byte readable one byte time after it was passed,
+// so it is passed at its start bit.
 void Mcu::uart_receive(const uint8_t* bytes, size_t size) {
   uart_in_.insert(uart_in_.end(), bytes, bytes + size);
   if (uart_feeding_ || uart_in_.empty()) return;

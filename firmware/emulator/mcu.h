@@ -1,4 +1,4 @@
-// The emulated ATmega328P: libsimavr behind a small interface, with a UART that takes its time.
+// The emulated ATmega328P: libsimavr behind a small interface, with a UART at wire speed.
 
 #ifndef EMULATOR_MCU_H
 #define EMULATOR_MCU_H
@@ -20,7 +20,7 @@ struct avr_irq_t;
 class I2cDevice {
  public:
   virtual ~I2cDevice() {}
-  // Addressed, to be read or written; false leaves the address without an acknowledge.
+  // Addressed for a read or a write; false: the address is not acknowledged.
   virtual bool start(bool read) = 0;
   virtual void write(uint8_t byte) = 0;
   virtual uint8_t read() = 0;
@@ -38,26 +38,26 @@ class Mcu {
   uint64_t frequency() const;
   double seconds() const { return double(cycles()) / frequency(); }
 
-  // Runs to this cycle, or a few beyond it. False when the program has crashed or stopped.
+  // Runs until this cycle, or a few more. False: the program has crashed or stopped.
   bool run_until(uint64_t cycle);
 
   void reset();
-  // As reset(), but the RAM holds noise and the I2C devices start anew. The EEPROM stays.
+  // As reset(), but the RAM has random content and the I2C devices are reset. The EEPROM is kept.
   void power_cycle();
-  // What opening a real Nano's port does: a reset, then a second in the boot loader, with all pins floating.
+  // As when the port of a real Nano is opened: a reset, then a second in the bootloader with all pins floating.
   void dtr();
   // dtr() as soon as an I2C device is sending.
   void dtr_in_read() { dtr_in_read_ = true; }
-  // The program ends in an endless loop with its interrupts off.
+  // The program enters an endless loop with its interrupts disabled.
   void crash();
-  // Holds the program up for so many seconds; its interrupts go on.
+  // Stalls the program for this time in seconds, but not its interrupts.
   void stall(double seconds);
   unsigned watchdog_resets() const { return watchdog_resets_; }
 
-  // A device that holds SDA low until it has seen so many clocks; 0: none does.
+  // A device holds SDA low for this number of clocks; 0: none does.
   void hold_sda(unsigned clocks);
   unsigned sda_clocks() const { return sda_clocks_; }
-  // A device that holds SCL low.
+  // A device holds SCL low.
   void hold_scl(bool low);
   bool scl_held() const { return scl_held_; }
 
@@ -76,7 +76,7 @@ class Mcu {
 
   void attach_i2c(uint8_t address, I2cDevice* device) { i2c_devices_[address] = device; }
 
-  // Answers what voltage is on an ADC channel.
+  // Returns the voltage at an ADC channel.
   std::function<double(int channel)> adc_volts;
   // Called after each reset, when all outputs have changed without being written.
   std::function<void()> after_reset;

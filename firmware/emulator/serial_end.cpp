@@ -93,7 +93,7 @@ void SerialEnd::write(const std::string& bytes) {
   if (count < 0 && errno != EAGAIN && errno != EINTR) {
     lost();
   } else if (slave_ >= 0) {
-    // Nobody has read for a while: whoever opens the pty next shall not be served old bytes.
+    // Nobody has read for a while. The next reader of the pty must not receive old bytes.
     tcflush(slave_, TCIFLUSH);
     ++flushes_;
   }

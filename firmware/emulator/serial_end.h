@@ -1,4 +1,4 @@
-// The computer's end of the board's UART: a pty of our own, or an existing tty (a socat end, say).
+// The computer's end of the board's UART: a new pty, or an existing tty (such as a socat end).
 
 #ifndef EMULATOR_SERIAL_END_H
 #define EMULATOR_SERIAL_END_H
@@ -10,7 +10,7 @@ class SerialEnd {
  public:
   // Makes a pty, with a symbolic link to it at `link` unless that is empty.
   static SerialEnd make_pty(const std::string& link);
-  // Uses the tty at `path`; waits for it and opens it again when it vanishes.
+  // Uses the tty at `path`: waits for it, and opens it again after it was removed.
   static SerialEnd use_port(const std::string& path);
   ~SerialEnd();
   SerialEnd(SerialEnd&& other);
@@ -20,16 +20,16 @@ class SerialEnd {
   // The descriptor to poll for input; -1 while the tty is absent.
   int descriptor() const { return fd_; }
 
-  // Reads what is there, at most `size` bytes.
+  // Reads the available bytes, at most `size`.
   size_t read(uint8_t* bytes, size_t size);
 
-  // Writes without waiting. A wire that nobody reads loses what is sent over it.
+  // Writes without waiting. If nobody reads, the bytes are lost, as on a wire.
   void write(const std::string& bytes);
 
-  // How often bytes that nobody had read were thrown away.
+  // How often unread bytes were dropped.
   unsigned flushes() const { return flushes_; }
 
-  // Tries to open a tty that is absent; to be called now and then.
+  // Tries to open an absent tty; has to be called regularly.
   void reopen();
 
  private:
@@ -38,7 +38,7 @@ class SerialEnd {
 
   int fd_ = -1;
   unsigned flushes_ = 0;
-  int slave_ = -1;  // of our own pty: held open, so that it stays raw and never hangs up
+  int slave_ = -1;  // of the new pty: kept open, so that it stays raw and never hangs up
   std::string name_;
   std::string link_;
   std::string path_;

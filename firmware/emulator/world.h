@@ -17,17 +17,17 @@ class Values {
   // Emulated seconds, for the history.
   std::function<double()> clock;
 
-  // A number that is only read.
+  // A read-only number.
   void reading(const std::string& name, std::function<double()> get);
   // A number that a client may set.
   void variable(const std::string& name, double* storage);
   void variable(const std::string& name, std::function<double()> get, std::function<void(double)> set);
-  // An output of the board: every change is kept with its time.
+  // An output of the board: every change is recorded with its time.
   void record(const std::string& name, double value);
 
   bool has(const std::string& name) const;
   double get(const std::string& name) const;
-  // False when the name is not one that can be set.
+  // False: the name does not exist or cannot be set.
   bool set(const std::string& name, double value);
   // "time value time value …", oldest first; empty for a name that is no recorded output.
   std::string history(const std::string& name) const;
@@ -53,12 +53,12 @@ class World {
   static constexpr double kStep = 250e-6;
 };
 
-// `still`: nothing moves but what the board moves and what a client sets.
+// `still`: only the board and clients change the world.
 std::unique_ptr<World> make_car_world(Mcu& mcu, bool still);
 std::unique_ptr<World> make_ctrl_world(Mcu& mcu, bool still);
 std::unique_ptr<World> make_range_world(Mcu& mcu, bool still);
 
-// A demo's gentle up and down between two values.
+// A slow oscillation between two values, for a demo.
 double wave(double seconds, double period, double low, double high);
 
 #endif

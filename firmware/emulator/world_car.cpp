@@ -14,7 +14,7 @@ const double kDegree = M_PI / 180;
 const uint16_t kOcr1al = 0x88, kOcr1ah = 0x89, kIcr1l = 0x86, kIcr1h = 0x87, kTccr1b = 0x81;
 const uint16_t kOcr2a = 0xB3, kOcr2b = 0xB4, kTccr2a = 0xB0;
 
-// An angle that goes to where it is set with no jerk: gently off, gently to rest.
+// An angle that moves to its set value smoothly, with limited acceleration.
 class SmoothAngle {
  public:
   void set(double degrees) {
@@ -33,7 +33,7 @@ class SmoothAngle {
     rate = (to_ - from_) / duration_ * (1 - std::cos(2 * M_PI * t));
   }
 
-  // Turns on from where it is.
+  // Continues from its present value.
   void turn(double degrees_per_second, double dt) {
     value += degrees_per_second * dt;
     from_ = to_ += degrees_per_second * dt;
@@ -72,7 +72,7 @@ class Mpu6050 : public I2cRegisters {
   }
 
   double id = 0x68;     // WHO_AM_I
-  double failures = 0;  // so many transfers get no answer
+  double failures = 0;  // the number of the next transfers that get no answer
 
  protected:
   void defaults() override {
@@ -168,7 +168,7 @@ class CarWorld : public World {
 
   void record_outputs() {
     const bool pwm_on = mcu_.data(kTccr2a) & 0x20;
-    // A pin that nobody drives, as in the boot loader, reads high here without its pull-down.
+    // A pin that is not driven, as in the bootloader, reads high here unless it has its pull-down.
     const bool pwm_high = floating('D', 3) || (!pwm_on && mcu_.output_pin('D', 3));
     const bool forward = floating('D', 7) || mcu_.output_pin('D', 7);
     const bool backward = floating('B', 0) || mcu_.output_pin('B', 0);

@@ -1,4 +1,4 @@
-// The control board's surroundings: a lift with end switches and a two-axis gimbal, all on step and
+// The world of the control board: a lift with end switches and a two-axis gimbal, all on step and
 // direction pins, a smoke sensor, and an SHT3x.
 
 #include <cmath>
@@ -7,9 +7,9 @@
 
 namespace {
 
-// One stepper: counts the steps that its driver is given, and the fewer that its rotor takes. From rest it
-// takes up to `pull_in_` steps a second; beyond, its rate may grow by `kAcceleration`, up to `pull_out_`.
-// A step that comes sooner is lost, and then the rotor is at rest.
+// One stepper: counts the steps that its driver receives, and those that its rotor follows. From rest the rotor
+// follows up to `pull_in_` steps a second; above this, its rate may rise by `kAcceleration`, up to `pull_out_`.
+// A step that comes sooner is lost, and the rotor stops.
 class Axis {
  public:
   Axis(Mcu& mcu, Values& values, const std::string& name, double steps_per_unit, double start, char step_port,
@@ -29,14 +29,14 @@ class Axis {
     values.variable(name + "_pull_out", &pull_out_);
   }
 
-  // Of what the rotor turns, in mm or degrees.
+  // Position of the load, in mm or degrees.
   double position() const { return start_ + rotor_ / steps_per_unit_; }
 
  private:
-  // A pause this long, or a turn back, makes the next step the first of another move.
+  // After a pause this long, or a change of direction, the next step begins another move.
   static constexpr double kPause = 0.02;
   static constexpr double kAcceleration = 6000;  // steps/s²
-  static constexpr double kJitter = 1.25;        // one step may come so much sooner
+  static constexpr double kJitter = 1.25;        // tolerance of the time between two steps
 
   void step(bool positive) {
     const double now = mcu_.seconds();
@@ -166,7 +166,7 @@ class CtrlWorld : public World {
     sht3x_.humidity = wave(now, 45, 40, 50);
   }
 
-  // The end switches are normally closed, to ground: at the end, and where a wire is broken, the pull-up wins.
+  // The end switches are normally closed, to ground: at the end, or with a broken wire, the pull-up sets the pin high.
   void drive_switches() {
     at_top_ = lift_.position() >= lift_top_;
     at_bottom_ = lift_.position() <= lift_bottom_;

@@ -1,4 +1,4 @@
-// The range board's surroundings: two VL53L0X behind a TCA9548A, and a BNO055.
+// The world of the range board: two VL53L0X behind a TCA9548A, and a BNO055.
 
 #include <cmath>
 
@@ -81,7 +81,7 @@ class Bno055 : public I2cRegisters {
   static uint16_t sixteenths(double degrees) { return uint16_t(int16_t(std::lround(degrees * 16))); }
 };
 
-// Passes what is sent to address 0x29 on to the sensors of the channels that are switched on.
+// Forwards transfers to address 0x29 to the sensors of the enabled channels.
 class Tca9548a : public I2cDevice {
  public:
   bool start(bool) override { return true; }

@@ -1,4 +1,4 @@
-// Pins and constants of the model car; what an owner of another car changes.
+// Pins and constants of the model car; adapt them to another car.
 
 #ifndef NANO_CAR_BOARD_H
 #define NANO_CAR_BOARD_H

@@ -17,14 +17,14 @@ const uint16_t kTimer1Half = 20000;
 // Timer0 interrupts every 1.024 ms. The first tick may follow right after a heartbeat, and the motor must
 // not stop before the timeout.
 const uint8_t kHeartbeatTimeoutTicks = kHeartbeatTimeoutMs * 1000UL / 1024 + 2;
-// Both inputs of the bridge stay low for so long before the motor turns the other way. Timer2 takes a new
+// Both inputs of the bridge stay low for this time before the motor changes direction. Timer2 takes a new
 // duty at the end of a period, 2.04 ms: until then the bridge may still be enabled.
 const uint8_t kPauseTicks = 3;
 
-// Shared with the timer's interrupt, and used with interrupts off alone.
+// Shared with the timer's interrupt; used only with interrupts disabled.
 HeartbeatWatch heartbeats(kHeartbeatTimeoutTicks);
 int8_t direction = 0;         // of the bridge: 1, -1, or 0 with both inputs low
-int8_t wanted_direction = 0;  // what it is to be after the pause
+int8_t wanted_direction = 0;  // direction after the pause
 uint8_t wanted_duty = 0;
 uint8_t pause_ticks = 0;
 bool heartbeat_lost = false;
@@ -46,7 +46,7 @@ void motor_off() {
   bridge_off();
 }
 
-// Brings the bridge to what is wanted; called again at the end of a pause.
+// Sets the bridge as wanted; called again at the end of a pause.
 void drive_motor() {
   if (direction != wanted_direction) bridge_off();
   if (pause_ticks > 0) return;
@@ -57,7 +57,7 @@ void drive_motor() {
 }
 
 void beat() {
-  // More than one beat's ticks only when loop() was late: none is lost, and 255 is the packet's limit.
+  // If loop() was late, this has the ticks of several beats: none is lost, up to the packet's limit of 255.
   const uint8_t room = 255 - ticks_of_beats;
   ticks_of_beats += encoder_ticks < room ? encoder_ticks : room;
   encoder_ticks = 0;
@@ -66,7 +66,7 @@ void beat() {
 
 }  // namespace
 
-// After a reset by the watchdog it is on, with 16 ms: off, before the variables are set up.
+// After a watchdog reset the watchdog is enabled with 16 ms. It is disabled before the variables are set up.
 void watchdog_off() __attribute__((naked, used, section(".init3")));
 void watchdog_off() {
   MCUSR = 0;
@@ -103,7 +103,7 @@ void drive_begin(PacketLink& link) {
     TCCR2A = _BV(COM2B1) | _BV(WGM20);
     TCCR2B = _BV(CS22);
     // Timer1: fast PWM up to ICR1, clock / 8, the servo's pulse on OC1A. The clock starts last:
-    // ICR1 can be written only in a mode that uses it, and shall not be 0 when the timer runs.
+    // ICR1 can be written only in a mode that uses it, and must not be 0 when the timer runs.
     TCCR1B = _BV(WGM13) | _BV(WGM12);
     TCCR1A = _BV(COM1A1) | _BV(WGM11);
     ICR1 = kTimer1Top;

@@ -1,7 +1,7 @@
-// Motor, servo, encoder and the 100 Hz beat: everything that Timer0, Timer1, Timer2 and INT0 do.
+// Motor, servo, encoder and the 100 Hz clock: all uses of Timer0, Timer1, Timer2 and INT0.
 //
-// The motor stops in a timer interrupt when heartbeats stop: neither a sensor that hangs nor a long text can
-// keep it on. Should the program itself hang, interrupts and all, the watchdog resets the chip 0.12 s later,
+// A timer interrupt stops the motor when heartbeats stop, so neither a blocked sensor nor a long text can
+// keep it on. If the program hangs with interrupts disabled, the watchdog resets the chip after 0.12 s,
 // and the pull-downs at the motor's pins stop the motor.
 
 #ifndef NANO_CAR_DRIVE_H
@@ -12,18 +12,18 @@
 // The heartbeats that this link receives keep the motor on.
 void drive_begin(PacketLink& link);
 
-// -1000 … 1000. Does nothing while no heartbeats arrive. Before the motor turns the other way it is off for
+// -1000 … 1000. Does nothing while no heartbeats arrive. Before it changes direction, the motor is off for
 // two to three milliseconds.
 void drive_set_speed(int16_t speed);
 
-// Microseconds, limited to what the servo takes.
+// Microseconds, limited to the range of the servo.
 void drive_set_steering(uint16_t pulse_us);
 
 // True once after heartbeats stopped a running motor.
 bool drive_take_heartbeat_lost();
 
 // The number of 10 ms beats since the last call (0: none yet) and the encoder ticks counted in them. A call
-// that finds one keeps the watchdog quiet, which waits 0.12 s.
+// that returns one resets the watchdog, whose timeout is 0.12 s.
 uint8_t drive_take_beats(uint8_t* ticks);
 
 #endif

@@ -24,26 +24,26 @@ const uint8_t kAccelConfig = 0x1C;
 const uint8_t kAccelXoutH = 0x3B;
 const uint8_t kPowerManagement1 = 0x6B;
 const uint8_t kWhoAmI = 0x75;
-// What answers at WHO_AM_I: MPU6050, MPU6500, MPU9250, and chips that are sold as an MPU6050. Their registers
-// are alike; only an MPU6050's temperature is right.
+// Values of WHO_AM_I: MPU6050, MPU6500, MPU9250, and chips that are sold as an MPU6050. They have the same
+// registers, but the temperature is right only on an MPU6050.
 const uint8_t kKnownIds[] = {0x68, 0x70, 0x71, 0x72, 0x98};
 
 // ±4 g and ±1000 degrees/s: enough for a model car in a crash.
 const float kLsbPerG = 8192.0f;
 const float kLsbPerDegree = 65536.0f / 2000.0f;
 const float kRadiansPerLsb = float(M_PI / 180) / kLsbPerDegree;
-// The packet's unit is 4000/65536 * 25 degrees/s: what the processor inside the MPU6050 makes of its rates.
+// The packet's unit is 4000/65536 * 25 degrees/s, as the processor inside the MPU6050 sends its rates.
 const float kPacketPerLsb = (2000.0f / 65536.0f) / (4000.0f / 65536.0f * 25.0f);
 
 const float kProportionalGain = 1.0f;
-// How far the measured acceleration may be off 1 g and still count as "down".
+// How far the measured acceleration may differ from 1 g and still be used as the direction of gravity.
 const float kGravityTolerance = 0.15f;
 
 const uint16_t kCalibrationSamples = CALIBRATION_SECONDS * 100UL;
-// So many failed reads in a row end a calibration; a few are left out.
+// This number of failed reads in a row ends a calibration; fewer are tolerated.
 const uint8_t kFailedReads = 20;
 static_assert(CALIBRATION_SECONDS <= 600, "the sums of a calibration are 32 bits wide");
-// More than this between the smallest and the largest rate is a car that moved: 10 degrees/s.
+// If the smallest and the largest rate differ by more, the car has moved: 10 degrees/s.
 const int16_t kStillSpread = int16_t(10 * kLsbPerDegree);
 
 const uint32_t kEepromMagic = 0x31554D49;  // "IMU1"
@@ -117,7 +117,7 @@ bool Imu::update(float seconds, ImuData* out) {
   return true;
 }
 
-// Starts from the roll and pitch that gravity shows, and heading 0.
+// Starts with roll and pitch from the direction of gravity, and with heading 0.
 void Imu::align(const float a[3]) {
   const float roll = atan2f(a[1], a[2]) / 2;
   const float pitch = atan2f(-a[0], sqrtf(a[1] * a[1] + a[2] * a[2])) / 2;
@@ -135,7 +135,7 @@ void Imu::rotate(const float a[3], const float rate[3], float seconds) {
   float z = rate[2];
   const float norm = sqrtf(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]);
   if (fabsf(norm - 1.0f) < kGravityTolerance) {
-    // Where "up" is, as the orientation has it, in the sensor's axes.
+    // The direction "up" of the present orientation, in the sensor's axes.
     const float up_x = 2 * (q_[1] * q_[3] - q_[0] * q_[2]);
     const float up_y = 2 * (q_[0] * q_[1] + q_[2] * q_[3]);
     const float up_z = 1 - 2 * (q_[1] * q_[1] + q_[2] * q_[2]);
@@ -208,7 +208,7 @@ void Imu::store() const {
   stored.checksum = checksum_of(stored);
   const uint8_t* bytes = reinterpret_cast<const uint8_t*>(&stored);
   for (uint8_t i = 0; i < sizeof stored; ++i) {
-    wdt_reset();  // a byte takes 3.4 ms, all of them nearly as long as the watchdog waits
+    wdt_reset();  // a byte takes 3.4 ms, all of them nearly the timeout of the watchdog
     eeprom_update_byte(kEepromAddress + i, bytes[i]);
   }
 }

@@ -17,7 +17,7 @@ class Imu {
   // Reads the sensor once and turns the orientation by `seconds` of the rate. False: no answer.
   bool update(float seconds, ImuData* out);
 
-  // The car must stand level and still until calibrate() has returned Done or Moved.
+  // The car must be level and must not move until calibrate() has returned Done or Moved.
   void start_calibration();
 
   // To be called every 10 ms while the calibration runs; reads the sensor once.
@@ -48,7 +48,7 @@ class Imu {
 
   // Sums of a running calibration.
   uint16_t samples_;
-  uint8_t failed_reads_;  // since the last good one
+  uint8_t failed_reads_;  // since the last successful one
   int32_t sum_acceleration_[3];
   int32_t sum_rate_[3];
   int16_t rate_min_[3];

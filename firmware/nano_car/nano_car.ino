@@ -16,13 +16,13 @@ static bool imu_present = false;
 static bool calibrating = false;
 static uint8_t imu_retry_beats = 0;
 
-// Which lamps the last LED command wants, and the beat counter that makes the indicators blink.
+// The lamps of the last LED command, and the counter for the blinking of the indicators.
 static bool lamp_left = false;
 static bool lamp_right = false;
 static bool lamp_brake = false;
 static uint8_t blink_beats = 0;
 
-// Sums of the battery's readings: one a second, three of them in the average.
+// Sums of the battery readings: one a second, averaged over three.
 static uint32_t battery_sums[3];
 static uint8_t battery_seconds = 0;
 static uint8_t battery_readings = 0;
@@ -38,7 +38,7 @@ static void start_imu() {
   }
 }
 
-// A calibrating board receives its input and drops it: nothing may be executed minutes later.
+// During a calibration the input is read and dropped, so that nothing is executed minutes later.
 static void handle_speed(int16_t speed) {
   if (!calibrating) drive_set_speed(speed);
 }
@@ -159,7 +159,7 @@ static void sleep_until_interrupt() {
   cli();
   if (Serial.available() == 0) {
     sleep_enable();
-    sei();  // the instruction after it still runs before any interrupt: no byte can slip in between
+    sei();  // the next instruction runs before any interrupt, so no byte can arrive in between
     sleep_cpu();
     sleep_disable();
   }
@@ -179,7 +179,7 @@ void setup() {
   pinMode(kLedBrakePin, OUTPUT);
   drive_begin(bridge);
   Serial.begin(kBaud);
-  Serial.write(uint8_t(0));  // ends a packet that a reset has cut off
+  Serial.write(uint8_t(0));  // ends a packet that a reset cut
   i2c_begin();
   start_imu();
 }

@@ -10,7 +10,7 @@
 
 static const uint32_t kBaud = 115200;
 static const uint32_t kFramePeriodMs = 50;
-// A sensor ranges every 33 ms; one that is silent for this long has timed out, and is started again.
+// A sensor ranges every 33 ms. Without a measurement for this time it has timed out, and is started again.
 static const uint32_t kRangeTimeoutMs = 200;
 static const uint32_t kRestartMs = 1000;
 
@@ -31,7 +31,7 @@ static void update_range(uint8_t sensor, uint32_t now) {
   }
 }
 
-// A sensor that gives nothing is started once a second; one a frame, since on the ESP32 it takes its time.
+// A sensor without measurements is started again once a second, at most one a frame: a start is slow on the ESP32.
 static void start_one(uint32_t now) {
   for (uint8_t sensor = 0; sensor < 3; ++sensor) {
     const bool silent = sensor < 2 ? status.range_mm[sensor] == kRangeTimedOut : status.pitch == kAngleUnknown;
@@ -64,7 +64,7 @@ void setup() {
 
 void loop() {
   const uint32_t now = millis();
-  // After the slow start of a sensor the frames go on from now, without a burst.
+  // After the slow start of a sensor the next frames are due from now on, without a burst.
   if (now - frame_ms >= kFramePeriodMs) {
     frame_ms = now - frame_ms >= 2 * kFramePeriodMs ? now : frame_ms + kFramePeriodMs;
     update_range(0, now);

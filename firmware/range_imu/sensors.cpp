@@ -36,8 +36,8 @@ bool attitude_begin() {
 }
 
 bool attitude_read(Attitude* attitude) {
-  // The data sheet calls the second angle roll and the third pitch; the second is the one that ends
-  // at ±90 degrees, which is pitch for everybody else.
+  // The data sheet calls the second angle roll and the third pitch; the second is the one limited
+  // to ±90 degrees, which is usually called pitch.
   uint8_t status = 0;
   uint8_t raw[6];
   if (!bus_read(kBno055, kSystemStatus, &status, 1) || status != kFusionRuns) return false;

@@ -1,7 +1,7 @@
-// What the program needs of its sensors: two distances and an attitude, on whichever chip it runs.
+// The sensors of the program: two distances and an attitude. The same interface on each chip.
 //
 // sensors_esp32.cpp uses Pololu's library for the VL53L0X, sensors_avr.cpp reads its registers itself. The
-// BNO055's registers are read alike on both, in sensors.cpp.
+// BNO055's registers are read in the same way on both, in sensors.cpp.
 
 #ifndef RANGE_IMU_SENSORS_H
 #define RANGE_IMU_SENSORS_H
@@ -17,21 +17,21 @@ struct Attitude {
 // Starts the I2C bus.
 void sensors_begin();
 
-// One transfer on the bus; false when no device answered all of it.
+// One transfer on the bus; false: no device acknowledged all of it.
 bool bus_write(uint8_t device, const uint8_t* bytes, uint8_t size);
 bool bus_read(uint8_t device, uint8_t reg, uint8_t* out, uint8_t size);
 
 // Starts range sensor 0 or 1; false when it does not answer. On the ESP32 it takes up to 0.2 s.
 bool range_begin(uint8_t sensor);
 
-// Takes a finished measurement, without waiting for one; false when there is none yet.
+// Reads a finished measurement without waiting; false: there is none yet.
 bool range_read(uint8_t sensor, uint16_t* millimetres);
 
 // Starts the BNO055, without waiting for it; false when it does not answer.
 bool attitude_begin();
 
-// False when the BNO055 does not answer, or computes no angles: it has just been started, or has lost its
-// power meanwhile.
+// False: the BNO055 does not answer, or computes no angles since it was just started or has lost its
+// power.
 bool attitude_read(Attitude* attitude);
 
 #endif

@@ -1,5 +1,5 @@
-// The bus and the VL53L0X on an AVR. Enough for the emulated sensor; a real VL53L0X wants the long
-// initialisation that Pololu's library does, and does not range without it.
+// The bus and the VL53L0X on an AVR. Enough for the emulated sensor. A real VL53L0X needs the long
+// initialisation of Pololu's library and does not range without it.
 
 #if defined(ARDUINO_ARCH_AVR)
 

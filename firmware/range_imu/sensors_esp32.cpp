@@ -42,7 +42,7 @@ bool range_begin(uint8_t sensor) {
 bool range_read(uint8_t sensor, uint16_t* millimetres) {
   VL53L0X& range = ranges[sensor];
   if (!tca_select(kRangeChannels[sensor])) return false;
-  // The library's read waits for a measurement: it is called only once there is one.
+  // The library's read waits for a measurement, so it is called only when one is ready.
   const uint8_t status = range.readReg(VL53L0X::RESULT_INTERRUPT_STATUS);
   if (range.last_status != 0 || (status & 0x07) == 0) return false;
   *millimetres = range.readRangeContinuousMillimeters();

@@ -5,5 +5,5 @@ from .cli import main
 
 status = main()
 sys.stdout.flush()
-# Not through rospy's own end, which may wait for a bridge that is gone.
+# rospy's own exit may wait for a bridge that has ended.
 os._exit(status)

@@ -1,10 +1,10 @@
-"""Users of the bridge that are processes of their own, since they are stopped:
+"""Processes beside the bridge. Most of them are separate processes so that they can be suspended:
 
-    listener NAME       subscribes to everything
-    caller NAME         calls the lift for each line "DIRECTION DISTANCE"
-    latch NAME A B      latches speed A; with a line on stdin, speed B
-    driver NAME A       speeds A, A + 1 ... at 20 Hz
-    witness             says when the machine woke it late, by how many seconds
+    subscriber NAME     subscribes to all topics
+    caller NAME         calls the lift for each line "DIRECTION DISTANCE" of its stdin
+    latching NAME A B   publishes speed A latched; after a line on stdin, speed B
+    speeds NAME A       publishes speeds A, A + 1 ... at 20 Hz
+    sleeper             prints when it was woken late, and by how many seconds
 """
 import itertools
 import signal
@@ -15,14 +15,14 @@ import rospy
 
 from serial_communication.msg import SpeedPWMCommand
 from serial_communication.srv import Lift
+from .logs import LATE
 from .robot import NODE, TOPICS
 
-LATE = 0.01          # s that make a witness's wake late
 _PERIOD = 0.01       # s
 
 
-def listener() -> None:
-    """Until it is ended, as all of them."""
+def subscriber() -> None:
+    """Runs until it is ended, as all of them."""
     for topic in [*TOPICS, '/serial_msg', '/diagnostics']:
         rospy.Subscriber(topic.replace('~', NODE + '/'), rospy.AnyMsg, lambda message: None)
     print('ready', flush=True)
@@ -30,15 +30,15 @@ def listener() -> None:
 
 
 def caller() -> None:
-    """What it was told stands on its stdout."""
+    """Prints what each call returns."""
     print('ready', flush=True)
     for line in sys.stdin:
-        answer = rospy.ServiceProxy(NODE + '/lift', Lift)(*map(int, line.split()))
-        print(f'told {answer.success}', flush=True)
+        response = rospy.ServiceProxy(NODE + '/lift', Lift)(*map(int, line.split()))
+        print(f'returned {response.success}', flush=True)
 
 
-def latch(first: str, second: str) -> None:
-    """It says "connected" when the bridge has connected."""
+def latching(first: str, second: str) -> None:
+    """Prints "connected" once the bridge has connected."""
     publisher = rospy.Publisher(NODE + '/speed', SpeedPWMCommand, queue_size=10, latch=True)
     publisher.publish(value=int(first))
     print('ready', flush=True)
@@ -49,8 +49,8 @@ def latch(first: str, second: str) -> None:
         publisher.publish(value=int(second))
 
 
-def driver(first: str) -> None:
-    """Whether anybody listens or not."""
+def speeds(first: str) -> None:
+    """Publishes whether or not there are subscribers."""
     publisher = rospy.Publisher(NODE + '/speed', SpeedPWMCommand, queue_size=10)
     print('ready', flush=True)
     for value in itertools.count(int(first)):
@@ -58,8 +58,8 @@ def driver(first: str) -> None:
         time.sleep(0.05)
 
 
-def witness() -> None:
-    """As ordinary as the bridge's threads, with whom its heartbeat shares Python's lock."""
+def sleeper() -> None:
+    """Has ordinary priority, as the bridge's threads that hold Python's lock have."""
     due = time.monotonic()
     while True:
         due = max(due + _PERIOD, time.monotonic())
@@ -70,12 +70,12 @@ def witness() -> None:
 
 
 if __name__ == '__main__':
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit())     # also where it waits for stdin
-    if sys.argv[1] == 'witness':
-        witness()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())     # also while it reads stdin
+    if sys.argv[1] == 'sleeper':
+        sleeper()
     rospy.init_node(sys.argv[2], disable_rosout=True, disable_signals=True)
     try:
-        {'listener': listener, 'caller': caller, 'latch': latch,
-         'driver': driver}[sys.argv[1]](*sys.argv[3:])
+        {'subscriber': subscriber, 'caller': caller, 'latching': latching,
+         'speeds': speeds}[sys.argv[1]](*sys.argv[3:])
     finally:
         rospy.signal_shutdown('ended')

@@ -1,7 +1,7 @@
-"""The bus, exactly: what each caller was told against what the board did.
+"""The bus, exactly: compares what each call returned with what the board did.
 
-Each call carries a number of its own, so a caller's answer is held against exactly one request. One
-call is made at a time, and the line is quiet before it, unless the scenario says otherwise.
+Each call has a unique number, so it is compared with exactly one request. One call is made at a
+time, and the line is quiet before it, unless the scenario says otherwise.
 """
 import signal
 import struct
@@ -10,76 +10,75 @@ from concurrent.futures import Future
 from typing import Callable, List, NamedTuple, Tuple
 
 import by_definition as codec
-from .boards import MEMORY, PRESS, Answer, Request, reply
-from .field import BACK, MOTION_TIMEOUT, REPLY_TIMEOUT, RETURN, Field
-from .robot import NOT_SENT, TIMEOUT, Told
-from .rows import PATIENCE
+from .boards import MEMORY, PRESS, Reaction, Request, reply_frame
+from .requirements import MAX_WAIT
+from .rig import MOTION_TIMEOUT, PORT_RETURN, PORT_RETURNS, REPLY_TIMEOUT, Rig
+from .robot import NOT_SENT, TIMEOUT, Outcome
 
 Key = Tuple[int, bytes]     # CMD2 and DATE of a request
-WAIT = 0.8               # s that a call may wait for its turn, beside the timeout of its own
-_SLACK = 0.2             # s for ROS, the answer's way included
+QUEUE_TIME = 0.8         # s that a call may wait for its turn, in addition to its timeout
+_ROS_TIME = 0.2          # s that ROS may take for a call
 _LATE = 0.1              # s after the timeout
 
 
 class Case(NamedTuple):
-    """How a board treats a request, and what is true of it then."""
+    """How a board treats a request, and the correct result."""
 
     name: str
-    rule: Callable[[Field, Request, int], Answer]    # the number: how often it has been received
-    told: str                # success, refused, timeout
-    received: int
+    react: Callable[[Rig, Request, int], Reaction]   # int: how often the request was received
+    outcome: str             # done, refused, not known or not sent
+    received: int            # how often the board receives the request
 
 
-def _ok(field: Field, request: Request, *delays: float) -> Answer:
-    return Answer([(delay, field.bus.ok(request)) for delay in delays], True)
+def _ok(rig: Rig, request: Request, *delays: float) -> Reaction:
+    return Reaction([(delay, rig.bus.ok_reply(request)) for delay in delays], True)
 
 
-def _refusal(code: int, kind: int = codec.INVALID) -> Answer:
-    return Answer([(0, reply(kind, struct.pack('<H' if code > 255 else '<B', code)))])
+def _refusal(code: int, kind: int = codec.INVALID) -> Reaction:
+    return Reaction([(0, reply_frame(kind, struct.pack('<H' if code > 255 else '<B', code)))])
 
 
-def _damaged(field: Field, request: Request) -> Answer:
-    frame = bytearray(field.bus.ok(request))
+def _damaged(rig: Rig, request: Request) -> Reaction:
+    frame = bytearray(rig.bus.ok_reply(request))
     frame[2] ^= 0x10
-    return Answer([(0, bytes(frame))], True)
+    return Reaction([(0, bytes(frame))], True)
 
 
 CASES = (
-    Case('answered', lambda f, r, n: _ok(f, r, 0), 'success', 1),
-    Case('answered behind noise', lambda f, r, n: Answer(
-        [(0, b'\x00\x13' + f.bus.ok(r))], True), 'success', 1),
-    Case('failed', lambda f, r, n: _refusal(codec.FAILED, codec.ERROR), 'refused', 1),
-    Case('not understood, then answered', lambda f, r, n: _refusal(codec.BAD_CHECKSUM)
-         if n == 1 else _ok(f, r, 0), 'success', 2),
-    Case('not synchronised, then answered', lambda f, r, n: _refusal(codec.NOT_SYNCHRONISED)
-         if n == 1 else _ok(f, r, 0), 'success', 2),
-    Case('too long', lambda f, r, n: _refusal(0x20), 'refused', 1),
-    Case('executed, never answered', lambda f, r, n: Answer([], True), 'timeout', 1),
-    Case('lost on the way', lambda f, r, n: Answer(), 'timeout', 1),
-    Case('answered late', lambda f, r, n: _ok(f, r, MOTION_TIMEOUT + _LATE), 'timeout', 1),
-    Case('answer damaged', lambda f, r, n: _damaged(f, r), 'timeout', 1),
-    Case('answered twice at once', lambda f, r, n: _ok(f, r, 0, 0), 'success', 1),
-    Case('answered twice, 5 ms apart', lambda f, r, n: _ok(f, r, 0, 0.005), 'success', 1),
-    Case('answered twice, 40 ms apart', lambda f, r, n: _ok(f, r, 0, 0.04), 'success', 1))
+    Case('with a reply', lambda rig, r, n: _ok(rig, r, 0), 'done', 1),
+    Case('with a reply after noise', lambda rig, r, n: Reaction(
+        [(0, b'\x00\x13' + rig.bus.ok_reply(r))], True), 'done', 1),
+    Case('failed', lambda rig, r, n: _refusal(codec.FAILED, codec.ERROR), 'refused', 1),
+    Case('bad checksum, then a reply', lambda rig, r, n: _refusal(codec.BAD_CHECKSUM)
+         if n == 1 else _ok(rig, r, 0), 'done', 2),
+    Case('not synchronised, then a reply', lambda rig, r, n: _refusal(codec.NOT_SYNCHRONISED)
+         if n == 1 else _ok(rig, r, 0), 'done', 2),
+    Case('too long', lambda rig, r, n: _refusal(0x20), 'refused', 1),
+    Case('executed without a reply', lambda rig, r, n: Reaction([], True), 'not known', 1),
+    Case('lost request', lambda rig, r, n: Reaction(), 'not known', 1),
+    Case('late reply', lambda rig, r, n: _ok(rig, r, MOTION_TIMEOUT + _LATE), 'not known', 1),
+    Case('damaged reply', lambda rig, r, n: _damaged(rig, r), 'not known', 1),
+    Case('two replies at once', lambda rig, r, n: _ok(rig, r, 0, 0), 'done', 1),
+    Case('two replies, 5 ms apart', lambda rig, r, n: _ok(rig, r, 0, 0.005), 'done', 1),
+    Case('two replies, 40 ms apart', lambda rig, r, n: _ok(rig, r, 0, 0.04), 'done', 1))
 
 
 class Calls:
-    """Calls with numbers of their own, and the rows of what they were told."""
+    """Makes calls with unique numbers, and checks their outcomes."""
 
-    def __init__(self, field: Field) -> None:
-        row = field.row
-        self.field = field
-        self.success = row('bus', 'told success: executed exactly once')
-        self.refused = row('bus', 'told refused or not sent: not executed')
-        self.timeout = row('bus', 'told timeout: executed once or not at all')
-        self.again = row('bus', 'nothing that moves is sent again unless the board did nothing')
-        self.as_was = row('bus', 'what a caller is told is what the board answered')
-        self.in_time = row('bus', 'a call always answers: its timeout + 0.8 s, 0.2 s for ROS')
-        self.others = row('bus', 'no late or doubled reply answers another request')
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        self.done = rig.require('bus', 'outcome done: executed exactly once')
+        self.refused = rig.require('bus', 'outcome refused or not sent: not executed')
+        self.not_known = rig.require('bus', 'outcome not known: executed at most once')
+        self.sent_again = rig.require('bus', 'a motion is sent again only if it was not executed')
+        self.matches = rig.require('bus', 'the outcome of a call matches what the board replied')
+        self.in_time = rig.require('bus', 'a call returns within timeout + 0.8 s + 0.2 s for ROS')
+        self.own_reply = rig.require('bus', 'no late or doubled reply is used for another request')
         self._number = 0
 
-    def arguments(self, service: str) -> Tuple[Tuple, Key]:
-        """Of the next call, and the (CMD2, DATE) by which the board knows it."""
+    def next_arguments(self, service: str) -> Tuple[Tuple, Key]:
+        """The arguments of the next call, and the key of its request."""
         self._number = n = self._number + 1
         if service == 'bus/request':
             data = struct.pack('<I', n)
@@ -88,178 +87,173 @@ class Calls:
         cmd2 = {'lift': codec.LIFT, 'gimbal': codec.GIMBAL, 'press': PRESS}[service]
         return pair, (cmd2, bytes(pair))
 
-    def make(self, service: str, what: str, wanted: str, limit: float = MOTION_TIMEOUT) -> Key:
-        """One call, which has to be told what is `wanted`; its key."""
-        given, key = self.arguments(service)
-        self.judge(key, self.field.robot.call(service, *given), f'{service} {what}', wanted, limit)
+    def call(self, service: str, what: str, wanted: str, limit: float = MOTION_TIMEOUT) -> Key:
+        """Make one call and check its outcome; return the key of its request."""
+        arguments, key = self.next_arguments(service)
+        outcome = self.rig.robot.call(service, *arguments)
+        self.check(key, outcome, f'{service} {what}', wanted, limit)
         return key
 
-    def begin(self) -> Tuple[Key, 'Future[Told]']:
-        """A call of the lift, which is executed and never answered."""
-        given, key = self.arguments('lift')
-        self.field.bus.rule = lambda request: Answer([], True)
-        asked = self.field.robot.calling('lift', *given)
-        self.timeout.wait(lambda: self.field.bus.executed[key], 'the call arrives')
-        return key, asked
+    def start_unanswered(self) -> Tuple[Key, 'Future[Outcome]']:
+        """Start a call of the lift, which is executed without a reply."""
+        arguments, key = self.next_arguments('lift')
+        self.rig.bus.react = lambda request: Reaction([], True)
+        call = self.rig.robot.start_call('lift', *arguments)
+        self.not_known.wait(lambda: self.rig.bus.executed[key], 'the request arrives')
+        return key, call
 
-    def judge(self, key: Key, told: Told, what: str, wanted: str, limit: float) -> None:
-        """Hold one answer against the board."""
-        executed = self.field.bus.executed[key]
-        said = f'{what}: told {told.status} "{told.message[:90]}", executed {executed} times'
-        self.in_time.at_most(told.seconds, limit + WAIT + _SLACK, 's', what)
-        how = 'success' if told.success else {
-            TIMEOUT: 'timeout', NOT_SENT: 'not sent'}.get(told.status, 'refused')
-        self.as_was.check(how == wanted, f'{said}, was {wanted}')
-        if told.success:
-            self.success.check(executed == 1, said)
-            self.others.check(key[0] != MEMORY or told.data == key[1],
-                              f'{what}: answered with the data of another')
-        elif how == 'timeout':
-            self.timeout.check(executed <= 1, said)
+    def check(self, key: Key, outcome: Outcome, what: str, wanted: str, limit: float) -> None:
+        """Compare one outcome with what the board did."""
+        executed = self.rig.bus.executed[key]
+        text = f'{what}: {outcome.status} "{outcome.message[:90]}", executed {executed} times'
+        self.in_time.at_most(outcome.seconds, limit + QUEUE_TIME + _ROS_TIME, 's', what)
+        name = 'done' if outcome.success else {
+            TIMEOUT: 'not known', NOT_SENT: 'not sent'}.get(outcome.status, 'refused')
+        self.matches.check(name == wanted, f'{text}, expected "{wanted}"')
+        if outcome.success:
+            self.done.check(executed == 1, text)
+            self.own_reply.check(key[0] != MEMORY or outcome.data == key[1], f'{what}: other data')
+        elif name == 'not known':
+            self.not_known.check(executed <= 1, text)
         else:
-            self.refused.check(executed == 0, said)
+            self.refused.check(executed == 0, text)
 
-    def received(self, key: Key, times: int, what: str, connection: int = 0) -> None:
-        """The board has received this request so often, since that connection."""
-        seen = sum(request.key == key and request.connection >= connection
-                   for request in self.field.bus.requests)
-        self.again.check(seen == times, f'{what}: received {seen} times, should be {times}')
+    def check_received(self, key: Key, times: int, what: str, connection: int = 0) -> None:
+        """Check how often the board has received this request since that connection."""
+        received = sum(request.key == key and request.connection >= connection
+                       for request in self.rig.bus.requests)
+        self.sent_again.check(received == times, f'{what}: received {received} times, not {times}')
 
 
-def answers(field: Field) -> None:
-    """Every service, whatever the board makes of the request; and behind each such call one that
-    the board refuses, which an answer of before must not make a success."""
-    calls = Calls(field)
+def outcomes(rig: Rig) -> None:
+    """Every service in every case; after each call one that the board refuses, which must fail."""
+    calls = Calls(rig)
     for service in ('lift', 'gimbal', 'bus/request', 'press'):
         for case in CASES:
-            field.calm()
-            given, key = calls.arguments(service)
+            rig.settle()
+            arguments, key = calls.next_arguments(service)
 
-            def rule(request: Request) -> Answer:
+            def react(request: Request) -> Reaction:
                 if request.key != key:
                     return _refusal(codec.FAILED, codec.ERROR)
-                times = [one.key for one in field.bus.requests].count(key)
-                return case.rule(field, request, times)
+                times = [each.key for each in rig.bus.requests].count(key)
+                return case.react(rig, request, times)
 
-            field.bus.rule = rule
-            told = field.robot.call(service, *given)
-            # The next call comes at once: what is late or doubled is still under way.
-            behind = field.robot.call('probe')
+            rig.bus.react = react
+            outcome = rig.robot.call(service, *arguments)
+            # Without a pause: late or doubled replies may still arrive.
+            second = rig.robot.call('probe')
             what = f'{service} {case.name}'
-            calls.judge(key, told, what, case.told, MOTION_TIMEOUT)
-            calls.received(key, case.received, what)
-            calls.others.check(not behind.success,
-                               f'{what}: a call behind it, which was refused, was told as done')
+            calls.check(key, outcome, what, case.outcome, MOTION_TIMEOUT)
+            calls.check_received(key, case.received, what)
+            calls.own_reply.check(not second.success, f'{what}: a refused call returned success')
 
 
-def fences(field: Field) -> None:
-    """A fence before every request: an ECHO with a fresh nonce, answered, in front of each."""
-    row = field.row('bus', 'before every call stands a fence: an ECHO with a fresh nonce')
-    calls = Calls(field)
+def fences(rig: Rig) -> None:
+    required = rig.require('bus', 'a fence, an ECHO with a fresh nonce, precedes every call')
+    calls = Calls(rig)
     nonces: List[bytes] = []
     for index in range(12):
-        field.calm()
-        key = calls.make('lift' if index % 2 else 'bus/request', 'alone', 'success')
-        requests = list(field.bus.requests)
+        rig.settle()
+        key = calls.call('lift' if index % 2 else 'bus/request', 'alone', 'done')
+        requests = list(rig.bus.requests)
         at = [request.key for request in requests].index(key)
         before = requests[at - 1] if at else None
-        row.check(before and before.cmd1 == codec.ECHO and before.data not in nonces,
-                  f'call {index}: before it came {before}')
+        required.check(before and before.cmd1 == codec.ECHO and before.data not in nonces,
+                       f'call {index}: the request before it was {before}')
         nonces += [before.data] if before else []
 
 
-def queue(field: Field) -> None:
-    """Eight callers at once, and a board that takes its time: one request is outstanding, ever."""
-    row = field.row('bus', 'one request is outstanding, ever')
-    calls = Calls(field)
-    field.calm()
-    busy = [0.0]
+def queue(rig: Rig) -> None:
+    """Eight callers at once, and a board that replies after 30 ms."""
+    required = rig.require('bus', 'at most one request is outstanding')
+    calls = Calls(rig)
+    rig.settle()
+    replied_at = [0.0]
 
-    def rule(request: Request) -> Answer:
-        row.check(request.t >= busy[-1], f'{request} came before the reply to another')
-        busy.append(request.t + 0.03)
-        return _ok(field, request, 0.03)
+    def react(request: Request) -> Reaction:
+        required.check(request.t >= replied_at[-1], f'{request} arrived before the last reply')
+        replied_at.append(request.t + 0.03)
+        return _ok(rig, request, 0.03)
 
-    field.bus.rule = rule
-    made = [calls.arguments('bus/request') for _ in range(8)]
-    asked = [field.robot.calling('bus/request', *given) for given, _key in made]
-    for (_given, key), future in zip(made, asked):
-        calls.judge(key, future.result(PATIENCE), 'one of eight at once', 'success', REPLY_TIMEOUT)
+    rig.bus.react = react
+    made = [calls.next_arguments('bus/request') for _ in range(8)]
+    futures = [rig.robot.start_call('bus/request', *arguments) for arguments, _key in made]
+    for (_arguments, key), future in zip(made, futures):
+        calls.check(key, future.result(MAX_WAIT), 'one of eight at once', 'done', REPLY_TIMEOUT)
 
 
-def stopped_caller(field: Field) -> None:
-    """SIGSTOP of a caller while the board works for it: others are served, and then it is told."""
-    served = field.row('bus', 'a caller that is stopped holds up nobody, and is told the truth')
-    calls = Calls(field)
-    child = field.user('caller', 'stopped_caller')
+def suspended_caller(rig: Rig) -> None:
+    """SIGSTOP of a caller while the board executes its request; other callers are served."""
+    required = rig.require('bus', 'a suspended caller delays no other call; its outcome is true')
+    calls = Calls(rig)
+    child = rig.user('caller', 'suspended_caller')
     for index in range(3):
-        field.calm()
-        pair, key = calls.arguments('lift')
-        field.bus.rule = lambda request: _ok(field, request, 0.05)
+        rig.settle()
+        pair, key = calls.next_arguments('lift')
+        rig.bus.react = lambda request: _ok(rig, request, 0.05)
         child.order(f'{pair[0]} {pair[1]}')
-        served.wait(lambda: field.bus.executed[key], 'the call arrives')
+        required.wait(lambda: rig.bus.executed[key], 'the request arrives')
         child.hold()
         for _ in range(3):
-            calls.make('bus/request', 'of another caller', 'success')
+            calls.call('bus/request', 'of another caller', 'done')
         child.send(signal.SIGCONT)
-        served.wait(lambda: child.tail().count('told True') > index, 'it is told')
-        served.check(field.bus.executed[key] == 1, f'executed {field.bus.executed[key]} times')
-    field.end(child)
+        required.wait(lambda: child.tail().count('returned True') > index, 'the call returns')
+        required.check(rig.bus.executed[key] == 1, f'executed {rig.bus.executed[key]} times')
+    rig.end(child)
 
 
-def unplugged_while_asked(field: Field) -> None:
-    """The port goes before the reply comes; and calls while it is gone."""
-    calls, back = Calls(field), field.row(*BACK)
-    first = field.row('bus', 'after a reconnect SYNC, until the board answers, and nothing else')
+def unplugged_during_call(rig: Rig) -> None:
+    """The port disappears before the reply; calls while it is absent, and afterwards."""
+    calls, returns = Calls(rig), rig.require(*PORT_RETURNS)
+    sync = rig.require('bus', 'after a reconnect the first request is SYNC')
     for index in range(3):
-        field.calm()
-        asked, future = calls.begin()
-        field.bus_line.unplug()
-        calls.judge(asked, future.result(PATIENCE), 'unplugged while asked', 'timeout',
-                    MOTION_TIMEOUT)
-        absent = calls.make('lift', 'while unplugged', 'not sent', WAIT)
-        connection, field.bus.rule = field.bus.connection, None
-        began, count = time.monotonic(), len(field.bus.requests)
-        field.bus_line.plug(another_name=bool(index % 2))
-        field.wait(lambda: len(field.bus.requests) > count, 'the port is opened again')
-        opened = field.bus.requests[count]
-        back.at_most(opened.t - began, RETURN, 's', 'bus')
-        first.check(opened.cmd1 == codec.SYNC, f'the first request was {opened}')
-        calls.make('lift', 'after a reconnect', 'success')
-        for key in (asked, absent):
-            calls.received(key, 0, 'a request of before the reconnect', connection)
+        rig.settle()
+        outstanding, future = calls.start_unanswered()
+        rig.bus_line.unplug()
+        calls.check(outstanding, future.result(MAX_WAIT), 'unplugged', 'not known', MOTION_TIMEOUT)
+        absent = calls.call('lift', 'while unplugged', 'not sent', QUEUE_TIME)
+        connection, rig.bus.react = rig.bus.connection, None
+        began, count = time.monotonic(), len(rig.bus.requests)
+        rig.bus_line.plug(another_name=bool(index % 2))
+        rig.wait(lambda: len(rig.bus.requests) > count, 'the port is opened again')
+        first = rig.bus.requests[count]
+        returns.at_most(first.t - began, PORT_RETURN, 's', 'bus')
+        sync.check(first.cmd1 == codec.SYNC, f'the first request was {first}')
+        calls.call('lift', 'after a reconnect', 'done')
+        for key in (outstanding, absent):
+            calls.check_received(key, 0, 'a request from before the reconnect', connection)
 
 
-def stopped_bridge(field: Field) -> None:
-    """SIGSTOP of the bridge while it waits for a reply, which comes meanwhile: it is old."""
-    calls = Calls(field)
+def suspended_bridge(rig: Rig) -> None:
+    """SIGSTOP of the bridge while it waits for a reply, which arrives meanwhile, so it is stale."""
+    calls = Calls(rig)
     for _ in range(2):
-        field.calm()
-        key, asked = calls.begin()
-        with field.held():
-            field.bus_line.write(reply(codec.OK))
-            field.let_pass(1.0)
-        field.bus.rule = None
-        calls.judge(key, asked.result(PATIENCE), 'the bridge was stopped meanwhile', 'timeout',
-                    MOTION_TIMEOUT + 1.0)
-        calls.received(calls.make('lift', 'behind a stop', 'success'), 1, 'behind a stop')
+        rig.settle()
+        key, future = calls.start_unanswered()
+        with rig.suspended():
+            rig.bus_line.write(reply_frame(codec.OK))
+            rig.sleep(1.0)
+        rig.bus.react = None
+        calls.check(key, future.result(MAX_WAIT), 'stall', 'not known', MOTION_TIMEOUT + 1.0)
+        calls.check_received(calls.call('lift', 'after a stall', 'done'), 1, 'after a stall')
 
 
-def polls(field: Field) -> None:
-    """Two polled functions of one length and the air, every reply twice: none gets another's."""
-    row = field.row('bus', 'every polled value is one that the board gave for that function')
+def polls(rig: Rig) -> None:
+    """Two polled functions with equally long replies, and the environment; all replies doubled."""
+    required = rig.require('bus', 'every polled value is from a reply to that function')
     for delay in (0.0, 0.005, 0.04):
-        field.robot.forget()
-        field.bus.rule = lambda request: _ok(field, request, 0, delay)
+        rig.robot.clear_records()
+        rig.bus.react = lambda request: _ok(rig, request, 0, delay)
         for topic in ('~depth', '~height', '~environment'):
-            row.wait(lambda: len(field.robot.got[topic]) >= 5, f'{topic} is polled')
-    field.bus.rule = None
+            required.wait(lambda: len(rig.robot.published[topic]) >= 5, f'{topic} is polled')
+    rig.bus.react = None
     for topic in ('~depth', '~height', '~environment'):
-        given = {one.key: one.wall for one in field.bus.sent if one.topic == topic}
-        for one in list(field.robot.got[topic]):
-            row.check(one.key in given, f'{topic}: {one.key}, which the board never gave for it')
-            if one.key in given:
-                field.judge_stamp(given[one.key], one, topic)
+        sent = {each.key: each.wall for each in rig.bus.sent if each.topic == topic}
+        for message in list(rig.robot.published[topic]):
+            required.check(message.key in sent, f'{topic}: {message.key}, which was not sent')
+            if message.key in sent:
+                rig.check_stamp(sent[message.key], message, topic)
 
 
-SCENARIOS = answers, fences, queue, stopped_caller, unplugged_while_asked, stopped_bridge
+SCENARIOS = outcomes, fences, queue, suspended_caller, unplugged_during_call, suspended_bridge

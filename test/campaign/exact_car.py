@@ -1,8 +1,7 @@
-"""The model car, exactly: what reached it against what was commanded.
+"""The model car, exactly: compares the packets that it received with what was commanded.
 
-Every command carries a number of its own. Times on the line are counted in heartbeats: however late
-this process reads them, their number between two packets is what it was. Where something must not
-come, a later command, or heartbeats, are waited for, which come after it on the same line.
+Every command has a unique number. Times are counted in heartbeats, which late reads do not change.
+To see that a packet does not arrive, a scenario waits for later packets on the same line.
 """
 import contextlib
 import signal
@@ -12,339 +11,338 @@ from typing import Any, List, Tuple
 
 import by_definition as codec
 from processes import StageError
-from .boards import BEAT, WINCH, Packet
-from .field import BACK, FIRST, LATCHED, RETURN, SPEED_TIMEOUT, UNTIL_PUBLISHED, Field
+from .boards import PERIOD, WINCH, Packet
+from .requirements import Requirement
+from .rig import (ERRORS_COUNTED, LATCHED, PORT_RETURN, PORT_RETURNS, SPEED_TIMEOUT, STOP_FIRST,
+                  UNTIL_PUBLISHED, Rig)
 
 TYPES = {'speed': codec.SPEED, 'steering': codec.STEERING, 'winch': WINCH}
-COUNTED = 'every error is counted by its cause and costs no valid frame'
-_LATE_ZERO = 0.05        # s that SPEED 0 may come later than speed_timeout
+_STOP_DELAY = 0.05       # s that SPEED 0 may be sent later than speed_timeout
 _REPEAT_PERIOD = 0.05    # s
-_REPEATED = 1.0          # s
+_REPEAT_TIME = 1.0       # s
 _AGE = 0.8               # s, over arduino/command_age
-_AFTER = 60              # heartbeats in which nothing may come
-_STOPPED = 1.2           # s of SIGSTOP
+_HEARTBEATS_AFTER = 60   # heartbeats until a packet that must not arrive would have arrived
+_STALL = 1.2             # s of SIGSTOP
 
 
 class Drive:
-    """Commands with numbers of their own; one after the other."""
+    """Publishes commands with unique numbers."""
 
-    def __init__(self, field: Field) -> None:
-        self.field = field
-        self.arrives = field.row('commands', 'a command reaches an open port at once, and once')
-        self.nothing_old = field.row('motor', 'nothing old drives the motor: not sent, not kept')
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        self.arrives = rig.require('commands', 'every command reaches the board of an open port')
+        self.no_old = rig.require('motor', 'no command from before a reconnect, stall or restart')
         self._number = 0
 
-    def next(self) -> int:
-        """A value that was not commanded in this scenario."""
+    def next_number(self) -> int:
         self._number += 1
         return self._number
 
     def command(self, name: str = 'speed', value: int = 0) -> Packet:
-        """Publish it, or the next number; the packet that came of it."""
-        value, since = value or self.next(), len(self.field.car.packets)
-        self.field.robot.command(name, value)
-        return self.arrives.wait(lambda: self.field.car.packet(TYPES[name], value, since),
+        """Publish this value, or else the next number; return its packet once it arrives."""
+        value, since = value or self.next_number(), len(self.rig.car.packets)
+        self.rig.robot.command(name, value)
+        return self.arrives.wait(lambda: self.rig.car.packet(TYPES[name], value, since),
                                  f'{name} {value} arrives')
 
-    def in_vain(self, times: int, *names: str) -> List[int]:
-        """Publish numbers of which none is to arrive, 50 ms apart; they are returned."""
-        values = [self.next() for _ in range(times)]
+    def publish(self, times: int, *names: str) -> List[int]:
+        """Publish the next numbers, 50 ms apart, without waiting for them; return them."""
+        values = [self.next_number() for _ in range(times)]
         for value in values:
             for name in names:
-                self.field.robot.command(name, value)
-            self.field.let_pass(0.05)
+                self.rig.robot.command(name, value)
+            self.rig.sleep(0.05)
         return values
 
-    def again(self) -> Packet:
-        """Command new speeds until one is taken: the bridge takes commands again."""
-        field, since = self.field, len(self.field.car.packets)
+    def command_until_accepted(self) -> Packet:
+        """Publish new speeds until the bridge sends one of them."""
+        rig, since = self.rig, len(self.rig.car.packets)
         first = self._number + 1
 
-        def taken() -> Any:
-            field.robot.command('speed', self.next())
-            field.beats(3)
-            return next((packet for packet in field.car.packets[since:]
+        def accepted() -> Any:
+            rig.robot.command('speed', self.next_number())
+            rig.wait_heartbeats(3)
+            return next((packet for packet in rig.car.packets[since:]
                          if packet.type == codec.SPEED and packet.number >= first), None)
-        return self.arrives.wait(taken, 'a command is taken again')
+        return self.arrives.wait(accepted, 'a command arrives again')
 
-    def none_of(self, values: List[int], name: str, what: str, since: int = 0) -> None:
-        came = set(self.field.car.commands(TYPES[name], since))
+    def check_not_sent(self, values: List[int], name: str, what: str, since: int = 0) -> None:
+        sent = set(self.rig.car.commands(TYPES[name], since))
         for value in values:
-            self.nothing_old.check(value not in came, f'{name} {value}, {what}, reached the board')
+            self.no_old.check(value not in sent, f'{name} {value}, {what}, reached the board')
 
 
-def measurements(field: Field) -> None:
-    """Every kind of message of both boards that talk, a hundred of each."""
-    field.calm()
-    with field.heartbeats():
+def measurements(rig: Rig) -> None:
+    """All types of messages of the car and the sensor board, a hundred of each."""
+    rig.settle()
+    with rig.no_missed_heartbeat():
         for _ in range(50):
             for _ in range(2):
-                field.car.measure()
-                field.sensors.measure()
-                field.sensors.cliff()
-            field.beats(2)
-    field.compare(field.car, field.sensors)
+                rig.car.measure()
+                rig.sensors.measure()
+                rig.sensors.cliff()
+            rig.wait_heartbeats(2)
+    rig.compare(rig.car, rig.sensors)
 
 
-def traffic(field: Field) -> None:
-    """What a subscriber of serial_msg is shown, against what passed on the lines."""
-    row = field.row('data', 'serial_msg has every frame, in and out, once and in order')
-    drive = Drive(field)
-    boards = {'arduino': field.car, 'mcu': field.sensors, 'bus': field.bus}
-    with field.traffic() as shown:
-        field.calm()
+def traffic(rig: Rig) -> None:
+    """What serial_msg shows, compared with the frames on the lines."""
+    required = rig.require('data', 'serial_msg has every received and sent frame once, in order')
+    drive = Drive(rig)
+    boards = {'arduino': rig.car, 'mcu': rig.sensors, 'bus': rig.bus}
+    with rig.traffic() as shown:
+        rig.settle()
         for _ in range(20):
-            field.car.measure()
-            field.sensors.measure()
+            rig.car.measure()
+            rig.sensors.measure()
             drive.command('steering')
-            field.robot.call('bus/echo')
-        came = [codec.arduino_packet(one.type, one.data) for one in field.car.packets]
+            rig.robot.call('bus/echo')
+        to_car = [codec.arduino_packet(each.type, each.data) for each in rig.car.packets]
 
-        def of_now(way: Tuple[str, int], frames: List[bytes]) -> List[bytes]:
+        def matching(way: Tuple[str, int], frames: List[bytes]) -> List[bytes]:
             return [frame for frame in list(shown[way]) if frame in frames]
 
-        for way, frames in ((('arduino', 1), came), *(
-                ((link, 0), board.said) for link, board in boards.items())):
+        for way, frames in ((('arduino', 1), to_car), *(
+                ((link, 0), board.written) for link, board in boards.items())):
             with contextlib.suppress(StageError):
-                field.wait(lambda: len(of_now(way, frames)) >= len(frames), '', UNTIL_PUBLISHED)
-            row.check(of_now(way, frames) == frames, f'{way}: {len(frames)} frames passed, '
-                      f'{len(of_now(way, frames))} of them were shown')
+                rig.wait(lambda: len(matching(way, frames)) >= len(frames), '', UNTIL_PUBLISHED)
+            required.check(matching(way, frames) == frames, f'{way}: {len(frames)} frames, '
+                           f'{len(matching(way, frames))} of them in serial_msg')
 
 
-def commands(field: Field) -> None:
-    """Each kind of command, SPEED beyond its limits included."""
-    row = field.row('commands', 'each arrives as it was given; SPEED saturated; no LED too long')
-    drive = Drive(field)
-    field.calm()
+def commands(rig: Rig) -> None:
+    """Each type of command; SPEED out of its range, invalid LED texts."""
+    required = rig.require('commands', 'values arrive unchanged; SPEED limited, LED text checked')
+    drive = Drive(rig)
+    rig.settle()
     for name, values in (('speed', (1, -2, 999, 1000, -1000)), ('steering', range(1500, 1530)),
                          ('winch', range(40000, 40010))):
         for value in values:
             drive.command(name, value)
-        came = [value for value in field.car.commands(TYPES[name]) if value or name != 'speed']
-        row.check(came == list(values), f'{name}: {list(values)} were given, {came} arrived')
-    for given, taken in ((5000, 1000), (-32768, -1000)):
-        since = len(field.car.packets)
-        field.robot.command('speed', given)
-        row.wait(lambda: field.car.packet(codec.SPEED, taken, since), f'SPEED {given} as {taken}')
+        sent = [value for value in rig.car.commands(TYPES[name]) if value or name != 'speed']
+        required.check(sent == list(values), f'{name}: {list(values)} commanded, {sent} arrived')
+    for commanded, limited in ((5000, 1000), (-32768, -1000)):
+        since = len(rig.car.packets)
+        rig.robot.command('speed', commanded)
+        required.wait(lambda: rig.car.packet(codec.SPEED, limited, since), f'SPEED {limited}')
     for text in ('left', 'x' * 31, 'x' * 30, 'ma\u00f1ana', 'disable'):
-        field.robot.command('led', text)
-    row.wait(lambda: b'disable\0' in [one.data for one in field.car.packets], 'LED disable arrives')
-    lights = [one.data for one in field.car.packets if one.type == codec.LED]
-    row.check(lights == [b'left\0', b'x' * 30 + b'\0', b'disable\0'], f'LED: {lights} arrived')
+        rig.robot.command('led', text)
+    required.wait(lambda: b'disable\0' in [each.data for each in rig.car.packets], 'LED disable')
+    lights = [each.data for each in rig.car.packets if each.type == codec.LED]
+    required.check(lights == [b'left\0', b'x' * 30 + b'\0', b'disable\0'], f'LED {lights} arrived')
 
 
-def stops(field: Field) -> None:
-    """A speed with nothing behind it; a SPEED 0; a speed while SPEED 0 is repeated."""
-    in_time = field.row('motor', 'SPEED 0 within speed_timeout + 50 ms of the last command')
-    early = field.row('motor', 'SPEED 0 commanded, or due by a rule, and never else')
-    drive = Drive(field)
+def stops(rig: Rig) -> None:
+    """A speed without further commands; SPEED 0; a speed while SPEED 0 is repeated."""
+    in_time = rig.require('motor', 'SPEED 0 within speed_timeout + 50 ms of the last command')
+    not_early = rig.require('motor', 'no SPEED 0 before speed_timeout, unless it was commanded')
+    drive = Drive(rig)
 
-    def left_alone() -> Packet:
+    def command_once() -> Packet:
         commanded = time.monotonic()
         packet = drive.command()
-        zero = in_time.wait(lambda: field.car.zero_after(packet), 'SPEED 0')
-        in_time.at_most((zero.since(packet) - BEAT) * 1e3, (SPEED_TIMEOUT + _LATE_ZERO) * 1e3, 'ms',
-                        'by heartbeats')
-        early.check(zero.t - commanded > SPEED_TIMEOUT - 0.005,
-                    f'SPEED 0 {zero.t - commanded:.3f} s after the command')
-        return zero
+        stop = in_time.wait(lambda: rig.car.stop_after(packet), 'SPEED 0')
+        in_time.at_most((stop.since(packet) - PERIOD) * 1e3, (SPEED_TIMEOUT + _STOP_DELAY) * 1e3,
+                        'ms', 'in heartbeats')
+        not_early.check(stop.t - commanded > SPEED_TIMEOUT - 0.005,
+                        f'SPEED 0 {stop.t - commanded:.3f} s after the command')
+        return stop
 
     for _ in range(2):
-        field.calm()
-        _repeated(field, left_alone())
-    field.calm()
+        rig.settle()
+        _check_repetitions(rig, command_once())
+    rig.settle()
     packet = drive.command()
-    field.robot.command('speed', 0)
-    _repeated(field, in_time.wait(lambda: field.car.zero_after(packet), 'SPEED 0'))
+    rig.robot.command('speed', 0)
+    _check_repetitions(rig, in_time.wait(lambda: rig.car.stop_after(packet), 'SPEED 0'))
     drive.command()
-    field.robot.command('speed', 0)
-    in_time.wait(lambda: field.car.commands(codec.SPEED)[-3:] == [0, 0, 0], 'SPEED 0 is repeated')
-    left_alone()        # ends the repetitions
+    rig.robot.command('speed', 0)
+    in_time.wait(lambda: rig.car.commands(codec.SPEED)[-3:] == [0, 0, 0], 'SPEED 0 is repeated')
+    command_once()        # ends the repetitions
 
 
-def _repeated(field: Field, zero: Packet) -> None:
-    row = field.row('motor', 'every SPEED 0 that ends a motion is repeated: 50 ms apart, for 1 s')
-    field.wait(lambda: field.car.beat - field.car.packets[-1].beat > 20, 'the stop is over')
-    zeros = field.car.packets[field.car.packets.index(zero):]
-    row.check(all(one.stops for one in zeros), f'another packet among {zeros}')
-    for before, after in zip(zeros, zeros[1:]):
-        row.at_most((after.since(before) - BEAT) * 1e3, _REPEAT_PERIOD * 1e3 + 10, 'ms',
-                    'from one SPEED 0 to the next, by heartbeats')
-    # The first may have been read late, and a bridge that may not come first beats less often.
-    lasted = max(zeros[-1].since(zero), zeros[-1].t - zero.t)
-    row.check(lasted >= _REPEATED - 2 * _REPEAT_PERIOD, f'for {lasted:.3f} s only')
-    row.check(zeros[-1].since(zero) <= _REPEATED + 2 * _REPEAT_PERIOD,
-              f'for {zeros[-1].since(zero):.2f} s, by heartbeats')
+def _check_repetitions(rig: Rig, stop: Packet) -> None:
+    required = rig.require('motor', 'a SPEED 0 that ends a motion is repeated every 50 ms for 1 s')
+    rig.wait(lambda: rig.car.heartbeats - rig.car.packets[-1].heartbeats > 20, 'the last SPEED 0')
+    stops = rig.car.packets[rig.car.packets.index(stop):]
+    required.check(all(each.is_stop for each in stops), f'another packet among {stops}')
+    for before, after in zip(stops, stops[1:]):
+        required.at_most((after.since(before) - PERIOD) * 1e3, _REPEAT_PERIOD * 1e3 + 10, 'ms',
+                         'from one SPEED 0 to the next, in heartbeats')
+    # A late read makes the first of these too short, and a late bridge the second.
+    duration = max(stops[-1].t - stop.t, stops[-1].since(stop))
+    required.check(duration >= _REPEAT_TIME - 2 * _REPEAT_PERIOD, f'for {duration:.3f} s only')
+    required.check(stops[-1].since(stop) <= _REPEAT_TIME + 2 * _REPEAT_PERIOD,
+                   f'for {stops[-1].since(stop):.2f} s, in heartbeats')
 
 
-def openings(field: Field) -> None:
-    """Unplugged while it stands and while it drives, back under the same and under another name."""
-    first, back = field.row(*FIRST), field.row(*BACK)
-    drive = Drive(field)
+def openings(rig: Rig) -> None:
+    """Unplugged while it stands or drives, and plugged in under the same name or another one."""
+    first, returns = rig.require(*STOP_FIRST), rig.require(*PORT_RETURNS)
+    drive = Drive(rig)
     for index in range(4):
-        field.calm()
+        rig.settle()
         old = [drive.command().number] if index % 2 else []
-        field.car_line.unplug()
-        old += drive.in_vain(5, 'speed')
-        since, began = len(field.car.packets), time.monotonic()
-        field.car_line.plug(another_name=index > 1)
-        field.wait(lambda: field.car.beat, 'heartbeats')
-        back.at_most(field.car.beats[0] - began, RETURN, 's', 'arduino')
-        field.beats(_AFTER)
-        one = field.car.first[field.car.connection]
-        first.check(one.stops, f'{one} was the first')
-        drive.none_of(old, 'speed', 'commanded before the reconnect', since)
+        rig.car_line.unplug()
+        old += drive.publish(5, 'speed')
+        since, began = len(rig.car.packets), time.monotonic()
+        rig.car_line.plug(another_name=index > 1)
+        rig.wait(lambda: rig.car.heartbeats, 'heartbeats')
+        returns.at_most(rig.car.heartbeat_times[0] - began, PORT_RETURN, 's', 'arduino')
+        rig.wait_heartbeats(_HEARTBEATS_AFTER)
+        packet = rig.car.first[rig.car.connection]
+        first.check(packet.is_stop, f'the first packet was {packet}')
+        drive.check_not_sent(old, 'speed', 'from before the reconnect', since)
         drive.command()
 
 
-def old_stamps(field: Field) -> None:
-    """Stamps of before, and of a time to come."""
-    row = field.row('old commands', 'a stamp over 0.5 s old, or ahead, is refused; SPEED 0 never')
-    drive = Drive(field)
-    field.calm()
+def old_stamps(rig: Rig) -> None:
+    """Stamps in the past and in the future."""
+    required = rig.require('old commands', 'a stamp over 0.5 s off is refused, except for SPEED 0')
+    drive = Drive(rig)
+    rig.settle()
     for name in ('speed', 'steering'):
         for age in (_AGE, 3600.0, -_AGE, -3600.0):
-            bad = drive.next()
-            field.robot.command(name, bad, time.time() - age)
+            old = drive.next_number()
+            rig.robot.command(name, old, time.time() - age)
             drive.command(name)         # on the same connection
-            row.check(field.car.packet(TYPES[name], bad) is None,
-                      f'{name}, its stamp {age:g} s old, arrived')
-        value = drive.next()
-        field.robot.command(name, value, time.time())
-        row.wait(lambda: field.car.packet(TYPES[name], value), f'{name} with a stamp of now')
+            required.check(rig.car.packet(TYPES[name], old) is None,
+                           f'{name} with a stamp {age:g} s old arrived')
+        value = drive.next_number()
+        rig.robot.command(name, value, time.time())
+        required.wait(lambda: rig.car.packet(TYPES[name], value), f'{name} with the present time')
     for age in (3600.0, -3600.0):
         packet = drive.command()
-        field.robot.command('speed', 0, time.time() - age)
-        zero = row.wait(lambda: field.car.zero_after(packet), 'SPEED 0')
-        row.check(zero.since(packet) < SPEED_TIMEOUT - 0.05,
-                  f'SPEED 0, its stamp {age:g} s old, was refused')
+        rig.robot.command('speed', 0, time.time() - age)
+        stop = required.wait(lambda: rig.car.stop_after(packet), 'SPEED 0')
+        required.check(stop.since(packet) < SPEED_TIMEOUT - 0.05,
+                       f'SPEED 0 with a stamp {age:g} s old was refused')
 
 
-def latched(field: Field) -> None:
-    """A publisher that latches appears, and appears again under its name."""
-    row = field.row(*LATCHED)
-    field.calm()
-    for first, second, taken in ((101, 102, True), (201, 202, False)):
-        child = field.user('latch', 'latcher', first, second)
-        row.wait(lambda: 'connected' in child.tail()[-12:], 'the bridge connects')
-        child.order('next')     # on the same connection, behind the latched one
-        row.wait(lambda: field.car.packet(codec.SPEED, second), 'the next one arrives')
-        times = field.car.commands(codec.SPEED).count(first)
-        row.check(times == taken, f'latched by a publisher {"new" if taken else "heard before"}: '
-                                  f'arrived {times} times')
-        field.end(child)
+def latched(rig: Rig) -> None:
+    """A latching publisher connects, ends, and another one connects under its name."""
+    required = rig.require(*LATCHED)
+    rig.settle()
+    for first, second, accepted in ((101, 102, True), (201, 202, False)):
+        child = rig.user('latching', 'latching', first, second)
+        required.wait(lambda: 'connected' in child.tail()[-12:], 'the bridge connects')
+        child.order('next')     # on the same connection
+        required.wait(lambda: rig.car.packet(codec.SPEED, second), 'the second speed arrives')
+        times = rig.car.commands(codec.SPEED).count(first)
+        required.check(times == accepted, f'the latched speed {first} arrived {times} times')
+        rig.end(child)
 
 
-def old_connection(field: Field) -> None:
-    """Two publishers of one name: the older one stands still, and wakes."""
-    row = field.row('old commands', 'of one name only the newest connection is listened to')
-    field.calm()
-    older = field.user('driver', 'twin', 100)
-    row.wait(lambda: field.car.commands(codec.SPEED), 'the first one drives')
+def old_connection(rig: Rig) -> None:
+    """Two publishers with the same name: the older one is suspended, and continues."""
+    required = rig.require('old commands', 'only the newest connection of each publisher is used')
+    rig.settle()
+    older = rig.user('speeds', 'same_name', 100)
+    required.wait(lambda: rig.car.commands(codec.SPEED), 'speeds of the first one')
     older.hold()
-    newer = field.user('driver', 'twin', 500)
-    row.wait(lambda: max(field.car.commands(codec.SPEED)) >= 500, 'the second one does')
-    since = len(field.car.packets)
-    field.beats(10)
+    newer = rig.user('speeds', 'same_name', 500)
+    required.wait(lambda: max(rig.car.commands(codec.SPEED)) >= 500, 'speeds of the second one')
+    since = len(rig.car.packets)
+    rig.wait_heartbeats(10)
     older.send(signal.SIGCONT)
-    field.beats(_AFTER)
-    came = [value for value in field.car.commands(codec.SPEED, since) if 0 < value < 500]
-    row.check(not came, f'{came} came on the old connection')
+    rig.wait_heartbeats(_HEARTBEATS_AFTER)
+    sent = [value for value in rig.car.commands(codec.SPEED, since) if 0 < value < 500]
+    required.check(not sent, f'{sent} arrived from the old connection')
     for child in (newer, older):
-        field.end(child)
+        rig.end(child)
 
 
-def frozen(field: Field) -> None:
-    """The board reads nothing, and the line is full; commands go on."""
-    first = field.row('motor', 'dropped output counts as motion: SPEED 0 is the first thing after')
-    drive = Drive(field)
+def frozen(rig: Rig) -> None:
+    """The board reads nothing and the line is full, while commands are published."""
+    required = rig.require('motor', 'SPEED 0 is the first packet after dropped output')
+    drive = Drive(rig)
     for _ in range(2):
-        field.calm()
+        rig.settle()
         drive.command()
-        with field.held():
-            field.car_line.freeze()
-        since, beat, old = len(field.car.packets), field.car.beat, []
-        for index in range(20):     # what was written into the room of a drop is dropped, too
-            old += drive.in_vain(index < 12, 'speed')
-            field.let_pass(0.05)
-            field.car_line.fill()
-        field.car_line.thaw()
-        field.beats(_AFTER)
-        _stop_is_first(field, first, since, beat)
-        drive.none_of(old, 'speed', 'commanded while the line was frozen', since)
-        drive.again()
+        with rig.suspended():
+            rig.car_line.freeze()
+        since, heartbeats, old = len(rig.car.packets), rig.car.heartbeats, []
+        for index in range(20):     # dropping bytes frees space for new ones, until `fill`
+            old += drive.publish(index < 12, 'speed')
+            rig.sleep(0.05)
+            rig.car_line.fill()
+        rig.car_line.thaw()
+        rig.wait_heartbeats(_HEARTBEATS_AFTER)
+        _check_stop_first(rig, required, since, heartbeats)
+        drive.check_not_sent(old, 'speed', 'commanded while the line was frozen', since)
+        drive.command_until_accepted()
 
 
-def _stop_is_first(field: Field, row: Any, since: int, beat: int) -> None:
-    """Of all packets, heartbeats included, that came since there were so many."""
-    packets = field.car.packets[since:]
-    row.check(packets and packets[0].stops and packets[0].beat == beat,
-              f'{packets[:2]} came first, {packets[0].beat - beat if packets else 0} heartbeats '
-              'before them')
+def _check_stop_first(rig: Rig, required: Requirement, since: int, heartbeats: int) -> None:
+    """Check that SPEED 0 is the first packet after so many others and so many heartbeats."""
+    packets = rig.car.packets[since:]
+    number = packets[0].heartbeats - heartbeats if packets else 0
+    required.check(packets and packets[0].is_stop and not number,
+                   f'first {number} heartbeats, then {packets[:2]}')
 
 
-def stopped_bridge(field: Field) -> None:
-    """SIGSTOP of the bridge; commands and data come meanwhile."""
-    first = field.row('motor', 'after a stall of over 0.5 s SPEED 0 is the first packet')
-    stale = field.row('data', 'what waited during a stall is dropped, and counted as stale')
-    back = field.row('data', 'data again after a stall, by heartbeats')
-    drive, names = Drive(field), ('speed', 'steering', 'winch')
+def suspended_bridge(rig: Rig) -> None:
+    """SIGSTOP of the bridge, while commands and data are sent."""
+    first = rig.require('motor', 'SPEED 0 is the first packet after a stall of over 0.5 s')
+    stale = rig.require('data', 'bytes that waited during a stall are dropped, counted as stale')
+    returns = rig.require('data', 'data is published again after a stall (time in heartbeats)')
+    drive, names = Drive(rig), ('speed', 'steering', 'winch')
     for _ in range(2):
-        field.calm()
+        rig.settle()
         car, mcu = {'stale': 0}, {'stale': 0}
-        with field.counts(stale, 'arduino', car), field.counts(stale, 'mcu', mcu):
+        with rig.counted(stale, 'arduino', car), rig.counted(stale, 'mcu', mcu):
             drive.command()
             old: List[int] = []
-            with field.held():
-                since, beat = len(field.car.packets), field.car.beat
+            with rig.suspended():
+                since, heartbeats = len(rig.car.packets), rig.car.heartbeats
                 for _ in range(6):
-                    old += drive.in_vain(1, *names)
-                    field.car.measure()
-                    field.sensors.measure()
-                    field.let_pass(_STOPPED / 6 - 0.05)
-            field.beats(_AFTER)
-            car['stale'] = len(b''.join(field.car.said))
-            mcu['stale'] = len(b''.join(field.sensors.said))
-        _stop_is_first(field, first, since, beat)
+                    old += drive.publish(1, *names)
+                    rig.car.measure()
+                    rig.sensors.measure()
+                    rig.sleep(_STALL / 6 - 0.05)
+            rig.wait_heartbeats(_HEARTBEATS_AFTER)
+            car['stale'] = len(b''.join(rig.car.written))
+            mcu['stale'] = len(b''.join(rig.sensors.written))
+        _check_stop_first(rig, first, since, heartbeats)
         for name in names:
-            drive.none_of(old, name, 'commanded while the bridge was stopped', since)
-        for topic in {one.topic for one in field.car.sent + field.sensors.sent}:
-            came = [one.key for one in field.robot.got[topic] if one.key is not None]
-            stale.check(not came, f'{topic}: {came[:3]} were published')
-        beat = field.car.beat
-        field.flows('~counter', field.car.measure, back)
-        back.note((field.car.beat - beat) * BEAT, 's')
-        drive.again()
+            drive.check_not_sent(old, name, 'commanded while the bridge was suspended', since)
+        for topic in {each.topic for each in rig.car.sent + rig.sensors.sent}:
+            keys = [each.key for each in rig.robot.published[topic] if each.key is not None]
+            stale.check(not keys, f'{topic}: {keys[:3]} were published')
+        heartbeats = rig.car.heartbeats
+        rig.wait_for_data('~counter', rig.car.measure, returns)
+        returns.keep_worst((rig.car.heartbeats - heartbeats) * PERIOD, 's')
+        drive.command_until_accepted()
 
 
-def calibration(field: Field) -> None:
-    """While the board calibrates it reads nothing: it is told nothing."""
-    row = field.row('motor', 'nothing for a board that calibrates; SPEED 0 before the request')
-    over = field.row('commands', 'a calibration is over with IMU data after a silence, not before')
-    drive = Drive(field)
+def calibration(rig: Rig) -> None:
+    """The board does not read while it calibrates, so nothing is sent to it."""
+    required = rig.require('motor', 'SPEED 0 precedes a calibration; nothing is sent during it')
+    over = rig.require('commands', 'a calibration ends with the first IMU data after a silence')
+    drive = Drive(rig)
     for moves in (True, False):
-        field.calm()
+        rig.settle()
         if moves:
             drive.command()
-        field.robot.call('calibrate_imu')
-        request = row.wait(lambda: [one for one in field.car.packets
-                                    if one.type == codec.CALIBRATION], 'the request')[0]
-        at = field.car.packets.index(request)
-        row.check(not moves or field.car.packets[at - 1].stops,
-                  f'{field.car.packets[at - 1:at]} came before it')
-        field.car.measure()         # was under way as the calibration began
-        drive.in_vain(46, *TYPES)
-        field.beats(10)
-        row.check(len(field.car.packets) == at + 1,
-                  f'{field.car.packets[at + 1:at + 3]} came while it calibrated')
-        field.car.measure()
-        over.check(drive.again(), '')
+        rig.robot.call('calibrate_imu')
+        request = required.wait(lambda: [each for each in rig.car.packets
+                                         if each.type == codec.CALIBRATION], 'the request')[0]
+        at = rig.car.packets.index(request)
+        required.check(not moves or rig.car.packets[at - 1].is_stop,
+                       f'the packet before it was {rig.car.packets[at - 1:at]}')
+        rig.car.measure()           # the IMU packet that was on its way when it began
+        drive.publish(46, *TYPES)
+        rig.wait_heartbeats(10)
+        required.check(len(rig.car.packets) == at + 1,
+                       f'{rig.car.packets[at + 1:at + 3]} were sent during it')
+        rig.car.measure()
+        over.check(drive.command_until_accepted(), '')
 
 
-def damaged(field: Field) -> None:
-    """Packets that are none, each among good ones."""
-    row = field.row('data', COUNTED)
-    bad = (
+def damaged(rig: Rig) -> None:
+    """Invalid packets, each between valid ones."""
+    required = rig.require(*ERRORS_COUNTED)
+    invalid = (
         ('framing errors', b'\x09\x01\x02\x00'),
         ('length errors', codec.arduino_packet(codec.TICKS, b'\1\2')),
         ('unknown type errors', codec.arduino_packet(200, b'abc')),
@@ -352,15 +350,15 @@ def damaged(field: Field) -> None:
         ('implausible errors', codec.arduino_packet(codec.IMU, bytes(22))),
         ('implausible errors', codec.arduino_packet(codec.STEERING_ANGLE, b'\xFF\xFF')),
         ('oversize errors', b'\x01' * 300 + b'\0'))
-    field.calm()
-    keys = [key for key, _packet in bad]
-    with field.counts(row, 'arduino', {key: keys.count(key) for key in keys}):
-        for _key, packet in bad:
-            field.car.measure()
-            field.car_line.write(packet)
-            field.car.measure()
-        field.compare(field.car)
+    rig.settle()
+    keys = [key for key, _packet in invalid]
+    with rig.counted(required, 'arduino', {key: keys.count(key) for key in keys}):
+        for _key, packet in invalid:
+            rig.car.measure()
+            rig.car_line.write(packet)
+            rig.car.measure()
+        rig.compare(rig.car)
 
 
 SCENARIOS = (measurements, traffic, commands, stops, openings, old_stamps, latched, old_connection,
-             frozen, stopped_bridge, calibration, damaged)
+             frozen, suspended_bridge, calibration, damaged)

@@ -1,4 +1,4 @@
-"""The node, exactly: what happens to it as a process, and beside it."""
+"""The node, exactly: what happens to its process, and to others that it works with."""
 import json
 import signal
 import time
@@ -8,70 +8,70 @@ from typing import Any, Dict, FrozenSet, Tuple
 import rosgraph
 
 import by_definition as codec
-from .boards import CUSTOM, POLLED, Answer
+from .boards import CUSTOM, POLLED, Reaction
 from .exact_bus import Calls
 from .exact_car import Drive, measurements
-from .field import FIRST, LATCHED, MOTION_TIMEOUT, Field
+from .requirements import MAX_WAIT
+from .rig import LATCHED, MOTION_TIMEOUT, STOP_FIRST, Rig
 from .robot import NODE
-from .rows import PATIENCE
 
-ENDING = 2.0             # s
-MASTER_RETURN = 10.0     # s
-NETWORK_AGE = 1.5        # s: about arduino/network_silence
-NETWORK_RETURN = 3.0     # s
+_END = 2.0               # s
+_MASTER_RETURN = 10.0    # s
+_NETWORK_AGE = 1.5       # s: arduino/network_silence and some delay
+_NETWORK_RETURN = 3.0    # s
 POLLING: Dict[str, Any] = {
     'bus/environment_period': 0.1,
     'bus/functions': json.dumps({**CUSTOM['bus/functions'], **POLLED})}
 
 
-def second_bridge(field: Field) -> None:
-    """One of the same name is started: it ends, and the first one goes on."""
-    row = field.row('node', 'a second bridge of the same name ends and takes nothing away')
-    field.calm()
-    with field.heartbeats():
-        second = field.child('second', [*field.bridge_command, f'__name:={NODE[1:]}'])
-        row.wait(lambda: not second.alive, 'it ends')
-    row.check(second.process.returncode == 3, f'its status is {second.process.returncode}')
+def second_bridge(rig: Rig) -> None:
+    """Another bridge with the same name is started."""
+    required = rig.require('node', 'a second bridge with the same name ends; the first continues')
+    rig.settle()
+    with rig.no_missed_heartbeat():
+        second = rig.child('second', [*rig.bridge_command, f'__name:={NODE[1:]}'])
+        required.wait(lambda: not second.alive, 'it ends')
+    required.check(second.process.returncode == 3, f'exit status {second.process.returncode}')
     uri = rosgraph.Master('/campaign').lookupNode(NODE)
-    row.check(xmlrpc.client.ServerProxy(uri).getPid('/campaign')[2] == field.child_bridge.pid,
-              'the master knows the second one')
-    Drive(field).command()
+    required.check(xmlrpc.client.ServerProxy(uri).getPid('/campaign')[2] == rig.child_bridge.pid,
+                   'the second one is registered at the master')
+    Drive(rig).command()
 
 
-def stopped_subscriber(field: Field) -> None:
-    """SIGSTOP of a subscriber of everything."""
-    child = field.user('listener', 'stopped_listener')
+def suspended_subscriber(rig: Rig) -> None:
+    """SIGSTOP of a subscriber of all topics."""
+    child = rig.user('subscriber', 'suspended_subscriber')
     child.hold()
-    measurements(field)
-    field.end(child)
+    measurements(rig)
+    rig.end(child)
 
 
-def new_master(field: Field) -> None:
-    """roscore ends, and another one begins at its address."""
-    back = field.row('node', 'a new master: topics, services, parameters are back within 10 s')
-    same = field.row('node', 'meanwhile no port is opened anew, and commands go on')
-    field.calm()
+def new_master(rig: Rig) -> None:
+    """roscore ends, and another one starts at its address."""
+    returns = rig.require('node', 'topics, services, parameters return within 10 s of a new master')
+    continues = rig.require('node', 'without a master the ports stay open and commands arrive')
+    rig.settle()
     before = _registered()
-    connections = field.car.connection, field.bus.connection, field.sensors.connection
-    drive = Drive(field)
-    with field.heartbeats():
-        field.ask_master_to_end()
-        field.wait(lambda: not field.master_runs, 'the master has ended')
+    connections = rig.car.connection, rig.bus.connection, rig.sensors.connection
+    drive = Drive(rig)
+    with rig.no_missed_heartbeat():
+        rig.ask_master_to_end()
+        rig.wait(lambda: not rig.master_runs, 'the master has ended')
         drive.command()
-        field.end_master()
-        field.start_master()
+        rig.end_master()
+        rig.start_master()
         began = time.monotonic()
-        back.wait(lambda: _registered() >= before, 'all is registered')
-        back.at_most(time.monotonic() - began, MASTER_RETURN, 's', 'all is registered')
-    field.robot.register_again()
+        returns.wait(lambda: _registered() >= before, 'all is registered')
+        returns.at_most(time.monotonic() - began, _MASTER_RETURN, 's', 'all is registered')
+    rig.robot.register_again()
     drive.command()
-    same.check(field.robot.call('lift', 0, 2).success, 'a call was not served')
-    same.check((field.car.connection, field.bus.connection, field.sensors.connection)
-               == connections, 'a port was opened anew')
+    continues.check(rig.robot.call('lift', 0, 2).success, 'a call failed')
+    continues.check((rig.car.connection, rig.bus.connection, rig.sensors.connection)
+                    == connections, 'a port was opened again')
 
 
 def _registered() -> FrozenSet[Tuple[str, str]]:
-    """What the master knows of the bridge; nothing where none answers."""
+    """What the bridge has registered at the master; empty if there is no master."""
     master = rosgraph.Master('/campaign')
     try:
         names = [(str(kind), name) for kind, entries in enumerate(master.getSystemState())
@@ -81,126 +81,126 @@ def _registered() -> FrozenSet[Tuple[str, str]]:
         return frozenset()
 
 
-def resets(field: Field) -> None:
-    """Each board resets: what it was about to send ends, it is silent, and begins anew."""
-    step = field.row('bus', 'a board that resets is brought in step again, with SYNC')
-    calls = Calls(field)
-    field.calm()
-    with field.heartbeats():
-        for board, begun in (field.sensors, b'\x02\x0c\x10\x01'), (field.car, b'\x05\x07\x01'):
+def resets(rig: Rig) -> None:
+    """Each board is reset: its current frame stays incomplete, it is silent, then starts again."""
+    required = rig.require('bus', 'after a reset of the board SYNC brings it in step again')
+    calls = Calls(rig)
+    rig.settle()
+    with rig.no_missed_heartbeat():
+        for board, incomplete in (rig.sensors, b'\x02\x0c\x10\x01'), (rig.car, b'\x05\x07\x01'):
             for _ in range(5):
                 board.measure()
-            board.line.write(begun)
-        key, asked = calls.begin()
-        field.bus.in_step, field.bus.rule = False, None
-        calls.judge(key, asked.result(PATIENCE), 'the board resets', 'timeout', MOTION_TIMEOUT)
-        field.let_pass(1.0)
-        field.sensors.seq = 0
+            board.line.write(incomplete)
+        key, future = calls.start_unanswered()
+        rig.bus.in_step, rig.bus.react = False, None
+        calls.check(key, future.result(MAX_WAIT), 'reset', 'not known', MOTION_TIMEOUT)
+        rig.sleep(1.0)
+        rig.sensors.seq = 0
         for _ in range(5):
-            field.car.measure()
-            field.sensors.measure()
-        calls.make('lift', 'after a reset', 'success')
-        step.check(field.bus.in_step, 'no SYNC has come')
-    field.compare(field.car, field.sensors)
+            rig.car.measure()
+            rig.sensors.measure()
+        calls.call('lift', 'after a reset', 'done')
+        required.check(rig.bus.in_step, 'no SYNC was received')
+    rig.compare(rig.car, rig.sensors)
 
 
-def killed(field: Field) -> None:
-    """SIGKILL while the car drives; then another bridge, a port absent, a publisher latching."""
-    first, old = field.row(*FIRST), field.row(*LATCHED)
-    absent = field.row('ports', 'a port that is absent at the start is waited for')
-    field.calm()
-    drive = Drive(field)
+def killed(rig: Rig) -> None:
+    """SIGKILL while the car drives; then another bridge, an absent port, an old latched speed."""
+    first, latched = rig.require(*STOP_FIRST), rig.require(*LATCHED)
+    absent = rig.require('ports', 'a port that is absent at the start is opened when it appears')
+    rig.settle()
+    drive = Drive(rig)
     number = drive.command().number
-    child = field.user('latch', 'early', 301, 302)
-    field.end(field.child_bridge, signal.SIGKILL)
-    field.car_line.drain()
-    field.car.open_anew()
-    field.bus.open_anew()
-    field.mcu_line.unplug()
-    since = len(field.car.packets)
-    field.start(POLLING)
-    one = field.car.first[field.car.connection]
-    first.check(one.stops, f'{one} was the first')
-    old.wait(lambda: 'connected' in child.tail()[-12:], 'the bridge connects')
+    child = rig.user('latching', 'early', 301, 302)
+    rig.end(rig.child_bridge, signal.SIGKILL)
+    rig.car_line.drain()
+    rig.car.start_connection()
+    rig.bus.start_connection()
+    rig.mcu_line.unplug()
+    since = len(rig.car.packets)
+    rig.start(POLLING)
+    packet = rig.car.first[rig.car.connection]
+    first.check(packet.is_stop, f'the first packet was {packet}')
+    latched.wait(lambda: 'connected' in child.tail()[-12:], 'the bridge connects')
     child.order('next')
-    old.wait(lambda: field.car.packet(codec.SPEED, 302), 'the next one arrives')
-    old.check(not field.car.packet(codec.SPEED, 301, since), 'latched before the start: arrived')
-    drive.none_of([number], 'speed', 'commanded before SIGKILL', since)
-    field.end(child)
-    field.mcu_line.plug()
-    field.flows('mcu/cliff', field.sensors.cliff, absent)
+    latched.wait(lambda: rig.car.packet(codec.SPEED, 302), 'the new speed arrives')
+    latched.check(not rig.car.packet(codec.SPEED, 301, since), 'the latched speed 301 arrived')
+    drive.check_not_sent([number], 'speed', 'from before SIGKILL', since)
+    rig.end(child)
+    rig.mcu_line.plug()
+    rig.wait_for_data('mcu/cliff', rig.sensors.cliff, absent)
 
 
-class Ends:
-    """The bridge is told to end while the car drives and a call waits; or while the ports of bus
-    and mcu take nothing.
+class End:
+    """A signal ends the bridge while the car drives and a call waits for its reply.
 
     Args:
         number: the signal.
+        hang: instead of the call, the ports of bus and mcu take no bytes.
     """
 
     def __init__(self, number: int, hang: bool) -> None:
-        self.__name__ = f'ends by {signal.Signals(number).name}{", ports hang" if hang else ""}'
+        self.__name__ = f'end by {signal.Signals(number).name}{", ports hang" if hang else ""}'
         self._number = number
         self._hang = hang
 
-    def __call__(self, field: Field) -> None:
-        with field.talking():
-            self._end(field)
+    def __call__(self, rig: Rig) -> None:
+        with rig.measuring():
+            self._end(rig)
 
-    def _end(self, field: Field) -> None:
-        row = field.row('node', 'it ends within 2 s, whatever hangs: SPEED 0, then silence')
-        field.calm()
-        drive, lines = Drive(field), (field.bus_line, field.mcu_line)
+    def _end(self, rig: Rig) -> None:
+        required = rig.require('node', 'it ends within 2 s, whatever hangs; last packet SPEED 0')
+        rig.settle()
+        drive, lines = Drive(rig), (rig.bus_line, rig.mcu_line)
         if self._hang:
             for line in lines:
                 line.frozen = True
                 line.fill()
-                line.flow(False)
+                line.set_flow(False)
         else:
-            field.bus.rule = lambda request: Answer([], True)
-            field.robot.calling('lift', 1, 1)
-            field.wait(lambda: field.bus.executed, 'the call arrives')
+            rig.bus.react = lambda request: Reaction([], True)
+            rig.robot.start_call('lift', 1, 1)
+            rig.wait(lambda: rig.bus.executed, 'the request arrives')
         drive.command()
-        row.at_most(field.end(field.child_bridge, self._number), ENDING, 's', self.__name__)
-        field.car_line.drain()
-        last, status = field.car.packets[-1], field.child_bridge.process.returncode
-        beats = [*field.car.ended, field.car.beat][last.connection]
-        row.check(last.stops and last.beat == beats,
-                  f'{self.__name__}: {beats - last.beat} heartbeats after {last}')
-        row.check(status == 0, f'{self.__name__}: its status is {status}')
+        required.at_most(rig.end(rig.child_bridge, self._number), _END, 's', self.__name__)
+        rig.car_line.drain()
+        last, status = rig.car.packets[-1], rig.child_bridge.process.returncode
+        heartbeats = [*rig.car.ended, rig.car.heartbeats][last.connection]
+        required.check(last.is_stop and last.heartbeats == heartbeats,
+                       f'{self.__name__}: {heartbeats - last.heartbeats} heartbeats after {last}')
+        required.check(status == 0, f'{self.__name__}: its exit status is {status}')
         for line in lines if self._hang else ():
-            line.flow(True)
+            line.set_flow(True)
             line.frozen = False
             line.drain()
 
 
-def network(field: Field) -> None:
-    """The car is behind a network, which freezes, or forgets the connection."""
-    fresh = field.row('network', 'no SPEED of over 1.5 s ago reaches a board behind socket://')
-    back = field.row('network', 'heartbeats within 3 s of its return')
-    first, drive, car = field.row(*FIRST), Drive(field), field.car
-    for event in (field.car_line.freeze, field.car_line.vanish, field.car_line.freeze):
-        with field.talking():
-            drive.again()
+def network(rig: Rig) -> None:
+    """The car's network freezes, or loses the connection."""
+    fresh = rig.require('network', 'no SPEED older than 1.5 s reaches a board behind socket://')
+    returns = rig.require('network', "heartbeats within 3 s of the network's return")
+    first, drive, car = rig.require(*STOP_FIRST), Drive(rig), rig.car
+    for event in (rig.car_line.freeze, rig.car_line.lose_connection, rig.car_line.freeze):
+        with rig.measuring():
+            drive.command_until_accepted()
             since, connection = len(car.packets), car.connection
             event()
             commanded: Dict[int, float] = {}
             for _ in range(50):
                 now = time.monotonic()
-                commanded[drive.in_vain(1, 'speed')[0]] = now
-            field.car_line.thaw()
+                commanded[drive.publish(1, 'speed')[0]] = now
+            rig.car_line.thaw()
             returned = time.monotonic()
-            back.wait(lambda: car.connection > connection and car.beat > 5, 'heartbeats')
-            back.at_most(time.monotonic() - returned, NETWORK_RETURN, 's', event.__name__)
-            drive.again()
+            returns.wait(lambda: car.connection > connection and car.heartbeats > 5, 'heartbeats')
+            returns.at_most(time.monotonic() - returned, _NETWORK_RETURN, 's', event.__name__)
+            drive.command_until_accepted()
         for packet in car.packets[since:]:
             if packet.type == codec.SPEED and packet.number in commanded:
-                fresh.at_most(packet.t - commanded[packet.number], NETWORK_AGE, 's',
+                fresh.at_most(packet.t - commanded[packet.number], _NETWORK_AGE, 's',
                               f'{event.__name__}: SPEED {packet.number}')
         for number in range(connection + 1, car.connection + 1):
             if number in car.first:
-                first.check(car.first[number].stops, f'{car.first[number]} was the first')
+                first.check(car.first[number].is_stop, f'the first packet was {car.first[number]}')
 
 
-SCENARIOS = second_bridge, stopped_subscriber, new_master, resets
+SCENARIOS = second_bridge, suspended_subscriber, new_master, resets

@@ -1,5 +1,4 @@
-"""The lines between the bridge and the boards, whose far ends this process holds. Whatever can
-happen to a line is a method here."""
+"""The lines to the bridge, held at their far ends. All that can happen to a line is a method."""
 import contextlib
 import itertools
 import os
@@ -13,14 +12,14 @@ import time
 import tty
 from typing import Callable
 
-_POLL = 20               # ms for which a reader waits, at most, before it looks around
+_POLL = 20               # ms that a reader waits at most until it checks the line's state
 _TICK = 0.002            # s
-_SIZE = 65536            # bytes that are read at once
-_HANDED_ON = 0.05        # s that a pseudo terminal may take to hand bytes on
+_SIZE = 65536            # bytes of one read
+_PTY_DELAY = 0.05        # s that the kernel may take to move bytes through a pseudo terminal
 
 
 class Clock(threading.Thread):
-    """Calls functions at their times, by `time.monotonic`; of one time, the first first."""
+    """Calls functions at given times of `time.monotonic`; those of one time in order."""
 
     def __init__(self) -> None:
         super().__init__(name='clock', daemon=True)
@@ -40,13 +39,13 @@ class Clock(threading.Thread):
             time.sleep(_TICK)
 
 
-class Line(threading.Thread):
-    """A pseudo terminal under a name; `port` is what the bridge is given.
+class SerialLine(threading.Thread):
+    """A pseudo terminal with a fixed name, `port`, which the bridge opens.
 
     Attributes:
-        take: is called with what the bridge wrote and when it was read, by `time.monotonic`.
-        cut: is called as the line is unplugged.
-        to_bridge: what becomes of bytes on their way to the bridge.
+        on_bytes: called with what the bridge wrote, and when it was read by `time.monotonic`.
+        on_unplugged: called when the line is unplugged.
+        damage: returns what the bridge receives for bytes that the board sends.
     """
 
     _is_network = False
@@ -54,19 +53,19 @@ class Line(threading.Thread):
     def __init__(self, path: str) -> None:
         super().__init__(name=os.path.basename(path), daemon=True)
         self.port = path
-        self.take: Callable[[bytes, float], None] = lambda data, now: None
-        self.cut: Callable[[], None] = lambda: None
-        self.to_bridge: Callable[[bytes], bytes] = lambda data: data
+        self.on_bytes: Callable[[bytes, float], None] = lambda data, now: None
+        self.on_unplugged: Callable[[], None] = lambda: None
+        self.damage: Callable[[bytes], bytes] = lambda data: data
         self.frozen = False
         self._master = self._listener = -1
-        self._device = ''        # of the bridge's end, which is `_slave`
+        self._device = ''        # name of `_slave`, which is the bridge's end
         self._lock = threading.RLock()
-        self._taken = 0          # bytes
+        self._bytes_read = 0
         self.plug()
         self.start()
 
     def plug(self, another_name: bool = False) -> None:
-        """It is there; with `another_name` as another device than before."""
+        """Make the port appear; with `another_name` it is another device than before."""
         with self._lock:
             self._master, self._slave = pty.openpty()
             if another_name and os.ttyname(self._slave) == self._device:
@@ -81,7 +80,7 @@ class Line(threading.Thread):
             os.replace(self.port + '~', self.port)
 
     def unplug(self) -> None:
-        """It is gone, with all that was on its way."""
+        """Make the port disappear, with all bytes on their way."""
         with self._lock:
             os.unlink(self.port)
             os.close(self._slave)
@@ -93,44 +92,42 @@ class Line(threading.Thread):
         return self._master >= 0
 
     def freeze(self) -> None:
-        """The board reads nothing any more, and the line has no room. To be called while the
-        bridge is held: what it wrote before has been read, and what it writes next is refused."""
+        """Read nothing any more, and fill the line. To be called while the bridge is suspended:
+        what it wrote before is read, and what it writes afterwards does not fit."""
         self.drain()
         self.frozen = True
-        while self.fill():      # until what was handed on has made no room any more
-            time.sleep(_HANDED_ON)
+        while self.fill():      # until no more bytes leave the line
+            time.sleep(_PTY_DELAY)
 
     def fill(self) -> int:
-        """Take the room that the bridge made as it dropped what waited; how many bytes there was
-        room for. 0x00 means nothing."""
+        """Write 0x00, which has no effect, until the line is full; return how many bytes fitted."""
         fd, size = os.open(self.port, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK), 0
-        for piece in 4096, 256, 1:      # where there is no room for much there may be for little
+        for piece in 4096, 256, 1:      # a smaller piece may fit where a larger one does not
             with contextlib.suppress(BlockingIOError):
                 while True:
                     size += os.write(fd, bytes(piece))
         os.close(fd)
         return size
 
-    def flow(self, flows: bool) -> None:
-        """Whether the bridge's end takes anything: flow control."""
+    def set_flow(self, flows: bool) -> None:
+        """Flow control: whether the bridge's end sends anything."""
         termios.tcflow(self._slave, termios.TCOON if flows else termios.TCOOFF)
 
     def thaw(self) -> None:
         self.frozen = False
 
     def drain(self) -> None:
-        """Take all that the bridge has written, which does nothing meanwhile: a pseudo terminal
-        hands it on a little later."""
-        taken, self._taken = -1, 0
-        while taken != self._taken:
-            taken = self._taken
-            time.sleep(_HANDED_ON)
+        """Read all that a suspended bridge has written, however long the kernel delays it."""
+        before, self._bytes_read = -1, 0
+        while before != self._bytes_read:
+            before = self._bytes_read
+            time.sleep(_PTY_DELAY)
             self.read_all()
 
     def write(self, data: bytes) -> bool:
-        """From the board; False where the line is unplugged or has no room."""
+        """Send bytes to the bridge; False if the line is unplugged or full."""
         with self._lock:
-            data = self.to_bridge(data)
+            data = self.damage(data)
             try:
                 is_up = self.plugged and not (self._is_network and self.frozen)
                 return is_up and os.write(self._master, data) == len(data)
@@ -147,8 +144,8 @@ class Line(threading.Thread):
                 if not data:
                     self._end()
                     return
-                self._taken += len(data)
-                self.take(data, time.monotonic())
+                self._bytes_read += len(data)
+                self.on_bytes(data, time.monotonic())
 
     def run(self) -> None:
         while True:
@@ -162,7 +159,7 @@ class Line(threading.Thread):
         with self._lock:
             os.close(self._master)
             self._master = -1
-            self.cut()
+            self.on_unplugged()
 
 
 def _ready(fd: int, events: int, milliseconds: int) -> bool:
@@ -171,10 +168,10 @@ def _ready(fd: int, events: int, milliseconds: int) -> bool:
     return bool(poll.poll(milliseconds))
 
 
-class NetworkLine(Line):
-    """A TCP server in front of a board, as a converter on a robot is, with a network that fails.
+class NetworkLine(SerialLine):
+    """A TCP server in front of a board, like a serial server on a robot, with a network that fails.
 
-    What a frozen network holds of a connection that has ended meanwhile is lost with it.
+    If a connection ends while the network is frozen, its unread bytes are lost.
     """
 
     _is_network = True
@@ -185,10 +182,11 @@ class NetworkLine(Line):
         self._listener = self._server.fileno()
         self.port = f'socket://127.0.0.1:{self._server.getsockname()[1]}'
 
-    def vanish(self) -> None:
+    def lose_connection(self) -> None:
+        """Forget the connection without closing it, so the bridge is not notified."""
         with self._lock:
-            self._master = -1       # which stays open: it says nothing, not even that it is over
-            self.cut()
+            self._master = -1
+            self.on_unplugged()
 
     def freeze(self) -> None:
         self.frozen = True
@@ -196,9 +194,9 @@ class NetworkLine(Line):
     def thaw(self) -> None:
         with self._lock:
             self.frozen = False
-            self._end_if_ended()
+            self._end_if_closed()
 
-    def _end_if_ended(self) -> None:
+    def _end_if_closed(self) -> None:
         if self.plugged and _ready(self._master, select.POLLRDHUP, 0):
             self._end()
 
@@ -212,5 +210,5 @@ class NetworkLine(Line):
                 connection.setblocking(False)
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 self._master = connection.detach()
-                self._end_if_ended()        # while the network was frozen
+                self._end_if_closed()       # it was closed while the network was frozen
             super().read_all()

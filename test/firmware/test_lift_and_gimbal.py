@@ -137,10 +137,10 @@ def test_stop_ends_the_move_at_once(bus):
     start_lift(bus)
     board.wait_until(lambda: board.get('lift_position') > 305, 2)
     bus.write(request(0x55, STOP))
-    heard = board.time
+    received_at = board.time
     assert bus.reply(seconds=1) == FAILED    # the lift: carried out in part
     assert bus.reply() == OK                 # the stop
-    assert board.get('lift_last_step') < heard + 0.03
+    assert board.get('lift_last_step') < received_at + 0.03
     stopped = board.get('lift_steps')
     bus.silence(0.2)
     assert board.get('lift_steps') == stopped < 5000
@@ -168,13 +168,13 @@ def test_stop_takes_the_place_of_the_moves_that_wait(bus):
 
 
 @pytest.mark.parametrize('noise', [b'\xa5', b'\xa5\x80\x55', b'\x5a\xff\x00', b'\x00' * 80])
-def test_stop_behind_noise_is_heard(bus, noise):
+def test_stop_after_noise_is_received(bus, noise):
     board = bus.board
     start_lift(bus)
     bus.write(noise + request(0x55, STOP))
-    heard = board.time
+    received_at = board.time
     assert bus.reply(seconds=1) == FAILED
-    assert board.get('lift_last_step') < heard + 0.15
+    assert board.get('lift_last_step') < received_at + 0.15
     assert bus.reply() == OK
 
 

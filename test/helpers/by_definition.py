@@ -1,18 +1,17 @@
-"""What the protocols say, byte by byte, without the package's code: small, slow, independent.
+"""The protocols of doc/protocols.md, byte by byte, without the package's code: small and slow.
 
-Tests compare with it, and the fault campaign judges by it, so that a fault of the package's
-decoders cannot hide itself. It is written from doc/protocols.md. A protocol is one function here,
-`frame_at`: which frame begins at this place of the stream? Two things follow from it: `decode`,
-what a decoder has to find, and `all_frames`, every valid frame at any place, which is all that any
-decoder can rightly find in damaged bytes. test/boards/test_by_definition.py compares it with the
-package.
+Tests and the fault campaign use these decoders, so that an error in the package's decoders cannot
+hide itself. Each protocol is one function, `frame_at`, which returns the frame that begins at a
+given place of a stream. `decode` returns the frames that a decoder must find, and `all_frames` the
+valid frames at any place: no decoder may find others, whatever the damage is.
+test/boards/test_by_definition.py compares this file with the package.
 """
 import struct
 from typing import Callable, List, NamedTuple, Optional, Tuple, Union
 
-MORE = 'more bytes are needed to tell'
+INCOMPLETE = 'a frame may begin here; more bytes are needed'
 MAX_DATE = 1024            # bytes of DATE on the bus
-MAX_PACKET = 256           # bytes of an Arduino packet with its type
+MAX_PACKET = 256           # bytes of an Arduino packet, including its type
 
 # bus: CMD1 of requests and replies, CMD2 of requests, error codes
 SYNC, ECHO, FUNCTION = 0x00, 0x01, 0x55
@@ -28,26 +27,26 @@ _ENVIRONMENT_REQUEST = bytes((0xA5, 2, FUNCTION, ENVIRONMENT, 0xD0))
 
 
 class Frame(NamedTuple):
-    """One valid frame: `command` is CMD2 of a request, SEQ of an mcu frame, else 0."""
+    """A valid frame. `command` is CMD2 of a request, SEQ of an mcu frame, or else 0."""
 
     type: int
     command: int
     data: bytes
-    start: int      # its place in the stream
-    end: int        # where the next one may begin
+    start: int      # position in the stream
+    end: int        # where the next frame may begin
 
     @property
     def content(self) -> Tuple[int, int, bytes]:
-        """Without its place."""
+        """The frame without its position."""
         return self.type, self.command, self.data
 
 
-Found = Union[None, str, Frame]          # None: no valid frame begins there; MORE; or the frame
+Found = Union[None, str, Frame]          # None (no valid frame begins there), INCOMPLETE or Frame
 FrameAt = Callable[[bytes, int], Found]
 
 
 def xor_of(data: bytes) -> int:
-    """The XOR of every byte."""
+    """The XOR of all bytes."""
     value = 0
     for byte in data:
         value ^= byte
@@ -55,12 +54,12 @@ def xor_of(data: bytes) -> int:
 
 
 def cobs_encode(data: bytes) -> bytes:
-    """The COBS encoding, without the 0x00 that ends a packet."""
+    """The COBS encoding without the 0x00 at the end of a packet."""
     out, block = bytearray(), bytearray()
     for index, byte in enumerate(data):
         if byte:
             block.append(byte)
-        # A full block at the end needs no block after it.
+        # No block follows a full block at the end.
         if not byte or len(block) == 254 and index + 1 < len(data):
             out.append(len(block) + 1)
             out += block
@@ -73,26 +72,26 @@ def cobs_encode(data: bytes) -> bytes:
 
 
 def bus_frame(commands: bytes, data: bytes) -> bytes:
-    """A request has two commands, a reply one."""
+    """A request has two `commands`, CMD1 and CMD2; a reply has one."""
     size = struct.pack('<B', len(data)) if len(data) < 255 else struct.pack('<H', len(data))
     frame = (b'\xA5' if len(data) < 255 else b'\x5A') + size + commands + data
     return frame + bytes((xor_of(frame),))
 
 
 def bus_at(stream: bytes, at: int, commands: int) -> Found:
-    """One with so many commands."""
+    """A frame with this number of commands."""
     if stream[at] not in b'\xA5\x5A':
         return None
     size_bytes = 1 if stream[at] == 0xA5 else 2
     header = at + 1 + size_bytes
     if len(stream) < header:
-        return MORE
+        return INCOMPLETE
     size = int.from_bytes(stream[at + 1:header], 'little')
     if (size < 255) != (size_bytes == 1) or size > MAX_DATE:
         return None
     end = header + commands + size + 1
     if len(stream) < end:
-        return MORE
+        return INCOMPLETE
     if xor_of(stream[at:end]):
         return None
     return Frame(stream[header], stream[header + 1] if commands == 2 else 0,
@@ -100,42 +99,44 @@ def bus_at(stream: bytes, at: int, commands: int) -> Found:
 
 
 def reply_at(stream: bytes, at: int) -> Found:
-    """From a board on the bus."""
+    """A reply of a bus board."""
     return bus_at(stream, at, 1)
 
 
 def request_at(stream: bytes, at: int) -> Found:
-    """To a board on the bus. The documented environment request says Datelen 2 without a DATE."""
-    begun = stream[at:at + len(_ENVIRONMENT_REQUEST)]
-    if begun == _ENVIRONMENT_REQUEST:
-        return Frame(FUNCTION, ENVIRONMENT, b'', at, at + len(begun))
+    """A request to a bus board. The environment request has Datelen 2 but no DATE."""
+    beginning = stream[at:at + len(_ENVIRONMENT_REQUEST)]
+    if beginning == _ENVIRONMENT_REQUEST:
+        return Frame(FUNCTION, ENVIRONMENT, b'', at, at + len(beginning))
     found = bus_at(stream, at, 2)
-    return MORE if found is MORE or _ENVIRONMENT_REQUEST.startswith(begun) else found
+    if found is INCOMPLETE or _ENVIRONMENT_REQUEST.startswith(beginning):
+        return INCOMPLETE
+    return found
 
 
 # -- mcu ------------------------------------------------------------------------------------
 
 
 def mcu_frame(type_: int, seq: int, payload: bytes) -> bytes:
-    """From the sensor board."""
+    """A frame of the sensor board."""
     body = bytes((type_, seq)) + payload
     return bytes((0x02, len(body))) + body + bytes((xor_of(body), 0x03))
 
 
 def mcu_at(stream: bytes, at: int) -> Found:
-    """From the sensor board."""
+    """A frame of the sensor board."""
     if stream[at] != 0x02:
         return None
-    begun = stream[at:at + 3]
-    if len(begun) > 1 and begun[1] < 2:
+    beginning = stream[at:at + 3]
+    if len(beginning) > 1 and beginning[1] < 2:
         return None
-    if len(begun) < 3:
-        return MORE
-    end = at + begun[1] + 4
-    if _MCU_LEN.get(begun[2], begun[1]) != begun[1]:
+    if len(beginning) < 3:
+        return INCOMPLETE
+    end = at + beginning[1] + 4
+    if _MCU_LEN.get(beginning[2], beginning[1]) != beginning[1]:
         return None
     if len(stream) < end:
-        return MORE
+        return INCOMPLETE
     if stream[end - 1] != 0x03 or xor_of(stream[at + 2:end - 1]):
         return None
     return Frame(stream[at + 2], stream[at + 3], stream[at + 4:end - 2], at, end)
@@ -145,12 +146,12 @@ def mcu_at(stream: bytes, at: int) -> Found:
 
 
 def arduino_packet(type_: int, data: bytes = b'') -> bytes:
-    """Either way, with the 0x00 that ends it."""
+    """A packet in either direction, with the 0x00 at its end."""
     return cobs_encode(bytes((type_,)) + data) + b'\0'
 
 
 def _cobs(encoded: bytes) -> Optional[bytes]:
-    """Undone; None where a code runs past the end."""
+    """The decoded bytes; None if a code byte points beyond the end."""
     out, at = b'', 0
     while at < len(encoded):
         code = encoded[at]
@@ -164,10 +165,10 @@ def _cobs(encoded: bytes) -> Optional[bytes]:
 
 
 def arduino_at(stream: bytes, at: int) -> Found:
-    """Either way. Whether the length is that of the type, and the values can be, is not asked."""
+    """A packet in either direction. Its length and values are not checked."""
     end = stream.find(b'\0', at)
     if end < 0:
-        return MORE
+        return INCOMPLETE
     packet = _cobs(stream[at:end])
     if not packet or len(packet) > MAX_PACKET:
         return None
@@ -177,11 +178,11 @@ def arduino_at(stream: bytes, at: int) -> Found:
 # -- streams --------------------------------------------------------------------------------
 
 
-def decode(stream: bytes, frame_at: FrameAt, given_up: bool = False) -> Tuple[List[Frame], int]:
-    """What a decoder has to find, and where what is incomplete begins.
+def decode(stream: bytes, frame_at: FrameAt, at_end: bool = False) -> Tuple[List[Frame], int]:
+    """The frames that a decoder must find, and where the incomplete rest begins.
 
     Args:
-        given_up: no more bytes come: what is incomplete is no frame.
+        at_end: no more bytes follow, so the rest is no frame but may contain frames.
     """
     frames, at = [], 0
     while at < len(stream):
@@ -189,9 +190,9 @@ def decode(stream: bytes, frame_at: FrameAt, given_up: bool = False) -> Tuple[Li
         if isinstance(found, Frame):
             frames.append(found)
             at = found.end
-        elif found is MORE and not given_up:
+        elif found is INCOMPLETE and not at_end:
             break
-        elif frame_at is arduino_at:        # the next packet begins behind the next 0x00
+        elif frame_at is arduino_at:        # the next packet begins after the next 0x00
             at = stream.find(b'\0', at) + 1 or len(stream)
         else:                               # the next frame may begin at any byte
             at += 1
@@ -199,28 +200,28 @@ def decode(stream: bytes, frame_at: FrameAt, given_up: bool = False) -> Tuple[Li
 
 
 def all_frames(stream: bytes, frame_at: FrameAt) -> List[Frame]:
-    """Every valid frame that begins at any byte: a decoder cannot rightly find another one."""
+    """The valid frames that begin at any byte. A decoder must not find others."""
     found = (frame_at(stream, at) for at in range(len(stream)))
     return [frame for frame in found if isinstance(frame, Frame)]
 
 
 class Reader:
-    """Frames of a stream that comes in pieces.
+    """Decodes a stream that is received in pieces.
 
     Args:
-        patience: s without a byte after which what is incomplete is given up.
+        timeout: s without a byte after which an incomplete frame is dropped.
     """
 
-    def __init__(self, frame_at: FrameAt, patience: float = 0.1) -> None:
+    def __init__(self, frame_at: FrameAt, timeout: float = 0.1) -> None:
         self._frame_at = frame_at
-        self._patience = patience
+        self._timeout = timeout
         self._rest = b''
         self._at = 0.0
 
     def feed(self, data: bytes, now: float) -> List[Frame]:
-        """Those that are complete with these bytes."""
+        """Return the frames that these bytes complete."""
         frames: List[Frame] = []
-        if self._rest and now - self._at > self._patience:
+        if self._rest and now - self._at > self._timeout:
             if self._frame_at is not arduino_at:
                 frames = decode(self._rest, self._frame_at, True)[0]
             self._rest = b''
@@ -231,5 +232,5 @@ class Reader:
         return frames + found
 
     def reset(self) -> None:
-        """The line is another one."""
+        """Forget the incomplete frame, since the line was opened again."""
         self._rest = b''

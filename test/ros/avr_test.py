@@ -165,11 +165,11 @@ class Car(CarBench):
         self.kill_bridge()
         self.until_is('motor_pwm', 0)
         self.until_emulated(0.1)
-        (when, pwm), heard = self.pwm()[-1], self.board.get('last_rx_time')
+        (when, pwm), received_at = self.pwm()[-1], self.board.get('last_rx_time')
         self.assertEqual(pwm, 0)
-        self.assertLessEqual(when - heard, STOP)
+        self.assertLessEqual(when - received_at, STOP)
         # If it stopped sooner, a stall of this computer or the speed timeout was the cause.
-        return when - heard >= 0.030
+        return when - received_at >= 0.030
 
     # -- servo, lamps, battery, logs ------------------------------------------------------
 
@@ -710,8 +710,8 @@ class Launched(unittest.TestCase):
         changes = self.ask('arduino', 'history motor_pwm')
         until(lambda: self.bridge_pid() not in (0, pid), 'roslaunch starts the bridge again',
               every=0.1)
-        heard = self.get('arduino', 'rx_bytes')
-        until(lambda: self.get('arduino', 'rx_bytes') > heard + 200, 'heartbeats come again')
+        received = self.get('arduino', 'rx_bytes')
+        until(lambda: self.get('arduino', 'rx_bytes') > received + 200, 'heartbeats come again')
         self.assertEqual(self.ask('arduino', 'history motor_pwm'), changes)
         drive()
         text, status = self.end()

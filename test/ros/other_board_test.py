@@ -187,9 +187,9 @@ class OtherBoard(unittest.TestCase):
         self.assertEqual(onlooker.end(), 0)
         status, output = self.run_program('wire', 'stats', kept, '--config', self.config, '--json')
         self.assertEqual(status, 0, output)
-        heard = json.loads(output)['links']['wind']['from the board']
-        self.assertGreaterEqual(heard['frames'], 1)
-        self.assertEqual(heard['bad'], 0)
+        received = json.loads(output)['links']['wind']['from the board']
+        self.assertGreaterEqual(received['frames'], 1)
+        self.assertEqual(received['invalid'], 0)
 
 
 if __name__ == '__main__':

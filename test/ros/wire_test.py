@@ -235,7 +235,7 @@ class WireTest(unittest.TestCase):
         self.assertEqual(done.returncode, 0, done.stderr)
         links = json.loads(done.stdout)['links']
         for link in FAULTS:
-            self.assertEqual(links[link]['from the board']['bad'], sum(
+            self.assertEqual(links[link]['from the board']['invalid'], sum(
                 1 for message in self.robot.frames.messages
                 if (message.link, message.direction) == (link, RX) and message.error))
         self.assertEqual(links['mcu']['from the board']['types']['sensor status']['count'],

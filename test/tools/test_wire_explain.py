@@ -305,5 +305,5 @@ def test_the_status_says_whether_all_is_valid_and_usable():
 def test_json_has_the_errors_and_a_pipe_has_no_colours():
     done = run('arduino', '--json', '0408010200')
     explained = json.loads(done.stdout)
-    assert not explained['sound'] and explained['frames'][0]['error'].startswith('length')
+    assert not explained['valid'] and explained['frames'][0]['error'].startswith('length')
     assert '\033' not in run('mcu', '11').stdout

@@ -608,7 +608,7 @@ def test_play_sends_what_the_board_sent(kept, ttys):
     assert frames_of(ttys[0].read(16 * 9 + 9)) == [0, 1, 2, 3, 5, 6, 7, 8, 9]
     assert ttys[0].is_quiet()
     output = json.loads(done.stdout)
-    assert (output['frames'], output['bad'], output['rounds'], output['lost']) == (10, 1, 1, 0)
+    assert (output['frames'], output['invalid'], output['rounds'], output['lost']) == (10, 1, 1, 0)
     assert output['late']['p50'] >= 0
     assert '10 frames, 1 of them invalid' in done.stderr and '0.2 of 0.2 s\n' in done.stderr
     assert '\r' not in done.stderr and '\033' not in done.stderr
@@ -760,7 +760,7 @@ def test_stats_count_frames_errors_and_gaps(kept):
     output = json.loads(run('stats', kept, '--json').stdout)
     assert output['links']['mcu']['baud'] == 57600 and output['seconds'] == pytest.approx(0.18)
     board = output['links']['mcu']['from the board']
-    assert (board['frames'], board['bad'], board['bytes']) == (10, 1, 153)
+    assert (board['frames'], board['invalid'], board['bytes']) == (10, 1, 153)
     assert board['errors'] == {'framing': 1}
     assert board['share of capacity'] == pytest.approx(153 * 10 / 57600 / 0.18)
     types = board['types']['sensor status']

@@ -38,7 +38,7 @@ class BusSlave : private BusHandler {
     return add(cmd2, 0, &call_without_data, reinterpret_cast<void (*)()>(handle));
   }
 
-  // `ask` is called again and again after a function has returned BusResult::pending(), until it returns
+  // `ask` is called repeatedly after a function has returned BusResult::pending(), until it returns
   // another result, which is the reply. No other function is called meanwhile.
   void on_pending(BusResult (*ask)()) { ask_ = ask; }
 
@@ -91,7 +91,7 @@ class BusSlave : private BusHandler {
     const bool stops = cmd2 == kFunctionStop && stop_;
     if (!handler && !stops) return BusResult::failed(kErrorUnsupported);
     if (size != (handler ? handler->size : 0)) return BusResult::failed(kErrorMalformed);
-    return handler ? handler->call(handler->handle, data) : BusResult::ok();  // what was pending has ended
+    return handler ? handler->call(handler->handle, data) : BusResult::ok();  // the pending function has ended
   }
 
   BusResult poll() override { return ask_ ? ask_() : BusResult::failed(kErrorOperation); }

@@ -42,8 +42,8 @@ class PacketLink : public PacketSender<StreamSink> {
     return taken;
   }
 
-  // The commands that the bridge has by itself. Speed: -1000 … 1000. Steering: microseconds of the servo's
-  // pulse. LED: text of at most 30 characters. Calibration: of the IMU, for which the car must stand still.
+  // The built-in commands. Speed: -1000 … 1000. Steering: microseconds of the servo's
+  // pulse. LED: text of at most 30 characters. Calibration: of the IMU, during which the car must not move.
   void on_speed(void (*handle)(int16_t speed)) { speed_ = handle; }
   void on_steering(void (*handle)(uint16_t pulse_us)) { steering_ = handle; }
   void on_led(void (*handle)(const char* text)) { led_ = handle; }
@@ -56,7 +56,7 @@ class PacketLink : public PacketSender<StreamSink> {
       error(F("on(): a type twice, not in 13 ... 254, or one too many"));
     }
     const uint32_t now = millis();
-    if (heartbeat_age() > 60000) had_heartbeat_ = false;  // before the clock has come round
+    if (heartbeat_age() > 60000) had_heartbeat_ = false;  // before the clock wraps
     while (port_.available() > 0) {
       if (decoder_.feed(read(), now)) dispatch(decoder_.packet());
     }
@@ -70,8 +70,8 @@ class PacketLink : public PacketSender<StreamSink> {
   bool warn(const __FlashStringHelper* text) { return send_flash_text(MessageType::Warn, text); }
   bool error(const __FlashStringHelper* text) { return send_flash_text(MessageType::Error, text); }
 
-  // Milliseconds since update() read the last heartbeat; 0xFFFFFFFF where there was none for a minute. A loop()
-  // that was held up reads old ones: what moves on an AVR is safer with watch().
+  // Milliseconds since update() read the last heartbeat; 0xFFFFFFFF where there was none for a minute. A delayed
+  // loop() reads old ones, so use watch() for a motor on an AVR.
   uint32_t heartbeat_age() const { return had_heartbeat_ ? millis() - heartbeat_ms_ : 0xFFFFFFFF; }
 
 #if defined(__AVR__)

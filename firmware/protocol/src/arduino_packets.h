@@ -4,8 +4,8 @@
 //
 // Little-endian, except IMU data, whose eleven int16 are big-endian. No checksum.
 //
-// This is what PacketLink.h is made of; a sketch includes that. Bytes are sent through a sink, any callable
-// (const uint8_t* bytes, size_t size) that returns whether it took them all: one call a packet.
+// PacketLink.h uses this; a sketch includes that one. Bytes are sent through a sink, any callable
+// (const uint8_t* bytes, size_t size) that returns whether it accepted them all: one call a packet.
 
 #ifndef SERIAL_COMMUNICATION_ARDUINO_PACKETS_H
 #define SERIAL_COMMUNICATION_ARDUINO_PACKETS_H
@@ -94,7 +94,7 @@ class PacketSender {
     return sink_(static_cast<const uint8_t*>(wire), length);
   }
 
-  // A custom message: any packed struct. False also where the type (13 … 254) is none of a custom message.
+  // A custom message: any packed struct. False also where the type (13 … 254) is not that of a custom message.
   template <class T>
   bool send(uint8_t type, const T& value) {
     check_can_cross_the_wire<T>();
@@ -136,7 +136,7 @@ class PacketSender {
   Sink sink_;
 };
 
-// One valid packet: a known type with the length that belongs to it, or a custom message.
+// One valid packet: a known type with its length, or a custom message.
 struct Packet {
   MessageType type;
   const uint8_t* data;  // valid until the decoder's next feed()

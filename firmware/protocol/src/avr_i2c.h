@@ -4,7 +4,7 @@
 // it cannot free a bus whose SDA a device holds low. A device does that when the chip was reset in the
 // middle of a read: it waits for the clocks of its byte. Nine clocks free it.
 //
-// A transfer takes at most kI2cTimeoutUs and the time of nine clocks, and interrupts are on all the while.
+// A transfer takes at most kI2cTimeoutUs and the time of nine clocks, and interrupts stay enabled.
 
 #ifndef SERIAL_COMMUNICATION_AVR_I2C_H
 #define SERIAL_COMMUNICATION_AVR_I2C_H
@@ -45,7 +45,7 @@ inline bool i2c_free_bus() {
   return i2c_lines_high();
 }
 
-// False where a line is held low for good; transfers try again to free it.
+// False: a line is held low; transfers try again to free it.
 inline bool i2c_begin() {
   i2c_release(SCL);
   TWSR = 0;

@@ -1,8 +1,8 @@
 // Whether heartbeats still arrive, judged by when they arrived in the UART, not by when loop() read them.
 //
-// A loop() that was held up finds old heartbeats in the UART's buffer. They must not keep a motor running.
-// So a timer interrupt, about one a millisecond, notes how many bytes have arrived; from that the watch later
-// knows how old each byte is. With a PacketLink:
+// A delayed loop() finds old heartbeats in the UART's buffer. They must not keep a motor running.
+// So a timer interrupt, about one a millisecond, notes how many bytes have arrived; from these numbers the watch
+// computes how old each byte is. With a PacketLink:
 //
 //   HeartbeatWatch heartbeats;
 //   ISR(TIMER0_COMPA_vect) { heartbeats.tick(Serial.available()); if (!heartbeats.alive()) motor_off(); }
@@ -10,7 +10,7 @@
 //   bridge.watch(heartbeats);        // in setup()
 //   TIMSK0 |= _BV(OCIE0A);           // Timer0 counts millis(); its compare interrupt comes every 1.024 ms
 //
-// Everything here has to be called with interrupts off.
+// Call everything here with interrupts disabled.
 
 #ifndef SERIAL_COMMUNICATION_HEARTBEAT_WATCH_H
 #define SERIAL_COMMUNICATION_HEARTBEAT_WATCH_H
@@ -21,7 +21,7 @@ namespace serial_communication {
 
 class HeartbeatWatch {
  public:
-  // `timeout`: a heartbeat that arrived so many ticks ago is too old; at most 63. The default is 30 ms at
+  // `timeout`: a heartbeat that arrived this number of ticks ago is too old; at most 63. The default is 30 ms at
   // 1.024 ms a tick: the first tick may follow right after a heartbeat.
   explicit HeartbeatWatch(uint8_t timeout = 31) : timeout_(timeout < kTicks ? timeout : kTicks - 1), age_(timeout_) {}
 
@@ -34,10 +34,10 @@ class HeartbeatWatch {
 
   bool alive() const { return age_ < timeout_; }
 
-  // Together with reading one byte.
+  // Has to be called when one byte is read.
   void byte_read() { ++read_; }
 
-  // When the byte read last was the end of a heartbeat.
+  // Has to be called when the last byte read was the end of a heartbeat.
   void heartbeat() {
     uint8_t age = 0;
     while (age < timeout_ && seen_by(age)) ++age;
@@ -47,7 +47,7 @@ class HeartbeatWatch {
  private:
   static const uint8_t kTicks = 64;  // a power of two, so that positions may wrap
 
-  // Whether the byte read last had arrived at the tick so many before the last one. Counts wrap at 256.
+  // Whether the last byte read had arrived at the tick this number before the last one. Counts wrap at 256.
   bool seen_by(uint8_t ticks_ago) const {
     const uint8_t arrived = arrived_[static_cast<uint8_t>(now_ - ticks_ago) % kTicks];
     return static_cast<int8_t>(arrived - read_) >= 0;

@@ -1,8 +1,8 @@
-// Packed structs as they cross the wire: custom messages, which need no code of their own.
+// Packed structs as they cross the wire: custom messages, which need no further code.
 //
 //   struct PACKED Force { int16_t centinewtons; };
 //
-// The fields stand in the struct in the order of the configuration's `layout`, which begins with '<':
+// The fields of the struct have the order of the configuration's `layout`, which begins with '<':
 // every board this runs on is little-endian.
 
 #ifndef SERIAL_COMMUNICATION_PACKED_H
@@ -29,7 +29,7 @@ struct IsPointer<T*> {
   static const bool value = true;
 };
 
-// Does not compile for a T whose bytes are not what is to cross the wire.
+// Does not compile for a T that cannot be sent as its bytes.
 template <class T>
 inline void check_can_cross_the_wire() {
   static_assert(!IsPointer<T>::value, "this is a pointer: give what it points at");

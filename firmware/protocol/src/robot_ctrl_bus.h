@@ -6,7 +6,7 @@
 // Flag 0xA5: Datelen is one byte, below 255. Flag 0x5A: Datelen is a uint16, little-endian.
 // Datelen counts the DATE bytes. Checksum is the XOR of every byte before it.
 //
-// Rules that keep the Master's view true:
+// Rules, so that the Master's view is always true:
 // - One reply a request. A request that is received during a motion waits in the Slave's buffer and is
 //   answered after it, in order: an ECHO that returns proves that everything requested before has ended.
 //   When the buffer is full, all whole requests in it are dropped without a reply: the Master no longer
@@ -20,7 +20,7 @@
 //   For the same reason all bytes that have arrived have to be fed before poll() is called.
 // - An incomplete frame is given up without a reply after the frame timeout; then the Master's timeout passes.
 //
-// This is what BusSlave.h is made of; a sketch includes that.
+// BusSlave.h uses this; a sketch includes that one.
 
 #ifndef SERIAL_COMMUNICATION_ROBOT_CTRL_BUS_H
 #define SERIAL_COMMUNICATION_ROBOT_CTRL_BUS_H
@@ -36,7 +36,7 @@ namespace serial_communication {
 const uint8_t kFlagStandard = 0xA5;
 const uint8_t kFlagLong = 0x5A;
 
-// An INVALID is owed until the line has been silent for this long.
+// An INVALID is sent when the line has been silent for this time.
 const uint8_t kInvalidSilenceMs = 5;
 
 // CMD1 of requests
@@ -216,7 +216,7 @@ class RobotCtrlBusSlave {
     }
   }
 
-  // While a function is pending: informs the handler of the requests that wait, each once. `whole_` is behind
+  // While a function is pending: informs the handler of the requests that wait, each once. `whole_` is the end of
   // the last of them.
   void look_ahead() {
     while (whole_ < size_) {
@@ -235,7 +235,7 @@ class RobotCtrlBusSlave {
     }
   }
 
-  // What the bytes from `at` on are, which begin with a flag.
+  // Checks the bytes from `at` on, which begin with a flag.
   Check check(uint16_t at) {
     const uint8_t* frame = buffer_ + at;
     const uint16_t size = size_ - at;
@@ -333,14 +333,14 @@ class RobotCtrlBusSlave {
   uint32_t last_byte_ms_ = 0;
   uint8_t buffer_[kBufferSize];
   uint16_t size_ = 0;
-  uint16_t whole_ = 0;  // while a function is pending: so many bytes have been looked at
-  // Of the frame that check() looked at last:
+  uint16_t whole_ = 0;  // while a function is pending: the number of bytes that have been checked
+  // Of the last frame in check():
   uint16_t header_size_ = 0;
   uint16_t data_size_ = 0;
   uint16_t frame_size_ = 0;
   bool synchronised_ = false;
   bool pending_ = false;
-  uint8_t invalid_ = 0;  // the INVALID code that is owed
+  uint8_t invalid_ = 0;  // the INVALID code that has still to be sent
 };
 
 }  // namespace serial_communication

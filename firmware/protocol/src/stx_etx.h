@@ -5,8 +5,8 @@
 // LEN counts TYPE, SEQ and PAYLOAD; CRC is the XOR of the same bytes; SEQ counts up by one a frame.
 // Little-endian.
 //
-// This is what FrameLink.h is made of; a sketch includes that. Bytes are sent through a sink, any callable
-// (const uint8_t* bytes, size_t size) that returns whether it took them all: one call a frame.
+// FrameLink.h uses this; a sketch includes that one. Bytes are sent through a sink, any callable
+// (const uint8_t* bytes, size_t size) that returns whether it accepted them all: one call a frame.
 
 #ifndef SERIAL_COMMUNICATION_STX_ETX_H
 #define SERIAL_COMMUNICATION_STX_ETX_H
@@ -61,7 +61,7 @@ class StxEtxSender {
     return sink_(static_cast<const uint8_t*>(frame), size + 6);
   }
 
-  // A custom message: any packed struct. False also where the type (any but 0x01, 0x10 and 0xFF) is none of a
+  // A custom message: any packed struct. False also where the type (any but 0x01, 0x10 and 0xFF) is not that of a
   // custom message.
   template <class T>
   bool send(uint8_t type, const T& value) {

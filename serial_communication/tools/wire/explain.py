@@ -74,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
     text = ' '.join(words) if words and words != ['-'] else sys.stdin.read()
     found = explain(parse(text), lines.settings(options), options.sent)
     if options.json:
-        print(json.dumps({'sound': not any(each.trouble for each in found),
+        print(json.dumps({'valid': not any(each.trouble for each in found),
                           'frames': [as_dict(each) for each in found]}, indent=1))
     else:
         print('\n\n'.join(render(each, Paint()) for each in found)
@@ -261,7 +261,7 @@ def as_dict(each: Explained) -> dict:
     raw = each.frame.raw
     return {
         'from': 'computer' if each.sent else 'board', 'frame': raw.hex(),
-        'sound': not each.trouble, 'text': each.frame.text, 'error': each.trouble,
+        'valid': not each.trouble, 'text': each.frame.text, 'error': each.trouble,
         'parts': [{'start': part.start, 'end': part.end, 'name': part.name,
                    'wire': raw[part.start:part.end].hex(), 'data': part.data.hex(),
                    'raw': _plain(part.raw), 'value': _plain(part.value), 'unit': part.unit,

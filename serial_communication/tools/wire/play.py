@@ -166,7 +166,7 @@ def run(options: argparse.Namespace) -> int:
     pieces = spaced(original, line, options.rate)
     shifts = [abs(piece.at - before.at / options.rate) for piece, before in zip(pieces, original)]
     frames = [frame for frame in frames if options.begin <= frame.stamp < options.end]
-    counts = {'frames': len(frames), 'bad': sum(bool(frame.cause) for frame in frames),
+    counts = {'frames': len(frames), 'invalid': sum(bool(frame.cause) for frame in frames),
               'left_out': sum(not is_complete(frame, line) for frame in frames),
               'moved': sum(shift > _MOVED for shift in shifts)}
     _announce(counts, pieces, max(shifts), differences(frames, pieces, line))
@@ -189,7 +189,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _announce(counts: Dict[str, Any], pieces: Sequence[Piece], longest_shift: float,
               different: int) -> None:
-    print_note(f'{counts["frames"]} frames, {counts["bad"]} of them invalid, in '
+    print_note(f'{counts["frames"]} frames, {counts["invalid"]} of them invalid, in '
                f'{pieces[-1].at - pieces[0].at:.1f} s')
     if counts['moved']:
         print_note(f'{counts["moved"]} incomplete frames are sent up to {seconds(longest_shift)} '

@@ -151,7 +151,7 @@ def _direction(frames: Sequence[RecordedFrame], length: float, baud: int,
         else:
             by_type.setdefault(name_of(each), []).append(frame.stamp)
     return {
-        'frames': len(frames), 'bad': sum(errors.values()), 'errors': errors, 'bytes': size,
+        'frames': len(frames), 'invalid': sum(errors.values()), 'errors': errors, 'bytes': size,
         # More than all of it: bytes had waited somewhere before they were recorded.
         'share of capacity': share if share <= _MOST_SHARE else None,
         'types': {name: dict({'count': len(stamps), 'per second': len(stamps) / length},
@@ -229,11 +229,11 @@ def render(figures: Dict[str, Any]) -> str:
 
 
 def _render_direction(title: str, figures: Dict[str, Any], paint: Paint) -> List[str]:
-    bad, share = figures['bad'], figures['share of capacity']
+    invalid, share = figures['invalid'], figures['share of capacity']
     text = [f'{title}: {figures["frames"]} frames, {figures["bytes"]} bytes, '
             + (f'{share:.1%} of the wire, ' if share is not None else
                'more than the wire carries in this time (some had waited), ')
-            + paint(f'{bad} invalid', 'bad' if bad else 'good')]
+            + paint(f'{invalid} invalid', 'bad' if invalid else 'good')]
     if figures['types']:
         text.append(f'  {"type":28}{"count":>8}{"per s":>9}{"gap p50":>11}{"p99":>9}{"max":>9}'
                     '  ms')

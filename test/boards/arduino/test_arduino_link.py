@@ -384,7 +384,7 @@ def test_speed_0_is_sent_again_after_the_bridge_dropped_its_output(line, open_li
     """The board stops reading. SPEED 0 waits in the kernel with more data, and all is dropped."""
     decoder = arduino.BoardDecoder()
 
-    def heard():
+    def received():
         return [frame.message for frame in decoder.feed(line.read(0.1), 0.0) if not frame.cause]
 
     def more(number):
@@ -396,7 +396,7 @@ def test_speed_0_is_sent_again_after_the_bridge_dropped_its_output(line, open_li
 
     link = open_link(ArduinoSettings(speed_timeout=0.2 if way == 'timed out' else 0.0))
     link.set_speed(500)
-    until(lambda: SpeedCommand(500) in heard())
+    until(lambda: SpeedCommand(500) in received())
     more(300)         # a flush may leave the first packet: this must not be SPEED 0
     if way == 'commanded':
         link.set_speed(0)
@@ -405,7 +405,7 @@ def test_speed_0_is_sent_again_after_the_bridge_dropped_its_output(line, open_li
     sent = link.heartbeats_sent
     until(lambda: link.heartbeats_sent > sent + 130, what='the end of its repetitions')
     until(lambda: more(100) or lines('the output that waited is dropped'))
-    until(lambda: SpeedCommand(0) in heard())
+    until(lambda: SpeedCommand(0) in received())
 
 
 def test_a_speed_times_out_though_the_tap_raises(board, open_link):

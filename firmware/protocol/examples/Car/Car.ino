@@ -1,5 +1,5 @@
-// A model car on an AVR: the bridge's own commands and measurements, and a motor that stops when the bridge
-// does. No rows are needed. On the computer: ~speed, ~steering, ~led, ~ticks, ~voltage, ~steering_angle.
+// A model car on an AVR: the built-in commands and measurements, and a motor that stops when the bridge
+// ends. No rows are needed. On the computer: ~speed, ~steering, ~led, ~ticks, ~voltage, ~steering_angle.
 //
 // firmware/nano_car is a whole car.
 
@@ -24,7 +24,7 @@ void motor(int16_t speed) {
   analogWrite(kMotorPin, abs(speed) * 51L / 200);  // 0 … 1000 to 0 … 255
 }
 
-// Every 1.024 ms, whatever loop() does: without heartbeats the motor stops.
+// Every 1.024 ms, even if loop() is delayed: without heartbeats the motor stops.
 ISR(TIMER0_COMPA_vect) {
   heartbeats.tick(Serial.available());
   if (!heartbeats.alive()) motor(0);
@@ -34,7 +34,7 @@ void handle_speed(int16_t speed) {
   static bool backward = false;
   if (backward != (speed < 0)) {
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { motor(0); }
-    delay(3);  // both inputs low for a period of the PWM, before it turns the other way
+    delay(3);  // both inputs low for a period of the PWM, before it changes direction
   }
   backward = speed < 0;
   ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {

@@ -1,7 +1,7 @@
 // Hello on an ESP32. The rows are those of Hello. For the bridge this board is the `arduino`, not the `mcu`:
-// sketch and link have to have the same protocol, and that of the `mcu` only sends.
+// sketch and link must have the same protocol, and that of the `mcu` only sends.
 //
-// The boot loader of an ESP32 prints text; after a reset the bridge counts some errors.
+// The bootloader of an ESP32 prints text; after a reset the bridge counts some errors.
 
 #include <PacketLink.h>
 
@@ -34,7 +34,7 @@ void loop() {
     sent_ms += 100;
     Light light;
     light.raw = analogRead(kLightPin);
-    if (!bridge.send(32, light)) bridge.warn("light was not sent");  // false: it did not leave as a whole
+    if (!bridge.send(32, light)) bridge.warn("light was not sent");  // false: not all of it was sent
   }
-  delay(1);  // the ESP32's own tasks
+  delay(1);  // time for the tasks of the ESP32
 }

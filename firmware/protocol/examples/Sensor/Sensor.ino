@@ -1,4 +1,4 @@
-// A sensor board, which only sends: the status of its range sensors and its IMU, and a value of its own. Any AVR
+// A sensor board, which only sends: the status of its range sensors and its IMU, and a custom value. Any AVR
 // or ESP32. On the computer mcu/status and the like, and with a row:
 //
 //   mcu:
@@ -24,7 +24,7 @@ void loop() {
 
   SensorStatus status;
   status.range_mm[0] = analogRead(A0);
-  status.range_mm[1] = kRangeTimedOut;            // this sensor gave nothing
+  status.range_mm[1] = kRangeTimedOut;            // this sensor has no reading
   status.yaw = 0;                                 // 0.01 degree, clockwise, 0 … 35999
   status.pitch = status.roll = kAngleUnknown;     // there is no IMU: the bridge publishes none
   bridge.send_sensor_status(status);

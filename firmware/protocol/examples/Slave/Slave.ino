@@ -1,5 +1,5 @@
-// A board on the bus with three functions: one with data, one with a reply, and one that takes its time and can
-// be stopped. For an AVR. On the computer:
+// A board on the bus with three functions: one with data, one with a reply, and a slow one that can be
+// stopped. For an AVR. On the computer:
 //
 //   bus:
 //     functions:
@@ -9,11 +9,11 @@
 //       door: {cmd2: 0x33, srv_type: std_srvs/SetBool, request: {layout: "<?", fields: [data]}, timeout: 6.0}
 //       stop: {cmd2: 0x2F, srv_type: std_srvs/Trigger, repeatable: true, interrupts: true}
 //
-// Lift, gimbal and environment of the bridge itself are kFunctionLift, kFunctionGimbal and
+// The built-in lift, gimbal and environment are kFunctionLift, kFunctionGimbal and
 // kFunctionEnvironment; firmware/ctrl_board has them.
 
 #include <BusSlave.h>
-#include <avr_i2c.h>  // bounded waits, and it frees a bus that hangs, neither of which Wire does
+#include <avr_i2c.h>  // unlike Wire, its waits are bounded, and it frees a blocked bus
 
 const uint8_t kPumpPin = 11;
 const uint8_t kDoorPin = 5;       // its motor
@@ -48,7 +48,7 @@ BusResult water() {
   return BusResult::ok(water);
 }
 
-// What takes long must not wait: it begins, and door_moves() is asked until it has ended.
+// A slow function must not wait: it starts the move, and door_moves() is called until the move has ended.
 BusResult door(const Door& request) {
   if (request.open > 1) return BusResult::failed(kErrorMalformed);
   digitalWrite(kDirectionPin, request.open);
