@@ -131,6 +131,7 @@ def time_until_stop(failure, robot, panel):
     try:
         browser.open(network.url)
         browser.wait_for_text('#connection', 'live')
+        browser.wait_for_text('[data-link="bus"] .summary', 'ready')
         robot.car.forget()
         hold(browser, robot)
         with failure(browser, network, panel) as began:
