@@ -19,7 +19,7 @@ panel  | python3-tornado python3-qrcode              | python3-tornado python3-q
 test   | python3-rostest python3-rosbag              | ros-noetic-rostest ros-noetic-rosbag
 test   | python3-pytest python3-hypothesis           | python3-pytest python3-hypothesis
 test   | catkin-lint python3-flake8                  | catkin-lint python3-flake8
-test   | shellcheck libxml2-utils                    | shellcheck libxml2-utils
+test   | shellcheck libxml2-utils systemd            | shellcheck libxml2-utils systemd
 # Ubuntu's mypy is too old.
 test   | mypy                                        |
 bench  | python3-psutil python3-tqdm                 | python3-psutil python3-tqdm

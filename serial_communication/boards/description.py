@@ -26,7 +26,9 @@ class CustomRows(NamedTuple):
     """The rows of parameters that make custom messages or functions."""
 
     parameter: str                        # the board's parameter that holds the rows by name
-    read: Callable[[Any], List[Any]]      # raises RowError for the first mistake
+    # Raises RowError for the first mistake. Each row has the properties of a CustomMessage that
+    # programs go by: name, key, number, layouts and purpose.
+    read: Callable[[Any], List[Any]]
     prefix: str                           # prefix + the row's name is the name of its topic
 
 
@@ -72,6 +74,9 @@ class Description:
     # opened again, since the data may still wait in the network. 0: never.
     network_silence: float = 0.0
     silent_after: bytes = b''        # a frame after which the board is silent for minutes
+    # A frame that the board answers and that changes nothing; only for one that is silent until it
+    # is asked.
+    question: bytes = b''
 
     @property
     def interface(self) -> Any:

@@ -7,7 +7,8 @@ and topics stay text here; `ros` resolves them.
 import difflib
 import re
 from math import inf, isnan
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Pattern, Sequence, Tuple, Type
+from typing import (Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Pattern, Sequence,
+                    Tuple, Type)
 
 from .layout import (Layout, LayoutMessage, LayoutTooLong, Value, brief, count_values,
                      message_class, readable)
@@ -18,7 +19,7 @@ _STEP = r'[A-Za-z][A-Za-z0-9_]*(\[[0-9]{1,9}\])?'
 _PATH = re.compile(rf'({_STEP}(\.{_STEP})*)?')
 ROS_TYPE = re.compile(r'[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*')
 LAYOUT_KEYS = ('layout', 'fields', 'scale', 'offset', 'minimum', 'maximum')
-_MESSAGE_KEYS = ('type', 'direction', 'ros_type', 'frame_id') + LAYOUT_KEYS
+_MESSAGE_KEYS = ('type', 'direction', 'ros_type', 'frame_id', 'constants') + LAYOUT_KEYS
 _HUGE = 2 ** 64     # greater than any raw number
 
 
@@ -47,6 +48,22 @@ class CustomMessage(NamedTuple):
     is_command: bool       # sent to the board
     ros_type: str
     frame_id: str
+    constants: Dict[str, Any]     # values by path, of fields that the board does not send
+
+    @property
+    def number(self) -> Tuple[str, int]:
+        """The key of its number on the wire, and that number."""
+        return 'type', self.kind.TYPE
+
+    @property
+    def layouts(self) -> Dict[str, Layout]:
+        """Its one layout, without a name."""
+        return {'': self.kind.LAYOUT}
+
+    @property
+    def purpose(self) -> str:
+        """What it is for, in a few words."""
+        return f'{"to" if self.is_command else "from"} the board: {self.ros_type}'
 
 
 def read_messages(entries: Any, key: str, types: Sequence[int], longest: int,
@@ -71,10 +88,12 @@ def read_messages(entries: Any, key: str, types: Sequence[int], longest: int,
         direction = row.given.get('direction', FROM_BOARD)
         if direction not in directions:
             raise RowError(row.name('direction'), direction, f'may be {" or ".join(directions)}')
+        if direction == TO_BOARD:
+            row.refuse_unused(['constants'], 'direction: to_board')
         ros_type = row.text('ros_type', ROS_TYPE, 'a message type, as std_msgs/Float32')
         kind = message_class(name, type_, *row.layout(longest))
         messages.append(CustomMessage(name, row.key, kind, direction == TO_BOARD, ros_type,
-                                      row.text('frame_id', None, 'text', '')))
+                                      row.text('frame_id', None, 'text', ''), row.constants()))
     return messages
 
 
@@ -129,6 +148,25 @@ class Row:
         if type(value) is not bool:
             raise RowError(self.name(key), value, 'may be true or false')
         return value
+
+    def constants(self) -> Dict[str, Any]:
+        """The constants: a number, true, false or a text for each path."""
+        given = self.given.get('constants', {})
+        if type(given) is not dict or not all(
+                type(path) is str and path and _PATH.fullmatch(path) for path in given):
+            raise RowError(self.name('constants'), given, 'may be a group with a value for the '
+                           'path of each field, as {present: true}')
+        for path, value in given.items():
+            if type(value) not in (bool, int, float, str):
+                raise RowError(f'{self.name("constants")}/{path}', value,
+                               'may be a number, true, false or a text')
+        return given
+
+    def refuse_unused(self, keys: Iterable[str], beside: str) -> None:
+        """Refuse keys that have no meaning beside another one."""
+        for key in keys:
+            if key in self.given:
+                raise RowError(self.name(key), self.given[key], f'has no meaning beside {beside}')
 
     def refuse_second(self, key: str, value: int, names: Dict[int, str]) -> None:
         """Refuse a number that another row has; `names` are the rows by number."""

@@ -3,7 +3,7 @@ import logging
 import threading
 import time
 import traceback
-from typing import Any, Callable, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Iterable, List, NamedTuple, Optional, Tuple
 
 from ..framing.frame_timer import FrameTimer
 from ..framing.stream import CHECKSUM, FRAMING, Decoder, Frame
@@ -13,6 +13,7 @@ from ..transport.port import Port, PortError
 from .backlog import LONGEST_SLEEP, STALL, Backlog
 from .presence import LOOK_PERIOD, STARTUP_TIME, PresenceLog
 from .sparing_log import SparingLog
+from .unknown_bytes import OtherBoard, UnknownBytes
 
 OK, WARN, ERROR = 0, 1, 2      # as in diagnostic_msgs/DiagnosticStatus
 RX, TX = 0, 1                  # as in SerialMsg
@@ -55,13 +56,15 @@ class Link:
         frame_timeout: s without a byte after which an incomplete frame is given up.
         clock: returns the stamp of each read; it is used for nothing else.
         logger: None: the logger of this module.
+        other_boards: boards to recognise if their frames are received instead of this board's.
     """
 
     STOPS_FIRST = False     # True: at shutdown this link is stopped before the others
 
     def __init__(self, name: str, port: Port, decoder: Decoder, frame_timeout: float = 0.05,
                  clock: Callable[[], Any] = time.time,
-                 logger: Optional[logging.Logger] = None) -> None:
+                 logger: Optional[logging.Logger] = None,
+                 other_boards: Iterable[OtherBoard] = ()) -> None:
         self.name = name
         self.port = port
         self.decoder = decoder
@@ -71,6 +74,7 @@ class Link:
         self.frames_sent = 0
         self.last_frame_at: Optional[float] = None   # monotonic
         self.last_byte_at = 0.0                      # monotonic
+        self._understood_at = float('-inf')          # the latest frame of a known type; monotonic
         self.stale = 0                     # bytes dropped because they waited during a stall
         # When the thread last returned from a read, by `pace.clock`; _NEVER: the port is closed.
         self.awake_at = _NEVER
@@ -85,6 +89,8 @@ class Link:
         self._thread = threading.Thread(target=self._run, name=name + ' link', daemon=True)
         self._reported_errors = 0
         self._presence = PresenceLog(self.log)
+        self._unknown_bytes = UnknownBytes(
+            other for other in other_boards if other.name != name)
         self._opened_at = self._presence_at = 0.0    # monotonic
         self._backlog: Optional[Backlog] = None      # None: no bytes are dropped
         # Whether the latest read returned nothing, and no frame has been delivered since.
@@ -145,6 +151,10 @@ class Link:
         """The log line for a silent board."""
         return ('the board is silent; check its power, its wiring and the baud rate '
                 f'({self.port.baud})')
+
+    def unknown_bytes(self, now: float) -> str:
+        """What the bytes are that are received, if no frame is among them; else ''."""
+        return self._unknown_bytes.meaning(self.port.baud, now)
 
     @property
     def reconnects(self) -> int:
@@ -250,7 +260,7 @@ class Link:
         if not self.port.is_open:
             return ERROR, f'closed: {self._trouble or "not opened yet"}'
         if self.last_frame_at is None or now - self.last_frame_at > SILENCE:
-            return WARN, 'open, the board is silent'
+            return WARN, f'open, {self.unknown_bytes(now) or "the board is silent"}'
         return OK, 'open'
 
     def error_count(self) -> int:
@@ -327,6 +337,7 @@ class Link:
         self.opened(now)
         self.last_byte_at = self._opened_at = self._presence_at = look_at = now
         self._backlog = None
+        self._unknown_bytes.reset()
         self.drained = False
         timer = self._timer
         timer.reset()
@@ -367,7 +378,12 @@ class Link:
             talks = self.talks(now)
             has_talked = self.last_frame_at is not None and self.last_frame_at >= self._opened_at
             if talks or has_talked or now >= self._opened_at + STARTUP_TIME:
-                self._presence.update(talks, self.silence(), now)
+                self._presence.update(talks, self._why_silent(now), now)
+
+    def _why_silent(self, now: float) -> str:
+        unknown = self.unknown_bytes(now)
+        return self.silence() if not unknown else (
+            f'{unknown} `rosrun serial_communication ports` finds out which board is on which port')
 
     def _check_stall(self, now: float) -> None:
         awake_at = pace.clock()
@@ -402,6 +418,10 @@ class Link:
         """Decode the bytes of one read and deliver their frames."""
         self.last_byte_at = now
         self._deliver(self.decoder.feed(data, stamp), now)
+        if now - self._understood_at > SILENCE:
+            self._guarded(self._unknown_bytes.take, data, now)
+        elif self._unknown_bytes.size:
+            self._unknown_bytes.reset()
 
     def _deliver(self, frames: List[Frame], now: float) -> None:
         tap = self.tap
@@ -416,6 +436,8 @@ class Link:
             else:
                 self.frames_received += 1
                 self.last_frame_at = now
+                if frame.message is not None:     # another board's bytes may be an unknown frame
+                    self._understood_at = now
                 self.received(frame, now)
             if tap:
                 self._guarded(tap, self.name, RX, shown)

@@ -9,12 +9,12 @@ _PERIOD = 10.0        # s; the same line is not repeated sooner
 
 
 class PresenceLog:
-    """Logs each change once. If the same line was logged less than 10 s ago, it waits until then,
-    and is left out if it no longer holds."""
+    """Logs each change once, also of the reason for a silence. If the same line was logged less
+    than 10 s ago, it waits until then, and is left out if it no longer holds."""
 
     def __init__(self, log: SparingLog) -> None:
         self._log = log
-        self._logged: Optional[bool] = None      # whether it talks, by the latest line
+        self._logged = ''      # the state that the latest line reports
         self._silent_since = 0.0
         self._has_talked = False
         self._logged_at: Dict[str, float] = {}
@@ -27,18 +27,20 @@ class PresenceLog:
             silence: the line that reports its silence.
             now: s, monotonic.
         """
-        state = 'silent' if not talks else 'back' if self._has_talked else 'ready'
-        if talks is None or talks is self._logged \
-                or now < self._logged_at.get(state, now - _PERIOD) + _PERIOD:
+        state = 'talks' if talks else silence
+        line = silence if not talks else 'back' if self._has_talked else 'ready'
+        if talks is None or state == self._logged \
+                or now < self._logged_at.get(line, now - _PERIOD) + _PERIOD:
             return
-        self._logged_at[state] = now
-        if state == 'silent':
-            self._silent_since = now
+        self._logged_at[line] = now
+        if not talks:
+            if self._logged in ('', 'talks'):
+                self._silent_since = now
             self._log.always_warn(silence)
-        elif state == 'back':
+        elif self._has_talked:
             self._log.always_info('the board is back, it was silent for '
                                   f'{now - self._silent_since:.3g} s')
         else:
             self._log.always_info('ready: the board talks')
         self._has_talked = self._has_talked or talks
-        self._logged = talks
+        self._logged = state

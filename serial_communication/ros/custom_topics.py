@@ -52,7 +52,8 @@ def _resolve(custom: CustomMessage, prefix: str) -> RosMessage:
     refuse_taken(custom, prefix)
     found = find_type(f'{custom.key}/ros_type', custom.ros_type)
     check_frame_id(custom, found)
-    fields = RosFields(found, custom.kind.LAYOUT, f'{custom.key}/fields')
+    fields = RosFields(found, custom.kind.LAYOUT, f'{custom.key}/fields', custom.constants,
+                       f'{custom.key}/constants')
     kind = custom.kind if custom.is_command else type(custom.name, (custom.kind,), {
         '__slots__': (), 'LAYOUT': fields.narrowed(custom.kind.LAYOUT)})
     return RosMessage(custom, kind, found, fields)

@@ -9,7 +9,8 @@ import re
 import struct
 import sys
 from math import isfinite
-from typing import Any, Callable, Iterable, List, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import (Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple,
+                    Union)
 
 import roslib.message
 
@@ -80,17 +81,27 @@ class RosFields:
         message_class: the ROS message type.
         layout: each value's name is its path; a value without a name is left out.
         key: the parameter with the paths, for errors.
+        constants: values by path; every message from `new` has them.
+        constants_key: their parameter, for errors.
 
     Raises:
         RowError: a field does not exist, or cannot hold its value.
     """
 
-    def __init__(self, message_class: Any, layout: Layout, key: str) -> None:
+    def __init__(self, message_class: Any, layout: Layout, key: str,
+                 constants: Optional[Dict[str, Any]] = None, constants_key: str = '') -> None:
         self._class = message_class
         self._arrays: List[Tuple[Tuple, int, Any]] = []    # path, length and element in a message
         self._places = [self._resolve(key, value) if value.name else None
                         for value in layout.values]
-        self._refuse_shared(key, [value.name for value in layout.values])
+        paths = [value.name for value in layout.values]
+        self._refuse_shared(key, paths, self._places)
+        self._constants = [(self._constant(constants_key, path, value), value)
+                           for path, value in (constants or {}).items()]
+        for path in set(paths).intersection(constants or ()):
+            raise RowError(constants_key, path, 'is in fields, too')
+        self._refuse_shared(constants_key, [*paths, *(constants or ())],
+                            [*self._places, *(place for place, _ in self._constants)])
         self._filled: List[Tuple] = [
             (index, place.owner, place.last, isinstance(place.last, int), place.to_ros)
             for index, place in enumerate(self._places) if place]
@@ -102,13 +113,19 @@ class RosFields:
         return _NarrowedLayout(layout, codes) if any(codes) else layout
 
     def new(self) -> Any:
-        """Return a message whose arrays are long enough for all values."""
+        """Return a message that has the constants, and arrays long enough for all values."""
         message = self._class()
         for steps, size, element in self._arrays:
             owner = _walk(message, steps[:-1])
             items = list(getattr(owner, steps[-1]))
             items += [element() for _ in range(size - len(items))]
             setattr(owner, steps[-1], items)
+        for place, value in self._constants:
+            holder = _walk(message, place.owner)
+            if isinstance(place.last, int):
+                holder[place.last] = value
+            else:
+                setattr(holder, place.last, value)
         return message
 
     def fill(self, message: Any, values: Sequence) -> Any:
@@ -164,11 +181,25 @@ class RosFields:
                 array = ''
         return self._checked(key, value, steps, type_, array, size)
 
-    def _refuse_shared(self, key: str, paths: List[str]) -> None:
+    def _constant(self, key: str, path: str, given: Any) -> _Place:
+        """Return the place of a constant; raise RowError if it cannot hold it."""
+        code = {bool: '?', int: 'q', float: 'd', str: 's'}[type(given)]
+        place = self._resolve(key, Value(path, code=code))
+        if path == 'header.frame_id':
+            raise RowError(f'{key}/{path}', given, 'is set by the key frame_id')
+        if '?' in (place.code, code) and place.code != code:
+            raise RowError(f'{key}/{path}', given, 'may be true or false' if place.code == '?'
+                           else 'may be a number')
+        if place.code and (place.to_ros is round or not _holds(place.code, given)):
+            raise RowError(f'{key}/{path}', given, 'is a number that its ROS field cannot hold')
+        return place
+
+    @staticmethod
+    def _refuse_shared(key: str, paths: List[str], places: List[Optional[_Place]]) -> None:
         """Raise RowError if a value would overwrite another, as position does with position[0]."""
         taken = {(*place.owner, place.last): path
-                 for place, path in zip(self._places, paths) if place}
-        for place, path in zip(self._places, paths):
+                 for place, path in zip(places, paths) if place}
+        for place, path in zip(places, paths):
             steps = (*place.owner, place.last) if place else ()
             for end in range(1, len(steps) + 1):
                 other = taken.get(steps[:end], path)
@@ -192,7 +223,7 @@ class RosFields:
         is_array, is_fixed = bool(array), bool(size)
         there = type_ + array
         if has == 'text' and (type_ != 'string' or is_array):
-            raise RowError(key, path, f'is {there}; the text (s) in the layout needs a string')
+            raise RowError(key, path, f'is {there}; a text needs a string')
         if has != 'text' and type_ not in _CODES:
             raise RowError(key, path, f'is {there}, which cannot hold a number')
         if has == 'array' and (not is_array or is_fixed):

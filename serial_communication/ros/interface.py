@@ -1,9 +1,10 @@
 """The interface between the node and a board."""
 import logging
 from abc import ABC, abstractmethod
-from typing import Any, Callable, Dict, List, NamedTuple, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Sequence, Tuple
 
 from ..link.link import Link
+from ..link.unknown_bytes import OtherBoard
 from .parameter import Parameters
 
 
@@ -13,6 +14,7 @@ class LinkOptions(NamedTuple):
     frame_timeout: float           # s
     clock: Callable[[], Any]       # returns the rospy.Time that stamps a read
     logger: logging.Logger
+    other_boards: Sequence[OtherBoard] = ()
 
 
 class Interface(ABC):

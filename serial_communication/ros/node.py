@@ -5,13 +5,15 @@ import signal
 import sys
 import time
 from contextlib import contextmanager
-from typing import Iterator, Type
+from functools import partial
+from typing import Iterator, List, Type
 
 import rospy
 
 from ..boards import reason
 from ..link.link import Link
 from ..link.sparing_log import SparingLog
+from ..link.unknown_bytes import OtherBoard
 from ..output import prepare_output
 from ..transport.pace import set_priority_of_all
 from . import parameters, starting
@@ -21,6 +23,7 @@ from .interface import Interface, LinkOptions
 from .last_resort import LastResort
 from .launch_arguments import unknown_arguments
 from .master import full_name
+from .other_boards import description_of
 from .parameter import ParameterError
 from .rospy_mends import background_logging, direct, handshake, log_file, remapping, shortage
 from .rospy_mends.master_watch import MasterWatch
@@ -82,7 +85,7 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
         values, warnings = parameters.check(given, rospy.get_name())
         for warning in [*warnings, *unknown_arguments()]:
             rospy.logwarn(warning)
-        bridge = Bridge(values)
+        bridge = Bridge(values, given)
         rospy.on_shutdown(bridge.stop)
         if not rospy.core.is_shutdown_requested():      # otherwise nothing may call `stop` later
             bridge.start()
@@ -118,15 +121,29 @@ def _errors_naming(board: Type[Interface]) -> Iterator[None]:
                              f'{reason(error)}') from None
 
 
+def _recognisable(p: dict, given: dict) -> List[OtherBoard]:
+    """The boards whose frames a link recognises on the wrong port: those with a description."""
+    found = []
+    for interface in p['boards']:
+        board = description_of(interface)
+        if board:
+            decoder = partial(board.decoder, False, given.get(board.name) or {})
+            found.append(OtherBoard(board.name, decoder,
+                                    bool(parameters.of_board(interface, p)['port'])))
+    return found
+
+
 class Bridge:
     """All links that have a port, with their diagnostics, transforms and serial_msg.
 
     Args:
         p: the checked parameters.
+        given: the same parameters as they were given.
     """
 
-    def __init__(self, p: dict) -> None:
-        link_options = LinkOptions(p['frame_timeout'], rospy.Time.now, _LOGGER)
+    def __init__(self, p: dict, given: dict) -> None:
+        link_options = LinkOptions(p['frame_timeout'], rospy.Time.now, _LOGGER,
+                                   _recognisable(p, given))
         boards = [(board, values) for board, values in (
             (board, parameters.of_board(board, p)) for board in p['boards']) if values['port']]
         self._interfaces, self._links = [], []

@@ -5,11 +5,12 @@ Every mistake there is reported in one line, since a traceback would not name th
 import re
 import threading
 import time
-from typing import Any, Iterable, List, Tuple, Type
+from typing import Any, Iterable, List, Optional, Tuple, Type
 
 import rospy
 
-from ..boards import BoardError, description, load
+from ..boards import BOARDS, BoardError, description, load
+from ..boards.description import Description
 from ..framing.layout import brief
 from .interface import Interface
 from .parameter import Parameter
@@ -40,6 +41,16 @@ def board_interfaces(names: Any, taken: Iterable[str]) -> List[Type[Interface]]:
             raise ValueError(f'the module {name!r}: {wrong}')
         interfaces.append(interface)
     return interfaces
+
+
+def description_of(interface: Type[Interface]) -> Optional[Description]:
+    """Return the description of an interface's board; None for a module with an INTERFACE only."""
+    package = interface.__module__.rpartition('.')[0]
+    try:
+        board = description(interface.NAME if interface.NAME in BOARDS else package)
+    except (BoardError, ValueError):
+        return None
+    return board if board.name == interface.NAME else None
 
 
 def _load(name: str) -> Tuple[str, Any]:

@@ -1,1 +1,1 @@
-"""Programs for people: the demo's table, the monitor, the web page, `wire`."""
+"""Programs for people: the demo's table, the monitor, the web page, `wire`, `ports`, `header`."""

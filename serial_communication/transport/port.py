@@ -25,7 +25,8 @@ from urllib.parse import urlsplit
 
 import serial
 
-from . import tty_settings
+from . import devices, tty_settings
+from .holders import holders_of
 
 _READ_SIZE = 65536
 _READABLE = select.POLLIN | select.POLLHUP | select.POLLERR
@@ -512,6 +513,26 @@ def _who_may_open(path: str) -> str:
             'as in config/99-serial_communication.rules')
 
 
+def _what_is_there(path: str) -> str:
+    """The devices that are there instead of an absent one, for people."""
+    for meant in os.path.join('/dev', path), '/' + path:
+        if path[:1] != '/' and os.path.exists(meant):
+            return f'; did you mean {meant}?'
+    if '/' in path and not path.startswith('/dev/'):
+        return ''     # not a device but a link, as of a simulated board
+    there = devices.paths()
+    return f"; this computer has {', '.join(there) or 'no serial port'}"
+
+
+def _who_has_it_open(path: str) -> str:
+    holders = holders_of(path)
+    if [holder.pid for holder in holders] == [os.getpid()]:
+        return f'this program itself has it open (pid {os.getpid()})'
+    if not holders:
+        return f'{_HINTS[errno.EBUSY]}, of another user: `sudo fuser -v {path}` names it'
+    return f'{_HINTS[errno.EBUSY]}: {", ".join(map(str, holders))}'
+
+
 def _explain(error: BaseException, path: str = '') -> str:
     """What is wrong, for people, and what to do about it if that is known.
 
@@ -525,8 +546,12 @@ def _explain(error: BaseException, path: str = '') -> str:
         if isinstance(cause, socket.gaierror):
             return 'no host of that name is known'
         if isinstance(cause, (OSError, termios.error)) and cause.args:
-            hint = _who_may_open(path) if cause.args[0] == errno.EACCES \
-                else _HINTS.get(cause.args[0])
+            number = cause.args[0]
+            if path and number in (errno.EBUSY, errno.EAGAIN):
+                return _who_has_it_open(path)
+            if path and number == errno.ENOENT:
+                return _HINTS[number] + _what_is_there(path)
+            hint = _who_may_open(path) if number == errno.EACCES else _HINTS.get(number)
             if hint:
                 return hint
         cause = cause.__context__

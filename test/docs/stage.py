@@ -93,6 +93,13 @@ class Stage:
         master = rosgraph.Master('/docs', self.environment['ROS_MASTER_URI'])
         return _answers(lambda: ServerProxy(master.lookupNode(name)).getPid('/docs'))
 
+    def until(self, condition: Callable[[], object], what: str) -> None:
+        """Wait as `until` does; an error has the output of the commands in the background."""
+        try:
+            until(condition, what)
+        except AssertionError as error:
+            raise AssertionError(f'{error}: {self.output()}') from None
+
     def output(self) -> str:
         """Return the output of the commands in the background."""
         path = self.folder / 'output'

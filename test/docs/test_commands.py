@@ -21,7 +21,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from pages import PAGES, ROOT, blocks
-from stage import Stage, until
+from stage import Stage
 
 sys.path.insert(0, str(ROOT / 'test' / 'firmware'))
 from emulated_board import build_firmware  # noqa: E402
@@ -57,7 +57,7 @@ def bridge(tmp_path_factory):
     with Stage(tmp_path_factory.mktemp('bridge')).master() as stage, stage.background([
             'roslaunch serial_communication bridge.launch sim:=true publish_tf:=true '
             f'sim_dir:={stage.folder}/sim']):
-        until(lambda: stage.links_are_ok(*LINKS), f'all links are OK: {stage.output()}')
+        stage.until(lambda: stage.links_are_ok(*LINKS), 'all links are OK')
         yield stage
 
 
@@ -111,9 +111,9 @@ def test_each_launched_bridge_becomes_ok(block, master):
             continue        # needs emulated boards, or has run for another page
         with master.background([f'{line} sim_dir:={master.folder}/launch']):
             # With faults on the lines, errors are expected.
-            until(lambda: master.links_are_ok(*LINKS, or_warn='faults:=' in line),
-                  f'all links are OK: {master.output()}')
-        until(lambda: not master.node_answers(NODE), 'the bridge has ended')
+            master.until(lambda: master.links_are_ok(*LINKS, or_warn='faults:=' in line),
+                         'all links are OK')
+        master.until(lambda: not master.node_answers(NODE), 'the bridge has ended')
         _LAUNCHED.add(line)
 
 
@@ -122,8 +122,8 @@ def test_the_panel_serves_its_page(block, master):
     line, = lines(block)
     with master.background([f'{line} sim_dir:={master.folder}/panel '
                             'panel_args:="--port 0"']):
-        until(lambda: master.links_are_ok(*LINKS), f'all links are OK: {master.output()}')
-        until(lambda: 'panel: http://' in master.output(), 'the page has an address')
+        master.until(lambda: master.links_are_ok(*LINKS), 'all links are OK')
+        master.until(lambda: 'panel: http://' in master.output(), 'the page has an address')
         address = re.search(r'panel: (\S+)', master.output()).group(1)
         with urllib.request.urlopen(address, timeout=10) as page:
             assert b'<html' in page.read()
@@ -132,7 +132,7 @@ def test_the_panel_serves_its_page(block, master):
 @marked('run: background')
 def test_commands_in_the_background_make_a_link_ok(block, master):
     with master.background(lines(block)):
-        until(lambda: master.links_are_ok('bus'), f'the link is OK: {master.output()}')
+        master.until(lambda: master.links_are_ok('bus'), 'the link is OK')
 
 
 @marked('run: play')
@@ -141,9 +141,9 @@ def test_a_recording_makes_a_link_ok(block, master, bridge):
     assert done.returncode == 0, done.stdout
     *there, play = lines(block)
     with master.background(there):
-        until(lambda: '/tmp/bridge: open' in master.output(), f'it opens: {master.output()}')
+        master.until(lambda: '/tmp/bridge: open' in master.output(), 'the port is open')
         with master.background([play]):
-            until(lambda: master.links_are_ok('arduino'), f'the link is OK: {master.output()}')
+            master.until(lambda: master.links_are_ok('arduino'), 'the link is OK')
 
 
 @marked('run: avr')
@@ -153,7 +153,7 @@ def test_a_block_beside_emulated_boards_succeeds(block, master):
     master.environment['SIM_DIR'] = str(folder)
     with master.background([
             f'roslaunch serial_communication bridge.launch sim:=avr sim_dir:={folder}']):
-        until(lambda: master.links_are_ok(*LINKS), f'all links are OK: {master.output()}')
+        master.until(lambda: master.links_are_ok(*LINKS), 'all links are OK')
         done = master.run(block.text)
         assert done.returncode == 0 and done.stdout.strip(), done.stdout
 

@@ -61,6 +61,9 @@ def rows(draw):
             row[key] = draw(part(paths))
     else:
         row = dict(draw(part(paths)), type=32, ros_type=kind)
+        if draw(st.integers(0, 2)) == 0:
+            row['constants'] = draw(st.dictionaries(
+                st.one_of(st.sampled_from(paths), ODD_PATHS), ANYTHING, max_size=2))
         if draw(st.booleans()):
             row['direction'] = draw(st.sampled_from(('to_board', 'from_board')))
     for key in draw(st.lists(st.one_of(st.sampled_from(sorted(row)), st.text(max_size=3)),

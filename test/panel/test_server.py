@@ -108,7 +108,7 @@ def test_a_port_in_use_ends_with_one_line_that_names_its_holder_and_a_free_port(
     done = run('--port', str(panel.port))
     assert done.returncode == 1 and len(done.stderr.splitlines()) == 1
     found = re.fullmatch(r'panel: cannot listen on 127.0.0.1 port (\d+): Address already in use, '
-                         r'by panel \(process (\d+)\); free: --port (\d+)\n', done.stderr)
+                         r'by panel \(pid (\d+)\); free: --port (\d+)\n', done.stderr)
     assert found.group(1, 2) == (str(panel.port), str(panel.process.pid))
     assert int(found.group(3)) > panel.port
 
@@ -118,7 +118,7 @@ def test_a_second_panel_without_options_takes_the_next_port_and_name(robot):
     until(lambda: is_registered('/panel'), 'it is registered')
     other = Panel(port=None, name=None)
     assert other.port > one.port >= 8080
-    other.wait_for(f'port 8080 is taken by panel (process {one.process.pid}); the next')
+    other.wait_for(f'port 8080 is taken by panel (pid {one.process.pid}); the next')
     until(lambda: is_registered('/panel_2'), 'it is registered under another name')
     for panel in one, other:
         page = Page(panel, watch=TOPICS)

@@ -19,7 +19,8 @@ import rostest
 import yaml
 from geometry_msgs.msg import Vector3
 from roscpp.srv import GetLoggers
-from sensor_msgs.msg import CameraInfo, FluidPressure, JointState, MagneticField, Range
+from sensor_msgs.msg import (BatteryState, CameraInfo, FluidPressure, JointState, MagneticField,
+                             Range)
 from std_msgs.msg import Bool, Float32, Int16MultiArray, String, UInt8MultiArray, UInt16MultiArray
 from std_srvs.srv import SetBool, Trigger
 
@@ -136,6 +137,18 @@ class FromTheCar(unittest.TestCase):
         for data, value in ((b'\0', False), (b'\1', True), (b'\x80', True)):
             self.first('bumper', Bool, 37, data,
                        lambda message, value=value: message.data is value)
+
+    def test_constants_are_in_every_message(self):
+        battery = Topic(OWN + 'battery', BatteryState)
+        self.addCleanup(battery.close)
+        for raw in 7400, 8100:      # twice, since the message is reused
+            message = battery.first(lambda m, raw=raw: abs(m.voltage - raw / 1000) < 1e-4,
+                                    doing=lambda raw=raw: CAR.write(
+                                        packet(38, struct.pack('<H', raw))))
+            self.assertEqual((message.present, message.location), (True, 'front'))
+            self.assertAlmostEqual(message.design_capacity, 2.2, 5)
+        joints = self.first('wheels', JointState, 209, struct.pack('<2h', 1, -1))
+        self.assertEqual((joints.name, joints.velocity), (['left', 'right'], (1.0, -1.0)))
 
     def test_a_row_with_many_keys_is_published(self):
         data = struct.pack('>hxQ2sdH', -7, 2**40, b'ab', 5.5, 9)
@@ -274,7 +287,9 @@ class FromTheSensors(unittest.TestCase):
         message = topic.first(doing=lambda: SENSORS.write(mcu.encode_raw(
             0x20, next(seqs) % 256, struct.pack('<H', 1500))))
         self.assertAlmostEqual(message.range, 1.5, 6)
-        self.assertEqual(message.header.frame_id, 'robot/cliff')
+        self.assertEqual((message.header.frame_id, message.radiation_type),
+                         ('robot/cliff', Range.INFRARED))
+        self.assertAlmostEqual(message.field_of_view, 0.44, 6)
         frames = Topic('/serial_msg', SerialMsg)
         self.addCleanup(frames.close)
         for data, error in ((b'\1\0\0', 'length: cliff frame with 3 bytes of data where 2 is'),
@@ -432,7 +447,7 @@ class Functions(unittest.TestCase):
         self.addCleanup(topic.close)
         self.addCleanup(frames.close)
         message = topic.next(lambda m: m.fluid_pressure == 101320)
-        self.assertEqual(message.header.frame_id, 'robot/tank')
+        self.assertEqual((message.header.frame_id, message.variance), ('robot/tank', 10000))
         frames.first(lambda m: m.text == 'tank' and m.direction == SerialMsg.TX)
         frames.first(lambda m: m.text == 'tank OK fluid_pressure=101320')
         self.assertGreater(len(self.asked(0x32)), 0)
@@ -541,7 +556,7 @@ class Mistakes(unittest.TestCase):
                 ({'fields': ['data.x']}, '/fields', 'must end at data, a float32 without fields'),
                 ({'fields': ['data[0]']}, '/fields', 'data is not an array'),
                 ({'layout': '<s'}, '/fields',
-                 'is float32; the text (s) in the layout needs a string'),
+                 'is float32; a text needs a string'),
                 ({'layout': '<h*'}, '/fields', 'the * in the layout needs an array of any length'),
                 ({'frame_id': 'x'}, '/frame_id', 'needs a type with a header'),
                 ({'ros_type': 'std_msgs/String'}, '/fields',
@@ -569,6 +584,33 @@ class Mistakes(unittest.TestCase):
                  'std_srvs/SetBoolResponse has no field data')):
             with self.subTest(said):
                 self.assert_mistake('bus/functions', 'pump', dict(PUMP, **changes), key, said)
+
+    def test_constants_that_the_type_cannot_hold_are_refused(self):
+        battery = dict(FORCE, ros_type='sensor_msgs/BatteryState', fields=['voltage'])
+        for constants, key, said in (
+                ({'presnt': True}, '', 'has no field presnt; did you mean present?'),
+                ({'present': 1}, '/present', 'is 1 (int), may be true or false$'),
+                ({'charge': True}, '/charge', 'is True (bool), may be a number$'),
+                ({'charge': 'full'}, '', 'is float32; a text needs a string$'),
+                ({'charge': 1e39}, '/charge', 'is a number that its ROS field cannot hold$'),
+                ({'power_supply_status': 256}, '/power_supply_status', 'field cannot hold$'),
+                ({'power_supply_status': 0.5}, '/power_supply_status', 'field cannot hold$'),
+                ({'location': 5}, '', 'is string, which cannot hold a number$'),
+                ({'cell_voltage': 3.7}, '', 'needs one element, such as cell_voltage[0]$'),
+                ({'header.stamp': 0}, '', 'is time'),
+                ({'header.frame_id': 'base'}, '/header.frame_id', 'set by the key frame_id$'),
+                ({'voltage': 12.0}, '', 'is in fields, too$')):
+            with self.subTest(said):
+                self.assert_mistake('arduino/messages', 'pack', dict(battery, constants=constants),
+                                    '/constants' + key, said)
+        self.assert_mistake('arduino/messages', 'pack', dict(
+            battery, layout='<h*', fields=['cell_voltage'], constants={'cell_voltage[1]': 3.7}),
+            '/constants', 'overlaps with cell_voltage$')
+        self.assert_mistake('bus/functions', 'tank', {
+            'cmd2': 1, 'ros_type': 'sensor_msgs/FluidPressure', 'period': 1,
+            'constants': {'varianc': 1.0}}, '/constants', 'did you mean variance?$')
+        check({'arduino': {'messages': {'pack': dict(battery, constants={
+            'charge': float('nan'), 'cell_voltage[1]': 4, 'power_supply_status': 255})}}}, '/node')
 
     def test_values_that_overlap_in_the_message_are_refused(self):
         for layout, fields, said in (

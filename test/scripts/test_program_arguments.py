@@ -17,8 +17,10 @@ PROGRAMS = sorted(path.name for path in SCRIPTS.iterdir()
 WRONG = (
     ('avr_board', ()), ('avr_board', ('wheel',)), ('avr_board', ('bus', '--wrong')),
     ('avr_board', ('bus', '--link')), ('bench', ('--wrong',)), ('demo', ('--wrong',)),
+    ('header', ()), ('header', ('--wrong', 'x')), ('header', ('a', 'b', 'c')),
     ('monitor', ('--wrong',)), ('other_program', ()), ('other_program', ('rviz',)),
     ('panel', ('--wrong',)), ('pictures', ('--wrong',)),
+    ('ports', ('--wrong',)), ('ports', ('--seconds', '-1')), ('ports', ('socket://x',)),
     ('serial_communication_node', ('--wrong',)),
     ('serial_communication_node', ('/dev/ttyS0',)), ('simulator', ()),
     ('simulator', ('wheel',)), ('simulator', ('bus', '--wrong')), ('soak', ('--wrong',)),
@@ -65,7 +67,8 @@ runpy.run_path(sys.argv[0], run_name='__main__')
 '''
 
 
-@pytest.mark.parametrize('name', ['monitor', 'panel', 'serial_communication_node', 'simulator'])
+@pytest.mark.parametrize('name', ['header', 'monitor', 'panel', 'ports',
+                                  'serial_communication_node', 'simulator'])
 def test_ctrl_c_during_the_imports_prints_no_traceback(name):
     done = subprocess.run([sys.executable, '-c', _CTRL_C, str(SCRIPTS / name)], text=True,
                           timeout=60, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,

@@ -26,4 +26,5 @@ DESCRIPTION = Description(
                  '~bus/sync'),
     custom=CustomRows('functions', read_functions, '~'),
     wire_flags={'reply_has_cmd2': "replies carry their request's CMD2"},
-    command=Command.FUNCTION)
+    command=Command.FUNCTION,
+    question=wire.encode_request(wire.SYNC_REQUEST))

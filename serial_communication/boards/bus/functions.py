@@ -2,15 +2,15 @@
 
 config/custom_messages.yaml shows their keys. The names of ROS types are plain text here.
 """
-from typing import Any, List, NamedTuple, Optional, Tuple
+from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
 from ...framing.custom_messages import LAYOUT_KEYS, ROS_TYPE, Row, RowError, rows
 from ...framing.layout import Layout
 from . import wire
 
 _BUILT_IN = (wire.LIFT, wire.GIMBAL, wire.ENVIRONMENT)
-_KEYS = ('cmd2', 'srv_type', 'ros_type', 'period', 'frame_id', 'request', 'reply', 'timeout',
-         'repeatable', 'interrupts')
+_KEYS = ('cmd2', 'srv_type', 'ros_type', 'period', 'frame_id', 'constants', 'request', 'reply',
+         'timeout', 'repeatable', 'interrupts')
 
 
 class CustomFunction(NamedTuple):
@@ -25,9 +25,25 @@ class CustomFunction(NamedTuple):
     ros_type: str          # '' for a service
     period: float          # s between two polls; 0 for a service
     frame_id: str
+    constants: Dict[str, Any]    # see CustomMessage
     timeout: Optional[float]     # s; None: bus/reply_timeout
     repeatable: bool
     interrupts: bool       # a stop: sent at once, whatever is outstanding; it is repeatable
+
+    @property
+    def number(self) -> Tuple[str, int]:
+        """The key of its number on the wire, and that number."""
+        return 'cmd2', self.cmd2
+
+    @property
+    def layouts(self) -> Dict[str, Layout]:
+        """The layouts of its request and its reply."""
+        return {'Request': self.request, 'Reply': self.reply}
+
+    @property
+    def purpose(self) -> str:
+        """What it is for, in a few words."""
+        return f'a service: {self.srv_type}' if self.srv_type else f'polled: {self.ros_type}'
 
     def make_request(self, values: Tuple) -> wire.Request:
         """The request with these values.
@@ -66,18 +82,17 @@ def read_functions(entries: Any, key: str = 'bus/functions') -> List[CustomFunct
                           'a whole number from 0 to 255 but 32, 33 and 34', whole=True)
         row.refuse_second('cmd2', cmd2, {other.cmd2: other.name for other in functions})
         polled = 'ros_type' in row.given
-        for unused in (('srv_type', 'repeatable', 'interrupts') if polled else
-                       ('period', 'frame_id')):
-            if unused in row.given:
-                raise RowError(row.name(unused), row.given[unused],
-                               f'has no meaning beside {"ros_type" if polled else "srv_type"}')
+        if polled:
+            row.refuse_unused(['repeatable', 'interrupts'], 'ros_type')
+        else:
+            row.refuse_unused(['period', 'frame_id', 'constants'], 'srv_type')
         functions.append(CustomFunction(
             name, row.key, cmd2, _layout(row, 'request', only_zeros=polled), _layout(row, 'reply'),
             row.text('srv_type', ROS_TYPE, 'a service type, as std_srvs/Trigger', ''),
             row.text('ros_type', ROS_TYPE, 'a message type, as std_msgs/Float32', ''),
             row.number('period', lambda n: 0.001 <= n <= 86400, 'a number from 0.001 to 86400 (s)')
             if polled else 0.0,
-            row.text('frame_id', None, 'text', ''),
+            row.text('frame_id', None, 'text', ''), row.constants(),
             row.number('timeout', lambda n: 0.01 <= n <= 600, 'a number from 0.01 to 600 (s)',
                        default=0.0) or None,
             polled or row.flag('repeatable'), not polled and row.flag('interrupts')))

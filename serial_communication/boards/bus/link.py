@@ -247,7 +247,8 @@ class BusLink(Link):
         if condition is Condition.READY:
             return OK, 'ready'
         level = ERROR if condition in (Condition.NO_SYNC, Condition.NO_ECHO) else WARN
-        return level, condition.value
+        unknown = self.unknown_bytes(now) if condition is Condition.NO_SYNC else ''
+        return level, unknown or condition.value
 
     def talks(self, now: float) -> Optional[bool]:
         # None for NO_ECHO: some boards do not know ECHO, and the Master has logged it.

@@ -146,7 +146,8 @@ def _ros_function(function: CustomFunction) -> RosFunction:
     else:
         found = find_type(f'{key}/ros_type', function.ros_type)
         check_frame_id(function, found)
-        reply = RosFields(found, function.reply, f'{key}/reply/fields')
+        reply = RosFields(found, function.reply, f'{key}/reply/fields', function.constants,
+                          f'{key}/constants')
     narrowed = function._replace(reply=reply.narrowed(function.reply))
     return RosFunction(narrowed, found, request, reply)
 

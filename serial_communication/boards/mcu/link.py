@@ -102,7 +102,8 @@ class McuLink(Link):
     def condition(self, now: float) -> Tuple[int, str]:
         if not self.port.is_open:
             return super().condition(now)
-        return (WARN, 'open, the board is silent') if self.silent else (OK, 'open')
+        silence = self.unknown_bytes(now) or 'the board is silent'
+        return (WARN, f'open, {silence}') if self.silent else (OK, 'open')
 
     def talks(self, now: float) -> Optional[bool]:
         return not self.silent

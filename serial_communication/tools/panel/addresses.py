@@ -11,6 +11,7 @@ from typing import List, Optional, Tuple
 
 import tornado.netutil
 
+from ...transport.holders import holder
 from .guard import is_loopback
 
 _LISTENS = '0A'        # state of a socket in /proc/net/tcp
@@ -43,7 +44,7 @@ def free_port(port: int, bind: str) -> int:
     return number
 
 
-def holder(port: int) -> str:
+def listener(port: int) -> str:
     """Which program listens on a TCP port of this machine: its name and process id.
 
     Only root sees the processes of other users.
@@ -58,17 +59,8 @@ def holder(port: int) -> str:
     for path in glob.iglob('/proc/[0-9]*/fd/*'):
         with suppress(OSError):
             if os.readlink(path) in sockets:
-                process = path.split('/')[2]
-                return f'{_program(process)} (process {process})'
+                return str(holder(int(path.split('/')[2])))
     return 'another program' if sockets else ''
-
-
-def _program(process: str) -> str:
-    """The name of a process: of its script, where an interpreter runs one."""
-    words = Path(f'/proc/{process}/cmdline').read_text().split('\0')
-    names = [os.path.basename(word) for word in words[:2] if word and not word.startswith('-')]
-    return names[1] if len(names) > 1 and names[0].startswith(('python', 'bash', 'sh')) \
-        else (names or ['a program'])[0]
 
 
 def page_address(bind: str, port: int, token: Optional[str]) -> str:

@@ -24,7 +24,7 @@ from ...ros.rospy_mends import background_logging
 from ...ros.rospy_mends.log_file import init_node
 from ...ros.rospy_mends.master_watch import MasterWatch
 from ..watch.watcher import leave_ros
-from .addresses import free_port, holder, listen, listen_near, page_address, qr_code
+from .addresses import free_port, listen, listener, listen_near, page_address, qr_code
 from .cli import DEFAULT_PORT, print_error
 from .commands import Commands
 from .feed import Feed
@@ -108,7 +108,7 @@ def _listen(options: argparse.Namespace) -> List[socket.socket]:
         return listen(options.port, options.bind)
     sockets = listen_near(DEFAULT_PORT, options.bind)
     if sockets[0].getsockname()[1] != DEFAULT_PORT:
-        print_error(f'port {DEFAULT_PORT} is taken by {holder(DEFAULT_PORT) or "another program"}'
+        print_error(f'port {DEFAULT_PORT} is taken by {listener(DEFAULT_PORT) or "another program"}'
                     '; the next free one is used')
     return sockets
 
@@ -116,7 +116,7 @@ def _listen(options: argparse.Namespace) -> List[socket.socket]:
 def _explain_no_port(options: argparse.Namespace, error: OSError) -> None:
     """Print why it cannot listen, who has the port, and which one is free."""
     port = DEFAULT_PORT if options.port is None else options.port
-    held_by, free = holder(port), free_port(port, options.bind)
+    held_by, free = listener(port), free_port(port, options.bind)
     print_error(f'cannot listen on {options.bind} port {port}: {error.strerror}'
                 + (f', by {held_by}' if held_by else '')
                 + ('; ' + (f'free: --port {free}' if free else 'choose others with --bind and '

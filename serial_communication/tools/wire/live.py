@@ -7,11 +7,12 @@ import os
 import queue
 import threading
 import time
-from typing import Callable, List, NamedTuple, Optional, Sequence, Union
+from typing import Callable, NamedTuple, Optional, Sequence, Union
 
 from ...framing.stream import Frame
 from ...link.backlog import STALL, Backlog
 from ...transport import pace
+from ...transport.holders import holders_of
 from ...transport.opener import Opener
 from ...transport.port import Port, PortError
 from . import recording
@@ -278,35 +279,9 @@ def claim(port: Port) -> None:
     try:
         port.open()
     except PortError as error:
-        holders = users_of(port.url)
+        holders = [str(holder) for holder in holders_of(port.url)]
         if not holders:
             raise WireError(f'{port.url}: {error}') from None
         raise WireError(f'{port.url} is open in {" and ".join(holders)}, and two readers of a port '
                         'take bytes from each other. End it first; or, if it is the bridge, look '
                         'at its frames: rostopic echo /serial_msg') from None
-
-
-def users_of(path: str) -> List[str]:
-    """Return the programs that hold a port's lock, as far as this user may see: `name (pid 12)`."""
-    found = []
-    try:
-        port = os.stat(path)
-        inode = f'{os.major(port.st_dev):02x}:{os.minor(port.st_dev):02x}:{port.st_ino}'
-        with open('/proc/locks') as locks:
-            pids = [words[4] for words in map(str.split, locks)
-                    if words[1] == 'FLOCK' and words[5] == inode]
-        for pid in pids:
-            with open(f'/proc/{pid}/cmdline', 'rb') as file:
-                words = file.read().decode('utf-8', 'replace').split('\0')
-            found.append(f'{_program(words)} (pid {pid})')
-    except (OSError, IndexError):
-        pass     # the program has just ended, or this system hides it
-    return found
-
-
-def _program(words: List[str]) -> str:
-    """The program's name in a command line: that of the script, not of its interpreter."""
-    names = [os.path.basename(word) for word in words if word]
-    if len(names) > 1 and names[0].startswith('python') and not words[1].startswith('-'):
-        return names[1]
-    return names[0] if names else '?'

@@ -1,0 +1,74 @@
+"""Finds out whose frames a stream of bytes has.
+
+The decoders of all boards read the same bytes. Bytes of another board, of another baud rate or of
+noise are sometimes a valid frame by chance, above all without a checksum. So a board is recognised
+only by several valid frames that have most of the bytes.
+"""
+from typing import Callable, Dict, List, Mapping
+
+from .stream import UNKNOWN, Decoder, Frame
+
+_FRAMES = 3        # the fewest valid frames
+_WINDOW = 4096     # bytes; then the decision is made anew
+
+
+class Recognition:
+    """Reads a stream until its board is known, and goes on, since another one may follow.
+
+    Args:
+        decoders: by the boards' names; each makes a decoder of what the board sends.
+    """
+
+    def __init__(self, decoders: Mapping[str, Callable[[], Decoder]]) -> None:
+        self.name = ''          # of the board; '': not recognised
+        self._make = decoders
+        self._begin()
+
+    def feed(self, data: bytes) -> None:
+        """Read some more bytes."""
+        for name, decoder in self._decoders.items():
+            self._counts[name].add(decoder.feed(data))
+        self._size += len(data)
+        self._decide(self._size >= _WINDOW)
+        if self._size >= _WINDOW:
+            self._begin()
+
+    def finish(self) -> None:
+        """There are no more bytes: also count what waits for more."""
+        for name, decoder in self._decoders.items():
+            while decoder.pending:
+                self._counts[name].add(decoder.give_up())
+        self._decide(False)
+
+    def _begin(self) -> None:
+        self._decoders: Dict[str, Decoder] = {name: make() for name, make in self._make.items()}
+        self._counts = {name: _Count() for name in self._make}
+        self._size = 0
+
+    def _decide(self, is_final: bool) -> None:
+        found = max(self._counts, key=lambda name: self._counts[name].valid, default='')
+        if found and self._counts[found].is_enough:
+            self.name = found
+        elif is_final:
+            self.name = ''
+
+
+class _Count:
+    """What one decoder made of the bytes."""
+
+    def __init__(self) -> None:
+        self.valid = 0        # bytes in valid frames
+        self._frames = 0      # these frames
+        self._invalid = 0     # other bytes
+
+    def add(self, frames: List[Frame]) -> None:
+        for frame in frames:
+            if frame.message is not None:
+                self.valid += len(frame.raw)
+                self._frames += 1
+            elif frame.cause not in ('', UNKNOWN):
+                self._invalid += len(frame.raw)
+
+    @property
+    def is_enough(self) -> bool:
+        return self._frames >= _FRAMES and self.valid > self._invalid

@@ -1,0 +1,251 @@
+"""Rows of custom messages -> the text of a C++11 header.
+
+The header is for any compiler with GCC's attributes, on a little-endian processor. It includes
+nothing but <stdint.h> and <string.h>, so it also works without the library of this package.
+"""
+import binascii
+import math
+import re
+from typing import Any, Dict, Iterable, List, Set, Tuple
+
+from ...framing.layout import Layout, Value
+
+_TYPES = {'b': 'int8_t', 'B': 'uint8_t', 'h': 'int16_t', 'H': 'uint16_t', 'i': 'int32_t',
+          'I': 'uint32_t', 'l': 'int32_t', 'L': 'uint32_t', 'q': 'int64_t', 'Q': 'uint64_t',
+          'e': 'uint16_t', 'f': 'float', 'd': 'double', '?': 'uint8_t'}
+_KEYWORDS = set('''
+    alignas alignof and and_eq asm auto bitand bitor bool break case catch char char16_t char32_t
+    class compl const const_cast constexpr continue decltype default delete do double dynamic_cast
+    else enum explicit export extern false float for friend goto if inline int long mutable
+    namespace new noexcept not not_eq nullptr operator or or_eq private protected public register
+    reinterpret_cast return short signed sizeof static static_assert static_cast struct switch
+    template this thread_local throw true try typedef typeid typename union unsigned using virtual
+    void volatile wchar_t while xor xor_eq
+    boolean byte word'''.split())      # the last line: Arduino's
+# Classes and objects of the Arduino core; a row of that name gets another one.
+_ARDUINO = {'String', 'Serial', 'Print', 'Stream', 'Printable', 'Server', 'Client', 'BigEndian'}
+_WORDS = {'e': 'the bits of a float of 16 bits', '?': '0: false, 1: true'}
+_LARGEST_FLOAT = 3.4e38
+_MOST_TEXT, _MOST_ROWS = 2048, 16     # of an announcement
+
+_TOP = """\
+// Custom messages of the board "{link}", made by `header` from {file}.
+// Do not change this file: change the rows in {file}, and make it again.
+//
+// A value is raw * scale + offset; a struct has the raw numbers.
+
+#pragma once
+
+#include <stdint.h>
+#include <string.h>
+
+#if defined(__BYTE_ORDER__) && __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__
+#error "the structs below are for a little-endian processor"
+#endif
+"""
+
+_BIG_ENDIAN = """
+// A number whose bytes are in big-endian order; used like a T.
+template <class T>
+struct __attribute__((packed)) BigEndian {
+  uint8_t bytes[sizeof(T)];
+  BigEndian(T value = T()) {
+    memcpy(bytes, &value, sizeof(T));
+    reverse(bytes);
+  }
+  operator T() const {
+    BigEndian other = *this;
+    reverse(other.bytes);
+    T value;
+    memcpy(&value, other.bytes, sizeof(T));
+    return value;
+  }
+
+ private:
+  static void reverse(uint8_t* bytes) {
+    for (uint8_t i = 0; i < sizeof(T) / 2; ++i) {
+      const uint8_t byte = bytes[i];
+      bytes[i] = bytes[sizeof(T) - 1 - i];
+      bytes[sizeof(T) - 1 - i] = byte;
+    }
+  }
+};
+"""
+
+
+def header(file: str, link: str, read: Iterable[Any], rows: Dict[str, Any],
+           firmware: str = '') -> str:
+    """The text of the header.
+
+    Args:
+        file: the name of the configuration.
+        link: the name of the board's link.
+        read: the rows, as the board's description reads them.
+        rows: the same rows, as the file has them.
+        firmware: its name and version, for the announcement; '': not announced.
+    """
+    names = _Names(_ARDUINO)
+    parts = [part for row in read for part in _row(row, names)]
+    big_endian = any('BigEndian<' in part for part in parts)
+    return '\n'.join([_TOP.format(file=_one_line(file), link=link) + _BIG_ENDIAN * big_endian,
+                      *parts, _announcement(rows, firmware)])
+
+
+class _Names:
+    """Makes names that are valid in C++, each once."""
+
+    def __init__(self, taken: Iterable[str] = ()) -> None:
+        self._taken: Set[str] = set(taken)
+
+    def new(self, name: str, other: str) -> str:
+        """This name; if it is taken, the other one, or that with a number."""
+        # Names without a small letter are often macros of the Arduino core, such as A0 or PI.
+        if name in self._taken | _KEYWORDS or not re.search('[a-z]', name):
+            name, number = other, 2
+            while name in self._taken:
+                name, number = f'{other}_{number}', number + 1
+        self._taken.add(name)
+        return name
+
+
+def _row(row: Any, names: _Names) -> List[str]:
+    """The structs of one row, and the constant with its number."""
+    key, number = row.number
+    where = f'// {row.name}, {row.purpose}'
+    structs = [(suffix, layout) for suffix, layout in row.layouts.items() if not layout.is_empty]
+    camel = ''.join(word[:1].upper() + word[1:] for word in row.name.split('_'))
+    made = [_struct(where, names.new(camel + suffix, f'{camel}{suffix}Message'), key.upper(),
+                    number, layout) for suffix, layout in structs]
+    if made:
+        return made
+    name = names.new(camel, f'{camel}Message')
+    return [f'{where}: no data\nstruct {name} {{\n'
+            f'  enum : uint8_t {{ {key.upper()} = {number} }};\n}};\n']
+
+
+def _struct(where: str, name: str, key: str, number: int, layout: Layout) -> str:
+    """One packed struct, with a template argument if its last value has any length."""
+    fields, constants = _members(layout)
+    size, instance = layout.size, name
+    lines = [where]
+    last = layout.values[-1] if layout.values else None
+    if last and last.end < 0:
+        lines = [f'{where}; Count: the length of {_member(last.name)}',
+                 'template <uint16_t Count>']
+        size += 1 if last.code == 's' else Layout(layout.layout[0] + last.code, [last]).size
+        instance = f'{name}<1>'
+    why = f'{name} has {size} bytes'
+    if any(value.code == 'd' for value in layout.values):
+        why += ', and a double has 8: on an AVR use f in the layout'
+    return '\n'.join([
+        *lines, f'struct __attribute__((packed)) {name} {{',
+        f'  enum : uint8_t {{ {key} = {number} }};', *fields, *constants, '};',
+        f'static_assert(sizeof({instance}) == {size}, "{why}");', ''])
+
+
+def _members(layout: Layout) -> Tuple[List[str], List[str]]:
+    """The lines of the struct's fields, and those of their constants."""
+    names = _Names()
+    fields: List[str] = []
+    constants: List[str] = []
+    at = 0
+    for value in layout.values:
+        if value.start > at:
+            fields.append(f'  uint8_t {names.new("padding", "padding")}[{value.start - at}];')
+        name = names.new(_member(value.name), _member(value.name) + '_')
+        fields.append(f'  {_declared(value, name, layout.layout[0])};{_comment(value)}')
+        constants += _constants(value, name)
+        at = value.end if value.end >= 0 else layout.size
+    if layout.size > at:
+        fields.append(f'  uint8_t {names.new("padding", "padding")}[{layout.size - at}];')
+    return fields, constants
+
+
+def _member(path: str) -> str:
+    """The name of a field: vector.x -> vector_x, position[2] -> position_2."""
+    return re.sub(r'\W+', '_', path.replace(']', '')) or 'left_out'
+
+
+def _declared(value: Value, name: str, order: str) -> str:
+    if value.code == 's':
+        return f'char {name}[{value.room or "Count"}]'
+    type_ = _TYPES[value.code]
+    if order == '>' and type_ not in ('int8_t', 'uint8_t'):
+        type_ = f'BigEndian<{type_}>'
+    return f'{type_} {name}' + '[Count]' * (value.end < 0)
+
+
+def _comment(value: Value) -> str:
+    words = []
+    if value.code == 's':
+        words.append('text; it ends at its first 0x00')
+    elif value.code in _WORDS:
+        words.append(_WORDS[value.code])
+    if value.is_scaled:
+        words.append(f'raw * {value.scale:.10g}' + (
+            f' {"+-"[value.offset < 0]} {abs(value.offset):.10g}' if value.offset else ''))
+    if not value.name:
+        words.append('the bridge leaves it out')
+    low, high = value.minimum, value.maximum
+    if low > -math.inf or high < math.inf:
+        words.append(f'at least {low:.10g}' if high == math.inf else f'at most {high:.10g}'
+                     if low == -math.inf else f'{low:.10g} to {high:.10g}')
+    return '  // ' + ', '.join(words) if words else ''
+
+
+def _constants(value: Value, name: str) -> List[str]:
+    """Functions with a value's scale, offset and limits; not constants, which need a definition."""
+    given = (('scale', value.scale, 1), ('offset', value.offset, 0),
+             ('minimum', value.minimum, -math.inf), ('maximum', value.maximum, math.inf))
+    return [f'  static constexpr float {name}_{what}() {{ return {float(number)!r}f; }}'
+            for what, number, default in given
+            if value.name and number != default and abs(number) < _LARGEST_FLOAT]
+
+
+def _announcement(rows: Dict[str, Any], firmware: str) -> str:
+    """The text with which the board announces these rows, one a line."""
+    lines = [f'firmware: {firmware}\n'] * bool(firmware) + _row_lines(rows)
+    text = ''.join(lines).encode()
+    if len(text) > _MOST_TEXT or len(rows) > _MOST_ROWS:
+        return (f'// No announcement: these are {len(rows)} rows and {len(text)} bytes, the most '
+                f'are {_MOST_ROWS} and {_MOST_TEXT}.\n')
+    quoted = '\n'.join(f'    "{_escaped(line)}"' for line in lines)
+    return f"""\
+// These rows, as the board announces them to the bridge.
+#ifdef __AVR__
+#include <avr/pgmspace.h>
+#define SERIAL_COMMUNICATION_FLASH PROGMEM
+#else
+#define SERIAL_COMMUNICATION_FLASH
+#endif
+const char kAnnouncement[] SERIAL_COMMUNICATION_FLASH =
+{quoted};
+const uint16_t kAnnouncementSize = {len(text)};
+const uint16_t kAnnouncementCrc = 0x{binascii.crc_hqx(text, 0xFFFF):04x};
+"""
+
+
+def _row_lines(rows: Dict[str, Any]) -> List[str]:
+    """The rows in YAML's flow form."""
+    import yaml     # it has read the file
+
+    class Dumper(yaml.SafeDumper):
+        """Writes what two keys share twice, since an announcement has no references."""
+
+        def ignore_aliases(self, data: Any) -> bool:
+            return True
+
+    return [yaml.dump({name: rows[name]}, Dumper=Dumper, default_flow_style=True, width=10 ** 6,
+                      sort_keys=False, allow_unicode=True).strip()[1:-1] + '\n'
+            for name in sorted(rows)]
+
+
+def _escaped(line: str) -> str:
+    """A line as the contents of a C string, in UTF-8."""
+    return ''.join(chr(byte) if 32 <= byte < 127 and byte not in b'"\\?' else f'\\{byte:03o}'
+                   for byte in line.encode()).replace('\\012', '\\n')
+
+
+def _one_line(text: str) -> str:
+    """Text that is safe in a // comment."""
+    return re.sub(r'[^ -~]|\\', '?', text)

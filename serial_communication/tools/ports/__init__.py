@@ -1,0 +1,1 @@
+"""`ports`: which board is on which port. See cli.py."""

@@ -1,0 +1,42 @@
+"""What makes a port slow, or lets another program steal its bytes; each with its remedy."""
+import glob
+import os
+import resource
+from typing import List
+
+from ...transport.devices import first_line
+
+_LATENCY = '/sys/bus/usb-serial/devices/{}/latency_timer'
+_PROCESSES = '/proc/[0-9]*/comm'
+_GRABBERS = {
+    'ModemManager': 'it sends bytes to new serial ports, to find modems: '
+                    'sudo systemctl disable --now ModemManager (or the rules in config/)',
+    'brltty': 'it takes USB adapters for Braille displays: sudo apt-get remove brltty',
+}
+
+
+def of_port(path: str) -> List[str]:
+    """Remedies for one device."""
+    timer = _LATENCY.format(os.path.basename(os.path.realpath(path)))
+    milliseconds = first_line(timer)
+    if milliseconds.isdigit() and int(milliseconds) > 1:
+        return [f'the adapter holds bytes back for {milliseconds} ms, unless the program that '
+                f'opens the port may change that: echo 1 | sudo tee {timer}']
+    return []
+
+
+def of_computer() -> List[str]:
+    """Remedies for all ports of this computer."""
+    running = {first_line(path) for path in glob.glob(_PROCESSES)}
+    found = [f'{name} is running; {what}' for name, what in _GRABBERS.items() if name in running]
+    if not may_have_priority():
+        found.append(
+            'the heartbeat gets no real-time priority, so a busy computer may delay it: '
+            "echo '@dialout - rtprio 20' | sudo tee /etc/security/limits.d/serial.conf, "
+            'sudo usermod -a -G dialout $USER, and log in again')
+    return found
+
+
+def may_have_priority() -> bool:
+    """Whether this user may have real-time priority."""
+    return os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_RTPRIO)[0] != 0

@@ -1,0 +1,153 @@
+"""rosrun serial_communication ports: which board is on which port.
+
+Listens to each port and shows the board whose frames it receives, the port's names, who has it
+open, whether this user may open it, and what makes it slow; and then lines to paste. It writes not
+one byte, unless --ask is given, and needs no ROS master. A port that another program has open is
+not touched. (An Arduino resets when its port is opened for the first time after it was plugged in.)
+"""
+import argparse
+import os
+import sys
+import threading
+from typing import Any, Dict, List, Optional
+
+from ...boards import BOARDS, BoardError, find
+from ...boards.config_file import board_parameters, read_parameters
+from ...output import prepare_output
+from ...transport import devices
+from ...transport.devices import Device
+from ...transport.holders import holders_of
+from ...transport.port import check_url
+from . import configuration
+from .configuration import WriteError
+from .listening import Candidate, Heard, Listener
+from .report import Found, as_json, as_text, connections
+
+_LONGEST = 120.0     # s to listen
+
+_EXAMPLES = """\
+examples:
+  ports                              every serial port of this computer
+  ports --ask --write robot.yaml     also find a bus board, and write a configuration
+  ports /dev/ttyUSB0 socket://192.168.1.7:4001 --json
+"""
+
+
+def main(arguments: Optional[List[str]] = None) -> int:
+    """Run the program and return the exit status."""
+    prepare_output()
+    options = _arguments(arguments)
+    try:
+        return _run(options)
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)    # else Python reports it at its exit
+        return 0
+
+
+def _arguments(arguments: Optional[List[str]]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog='ports', description=__doc__.partition('\n\n')[2], epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('ports', metavar='PORT', nargs='*', type=_url,
+                        help='a device, or whatever pyserial opens (all serial ports of this '
+                             'computer)')
+    parser.add_argument('--seconds', type=_seconds, default=2.0, metavar='S',
+                        help='how long to listen (%(default)g)')
+    parser.add_argument('--ask', action='store_true',
+                        help='send SYNC to silent ports, to find a bus board, which speaks only '
+                             'when it is asked')
+    parser.add_argument('--json', action='store_true', help='print a list of objects')
+    parser.add_argument('--config', default='', metavar='FILE',
+                        help="the bridge's parameters, for custom messages and for boards of "
+                             'other packages; also what --write changes (config/bridge.yaml)')
+    parser.add_argument('--write', default='', metavar='FILE',
+                        help='write a configuration with the ports that were found, for config:=')
+    options = parser.parse_args(arguments)
+    try:
+        options.candidates = _candidates(options.config)
+    except (OSError, BoardError, ValueError) as error:
+        parser.error(f'{options.config}: {getattr(error, "strerror", None) or error}')
+    return options
+
+
+def _url(text: str) -> str:
+    try:
+        check_url(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f'{text}: {error}') from None
+    return text
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0 < value <= _LONGEST:
+        raise argparse.ArgumentTypeError(f'{text} s is out of range (above 0, at most '
+                                         f'{_LONGEST:g})')
+    return value
+
+
+def _candidates(config: str) -> List[Candidate]:
+    parameters: Dict[str, Any] = read_parameters(config) if config else {}
+    packages = parameters.get('boards')
+    boards = map(find, (*BOARDS, *(packages if isinstance(packages, list) else ())))
+    candidates = [Candidate(board, board_parameters(parameters, board.name)) for board in boards]
+    for candidate in candidates:
+        candidate.decoder()     # raises ValueError for a mistake in a custom message
+    return candidates
+
+
+def _run(options: argparse.Namespace) -> int:
+    chosen = _chosen(options.ports)
+    if not chosen:
+        print('[]' if options.json else 'This computer has no serial port. Does the USB cable '
+              'carry data? `dmesg | tail` shows what was plugged in.')
+    ports = _listened(chosen, Listener(options.candidates, options.seconds, options.ask))
+    boards = {candidate.board.name: candidate.board for candidate in options.candidates}
+    if ports:
+        print(as_json(ports) if options.json else
+              as_text(ports, boards, options.seconds, options.ask, options.config))
+    if not options.write:
+        return 0
+    try:
+        if not connections(ports):
+            raise WriteError(f'{options.write} is not written: no board was found')
+        before = configuration.write(options.write, options.config or configuration.default_path(),
+                                     list(boards), connections(ports))
+    except WriteError as error:
+        print(f'ports: {error}', file=sys.stderr)
+        return 1
+    kept = f'; what was there is now {before}' if before else ''
+    print(f'ports: {options.write} is written{kept}. Start the bridge with it: roslaunch '
+          f'serial_communication bridge.launch config:={os.path.abspath(options.write)}',
+          file=sys.stderr)
+    return 0
+
+
+def _chosen(urls: List[str]) -> List[Device]:
+    there = devices.devices()
+    if not urls:
+        return there
+    return [next((device._replace(path=url) for device in there
+                  if device.path == os.path.realpath(url)), Device(url)) for url in urls]
+
+
+def _listened(chosen: List[Device], listener: Listener) -> List[Found]:
+    """Listen to all ports at the same time."""
+    heard: Dict[int, Heard] = {}
+    found = [Found(device, holders_of(device.path), Heard()) for device in chosen]
+
+    def listen(index: int, url: str) -> None:
+        heard[index] = listener.listen(url)
+
+    # A second reader would take bytes from the program that has a port open.
+    threads = [threading.Thread(target=listen, args=(index, port.device.path), daemon=True,
+                                name=port.device.path)
+               for index, port in enumerate(found) if not port.holders]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    in_use = Heard(trouble='another program has it open')
+    return [port._replace(heard=heard.get(index, in_use)) for index, port in enumerate(found)]

@@ -1,0 +1,80 @@
+"""The programs that have a device open, as far as this user may see them."""
+import glob
+import os
+from typing import List, NamedTuple, Set
+
+
+class Holder(NamedTuple):
+    """A program that has the device open."""
+
+    pid: int
+    name: str      # of a script, not of its interpreter
+
+    def __str__(self) -> str:
+        return f'{self.name} (pid {self.pid})'
+
+
+def holders_of(path: str) -> List[Holder]:
+    """The programs that have a device open, or hold its lock, by their process ids."""
+    try:
+        port = os.stat(path)
+    except OSError:
+        return []
+    return [holder(pid)
+            for pid in sorted(_by_lock(port) | _by_descriptor(os.path.realpath(path), port))]
+
+
+def _by_lock(port: os.stat_result) -> Set[int]:
+    """Those that hold its lock; seen for the processes of all users."""
+    inode = f'{os.major(port.st_dev):02x}:{os.minor(port.st_dev):02x}:{port.st_ino}'
+    try:
+        with open('/proc/locks') as locks:
+            return {int(words[4]) for words in map(str.split, locks)
+                    if words[1] == 'FLOCK' and words[5] == inode and int(words[4]) > 0}
+    except (OSError, IndexError, ValueError):
+        return set()
+
+
+def _by_descriptor(device: str, port: os.stat_result) -> Set[int]:
+    """Those that have it open; seen for the processes of this user, by root for all."""
+    found = set()
+    for descriptor in glob.iglob('/proc/[0-9]*/fd/*'):
+        try:
+            # In a container the same path may be another device.
+            if os.readlink(descriptor) == device and os.path.samestat(os.stat(descriptor), port):
+                found.add(int(descriptor.split('/')[2]))
+        except OSError:
+            pass     # closed meanwhile
+    if device.startswith('/dev/pts/'):
+        found = {pid for pid in found if not _has_master(pid, device.rpartition('/')[2])}
+    return found
+
+
+def _has_master(pid: int, number: str) -> bool:
+    """Whether a program has the other end of a pseudo terminal: socat, or a simulated board."""
+    for descriptor in glob.iglob(f'/proc/{pid}/fd/*'):
+        try:
+            if os.readlink(descriptor).endswith('ptmx'):
+                with open(descriptor.replace('/fd/', '/fdinfo/')) as file:
+                    if ['tty-index:', number] in map(str.split, file):
+                        return True
+        except OSError:
+            pass
+    return False
+
+
+def holder(pid: int) -> Holder:
+    """This process with the name of its program."""
+    return Holder(pid, _program(pid))
+
+
+def _program(pid: int) -> str:
+    try:
+        with open(f'/proc/{pid}/cmdline', 'rb') as file:
+            words = file.read().decode('utf-8', 'replace').split('\0')
+    except OSError:
+        return '?'     # it has just ended
+    names = [os.path.basename(word) for word in words if word]
+    if len(names) > 1 and names[0].startswith('python') and not words[1].startswith('-'):
+        return names[1]
+    return names[0] if names else '?'

@@ -1,0 +1,66 @@
+"""Follows the recipes of doc/recipes.md with the files that the page shows."""
+import contextlib
+import os
+import re
+import shlex
+import signal
+import subprocess
+
+import pytest
+from pages import ROOT, blocks
+from stage import Stage
+
+PAGE = ROOT / 'doc' / 'recipes.md'
+UNIT = ROOT / 'config' / 'serial_communication.service'
+COMMANDS = [block.text.strip() for block in blocks(PAGE)
+            if block.mark == 'run by: scripts/test docs']
+
+
+@pytest.fixture
+def master(tmp_path):
+    """A master, in a folder with the files of the page."""
+    for block in blocks(PAGE):
+        if block.mark.startswith('file: '):
+            (tmp_path / block.mark.partition(' ')[2]).write_text(block.text)
+    with Stage(tmp_path).master() as stage:
+        yield stage
+
+
+@pytest.mark.parametrize('launch, commands', list(zip(COMMANDS[::2], COMMANDS[1::2])))
+def test_the_commands_of_a_recipe_succeed_beside_its_launch(master, launch, commands):
+    with master.background([launch]):
+        master.until(lambda: master.links_are_ok('bus', 'arduino', 'mcu'), 'all links are OK')
+        for command in commands.splitlines():
+            done = master.run(f'timeout 30 {command}')
+            assert done.returncode == 0 and done.stdout.strip(), (command, done.stdout)
+            assert 'success: False' not in done.stdout
+
+
+def unit():
+    """The settings of the unit by name."""
+    return dict(re.findall(r'^(\w+)=(.*)$', UNIT.read_text(), re.MULTILINE))
+
+
+def test_systemd_accepts_the_unit():
+    done = subprocess.run(['systemd-analyze', 'verify', str(UNIT)], stdout=subprocess.PIPE,
+                          stderr=subprocess.STDOUT, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout) == (0, '')
+
+
+def test_the_command_of_the_unit_starts_the_bridge_and_its_signal_ends_it(master):
+    settings = unit()
+    assert (settings['KillSignal'], settings['KillMode']) == ('SIGINT', 'mixed')
+    command = [word.replace('/home/robot/catkin_ws', str(ROOT / 'build'))
+               .replace('/home/robot/boards.yaml', str(ROOT / 'config' / 'bridge.yaml'))
+               for word in shlex.split(settings['ExecStart'])]
+    with open(str(master.folder / 'output'), 'a') as output:
+        process = subprocess.Popen(command, env=master.environment, stdin=subprocess.DEVNULL,
+                                   stdout=output, stderr=output, start_new_session=True)
+    try:
+        master.until(lambda: master.node_answers('/serial_communication'), 'the bridge answers')
+        process.send_signal(signal.SIGINT)      # KillMode=mixed: to the main process alone
+        assert process.wait(int(settings['TimeoutStopSec'])) == 0
+        assert not master.node_answers('/serial_communication')
+    finally:
+        with contextlib.suppress(OSError):
+            os.killpg(process.pid, signal.SIGKILL)

@@ -1,0 +1,143 @@
+"""A link on the wrong port, or with a wrong baud rate: bytes are received, but no frame."""
+import logging
+import time
+from functools import partial
+
+import pytest
+
+from fake_boards import until
+from serial_communication.boards import BOARDS, description
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.arduino.link import ArduinoLink
+from serial_communication.boards.bus.link import BusLink
+from serial_communication.boards.mcu import wire as mcu
+from serial_communication.boards.mcu.link import McuLink
+from serial_communication.link.link import ERROR, WARN
+from serial_communication.link.unknown_bytes import OtherBoard, UnknownBytes
+from serial_communication.transport.port import Port
+
+SWAPPED = "bytes come, but they are the {}'s: are the two ports swapped?"
+OTHER = ('bytes come, but none is a frame of this board: another baud rate (115200 is set), or '
+         'another board')
+HINT = ' `rosrun serial_communication ports` finds out which board is on which port'
+STATUS = mcu.encode(mcu.SensorStatus(400, 500, 1.0, 2.0, 3.0), 7)
+TICKS = arduino.encode(arduino.Ticks(3)) + arduino.encode(arduino.SteeringAngle(500))
+# What a UART may make of frames at a wrong baud rate.
+GARBAGE = bytes.fromhex('e6 80 f8 9e 66 78 fe 98 80 e6 18 f8')
+
+
+def others(has_port=True):
+    return [OtherBoard(name, partial(description(name).decoder, False, {}), has_port)
+            for name in BOARDS]
+
+
+@pytest.fixture
+def link_of(line, logger, running):
+    """A function that starts a link that knows the other boards."""
+    return lambda kind, **options: running(kind(
+        Port(line.path), logger=logger, other_boards=others(**options)))
+
+
+@pytest.mark.parametrize('kind, level, data, name', [
+    (McuLink, WARN, TICKS, 'arduino'), (ArduinoLink, WARN, STATUS, 'mcu'),
+    (BusLink, ERROR, STATUS, 'mcu')], ids=['mcu', 'arduino', 'bus'])
+def test_frames_of_another_board_are_reported_as_swapped_ports(
+        line, link_of, lines, kind, level, data, name):
+    link = link_of(kind)
+    words = SWAPPED.format(name)
+    prefix = '' if kind is BusLink else 'open, '
+    until(lambda: line.write(data) or time.sleep(0.01) or
+          link.condition(time.monotonic()) == (level, prefix + words), 'it is reported')
+    until(lambda: line.write(data) or time.sleep(0.01) or lines(words), 'it is logged')
+    assert lines(words) == [f'{link.name}: {words}{HINT}']
+    state = dict(link.report(time.monotonic()).values)['state']
+    assert state.partition('; heartbeat gap')[0] == prefix + words
+
+
+def test_frames_of_a_board_without_a_port_are_not_reported_as_swapped_ports(line, link_of):
+    link = link_of(McuLink, has_port=False)
+    until(lambda: line.write(TICKS) or time.sleep(0.01) or link.condition(time.monotonic())[1]
+          == "open, bytes come, but they are the arduino's: is this its port?")
+
+
+def test_bytes_without_any_frame_are_not_reported_as_silence(line, link_of, lines):
+    link = link_of(McuLink)
+    until(lambda: line.write(GARBAGE) or time.sleep(0.01) or
+          link.condition(time.monotonic()) == (WARN, f'open, {OTHER}'), 'it is reported')
+    until(lambda: line.write(GARBAGE) or time.sleep(0.01) or lines('bytes come'))
+    assert lines('the board is silent') == [] and lines(f'mcu: {OTHER}{HINT}')
+
+
+def test_frames_of_an_unknown_type_do_not_hide_that_the_bytes_are_anothers(line, link_of):
+    link = link_of(McuLink)
+    unknown = mcu.encode_raw(0x77, 1, b'')
+    until(lambda: line.write(TICKS + unknown + TICKS) or time.sleep(0.01) or
+          link.condition(time.monotonic())[1] == 'open, ' + SWAPPED.format('arduino'))
+    assert link.last_frame_at is not None
+
+
+def test_a_few_bytes_of_noise_are_silence(line, link_of):
+    link = link_of(McuLink)
+    until(lambda: link.port.is_open)
+    line.write(GARBAGE)
+    until(lambda: link.port.bytes_received == len(GARBAGE))
+    assert link.condition(time.monotonic()) == (WARN, 'open, the board is silent')
+
+
+def test_the_words_change_with_what_is_received(line, link_of, lines):
+    link = link_of(McuLink)
+    until(lambda: lines('the board is silent'))
+    until(lambda: line.write(TICKS) or time.sleep(0.01) or lines("the arduino's"))
+    until(lambda: line.write(STATUS) or time.sleep(0.01)
+          or lines('ready: the board talks', logging.INFO))
+    assert link.unknown_bytes(time.monotonic()) == ''
+    assert link.condition(time.monotonic()) == (0, 'open')
+
+
+def test_bytes_of_before_a_pause_do_not_count():
+    unknown = UnknownBytes(others())
+    unknown.take(TICKS * 100, 10.0)
+    assert unknown.meaning(9600, 13.0) == SWAPPED.format('arduino')
+    assert unknown.meaning(9600, 13.1) == ''
+    unknown.take(GARBAGE, 14.0)
+    assert unknown.meaning(9600, 14.0) == ''
+    unknown.take(GARBAGE * 2, 15.0)
+    assert unknown.meaning(9600, 15.0) == OTHER.replace('115200', '9600')
+    unknown.reset()
+    assert unknown.meaning(9600, 15.0) == ''
+
+
+def test_other_decoders_read_nothing_while_the_board_talks(line, logger, running):
+    made = []
+
+    class Counting(mcu.Decoder):
+        def feed(self, data, stamp=None):
+            made.append(data)
+            return super().feed(data, stamp)
+
+    link = running(ArduinoLink(Port(line.path), logger=logger, other_boards=[
+        OtherBoard('mcu', Counting, True)]))
+    until(lambda: link.port.is_open)
+    line.write(TICKS)
+    until(lambda: link.frames_received == 2)
+    before = list(made)
+    for received in range(3, 50):
+        line.write(arduino.encode(arduino.Ticks(1)))
+        until(lambda received=received: link.frames_received >= received)
+    assert made == before
+
+
+def test_a_decoder_of_another_package_that_raises_does_not_end_the_link(
+        line, logger, running, lines):
+    class Broken(mcu.Decoder):
+        def feed(self, data, stamp=None):
+            raise RuntimeError('a fault of another package')
+
+    link = running(ArduinoLink(Port(line.path), logger=logger, other_boards=[
+        OtherBoard('broken', Broken, True)]))
+    until(lambda: link.port.is_open)
+    line.write(GARBAGE)
+    until(lambda: lines('a fault of another package'))
+    line.write(b'\0' + TICKS)
+    until(lambda: link.frames_received == 2)
+    assert link.connections == 1

@@ -1,0 +1,237 @@
+"""The program `header`: what it makes compiles, and a struct has the bytes that a decoder reads."""
+import binascii
+import os
+import re
+import struct
+import subprocess
+import sys
+
+import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from custom_rows import layout_and_raws
+from serial_communication.boards import description
+from serial_communication.boards.arduino import custom_messages as arduino_messages
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.config_file import read_parameters
+
+ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+PROGRAM = os.path.join(ROOT, 'scripts', 'header')
+EXAMPLES = os.path.join(ROOT, 'config', 'custom_messages.yaml')
+STRICT = ('-std=c++11', '-Wall', '-Wextra', '-Wpedantic', '-Werror')
+
+
+def run(*arguments):
+    return subprocess.run([sys.executable, PROGRAM, *arguments], stdout=subprocess.PIPE,
+                          stderr=subprocess.PIPE, encoding='utf-8', timeout=60)
+
+
+def made(path, *link):
+    done = run(str(path), *link)
+    assert (done.returncode, done.stderr) == (0, ''), done.stderr
+    return done.stdout
+
+
+def configuration(tmp_path, rows, link='arduino', group='messages'):
+    path = tmp_path / 'robot.yaml'
+    path.write_text(yaml.safe_dump({link: {group: rows}}))
+    return path
+
+
+def output(tmp_path, header, body, *options):
+    """What a program with this header prints."""
+    (tmp_path / 'rows.h').write_text(header)
+    source, program = tmp_path / 'main.cpp', tmp_path / 'main'
+    source.write_text('#include "rows.h"\n#include "rows.h"\n#include <cstdio>\n'
+                      'template <class T> void show(const T& value) {\n'
+                      '  for (unsigned i = 0; i < sizeof value; ++i)\n'
+                      '    printf("%02x", reinterpret_cast<const uint8_t*>(&value)[i]);\n'
+                      '  puts("");\n}\n' f'int main() {{\n{body}\n}}\n')
+    done = subprocess.run(['g++', *STRICT, *options, str(source), '-o', str(program)],
+                          stdout=subprocess.PIPE, stderr=subprocess.STDOUT, encoding='utf-8')
+    assert done.returncode == 0, done.stdout
+    return subprocess.check_output([str(program)], encoding='utf-8').split()
+
+
+def test_structs_of_the_examples_have_the_bytes_that_the_decoder_reads(tmp_path):
+    lines = output(tmp_path, made(EXAMPLES, 'arduino'), '''
+        Force force = {12345};
+        show(force);
+        show(MagneticField{9, 1000, -32768, 32767});
+        show(LineSensors<3>{{1, 2, 1023}});
+        show(FirmwareVersion<6>{"1.2.3"});
+        show(Bumper{true});
+        Joints joints = {};
+        joints.position_1 = 4096;
+        show(joints);
+        printf("%d %g %g %g\\n", Gripper::TYPE, Gripper::x_scale(), Gripper::x_minimum(),
+               Joints::position_0_offset());''')
+    kinds = {each.name: each.kind for each in arduino_messages(
+        read_parameters(EXAMPLES)['arduino']['messages'])}
+    decoder = arduino.Decoder(messages=kinds.values())
+    names = 'force', 'magnetic_field', 'line_sensors', 'firmware_version', 'bumper', 'joints'
+    texts = [decoder.feed(arduino.encode_raw(kinds[name].TYPE, bytes.fromhex(data)))[0].text
+             for name, data in zip(names, lines)]
+    assert texts == [
+        'force data=123.45', 'magnetic_field magnetic_field.x=0.00015 '
+        'magnetic_field.y=-0.0049152 magnetic_field.z=0.00491505', 'line_sensors data=[1 2 1023]',
+        "firmware_version data='1.2.3'", 'bumper data=true',
+        'joints position[0]=-3.14159 position[1]=3.14159']
+    assert lines[len(names):] == ['48', '0.1', '-100', '-3.14159']
+
+
+def test_a_struct_reads_what_the_bridge_sends(tmp_path):
+    kind, = [each.kind for each in arduino_messages({'grip': {
+        'type': 48, 'direction': 'to_board', 'ros_type': 'geometry_msgs/Vector3',
+        'layout': '>hBf?', 'fields': ['x', 'y', 'z', 'on'], 'scale': [0.1, 1, 1, 1]}})]
+    data = kind(-12.5, 200, 1.5, True).pack()
+    path = configuration(tmp_path, {'grip': {
+        'type': 48, 'direction': 'to_board', 'ros_type': 'geometry_msgs/Vector3',
+        'layout': '>hBf?', 'fields': ['x', 'y', 'z', 'on'], 'scale': [0.1, 1, 1, 1]}})
+    assert output(tmp_path, made(path), '''
+        const uint8_t bytes[] = {%s};
+        Grip grip;
+        memcpy(&grip, bytes, sizeof grip);
+        printf("%%g %%d %%g %%d\\n", grip.x * Grip::x_scale(), grip.y, double(float(grip.z)),
+               grip.on);''' % ', '.join(map(str, data))) == ['-12.5', '200', '1.5', '1']
+
+
+def test_requests_and_replies_of_the_bus_have_their_structs(tmp_path):
+    assert output(tmp_path, made(EXAMPLES, 'bus'), '''
+        show(PumpRequest{1});
+        show(TankReply{0x1234});
+        show(ReadLevelReply<2>{{'o', 'k'}});
+        printf("%d %d %d\\n", PumpRequest::CMD2, TankReply::CMD2, ReadLevelReply<2>::CMD2);'''
+                  ) == ['01', '3412', '6f6b', '48', '50', '49']
+
+
+def announced(tmp_path, header):
+    """The text of the announcement; its size and its CRC are checked."""
+    size, crc = (int(re.search(fr'kAnnouncement{what} = (\w+);', header).group(1), 0)
+                 for what in ('Size', 'Crc'))
+    printed = tmp_path / 'text'
+    output(tmp_path, header, f'''
+        FILE* file = fopen("{printed}", "wb");
+        fwrite(kAnnouncement, 1, sizeof kAnnouncement - 1, file);
+        fclose(file);''')
+    text = printed.read_bytes()
+    assert (len(text), binascii.crc_hqx(text, 0xFFFF)) == (size, crc)
+    return text.decode()
+
+
+def rows_of(text):
+    """The rows of an announcement: one a line, each of them YAML of its own."""
+    found = {}
+    for line in text.splitlines():
+        (name, row), = yaml.safe_load(line).items()
+        found[name] = row
+    return found
+
+
+@pytest.mark.parametrize('link', ['arduino', 'mcu', 'bus'])
+def test_the_announcement_is_the_rows(tmp_path, link):
+    rows = read_parameters(EXAMPLES)[link][description(link).custom.parameter]
+    assert rows_of(announced(tmp_path, made(EXAMPLES, link))) == rows
+
+
+def test_the_announcement_has_no_references_and_names_that_yaml_would_change_are_quoted(tmp_path):
+    path = tmp_path / 'robot.yaml'
+    path.write_text('arduino: {messages: {"on": {type: 32, ros_type: geometry_msgs/Point, '
+                    'layout: "<hh", fields: [x, y], scale: &half [0.5, 0.5], offset: *half}}}')
+    text = announced(tmp_path, made(path))
+    assert '*' not in text and '&' not in text
+    assert rows_of(text) == read_parameters(str(path))['arduino']['messages']
+
+
+def test_the_firmware_is_the_first_line_of_the_announcement(tmp_path):
+    text = announced(tmp_path, made(EXAMPLES, 'mcu', '--firmware', 'my_robot 1.0'))
+    first, rest = text.split('\n', 1)
+    assert first == 'firmware: my_robot 1.0'
+    assert rest == announced(tmp_path, made(EXAMPLES, 'mcu'))
+
+
+@pytest.mark.parametrize('name', ['a\nb', 'x' * 81, '{a: 1}', 'é'])
+def test_a_firmware_that_cannot_be_announced_is_refused(name):
+    done = run(EXAMPLES, 'mcu', '--firmware', name)
+    assert (done.returncode, done.stdout) == (2, '') and 'without braces' in done.stderr
+
+
+def test_more_rows_than_an_announcement_may_have_are_left_out(tmp_path):
+    row = {'ros_type': 'std_msgs/Bool', 'layout': '<?', 'fields': ['data']}
+    for count, is_there in ((16, True), (17, False)):
+        header = made(configuration(tmp_path, {
+            f'row{type_}': dict(row, type=type_) for type_ in range(20, 20 + count)}))
+        assert ('kAnnouncement[]' in header) == is_there
+        assert ('// No announcement: these are 17 rows' in header) != is_there
+
+
+@given(st.lists(layout_and_raws(), min_size=1, max_size=12))
+@settings(max_examples=8, deadline=None, suppress_health_check=list(HealthCheck))
+def test_any_rows_make_structs_of_the_right_size(tmp_path_factory, cases):
+    folder = tmp_path_factory.mktemp('any')
+    rows = {f'row_{index}': {
+        'type': 20 + index, 'ros_type': 'any/Type', 'layout': layout,
+        'fields': [f'f{at}' if at % 3 else '' for at in range(len(raws))],
+    } for index, (layout, raws) in enumerate(cases)}
+    expected = [struct.calcsize(layout.rstrip('s').replace('*', '')) + layout.endswith('s')
+                for layout, _ in cases]
+    shown = ['printf("%%d\\n", int(sizeof(Row%d%s)));' % (
+        index, '<1>' if layout[-1] in '*s' else '') for index, (layout, _) in enumerate(cases)
+        if expected[index]]
+    assert output(folder, made(configuration(folder, rows)), '\n'.join(shown)) == [
+        str(size) for size in expected if size]
+
+
+def test_names_that_are_not_valid_or_not_unique_in_cpp_are_changed(tmp_path):
+    def row(type_, fields):
+        return {'type': type_, 'ros_type': 'any/Type', 'layout': f'<{len(fields)}B',
+                'fields': fields}
+
+    header = made(configuration(tmp_path, {
+        'a0': row(20, ['data']), 'string': row(21, ['class', 'register']),
+        'twoWords': row(22, ['a.b', 'a_b', 'c[1]', 'c_1', 'K', '', '']),
+        'two_words': row(23, ['x'])}))
+    assert output(tmp_path, header, '''
+        show(A0Message{1}); show(StringMessage{2, 3}); show(TwoWords{4, 5, 6, 7, 8, 9, 10});
+        show(TwoWordsMessage{11});
+        TwoWordsMessage other = {};
+        TwoWords words = {};
+        printf("%d %d%d%d%d%d%d%d\\n", other.x, words.a_b, words.a_b_, words.c_1, words.c_1_,
+               words.K_, words.left_out, words.left_out_);''',
+                  '-D', 'A0=14', '-D', 'K=1')[:1] == ['01']
+
+
+def test_the_same_file_makes_the_same_bytes(tmp_path):
+    copy = tmp_path / 'elsewhere' / 'custom_messages.yaml'
+    copy.parent.mkdir()
+    copy.write_bytes(open(EXAMPLES, 'rb').read())
+    assert made(copy, 'arduino') == made(EXAMPLES, 'arduino') == made(EXAMPLES, 'arduino')
+
+
+@pytest.mark.parametrize('text, link, words', [
+    ('arduino: {messages: {force: {type: 5}}}', [], 'arduino/messages/force/type is 5 (int), may'),
+    ('arduino: {messages: {}}', [], 'has no custom messages: no rows in bus/functions, arduino/m'),
+    ('arduino: {messages: {}}', ['mcu'], 'mcu/messages is missing'),
+    ('arduino: {messages: 3}', ['arduino'], 'arduino/messages is 3 (int), may be a group of rows'),
+    ('- 3', [], 'is no table of parameters'), ('{', [], 'is no YAML'),
+    ('boards: [no_such_module]', [], "importing 'no_such_module' failed"),
+])
+def test_a_mistake_is_one_line_and_status_1(tmp_path, text, link, words):
+    path = tmp_path / 'robot.yaml'
+    path.write_text(text)
+    done = run(str(path), *link)
+    assert (done.returncode, done.stdout) == (1, '')
+    assert done.stderr.startswith(f'header: {path}: {words}') and done.stderr.count('\n') == 1
+
+
+def test_rows_of_several_boards_need_the_name_of_one():
+    done = run(EXAMPLES)
+    assert (done.returncode, done.stderr) == (
+        2, f'header: {EXAMPLES}: has rows of bus and arduino and mcu; a header is for one board: '
+        'name it after the file, as mcu\n')
+    done = run(EXAMPLES, 'no_board')
+    assert done.returncode == 2 and done.stderr.startswith(
+        f'header: {EXAMPLES}: there is no board no_board, only bus, arduino, mcu: importing')
+    assert run('/no/such/file').stderr == 'header: /no/such/file: No such file or directory\n'

@@ -1,0 +1,343 @@
+"""The program `ports`, on pseudo terminals with simple boards: what it finds and writes."""
+import json
+import os
+import pty
+import random
+import subprocess
+import sys
+import termios
+import threading
+import time
+import tty
+
+import pytest
+import yaml
+
+import crane_scale
+from serial_communication.boards import description
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.bus import wire as bus
+from serial_communication.boards.config_file import read_parameters
+from serial_communication.boards.mcu import wire as mcu
+from serial_communication.tools.ports import advice, cli, configuration, report
+from serial_communication.tools.ports.configuration import Connection
+from serial_communication.tools.ports.listening import Heard
+from serial_communication.tools.ports.report import Found
+from serial_communication.transport.devices import Device
+from serial_communication.transport.holders import Holder
+
+HERE = os.path.dirname(os.path.abspath(__file__))
+ROOT = os.path.dirname(os.path.dirname(HERE))
+PROGRAM = os.path.join(ROOT, 'scripts', 'ports')
+SYNC = bus.encode_request(bus.SYNC_REQUEST)
+MCU = b''.join(mcu.encode(mcu.SensorStatus(40, seq, 1.0, 2.0, 3.0), seq) for seq in range(10))
+CAR = b''.join(arduino.encode(each) for each in (arduino.Ticks(3), arduino.SteeringAngle(500)))
+SCALE = b''.join(crane_scale.wire.encode(crane_scale.wire.Load(5.0), seq) for seq in range(3))
+NOISE = random.Random(1).getrandbits(800).to_bytes(100, 'big')
+
+
+class Board:
+    """The other end of a port: sends `data` all the time, or answers SYNC.
+
+    Args:
+        baud: the rate at which it sends; at another one the port receives noise.
+    """
+
+    def __init__(self, path, data=b'', baud=115200, answers=False):
+        self.path = str(path)
+        self.received = b''
+        self._data, self._speed = data, getattr(termios, f'B{baud}')
+        self._answers = answers
+        self._fd, slave = pty.openpty()
+        tty.setraw(slave)
+        os.symlink(os.ttyname(slave), self.path)
+        os.close(slave)
+        os.set_blocking(self._fd, False)
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, name='board')
+        self._thread.start()
+
+    def close(self):
+        self._ending.set()
+        self._thread.join()
+        os.close(self._fd)
+
+    def _run(self):
+        while not self._ending.wait(0.01):
+            try:
+                request = os.read(self._fd, 1000)
+            except OSError:     # nothing to read, or nobody has the port open
+                request = b''
+            self.received += request
+            data = self._data
+            if self._answers and request == SYNC:
+                data = bus.encode_reply(bus.Reply(bus.SYNC))
+            if data and termios.tcgetattr(self._fd)[5] != self._speed:
+                data = NOISE[:len(data)]
+            try:
+                os.write(self._fd, data)
+            except OSError:     # the port is full
+                pass
+
+
+@pytest.fixture
+def board(tmp_path):
+    """A function that makes a board on a port, tmp_path/NAME."""
+    made = []
+
+    def make(name, *arguments, **options):
+        made.append(Board(tmp_path / name, *arguments, **options))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.close()
+
+
+def run(*arguments):
+    return subprocess.run([sys.executable, PROGRAM, '--seconds', '0.5', *map(str, arguments)],
+                          stdout=subprocess.PIPE, stderr=subprocess.PIPE, encoding='utf-8',
+                          env={**os.environ, 'PYTHONPATH': os.pathsep.join(
+                              [HERE, os.environ.get('PYTHONPATH', '')])}, timeout=100)
+
+
+def found(*arguments):
+    """The objects that it prints with --json, by the name of the port."""
+    done = run('--json', *arguments)
+    assert done.returncode == 0, done.stderr
+    return {os.path.basename(each['port']): each for each in json.loads(done.stdout)}
+
+
+def test_boards_are_found_and_nothing_is_written(board, tmp_path):
+    boards = [board('one', MCU), board('two', CAR), board('three', answers=True),
+              board('four', NOISE)]
+    ports = found(*(each.path for each in boards), tmp_path / 'absent')
+    assert {name: (port['board'], port['heard'], port['baud'], port['held_by'])
+            for name, port in ports.items()} == {
+        'one': ('mcu', 'frames', 115200, None), 'two': ('arduino', 'frames', 115200, None),
+        'three': (None, 'nothing', None, None), 'four': (None, 'noise', None, None),
+        'absent': (None, 'nothing', None, None)}
+    assert ports['one']['port'] == boards[0].path
+    assert ports['absent']['trouble'] == 'there is no such device'
+    assert [each.received for each in boards] == [b''] * 4
+
+
+def test_only_silent_ports_are_asked_and_only_for_a_sync(board):
+    boards = [board('one', MCU), board('two', answers=True), board('three', NOISE), board('four')]
+    ports = found('--ask', *(each.path for each in boards))
+    assert {name: port['board'] for name, port in ports.items()} == {
+        'one': 'mcu', 'two': 'bus', 'three': None, 'four': None}
+    assert [each.received for each in boards] == [b'', SYNC, b'', SYNC * 3]
+
+
+@pytest.mark.parametrize('data, name', [(MCU, 'mcu'), (CAR, 'arduino')])
+def test_another_baud_rate_is_found(board, data, name):
+    path = board('port', data, baud=57600).path
+    port = found(path)['port']
+    assert (port['board'], port['heard'], port['baud']) == (name, 'frames', 57600)
+    assert f'{name} ({description(name).title}), at 57600 baud' in run(path).stdout
+
+
+def test_a_board_of_another_package_is_found(board, tmp_path):
+    config = tmp_path / 'base.yaml'
+    config.write_text('boards: [crane_scale]\nscale: {}\n')
+    path = board('port', SCALE, baud=9600).path
+    assert found(path)['port']['board'] is None
+    port = found('--config', config, path)['port']
+    assert (port['board'], port['baud']) == ('scale', 9600)
+    written = tmp_path / 'new.yaml'
+    config.write_text('boards: [crane_scale]\n')
+    assert run('--config', config, path, '--write', written).returncode == 0
+    assert read_parameters(str(written)) == {
+        'boards': ['crane_scale'], 'scale': {'port': path, 'baud': 9600},
+        **{name: {'port': ''} for name in ('bus', 'arduino', 'mcu')}}
+
+
+def test_custom_messages_alone_are_enough_to_find_a_board(board, tmp_path):
+    config = tmp_path / 'base.yaml'
+    config.write_text('arduino: {messages: {force: {type: 32, ros_type: std_msgs/Float32, '
+                      'layout: "<h", fields: [data]}}}')
+    path = board('port', arduino.encode_raw(32, b'\1\2')).path
+    assert found(path)['port']['board'] is None
+    assert 'sends only custom messages' in run(path).stdout
+    assert found('--config', config, path)['port']['board'] == 'arduino'
+    assert f'arduino_port:={path} config:={config}\n' in run('--config', config, path).stdout
+
+
+_READER = '''
+import sys, serial
+port = serial.Serial(sys.argv[1], 115200)
+while True:
+    sys.stdout.buffer.write(port.read(16))
+    sys.stdout.flush()
+'''
+
+
+def test_a_port_that_another_program_has_open_is_named_and_not_touched(board, tmp_path):
+    """The reader does not lock the port, so it would lose bytes to a second one."""
+    port = board('port', MCU)
+    script = tmp_path / 'serial_monitor'
+    script.write_text(_READER)
+    with subprocess.Popen([sys.executable, str(script), port.path],
+                          stdout=subprocess.PIPE) as reader:
+        try:
+            data = reader.stdout.read(16)
+            done = run(port.path)
+            assert f'open in  serial_monitor (pid {reader.pid})' in done.stdout
+            assert 'not listened to: another program has it open' in done.stdout
+            assert found(port.path)['port']['held_by'] == f'serial_monitor (pid {reader.pid})'
+            decoder = mcu.Decoder()
+            frames = decoder.feed(data + reader.stdout.read(1600))
+            assert sum(decoder.errors.values()) <= 1 and len(frames) > 90    # 1: the first bytes
+        finally:
+            reader.kill()
+
+
+def test_the_text_has_lines_to_paste(board):
+    boards = [board('one', MCU), board('two', CAR), board('three'), board('four', b'boot: ok\r\n')]
+    done = run(*(each.path for each in boards))
+    assert f'{boards[0].path}  mcu (sensor board)\n' in done.stdout
+    assert f'{boards[2].path}  silent\n' in done.stdout
+    assert f'{boards[3].path}  bytes of no known board, at no usual baud rate\n' in done.stdout
+    assert "(text: 'boot: ok" in done.stdout
+    assert 'board is silent until it is asked: run this again with --ask\n' in done.stdout
+    assert (f'bridge.launch arduino_port:={boards[1].path} mcu_port:={boards[0].path}\n'
+            in done.stdout)
+
+
+def test_a_written_configuration_has_the_ports_and_all_else_of_the_base(board, tmp_path):
+    boards = [board('one', CAR), board('two', MCU, baud=57600)]
+    path = tmp_path / 'robot.yaml'
+    for before in None, 'old: text\n':
+        if before:
+            path.write_text(before)
+        done = run(*(each.path for each in boards), '--write', path)
+        assert done.returncode == 0, done.stderr
+        expected = read_parameters(os.path.join(ROOT, 'config', 'bridge.yaml'))
+        expected['bus']['port'] = ''
+        expected['arduino']['port'] = boards[0].path
+        expected['mcu'].update(port=boards[1].path, baud=57600)
+        assert read_parameters(str(path)) == expected
+        assert f'config:={path}' in done.stderr
+    assert (tmp_path / 'robot.yaml~').read_text() == before and 'robot.yaml~' in done.stderr
+    assert not (tmp_path / 'robot.yaml.new').exists()
+    comments = (ROOT + '/config/bridge.yaml', str(path))
+    assert len({open(each).read().count('#') for each in comments}) == 1
+
+
+def test_nothing_is_written_if_no_board_is_found(board, tmp_path):
+    path = tmp_path / 'robot.yaml'
+    done = run(board('one').path, '--write', path)
+    assert (done.returncode, done.stderr) == (
+        1, f'ports: {path} is not written: no board was found\n')
+    assert not path.exists()
+
+
+# -- its parts, without a port ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize('text, name, expected', [
+    ('mcu:   # a board\n  port: /dev/x  # where\n  baud: 9600\n', 'mcu',
+     'mcu:   # a board\n  port: /dev/new  # where\n  baud: 57600\n'),
+    ('mcu:\n  timeout: 2.0\n', 'mcu',
+     'mcu:\n  baud: 57600\n  port: /dev/new\n  timeout: 2.0\n'),
+    ('bus:\n  port: ""\n\n# the last\nmcu:\n  port: "a#b"\n  report: 1\n', 'mcu',
+     'bus:\n  port: ""\n\n# the last\nmcu:\n  baud: 57600\n  port: /dev/new\n  report: 1\n'),
+    ('frame_timeout: 0.1', 'mcu',
+     'frame_timeout: 0.1\n\nmcu:\n  baud: 57600\n  port: /dev/new\n'),
+])
+def test_only_port_and_baud_of_a_configuration_change(tmp_path, text, name, expected):
+    base, path = tmp_path / 'base.yaml', tmp_path / 'new.yaml'
+    base.write_text(text)
+    configuration.write(str(path), str(base), [name], {name: Connection('/dev/new', 57600)})
+    assert path.read_text() == expected
+    assert yaml.safe_load(expected)[name]['port'] == '/dev/new'
+
+
+@pytest.mark.parametrize('text', ['mcu: {port: /dev/x}\n', '"mcu":\n  port: /dev/x\n', '- 1\n'])
+def test_a_configuration_that_cannot_be_changed_is_left_alone(tmp_path, text):
+    base, path = tmp_path / 'base.yaml', tmp_path / 'new.yaml'
+    base.write_text(text)
+    path.write_text('before')
+    with pytest.raises(configuration.WriteError, match='^' + str(base)):
+        configuration.write(str(path), str(base), ['mcu'], {'mcu': Connection('/dev/new', 9600)})
+    assert path.read_text() == 'before'
+    assert sorted(each.name for each in tmp_path.iterdir()) == ['base.yaml', 'new.yaml']
+
+
+BOARDS = {name: description(name) for name in ('bus', 'arduino', 'mcu')}
+CLONES = [Found(Device(f'/dev/ttyUSB{number}', '/dev/serial/by-id/usb-1a86_USB_Serial-if00-port0',
+                       f'/dev/serial/by-path/pci-{number}', 'USB Serial', '1a86:7523'),
+                [], Heard(name, 115200, 500))
+          for number, name in enumerate(('arduino', 'mcu'))]
+
+
+def test_adapters_without_a_serial_number_are_named_by_their_socket():
+    text = report.as_text(CLONES, BOARDS, 2.0, False, '')
+    assert text.count('the same for every adapter of this kind') == 2
+    assert ('arduino_port:=/dev/serial/by-path/pci-0 mcu_port:=/dev/serial/by-path/pci-1'
+            in text)
+    assert 'USB Serial (1a86:7523)' in text
+    same = [CLONES[0], CLONES[1]._replace(heard=CLONES[0].heard)]
+    assert ('note: arduino is on several ports; the first is taken: /dev/serial/by-path/pci-0'
+            in report.as_text(same, BOARDS, 2.0, False, ''))
+
+
+def test_an_adapter_with_a_serial_number_is_named_by_it():
+    one = Found(Device('/dev/ttyUSB0', '/dev/serial/by-id/usb-FTDI_A5005A00', '/dev/serial/x',
+                       'FTDI', '0403:6001', 'A5005A00'), [Holder(12, 'screen')], Heard())
+    assert json.loads(report.as_json([one]))[0]['name'] == one.device.by_id
+    text = report.as_text([one], BOARDS, 2.0, True, '')
+    assert 'open in  screen (pid 12)' in text
+    assert 'No board was found. End the programs that have a port open' in text
+
+
+def test_what_makes_a_port_slow_or_stolen_has_its_remedy(tmp_path, monkeypatch):
+    (tmp_path / 'ttyUSB0').mkdir()
+    timer = tmp_path / 'ttyUSB0' / 'latency_timer'
+    monkeypatch.setattr(advice, '_LATENCY', str(tmp_path / '{}' / 'latency_timer'))
+    monkeypatch.setattr(advice, '_PROCESSES', str(tmp_path / 'comm*'))
+    assert advice.of_port('/dev/ttyUSB0') == []
+    timer.write_text('1\n')
+    assert advice.of_port('/dev/ttyUSB0') == []
+    timer.write_text('16\n')
+    assert f'16 ms, unless the program that opens the port may change that: echo 1 | sudo tee ' \
+        f'{timer}' in advice.of_port('/dev/ttyUSB0')[0]
+    monkeypatch.setattr(advice, 'may_have_priority', lambda: True)
+    assert advice.of_computer() == []
+    (tmp_path / 'comm1').write_text('ModemManager\n')
+    (tmp_path / 'comm2').write_text('brltty\n')
+    monkeypatch.setattr(advice, 'may_have_priority', lambda: False)
+    modems, braille, priority = advice.of_computer()
+    assert 'sudo systemctl disable --now ModemManager' in modems
+    assert 'sudo apt-get remove brltty' in braille
+    assert "echo '@dialout - rtprio 20' | sudo tee /etc/security/limits.d/" in priority
+
+
+@pytest.mark.parametrize('options, words', [([], 'This computer has no serial port.'),
+                                            (['--json'], '[]\n')])
+def test_a_computer_without_a_serial_port_is_no_error(monkeypatch, capsys, options, words):
+    monkeypatch.setattr(cli.devices, 'devices', lambda: [])
+    assert cli.main(options) == 0
+    assert capsys.readouterr().out.startswith(words)
+
+
+def test_a_port_given_by_a_link_has_the_names_of_its_device(board, monkeypatch, capsys):
+    path = board('port', MCU).path
+    device = Device(os.path.realpath(path), '', '/dev/serial/by-path/pci-7')
+    monkeypatch.setattr(cli.devices, 'devices', lambda: [device])
+    began = time.monotonic()
+    assert cli.main(['--json', '--seconds', '60', path]) == 0
+    port, = json.loads(capsys.readouterr().out)
+    assert (port['port'], port['name'], port['board']) == (path, device.by_path, 'mcu')
+    assert time.monotonic() < began + 50, 'it ends as soon as all boards are recognised'
+
+
+@pytest.mark.parametrize('arguments, words', [
+    (['--seconds', '0', 'x'], '0 s is out of range (above 0, at most 120)'),
+    (['socket://x'], 'socket://x: socket:// takes a host and a port'),
+    (['--config', '/no/such/file', 'x'], '/no/such/file: No such file or directory'),
+])
+def test_wrong_arguments_are_refused(arguments, words):
+    done = run(*arguments)
+    assert (done.returncode, done.stdout) == (2, '') and words in done.stderr
