@@ -12,9 +12,10 @@ event `Rig.settle` waits until nothing is in progress, so all that follows is ca
 Every command, call and measurement has a unique number, so a check compares two lists, or finds
 that a number did not arrive: a later packet on the same line proves that, not a timeout. Times on
 the car's line are counted in heartbeats, of which the bridge sends one every 10 ms. No check has
-exceptions, and none is left undecided. If a heartbeat gap or stale bytes may be due to a machine
-that gave the bridge no processor time, the scenario is repeated, and the third time that is a
-violation. A process that only sleeps detects such times.
+exceptions, and none is left undecided (except heartbeat gaps if the system does not allow real-time
+priority). If a heartbeat gap or stale bytes may be due to a machine that gave the bridge no
+processor time, the scenario is repeated, and the third time that is a violation. A process that
+only sleeps detects such times.
 
 The statistical part (storm.py) has all faults at once, and damage on every line. It checks only
 what holds for any damage, and counts the rest. The table has a column for checks that cannot be

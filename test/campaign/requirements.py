@@ -19,7 +19,7 @@ class Requirement:
         self.counted = counted
         self.checks = 0
         self.violations = 0
-        self.undecided = 0      # checks without a result: none in the exact part
+        self.undecided = 0      # checks without a result
         self.examples: List[str] = []       # descriptions of the first violations
         self.violated_at = 0.0
         self.worst = float('-inf')
