@@ -15,7 +15,7 @@ packages() {
 run    | ros-core-python-dev rosbash catkin          | ros-noetic-ros-core
 run    | python3-tf2-ros python3-diagnostic-updater  | ros-noetic-tf2-ros ros-noetic-diagnostic-updater
 run    | python3-serial socat cmake make g++         | python3-serial socat cmake make g++
-panel  | python3-tornado                             | python3-tornado
+panel  | python3-tornado python3-qrcode              | python3-tornado python3-qrcode
 test   | python3-rostest python3-rosbag              | ros-noetic-rostest ros-noetic-rosbag
 test   | python3-pytest python3-hypothesis           | python3-pytest python3-hypothesis
 test   | catkin-lint python3-flake8                  | catkin-lint python3-flake8
@@ -121,12 +121,24 @@ install() {
     fi
     log=$(mktemp)
     say "Installing $# missing packages and their dependencies: a few minutes, once ..."
+    show_last_line "$log" &
+    local shown_by=$!
     # The package lists are fetched only if they are missing or too old.
     if ! apt_install "$@" &>"$log"; then
         "${as_root[@]}" apt-get -q update &>>"$log" || true
         apt_install "$@" &>>"$log" || explain_failed_install "$log"
     fi
+    kill "$shown_by" 2>/dev/null || true
+    [[ ! -t 1 ]] || printf '\e[K'
     rm -f "$log"
+}
+
+# show_last_line FILE: on a terminal, show what is written to a file, while this script runs.
+show_last_line() {
+    [[ -t 1 ]] || return 0
+    while sleep 2 && kill -0 $$ 2>/dev/null && [[ -e $1 ]]; do
+        printf '    %s\e[K\r' "$(tail -n 1 "$1" | cut -c 1-74)"
+    done
 }
 
 apt_install() {

@@ -22,6 +22,8 @@ from .diagnostics import Diagnostics
 from .geometry import publish_mounts
 from .interface import Interface, LinkOptions
 from .last_resort import LastResort
+from .launch_arguments import unknown_arguments
+from .master import full_name
 from .other_boards import description_of
 from .parameter import ParameterError
 from .rospy_mends import background_logging, direct, handshake, log_file, remapping, shortage
@@ -42,6 +44,8 @@ def main() -> None:
     starting.check_arguments(sys.argv[1:])
     sys.setswitchinterval(_SWITCH_INTERVAL)
     background_logging.install()
+    if full_name(_NAME) != f'/{_NAME}':     # one of several robots: its lines have its name
+        os.environ.setdefault('ROSCONSOLE_FORMAT', '[${severity}] [${time}] ${node}: ${message}')
     start = starting.Start(_NAME)
     last_resort = LastResort(_LAST_RESORT, start.force_exit)
     status = 1
@@ -80,7 +84,7 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
     try:
         given = without_announced(rospy.get_param('~', {}))
         values, warnings = parameters.check(given, rospy.get_name())
-        for warning in warnings:
+        for warning in [*warnings, *unknown_arguments()]:
             rospy.logwarn(warning)
         bridge = Bridge(values, given)
         rospy.on_shutdown(bridge.stop)

@@ -20,7 +20,7 @@ def holders_of(path: str) -> List[Holder]:
         port = os.stat(path)
     except OSError:
         return []
-    return [Holder(pid, _program(pid))
+    return [holder(pid)
             for pid in sorted(_by_lock(port) | _by_descriptor(os.path.realpath(path), port))]
 
 
@@ -61,6 +61,11 @@ def _has_master(pid: int, number: str) -> bool:
         except OSError:
             pass
     return False
+
+
+def holder(pid: int) -> Holder:
+    """This process with the name of its program."""
+    return Holder(pid, _program(pid))
 
 
 def _program(pid: int) -> str:

@@ -2,7 +2,6 @@
 
 A comment right before a block of commands tells how to run it:
 
-    <!-- run: alone -->        one after another, with nothing else
     <!-- run: bridge -->       beside a bridge with simulated boards
     <!-- run: launch -->       each line starts a bridge, whose links all become OK
     <!-- run: background -->   all at the same time; then the bus link becomes OK
@@ -85,14 +84,8 @@ def test_every_block_of_commands_has_a_valid_mark():
             continue
         kind, _, part = block.mark.partition('run by: scripts/test ')
         assert block.mark in ('needs a board', 'needs a screen', *(f'run: {each}' for each in (
-            'alone', 'bridge', 'launch', 'background', 'play', 'panel', 'avr'))) or (
+            'bridge', 'launch', 'background', 'play', 'panel', 'avr'))) or (
                 not kind and part in parts.group(1).split()), f'{block.id}: {block.mark!r}'
-
-
-@marked('run: alone')
-def test_a_block_alone_succeeds(block, tmp_path):
-    done = Stage(tmp_path).run(block.text)
-    assert done.returncode == 0, done.stdout
 
 
 @marked('run: bridge')

@@ -1,14 +1,19 @@
-"""Measures the time from a topic to the page, and the load of a panel; run by hand:
+"""Measures the time from a topic to the page, the load of a panel, and the time until the car stops
+when a page that drives fails; run by hand:
 
     . build/devel/setup.bash; python3 test/panel/measure.py [SECONDS]
 
 Starts a master, the simulated boards with their bridge, a panel and a browser. Time: this process
 publishes numbers at random times, and the page records when its text changes, by the same clock.
 Load: of the panel's process, at the usual rates of the boards, without a page, with one page, and
-with the wire open.
+with the wire open. Stop: from what happens to the browser, the network or the panel until the board
+receives SPEED 0.
 """
+import contextlib
+import math
 import os
 import random
+import signal
 import statistics
 import subprocess
 import sys
@@ -23,6 +28,11 @@ import rospy  # noqa: E402
 from boards import until  # noqa: E402
 from panel_browser import Browser  # noqa: E402
 from std_msgs.msg import Float32  # noqa: E402
+from test_browser import hold  # noqa: E402
+
+from serial_communication.boards.arduino import wire as arduino  # noqa: E402
+
+TRIES = 5       # of each way in which a page that drives fails
 
 _WATCH = '''
     window.seen = {};
@@ -61,6 +71,93 @@ def latencies(browser, number):
     return sorted(seen[each] - sent[each] for each in sent if each in seen), number
 
 
+@contextlib.contextmanager
+def _released(browser, _network, _panel):
+    began = time.monotonic()
+    browser.release()
+    yield began
+
+
+@contextlib.contextmanager
+def _hidden(browser, _network, _panel):
+    began = time.monotonic()
+    with browser.other_tab():
+        yield began
+
+
+@contextlib.contextmanager
+def _cut(_browser, network, _panel):
+    began = time.monotonic()
+    network.cut()
+    yield began
+    network.restore()
+
+
+@contextlib.contextmanager
+def _delayed(_browser, network, _panel):
+    began = time.monotonic()
+    network.delay()
+    yield began
+    network.deliver()
+
+
+@contextlib.contextmanager
+def _panel_suspended(_browser, _network, panel):
+    began = time.monotonic()
+    panel.process.send_signal(signal.SIGSTOP)
+    yield began
+    panel.process.send_signal(signal.SIGCONT)
+
+
+@contextlib.contextmanager
+def _killed(browser, _network, _panel):
+    yield browser.kill()
+
+
+FAILURES = {
+    'the pad is released': _released, 'its tab is hidden': _hidden,
+    'its connection is cut': _cut, 'the network delivers nothing': _delayed,
+    'the browser is suspended': lambda browser, _network, _panel: browser.frozen(),
+    'the browser is killed': _killed, 'the panel is suspended': _panel_suspended}
+
+
+def time_until_stop(failure, robot, panel):
+    """The time in ms from this failure of a page that drives until the board received SPEED 0.
+
+    None if the car had stopped before, because this machine stalled.
+    """
+    network = panel_helpers.Network(panel)
+    browser = Browser()
+    try:
+        browser.open(network.url)
+        browser.wait_for_text('#connection', 'live')
+        browser.wait_for_text('[data-link="bus"] .summary', 'ready')
+        robot.car.forget()
+        hold(browser, robot)
+        with failure(browser, network, panel) as began:
+            until(lambda: robot.car.speeds[-1] == 0, 'the car stops')
+        return next((1e3 * (frame.stamp - began) for frame in robot.car.command_frames
+                     if frame.stamp > began and isinstance(frame.message, arduino.SpeedCommand)
+                     and frame.message.value == 0), None)
+    finally:
+        browser.quit()
+        network.close()
+
+
+def print_times_until_stop():
+    """Print the times until SPEED 0 for each failure."""
+    with tempfile.TemporaryDirectory() as folder:
+        robot = panel_helpers.Robot(folder)
+        panel = panel_helpers.Panel('--control', '--token', panel_helpers.TOKEN)
+        for name, failure in FAILURES.items():
+            tries = [time_until_stop(failure, robot, panel) for _ in range(TRIES)]
+            times = sorted(each for each in tries if each is not None) or [math.nan]
+            print(f'SPEED 0 after {name:28} p50 {statistics.median(times):.0f}, '
+                  f'most {times[-1]:.0f} ms, of {len(times)}', flush=True)
+        panel.end()
+        robot.end()
+
+
 def main():
     """Measure and print."""
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 20.0
@@ -92,6 +189,7 @@ def main():
         browser.quit()
         launch.terminate()
         launch.wait(20)
+    print_times_until_stop()
     rospy.signal_shutdown('done')
     core.stop()
 

@@ -1,11 +1,15 @@
 """Headless Chromium, controlled through its driver."""
 import base64
 import contextlib
+import os
+import signal
+import subprocess
 import tempfile
+import time
 
 from boards import until
 from selenium import webdriver
-from selenium.common.exceptions import StaleElementReferenceException
+from selenium.common.exceptions import StaleElementReferenceException, WebDriverException
 from selenium.webdriver.chrome.options import Options
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.action_chains import ActionChains
@@ -35,7 +39,8 @@ class Browser:
 
     def quit(self):
         """Close the browser."""
-        self._driver.quit()
+        with contextlib.suppress(WebDriverException):    # it was killed
+            self._driver.quit()
         self._profile.cleanup()
 
     def open(self, url):
@@ -197,6 +202,38 @@ class Browser:
             'type': what, 'key': key, 'code': code, **more})
 
     @contextlib.contextmanager
+    def frozen(self):
+        """Inside this block, no process of the browser runs; the value is when it began."""
+        processes = self._processes()
+        began = time.monotonic()
+        for process in processes:
+            os.kill(process, signal.SIGSTOP)
+        try:
+            yield began
+        finally:
+            for process in processes:
+                os.kill(process, signal.SIGCONT)
+
+    def kill(self):
+        """Kill every process of the browser; return when that began."""
+        processes = self._processes()
+        began = time.monotonic()
+        for process in processes:
+            with contextlib.suppress(ProcessLookupError):    # it ended with another
+                os.kill(process, signal.SIGKILL)
+        return began
+
+    def _processes(self):
+        """The ids of the browser's processes: the descendants of its driver."""
+        table = [line.split() for line in subprocess.check_output(
+            ['ps', '-eo', 'ppid,pid'], text=True).splitlines()[1:]]
+        found, new = [], [str(self._driver.service.process.pid)]
+        while new:
+            new = [pid for parent, pid in table if parent in new]
+            found += map(int, new)
+        return found
+
+    @contextlib.contextmanager
     def other_tab(self):
         """Inside this block, another tab is in front."""
         here = self._driver.current_window_handle
@@ -215,7 +252,11 @@ class Browser:
         finally:
             self._driver.switch_to.default_content()
 
-    def forget_cookies(self, url):
-        """Delete all cookies of this site."""
+    def forget_storage(self, url):
+        """Delete what this site has stored."""
         self._driver.get(url)
-        self._driver.delete_all_cookies()
+        self._driver.execute_script('localStorage.clear()')
+
+    def cookies(self):
+        """All cookies of the page's host."""
+        return self._driver.get_cookies()

@@ -23,6 +23,7 @@ from serial_communication.boards.arduino import wire as arduino
 
 NODE = '/serial_communication'
 TOKEN = 'a-token-of-the-tests'
+GRIPPER = arduino.encode_raw(40, struct.pack('<hhB', -25, 500, 3))     # x -2.5, y 50, z 3
 
 
 def free_port():
@@ -105,6 +106,10 @@ class Robot:
         self.bridge = Bridge(parameters={
             **{f'{name}/port': line.near for name, line in self.lines.items()},
             'bus/environment_period': 0.2, 'bus/motion_timeout': 1.0,
+            'arduino/messages': {'gripper': {
+                'type': 40, 'direction': 'to_board', 'ros_type': 'geometry_msgs/Vector3',
+                'layout': '<hhB', 'fields': ['x', 'y', 'z'], 'scale': [0.1, 0.1, 1],
+                'minimum': [-10, 0, 0], 'maximum': [10, 50, 3]}},
             # The responses of both have no status; the first also has no field for success.
             'bus/functions': {
                 'beep': {'cmd2': 0x30, 'srv_type': 'std_srvs/Empty', 'timeout': 0.3},
@@ -136,19 +141,20 @@ class Robot:
 
 
 class Panel:
-    """A panel in a process of its own, whose output goes to a file."""
+    """A panel in a process of its own, whose output goes to a file; None: its default."""
 
     def __init__(self, *arguments, port=0, name='panel', environment=None):
-        self.node = '/' + name
+        self.node = f'/{name}'
         self._output = tempfile.TemporaryFile('w+')
         self.process = subprocess.Popen(
-            [program('panel'), '--port', str(port), *arguments, '__name:=' + name],
+            [program('panel'), *([] if port is None else ['--port', str(port)]), *arguments,
+             *([] if name is None else ['__name:=' + name])],
             stdout=self._output, stderr=subprocess.STDOUT,
             env={**os.environ, **(environment or {})})
         self.url = until(lambda: re.search(r'http://\S+', self.output()) or not self.alive,
                          'the panel prints its address').group()
         self.port = int(re.search(r':(\d+)/', self.url).group(1))
-        self.token = (re.search(r'token=(.*)', self.url) or [None, None])[1]
+        self.token = self.url.partition('#')[2]
 
     def output(self):
         """The output so far."""
@@ -172,14 +178,29 @@ class Panel:
 
     def get(self, path='/', **headers):
         """Send an HTTP request with exactly these headers; return status, headers and text."""
-        request = urllib.request.Request(f'http://127.0.0.1:{self.port}{path}', headers={
-            name.replace('_', '-'): value for name, value in headers.items()})
-        try:
-            answer = urllib.request.urlopen(request, timeout=PATIENCE)
-        except urllib.error.HTTPError as error:
-            answer = error
-        with answer:
-            return answer.status, answer.headers, answer.read().decode()
+        return request(self.port, path, None, headers)
+
+    def exchange(self, token, **headers):
+        """Send a token to be exchanged for a key; return status, headers and text."""
+        return post(self.port, '/key', token.encode(), headers)
+
+
+def post(port, path, body, headers=None):
+    """Send a POST request with the Origin of the page itself; return as `request`."""
+    return request(port, path, body, {'Origin': f'http://127.0.0.1:{port}', **(headers or {})})
+
+
+def request(port, path, body, headers):
+    """Send an HTTP request, a POST if it has a body; return status, headers and text."""
+    wanted = urllib.request.Request(
+        f'http://127.0.0.1:{port}{path}', body,
+        {name.replace('_', '-'): value for name, value in headers.items()})
+    try:
+        answer = urllib.request.urlopen(wanted, timeout=PATIENCE)
+    except urllib.error.HTTPError as error:
+        answer = error
+    with answer:
+        return answer.status, answer.headers, answer.read().decode()
 
 
 class Network:
@@ -284,7 +305,8 @@ class Page:
         if origin is not None:
             lines.append(f'Origin: {origin or "http://" + host}')
         if token:
-            lines.append(f'Cookie: panel_{panel.port}={token}')
+            status, _headers, key = panel.exchange(token)
+            lines.append(f'Sec-WebSocket-Protocol: panel, {key if status == 200 else token}')
         self._socket.sendall(('\r\n'.join(lines) + '\r\n\r\n').encode())
         self._stream = self._socket.makefile('rb')
         self.status = int(self._stream.readline().split()[1])

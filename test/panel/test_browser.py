@@ -1,4 +1,5 @@
 """The page in a browser: its display, its commands, and outages of bridge, master and panel."""
+import contextlib
 import os
 import re
 import shutil
@@ -10,12 +11,12 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import pytest
 import rospy
 from boards import Diagnostics, Topic, ranges, until
-from panel_helpers import NODE, TOKEN, Network, Panel, free_port
+from panel_helpers import GRIPPER, NODE, TOKEN, Network, Page, Panel, free_port
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Vector3
 from sensor_msgs.msg import Imu, Range
-from std_msgs.msg import Float32, Float64, Int64, String
+from std_msgs.msg import ColorRGBA, Float32, Float64, Int64, String
 from std_srvs.srv import SetBool, SetBoolResponse
 
 from serial_communication.link.outcome import NOT_SENT, Outcome
@@ -32,6 +33,7 @@ from panel_browser import Browser  # noqa: E402
 
 LEFT, RIGHT = '\ue012', '\ue014'
 UP = '\ue013'
+ESCAPE = '\ue00c'
 
 
 @pytest.fixture(scope='module')
@@ -61,6 +63,7 @@ def network(control_panel):
 @pytest.fixture
 def control_page(chromium, control_panel, network, robot):
     """The page of the panel that takes commands."""
+    chromium.open('about:blank')     # or only the part after # changes, and nothing is loaded
     chromium.open(network.url)
     chromium.wait_for_text('#connection', 'live')
     until(lambda: robot.car.connected, 'the car is connected')
@@ -128,16 +131,24 @@ def test_link_cards_show_diagnostics(page):
     for name, status in diagnostics.wait_for_all(TITLES, lambda *_: True, 'a status').items():
         card = f'[data-link="{name}"]'
         assert page.text(card + ' .card-head .note') == TITLES[name]
-        assert page.text(card + ' .port') == status.keys['port']
+        assert page.text(card + ' .port').replace('\n', '') == status.keys['port']
         page.script("document.querySelector(arguments[0]).open = true", card + ' details')
 
         def shows_latest(page, name=name, card=card):
             latest = diagnostics.statuses(name)[-1]
-            shown = dict(page.script(
-                "return [...document.querySelectorAll(arguments[0])].map(tr => "
-                "[...tr.children].map(cell => cell.textContent))", card + ' details tr'))
-            return page.text(card + ' .summary') == latest.message and shown == latest.keys
+            summary, rows = page.script("""
+                const card = document.querySelector(arguments[0]);
+                return [card.querySelector('.summary').textContent,
+                        [...card.querySelectorAll('details tr')].map(
+                            tr => [...tr.children].map(cell => cell.textContent))];""", card)
+            return summary == latest.message and dict(rows) == latest.keys
         page.wait(shows_latest, f'{name}: summary and all keys of the latest status')
+
+        def age_fits(page, name=name, card=card):
+            age = float(diagnostics.statuses(name)[-1].keys['last frame age [s]'])
+            shown = page.text(card + ' .facts > div:nth-child(3) dd')
+            return shown == ('now' if age < 0.1 else f'{age:.1f} s ago')
+        page.wait(age_fits, f'{name}: the last frame is as old as the status has it')
 
 
 def test_a_heartbeat_gap_is_marked_until_it_is_over_and_dropped_bytes_are_shown(page, robot):
@@ -151,22 +162,28 @@ def test_a_heartbeat_gap_is_marked_until_it_is_over_and_dropped_bytes_are_shown(
               and len(page.all(marked)) == 1, 'the gap is shown and marked')
     page.wait(lambda page: re.search(r'stale\s+[1-9][0-9]* bytes', page.text(card + ' .facts')),
               'the dropped bytes are counted')
-    page.wait(lambda page: page.attribute(card, 'data-health') == 'ok' and page.all(marked) == [],
-              'it is over')
+    page.wait(lambda page: page.attribute(card, 'data-health') == 'ok' and page.all(marked) == []
+              and re.fullmatch(r'[0-9.]+ ms, [0-9.]+ s ago', page.text(card + ' .gap')),
+              'it is over, and the card says when it was')
+    assert page.script('const gap = document.querySelector(arguments[0]);'
+                       'return gap.scrollWidth <= gap.clientWidth', card + ' .gap'), 'it is cut off'
 
 
 def test_an_error_is_shown_and_counted_by_its_cause(page, robot):
     card = '[data-link="mcu"]'
     page.wait(lambda page: page.attribute(card, 'data-health') == 'ok', 'the link is OK')
     before = int(page.text(card + ' .count'))
+    page.script("""window.announced = [];
+        new MutationObserver(() => announced.push(document.getElementById('announcer').textContent))
+            .observe(document.getElementById('announcer'), {childList: true});""")
     for _ in range(3):
         robot.sensors.write(b'\x02\x0c\x10\x00' + bytes(10) + b'\x00\x03')    # a wrong CRC
     page.wait(lambda page: page.attribute(card, 'data-health') == 'warn', 'the link has a warning')
     page.wait(lambda page: int(page.text(card + ' .count')) >= before + 3, 'three are counted')
     assert 'checksum' in page.text(card + ' .causes')
-    page.wait(lambda page: page.title.startswith('! mcu: warning'), 'the title shows it')
-    assert 'mcu link: warning' in page.script(
-        "return document.getElementById('announcer').textContent")
+    # Or that of the arduino, whose heartbeat is late while this machine is busy.
+    page.wait(lambda page: re.match('! (mcu|arduino): warning', page.title), 'the title shows it')
+    assert any('mcu link: warning' in each for each in page.script('return announced'))
 
 
 def test_a_stale_value_shows_its_age(page, robot):
@@ -182,8 +199,11 @@ def test_a_stale_value_shows_its_age(page, robot):
     assert page.text(reading + ' .age') == ''
 
 
+HOSTILE = '<img src=x onerror=document.title="pwned"><script>document.title="pwned"</script>'
+
+
 def test_markup_in_a_text_is_shown_as_text(page, robot):
-    text = '<img src=x onerror=document.title="pwned"><script>document.title="pwned"</script>'
+    text = HOSTILE
     page.script("document.getElementById('card-wire').open = true")
 
     def shows(page):
@@ -191,6 +211,7 @@ def test_markup_in_a_text_is_shown_as_text(page, robot):
             "return [...document.querySelectorAll('.chip')]"
             ".some(chip => chip.textContent.includes('WARN'))")
     page.wait(shows, 'log and wire show it', doing=lambda: robot.car.say(arduino.Log(2, text)))
+    assert 'arduino' in page.texts('.log .link-name')       # it leads to the link's card
     assert page.all('.log img') == page.all('.log script') == page.all('.frame img') == []
     assert 'pwned' not in page.title
     page.script("document.getElementById('card-wire').open = false")
@@ -237,26 +258,51 @@ def test_pointing_at_a_field_highlights_its_bytes_and_the_reverse(page, robot):
     page.click('#card-wire > summary')
 
 
+def test_a_plot_zooms_pauses_and_shows_values_at_the_cursor_by_keyboard(page):
+    note = '#card-motion .figure .span'
+    page.wait_for_text(note, '20 s')        # 50 samples a second
+    page.script("document.querySelector('#card-motion canvas').focus()")
+    for key, text in (('+', '10 s'), ('-', '20 s'), ('-', '60 s')):
+        page.press(key)
+        page.wait_for_text(note, text)
+    page.press(LEFT)
+    values = r'[0-9.]+ s ago: x .*, y .*, z .*'
+    page.wait(lambda page: re.fullmatch(values, page.text(note)), 'the values are shown')
+    page.press(' ')
+    page.wait(lambda page: re.fullmatch('paused, ' + values, page.text(note)), 'it is paused')
+    shown = page.text(note)
+    page.wait(lambda page: page.text(note).partition(':')[0] != shown.partition(':')[0],
+              'the paused time gets older')
+    assert page.text(note).partition(':')[2] == shown.partition(':')[2]     # but the values stay
+    page.press(ESCAPE)
+    page.wait_for_text(note, '60 s')
+    page.hover('#card-motion canvas')
+    page.wait(lambda page: re.fullmatch(values, page.text(note)), 'pointing shows them, too')
+
+
 def test_custom_topics_appear_and_vanish(chromium, core):
     """This process simulates a bridge that publishes custom topics."""
     wind = rospy.Publisher('~wind', Vector3, queue_size=1)
     words = rospy.Publisher('~motto', String, queue_size=1)
+    colour = rospy.Publisher('~colour', ColorRGBA, queue_size=1)
     panel = Panel('--node', rospy.get_name(), name='panel_custom')
     try:
         chromium.open(panel.url)
-        chromium.wait_for_text('#connection', 'live')
         done = threading.Event()
 
         def publish():
             while not done.wait(0.05):
                 wind.publish(1.5, -2.25, 1.25e-9)
+                colour.publish(1, 2, 3, 4)
                 words.publish('<b>semper idem</b>')
         threading.Thread(target=publish, daemon=True).start()
         card = '[data-custom="~wind"] '
         chromium.wait_for_text('[data-reading="~wind:y"] .number', '\N{MINUS SIGN}2.25')
         assert chromium.text('[data-reading="~wind:x"] .number') == '1.5'
         assert chromium.text('[data-reading="~wind:z"] .number') == '1.25e\N{MINUS SIGN}9'
-        assert chromium.all(card + 'canvas')
+        assert len(chromium.all(card + 'canvas')) == 1      # the parts of one vector
+        chromium.wait_for_text('[data-reading="~colour:a"] .number', '4')
+        assert len(chromium.all('[data-custom="~colour"] canvas')) == 4
         chromium.wait_for_text('[data-reading="~motto:data"] .number', '<b>semper idem</b>')
         assert not chromium.all('[data-custom="~motto"] canvas')
         # A range whose limits are not finite, as another program may publish it.
@@ -272,8 +318,8 @@ def test_custom_topics_appear_and_vanish(chromium, core):
         done.set()
         assert chromium.errors() == []
     finally:
-        wind.unregister()
-        words.unregister()
+        for topic in wind, words, colour:
+            topic.unregister()
         chromium.open('about:blank')
         panel.end()
 
@@ -332,6 +378,109 @@ def test_an_error_is_still_counted_when_its_warning_is_over(page):
     card = '[data-link="mcu"]'
     page.wait(lambda page: page.attribute(card, 'data-health') == 'ok', 'the link is OK again')
     assert 'checksum' in page.text(card + ' .causes')
+
+
+PHONE = (390, 844)
+
+
+@contextlib.contextmanager
+def phone(page):
+    """Inside this block, the page is as large as a phone's."""
+    page.resize(*PHONE)
+    page.wait(lambda page: page.script('return innerWidth') == PHONE[0], 'it is narrow')
+    try:
+        yield
+    finally:
+        page.resize(1600, 1000)
+
+
+def test_on_a_phone_commands_and_drive_are_one_tab_each_and_stop_is_always_in_sight(control_page):
+    page = control_page
+    with phone(page):
+        tabs = [tab for tab in page.texts('.tabs button') if tab]
+        assert tabs == ['Links', 'Drive', 'Commands', 'Car', 'Sensors', 'Wire']
+        for tab in tabs:
+            page.script("[...document.querySelectorAll('.tabs button')]"
+                        ".find(b => b.textContent == arguments[0]).click()", tab)
+            page.script('scrollTo(0, document.body.scrollHeight)')
+            page.wait_for_updates(2)
+            assert page.script('return document.documentElement.scrollWidth') == PHONE[0]
+            assert all(top >= 0 and bottom <= PHONE[1] for top, bottom in page.script(
+                "return [...document.querySelectorAll('#stop, .tabs button')]"
+                ".map(e => e.getBoundingClientRect()).map(box => [box.top, box.bottom])"))
+            shown = {card.get_attribute('data-tab') for card in page.all('main [data-tab]')
+                     if card.is_displayed()}
+            assert shown == {tab}
+            if tab == 'Drive':
+                assert page.script("return document.getElementById('pad')"
+                                   ".getBoundingClientRect().bottom") < PHONE[1] - 60
+        page.script("document.querySelector('.tabs button').click()")
+
+
+def test_a_long_name_of_a_port_is_shortened_in_its_middle(page, robot):
+    port = '[data-link="mcu"] .port'
+    with phone(page):
+        page.wait(lambda page: page.script(
+            'return document.querySelector(arguments[0]).textContent', port)
+            == robot.lines['mcu'].near, 'it is shown')
+        begin, end = page.script("""
+            const [begin, end] = document.querySelector(arguments[0]).children;
+            begin.textContent = '/dev/serial/by-id/usb-Silicon_Labs_CP2102_USB_to_UART_Bridge_';
+            return [begin, end].map(e => [e.scrollWidth, e.clientWidth,
+                                          e.getBoundingClientRect().right]);""", port)
+    assert begin[0] > begin[1] > 0                    # its end has no room
+    assert end[0] <= end[1] and end[2] < PHONE[0]     # the end of the name is visible as a whole
+
+
+_SMALL = '''
+    return [...document.querySelectorAll('button, input, summary, [tabindex], select, a')]
+      .filter(e => e.checkVisibility() && !e.disabled).map(e => [e.outerHTML.slice(0, 80),
+        e.getBoundingClientRect()]).filter(([, box]) => box.width < 24 || box.height < 24)
+      .map(([what]) => what);'''
+
+
+def test_every_target_is_at_least_24_px_large(control_page):
+    assert control_page.script(_SMALL) == []
+    with phone(control_page):
+        assert control_page.script(_SMALL) == []
+
+
+# The texts with a contrast below 4.5 (WCAG AA). Links are shown in the given health.
+_FAINT = r'''
+    const health = arguments[0];
+    document.querySelectorAll('.link').forEach(e => { e.dataset.health = health; });
+    const canvas = document.createElement('canvas').getContext('2d', {willReadFrequently: true});
+    const rgba = (colour) => {
+      canvas.clearRect(0, 0, 1, 1); canvas.fillStyle = colour; canvas.fillRect(0, 0, 1, 1);
+      return [...canvas.getImageData(0, 0, 1, 1).data];
+    };
+    const behind = (e) => {
+      for (; e; e = e.parentElement) {
+        const found = rgba(getComputedStyle(e).backgroundColor);
+        if (found[3] === 255) return found;
+      }
+      return rgba('white');
+    };
+    const light = ([r, g, b]) => [r, g, b].map(v => v / 255).map(v => v <= 0.04045 ? v / 12.92
+      : ((v + 0.055) / 1.055) ** 2.4)
+      .reduce((sum, v, at) => sum + v * [0.2126, 0.7152, 0.0722][at], 0);
+    const texts = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT), faint = [];
+    while (texts.nextNode()) {
+      const e = texts.currentNode.parentElement, text = texts.currentNode.textContent.trim();
+      if (!text || !e.checkVisibility() || e.closest('.visually-hidden, :disabled')) continue;
+      const [a, b] = [light(rgba(getComputedStyle(e).color)), light(behind(e))];
+      const contrast = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+      if (contrast < 4.5) faint.push(`${contrast.toFixed(2)} ${e.className} ${text.slice(0, 40)}`);
+    }
+    return faint;'''
+
+
+def test_every_text_has_enough_contrast(control_page):
+    for scheme in ('light', 'dark'):
+        control_page.scheme(scheme)
+        for health in ('ok', 'warn', 'error', 'none'):
+            assert control_page.script(_FAINT, health) == [], (scheme, health)
+    control_page.scheme('light')
 
 
 def test_the_page_fits_a_phone(page):
@@ -419,6 +568,67 @@ def test_the_outcome_is_not_known_if_the_connection_is_lost(control_page, robot,
     until(lambda: control_page.all('[data-service="~lift"] button')[0].is_enabled(), 'it is over')
 
 
+def test_an_empty_or_wrong_amount_is_not_sent(control_page, robot):
+    for value in ('', '0', '256', '2.5'):
+        control_page.script("document.querySelector('[data-service=\"~lift\"] input').value ="
+                            "arguments[0]", value)
+        control_page.click('[data-service="~lift"] button')
+        assert control_page.all('[data-service="~lift"] input:invalid')
+    control_page.wait_for_updates(15)
+    assert not robot.lift_requests and control_page.all('[data-service="~lift"] button:enabled')
+    control_page.script("document.querySelector('[data-service=\"~lift\"] input').value = '20'")
+
+
+def test_a_custom_command_is_a_form_with_its_limits(control_page, robot):
+    form = '[data-service="~gripper"] '
+    assert [each.replace('\n', ' ') for each in control_page.texts(form + 'label')] == [
+        'x \N{MINUS SIGN}10 \u2026 10', 'y 0 \u2026 50', 'z 0 \u2026 3']
+
+    def fill(*values):
+        control_page.script("document.querySelectorAll(arguments[0] + 'input').forEach("
+                            "(input, at) => { input.value = arguments[1][at]; })", form, values)
+        control_page.click(form + 'button')
+    for values in (('', '', ''), ('-2.5', '50', ''), ('-2.5', '50.1', '3'), ('-2.5', '50', '2.5')):
+        fill(*values)
+        assert len(control_page.all(form + 'input:invalid')) == max(1, values.count(''))
+    control_page.wait_for_updates(15)
+    assert GRIPPER not in robot.car.wire
+
+    def send():
+        if GRIPPER not in robot.car.wire and control_page.all(form + 'button:enabled'):
+            fill('-2.5', '50', '3')
+    until(lambda: GRIPPER in robot.car.wire, 'the board receives it', doing=send, every=0.3)
+    control_page.wait(lambda page: any(each.startswith('gripper -2.5 50 3 sent')
+                                       for each in page.texts('.answers li')), 'it is shown')
+
+
+def test_a_page_that_only_looks_says_so_and_how_to_get_commands(page):
+    page.wait(lambda page: 'This page only looks' in page.text('#card-commands'), 'it is shown')
+    text = page.text('#card-commands')
+    assert '--control' in text and 'control:=true' in text and 'tunnel' in text
+    assert not any(each.is_displayed() for each in page.all('#stop, #pad, [data-service]'))
+
+
+def test_stop_stops_the_car_whichever_page_drives(control_page, control_panel, robot):
+    other = Page(control_panel, TOKEN)
+    try:
+        other.until(lambda page: 'node' in page.known, 'the other page receives updates')
+
+        def drive():
+            if 'refused' in other.known:        # the machine stalled: another hold begins
+                del other.known['refused']
+                other.holds += 1
+            other.send(drive={'key': 'drive', 'hold': other.holds + 1, 'seen': other.now,
+                              'speed': 120, 'steering': 1500})
+        until(lambda: 120 in robot.car.speeds, 'the car drives', doing=drive, every=0.04)
+        control_page.click('#stop')
+        until(lambda: robot.car.speeds[-1] == 0, 'the car stops')
+        control_page.wait(lambda page: any(each.startswith('STOP sent')
+                                           for each in page.texts('.answers li')), 'it is shown')
+    finally:
+        other.close()
+
+
 def test_calibration_needs_a_confirmation(control_page, robot):
     packet = arduino.encode(arduino.ImuCalibration())
     control_page.click('[data-service="~calibrate_imu"] button')
@@ -441,8 +651,12 @@ def test_calibration_needs_a_confirmation(control_page, robot):
 
 def test_led_echo_and_sync_reach_their_boards(control_page, robot):
     led = arduino.encode(arduino.LedCommand('brake'))
+    control_page.wait(lambda page: page.all('[data-service="~led"] button:enabled'),
+                      'the status has no calibration any more')
     control_page.click('[data-service="~led"] button:nth-of-type(3)')
     until(lambda: led in robot.car.commands, 'the LED text is received')
+    control_page.wait(lambda page: any(each.startswith('LED brake sent') for each in page.texts(
+        '.answers li')), 'the page shows that it was sent')
     for word in ('echo', 'sync'):
         control_page.script("[...document.querySelectorAll('.commands button')]"
                             ".find(b => b.textContent == arguments[0]).click()", word)
@@ -455,7 +669,7 @@ def was_too_old(page):
     return 'press again' in (page.text('.answers li') if page.all('.answers li') else '')
 
 
-def test_a_custom_function_is_offered_and_called(chromium, core):
+def test_a_custom_function_is_offered_and_hostile_names_are_shown_as_text(chromium, core):
     """This process simulates a bridge with a custom function."""
     asked = []
 
@@ -468,8 +682,14 @@ def test_a_custom_function_is_offered_and_called(chromium, core):
         asked.append(request.data)
         return SetBoolResponse(request.data, 'the pump runs' if request.data
                                else Outcome(NOT_SENT, 'it is empty').text)
-    rospy.set_param('~bus/functions/pump', {'cmd2': 48, 'srv_type': 'std_srvs/SetBool'})
-    there = rospy.Publisher('~there', String, queue_size=1)
+    # A row's name that the bridge itself would refuse.
+    rospy.set_param('~bus/functions', {'pump': {'cmd2': 48, 'srv_type': 'std_srvs/SetBool'},
+                                       HOSTILE: {'cmd2': 49, 'srv_type': 'std_srvs/Trigger'}})
+    diagnostics = rospy.Publisher('/diagnostics', DiagnosticArray, queue_size=1)
+    status = DiagnosticStatus(name='odd: bus link', message=HOSTILE, values=[
+        KeyValue('port', HOSTILE), KeyValue(HOSTILE, HOSTILE), KeyValue(f'{HOSTILE} errors', '3')])
+    report = rospy.Timer(rospy.Duration(0.2), lambda _event: diagnostics.publish(
+        DiagnosticArray(status=[status])))
     service = rospy.Service('~pump', SetBool, pump)
     panel = Panel('--control', '--node', rospy.get_name(), name='panel_functions')
     try:
@@ -485,11 +705,18 @@ def test_a_custom_function_is_offered_and_called(chromium, core):
         assert asked == [False, True]
         answers = chromium.text('.answers')
         assert 'the pump runs' in answers and 'it is empty' in answers
+        for place in '.summary', '.port', 'legend':
+            assert any(HOSTILE in each for each in chromium.script(
+                'return [...document.querySelectorAll(arguments[0])].map(e => e.textContent)',
+                place)), place
+        assert 'pwned' not in chromium.title
+        assert chromium.all('main img') == chromium.all('main script') == []
         assert chromium.errors() == []
     finally:
         chromium.open('about:blank')
+        report.shutdown()
         service.shutdown()
-        there.unregister()
+        diagnostics.unregister()
         rospy.delete_param('~bus')
         panel.end()
 
@@ -596,6 +823,48 @@ def test_a_page_that_hangs_stops(control_page, robot):
     assert 0 in robot.car.speeds
     control_page.release()
     wait_until_stopped(robot, control_page)
+
+
+def test_a_panel_that_was_stopped_for_long_gives_no_false_reason(control_page, control_panel):
+    control_page.script("""window.troubles = new Set();
+        new MutationObserver(() => troubles.add(document.getElementById('trouble').textContent))
+            .observe(document.getElementById('trouble'), {childList: true});""")
+    os.kill(control_panel.process.pid, signal.SIGSTOP)
+    try:
+        control_page.wait(lambda page: re.search(
+            r'for ([6-9]\.|\d\d )', page.text('#trouble')), 'it gave up and retries')
+    finally:
+        os.kill(control_panel.process.pid, signal.SIGCONT)
+    control_page.wait_for_text('#connection', 'live')
+    troubles = ' '.join(control_page.script('return [...troubles]'))
+    assert 'no connection to the panel' in troubles
+    assert 'pages are open' not in troubles and 'token' not in troubles
+    control_page.errors()    # the connections that it tried
+
+
+def test_a_frozen_browser_stops(control_page, robot):
+    hold(control_page, robot)
+    with control_page.frozen():
+        until(lambda: robot.car.speeds[-1] == 0, 'the car stops')
+    wait_until_stopped(robot, control_page)
+    control_page.release()
+    control_page.errors()
+
+
+def test_a_killed_browser_stops(control_panel, robot):
+    browser = Browser()
+    try:
+        browser.open(control_panel.url)
+        browser.wait_for_text('#connection', 'live')
+        robot.car.forget()
+        hold(browser, robot)
+        browser.kill()
+        until(lambda: robot.car.speeds[-1] == 0, 'the car stops')
+        count = len(robot.car.speeds)
+        robot.car.wait_for_heartbeats(100)
+        assert not any(robot.car.speeds[count:])
+    finally:
+        browser.quit()
 
 
 def test_arrow_keys_drive(control_page, robot):
@@ -736,6 +1005,31 @@ def test_a_key_held_beside_another_need_not_repeat(control_page, robot):
 # -- outages ----------------------------------------------------------------------------------
 
 
+def test_commands_of_a_closed_link_are_disabled_with_the_reason(control_page, robot):
+    page = control_page
+    robot.lines['arduino'].unplug()
+    try:
+        page.wait(lambda page: page.script("""
+            const all = (selector) => [...document.querySelectorAll(selector)];
+            const services = ['~led', '~gripper', '~calibrate_imu'].map(
+                (name) => `[data-service="${name}"]`);
+            return all(services.map((each) => each + ' .reason, #pad-words').join()).every(
+                    (each) => each.textContent === 'the arduino link is closed')
+                && all(services.map((each) => each + ' > .controls button').join()).every(
+                    (each) => each.disabled)
+                && document.getElementById('pad').ariaDisabled === 'true';"""),
+                  'its commands are disabled, with the reason')
+        page.press_at('#pad', 0, -60)
+        assert page.attribute('#pad', 'data-held') is None
+        page.release()
+        assert page.all('[data-service="~lift"] button')[0].is_enabled()
+        assert page.all('#stop')[0].is_enabled()
+    finally:
+        robot.lines['arduino'].plug()
+    page.wait(lambda page: page.text('[data-service="~led"] .reason') == ''
+              and page.attribute('#pad', 'aria-disabled') is None, 'they are enabled again')
+
+
 def test_the_page_shows_that_a_line_is_unplugged_and_plugged_in(page, robot):
     robot.lines['mcu'].unplug()
     card = '[data-link="mcu"]'
@@ -761,12 +1055,26 @@ def test_the_page_shows_a_restart_of_the_bridge(page, robot):
               'data is received again')
 
 
-def test_the_page_shows_a_restart_of_the_master(page, robot, core):
+def test_the_page_shows_a_restart_of_the_master(control_page, robot, core):
+    page = control_page
+    page.script("""window.alarms = [];
+        new MutationObserver(() => alarms.push(document.getElementById('alarm').textContent))
+            .observe(document.getElementById('alarm'), {childList: true});""")
     core.stop()
     page.wait(lambda page: 'no answer from the ROS master' in page.text('#trouble'),
               'the page shows it')
+    assert page.text('#connection') == 'not live'
+    page.wait(lambda page: 'no answer from the ROS master' in page.text(
+        '[data-service="~lift"] .reason'), 'the reason is shown')
+    assert not page.all('[data-service="~lift"] button')[0].is_enabled()
+    shown = page.text('#trouble')
+    page.wait(lambda page: page.text('#trouble') not in ('', shown), 'its age counts up')
+    # A screen reader hears of it once, without the age that changes ten times a second.
+    alarms = page.script('return alarms')
+    assert len(alarms) == 1 and 'no answer from the ROS master' in alarms[0]
     core.start()
     page.wait(lambda page: page.text('#trouble') == '', 'the trouble is over')
+    page.wait_for_text('#connection', 'live')
     # A new subscription works with the new master, too.
     page.click('#card-wire > summary')
     page.wait(lambda page: page.all('.frame'), 'serial_msg is received')
@@ -820,11 +1128,22 @@ def test_a_page_of_another_site_can_neither_connect_nor_embed(chromium, panel):
     chromium.errors()
 
 
-def test_the_page_needs_the_token_once(chromium, control_panel):
-    chromium.forget_cookies(control_panel.url)
-    chromium.open(control_panel.url.split('?')[0])
-    assert 'with its token' in chromium.text('body')
-    chromium.open(control_panel.url)
+def test_the_page_needs_the_token_once(chromium, control_panel, panel):
+    chromium.forget_storage(control_panel.url)
+    chromium.open('about:blank')
+    chromium.open(control_panel.url.split('#')[0])
+    chromium.wait(lambda page: 'open the address that the panel printed last' in page.text(
+        '#trouble'), 'the page shows it')
+    chromium.errors()
+    chromium.open(control_panel.url)        # in the same tab: only the part after # changes
     chromium.wait_for_text('#connection', 'live')
-    assert TOKEN not in chromium.script('return location.href')
+    assert chromium.script('return location.href') == control_panel.url.split('#')[0]
+    chromium.open('about:blank')
+    chromium.open(control_panel.url.split('#')[0])
+    chromium.wait_for_text('#connection', 'live')
+    # Nothing of it is sent to another port of this machine.
+    assert chromium.cookies() == []
+    chromium.open(panel.url)
+    chromium.wait_for_text('#connection', 'live')
+    assert chromium.script('return localStorage.length') == 0
     chromium.errors()

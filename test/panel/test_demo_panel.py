@@ -1,35 +1,62 @@
-"""scripts/demo --panel: the page of a demo, at the address that it prints."""
+"""scripts/demo --panel --control: the page of a demo, at the address that it prints."""
 import os
 import re
 import signal
+import stat
 import subprocess
 import tempfile
-import urllib.request
 from pathlib import Path
 
 from boards import until
-from panel_helpers import free_port
+from panel_helpers import Page, free_port, post
 
-DEMO = Path(__file__).resolve().parents[2] / 'scripts' / 'demo'
+CHECKOUT = Path(__file__).resolve().parents[2]
 
 
 def run(output):
     return subprocess.Popen(
-        [str(DEMO), '--panel'], stdin=subprocess.DEVNULL, stdout=output, stderr=output,
-        start_new_session=True,
+        [str(CHECKOUT / 'scripts' / 'demo'), '--panel', '--control'], stdin=subprocess.DEVNULL,
+        stdout=output, stderr=output, start_new_session=True,
         env={**os.environ, 'ROS_MASTER_URI': f'http://localhost:{free_port()}'})
 
 
-def test_the_demo_prints_the_address_of_its_page():
+class PrintedPanel:
+    """A panel that another program has started, by the address that it printed."""
+
+    def __init__(self, address):
+        self.port, self.token = int(address.group(1)), address.group(2)
+
+    def exchange(self, token):
+        """Send the token."""
+        return post(self.port, '/key', token.encode())
+
+
+def test_the_demo_prints_the_address_of_a_page_that_has_commands():
     with tempfile.TemporaryFile('w+') as output:
         demo = run(output)
+
+        def shown(pattern):
+            output.seek(0)
+            return re.search(pattern, output.read())
         try:
-            def address():
-                output.seek(0)
-                return re.search(r'In a browser:  (http://127.0.0.1:\d+/)', output.read())
-            found = until(lambda: address() or demo.poll() is not None, 'it is printed', 60)
-            with urllib.request.urlopen(found.group(1), timeout=15) as page:
-                assert '<title>panel</title>' in page.read().decode()
+            address = until(lambda: shown(r'In a browser:  http://127.0.0.1:(\d+)/#(\S+)')
+                            or demo.poll() is not None, 'it is printed', 60)
+            panel = PrintedPanel(address)
+            page = Page(panel, panel.token)
+            page.until(lambda page: '~lift' in page.known.get('controls', {}).get('services', ()),
+                       'the page has commands')
+            page.until(lambda page: any(
+                update.get('links', {}).get('bus', {}).get('level') == 0
+                for update in list(page.updates)), 'the bus is ready')
+            page.send(call={'key': 'up', 'name': '~lift',
+                            'arguments': {'direction': 0, 'distance': 5}})
+            page.until(lambda page: page.calls.get('up', {}).get('outcome'), 'the answer')
+            assert page.calls['up']['outcome'] == 'done'
+            page.close()
+            # Nothing else moves the robot, and nobody else can read the token.
+            until(lambda: shown('none; the page has them'), 'the table is shown')
+            log = CHECKOUT / 'build' / 'ros' / 'log' / f'demo_{demo.pid}.log'
+            assert stat.S_IMODE(log.stat().st_mode) == 0o600
         finally:
             demo.send_signal(signal.SIGINT)
             demo.wait(20)

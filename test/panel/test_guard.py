@@ -1,8 +1,8 @@
-"""The guard checks Host, Origin and token of a request."""
+"""The guard checks Host and Origin of a request; the entrance exchanges tokens for keys."""
 import pytest
-from serial_communication.tools.panel.guard import Guard, is_loopback
+from serial_communication.tools.panel.guard import Entrance, Guard, WrongToken, is_loopback
 
-GUARD = Guard(['Robot', 'robot.local'], 'a-token-of-the-tests')
+GUARD = Guard(['Robot', 'robot.local'])
 
 
 @pytest.mark.parametrize('host', [
@@ -27,14 +27,45 @@ def test_only_pages_of_the_same_host_and_port_are_allowed(origin, same):
     assert (GUARD.check_origin(origin, 'robot:8080') == '') == same
 
 
-def test_only_the_right_token_is_allowed():
-    assert GUARD.check_token('a-token-of-the-tests') == ''
-    assert GUARD.check_token(None, 'a-token-of-the-tests') == ''
-    assert GUARD.check_token('old', 'a-token-of-the-tests') == ''
-    assert GUARD.check_token('a-token-of-the-test') == 'the token is wrong'
-    assert GUARD.check_token('\udcff') == 'the token is wrong'
-    assert GUARD.check_token(None, None) == GUARD.check_token('') == 'it has no token'
-    assert Guard([], None).check_token(None) == ''
+def test_a_new_token_is_exchanged_once_and_its_key_stays_valid():
+    used = []
+    entrance = Entrance(needed=True)
+    entrance.on_used = lambda: used.append(entrance.token)
+    first = entrance.token
+    key = entrance.exchange(first, 'laptop', 1.0)
+    assert used == [entrance.token] and first not in (key, entrance.token)
+    assert entrance.check_key(key) == ''
+    with pytest.raises(WrongToken, match='has been used already'):
+        entrance.exchange(first, 'laptop', 2.0)
+    other = entrance.exchange(entrance.token, 'phone', 2.0)
+    assert entrance.check_key(other) == entrance.check_key(key) == '' and other != key
+    assert entrance.check_key(first) == entrance.check_key('\udcff') \
+        == 'its key is not valid any more'
+    assert entrance.check_key(None) == entrance.check_key('') == 'it has no token'
+
+
+def test_a_given_token_is_exchanged_any_number_of_times():
+    entrance = Entrance(True, 'a-token-of-the-tests')
+    keys = {entrance.exchange('a-token-of-the-tests', 'laptop', 1.0) for _ in range(3)}
+    assert len(keys) == 3 and entrance.token == 'a-token-of-the-tests'
+    assert entrance.check_key('a-token-of-the-tests')
+
+
+def test_after_a_wrong_token_an_address_waits_two_seconds_even_with_the_right_one():
+    entrance = Entrance(True, 'a-token-of-the-tests')
+    with pytest.raises(WrongToken, match='the token is wrong'):
+        entrance.exchange('a-token-of-the-test', 'laptop', 10.0)
+    with pytest.raises(WrongToken, match='try again in 2 s'):
+        entrance.exchange('a-token-of-the-tests', 'laptop', 11.9)
+    assert entrance.exchange('a-token-of-the-tests', 'phone', 11.9)
+    assert entrance.exchange('a-token-of-the-tests', 'laptop', 12.1)
+
+
+def test_without_a_token_every_page_may_connect_and_none_is_exchanged():
+    entrance = Entrance(needed=False)
+    assert entrance.check_key(None) == '' and entrance.token is None
+    with pytest.raises(WrongToken):
+        entrance.exchange('', 'laptop', 1.0)
 
 
 @pytest.mark.parametrize('address, loopback', [

@@ -2,6 +2,8 @@
 import contextlib
 import json
 import os
+import pty
+import re
 import resource
 import signal
 import socket
@@ -11,10 +13,11 @@ import time
 import types
 
 import pytest
+import qrcode
 import rosgraph
 import rospy
 from boards import PATIENCE, program, ranges, until
-from panel_helpers import (NODE, TOKEN, Page, Panel, free_port, publishers_and_subscribers,
+from panel_helpers import (GRIPPER, NODE, TOKEN, Page, Panel, free_port, publishers_and_subscribers,
                            subscribed)
 
 from std_msgs.msg import String
@@ -61,10 +64,11 @@ def driver(control_panel, robot):
 # -- the command line -------------------------------------------------------------------------
 
 
-def run(*arguments):
+def run(*arguments, environment=None):
     return subprocess.run([program('panel'), *arguments], text=True, timeout=60,
                           stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                          env={**os.environ, 'ROS_MASTER_URI': 'http://127.0.0.1:1'})
+                          env={**os.environ, 'ROS_MASTER_URI': 'http://127.0.0.1:1',
+                               **(environment or {})})
 
 
 def test_help_names_every_option():
@@ -84,12 +88,71 @@ def test_a_wrong_argument_ends_with_status_2_and_a_message(arguments, words):
     assert done.returncode == 2 and words in done.stderr and not done.stdout
 
 
+@pytest.fixture
+def no_tornado(tmp_path):
+    """The environment of a machine without tornado."""
+    (tmp_path / 'tornado.py').write_text(
+        "raise ModuleNotFoundError('No module named tornado', name='tornado')")
+    return {'PYTHONPATH': f'{tmp_path}:{os.environ["PYTHONPATH"]}'}
+
+
+def test_without_tornado_one_line_names_the_package_and_help_works(no_tornado):
+    done = run(environment=no_tornado)
+    assert (done.returncode, done.stdout, done.stderr) == (
+        1, '', 'panel: the page needs tornado; install it: sudo apt-get install python3-tornado\n')
+    assert run('--help', environment=no_tornado).stdout.startswith('usage: panel')
+
+
 @pytest.mark.usefixtures('two_pages')       # so that their 5 s begin
-def test_a_port_in_use_ends_with_status_1_and_one_line(panel):
+def test_a_port_in_use_ends_with_one_line_that_names_its_holder_and_a_free_port(panel):
     done = run('--port', str(panel.port))
-    assert done.returncode == 1
-    assert done.stderr.startswith('panel: cannot listen on 127.0.0.1 port') \
-        and len(done.stderr.splitlines()) == 1
+    assert done.returncode == 1 and len(done.stderr.splitlines()) == 1
+    found = re.fullmatch(r'panel: cannot listen on 127.0.0.1 port (\d+): Address already in use, '
+                         r'by panel \(pid (\d+)\); free: --port (\d+)\n', done.stderr)
+    assert found.group(1, 2) == (str(panel.port), str(panel.process.pid))
+    assert int(found.group(3)) > panel.port
+
+
+def test_a_second_panel_without_options_takes_the_next_port_and_name(robot):
+    one = Panel(port=None, name=None)
+    until(lambda: is_registered('/panel'), 'it is registered')
+    other = Panel(port=None, name=None)
+    assert other.port > one.port >= 8080
+    other.wait_for(f'port 8080 is taken by panel (pid {one.process.pid}); the next')
+    until(lambda: is_registered('/panel_2'), 'it is registered under another name')
+    for panel in one, other:
+        page = Page(panel, watch=TOPICS)
+        page.until(lambda page: '~imu' in page.samples, 'it shows the bridge')
+        page.close()
+        assert panel.end() == 0
+
+
+def test_on_a_terminal_an_address_for_the_network_is_a_qr_code_as_well():
+    """Tells dark from light as a camera does, on a terminal with a dark background."""
+    near, far = pty.openpty()
+    panel = subprocess.Popen([program('panel'), '--port', '0', '--bind', '0.0.0.0',
+                              '__name:=panel_qr'], stdin=far, stdout=far, stderr=far,
+                             env={**os.environ, 'ROS_MASTER_URI': 'http://127.0.0.1:1'})
+    os.close(far)
+    shown = bytearray()
+    try:
+        def is_complete():
+            shown.extend(os.read(near, 65536))
+            return b'waiting for the ROS master' in shown
+        until(is_complete, 'it prints')
+        text = shown.decode().replace('\r', '').split('panel: waiting')[0]
+        address, _, code = text.partition('\n')
+        url = re.fullmatch(r'panel: (http://[^/:]+:\d+/#\S+)', address).group(1)
+        rows = [[cell in dark for cell in line] for line in code.rstrip('\n').split('\n')
+                for dark in (' \N{NO-BREAK SPACE}\N{LOWER HALF BLOCK}',
+                             ' \N{NO-BREAK SPACE}\N{UPPER HALF BLOCK}')]
+        wanted = qrcode.QRCode(border=2)
+        wanted.add_data(url)
+        assert rows[:len(wanted.get_matrix())] == wanted.get_matrix()
+    finally:
+        panel.terminate()
+        panel.wait(PATIENCE)
+        os.close(near)
 
 
 def test_without_a_master_the_panel_serves_pages_that_say_so():
@@ -130,6 +193,7 @@ def test_a_second_panel_of_the_same_name_ends_and_the_first_continues(panel):
     second = Panel(name='panel_read_only')
     assert second.process.wait(30) == 3
     second.wait_for('another node is named /panel_read_only')
+    second.wait_for('or name this one: __name:=panel_read_only_2')
     assert 'Traceback' not in second.output()
     page = Page(panel, watch=TOPICS)
     page.until(lambda page: '~imu' in page.samples, 'the first continues')
@@ -190,18 +254,15 @@ def test_a_file_is_refused_to_a_foreign_origin_only(panel):
     assert panel.get('/app.js', Origin=f'http://127.0.0.1:{panel.port}')[0] == 200
 
 
-def test_every_request_needs_the_token_or_its_cookie(control_panel):
-    assert control_panel.url.endswith(f'?token={TOKEN}')
-    status, headers, text = control_panel.get('/')
-    assert status == 401 and 'with its token' in text and 'Set-Cookie' not in headers
-    assert control_panel.get('/app.js')[0] == 401
-    assert control_panel.get('/?token=not-the-right-one')[0] == 401
+def test_a_connection_needs_the_key_that_the_token_is_exchanged_for(control_panel):
+    assert control_panel.url.endswith(f'/#{TOKEN}')
+    status, headers, _text = control_panel.get('/')
+    assert status == 200 and 'Set-Cookie' not in headers       # the files are the same everywhere
     assert Page(control_panel).status == 401
-    assert Page(control_panel, 'not-the-right-one').status == 401
-    status, headers, _text = control_panel.get(f'/?token={TOKEN}')
-    cookie = headers['Set-Cookie']
-    assert status == 200 and 'HttpOnly' in cookie and 'SameSite=Strict' in cookie
-    assert control_panel.get('/app.js', Cookie=cookie.split(';')[0])[0] == 200
+    assert control_panel.get('/key')[0] == 401
+    status, headers, key = control_panel.exchange(TOKEN)
+    assert status == 200 and 'Set-Cookie' not in headers and TOKEN not in key
+    assert control_panel.get('/key', X_Key=key)[0] == 200
     page = Page(control_panel, TOKEN)
     assert page.status == 101
     page.close()
@@ -209,11 +270,30 @@ def test_every_request_needs_the_token_or_its_cookie(control_panel):
     assert control_panel.output().count(TOKEN) == 1
 
 
+@pytest.mark.parametrize('origin', ['http://evil.example', 'null', ''])
+def test_a_page_of_another_site_cannot_send_a_token(control_panel, origin):
+    assert control_panel.exchange(TOKEN, Origin=origin)[0] == 403
+
+
+def test_a_wrong_token_is_refused_and_guesses_are_slowed():
+    panel = Panel('--control', name='panel_guessed')
+    status, _headers, text = panel.exchange('not-the-right-one')
+    assert status == 401 and 'the token is wrong' in text
+    status, _headers, text = panel.exchange(panel.token)
+    assert status == 401 and 'try again in 2 s' in text
+    until(lambda: panel.exchange(panel.token)[0] == 200, 'it is accepted later', every=0.5)
+    panel.wait_for('panel: for another browser: http://127.0.0.1:')
+    addresses = re.findall(r'http://\S+#\S+', panel.output())
+    assert len(addresses) == len(set(addresses)) == 2
+    assert panel.exchange(panel.token)[0] == 401
+    assert panel.end() == 0
+
+
 @pytest.mark.parametrize('arguments', [['--control'], ['--bind', '0.0.0.0']])
 def test_control_and_other_addresses_need_a_new_token(arguments):
     one, other = Panel(*arguments, name='one'), Panel(*arguments, name='other')
     assert len(one.token) >= 20 and one.token != other.token
-    assert one.get('/')[0] == 401
+    assert one.get('/key')[0] == Page(one).status == 401
     assert one.end() == other.end() == 0
 
 
@@ -605,8 +685,57 @@ def test_a_call_with_an_invalid_number_does_not_disturb_other_pages(floats, numb
 
 def test_led_text_is_sent_and_too_long_a_one_is_refused(driver, robot):
     driver.until(lambda page: send_led(page, robot), 'the car receives it')
+    driver.until(lambda page: page.calls.get('led', {}).get('outcome') == 'sent', 'the answer')
     driver.send(led={'key': 'long', 'text': 'x' * 31})
     driver.until(lambda page: page.known.get('refused', {}).get('key') == 'long', 'refused')
+
+
+def gripper(page, key, **values):
+    page.send(send={'key': key, 'name': '~gripper', 'values': values})
+
+
+def test_a_custom_command_reaches_the_board_and_values_out_of_range_are_refused(driver, robot):
+    driver.until(lambda page: '~gripper' in page.known.get('controls', {}).get('messages', ()),
+                 'it is offered')
+
+    def try_it():
+        if 'good' not in driver.calls:
+            gripper(driver, 'good', x=-2.5, y=50, z=3)
+            time.sleep(0.2)
+    until(lambda: GRIPPER in robot.car.wire, 'the board receives it', doing=try_it)
+    driver.until(lambda page: page.calls.get('good', {}).get('outcome') == 'sent', 'the answer')
+    gripper(driver, 'twice', x=-2.5, y=50, z=3)
+    time.sleep(0.6)
+    gripper(driver, 'wrong', x=-2.5, y=50.1, z=3)
+    refused = {}
+
+    def collect(page):
+        refused.update((update['refused']['key'], update['refused']['words'])
+                       for update in list(page.updates) if 'refused' in update)
+        return {'twice', 'wrong'} <= set(refused)
+    driver.until(collect, 'both are refused')
+    assert refused['twice'] == '~gripper: one call at a time; wait for the answer'
+    assert refused['wrong'] == 'gripper: y is 50.1, out of range (0 … 50)'
+    assert robot.car.wire.count(GRIPPER) == 1
+
+
+def test_stop_ends_the_driving_of_another_page_however_old_it_is(driver, control_panel, robot):
+    other = Page(control_panel, TOKEN)
+    other.until(lambda page: 'node' in page.known, 'the other page receives updates')
+    hold = drive_until(driver, drives(robot), 'the car drives')
+
+    def keep_driving():
+        drive(driver, hold)
+    other.send(seen=0, stop={'key': 'stop'})
+    until(has_stopped(robot), 'the car stops', doing=keep_driving, every=0.04)
+    other.until(lambda page: page.calls.get('stop', {}).get('outcome') == 'sent', 'the answer')
+    count = len(robot.car.speeds)
+    for _ in range(10):
+        keep_driving()
+    driver.until(lambda page: 'press again' in page.known.get('refused', {}).get('words', ''),
+                 'the hold that was ended is refused')
+    assert not any(robot.car.speeds[count:])
+    other.close()
 
 
 def send_led(page, robot):

@@ -1,6 +1,7 @@
 #!/usr/bin/python3
 """Several robots under one master: each bridge reads and moves only its own boards."""
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -165,6 +166,12 @@ class Fleet(unittest.TestCase):
             prefix = f'robot_{robot.number}/'
             self.assertEqual(frames(), {(prefix + 'base_link', prefix + child) for child in (
                 'imu', 'mcu_imu', 'range_1', 'range_2')})
+
+    def test_lines_of_the_log_name_their_robot(self):
+        def named():
+            self.output.seek(0)
+            return set(re.findall(r'\[INFO\] \[[\d.]+\] (\S+): ', self.output.read()))
+        until(lambda: {f'/{robot.node}' for robot in self.robots} <= named(), 'each has a line')
 
     def test_simulated_boards_of_several_robots_have_different_ports_and_names(self):
         folder = own_folder()

@@ -167,6 +167,7 @@ class Launch(unittest.TestCase):
         self.assertTrue(port.startswith('/tmp/serial_communication-'), port)
         self.assertTrue(os.path.exists(port))
         self.end()
+        until(lambda: not os.path.exists(os.path.dirname(port)), 'the folder is removed')
 
     def test_with_simulated_boards_every_topic_has_data_and_every_service_works(self):
         self.launch('sim:=true', 'sim_dir:=' + self.folder, 'publish_tf:=true')

@@ -18,7 +18,8 @@ WRONG = (
     ('avr_board', ()), ('avr_board', ('wheel',)), ('avr_board', ('bus', '--wrong')),
     ('avr_board', ('bus', '--link')), ('bench', ('--wrong',)), ('demo', ('--wrong',)),
     ('header', ()), ('header', ('--wrong', 'x')), ('header', ('a', 'b', 'c')),
-    ('monitor', ('--wrong',)), ('panel', ('--wrong',)), ('pictures', ('--wrong',)),
+    ('monitor', ('--wrong',)), ('other_program', ()), ('other_program', ('rviz',)),
+    ('panel', ('--wrong',)), ('pictures', ('--wrong',)),
     ('ports', ('--wrong',)), ('ports', ('--seconds', '-1')), ('ports', ('socket://x',)),
     ('serial_communication_node', ('--wrong',)),
     ('serial_communication_node', ('/dev/ttyS0',)), ('simulator', ()),
@@ -73,6 +74,14 @@ def test_ctrl_c_during_the_imports_prints_no_traceback(name):
                           timeout=60, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
                           stderr=subprocess.PIPE)
     assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, '', '')
+
+
+def test_a_missing_package_of_view_launch_is_named_in_one_line():
+    done = run('other_program', 'no_such_package', 'program')
+    assert (done.returncode, done.stdout) == (1, '')
+    assert done.stderr == ('other_program: no_such_package is missing; install it: sudo apt-get '
+                           'install ros-no-such-package (Ubuntu 20.04: ros-noetic-no-such-package)'
+                           '\n')
 
 
 def test_every_program_has_a_case_with_wrong_arguments():

@@ -66,6 +66,27 @@ def test_the_names_are_free_after_the_pair_has_ended(pair, tmp_path, number):
     until(lambda: carries_if_there(tmp_path), 'a byte is transmitted')
 
 
+def test_a_folder_that_it_created_is_removed_when_the_last_pair_in_it_ends(pair, tmp_path):
+    folder = tmp_path / 'new'
+    pairs = [pair('new/a', 'new/b')]
+    until_linked(folder, 'a', 'b')
+    pairs.append(pair('new/c', 'new/d'))
+    until_linked(folder, 'c', 'd')
+    pairs[0].terminate()
+    until(lambda: not (folder / 'a.lock').exists(), 'its locks are removed')
+    assert carries(folder, 'c', 'd')
+    pairs[1].send_signal(signal.SIGINT)
+    until(lambda: not folder.exists(), 'the folder is removed')
+
+
+def test_a_folder_that_was_there_stays(pair, tmp_path):
+    first = pair('a', 'b')
+    until_linked(tmp_path, 'a', 'b')
+    first.terminate()
+    first.wait(PATIENCE)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ['a.lock', 'b.lock']
+
+
 def carries_if_there(folder):
     try:
         return carries(folder, 'a', 'b')

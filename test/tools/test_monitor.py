@@ -1,4 +1,7 @@
-"""When the monitor reports that a bridge has disappeared or returned; without ROS."""
+"""The monitor: reports of a bridge that disappears or returns, and the list of others; no ROS."""
+import pytest
+
+from serial_communication.tools.monitor import cli
 from serial_communication.tools.watch.live import Outages
 
 
@@ -20,3 +23,20 @@ def test_a_bridge_that_runs_from_the_beginning_is_reported_once():
     outages = Outages()
     assert outages.update('', 1.0, 1.0) == 'the bridge is there'
     assert outages.update('', 2.0, 2.0) == ''
+
+
+@pytest.mark.parametrize('publishers, note', [
+    ([], ''), ([['/rosout', ['/serial_communication']]], ''),
+    ([['/serial_msg', ['/serial_communication', '/car']]], ''),
+    ([['/serial_msg', ['/car']], ['/b/serial_msg', ['/b/car']]],
+     'no bridge /serial_communication; these run: --node /b/car, --node /car')])
+def test_where_the_default_bridge_does_not_run_the_others_are_listed(
+        monkeypatch, publishers, note):
+    class Master:
+        def __init__(self, _name):
+            pass
+
+        def getSystemState(self):
+            return publishers, [], []
+    monkeypatch.setattr(cli.rosgraph, 'Master', Master)
+    assert cli._other_bridges() == note

@@ -753,6 +753,32 @@ def test_a_file_that_is_no_recording_is_reported_in_one_line(tmp_path):
         assert len(done.stderr.splitlines()) == 1
 
 
+@pytest.fixture
+def backlog(tmp_path):
+    """A recording of noise and of bytes between packets, read faster than a line carries them."""
+    path = tmp_path / 'backlog.txt'
+    noise = bytes(range(1, 101))
+    path.write_text('\n'.join([
+        '# serial_communication wire recording', '# link arduino', '# baud 115200', '# began 0',
+        f'0.0 rx {noise.hex()}', f'0.001 rx {bytes(50).hex()}', '0.002 rx 0102030400']) + '\n')
+    return path, noise
+
+
+def test_listen_shows_every_byte_and_stats_count_them(backlog):
+    path, noise = backlog
+    assert noise.hex(' ') in run('listen', 'arduino', path).stdout
+    board = json.loads(run('stats', path, '--json').stdout)['links']['arduino']['from the board']
+    assert board['bytes'] == 155
+
+
+def test_stats_of_a_backlog_do_not_show_more_than_the_wire_carries(backlog):
+    path, _noise = backlog
+    board = json.loads(run('stats', path, '--json').stdout)['links']['arduino']['from the board']
+    assert board['share of capacity'] is None
+    table = run('stats', path).stdout
+    assert 'more than the wire carries in this time (some had waited)' in table and '%' not in table
+
+
 def test_stats_count_frames_errors_and_gaps(kept):
     output = json.loads(run('stats', kept, '--json').stdout)
     assert output['links']['mcu']['baud'] == 57600 and output['seconds'] == pytest.approx(0.18)

@@ -113,6 +113,7 @@ def _arguments(argv: Optional[List[str]]) -> argparse.Namespace:
                         help='the links that are on, of: ' + ', '.join(LINKS))
     parser.add_argument('--move', action='store_true',
                         help='move lift and gimbal and drive the car')
+    parser.add_argument('--control', action='store_true', help='the page has commands')
     parser.add_argument('--duration', type=float, metavar='SECONDS', help='end after this time')
     parser.add_argument('--setup', default='', help='the command that sets up a second terminal')
     parser.add_argument('--page', default='', help="the panel's address")
@@ -124,7 +125,7 @@ def main(argv: Optional[List[str]] = None) -> int:
     prepare_output()
     options = _arguments(argv)
     demo = Demo(options.boards, options.links, options.move, options.setup,
-                rosgraph.get_master_uri(), options.page)
+                rosgraph.get_master_uri(), options.page, options.control)
     stopping = stopped_by_signals()
     if not wait_for_master(stopping, patience=_START):
         if stopping.is_set():

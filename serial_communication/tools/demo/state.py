@@ -49,15 +49,19 @@ class Demo:
         setup: the command that sets up a second terminal.
         master: the master's address.
         page: the panel's address.
+        control: whether the page has commands.
     """
 
     def __init__(self, boards: str = 'simulated', links: Sequence[str] = LINKS,
-                 moves: bool = True, setup: str = '', master: str = '', page: str = '') -> None:
+                 moves: bool = True, setup: str = '', master: str = '', page: str = '',
+                 control: bool = False) -> None:
         self.bridge = BridgeState(NODE, [topic for topic in TOPICS
                                          if set(topic.links) & set(links)], links, master)
         self.calls = {'lift': Calls(), 'gimbal': Calls()} if moves and 'bus' in links else {}
         self.driving = ''            # the latest commands to the car, as text
         self._boards = boards
+        self._no_commands = 'none; the page has them' if control \
+            else 'none: real boards are not moved'
         self._notes = [TextLine(words + text, whole=True) for words, text in (
             ('In another terminal:  ', setup), ('In a browser:  ', page)) if text]
 
@@ -97,4 +101,4 @@ class Demo:
         return Heading(
             (f'{self._boards.capitalize()} boards, {elapsed:.0f} s.', 'Ctrl-C ends the demo.',
              f'~ is {NODE}/'), (*self._notes, *notes),
-            tuple(commands) or (TextLine('none: real boards are not moved'),))
+            tuple(commands) or (TextLine(self._no_commands),))

@@ -18,7 +18,7 @@ from ...ros.master import wait_for_master
 from ..watch.live import LiveTable, stopped_by_signals
 from ..watch.state import BridgeState
 from ..watch.table import Heading, TextLine, plain
-from ..watch.topics import NODE
+from ..watch.topics import NODE, SERIAL_MSG
 from ..watch.watcher import Watcher, leave_ros
 
 _PATIENCE = 5.0     # s that --once waits for the master's answer and the bridge's first report
@@ -29,7 +29,7 @@ def main(argv: Optional[List[str]] = None) -> int:
     """Run the monitor and return the exit status."""
     prepare_output()
     options = _arguments(argv)
-    bridge = BridgeState(options.node, master=rosgraph.get_master_uri())
+    bridge = BridgeState(options.node or NODE, master=rosgraph.get_master_uri())
     stopping = stopped_by_signals()
     if options.once:
         if not wait_for_master(stopping, patience=_PATIENCE):
@@ -37,6 +37,11 @@ def main(argv: Optional[List[str]] = None) -> int:
             return 1
     elif not wait_for_master(stopping, lambda text: print(f'monitor: {text}', flush=True)):
         return 0
+    if options.node is None:
+        note = _other_bridges()
+        if note:
+            print(f'monitor: {note}', file=sys.stderr, flush=True)
+            return 1
     table = LiveTable('monitor', bridge, lambda *args: _heading(bridge, *args))
     try:
         if options.once:
@@ -52,8 +57,8 @@ def _arguments(argv: Optional[List[str]]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog='monitor', description='The live table of a running bridge. It sends nothing. '
         'Ctrl-C ends it.')
-    parser.add_argument('--node', type=_node, default=NODE, metavar='NAME',
-                        help="the bridge's name (%(default)s)")
+    parser.add_argument('--node', type=_node, metavar='NAME',
+                        help=f"the bridge's name ({NODE})")
     parser.add_argument('--once', action='store_true',
                         help='print one table and end; status 0 only if every link is OK')
     return parser.parse_args((rospy.myargv() if argv is None else [''] + argv)[1:])
@@ -65,6 +70,20 @@ def _node(name: str) -> str:
         raise argparse.ArgumentTypeError(f'{name!r} is not a valid node name, such as {NODE}')
     return rosgraph.names.resolve_name(name.rstrip('/'),
                                        rosgraph.names.get_ros_namespace() + 'monitor')
+
+
+def _other_bridges() -> str:
+    """Which bridges run where none of the default name does, as advice; '' if one does, or none."""
+    try:
+        publishers = rosgraph.Master('/monitor').getSystemState()[0]
+    except (OSError, rosgraph.MasterException):
+        return ''
+    # Every bridge offers serial_msg, in its namespace.
+    found = sorted({node for topic, nodes in publishers for node in nodes
+                    if topic.rpartition('/')[2] == SERIAL_MSG})
+    if not found or NODE in found:
+        return ''
+    return f'no bridge {NODE}; these run: ' + ', '.join(f'--node {node}' for node in found)
 
 
 def _heading(bridge: BridgeState, elapsed: float, notes: Tuple[TextLine, ...] = ()) -> Heading:

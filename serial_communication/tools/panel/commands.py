@@ -1,4 +1,4 @@
-"""The commands of the page, with --control: service calls, the LED, driving.
+"""The commands of the page, with --control: service calls, messages to the boards, driving.
 
 Each call runs in its own thread, since it may take seconds; the registrar's thread creates the
 publishers. Everything else runs on the IO loop, including the dead man's switch.
@@ -7,11 +7,10 @@ import io
 import threading
 import time
 from collections import deque
-from typing import Any, Callable, Deque, Dict, Iterable, List, Optional, Tuple
+from typing import Any, Callable, Deque, Dict, List, Optional, Tuple
 
 import genpy
 import rosgraph
-import roslib.message
 import rospy
 from rospy.exceptions import TransportInitError
 from rospy.impl.tcpros_base import TCPROSTransport
@@ -22,12 +21,12 @@ from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 from serial_communication.srv import Gimbal, Lift
 
 from ...boards.arduino.wire import LED_LIMIT, SPEED_LIMIT
-from ...boards.description import Description
 from ...link.outcome import LOOK, Verdict
 from ...ros.answers import read_error, read_response
 from ..watch.state import BridgeState
-from ..watch.topics import custom_rows, resolve
+from ..watch.topics import resolve
 from .dead_man import SILENCE, CommandRefused, DeadManSwitch
+from .forms import Message, Service, custom_messages, custom_services, service
 from .registrar import Registrar
 
 STEERING = (500, 2500)      # µs, the range of a servo
@@ -35,26 +34,13 @@ _DOUBLE_CLICK = 0.5         # s after a call in which another one of its service
 _MAX_AGE = 2.0              # s from a click until its request is sent; later it is refused
 _MAX_CALLS = 8              # under way at once
 _MAX_ANSWERS = 30           # kept for the pages
-_TOPICS = {'speed': SpeedPWMCommand, 'led': String, 'steering': SteeringPWMCommand}
+_SENT = 'sent'              # the outcome of what no board answers
+_TOPICS = {'~speed': SpeedPWMCommand, '~led': String, '~steering': SteeringPWMCommand}
 
 # The services that every bridge has a control for, by name relative to the node.
-_BUILT_IN = {'~lift': Lift, '~gimbal': Gimbal, '~calibrate_imu': Empty, '~bus/echo': Trigger,
-             '~bus/sync': Trigger}
-
-
-def custom_services(boards: Iterable[Description], parameters: Any) -> Dict[str, Any]:
-    """The boards' custom functions that are services and whose types are installed here."""
-    found = {board.custom.prefix + name: roslib.message.get_service_class(row['srv_type'])
-             for board in boards if board.custom
-             for name, row in custom_rows(board, parameters).items()
-             if isinstance(row.get('srv_type'), str)}
-    return {name: service_class for name, service_class in found.items() if service_class}
-
-
-def _fields(service_class: Any) -> List[Tuple[str, str]]:
-    """(name, type) of each field of the request."""
-    request = service_class._request_class
-    return list(zip(request.__slots__, request._slot_types))
+_BUILT_IN = {'~lift': service(Lift, 'bus'), '~gimbal': service(Gimbal, 'bus'),
+             '~calibrate_imu': service(Empty, 'arduino'), '~bus/echo': service(Trigger, 'bus'),
+             '~bus/sync': service(Trigger, 'bus')}
 
 
 class Commands:
@@ -72,8 +58,9 @@ class Commands:
         self._registrar = registrar
         self._add_callback = add_callback
         self._call_later = call_later
-        self._services = _BUILT_IN
-        self._parameters: Any = None     # that `_services` was made from
+        self._services: Dict[str, Service] = _BUILT_IN
+        self._messages: Dict[str, Message] = {}
+        self._parameters: Any = None     # that both were made from
         self._answers: Deque[Dict[str, Any]] = deque(maxlen=_MAX_ANSWERS)
         # (page, service) -> when its last call ended; None: it is under way
         self._ended: Dict[Tuple[Any, str], Optional[float]] = {}
@@ -105,19 +92,23 @@ class Commands:
         self._registrar.submit(self._register)
 
     def _register(self) -> None:
-        """Create or unregister the publishers. Runs in the registrar's thread."""
-        if self._wanted and not self._publishers:
-            self._publishers = {name: rospy.Publisher(
-                resolve('~' + name, self._node), message_class, queue_size=1, tcp_nodelay=True)
-                for name, message_class in _TOPICS.items()}
-        elif not self._wanted:
-            publishers, self._publishers = self._publishers, {}
-            for publisher in publishers.values():
+        """Create and unregister publishers. Runs in the registrar's thread."""
+        classes = {**_TOPICS, **{name: each.row.message_class
+                                 for name, each in self._messages.items()}} if self._wanted else {}
+        for name, publisher in list(self._publishers.items()):
+            if publisher.data_class is not classes.get(name):
+                del self._publishers[name]
                 publisher.unregister()
+        for name in set(classes) - set(self._publishers):
+            self._publishers[name] = rospy.Publisher(
+                resolve(name, self._node), classes[name], queue_size=1, tcp_nodelay=True)
 
     def describe(self) -> Dict[str, Any]:
         """What the page needs to build its controls."""
-        return {'services': {name: _fields(each) for name, each in self._services.items()},
+        return {'services': {name: {'link': each.link, 'fields': each.fields}
+                             for name, each in self._services.items()},
+                'messages': {name: {'link': each.link, 'fields': each.fields}
+                             for name, each in self._messages.items()},
                 'speed_limit': SPEED_LIMIT, 'steering': STEERING, 'led_limit': LED_LIMIT}
 
     def changes(self, bridge: BridgeState) -> Dict[str, Any]:
@@ -130,6 +121,8 @@ class Commands:
         if bridge.parameters is not self._parameters:
             self._parameters = bridge.parameters
             self._services = {**_BUILT_IN, **custom_services(bridge.boards, self._parameters)}
+            self._messages = custom_messages(bridge.boards, self._parameters)
+            self._registrar.submit(self._register)
             update['controls'] = self.describe()
         if self._changed:
             update['calls'], self._changed = self._changed, []
@@ -164,20 +157,14 @@ class Commands:
             raise CommandRefused(f'{name[:40]!r} is not a service of the page')
         now = time.monotonic()
         _check_age(seen, now)
-        last = self._ended.get((page, name), 0.0)
-        if last is None or now - last < _DOUBLE_CLICK:
-            raise CommandRefused(f'{name}: one call at a time; wait for the answer')
+        self._refuse_second(page, name, now)
         if self._under_way >= _MAX_CALLS:
             raise CommandRefused(f'{self._under_way} calls are under way, which is the limit')
-        service_class = self._services[name]
+        service_class = self._services[name].service_class
         request = _request(name, service_class, arguments)
         self._ended[page, name] = None
         self._under_way += 1
-        self._last_number += 1
-        entry = {'number': self._last_number, 'key': key, 'name': name,
-                 'arguments': arguments, 'began': round(now, 3)}
-        self._answers.append(entry)
-        self._changed.append(entry)
+        entry = self._add_answer(key, name, arguments, now)
         threading.Thread(target=self._run, args=(page, service_class, request, entry),
                          daemon=True, name=f'call {name}').start()
 
@@ -199,18 +186,62 @@ class Commands:
             self._ended[page, entry['name']] = now
         self._changed.append(entry)
 
-    # -- the car -------------------------------------------------------------------------------
+    def _refuse_second(self, page: Any, name: str, now: float) -> None:
+        """Raise CommandRefused if the page has just sent this command: it may be a double click."""
+        last = self._ended.get((page, name), 0.0)
+        if last is None or now - last < _DOUBLE_CLICK:
+            raise CommandRefused(f'{name}: one call at a time; wait for the answer')
 
-    def led(self, seen: float, text: str) -> None:
-        """Send this text to the car's LEDs; `seen` and errors as for a call."""
-        _check_age(seen, time.monotonic())
+    def _add_answer(self, key: str, name: str, arguments: Dict[str, Any], now: float,
+                    **more: Any) -> Dict[str, Any]:
+        self._last_number += 1
+        entry = {'number': self._last_number, 'key': key, 'name': name,
+                 'arguments': arguments, 'began': round(now, 3), **more}
+        self._answers.append(entry)
+        self._changed.append(entry)
+        return entry
+
+    # -- messages ------------------------------------------------------------------------------
+
+    def led(self, key: str, seen: float, text: str) -> None:
+        """Send this text to the car's LEDs; arguments and errors as for a call."""
+        now = time.monotonic()
+        _check_age(seen, now)
         if len(text) > LED_LIMIT or not text.isascii() or '\0' in text:
             raise CommandRefused(
                 f'the LED takes at most {LED_LIMIT} ASCII characters, not {text[:40]!r}')
+        self._send(key, '~led', {'text': text}, String(text), now)
+
+    def send(self, page: Any, key: str, seen: float, name: str, values: Dict[str, Any]) -> None:
+        """Send a custom command with these values, by field; arguments and errors as for a call."""
+        if name not in self._messages:
+            raise CommandRefused(f'{name[:40]!r} is not a command of the page')
+        now = time.monotonic()
+        _check_age(seen, now)
+        self._refuse_second(page, name, now)
+        message = self._messages[name].make(values)
+        if message._has_header:
+            message.header.stamp = rospy.Time.now()
+        self._ended[page, name] = now
+        self._send(key, name, values, message, now)
+
+    def _send(self, key: str, name: str, arguments: Dict[str, Any], message: Any,
+              now: float) -> None:
         try:
-            self._publisher('led').publish(text)
+            self._publisher(name).publish(message)
         except rospy.ROSException as error:
             raise CommandRefused(f'nothing was sent: {error}') from None     # rospy shuts down
+        self._add_answer(key, name, arguments, now, outcome=_SENT, took=0.0,
+                         words='to the bridge; the board does not answer')
+
+    # -- the car -------------------------------------------------------------------------------
+
+    def stop_car(self, key: str) -> None:
+        """End any page's driving and send SPEED 0, at any time and however old the command is."""
+        self._switch.end()
+        command = SpeedPWMCommand(value=0)
+        command.header.stamp = rospy.Time.now()
+        self._send(key, '~speed', {'value': 0}, command, time.monotonic())
 
     def drive(self, page: Any, hold: int, seen: float, speed: int, steering: int) -> None:
         """Drive until the page has not repeated this for SILENCE.
@@ -225,7 +256,7 @@ class Commands:
             CommandRefused: nothing is sent.
         """
         now = time.monotonic()
-        publisher = self._publisher('speed')
+        publisher = self._publisher('~speed')
         try:
             self._switch.command(page, hold, seen, now)
         except CommandRefused as refused:
@@ -236,7 +267,7 @@ class Commands:
         self._publish_speed(publisher, max(-SPEED_LIMIT, min(SPEED_LIMIT, speed)), stamp)
         command = SteeringPWMCommand(value=max(STEERING[0], min(STEERING[1], steering)))
         command.header.stamp = stamp
-        self._publisher('steering').publish(command)
+        self._publisher('~steering').publish(command)
         self._call_later(SILENCE, self._check)
 
     def release(self, page: Any, hold: int) -> None:
@@ -250,7 +281,7 @@ class Commands:
             self._drive_words = f'stopped: no command from the page for {SILENCE:g} s'
 
     def _publish_stop(self) -> None:
-        publisher = self._publishers.get('speed')
+        publisher = self._publishers.get('~speed')
         if publisher:
             self._publish_speed(publisher, 0, rospy.Time.now())
 
@@ -266,8 +297,8 @@ class Commands:
     def _publisher(self, name: str) -> rospy.Publisher:
         publisher = self._publishers.get(name) if self._wanted else None
         if publisher is None or not publisher.get_num_connections():
-            raise CommandRefused(f'the bridge does not subscribe to ~{name}: it does not run, '
-                                 'or its arduino link is off')
+            raise CommandRefused(f'the bridge does not subscribe to {name}: it does not run, '
+                                 'or that link is off')
         return publisher
 
 
@@ -280,7 +311,7 @@ def _check_age(seen: float, now: float) -> None:
 
 def _request(name: str, service_class: Any, arguments: Dict[str, Any]) -> Any:
     """The request with these fields; CommandRefused if they do not fit the service."""
-    names = [field for field, _type in _fields(service_class)]
+    names = service_class._request_class.__slots__
     if sorted(arguments) != sorted(names):
         raise CommandRefused(f'{name} takes {", ".join(names) or "nothing"}')
     request = service_class._request_class(**arguments)

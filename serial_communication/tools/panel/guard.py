@@ -1,10 +1,18 @@
-"""Who may open the page: checks a request's Host, Origin and token. Pure."""
+"""Who may open the page: checks a request's Host and Origin, tokens and keys. Pure."""
 import hmac
 import ipaddress
-from typing import Iterable, Optional
+import secrets
+from collections import deque
+from typing import Callable, Deque, Dict, Iterable, Optional
 from urllib.parse import urlsplit
 
 MIN_TOKEN_LENGTH = 12     # characters; a token can be guessed over the network
+_PAUSE = 2.0              # s between two guesses from one address
+_MAX_KEYS = 100           # of browsers; a further one makes the oldest invalid
+
+
+class WrongToken(Exception):
+    """The token is not exchanged for a key; the text says why."""
 
 
 def _host_name(netloc: str) -> str:
@@ -30,19 +38,17 @@ def is_loopback(name: str) -> bool:
 
 
 class Guard:
-    """Checks requests before they are answered.
+    """Checks from where a request comes, before it is answered.
 
     Each check returns why the request is refused, or an empty string if it is allowed.
 
     Args:
         names: of this machine. A page of another site can reach it only by a name of its own that
             resolves to this machine's address (DNS rebinding), not by an address or these names.
-        token: that every request has to carry, in the address or as a cookie; None: no token.
     """
 
-    def __init__(self, names: Iterable[str], token: Optional[str]) -> None:
+    def __init__(self, names: Iterable[str]) -> None:
         self._names = {'localhost', *(name.lower() for name in names)}
-        self._token = token
 
     def check_host(self, host: str) -> str:
         """Check the Host header."""
@@ -53,7 +59,7 @@ class Guard:
 
     @staticmethod
     def check_origin(origin: Optional[str], host: str) -> str:
-        """Check that the connection comes from a page of this host; None: no Origin header."""
+        """Check that the request comes from a page of this host; None: no Origin header."""
         if origin is None:
             return 'it has no Origin header, which every browser sends'
         try:
@@ -62,13 +68,53 @@ class Guard:
             same = False
         return '' if same else f'it comes from a page of {origin[:80]!r}'
 
-    def check_token(self, *tokens: Optional[str]) -> str:
-        """Check that one of these tokens is valid."""
-        if self._token is None:
+
+class Entrance:
+    """Exchanges the token in the printed address for a key, which one browser keeps.
+
+    A key is in the browser's storage for this host and port, not in a cookie: a browser sends
+    cookies to every port of a host.
+
+    Args:
+        needed: False: there is no token, and everybody who reaches the page may use it.
+        given: a token that may be exchanged any number of times; None: each one is new, and is
+            exchanged once.
+    """
+
+    def __init__(self, needed: bool, given: Optional[str] = None) -> None:
+        self._needed = needed
+        self._given = given
+        self.token: Optional[str] = (given or secrets.token_urlsafe(16)) if needed else None
+        self.on_used: Callable[[], None] = lambda: None    # a token has been replaced by a new one
+        self._keys: Deque[str] = deque(maxlen=_MAX_KEYS)
+        self._next_try: Dict[str, float] = {}      # by the address of who has sent a wrong token
+
+    def exchange(self, token: str, address: str, now: float) -> str:
+        """Return a new key for this token, sent from this IP address.
+
+        Raises:
+            WrongToken: there is no key, and the text says why.
+        """
+        self._next_try = {each: at for each, at in self._next_try.items() if at > now}
+        if address in self._next_try:
+            raise WrongToken(f'a wrong token was sent a moment ago; try again in {_PAUSE:g} s')
+        if not self.token or not _same(token, self.token):
+            self._next_try[address] = now + _PAUSE
+            raise WrongToken('the token is wrong, or has been used already')
+        key = secrets.token_urlsafe(16)
+        self._keys.append(key)
+        if not self._given:
+            self.token = secrets.token_urlsafe(16)
+            self.on_used()
+        return key
+
+    def check_key(self, key: Optional[str]) -> str:
+        """Why a request with this key is refused; empty if it is allowed."""
+        # The list compares every key, each in constant time, so that the time reveals nothing.
+        if not self._needed or key and any([_same(key, each) for each in self._keys]):
             return ''
-        valid = self._token.encode()
-        # The list compares every token, each in constant time, so that the time reveals nothing.
-        if any([hmac.compare_digest(each.encode(errors='replace'), valid)
-                for each in tokens if each]):
-            return ''
-        return 'the token is wrong' if any(tokens) else 'it has no token'
+        return 'its key is not valid any more' if key else 'it has no token'
+
+
+def _same(given: str, valid: str) -> bool:
+    return hmac.compare_digest(given.encode(errors='replace'), valid.encode())

@@ -1,15 +1,19 @@
-"""The page's files over HTTP, and the checks that every request has to pass first."""
+"""The page's files over HTTP, and the checks that every request has to pass first.
+
+Everybody may read the files, which are the same for every robot. What they show comes over the
+connection (session.py), which needs a key.
+"""
+import time
 from pathlib import Path
-from typing import Any
+from typing import Any, Optional
 
 from tornado.web import RequestHandler, StaticFileHandler
 
-from .guard import Guard
+from .guard import Entrance, Guard, WrongToken
 
 WEB = Path(__file__).resolve().parent / 'web'
-TOKEN = 'token'
-_REFUSAL = ('This page is not shown: {reason}.\n\n'
-            'Open the address that the panel printed when it started, with its token.\n')
+KEY_HEADER = 'X-Key'
+_NEEDS_KEY = '; open the address that the panel printed last'
 
 
 class GuardedHandler(RequestHandler):
@@ -20,16 +24,17 @@ class GuardedHandler(RequestHandler):
         """The guard of the application."""
         return self.settings['guard']
 
+    @property
+    def entrance(self) -> Entrance:
+        """The entrance of the application."""
+        return self.settings['entrance']
+
     async def prepare(self) -> None:
-        """Check Host, Origin and token before the request is answered."""
+        """Check Host and Origin before the request is answered."""
         request = self.request
         origin = request.headers.get('Origin')
-        tokens = (self.get_query_argument(TOKEN, None), self.get_cookie(self.settings['cookie']))
-        if self.refuse('host', self.guard.check_host(request.host)) or origin is not None \
-                and self.refuse('origin', self.guard.check_origin(origin, request.host)):
-            return
-        if not self.refuse('token', self.guard.check_token(*tokens), 401) and tokens[0]:
-            self.set_cookie(self.settings['cookie'], tokens[0], httponly=True, samesite='Strict')
+        if not self.refuse('host', self.guard.check_host(request.host)) and origin is not None:
+            self.refuse('origin', self.guard.check_origin(origin, request.host))
 
     def refuse(self, cause: str, reason: str, status: int = 403) -> bool:
         """Refuse the request with this HTTP status, unless the reason is empty.
@@ -46,8 +51,13 @@ class GuardedHandler(RequestHandler):
             cause, f'refused a request from {self.request.remote_ip}: {reason}')
         self.set_status(status)
         self.set_header('Content-Type', 'text/plain; charset=utf-8')
-        self.finish(_REFUSAL.format(reason=reason))
+        self.finish(reason)
         return True
+
+    def refuse_without_key(self, key: Optional[str]) -> None:
+        """Refuse the request unless this key is valid or none is needed."""
+        reason = self.entrance.check_key(key)
+        self.refuse('token', reason and reason + _NEEDS_KEY, 401)
 
     def set_default_headers(self) -> None:
         """Allow no foreign or inline content, no embedding in a frame, and no Referer header."""
@@ -70,6 +80,37 @@ class GuardedHandler(RequestHandler):
         """Log without the requested address, which may contain the token."""
         self.settings['log'].error('fault', f'a request from {self.request.remote_ip} failed: '
                                             f'{value!r}'.split('\n')[0])
+
+
+class KeyHandler(GuardedHandler):
+    """Exchanges a token for a key (POST), and says whether a page may connect (GET)."""
+
+    def initialize(self, hub: Any) -> None:
+        self._hub = hub
+
+    async def prepare(self) -> None:
+        """Check Host and Origin; a page of another site must not send tokens."""
+        if self.request.method == 'POST':
+            self.refuse('origin', self.guard.check_origin(self.request.headers.get('Origin'),
+                                                          self.request.host))
+        await super().prepare()
+
+    def post(self) -> None:
+        """Answer with a key for the token in the body."""
+        try:
+            key = self.entrance.exchange(self.request.body.decode(errors='replace'),
+                                         self.request.remote_ip, time.monotonic())
+        except WrongToken as error:
+            self.refuse('token', f'{error}{_NEEDS_KEY}', 401)
+            return
+        self.finish(key)
+
+    def get(self) -> None:
+        """Answer with the reason why a page with this key cannot connect; empty if it can."""
+        self.refuse_without_key(self.request.headers.get(KEY_HEADER))
+        self.refuse('pages', self._hub.check_room(), 503)
+        if not self._finished:
+            self.finish()
 
 
 class FileHandler(GuardedHandler, StaticFileHandler):

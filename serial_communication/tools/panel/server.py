@@ -1,5 +1,4 @@
 """The web server: the pages that are open, and the updates that each is sent."""
-import logging
 import socket
 import time
 import traceback
@@ -7,14 +6,13 @@ from typing import Any, Dict, List, Optional, Set
 
 import tornado.httpserver
 import tornado.ioloop
-import tornado.netutil
 import tornado.web
 
 from ...link.sparing_log import SparingLog
 from .commands import Commands
 from .feed import Feed
-from .guard import Guard
-from .pages import WEB, FileHandler
+from .guard import Entrance, Guard
+from .pages import WEB, FileHandler, KeyHandler
 from .session import MAX_MESSAGE, Session, encode
 
 PERIOD = 0.04          # s between two updates
@@ -141,21 +139,14 @@ def host_names() -> List[str]:
     return [name, name.split('.')[0] + '.local', socket.getfqdn()]
 
 
-def listen(port: int, bind: str) -> List[socket.socket]:
-    """Listen on this TCP port (0: any free one); OSError if it is not available."""
-    return tornado.netutil.bind_sockets(port, bind, reuse_port=False)
-
-
-def serve(sockets: List[socket.socket], hub: Hub, guard: Guard) -> tornado.httpserver.HTTPServer:
+def serve(sockets: List[socket.socket], hub: Hub, guard: Guard,
+          entrance: Entrance) -> tornado.httpserver.HTTPServer:
     """Serve the page on these sockets."""
-    logging.getLogger('tornado.access').disabled = True     # the address may contain the token
     settings: Dict[str, Any] = {
-        'guard': guard, 'log': hub.log, 'websocket_max_message_size': MAX_MESSAGE,
-        # Cookies do not depend on the port: the name separates two panels on one machine.
-        'cookie': f'panel_{sockets[0].getsockname()[1]}',
-        'log_function': lambda _handler: None}
+        'guard': guard, 'entrance': entrance, 'log': hub.log,
+        'websocket_max_message_size': MAX_MESSAGE, 'log_function': lambda _handler: None}
     application = tornado.web.Application([
-        (r'/socket', Session, {'hub': hub}),
+        (r'/socket', Session, {'hub': hub}), (r'/key', KeyHandler, {'hub': hub}),
         (r'/(.*)', FileHandler, {'path': str(WEB), 'default_filename': 'index.html'}),
     ], **settings)
     server = Server(

@@ -20,19 +20,22 @@ are in every message, the other keys only if they have changed:
                 of `errors` is [time, {cause: increase}]
     log         [[time, level, text]]: log lines of the bridge
     wire        {frames, left_out}: see wire.py; only while this page shows the wire
-    controls    (first message, with --control) the services and their fields
-    calls       [{number, key, name, arguments, began, outcome, words, took}] of every page;
-                without the last three while the call is under way
+    controls    (first message, with --control) {services, messages: {name: {link, fields}}}; a
+                field is {name, kind, whole, unit, low, high}
+    calls       [{number, key, name, arguments, began, outcome, words, took}] of every page, calls
+                and messages; without the last three while the call is under way
     drive       {held, words}
     refused     {key, words}: why a command of this page was not executed
 
 From the page, any of these keys in one message:
 
-    seen        the `now` of the latest message received; acknowledges it and all before it. `call`
-                and `led` are refused if it is older than 2 s
+    seen        the `now` of the latest message received; acknowledges it and all before it.
+                `call`, `send` and `led` are refused if it is older than 2 s
     watch       [topic]: the topics that the page shows; serial_msg: the wire
     call        {key, name, arguments}: call a service
+    send        {key, name, values}: send a custom command
     led         {key, text}
+    stop        {key}: end any page's driving, and send SPEED 0
     drive       {key, hold, seen, speed, steering}: at least ten times a second while the pad is
                 held; `hold` counts presses
     release     {hold}
@@ -42,7 +45,7 @@ import json
 import math
 import time
 from collections import deque
-from typing import Any, Deque, Dict, FrozenSet, Optional
+from typing import Any, Deque, Dict, FrozenSet, List, Optional
 
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
@@ -57,6 +60,7 @@ _RATE = 120.0         # frames a second that a page may send; it sends 25, and 4
 _BURST = 240.0        # frames that it may send at once
 _DROPPED_RATE = 10.0  # frames a second read from a dropped page, until it answers the close frame
 _MAX_TOPICS = 200     # that a page may watch
+_PROTOCOL = 'panel'
 _NOT_READING = 'it does not read what is sent to it'
 
 
@@ -82,8 +86,14 @@ class Session(GuardedHandler, WebSocketHandler):
         if not self.refuse('origin', self.guard.check_origin(self.request.headers.get('Origin'),
                                                              self.request.host)):
             await super().prepare()
-        if not self._finished:
-            self.refuse('pages', self._hub.check_room(), 503)
+        offered = self.request.headers.get('Sec-WebSocket-Protocol', '').split(',')
+        self.refuse_without_key(next((each.strip() for each in offered
+                                      if each.strip() not in ('', _PROTOCOL)), None))
+        self.refuse('pages', self._hub.check_room(), 503)
+
+    def select_subprotocol(self, subprotocols: List[str]) -> Optional[str]:
+        """A page may offer its key as a second protocol: it can set no other header."""
+        return _PROTOCOL if _PROTOCOL in subprotocols else None
 
     @property
     def shows_wire(self) -> bool:
@@ -175,7 +185,7 @@ class Session(GuardedHandler, WebSocketHandler):
         if 'watch' in message:
             self.topics = frozenset(str(name) for name in message['watch'][:_MAX_TOPICS])
             self._hub.watch()
-        for name in ('call', 'led', 'drive', 'release'):
+        for name in ('call', 'send', 'led', 'stop', 'drive', 'release'):
             if name in message:
                 self._command(name, message[name], float(message.get('seen', 0)))
 
@@ -187,8 +197,12 @@ class Session(GuardedHandler, WebSocketHandler):
                 raise CommandRefused('this panel is read-only; start it with --control')
             if name == 'call':
                 commands.call(self, key, seen, str(values['name']), dict(values['arguments']))
+            elif name == 'send':
+                commands.send(self, key, seen, str(values['name']), dict(values['values']))
             elif name == 'led':
-                commands.led(seen, str(values['text']))
+                commands.led(key, seen, str(values['text']))
+            elif name == 'stop':
+                commands.stop_car(key)
             elif name == 'drive':
                 commands.drive(self, int(values['hold']), float(values['seen']),
                                int(values['speed']), int(values['steering']))

@@ -5,7 +5,6 @@ from typing import Optional, TextIO
 
 from ...framing.stream import Frame
 
-_MOST_BYTES = 32       # of a frame that are shown
 _COLOURS = {'board': '36', 'computer': '33', 'bad': '31', 'good': '32', 'dim': '2'}
 
 
@@ -32,10 +31,8 @@ class Paint:
         return f'\033[{_COLOURS[colour]}m{text}\033[0m' if self._on and text else text
 
 
-def hexed(data: bytes, most: int = 0) -> str:
-    """Return bytes as `02 0c 10`; of more than `most` bytes the first ones, and the number."""
-    if most and len(data) > most:
-        return f'{data[:most].hex(" ")} … {len(data)} bytes'
+def hexed(data: bytes) -> str:
+    """Return bytes as `02 0c 10`."""
     return data.hex(' ')
 
 
@@ -43,7 +40,7 @@ def frame_line(frame: Frame, sender: str, gap: str, clock: str, paint: Paint) ->
     """Return the line of a frame: time, time since the frame before, sender, bytes, text."""
     words = paint(frame.trouble, 'bad') if frame.cause else frame.text
     return (f'{clock}  {gap:>12}  {paint(f"{sender:8}", sender)}  '
-            f'{hexed(frame.raw, _MOST_BYTES):48}  {words}').rstrip()
+            f'{hexed(frame.raw):48}  {words}').rstrip()
 
 
 def seconds(value: float) -> str:

@@ -11,7 +11,8 @@ For an unknown link in a bag, types are shown as numbers.
 """
 import argparse
 import json
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+from types import MappingProxyType
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from ...boards.description import Command, Description
 from ...framing.stream import FRAMING, Bad, StreamDecoder
@@ -25,6 +26,7 @@ SUMMARY = 'show statistics of a recording: counts, gaps, errors, load, round tri
 
 _MATPLOTLIB = ('the plot needs matplotlib; install it: sudo apt-get install python3-matplotlib')
 _BITS_A_BYTE = 10        # a start bit, eight data bits, a stop bit
+_MOST_SHARE = 1.05       # of the wire's capacity; the clocks of two sides differ a little
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -50,7 +52,7 @@ def run(options: argparse.Namespace) -> int:
                     key=lambda each: each.frame.stamp)
     if not frames:
         raise WireError(f'{options.recording}: contains no frames')
-    figures = measure(frames, known)
+    figures = measure(frames, known, bytes_read(recording))
     print(json.dumps(figures, indent=1) if options.json else render(figures))
     if options.plot:
         try:
@@ -102,8 +104,25 @@ def naming(known: Dict[str, Settings]) -> Callable[[RecordedFrame], str]:
     return name
 
 
-def measure(frames: Sequence[RecordedFrame], known: Dict[str, Settings]) -> Dict[str, Any]:
-    """Return the figures by link and direction. Times are in seconds."""
+def bytes_read(recording: Recording) -> Dict[Tuple[str, bool], int]:
+    """The number of bytes by link and direction, those between packets included.
+
+    A bag of serial_msg holds frames and noise, not reads.
+    """
+    sizes: Dict[Tuple[str, bool], int] = {}
+    for link, reads in recording.reads.items():
+        for read in reads:
+            sizes[link, read.sent] = sizes.get((link, read.sent), 0) + len(read.data)
+    return sizes
+
+
+def measure(frames: Sequence[RecordedFrame], known: Dict[str, Settings],
+            sizes: Mapping[Tuple[str, bool], int] = MappingProxyType({})) -> Dict[str, Any]:
+    """Return the figures by link and direction. Times are in seconds.
+
+    Args:
+        sizes: the bytes by link and direction, where they are known; else those of the frames.
+    """
     length = max(frames[-1].frame.stamp - frames[0].frame.stamp, 1e-6)
     links: Dict[str, Any] = {}
     name_of = naming(known)
@@ -114,26 +133,28 @@ def measure(frames: Sequence[RecordedFrame], known: Dict[str, Settings]) -> Dict
             one_way = [each for each in of_link if each.sent == sent]
             if one_way:
                 about['to the board' if sent else 'from the board'] = _direction(
-                    one_way, length, known[link].baud, name_of)
+                    one_way, length, known[link].baud, name_of, sizes.get((link, sent)))
         about.update(_extra_figures(known[link].board, of_link))
     return {'seconds': length, 'links': links}
 
 
 def _direction(frames: Sequence[RecordedFrame], length: float, baud: int,
-               name_of: Callable[[RecordedFrame], str]) -> Dict[str, Any]:
+               name_of: Callable[[RecordedFrame], str], size: Optional[int]) -> Dict[str, Any]:
     errors: Dict[str, int] = {}
     by_type: Dict[str, List[float]] = {}
-    size = 0
+    if size is None:
+        size = sum(len(each.frame.raw) for each in frames)
+    share = size * _BITS_A_BYTE / baud / length
     for each in frames:
         frame = each.frame
-        size += len(frame.raw)
         if frame.cause:
             errors[frame.cause] = errors.get(frame.cause, 0) + 1
         else:
             by_type.setdefault(name_of(each), []).append(frame.stamp)
     return {
         'frames': len(frames), 'invalid': sum(errors.values()), 'errors': errors, 'bytes': size,
-        'share of capacity': size * _BITS_A_BYTE / baud / length,
+        # More than all of it: bytes had waited somewhere before they were recorded.
+        'share of capacity': share if share <= _MOST_SHARE else None,
         'types': {name: dict({'count': len(stamps), 'per second': len(stamps) / length},
                              **spread(gaps(stamps))) for name, stamps in sorted(by_type.items())}}
 
@@ -209,9 +230,10 @@ def render(figures: Dict[str, Any]) -> str:
 
 
 def _render_direction(title: str, figures: Dict[str, Any], paint: Paint) -> List[str]:
-    invalid = figures['invalid']
+    invalid, share = figures['invalid'], figures['share of capacity']
     text = [f'{title}: {figures["frames"]} frames, {figures["bytes"]} bytes, '
-            f'{figures["share of capacity"]:.1%} of the wire, '
+            + (f'{share:.1%} of the wire, ' if share is not None else
+               'more than the wire carries in this time (some had waited), ')
             + paint(f'{invalid} invalid', 'bad' if invalid else 'good')]
     if figures['types']:
         text.append(f'  {"type":28}{"count":>8}{"per s":>9}{"gap p50":>11}{"p99":>9}{"max":>9}'

@@ -1,4 +1,4 @@
-/** The page: its cards, the topics they show, and when they are drawn. */
+/** The page: its cards, their tabs on a phone, the topics they show, and when they are drawn. */
 import {Air} from './cards/air.js';
 import {Attitude, Battery, Motion} from './cards/car.js';
 import {Commands} from './cards/commands.js';
@@ -9,13 +9,11 @@ import {CustomMessages} from './cards/custom.js';
 import {Channels, Sensors} from './cards/sensors.js';
 import {Wire} from './cards/wire.js';
 import {Connection} from './connection.js';
-import {formatAge, updateAttribute, updateText} from './dom.js';
+import {formatAge, h, updateAttribute, updateText, withoutAges} from './dom.js';
+import {flow} from './flow.js';
 import {Model} from './model.js';
 
 const IDLE = 200;         // ms between two drawings while no update is received
-
-// The token is a cookie by now: remove it from the address bar and the history.
-if (location.search) history.replaceState(null, '', location.pathname);
 
 const place = (id) => document.getElementById(id);
 const announce = (words) => { place('announcer').textContent = words; };
@@ -27,13 +25,33 @@ const custom = new CustomMessages();
 const commands = new Commands(connection, announce);
 const drive = new Drive(connection, announce);
 const wire = new Wire(watch);
-const columns = [[new Attitude(), drive, new Battery()], [new Motion(), new Log()],
-  [commands, new Sensors(), new Channels(), new Air()]];
+const log = new Log();
+// The parts of the page; on a phone each is a tab. The links' card is in index.html.
+const tabs = {
+  Links: [log], Drive: [drive], Commands: [commands], Car: [new Attitude(), new Motion(), new Battery()],
+  Sensors: [new Sensors(), new Channels(), new Air(), custom], Wire: [wire]};
 const below = [custom, wire];
-const cards = [links, ...columns.flat(), ...below];
+const cards = [links, ...Object.values(tabs).flat()];
+const flowing = [tabs.Car[0], drive, commands, ...cards.slice(1).filter((each) =>
+  ![tabs.Car[0], drive, commands, log, ...below].includes(each)), log].map((each) => each.element);
 
-columns.forEach((column, index) => place(`column-${index + 1}`).append(...column.map((each) => each.element)));
+for (const [name, parts] of Object.entries(tabs)) parts.forEach((each) => { each.element.dataset.tab = name; });
 place('below').append(...below.map((each) => each.element));
+flow(place('columns'), flowing, () => drive.held);
+
+function showTab(name) {
+  for (const {element} of cards) {
+    updateAttribute(element, 'data-elsewhere', element.dataset.tab !== name);    // has an effect on a phone only
+  }
+  for (const button of place('tabs').children) {
+    updateAttribute(button, 'aria-pressed', String(button.textContent === name));
+  }
+  scrollTo(0, 0);
+  requestAnimationFrame(draw);
+}
+place('tabs').append(...Object.keys(tabs).map((name) =>
+  h('button', {type: 'button', onclick: () => showTab(name)}, name)));
+place('stop').addEventListener('click', () => commands.stop());
 
 function watch() {
   connection.watch(new Set(cards.flatMap((each) => each.topics)));
@@ -47,8 +65,12 @@ function drawHead(now) {
     : connection.seen ? `no connection to the panel for ${formatAge(Math.max(0, now - connection.seen))}: ${connection.words}` : connection.words;
   place('trouble').hidden = !trouble || !connection.seen && connection.words === 'connecting …';
   updateText(place('trouble'), trouble);
-  updateText(place('connection'), alive ? 'live' : 'no connection');
-  updateAttribute(document.body, 'data-connection', alive ? 'live' : 'lost');
+  const health = !alive ? 'lost' : trouble ? 'trouble' : 'live';
+  updateText(place('connection'), {lost: 'no connection', trouble: 'not live', live: 'live'}[health]);
+  updateAttribute(document.body, 'data-connection', health);
+  updateText(place('alarm'), place('trouble').hidden ? '' : withoutAges(trouble));
+  place('stop').hidden = model.controls === null;
+  updateAttribute(document.body, 'data-control', model.controls !== null);
   updateText(place('node'), model.node.replace(/^\//, '') || 'serial_communication');
   const sign = !alive ? '✕ no connection' : trouble ? `✕ ${trouble}` : state.words ? `${state.sign} ${state.words}` : '✓';
   const title = `${sign} · ${place('node').textContent}`;
@@ -89,4 +111,5 @@ connection.addEventListener('update', ({detail: update}) => {
   drawSoon();
 });
 setInterval(() => { if (performance.now() - drawnAt > IDLE) drawSoon(); }, IDLE);
+showTab('Links');
 watch();

@@ -2,7 +2,12 @@
  * The connection to the panel; session.py describes its messages. It reconnects by itself. It also
  * keeps the panel's clock, `now`, which continues while no update is received: therefore the ages
  * shown are correct even if the network delays updates.
+ *
+ * The token in the address that the panel prints is exchanged for a key, once. The key stays in this
+ * browser's storage for this host and port; a cookie would be sent to every port of the host.
  */
+const PROTOCOL = 'panel';
+const KEY = 'key';         // its name in the storage
 const SILENCE = 1.0;       // s without an update, after which the connection counts as lost
 const GIVE_UP = 4.0;       // s without an update, after which a new connection is tried
 const RETRY = [0.3, 2.0];  // s between two tries: first, longest
@@ -19,11 +24,12 @@ export class Connection extends EventTarget {
     this._offset = Infinity;   // this clock minus the panel's, with the network's shortest delay
     this._receivedAt = -Infinity;
     this._retry = RETRY[0];
-    this._nextTry = 0;
+    this._nextTry = Infinity;  // until the token in the address has been exchanged
     this._hiddenAt = null;
     this._watch = [];
     document.addEventListener('visibilitychange', () => this._visibility());
-    this._open();
+    window.addEventListener('hashchange', () => this._enter());
+    this._enter();
     setInterval(() => this._check(), 100);
   }
 
@@ -49,8 +55,25 @@ export class Connection extends EventTarget {
     this.send({watch: this._watch});
   }
 
+  /** Connect; first exchange the token in the address, if there is one, for a key. */
+  async _enter() {
+    const token = location.hash.slice(1);
+    if (token) {
+      history.replaceState(null, '', location.pathname);    // out of the address bar
+      try {
+        const answer = await fetch('key', {method: 'POST', body: token});
+        const words = await answer.text();
+        if (answer.ok) localStorage.setItem(KEY, words);
+        else this.words = words;
+      } catch { /* not reached: the key of an earlier token may do */ }
+    }
+    if (!this._socket) this._open();
+  }
+
   _open() {
-    const socket = new WebSocket(`${location.protocol.replace('http', 'ws')}//${location.host}/socket`);
+    const key = localStorage.getItem(KEY);
+    const socket = new WebSocket(`${location.protocol.replace('http', 'ws')}//${location.host}/socket`,
+      key ? [PROTOCOL, key] : [PROTOCOL]);
     this._socket = socket;
     this._nextTry = seconds() + GIVE_UP;
     socket.onopen = () => this.send({watch: this._watch});
@@ -77,19 +100,19 @@ export class Connection extends EventTarget {
     this._socket = null;
     this._receivedAt = -Infinity;
     if (this._hiddenAt !== null) return;
-    this.words = reason || this.words;
+    this.words = reason || 'the connection was lost';
     this._nextTry = seconds() + this._retry;
     this._retry = Math.min(this._retry * 1.6, RETRY[1]);
     this.dispatchEvent(new Event('lost'));
     this._findReason();
   }
 
-  /** Request a file to find out why the WebSocket was refused: its own error does not say. */
+  /** Ask for the reason why the page cannot connect: a WebSocket that is refused does not say. */
   async _findReason() {
     try {
-      const answer = await fetch('icon.svg', {cache: 'no-store'});
-      this.words = answer.ok ? 'the panel refuses another page: too many are open'
-        : (await answer.text()).split('\n').filter((line) => line).join(' ');
+      const key = localStorage.getItem(KEY);
+      const answer = await fetch('key', {cache: 'no-store', headers: key ? {'X-Key': key} : {}});
+      if (!answer.ok) this.words = await answer.text();
     } catch {
       this.words = 'the panel does not answer';
     }
@@ -110,6 +133,6 @@ export class Connection extends EventTarget {
 
   _visibility() {
     this._hiddenAt = document.hidden ? seconds() : null;
-    if (!document.hidden && !this._socket) this._open();
+    if (!document.hidden && !this._socket && this._nextTry < Infinity) this._open();
   }
 }

@@ -58,6 +58,15 @@ export function formatAge(seconds) {
   return seconds < 7200 ? `${Math.floor(seconds / 60)} min` : `${Math.floor(seconds / 3600)} h`;
 }
 
+/** A text whose ages are left out, so that it changes only if what it says does. */
+export const withoutAges = (text) => text.replace(/ for [\d.]+ (s|min|h)\b/g, '');
+
+/** A name whose end stays visible where there is no room for its middle. */
+export function shortened(text, end = 12) {
+  const at = Math.max(0, text.length - end);
+  return [h('span', {class: 'begin'}, text.slice(0, at)), h('span', {class: 'end'}, text.slice(at))];
+}
+
 /** A colour of the style sheet, for a canvas; cached until light or dark mode changes. */
 const colours = new Map();
 export function colour(name) {

@@ -1,6 +1,15 @@
-/** A moving plot of the last seconds of some fields; the latest sample is at the right edge. */
-import {colour, context, formatNumber, h, updateAttribute} from './dom.js';
+/**
+ * A moving plot of the last seconds of some fields; the latest sample is at the right edge. A click or
+ * the space bar pauses it; pointing at it or the arrow keys show the values at a time; the keys + and −,
+ * and the wheel once it has the focus, zoom.
+ */
+import {colour, context, formatNumber, h, updateAttribute, updateText} from './dom.js';
 
+const SPANS = [5, 10, 20, 60, 300, 600];     // s that may be shown
+const LEAST_SPAN = 2;     // of these, the shortest that is shown at first
+const SAMPLES = 100;      // that are shown at first, at least
+const STEP = 0.02;        // of the width, by an arrow key
+const HELP = 'click or space: pause; arrow keys: values; + and −: zoom';
 const DESCRIBED = 5;      // s between two descriptions for screen readers
 const EDGE = 6;           // px above and below the curves
 const GREATEST = 1e300;   // the difference of two larger numbers may be infinite
@@ -9,13 +18,22 @@ const FINEST = 1e-12;     // least height relative to the values, which doubles 
 export class Plot {
   /**
    * @param curves [{topic, field, colour, name}]; a colour is a variable of the style sheet
-   * @param span s that are shown
+   * @param span s that are shown at first; null: by the rate of the first topic
    * @param least smallest difference between the limits, so that noise looks small
    */
-  constructor(title, curves, {span = 20, least = 1, digits = 1, high = 120} = {}) {
+  constructor(title, curves, {span = null, least = 1, digits = 1, high = 120} = {}) {
     Object.assign(this, {_title: title, _curves: curves, _span: span, _least: least,
-      _digits: digits, _described: -Infinity, _low: null, _high: null});
-    this._canvas = h('canvas', {class: 'plot', role: 'img', 'aria-label': title});
+      _digits: digits, _described: -Infinity, _low: null, _high: null, _cursor: null, _pausedAt: null});
+    this._canvas = h('canvas', {class: 'plot', role: 'img', tabindex: '0', 'aria-label': title, title: HELP,
+      onclick: () => this._pause(), onkeydown: (event) => this._key(event),
+      onpointermove: (event) => { this._cursor = event.offsetX / this._canvas.clientWidth; },
+      onpointerleave: () => { this._cursor = null; },
+      onwheel: (event) => {
+        if (document.activeElement !== this._canvas) return;
+        event.preventDefault();
+        this._zoom(Math.sign(event.deltaY));
+      }});
+    this._note = h('span', {class: 'span', role: 'status'});
     this._canvas.style.height = `${high}px`;
     const keys = curves.length > 1 ? curves.map((curve) => {
       const key = h('span', {class: 'key'}, curve.name);
@@ -23,32 +41,70 @@ export class Plot {
       return key;
     }) : [];
     this.element = h('figure', {class: 'figure'},
-      h('figcaption', {}, h('span', {}, title), ...keys,
-        h('span', {class: 'span'}, span >= 120 ? `${span / 60} min` : `${span} s`)),
-      this._canvas);
+      h('figcaption', {}, h('span', {}, title), ...keys, this._note), this._canvas);
   }
 
-  draw(model, now) {
+  draw(model, latest) {
     const area = context(this._canvas);
     if (!area) return;
-    const from = now - this._span;
+    this._span ??= spanOf(model.topic(this._curves[0].topic));
+    if (!this._span) return;
+    this._now = latest;
+    const now = this._pausedAt ?? latest, from = now - this._span;
     const series = this._curves.map((curve) => {
       const topic = model.topic(curve.topic), field = topic.field(curve.field);
-      return {curve, topic, at: field?.at, first: lowerBound(topic.samples, from)};
+      return {curve, topic, at: field?.at, first: lowerBound(topic.samples, from),
+        end: this._pausedAt === null ? topic.samples.length : lowerBound(topic.samples, now)};
     }).filter((each) => each.at !== undefined);
     const [low, high] = this._limits(series);
     this._frame(area, low, high);
     const x = (time) => (time - from) / this._span * area.width;
     const y = (value) => EDGE + (high - value) / (high - low) * (area.height - 2 * EDGE);
     for (const each of series) this._trace(area.ctx, each, x, y);
+    updateText(this._note, this._words(series, from));
+    if (this._cursor !== null) {
+      area.ctx.fillStyle = colour('--text');
+      area.ctx.fillRect(Math.round(this._cursor * area.width), 0, 1, area.height);
+    }
     this._describe(now, low, high, series);
+  }
+
+  /** The span, and the values at the cursor. */
+  _words(series, from) {
+    const span = this._span >= 120 ? `${this._span / 60} min` : `${this._span} s`;
+    const paused = this._pausedAt === null ? '' : 'paused, ';
+    if (this._cursor === null) return paused + span;
+    const at = from + this._cursor * this._span;
+    const values = series.map(({curve, topic, at: column}) => {
+      const sample = topic.samples[lowerBound(topic.samples, at)] ?? topic.last;
+      return `${series.length > 1 ? curve.name + ' ' : ''}${formatNumber(sample?.[column], this._digits)}`;
+    });
+    return `${paused}${(this._now - at).toFixed(1)} s ago: ${values.join(', ')}`;
+  }
+
+  _pause() { this._pausedAt = this._pausedAt === null ? this._now : null; }
+
+  /** Show a longer (1) or a shorter (-1) span. */
+  _zoom(direction) {
+    const at = SPANS.indexOf(this._span) + direction;
+    if (SPANS[at]) this._span = SPANS[at];
+  }
+
+  _key(event) {
+    const move = {ArrowLeft: -STEP, ArrowRight: STEP}[event.key];
+    if (move) this._cursor = Math.min(1, Math.max(0, (this._cursor ?? 1) + move));
+    else if (event.key === ' ') this._pause();
+    else if (event.key === '+' || event.key === '-') this._zoom(event.key === '+' ? -1 : 1);
+    else if (event.key === 'Escape') this._cursor = this._pausedAt = null;
+    else return;
+    event.preventDefault();
   }
 
   /** The limits grow at once and shrink slowly, so that the plot does not jump. */
   _limits(series) {
     let low = Infinity, high = -Infinity;
-    for (const {topic, at, first} of series) {
-      for (let index = first; index < topic.samples.length; index++) {
+    for (const {topic, at, first, end} of series) {
+      for (let index = first; index < end; index++) {
         const value = Number(topic.samples[index][at]);
         if (value < low && value >= -GREATEST) low = value;
         if (value > high && value <= GREATEST) high = value;
@@ -86,7 +142,7 @@ export class Plot {
   }
 
   /** Draw one curve: in each column of pixels, the least and the greatest sample. */
-  _trace(ctx, {curve, topic, at, first}, x, y) {
+  _trace(ctx, {curve, topic, at, first, end}, x, y) {
     const gap = topic.limit ?? Infinity;
     ctx.strokeStyle = colour(curve.colour);
     ctx.lineWidth = 1.5;
@@ -99,7 +155,7 @@ export class Plot {
       if (high !== low) ctx.lineTo(column, y(high));
       else if (alone) ctx.lineTo(column + 1, y(low));
     };
-    for (let index = Math.max(0, first - 1); index < topic.samples.length; index++) {
+    for (let index = Math.max(0, first - 1); index < end; index++) {
       const sample = topic.samples[index], value = Number(sample[at]);
       if (!(Math.abs(value) <= GREATEST)) { flush(); column = null; before = -Infinity; continue; }
       const px = Math.round(x(sample[0]));
@@ -128,6 +184,13 @@ export class Plot {
     updateAttribute(this._canvas, 'aria-label', `${this._title}, the last ${this._span} seconds: between `
       + `${formatNumber(low, this._digits)} and ${formatNumber(high, this._digits)}; now ${latest}`);
   }
+}
+
+/** The span that shows enough samples of a topic; null while nothing of it is known. */
+function spanOf(topic) {
+  if (!topic.last) return null;
+  const wanted = topic.limit === null ? Infinity : topic.limit / 3 * SAMPLES;    // limit: three periods
+  return SPANS.slice(LEAST_SPAN).find((span) => span >= wanted) ?? SPANS[SPANS.length - 1];
 }
 
 /** The index of the first sample that is not before this time. */

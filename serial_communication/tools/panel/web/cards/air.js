@@ -1,4 +1,4 @@
-/** The air: smoke, temperature and humidity, each with a plot of ten minutes. */
+/** The air: smoke, temperature and humidity, each with a plot. */
 import {card, h} from '../dom.js';
 import {Plot} from '../plot.js';
 import {Reading} from '../reading.js';
@@ -12,7 +12,7 @@ export class Air {
     this.topics = [AIR];
     this._parts = PARTS.map(([field, colour, least, digits]) => ({
       reading: new Reading(field, AIR, field),
-      plot: new Plot(field, [{topic: AIR, field, colour}], {span: 600, least, digits, high: 64})}));
+      plot: new Plot(field, [{topic: AIR, field, colour}], {least, digits, high: 64})}));
     this.element = card('Air', AIR, ...this._parts.map(({reading, plot}) =>
       h('div', {class: 'part beside'}, plot.element,
         h('div', {class: 'readings big'}, reading.element))));

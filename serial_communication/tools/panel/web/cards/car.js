@@ -53,7 +53,7 @@ export class Motion {
       return h('div', {class: 'part'}, plot.element,
         h('div', {class: 'readings'}, ...readings.map((each) => each.element)));
     };
-    this.element = card('Motion', 'the last 20 seconds',
+    this.element = card('Motion', '~imu, ~ticks, ~steering_angle',
       part(new Plot('acceleration, m/s²', axes('acceleration'), {least: 2, digits: 2}),
         ...AXES.map(([axis]) => new Reading(axis, IMU, `acceleration ${axis}`, {units: ''}))),
       part(new Plot('turning rate, rad/s', axes('rate'), {least: 0.2, digits: 3}),
@@ -74,7 +74,7 @@ export class Battery {
     this.topics = ['~voltage'];
     this._reading = new Reading('battery', '~voltage', 'voltage');
     this._plot = new Plot('voltage', [{topic: '~voltage', field: 'voltage', colour: '--line-4'}],
-      {span: 600, least: 0.4, digits: 2, high: 84});
+      {least: 0.4, digits: 2, high: 84});
     this.element = card('Battery', '~voltage',
       h('div', {class: 'part beside'}, this._plot.element,
         h('div', {class: 'readings big'}, this._reading.element)));

@@ -1,11 +1,16 @@
 /** A card for each topic that is not built in, such as those of custom messages. */
-import {card, h, updateText} from '../dom.js';
+import {card, h, unit, updateText} from '../dom.js';
 import {Plot} from '../plot.js';
 import {Reading} from '../reading.js';
 
 const COLOURS = ['--line-1', '--line-2', '--line-3', '--line-4', '--line-5'];
-const MAX_CURVES = COLOURS.length;    // curves in one plot
-const SLOW = 0.7;                     // s; if the limit of a topic is greater, its plot shows ten minutes
+const MAX_CURVES = COLOURS.length;    // curves of one topic
+
+/** Fields with this in common share an axis: a unit, or being parts of one vector or array. */
+function axisOf({name, unit}) {
+  if (unit) return `unit ${unit}`;
+  return /(^|\.)[xyzw]$|\[\d+\]$/.test(name) ? name.replace(/\w$|\[\d+\]$/, '') + '*' : name;
+}
 
 class CustomCard {
   constructor(name, type) {
@@ -19,30 +24,32 @@ class CustomCard {
 
   draw(model, now) {
     const topic = model.topic(this.name);
-    const slow = topic.limit === null || topic.limit > SLOW;
-    const shape = topic.fields.map((field) => field.name).join() + slow;
+    const shape = topic.fields.map((field) => field.name).join();
     if (topic.last && shape !== this._shape) {
       this._shape = shape;
-      this._build(topic, slow);
+      this._build(topic);
     }
     this._parts.forEach((part) => part.draw(model, now));
     if (!this._parts.length && topic.words) updateText(this._body.firstChild, topic.words);
   }
 
-  _build(topic, slow) {
+  _build(topic) {
     const numbers = topic.fields.filter((field) => typeof topic.last[field.at] !== 'string');
     const readings = topic.fields.map((field) => new Reading(field.name, this.name, field.name));
     this._parts = [...readings];
-    const curves = numbers.slice(0, MAX_CURVES).map((field, index) =>
-      ({topic: this.name, field: field.name, colour: COLOURS[index], name: field.name}));
-    this._body.replaceChildren(
-      h('div', {class: 'readings'}, ...readings.map((reading) => reading.element)));
-    if (curves.length) {
-      const plot = new Plot(curves.length > 1 ? '' : curves[0].name, curves,
-        {span: slow ? 600 : 20, least: 1e-3, digits: null, high: 84});
-      this._parts.push(plot);
-      this._body.prepend(plot.element);
+    const axes = new Map();
+    for (const field of numbers.slice(0, MAX_CURVES)) {
+      const axis = axisOf(field);
+      if (!axes.has(axis)) axes.set(axis, []);
+      axes.get(axis).push(field);
     }
+    const plots = [...axes.values()].map((fields) => new Plot(
+      fields.length > 1 ? unit(fields[0].unit) : `${fields[0].name} ${unit(fields[0].unit)}`.trim(),
+      fields.map((field, index) => ({topic: this.name, field: field.name, colour: COLOURS[index], name: field.name})),
+      {least: 1e-3, digits: null, high: 84}));
+    this._parts.push(...plots);
+    this._body.replaceChildren(...plots.map((plot) => plot.element),
+      h('div', {class: 'readings'}, ...readings.map((reading) => reading.element)));
   }
 }
 

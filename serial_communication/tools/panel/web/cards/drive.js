@@ -8,8 +8,10 @@
  * repeats counts as released.
  */
 import {card, h, updateAttribute, updateText} from '../dom.js';
+import {whyNot} from '../reasons.js';
 
 const TOPICS = '~speed, ~steering';
+const IDLE = 'hold to drive';
 const EVERY = 50;           // ms between two commands
 const SILENCE = 0.3;        // s without an update from the panel, after which the hold ends
 const PANEL_SILENT = `stopped: no update from the panel for ${SILENCE} s`;
@@ -35,11 +37,12 @@ export class Drive {
     this._repeats = false;      // whether this system is known to repeat keys
     this._repeatDue = Infinity; // when the next repeat is due, ms of performance.now()
     this._at = [0, 0];          // right, ahead: -1 … 1
+    this._reason = '';          // why the car cannot be driven
     this._knob = h('span', {class: 'knob', 'aria-hidden': 'true'});
     this._pad = h('div', {class: 'pad', role: 'application', tabindex: '0', id: 'pad',
       'aria-label': 'driving pad: hold the arrow keys to drive, release them to stop',
       'aria-describedby': 'pad-words'}, this._knob);
-    this._words = h('p', {class: 'words', id: 'pad-words', role: 'status'}, 'hold to drive');
+    this._words = h('p', {class: 'words', id: 'pad-words', role: 'status'}, IDLE);
     this._limit = h('input', {type: 'range', min: '50', max: '1000', step: '50', value: String(SLOW),
       id: 'speed-limit'});
     this._limitWords = h('output', {for: 'speed-limit'}, String(SLOW));
@@ -53,11 +56,14 @@ export class Drive {
 
   get held() { return this._timer !== null; }
 
-  draw(model) {
+  draw(model, now) {
     this.element.hidden = model.controls === null;
+    const reason = whyNot(model, this._connection, now, 'arduino');
+    if (reason !== this._reason && !this.held) updateText(this._words, reason || IDLE);
+    this._reason = reason;
     if (this.held && this._connection.silence() > SILENCE) this._end(PANEL_SILENT);
     updateAttribute(this._pad, 'data-held', this.held);
-    updateAttribute(this._pad, 'aria-disabled', this._connection.alive ? null : 'true');
+    updateAttribute(this._pad, 'aria-disabled', reason && !this.held ? 'true' : null);
     updateText(this._note, model.drive.held && this._connection.alive ? 'a page drives' : TOPICS);
   }
 
@@ -139,9 +145,9 @@ export class Drive {
 
   _begin() {
     if (this.held) return;
-    if (!this._connection.alive) {
+    if (this._reason) {
       this._keys.clear();
-      updateText(this._words, 'no connection to the panel');
+      updateText(this._words, this._reason);
       return;
     }
     this._hold += 1;

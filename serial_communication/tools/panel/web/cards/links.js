@@ -1,5 +1,5 @@
 /** A card for each link, with its status in a colour and a text that can be read from a distance. */
-import {card, colour, context, formatAge, formatNumber, h, updateAttribute, updateText} from '../dom.js';
+import {card, colour, context, formatAge, formatNumber, h, shortened, updateAttribute, updateText} from '../dom.js';
 
 const SHOWN = 300;         // s, the span of the bar chart
 const BIN = 3;             // s, one bar
@@ -34,10 +34,12 @@ class LinkCard {
     this._causes = h('ul', {class: 'causes'});
     this._rates = {in: h('dd'), out: h('dd'), age: h('dd')};
     this._more = new Map(MORE.map(([label]) => [label, h('dd')]));
+    this._gap = h('dd', {class: 'gap'});
+    this._gapAt = null;          // time of the latest status with a heartbeat gap that was too long
     this._all = h('tbody');
     this._details = h('details', {class: 'all'}, h('summary', {}, 'all diagnostics'),
       h('table', {}, this._all));
-    const item = (label, value) => h('div', {}, h('dt', {}, label), value);
+    const item = (label, value, shape = null) => h('div', {class: shape}, h('dt', {}, label), value);
     this.element = card(name, '',
       h('div', {class: 'now'},
         h('div', {class: 'state'}, this._sign, h('div', {}, this._summary, this._port)),
@@ -47,7 +49,7 @@ class LinkCard {
       this._causes,
       h('dl', {class: 'facts'}, item('in', this._rates.in), item('out', this._rates.out),
         item('last frame', this._rates.age),
-        ...MORE.map(([label]) => item(label, this._more.get(label)))),
+        ...MORE.map(([label]) => item(label, this._more.get(label))), item('last long gap', this._gap, 'wide')),
       this._details);
     this._title = this.element.querySelector('.note');
     this.element.classList.add('link');
@@ -64,7 +66,10 @@ class LinkCard {
     const stale = link.stale(now);
     const summary = link.at === null ? 'no status received yet'
       : stale ? `no status for ${formatAge(now - link.at)}` : link.summary;
-    updateText(this._summary, summary);
+    if (this._summary.textContent !== summary) {      // its beginning is read from a distance
+      const [, begin, more] = summary.match(/^([^:;]*)(.*)$/s);
+      this._summary.replaceChildren(begin, h('span', {class: 'more'}, more));
+    }
     if (health !== this._health) {
       if (this._health !== null || health === 'error') {
         this._announce(`${this._name} link: ${WORDS[health]}, ${summary}`);
@@ -73,8 +78,9 @@ class LinkCard {
     }
     if (link.at === null) return;
     const values = link.values;
-    updateText(this._port, values['port'] ?? '');
-    updateAttribute(this._port, 'title', values['port'] ?? '');
+    const port = values['port'] ?? '';
+    if (this._port.textContent !== port) this._port.replaceChildren(...shortened(port));
+    updateAttribute(this._port, 'title', port);
     this._errors(link, now);
     const rate = (sent) => {
       const value = link.rate(sent);
@@ -83,7 +89,12 @@ class LinkCard {
     updateText(this._rates.in, rate(false));
     updateText(this._rates.out, rate(true));
     const age = Number(values['last frame age [s]']);
-    updateText(this._rates.age, Number.isNaN(age) ? 'never' : `${formatAge(age + (now - link.at))} ago`);
+    // As the status has it: frames have been received since then, unless the statuses have ended.
+    const silence = age + (stale ? now - link.at : 0);
+    updateText(this._rates.age, Number.isNaN(age) ? 'never' : silence < 0.1 ? 'now' : `${formatAge(silence)} ago`);
+    this._rememberGap(values, link.at, board);
+    updateText(this._gap, this._gapAt === null ? '' : `${this._gapWords}, ${formatAge(now - this._gapAt)} ago`);
+    this._gap.parentElement.hidden = this._gapAt === null || this._gapAt === link.at;
     for (const [label, text] of MORE) {
       const value = text(values), place = this._more.get(label);
       place.parentElement.hidden = value === undefined;
@@ -94,6 +105,14 @@ class LinkCard {
     if (this._details.open) this._list(values);
   }
 
+  /** Remember the latest heartbeat gap that was too long, with the time of its status. */
+  _rememberGap(values, at, board) {
+    const gap = values['heartbeat gap [ms]'];
+    if (at === this._gapAt || !(parseFloat(gap) > 1000 * (board?.longest_gap ?? Infinity))) return;
+    this._gapAt = at;
+    this._gapWords = milliseconds(gap);
+  }
+
   _errors(link, now) {
     const minute = link.errorsSince(now - MINUTE);
     const sum = [...minute.values()].reduce((all, each) => all + each, 0);
@@ -102,7 +121,7 @@ class LinkCard {
     const shown = link.errorsSince(now - SHOWN);
     const causes = [...shown.keys()].sort();
     const words = causes.map((cause) => `${cause} ${minute.get(cause) ?? 0}`).join(' ');
-    this._causes.hidden = !causes.length;
+    this._causes.hidden = this._spark.hidden = !causes.length;
     if (this._causes.dataset.words !== words) {
       this._causes.dataset.words = words;
       this._causes.replaceChildren(...causes.map((cause, at) => {

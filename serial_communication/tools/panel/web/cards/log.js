@@ -4,6 +4,14 @@ import {card, formatAge, h, updateText} from '../dom.js';
 const SHOWN = 30;
 const LEVELS = {1: 'debug', 2: 'info', 4: 'warn', 8: 'error', 16: 'fatal'};
 
+/** The text; the link that it begins with becomes a button that shows the link's card. */
+function withLink(text, model) {
+  const name = text.match(/^(\w+)(?=:| says)/)?.[1];
+  if (!model.links.has(name)) return [text];
+  const show = () => document.querySelector(`.link[data-link="${name}"]`)?.scrollIntoView({block: 'center'});
+  return [h('button', {type: 'button', class: 'link-name', onclick: show}, name), text.slice(name.length)];
+}
+
 export class Log {
   constructor() {
     this.topics = [];
@@ -18,7 +26,7 @@ export class Log {
     if (last !== this._last || lines.length !== this._list.children.length) {
       this._last = last;
       this._list.replaceChildren(...lines.map(([, level, text]) =>
-        h('li', {'data-level': LEVELS[level] ?? 'info'}, h('time', {}), h('span', {}, text))));
+        h('li', {'data-level': LEVELS[level] ?? 'info'}, h('time', {}), h('span', {}, ...withLink(text, model)))));
     }
     lines.forEach(([at], index) => updateText(this._list.children[index].firstChild,
       `${formatAge(Math.max(0, now - at))}`));

@@ -1,0 +1,129 @@
+"""What the page needs for a form of each command: its fields, with their limits and units."""
+import io
+import math
+import struct
+from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Tuple
+
+import genpy
+import roslib.message
+
+from ...boards.description import CustomRows, Description
+from ...framing.custom_messages import RowError
+from ...framing.layout import Value
+from ...ros.custom_topics import RosMessage, message_rows
+from ..watch.topics import custom_rows
+from .dead_man import CommandRefused
+
+_INTEGERS = {f'{sign}int{bits}': ((-(1 << bits - 1), (1 << bits - 1) - 1) if not sign
+                                  else (0, (1 << bits) - 1))
+             for sign in ('', 'u') for bits in (8, 16, 32, 64)}
+_INTEGERS.update(byte=_INTEGERS['int8'], char=_INTEGERS['uint8'])
+_OTHER_KINDS = {'bool': 'bool', 'string': 'text', 'float32': 'number', 'float64': 'number'}
+
+
+class Service(NamedTuple):
+    """A service that the page offers."""
+
+    service_class: Any
+    link: str                      # that it needs
+    fields: List[Dict[str, Any]]   # of its request; see `_field`
+
+
+class Message(NamedTuple):
+    """A custom command: a row whose messages are sent to the board."""
+
+    row: RosMessage
+    link: str
+    fields: List[Dict[str, Any]]
+
+    def make(self, given: Dict[str, Any]) -> Any:
+        """The ROS message with these values; CommandRefused if they do not fit the row."""
+        layout, name = self.row.kind.LAYOUT, self.row.custom.name
+        names = [value.name for value in layout.values if value.name]
+        if sorted(given) != sorted(names):
+            raise CommandRefused(f'{name} takes {", ".join(names)}')
+        values = [_number(given[value.name]) if value.name else 0 for value in layout.values]
+        try:
+            reason = layout.implausible(values)
+            if reason:
+                raise ValueError(reason)
+            layout.pack(values)
+            message = self.row.fields.fill(self.row.fields.new(), values)
+            message.serialize(io.BytesIO())
+        except (ArithmeticError, TypeError, ValueError, struct.error,
+                genpy.SerializationError) as error:
+            raise CommandRefused(f'{name}: {error}') from None
+        return message
+
+
+def _number(given: Any) -> Any:
+    return tuple(given) if isinstance(given, list) else given
+
+
+def service(service_class: Any, link: str, values: Iterable[Value] = ()) -> Service:
+    """A service with the fields of its type, whose limits a row's layout may narrow."""
+    request, limits = service_class._request_class, {value.name: value for value in values}
+    return Service(service_class, link, [
+        _field(name, type_, limits.get(name))
+        for name, type_ in zip(request.__slots__, request._slot_types)])
+
+
+def custom_services(boards: Iterable[Description], parameters: Any) -> Dict[str, Service]:
+    """The boards' custom functions that are services and whose types are installed here."""
+    found = {}
+    for board, custom, name, row in _rows(boards, parameters):
+        type_ = row.get('srv_type')
+        service_class = roslib.message.get_service_class(type_) if isinstance(type_, str) else None
+        if service_class:
+            found[custom.prefix + name] = service(
+                service_class, board.name, _request_values(custom, name, row))
+    return found
+
+
+def custom_messages(boards: Iterable[Description], parameters: Any) -> Dict[str, Message]:
+    """The boards' custom commands whose types are installed here."""
+    found = {}
+    for board, custom, name, row in _rows(boards, parameters):
+        if row.get('direction') != 'to_board':
+            continue
+        try:
+            message = message_rows(board, {name: row})[0]
+        except RowError:
+            continue        # the bridge has not started with it
+        found[custom.prefix + name] = Message(message, board.name, [
+            _field(value.name, '', value) for value in message.kind.LAYOUT.values if value.name])
+    return found
+
+
+def _rows(boards: Iterable[Description], parameters: Any,
+          ) -> Iterable[Tuple[Description, CustomRows, str, Dict[str, Any]]]:
+    return [(board, board.custom, name, row) for board in boards if board.custom
+            for name, row in custom_rows(board, parameters).items()]
+
+
+def _request_values(custom: CustomRows, name: str, row: Dict[str, Any]) -> Iterable[Value]:
+    """The values of a function's request, by its row."""
+    try:
+        return custom.read({name: row})[0].request.values
+    except (RowError, AttributeError):
+        return ()
+
+
+def _field(name: str, type_: str, value: Optional[Value]) -> Dict[str, Any]:
+    """A field of a form.
+
+    Args:
+        type_: of ROS; empty if only the value is known.
+        value: with the limits in the board's row; None: there is none.
+    """
+    low, high = _INTEGERS.get(type_, (-math.inf, math.inf))
+    kind, whole, unit = _OTHER_KINDS.get(type_, 'number' if type_ in _INTEGERS else 'other'), \
+        type_ in _INTEGERS, ''
+    if value is not None:
+        least, most = value.range
+        low, high = max(low, least, value.minimum), min(high, most, value.maximum)
+        unit, whole = value.unit, whole or value.is_whole
+        kind = kind if type_ else 'bool' if value.code == '?' else value.kind
+    return {'name': name, 'kind': kind, 'whole': whole, 'unit': unit,
+            'low': low if math.isfinite(low) and kind != 'text' else None,
+            'high': high if math.isfinite(high) and kind != 'text' else None}

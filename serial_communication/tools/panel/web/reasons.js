@@ -1,0 +1,19 @@
+/** Why a command cannot be carried out now; '' if it can. */
+import {formatAge, withoutAges} from './dom.js';
+
+/** @param link the name of the link that the command needs */
+export function whyNot(model, connection, now, link) {
+  if (!connection.alive) return 'no connection to the panel';
+  const status = model.links.get(link);
+  if (!model.links.size) return model.trouble || 'no status of the bridge yet';
+  if (!status) return `the ${link} link is off`;
+  if (status.at === null) return model.trouble || `no status of the ${link} link yet`;
+  if (status.stale(now)) return `the bridge has been silent for ${formatAge(now - status.at)}`;
+  if (status.summary.startsWith('closed')) return `the ${link} link is closed`;
+  return status.summary.startsWith('calibrating') ? 'the IMU is being calibrated' : '';
+}
+
+/** Likewise for a service, for which the ROS master is asked. The page's head has the trouble in full. */
+export function whyNoCall(model, connection, now, link) {
+  return whyNot(model, connection, now, link) || withoutAges(model.trouble).replace(/ at http:\S+$/, '');
+}

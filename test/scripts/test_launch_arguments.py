@@ -1,0 +1,30 @@
+"""Arguments of roslaunch that bridge.launch does not have are named; pure."""
+import xml.etree.ElementTree
+from pathlib import Path
+
+import pytest
+
+from serial_communication.ros.launch_arguments import unknown_arguments, warnings_of
+
+LAUNCH = xml.etree.ElementTree.parse(
+    Path(__file__).resolve().parents[2] / 'launch' / 'bridge.launch').getroot()
+COMMAND = ['/usr/bin/python3', '/opt/ros/noetic/bin/roslaunch', 'serial_communication',
+           'bridge.launch']
+
+
+@pytest.mark.parametrize('words, warnings', [
+    ([], []), (['sim:=true', 'arduino_port:=/dev/ttyUSB0', 'control:=true', '__name:=a'], []),
+    (['arduino_prt:=/dev/ttyUSB0'], [
+        'bridge.launch has no argument arduino_prt, so arduino_prt:=/dev/ttyUSB0 has no effect; '
+        'did you mean arduino_port?']),
+    (['own_ports:=true'], ['bridge.launch has no argument own_ports, so own_ports:=true has no '
+                           'effect']),
+    (['zzz:='], ['bridge.launch has no argument zzz, so zzz:= has no effect'])])
+def test_an_argument_that_the_launch_file_does_not_have_is_named(words, warnings):
+    found = warnings_of(COMMAND + words, LAUNCH)
+    assert len(found) == len(warnings)
+    assert all(line.startswith(start) for line, start in zip(found, warnings))
+
+
+def test_a_process_that_roslaunch_did_not_start_has_none():
+    assert unknown_arguments() == []
