@@ -40,7 +40,7 @@ def latching(first: str, second: str) -> None:
     publisher = rospy.Publisher(NODE + '/speed', SpeedPWMCommand, queue_size=10, latch=True)
     publisher.publish(value=int(first))
     print('ready', flush=True)
-    while not publisher.get_num_connections():
+    while not publisher.impl.message_data_sent:     # rospy sends the latched one after it connects
         time.sleep(0.01)
     print('connected', flush=True)
     for _line in sys.stdin:
