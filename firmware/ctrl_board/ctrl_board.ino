@@ -75,7 +75,15 @@ static BusResult environment() {
 }
 
 #ifdef CUSTOM_MESSAGES
-// An example of custom functions, the rows `pump` and `tank` of config/custom_messages.yaml.
+// An example of custom functions, and the stop that this board always has. With `bus/announcements: true` the
+// bridge asks for their rows.
+static const char kRows[] PROGMEM =
+    "firmware: ctrl_board 1.1.0\n"
+    "pump: {cmd2: 0x30, srv_type: std_srvs/SetBool, request: {layout: '<?', fields: [data]}, timeout: 2.0}\n"
+    "stop: {cmd2: 0x2F, srv_type: std_srvs/Trigger, repeatable: true, interrupts: true}\n"
+    "tank: {cmd2: 0x32, ros_type: sensor_msgs/FluidPressure, period: 2.0, frame_id: tank,"
+    " reply: {layout: '<H', fields: [fluid_pressure], scale: 10, minimum: 0}, constants: {variance: 10000}}\n";
+
 struct PACKED Pump {
   uint8_t on;
 };
@@ -123,6 +131,7 @@ void setup() {
   pinMode(kPumpPin, OUTPUT);
   bus.on<Pump>(0x30, pump);
   bus.on(0x32, tank);
+  bus.announce(kRows);
 #endif
   pinMode(kLiftTopPin, INPUT_PULLUP);
   pinMode(kLiftBottomPin, INPUT_PULLUP);

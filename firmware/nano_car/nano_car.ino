@@ -60,7 +60,14 @@ static void handle_led(const char* text) {
 }
 
 #ifdef CUSTOM_MESSAGES
-// An example of custom messages, the rows `force` and `gripper` of config/custom_messages.yaml.
+// An example of custom messages, which the board announces: the bridge needs no rows for them.
+static const char kRows[] PROGMEM =
+    "firmware: nano_car 1.1.0\n"
+    "force: {type: 32, ros_type: std_msgs/Float32, layout: '<h', fields: [data], scale: 0.01,"
+    " minimum: 0, maximum: 300}\n"
+    "gripper: {type: 48, direction: to_board, ros_type: geometry_msgs/Vector3, layout: '<hB', fields: [x, z],"
+    " scale: [0.1, 0.00392156862745098], minimum: [-100, 0], maximum: [100, 1]}\n";
+
 struct PACKED Force {
   int16_t centinewtons;
 };
@@ -173,6 +180,7 @@ void setup() {
   bridge.on_calibration(handle_calibration);
 #ifdef CUSTOM_MESSAGES
   bridge.on<Gripper>(48, handle_gripper);
+  bridge.announce(kRows);
 #endif
   pinMode(kLedLeftPin, OUTPUT);
   pinMode(kLedRightPin, OUTPUT);

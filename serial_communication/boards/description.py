@@ -11,6 +11,9 @@ from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple
 from ..framing.stream import Decoder
 
 
+ANNOUNCED = 'announced'     # parameter of a board: the announced rows that the bridge uses
+
+
 class Topic(NamedTuple):
     """A topic with data of the board. `name` is relative to the node: ~imu, mcu/status."""
 
@@ -26,9 +29,10 @@ class CustomRows(NamedTuple):
     """The rows of parameters that make custom messages or functions."""
 
     parameter: str                        # the board's parameter that holds the rows by name
-    # Raises RowError for the first mistake. Each row has the properties of a CustomMessage that
-    # programs go by: name, key, number, layouts and purpose.
-    read: Callable[[Any], List[Any]]
+    # read(rows, key) makes them; `key` is the parameter that holds them, BOARD/parameter if it is
+    # left out. Raises RowError for the first mistake. Each row has the properties of a
+    # CustomMessage that programs go by: name, key, number, layouts and purpose.
+    read: Callable[..., List[Any]]
     prefix: str                           # prefix + the row's name is the name of its topic
 
 

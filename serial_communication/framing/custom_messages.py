@@ -66,6 +66,17 @@ class CustomMessage(NamedTuple):
         return f'{"to" if self.is_command else "from"} the board: {self.ros_type}'
 
 
+def meaning(row: Any) -> Tuple:
+    """What a custom message or function is, for comparisons: all but the parameter it is from."""
+    return tuple(_comparable(value) for name, value in zip(row._fields, row) if name != 'key')
+
+
+def _comparable(value: Any) -> Any:
+    layout = value if isinstance(value, Layout) else getattr(value, 'LAYOUT', None)
+    return value if layout is None else (getattr(value, 'TYPE', None), layout.layout,
+                                         layout.values)
+
+
 def read_messages(entries: Any, key: str, types: Sequence[int], longest: int,
                   directions: Tuple[str, ...] = (FROM_BOARD,)) -> List[CustomMessage]:
     """The custom messages of a board.

@@ -5,6 +5,7 @@ import time
 import traceback
 from typing import Any, Callable, Iterable, List, NamedTuple, Optional, Tuple
 
+from ..framing.announcement import Assembly, Chunk
 from ..framing.frame_timer import FrameTimer
 from ..framing.stream import CHECKSUM, FRAMING, Decoder, Frame
 from ..transport import pace
@@ -36,6 +37,13 @@ class Refused(Exception):
     def __init__(self, text: str, cause: str) -> None:
         super().__init__(text)
         self.cause = cause
+
+
+class Announced(NamedTuple):
+    """What the board announces and the bridge uses, for /diagnostics."""
+
+    firmware: str       # NAME VERSION; '' if it announces none
+    rows: List[str]     # the names of the rows
 
 
 class Report(NamedTuple):
@@ -76,6 +84,11 @@ class Link:
         self.last_byte_at = 0.0                      # monotonic
         self._understood_at = float('-inf')          # the latest frame of a known type; monotonic
         self.stale = 0                     # bytes dropped because they waited during a stall
+        # Called in the link's thread with each new text that the board announces; None: ignore it.
+        self.on_announcement: Optional[Callable[[bytes], None]] = None
+        self.announcement = Assembly()
+        self.announced: Optional[Announced] = None   # None: nothing was announced
+        self.text_in_use: Optional[bytes] = None     # the announcement whose rows are in use
         # When the thread last returned from a read, by `pace.clock`; _NEVER: the port is closed.
         self.awake_at = _NEVER
         self._clock = clock
@@ -205,6 +218,34 @@ class Link:
             self._guarded(lambda tap: tap(self.name, TX, Frame(
                 frame, type_, command, data, message, self._clock())), tap)
 
+    def take_chunk(self, chunk: Chunk) -> None:
+        """A chunk of the board's announcement was received; called in the link's thread."""
+        if self.on_announcement is None:
+            return
+        try:
+            text = self.announcement.take(chunk)
+        except ValueError as error:
+            self.log.warn('announcement', str(error))
+            return
+        if text is not None:
+            self.on_announcement(text)
+
+    @property
+    def still_announces(self) -> bool:
+        """Whether the board is known to announce the rows in use.
+
+        After the port was opened it may have other firmware, to which the same bytes mean something
+        else. So nothing that a row describes is sent before the board has announced it again.
+        """
+        announcement = self.announcement
+        return announcement.confirmed and announcement.text == self.text_in_use
+
+    def refuse_unless_announced(self, command: str) -> None:
+        """Raise Refused for an announced command that the board may no longer have."""
+        if not self.still_announces:
+            raise Refused(f'{command} refused: the board has not announced it since the port was '
+                          'opened or since it announced something else', 'not announced')
+
     def check_silence(self, now: float, limit: float) -> Optional[float]:
         """For `tick`: have a network port closed if it has been silent for `limit` s.
 
@@ -253,7 +294,11 @@ class Link:
              if self.last_frame_at is not None else 'never'),
         ]
         values += sorted((cause + ' errors', count) for cause, count in counted.items())
-        return Report(level, summary, values + self.extra_values())
+        values += self.extra_values()
+        if self.announced is not None:
+            values += [('firmware', self.announced.firmware),
+                       ('announced', ', '.join(self.announced.rows))]
+        return Report(level, summary, values)
 
     def condition(self, now: float) -> Tuple[int, str]:
         """Level and summary, without regard to new errors."""
@@ -333,6 +378,7 @@ class Link:
         self.connections += 1
         self.log.info('opened', f'{self.port.url}: open')
         self.decoder.reset()
+        self.announcement.reset()
         now = time.monotonic()
         self.opened(now)
         self.last_byte_at = self._opened_at = self._presence_at = look_at = now

@@ -51,11 +51,18 @@ class CommandTopic:
         self._latest: Dict[str, Any] = {}   # connection by publisher; the last to send comes last
         self._replaced: Dict[int, Any] = {}     # connections that have newer ones, by their ids
         self._older_publishers = _publishers(self._topic)
-        self._impl: Any = None
+        self._impl: Any = None              # None: not subscribed yet, or closed
         self._lock = threading.RLock()      # each connection has a thread; they wait for `_impl`
         with self._lock:
-            self._impl = rospy.Subscriber(name, message_class, self._received,
-                                          queue_size=queue_size, tcp_nodelay=True).impl
+            self._subscriber = rospy.Subscriber(name, message_class, self._received,
+                                                queue_size=queue_size, tcp_nodelay=True)
+            self._impl = self._subscriber.impl
+
+    def close(self) -> None:
+        """Unsubscribe; messages that are received later are ignored."""
+        with self._lock:
+            self._impl = None
+        self._subscriber.unregister()
 
     def _received(self, message: Any) -> None:
         try:

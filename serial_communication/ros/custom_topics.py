@@ -3,7 +3,8 @@
 The ROS types and fields in the rows are resolved while the parameters are checked. So a mistake in
 a row ends the node before it has registered anything or opened a port.
 """
-from typing import Any, Dict, List, NamedTuple, Sequence, Set, Tuple, Type
+import threading
+from typing import Any, Callable, Dict, List, NamedTuple, Sequence, Set, Tuple, Type
 
 import rospy
 
@@ -11,6 +12,7 @@ from ..boards import BOARDS, description
 from ..boards.description import Description
 from ..framing.custom_messages import CustomMessage, RowError
 from ..framing.layout import LayoutMessage
+from ..link.sparing_log import SparingLog
 from .commands import CommandTopic
 from .fields import RosFields, find_type
 from .publishing import publisher, wanted
@@ -34,8 +36,8 @@ def message_rows(board: Description, given: Any) -> List[RosMessage]:
     Raises:
         RowError: for the first mistake.
     """
-    rows = board.custom
-    return [_resolve(custom, rows.prefix) for custom in rows.read(given)] if rows else []
+    custom = board.custom
+    return [resolve(each, custom.prefix) for each in custom.read(given)] if custom else []
 
 
 def names_of(rows: Sequence[Tuple], prefix: str) -> List[Tuple[str, str]]:
@@ -48,7 +50,8 @@ def names_of(rows: Sequence[Tuple], prefix: str) -> List[Tuple[str, str]]:
     return [(prefix + custom.name, custom.key) for custom, *_ in rows]
 
 
-def _resolve(custom: CustomMessage, prefix: str) -> RosMessage:
+def resolve(custom: CustomMessage, prefix: str) -> RosMessage:
+    """Return a custom message with its ROS type and fields; raise RowError for a mistake."""
     refuse_taken(custom, prefix)
     found = find_type(f'{custom.key}/ros_type', custom.ros_type)
     check_frame_id(custom, found)
@@ -86,6 +89,7 @@ class ValuePublisher:
     """Publishes tuples of values as messages of one ROS type, while the topic has subscribers."""
 
     def __init__(self, name: str, ros_class: Any, fields: RosFields, frame_id: str = '') -> None:
+        self._lock = threading.Lock()     # held while a message is published or the topic closed
         self._topic = publisher(name, ros_class)
         self._fields = fields
         self._message = fields.new()
@@ -94,11 +98,19 @@ class ValuePublisher:
             self._message.header.frame_id = frame_id
 
     def publish(self, values: Tuple, stamp: rospy.Time) -> None:
-        """Publish a message with these values."""
-        if wanted(self._topic):
-            if self._has_header:
-                self._message.header.stamp = stamp
-            self._topic.publish(self._fields.fill(self._message, values))
+        """Publish a message with these values; do nothing once it is closed."""
+        with self._lock:
+            topic = self._topic
+            if topic is not None and wanted(topic):
+                if self._has_header:
+                    self._message.header.stamp = stamp
+                topic.publish(self._fields.fill(self._message, values))
+
+    def close(self) -> None:
+        """Unregister the topic; may be called from any thread, at any time."""
+        with self._lock:
+            topic, self._topic = self._topic, None
+        topic.unregister()
 
 
 def built_in_topic(name: str, ros_class: Any, kind: Type[LayoutMessage]) -> ValuePublisher:
@@ -109,22 +121,53 @@ def built_in_topic(name: str, ros_class: Any, kind: Type[LayoutMessage]) -> Valu
 def custom_topics(rows: List[RosMessage], prefix: str,
                   frame_prefix: str) -> Dict[Type[LayoutMessage], ValuePublisher]:
     """Return the topics of the custom messages from the board, by the messages' classes."""
-    return {row.kind: ValuePublisher(prefix + row.custom.name, row.message_class, row.fields,
-                                     row.custom.frame_id and frame_prefix + row.custom.frame_id)
+    return {row.kind: _custom_topic(row, prefix, frame_prefix)
             for row in rows if not row.custom.is_command}
+
+
+def _custom_topic(row: RosMessage, prefix: str, frame_prefix: str) -> ValuePublisher:
+    return ValuePublisher(prefix + row.custom.name, row.message_class, row.fields,
+                          row.custom.frame_id and frame_prefix + row.custom.frame_id)
 
 
 def take_commands(rows: List[RosMessage], prefix: str, link: Any, age_limit: float) -> None:
     """Subscribe to the custom commands; one that cannot be sent is refused with a warning."""
     for row in rows:
         if row.custom.is_command:
-            _take_command(row, prefix, link, age_limit)
+            _take_command(row, prefix, link.command, link.log, age_limit)
 
 
-def _take_command(row: RosMessage, prefix: str, link: Any, age_limit: float) -> None:
+def _take_command(row: RosMessage, prefix: str, send: Callable[[Any], None], log: SparingLog,
+                  age_limit: float) -> CommandTopic:
     def read(message: Any) -> Any:
         return row.kind(*row.fields.read(message))
 
-    CommandTopic(prefix + row.custom.name, row.message_class,
-                 lambda message: link.command(read(message)),
-                 lambda message: str(read(message))[:_LABEL], link.log, age_limit)
+    return CommandTopic(prefix + row.custom.name, row.message_class,
+                        lambda message: send(read(message)),
+                        lambda message: str(read(message))[:_LABEL], log, age_limit)
+
+
+def add_announced(row: RosMessage, prefix: str, frame_prefix: str, link: Any,
+                  topics: Dict[type, ValuePublisher], age_limit: float) -> Callable[[], None]:
+    """Make the topic or the subscription of an announced row while the link runs.
+
+    Args:
+        topics: the link's, by the classes of messages.
+
+    Returns:
+        a function that takes it down.
+    """
+    if row.custom.is_command:
+        def send(message: Any) -> None:
+            link.refuse_unless_announced(str(message)[:_LABEL])
+            link.command(message)
+
+        return _take_command(row, prefix, send, link.log, age_limit).close
+
+    def take_down() -> None:
+        link.decoder.remove_message(row.kind)
+        topics.pop(row.kind).close()
+
+    topics[row.kind] = _custom_topic(row, prefix, frame_prefix)
+    link.decoder.add_message(row.kind)
+    return take_down

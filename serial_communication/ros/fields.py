@@ -47,7 +47,15 @@ def find_type(key: str, name: str, kind: str = 'msg') -> Any:
 
 
 def _found(name: str, kind: str) -> Any:
-    """Return the class of a type, or None."""
+    """Return the class of a type, or None.
+
+    Only a generated module is imported: a board may announce any name, and importing any other
+    module might do anything.
+    """
+    package, short = name.split('/')
+    if not any(os.path.exists(os.path.join(folder, package, kind, f'_{short}.py'))
+               for folder in sys.path):
+        return None
     find = roslib.message.get_message_class if kind == 'msg' else roslib.message.get_service_class
     try:
         found = find(name)

@@ -1,10 +1,11 @@
 """The interface between the node and a board."""
 import logging
 from abc import ABC, abstractmethod
-from typing import Any, Callable, Dict, List, NamedTuple, Sequence, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from ..link.link import Link
 from ..link.unknown_bytes import OtherBoard
+from .announced import AnnouncedRows
 from .parameter import Parameters
 
 
@@ -34,6 +35,7 @@ class Interface(ABC):
     PARAMETERS: Parameters         # including `port` and `baud`
     MOUNTS: Tuple[str, ...] = ()   # for each sensor x, x_frame_id and x_mount are parameters
     link: Link
+    announced: Optional[AnnouncedRows] = None    # None: no announcements are used
 
     @abstractmethod
     def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:

@@ -17,6 +17,7 @@ from ..link.unknown_bytes import OtherBoard
 from ..output import prepare_output
 from ..transport.pace import set_priority_of_all
 from . import parameters, starting
+from .announced import Announcements, without_announced
 from .diagnostics import Diagnostics
 from .geometry import publish_mounts
 from .interface import Interface, LinkOptions
@@ -81,7 +82,7 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
         signal.signal(signal.SIGHUP, lambda *_: _hang_up(start))
     bridge = None
     try:
-        given = rospy.get_param('~', {})
+        given = without_announced(rospy.get_param('~', {}))
         values, warnings = parameters.check(given, rospy.get_name())
         for warning in [*warnings, *unknown_arguments()]:
             rospy.logwarn(warning)
@@ -166,6 +167,10 @@ class Bridge:
             for board, values in boards for name in board.MOUNTS})
         self._traffic = Traffic(self._links, _LOGGER)
         self._diagnostics = Diagnostics(self._links, _LOGGER)
+        self._announcements = Announcements(
+            [interface.announced for interface in self._interfaces if interface.announced],
+            {name: key for board in p['boards']
+             for name, key in board.custom_names(parameters.of_board(board, p))}, given, _LOGGER)
 
     def start(self) -> None:
         """Open the ports, subscribe to commands and offer services."""
@@ -178,6 +183,7 @@ class Bridge:
         for interface in self._interfaces:
             with _errors_naming(type(interface)):
                 interface.advertise()
+        self._announcements.start()
         self._diagnostics.start()
 
     def stop(self) -> None:

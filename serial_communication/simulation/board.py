@@ -55,7 +55,7 @@ class Board:
         """Make the board that these options describe.
 
         `options.seed` is always a number. `options.config` has the custom messages, if the board's
-        description allows some.
+        description allows some, and `options.announcement` the text to announce, or None.
         """
         return cls()
 

@@ -16,7 +16,7 @@ from ..transport.pace import Allowance
 from ..transport.port import Port, check_url
 from . import faults
 from .board import Board, Runner, positive
-from .custom_messages import add_option
+from .custom_messages import add_options, announced_text
 from .journal import Journal
 
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -153,7 +153,10 @@ def _parse(arguments: List[str]) -> argparse.Namespace:
             parser.error(f'there is no board {name}, only {", ".join(BOARDS)}, and it is not a '
                          f'package with a board: {error}')
     options = parser.parse_args(arguments)
+    options.announcement = None
     try:
+        if getattr(options, 'announce', False):
+            options.announcement = announced_text(options.board, options.config)
         options.rates = faults.parse(
             faults.for_every_board(options.faults, options.board_class) + options.fault,
             options.board_class)
@@ -196,7 +199,7 @@ def _add(boards: Any, name: str, described: Description) -> None:
                              'serial_communication/simulation/journal.py)')
     parser.add_argument('--duration', type=positive, metavar='S', help='end after S seconds')
     board.add_options(parser)
-    add_option(parser, described)
+    add_options(parser, described)
 
 
 def _fault_help(board: Type[Board]) -> str:

@@ -1,24 +1,35 @@
-"""Custom messages that simulated boards send, and values for replies to custom functions.
+"""Custom messages that simulated boards send and announce, and values for replies to functions.
 
 Values oscillate between their minimum and maximum, or between -100 and 100 without limits.
 """
 import argparse
 import math
-from typing import Any, Iterable, List, Optional, Tuple
+from typing import Any, Dict, Iterable, List, Optional, Tuple
 
 from ..boards.config_file import board_parameters, read_parameters
 from ..boards.description import Description
+from ..framing.announced_text import announcement_text
+from ..framing.announcement import chunks_of
 from ..framing.custom_messages import CustomMessage
 from ..framing.layout import Layout, Value
 from ..transport.pace import Every
 
 PERIOD = 0.1      # s between two messages of a kind
+CHUNK = 60        # bytes of text in a chunk of an announcement
+_OFTEN, _OFTEN_FOR, _SELDOM = 0.1, 3.0, 1.0     # s between two chunks: at first, how long, later
 _UNLIMITED = 100.0     # the maximum of a value that has none
 _OSCILLATION = 10.0    # s; period of a value
 
 
-def add_option(parser: argparse.ArgumentParser, board: Description) -> None:
-    """Add the option --config FILE, whose value is the list of the board's custom messages."""
+class ConfiguredRows(list):
+    """The custom messages of a configuration; `rows` are the rows that they were read from."""
+
+    rows: Dict[str, Any] = {}
+
+
+def add_options(parser: argparse.ArgumentParser, board: Description) -> None:
+    """Add the options --config FILE, whose value is the list of the board's custom messages, and
+    --announce."""
     if board.custom is None:
         # Accepted, since a launch file passes it to all boards.
         parser.add_argument('--config', metavar='FILE',
@@ -26,42 +37,79 @@ def add_option(parser: argparse.ArgumentParser, board: Description) -> None:
         return
     parameter, read_rows, _ = board.custom
 
-    def read(path: str) -> List[Any]:
+    def read(path: str) -> ConfiguredRows:
         try:
             given = board_parameters(read_parameters(path), board.name)
-            return read_rows(given.get(parameter) or {})
+            found = ConfiguredRows(read_rows(given.get(parameter) or {}))
+            found.rows = given.get(parameter) or {}
+            return found
         except (OSError, ValueError) as error:
             raise argparse.ArgumentTypeError(f'{path}: {error}') from None
 
     parser.add_argument('--config', type=read, default=[], metavar='FILE',
                         help='parameters of the bridge; the board has the custom messages in '
                              f'{board.name}/{parameter}')
+    parser.add_argument('--announce', action='store_true',
+                        help='announce them to the bridge, which then needs no such file')
+
+
+def announced_text(board: str, config: Any) -> bytes:
+    """The text with which a simulated board announces the rows of its configuration.
+
+    Args:
+        config: the value of --config; an empty list without a file.
+
+    Raises:
+        ValueError: the rows cannot be announced.
+    """
+    return announcement_text(getattr(config, 'rows', {}), f'simulated_{board} 1.0')
 
 
 class CustomMessagePlayer:
-    """Makes the custom messages that a board sends, one of each kind every `PERIOD` s.
+    """Makes the custom messages that a board sends, one of each kind every `PERIOD` s, and the
+    chunks of its announcement: one every 0.1 s at first, later one a second.
 
     Args:
         messages: commands among them are ignored.
+        announcement: the text; None: the board announces nothing.
     """
 
-    def __init__(self, messages: Iterable[CustomMessage]) -> None:
+    def __init__(self, messages: Iterable[CustomMessage],
+                 announcement: Optional[bytes] = None) -> None:
         self._kinds = [custom.kind for custom in messages if not custom.is_command]
         self._beat = Every(PERIOD, 0.0)
+        self._chunks = [] if announcement is None else chunks_of(announcement, CHUNK)
+        self._next = 0             # index of the next chunk
+        self._chunk_due = 0.0
+        self._often_until = 0.0
 
     def power_on(self, now: float) -> None:
         """The board starts."""
         self._beat = Every(PERIOD, now)
+        self._next = 0
+        self._chunk_due = now
+        self.announce_often(now)
+
+    def announce_often(self, now: float) -> None:
+        """Somebody may listen anew: send the chunks more often for a while."""
+        self._chunk_due = min(self._chunk_due, now + _OFTEN)
+        self._often_until = now + _OFTEN_FOR
 
     def due(self) -> Optional[float]:
         """When the next messages are due; None: never."""
-        return self._beat.due if self._kinds else None
+        times = [self._beat.due] * bool(self._kinds) + [self._chunk_due] * bool(self._chunks)
+        return min(times, default=None)
 
     def messages(self, now: float) -> List[Any]:
         """The messages to send now."""
-        if not self._kinds or not self._beat.passed(now):
-            return []
-        return [kind(*simulated_values(kind.LAYOUT, now)) for kind in self._kinds]
+        found: List[Any] = []
+        if self._kinds and self._beat.passed(now):
+            found = [kind(*simulated_values(kind.LAYOUT, now)) for kind in self._kinds]
+        if self._chunks and now >= self._chunk_due:
+            found.append(self._chunks[self._next])
+            self._next = (self._next + 1) % len(self._chunks)
+            self._chunk_due = now + (_OFTEN if now < self._often_until else _SELDOM)
+        return found
 
 
 def simulated_values(layout: Layout, now: float) -> Tuple:

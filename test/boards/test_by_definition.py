@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.mcu import wire as mcu
+from serial_communication.framing.announcement import chunks_of
 
 VECTORS = [
     # What doc/protocols.md has, byte for byte.
@@ -41,6 +42,11 @@ FRAMES = st.one_of(
         min_size=250, max_size=257))),
     st.binary(min_size=1, max_size=8),
     st.sampled_from([b'\xa5\x02\x55\x22\xd0', b'\xa5', b'\x5a\xff\x00', b'\x02\x40', b'\x00']))
+
+
+@given(st.binary(min_size=1, max_size=300), st.integers(2, 60))
+def test_an_announcement_has_the_chunks_of_the_package(text, size):
+    assert codec.announcement(text, size) == [chunk.pack() for chunk in chunks_of(text, size)]
 
 
 @pytest.mark.parametrize('frame_at, raw, content', VECTORS)

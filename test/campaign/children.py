@@ -1,8 +1,9 @@
 """Processes beside the bridge. Most of them are separate processes so that they can be suspended:
 
     subscriber NAME     subscribes to all topics
-    caller NAME         calls the lift for each line "DIRECTION DISTANCE" of its stdin
-    latching NAME A B   publishes speed A latched; after a line on stdin, speed B
+    caller NAME         calls the lift for each line "DIRECTION DISTANCE" of stdin; prints results
+    latching NAME A B   publishes speed A latched, prints "connected" once the bridge has connected;
+                        after a line on stdin publishes speed B
     speeds NAME A       publishes speeds A, A + 1 ... at 20 Hz
     sleeper             prints when it was woken late, and by how many seconds
 """
@@ -22,7 +23,6 @@ _PERIOD = 0.01       # s
 
 
 def subscriber() -> None:
-    """Runs until it is ended, as all of them."""
     for topic in [*TOPICS, '/serial_msg', '/diagnostics']:
         rospy.Subscriber(topic.replace('~', NODE + '/'), rospy.AnyMsg, lambda message: None)
     print('ready', flush=True)
@@ -30,7 +30,6 @@ def subscriber() -> None:
 
 
 def caller() -> None:
-    """Prints what each call returns."""
     print('ready', flush=True)
     for line in sys.stdin:
         response = rospy.ServiceProxy(NODE + '/lift', Lift)(*map(int, line.split()))
@@ -38,11 +37,10 @@ def caller() -> None:
 
 
 def latching(first: str, second: str) -> None:
-    """Prints "connected" once the bridge has connected."""
     publisher = rospy.Publisher(NODE + '/speed', SpeedPWMCommand, queue_size=10, latch=True)
     publisher.publish(value=int(first))
     print('ready', flush=True)
-    while not publisher.get_num_connections():
+    while not publisher.impl.message_data_sent:     # rospy sends the latched one after it connects
         time.sleep(0.01)
     print('connected', flush=True)
     for _line in sys.stdin:
@@ -50,7 +48,6 @@ def latching(first: str, second: str) -> None:
 
 
 def speeds(first: str) -> None:
-    """Publishes whether or not there are subscribers."""
     publisher = rospy.Publisher(NODE + '/speed', SpeedPWMCommand, queue_size=10)
     print('ready', flush=True)
     for value in itertools.count(int(first)):

@@ -1,7 +1,6 @@
 """The exact part: one event at a time, on lines that are quiet before it.
 
-It starts three bridges: most scenarios use the first; the second polls; the third has its car
-behind a network.
+It starts three bridges: one for most scenarios, one that polls, one with a car behind a network.
 """
 import signal
 import sys

@@ -76,12 +76,11 @@ def measurements(rig: Rig) -> None:
     """All types of messages of the car and the sensor board, a hundred of each."""
     rig.settle()
     with rig.no_missed_heartbeat():
-        for _ in range(50):
-            for _ in range(2):
-                rig.car.measure()
-                rig.sensors.measure()
-                rig.sensors.cliff()
-            rig.wait_heartbeats(2)
+        for _ in range(100):
+            rig.car.measure()
+            rig.sensors.measure()
+            rig.sensors.cliff()
+            rig.wait_heartbeats(1)
     rig.compare(rig.car, rig.sensors)
 
 

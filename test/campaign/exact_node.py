@@ -6,6 +6,8 @@ import xmlrpc.client
 from typing import Any, Dict, FrozenSet, Tuple
 
 import rosgraph
+import rospy
+from std_msgs.msg import Empty
 
 import by_definition as codec
 from .boards import CUSTOM, POLLED, Reaction
@@ -19,6 +21,8 @@ _END = 2.0               # s
 _MASTER_RETURN = 10.0    # s
 _NETWORK_AGE = 1.5       # s: arduino/network_silence and some delay
 _NETWORK_RETURN = 3.0    # s
+_ROW = b'hoist_%d: {type: %d, direction: to_board, ros_type: std_msgs/Empty, layout: <, fields: []}'
+_NONSENSE = b'', b'\0\1\0\0{[', *(bytes((number,)) * 40 for number in range(256))
 POLLING: Dict[str, Any] = {
     'bus/environment_period': 0.1,
     'bus/functions': json.dumps({**CUSTOM['bus/functions'], **POLLED})}
@@ -198,9 +202,31 @@ def network(rig: Rig) -> None:
             if packet.type == codec.SPEED and packet.number in commanded:
                 fresh.at_most(packet.t - commanded[packet.number], _NETWORK_AGE, 's',
                               f'{event.__name__}: SPEED {packet.number}')
-        for number in range(connection + 1, car.connection + 1):
-            if number in car.first:
-                first.check(car.first[number].is_stop, f'the first packet was {car.first[number]}')
+        for packet in [car.first[number] for number in car.first if number > connection]:
+            first.check(packet.is_stop, f'the first packet was {packet}')
 
 
-SCENARIOS = second_bridge, suspended_subscriber, new_master, resets
+def announcements(rig: Rig) -> None:
+    """The car announces half a text and nonsense, then one row; then it is flashed."""
+    required = rig.require('announcements', 'the rows of the last whole text are in use, no others')
+    again = rig.require('announcements', 'no command after a reconnect, until announced again')
+    for type_ in 70, 71, 72:
+        rig.settle()
+        text, name = _ROW % (type_, type_), f'hoist_{type_}'
+        with rig.no_missed_heartbeat():
+            for chunk in (*codec.announcement(b'half' + text, 50)[:-1], *_NONSENSE,
+                          *codec.announcement(text, 50)):
+                rig.car.write(codec.arduino_packet(codec.ANNOUNCEMENT, chunk))
+            required.wait(lambda: [*rospy.get_param(NODE + '/arduino/announced', {})] == [name],
+                          f'{name} is in use')
+        command = rospy.Publisher(f'{NODE}/{name}', Empty, queue_size=1)
+        rig.wait(command.get_num_connections, 'the bridge subscribes')
+        rig.car_line.unplug()
+        rig.car_line.plug()
+        rig.wait(lambda: rig.car.heartbeats, 'heartbeats')
+        command.publish()
+        Drive(rig).command()
+        again.check(type_ not in [each.type for each in rig.car.packets], f'{name} arrived')
+
+
+SCENARIOS = second_bridge, suspended_subscriber, new_master, resets, announcements

@@ -2,13 +2,12 @@
 import collections
 import contextlib
 import json
-import os
 import signal
 import sys
 from typing import Any, Callable, Dict, Iterator, List, Tuple
 
 from heartbeats import BEAT_MISSED, longest_gap
-from processes import Child, Stage, StageError
+from processes import Child, Stage, StageError, has_priority
 from .boards import CUSTOM, Board, BusBoard, Car, Sensors
 from .lines import Clock, SerialLine
 from .logs import LateWakeUps, LogCheck
@@ -67,8 +66,7 @@ class Rig(Stage):
         """Start a bridge with these parameters besides `PARAMETERS`; wait until it works."""
         self.bridge_number += 1
         self._parameters = parameters
-        ports = {'bus': self.bus_line.port, 'arduino': self.car_line.port,
-                 'mcu': self.mcu_line.port}
+        ports = dict(bus=self.bus_line.port, arduino=self.car_line.port, mcu=self.mcu_line.port)
         name = f'bridge_{self.bridge_number}'
         self.child_bridge = self.bridge(
             ports, {**PARAMETERS, **parameters}, name,
@@ -126,11 +124,7 @@ class Rig(Stage):
             self.child_bridge.send(signal.SIGCONT)
 
     def has_priority(self) -> bool:
-        try:
-            return any(os.sched_getscheduler(int(thread)) == os.SCHED_FIFO for thread in
-                       os.listdir(f'/proc/{self.child_bridge.pid}/task'))
-        except OSError:
-            return False
+        return has_priority(self.child_bridge.pid)
 
     def wait_heartbeats(self, number: int) -> None:
         """Wait for a time that the bridge itself measures."""

@@ -9,6 +9,8 @@ import emulated_board
 from serial_communication.boards.arduino import custom_messages
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.config_file import read_parameters
+from serial_communication.framing.announced_text import read_announcement
+from serial_communication.framing.announcement import TYPE, Assembly
 from test_compilers import ON_THE_AVR, ON_THE_ESP, PROTOCOL, STUBS, check
 
 ROOT = os.path.dirname(emulated_board.FIRMWARE)
@@ -19,6 +21,8 @@ SKETCH = '''
 #include <Arduino.h>
 #include <PacketLink.h>
 
+#define FIRMWARE_NAME "my_robot"
+#define FIRMWARE_VERSION "1.0"
 #include "my_robot.h"
 
 PacketLink bridge(Serial);
@@ -33,14 +37,18 @@ void handle_gripper(const Gripper& gripper) {
   bridge.send(field.TYPE, field);
 }
 
-void setup() { bridge.on<Gripper>(Gripper::TYPE, handle_gripper); }
+void setup() {
+  bridge.on<Gripper>(Gripper::TYPE, handle_gripper);
+  bridge.announce(kAnnouncement);
+}
 
 void loop() { bridge.update(); }
 '''
 STDIO = '''
 #include <cstdio>
 HardwareSerial Serial;
-unsigned long millis() { return 0; }
+static unsigned long now_ms = 0;
+unsigned long millis() { return now_ms; }
 int HardwareSerial::available() { return ungetc(getchar(), stdin) != EOF; }
 int HardwareSerial::read() { return getchar(); }
 size_t HardwareSerial::write(uint8_t byte) { return write(&byte, 1); }
@@ -50,6 +58,7 @@ size_t HardwareSerial::write(const uint8_t* bytes, size_t size) {
 int main() {
   setup();
   while (Serial.available()) loop();
+  for (; now_ms < 200000; ++now_ms) loop();
 }
 '''
 
@@ -79,7 +88,7 @@ def test_a_sketch_compiles(sketch, chip):
     check(CHIPS[chip], str(sketch / 'sketch.cpp'))
 
 
-def test_a_sketch_exchanges_values_with_the_bridge(sketch):
+def test_a_sketch_exchanges_values_with_the_bridge_and_announces_its_rows(sketch):
     program = str(sketch / 'program')
     done = subprocess.run(
         ['g++', '-std=c++11', '-Wall', '-Wextra', '-Werror', '-fsanitize=undefined',
@@ -92,10 +101,15 @@ def test_a_sketch_exchanges_values_with_the_bridge(sketch):
     command = kinds['gripper'](12.3, 0.5)
     sent = subprocess.run([program], input=arduino.encode(command), stdout=subprocess.PIPE,
                           check=True).stdout
-    assert [frame.text for frame in arduino.Decoder(messages=kinds.values()).feed(sent)] == [
+    frames = arduino.Decoder(messages=kinds.values()).feed(sent)
+    assert [frame.text for frame in frames if frame.type != TYPE] == [
         'force data=1.23', 'line_sensors data=[123 128]',
         'magnetic_field magnetic_field.x=-1.5e-07 magnetic_field.y=1.845e-05 '
         'magnetic_field.z=3.87e-05']
+    assembly = Assembly()
+    text, = filter(None, [assembly.take(frame.message) for frame in frames if frame.type == TYPE])
+    assert read_announcement(text) == (
+        'my_robot 1.0', read_parameters(EXAMPLES)['arduino']['messages'], [])
 
 
 def test_a_double_in_a_layout_does_not_compile_for_the_avr_and_says_why(sketch):

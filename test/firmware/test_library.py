@@ -135,6 +135,10 @@ WRONG = {
     'too much for a command': ('packets.on<Big>(40, take_big);', 'holds no more'),
     'too much for a frame': ('frames.send(40, Big());', 'holds no more'),
     'too much for a reply': ('BusResult::ok(Big());', 'holds no more'),
+    'too much to announce': ('static const char text[2050] = ""; packets.announce(text);',
+                             'at most 2048 bytes'),
+    'announcement whose size is lost': ('const char* text = "a"; frames.announce(text);',
+                                        'no matching function'),
     'unpacked request': ('bus.on<Wide>(40, ask_wide);', 'has to be PACKED'),
 }
 SKETCH = """
@@ -207,12 +211,14 @@ int main() {
 
 
 def run_on_the_pc(tmp_path, body):
+    """Run a main() with this body; returns what it prints."""
     source, program = tmp_path / 'sketch.cpp', str(tmp_path / 'sketch')
     source.write_text(SKETCH % '' + PC % body)
     subprocess.run(['g++', '-std=c++11', '-fsanitize=address,undefined', '-I', PROTOCOL,
                     '-I', os.path.join(STUBS, 'esp32'), str(source), '-o', program], check=True)
     result = subprocess.run([program], stdout=subprocess.PIPE, universal_newlines=True)
     assert result.returncode == 0, result.stdout
+    return result.stdout
 
 
 def test_send_returns_whether_all_of_it_was_sent(tmp_path):

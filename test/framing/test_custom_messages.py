@@ -235,9 +235,9 @@ def test_custom_functions_are_explained_by_name():
 # -- mistakes -------------------------------------------------------------------------------------
 
 @pytest.mark.parametrize('row, changes, key, words', [
-    (FORCE, {'type': None}, 'type', 'is missing, may be a whole number from 13 to 255'),
+    (FORCE, {'type': None}, 'type', 'is missing, may be a whole number from 13 to 254'),
     (FORCE, {'type': 12}, 'type', 'is 12 (int), may be'),
-    (FORCE, {'type': 256}, 'type', 'may be a whole number from 13'),
+    (FORCE, {'type': 255}, 'type', 'may be a whole number from 13'),
     (FORCE, {'type': '32'}, 'type', "is '32' (str)"),
     (FORCE, {'type': True}, 'type', 'is True (bool)'),
     (FORCE, {'direction': 'up'}, 'direction', 'may be from_board or to_board'),
@@ -293,8 +293,8 @@ def test_custom_functions_are_explained_by_name():
     (PUMP, {'srv_type': 'std_srvs'}, 'srv_type', 'a service type, as std_srvs/Trigger'),
     (PUMP, {'srv_type': None, 'ros_type': '', 'period': 1, 'request': None}, 'ros_type',
      'a message type, as std_msgs/Float32'),
-    (PUMP, {'cmd2': 0x21}, 'cmd2', 'from 0 to 255 but 32, 33 and 34'),
-    (PUMP, {'cmd2': 300}, 'cmd2', 'from 0 to 255'),
+    (PUMP, {'cmd2': 0x21}, 'cmd2', 'from 0 to 254 but 32, 33 and 34'),
+    (PUMP, {'cmd2': 255}, 'cmd2', 'from 0 to 254'),
     (PUMP, {'ros_type': 'std_msgs/Bool'}, '', 'either srv_type or ros_type'),
     (PUMP, {'srv_type': None}, '', 'either srv_type or ros_type'),
     (PUMP, {'period': 1}, 'period', 'has no meaning beside srv_type'),
@@ -324,7 +324,7 @@ def test_every_mistake_in_a_row_is_reported_in_one_line(row, changes, key, words
 @pytest.mark.parametrize('make, entries, key, words', [
     (arduino_messages, {'a': FORCE, 'b': FORCE}, 'b/type', 'is already the type of a'),
     (bus_functions, {'a': PUMP, 'b': PUMP}, 'b/cmd2', 'is already the cmd2 of a'),
-    (mcu_messages, {'a': dict(FORCE, type=0x10)}, 'a/type', '0 to 255'),
+    (mcu_messages, {'a': dict(FORCE, type=0x10)}, 'a/type', '0 to 254'),
     (mcu_messages, {'a': dict(FORCE, direction='to_board')}, 'a/direction', 'may be from_board'),
     (mcu_messages, {'a': dict(FORCE, layout='<254xh')}, 'a/layout', '253'),
     (arduino_messages, {'2nd': FORCE}, '2nd', 'letter'),

@@ -1,5 +1,6 @@
 """Any rows: each is accepted, or refused with one line that names it. Nothing else is raised, and
 an accepted row can be shown and published whatever the board sends."""
+import sys
 from io import BytesIO
 
 import pytest
@@ -103,3 +104,14 @@ def test_any_row_is_accepted_or_refused_with_one_line(case, data):
             back.pack(source.read(source.new()))
         except ValueError:
             pass
+
+
+def test_only_generated_modules_are_imported(tmp_path, monkeypatch):
+    package = tmp_path / 'any_package'
+    package.mkdir()
+    (package / '__init__.py').write_text('import sys\nsys.is_imported = True\n')
+    monkeypatch.syspath_prepend(str(tmp_path))
+    row = {'type': 20, 'ros_type': 'any_package/Any', 'layout': '<h', 'fields': ['data']}
+    with pytest.raises(ParameterError, match='is not an installed type'):
+        check({'arduino': {'messages': {'any': row}}}, '/node')
+    assert not hasattr(sys, 'is_imported')

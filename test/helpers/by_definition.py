@@ -20,6 +20,7 @@ LIFT, GIMBAL, ENVIRONMENT = 0x20, 0x21, 0x22
 BAD_CHECKSUM, NOT_SYNCHRONISED, FAILED = 0x40, 0x10, 0x8002
 # arduino: message types
 SPEED, STEERING, LED, STEERING_ANGLE, TICKS, IMU, VOLTAGE, HEARTBEAT, CALIBRATION = range(4, 13)
+ANNOUNCEMENT = 255
 # mcu: TYPEs
 SENSORS, ADC = 0x10, 0x01
 _MCU_LEN = {SENSORS: 12, ADC: 14}
@@ -66,6 +67,21 @@ def cobs_encode(data: bytes) -> bytes:
             block.clear()
     out.append(len(block) + 1)
     return bytes(out + block)
+
+
+# -- announcements --------------------------------------------------------------------------
+
+
+def announcement(text: bytes, size: int) -> List[bytes]:
+    """The chunks of an announcement, with `size` bytes of its text each."""
+    crc = 0xFFFF
+    for byte in text:
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = (crc << 1 ^ (0x1021 if crc & 0x8000 else 0)) & 0xFFFF
+    pieces = [text[at:at + size] for at in range(0, len(text), size)]
+    return [struct.pack('<BBH', index, len(pieces), crc) + piece
+            for index, piece in enumerate(pieces)]
 
 
 # -- bus ------------------------------------------------------------------------------------

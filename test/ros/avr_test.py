@@ -18,10 +18,10 @@ import rosgraph
 import rospy
 import rostest
 import tf2_ros
-import yaml
-from sensor_msgs.msg import Imu, Range, RelativeHumidity, Temperature
-from std_msgs.msg import Bool, String, UInt16
-from std_srvs.srv import Empty, Trigger
+from geometry_msgs.msg import Vector3
+from sensor_msgs.msg import FluidPressure, Imu, Range, RelativeHumidity, Temperature
+from std_msgs.msg import Bool, Float32, String, UInt16
+from std_srvs.srv import Empty, SetBool, Trigger
 
 from avr_boards import LossyLine, OnBoard, apart, turn, upward
 from boards import (NOT_SENT, OK, PACKAGE, PATIENCE, RX, TIMEOUT, TX, Diagnostics, Rosout, Topic,
@@ -33,7 +33,6 @@ from serial_communication.boards.bus import wire as bus
 from serial_communication.srv import (BusRequest, GetEnvironment, Gimbal, GimbalRequest, Lift,
                                       LiftRequest)
 
-ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 LOG_WARN = 4     # levels of rosgraph_msgs/Log
 GRAVITY = 9.81
 TRIES = 10       # of a test that a stall of this computer of 30 ms may spoil
@@ -618,19 +617,9 @@ class SensorBoard(OnBoard):
 
 
 class Hello(OnBoard):
-    """The library's first example."""
+    """The library's first example, which announces its rows: the bridge has no parameter for it."""
 
     WORLD, LINK, IMAGE = 'car', 'arduino', 'Hello.elf'
-    PARAMETERS = {'arduino/messages': {
-        'light': {'type': 32, 'ros_type': 'std_msgs/UInt16', 'layout': '<H', 'fields': ['data']},
-        'lamp': {'type': 33, 'direction': 'to_board', 'ros_type': 'std_msgs/Bool', 'layout': '<?',
-                 'fields': ['data']}}}
-
-    def test_its_rows_are_those_in_its_comment(self):
-        with open(os.path.join(ROOT, 'firmware/protocol/examples/Hello/Hello.ino')) as file:
-            comment = [line[2:] for line in file if line.startswith('//')]
-        rows = yaml.safe_load(''.join(line for line in comment if line.startswith('  ')))
-        self.assertEqual(rows['arduino']['messages'], self.PARAMETERS['arduino/messages'])
 
     def test_its_value_is_published_and_its_lamp_follows_the_command(self):
         light = self.collect(Topic(self.own('light'), UInt16))
@@ -641,6 +630,40 @@ class Hello(OnBoard):
         self.addCleanup(lamp.unregister)
         for on in True, False:
             self.until_is('led_builtin', on, doing=lambda on=on: lamp.publish(on))
+
+
+class AnnouncingCar(CarBench):
+    """The car with the example of custom messages, and a bridge without parameters for them."""
+
+    IMAGE, PARAMETERS = 'nano_car_custom.elf', {}
+
+    def test_its_messages_are_there_without_a_row(self):
+        force = self.collect(Topic(self.own('force'), Float32))
+        for raw in 500, 12:
+            self.board.set('force', raw)
+            force.first(lambda message, raw=raw: abs(message.data - 0.29 * raw) < 1e-3)
+        gripper = self.command('gripper', Vector3)
+        self.until_is('gripper_pwm', (500 + 1000) * 255 // 2000,
+                      doing=lambda: gripper.publish(x=50.0, z=0.5))
+        self.assertEqual(set(rospy.get_param(self.own('arduino/announced'))), {'force', 'gripper'})
+
+
+class AnnouncingControlBoard(OnBoard):
+    """The control board with the example of custom functions, which is asked for their rows."""
+
+    WORLD, LINK, IMAGE = 'ctrl', 'bus', 'ctrl_board_custom.elf'
+    PARAMETERS = {'bus/announcements': True}
+
+    def test_its_functions_are_there(self):
+        pump = service(self.own('pump'), SetBool)
+        for on in True, False:
+            answer = pump(on)
+            self.assertTrue(answer.success, answer.message)
+            self.assertEqual(self.board.get('pump'), on)
+        tank = self.collect(Topic(self.own('tank'), FluidPressure))
+        self.board.set('tank', 300)
+        tank.first(lambda message: message.fluid_pressure == 30000, seconds=2 * PATIENCE)
+        self.assertTrue(service(self.own('stop'), Trigger)().success)
 
 
 class Launched(unittest.TestCase):

@@ -629,6 +629,7 @@ class Mistakes(unittest.TestCase):
                 os.makedirs(os.path.join(folder, 'broken_msgs', 'msg'))
                 with open(os.path.join(folder, 'broken_msgs', '__init__.py'), 'w') as file:
                     file.write(body)
+                open(os.path.join(folder, 'broken_msgs', 'msg', '_Broken.py'), 'w').close()
                 with mock.patch.object(sys, 'path', [*sys.path, folder]):
                     self.assert_mistake('arduino/messages', 'force', dict(
                         FORCE, ros_type='broken_msgs/Broken'), '/ros_type',

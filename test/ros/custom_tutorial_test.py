@@ -1,6 +1,6 @@
 #!/usr/bin/python3
-"""Follows doc/custom_messages.md step by step: its files, its commands, and its sketch, compiled as
-the Arduino IDE does, on an emulated board."""
+"""Follows doc/custom_messages.md and doc/announcements.md step by step: their files, commands and
+sketches, compiled as the Arduino IDE does, on an emulated board."""
 import os
 import re
 import shutil
@@ -17,7 +17,8 @@ from avr_boards import EmulatedBoard, build_firmware
 from boards import PACKAGE, PATIENCE, Topic, own_folder, until
 
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
-PAGE = os.path.join(ROOT, 'doc', 'custom_messages.md')
+FILE, ANNOUNCED = (os.path.join(ROOT, 'doc', name + '.md')
+                   for name in ('custom_messages', 'announcements'))
 SKETCHES = ('ctrl_board/ctrl_board.ino',)
 PORT = '/dev/ttyUSB0'      # the page's name of the port
 ARDUINO = '/usr/share/arduino/hardware/arduino/avr'
@@ -28,20 +29,22 @@ COMPILE = ['avr-g++', '-mmcu=atmega328p', '-DF_CPU=16000000L', '-DARDUINO=10819'
            '-I' + os.path.join(ROOT, 'firmware', 'protocol', 'src'), '-include', 'Arduino.h']
 
 
-def blocks():
-    """The page's blocks of code: (language, file, text)."""
-    with open(PAGE, encoding='utf-8') as page:
+def blocks(path):
+    """A page's blocks of code: (language, file, text)."""
+    with open(path, encoding='utf-8') as page:
         return re.findall(r'^```(\w+) ?(.*)\n((?:.*\n)*?)```$', page.read(), re.M)
 
 
 class Tutorial(unittest.TestCase):
-    """Follows the page as a reader does."""
+    """Follows the pages as a reader does."""
 
     def setUp(self):
         self.folder = own_folder()
         self.addCleanup(shutil.rmtree, self.folder, ignore_errors=True)
         self.launched = None
         self.addCleanup(self.end)
+        if rospy.has_param('/' + PACKAGE):      # of another page
+            rospy.delete_param('/' + PACKAGE)
         self.build = build_firmware()
         self.board = None
         self.addCleanup(self.unplug)
@@ -96,9 +99,19 @@ class Tutorial(unittest.TestCase):
         self.output.seek(0)
         return self.output.read()
 
-    def test_every_step_of_the_page_works(self):
+    def test_every_step_of_the_page_with_a_file_works(self):
+        self.assertGreater(self.follow(FILE), 8)
+
+    def test_every_step_of_the_page_without_a_file_works(self):
+        self.assertGreater(self.follow(ANNOUNCED), 6)
+        self.assertEqual(os.listdir(self.folder), ['my_robot'])
+        self.assertIn('arduino: announces force, gripper (firmware my_robot 1.1)', self.said())
+
+    def follow(self, page):
+        """Do what a page says; return the number of its commands."""
         commands = 0
-        for language, name, text in blocks():
+        os.makedirs(os.path.join(self.folder, 'my_robot'))
+        for language, name, text in blocks(page):
             if name:
                 with open(os.path.join(self.folder, name), 'w', encoding='utf-8') as file:
                     file.write(text)
@@ -107,7 +120,7 @@ class Tutorial(unittest.TestCase):
                     self.run_line(line)
                     commands += 1
                     self.check(line)
-        self.assertGreater(commands, 8)
+        return commands
 
     def check(self, line):
         """Check what the page says about a command."""
@@ -124,16 +137,16 @@ class Tutorial(unittest.TestCase):
         for sketch in SKETCHES:
             with open(os.path.join(ROOT, 'firmware', sketch), encoding='utf-8') as file:
                 sources += file.read()
-        shown = [text for language, name, text in blocks() if language == 'cpp' and not name]
+        shown = [text for language, name, text in blocks(FILE) if language == 'cpp' and not name]
         self.assertGreater(len(shown), 1)
         for text in shown:
             for part in text.strip('\n').split('\n\n'):
                 self.assertIn(part, sources)
 
     def test_the_example_has_a_sketch_of_fifteen_lines_and_five_of_yaml(self):
-        rows = [text for language, _, text in blocks() if language == 'yaml'][0]
+        rows = [text for language, _, text in blocks(FILE) if language == 'yaml'][0]
         self.assertLessEqual(len(rows.splitlines()), 5)
-        sketch = [text for _, name, text in blocks() if name.endswith('.ino')][0]
+        sketch = [text for _, name, text in blocks(FILE) if name.endswith('.ino')][0]
         self.assertLessEqual(len(sketch.splitlines()), 15)
 
 

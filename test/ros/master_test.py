@@ -13,6 +13,7 @@ import rostest
 from boards import (PACKAGE, PATIENCE, Bridge, BusBoard, CarBoard, Line, own_folder, until)
 from heartbeats import HeartbeatWatch
 from serial_communication.boards.arduino import wire as arduino
+from serial_communication.framing.announcement import chunks_of
 
 NAME = '/' + PACKAGE
 WITHIN = 10.0         # s in which the bridge must register at a new master
@@ -124,6 +125,10 @@ class MasterTest(unittest.TestCase):
         return HeartbeatWatch(self.car, self.bridge.process.pid)
 
     def test_topics_services_and_parameters_are_registered_at_a_new_master(self):
+        text = b'force: {type: 32, ros_type: std_msgs/Float32, layout: "<h", fields: [data]}'
+        until(lambda: NAME + '/force' in self.state()[0], 'the announced row is in use',
+              doing=lambda: [self.car.say(chunk) for chunk in chunks_of(text, 50)])
+        self.before = self.state()
         for turn in range(2):
             heartbeats = self.watch_heartbeats()
             self.stop_core()
@@ -131,6 +136,7 @@ class MasterTest(unittest.TestCase):
             until(lambda: self.state() == self.before and self.server.hasParam(NAME),
                   'turn %d: all is there again' % turn, WITHIN)
         self.assertEqual(self.server.getParam(NAME + '/arduino/imu_mount'), MOUNT)
+        self.assertEqual(self.server.getParam(NAME + '/arduino/announced/force/type'), 32)
         self.assertEqual(self.server.getParam(NAME + '/bus/port'), self.lines[0].near)
         self.assert_a_fresh_subscriber_gets_data()
         self.assertIn('success: True', self.call('lift', '{direction: 0, distance: 100}'))

@@ -1,4 +1,5 @@
 """The program `ports`, on pseudo terminals with simple boards: what it finds and writes."""
+import itertools
 import json
 import os
 import pty
@@ -19,6 +20,7 @@ from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.config_file import read_parameters
 from serial_communication.boards.mcu import wire as mcu
+from serial_communication.framing.announcement import chunks_of
 from serial_communication.tools.ports import advice, cli, configuration, report
 from serial_communication.tools.ports.configuration import Connection
 from serial_communication.tools.ports.listening import Heard
@@ -40,13 +42,15 @@ class Board:
     """The other end of a port: sends `data` all the time, or answers SYNC.
 
     Args:
+        each: sent in turn, in place of `data`.
         baud: the rate at which it sends; at another one the port receives noise.
     """
 
-    def __init__(self, path, data=b'', baud=115200, answers=False):
+    def __init__(self, path, data=b'', baud=115200, answers=False, each=()):
         self.path = str(path)
         self.received = b''
-        self._data, self._speed = data, getattr(termios, f'B{baud}')
+        self._turns = itertools.cycle(each or [data])
+        self._speed = getattr(termios, f'B{baud}')
         self._answers = answers
         self._fd, slave = pty.openpty()
         tty.setraw(slave)
@@ -69,7 +73,7 @@ class Board:
             except OSError:     # nothing to read, or nobody has the port open
                 request = b''
             self.received += request
-            data = self._data
+            data = next(self._turns)
             if self._answers and request == SYNC:
                 data = bus.encode_reply(bus.Reply(bus.SYNC))
             if data and termios.tcgetattr(self._fd)[5] != self._speed:
@@ -128,6 +132,17 @@ def test_only_silent_ports_are_asked_and_only_for_a_sync(board):
     assert {name: port['board'] for name, port in ports.items()} == {
         'one': 'mcu', 'two': 'bus', 'three': None, 'four': None}
     assert [each.received for each in boards] == [b'', SYNC, b'', SYNC * 3]
+
+
+def test_announced_firmware_is_shown(board):
+    chunks = [arduino.encode(chunk) for chunk in chunks_of(
+        b'firmware: nano_car 1.1.0\nforce: {type: 32, ros_type: any/Type, layout: "<h", '
+        b'fields: [data]}\n', 16)]
+    path = board('port', each=[CAR + chunk for chunk in chunks]).path
+    assert found(path)['port']['firmware'] == 'nano_car 1.1.0'
+    assert run(path).stdout.startswith(f'{path}  arduino (model car), firmware nano_car 1.1.0\n')
+    path = board('other', CAR).path
+    assert found(path)['other']['firmware'] is None
 
 
 @pytest.mark.parametrize('data, name', [(MCU, 'mcu'), (CAR, 'arduino')])

@@ -111,8 +111,18 @@ def test_parameters_make_the_topics_of_custom_messages():
     assert wind.words(Message(vector=Message(x=0.5, y=-1.25))) == 'vector.x 0.5, vector.y -1.25'
 
 
+def test_announced_rows_make_topics_too_and_those_of_parameters_take_precedence():
+    row = {'type': 20, 'ros_type': 'std_msgs/Float32', 'layout': '<h', 'fields': ['data']}
+    custom = {each.name: each for each in custom_topics({'arduino': {
+        'messages': {'force': row},
+        'announced': {'force': dict(row, ros_type='std_msgs/Bool'), 'level': row}}})}
+    assert {name: each.type for name, each in custom.items()} == {
+        '~force': 'std_msgs/Float32', '~level': 'std_msgs/Float32'}
+
+
 @pytest.mark.parametrize('parameters', [
-    {}, {'arduino': 3}, {'arduino': {'messages': 'x'}}, {'arduino': {'messages': {'x': 1}}},
+    {}, {'arduino': 3}, {'arduino': {'announced': 5}},
+    {'arduino': {'messages': 'x'}}, {'arduino': {'messages': {'x': 1}}},
     {'mcu': {'messages': {'x': {'ros_type': 'std_msgs/Bool', 'fields': [], 'minimum': [1]}}}},
     {'bus': {'functions': {'x': {'ros_type': 'std_msgs/Bool', 'reply': 3, 'period': 'y'}}}}])
 def test_parameters_of_a_wrong_shape_are_ignored(parameters):

@@ -8,11 +8,17 @@ import sys
 
 import pytest
 
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.bus import wire as bus
 from serial_communication.framing import cobs
+from serial_communication.framing.announcement import TYPE, chunks_of
+from serial_communication.framing.stream import UNKNOWN
 from serial_communication.simulation.faults import Faults, parse
 from serial_communication.tools.wire import explain
 from serial_communication.tools.wire.explain import NotHex
-from wire_lines import FAULTS, LINKS, PATIENCE, ROOT, Target, settings, vectors
+from serial_communication.tools.wire.recording import (Read, Recording, frames_of,
+                                                       learned_from)
+from wire_lines import FAULTS, LINKS, PATIENCE, ROOT, Target, as_bag, settings, vectors
 
 PROGRAM = [sys.executable, ROOT + '/scripts/wire', 'explain']
 TO_ARDUINO = (4, 5, 6, 11, 12)      # message types that only a computer sends
@@ -258,6 +264,50 @@ def test_a_reply_is_explained_by_the_request_before_it():
     assert value_of(found[1], 'smoke') == 350
     found = explain.explain(hexed('a50255200064b6 a506025e01030acc1229'), settings('bus'))
     assert [part.name for part in found[1].parts][3:-1] == ['DATE']
+
+
+FORCE = (b'force: {type: 32, ros_type: any/Type, layout: "<h", fields: [data], scale: 0.01}\n'
+         b'wrong: {typ: 5}\n')
+PUMP = b'pump: {cmd2: 0x30, srv_type: any/Type, request: {layout: "<B", fields: [data]}}\n'
+
+
+def test_announced_messages_are_known_in_all_of_the_bytes():
+    message = arduino.encode_raw(32, (1234).to_bytes(2, 'little'))
+    chunks = b''.join(map(arduino.encode, chunks_of(FORCE, 20)))
+    found = explain.explain(message + chunks, settings('arduino'))
+    assert value_of(found[0], 'data') == 12.34 and not found[0].trouble
+    assert explain.explain(message + chunks[:-1], settings('arduino'))[0].trouble
+
+
+def announced_on_the_bus():
+    """Requests for an announcement with their replies, as (sent, frame)."""
+    return [each for chunk in chunks_of(PUMP, 20) for each in (
+        (True, bus.encode_request(bus.Request(bus.FUNCTION, TYPE, bytes([chunk.index])))),
+        (False, bus.encode_reply(bus.Reply(bus.OK, chunk.pack()))))]
+
+
+def test_functions_that_the_bus_board_announces_are_known():
+    frames = b''.join(frame for _, frame in announced_on_the_bus())
+    pump = bus.encode_request(bus.Request(bus.FUNCTION, 0x30, b'\x01'))
+    *_, last = explain.explain(frames + pump, settings('bus'))
+    assert value_of(last, 'data') == 1
+    reads = [Read(0.001 * at, sent, frame) for at, (sent, frame) in
+             enumerate(announced_on_the_bus())]
+    recording = Recording(0.0, {'bus': reads}, [])
+    bag = recording._replace(reads={}, frames=frames_of(recording, settings('bus')))
+    for recording in recording, bag:
+        functions = learned_from(recording, settings('bus')).parameters['functions']
+        assert list(functions) == ['pump'], recording
+
+
+def test_a_bag_has_messages_that_the_bridge_learned_later():
+    line = settings('arduino')
+    chunks = [arduino.encode(chunk) for chunk in chunks_of(FORCE, 20)]
+    bag = as_bag([Read(0.001 * at, False, frame) for at, frame in enumerate(
+        [arduino.encode_raw(32, b'\x01\x00'), *chunks])], line)
+    assert bag.frames[0].frame.cause == UNKNOWN
+    first, *_ = frames_of(bag, learned_from(bag, line))
+    assert (first.frame.cause, first.frame.text) == ('', 'force data=0.01')
 
 
 def test_the_direction_can_be_set():

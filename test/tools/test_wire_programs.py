@@ -22,6 +22,7 @@ from crane_scale import wire as scale
 from serial_communication.transport.port import Port
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
+from serial_communication.framing.announcement import chunks_of
 from serial_communication.tools.wire.lines import Settings
 from serial_communication.tools.wire.forwarder import Forwarder
 from serial_communication.tools.wire.recording import load
@@ -181,6 +182,28 @@ def test_listen_waits_for_a_port_and_opens_it_again(tmp_path, start):
         board.unplug()
         program.wait_for_line('opening it again when it returns', count)
     assert program.end() == 0
+
+
+def test_announced_messages_are_learned_live_and_out_of_recordings(ttys, start, tmp_path):
+    text = (b'firmware: nano 1\nforce: {type: 32, ros_type: any/Type, layout: "<h", '
+            b'fields: [data], scale: 0.01}\nwrong: {typ: 5}\n')
+    force = arduino.encode_raw(32, (1234).to_bytes(2, 'little'))
+    board = ttys[0]
+    program = start('listen', 'arduino', board.path, '--raw', 'kept.txt')
+    program.wait_for_line('open')
+    board.write(force + b''.join(map(arduino.encode, chunks_of(text, 40))))
+    wait_for(lambda: len(program.lines()) == 4, 'the chunks')
+    board.write(force)
+    lines = wait_for(lambda: len(program.lines()) == 5 and program.lines(), 'a message')
+    assert 'message type 32 is unknown' in lines[0] and 'announcement 1/3' in lines[1]
+    assert lines[4].endswith('force data=12.34')
+    assert program.end() == 0
+    done = run('listen', 'arduino', tmp_path / 'kept.txt')
+    assert done.stdout.count('force data=12.34') == 2, 'those before the announcement, too'
+    figures = json.loads(run('stats', tmp_path / 'kept.txt', '--json').stdout)
+    types = figures['links']['arduino']['from the board']['types']
+    assert {name: each['count'] for name, each in types.items()} == {
+        'announcement': 3, 'force': 2}
 
 
 def test_listen_names_the_program_that_has_the_port(ttys):

@@ -12,6 +12,7 @@
 #ifndef BUSSLAVE_H
 #define BUSSLAVE_H
 
+#include "announcer.h"
 #include "robot_ctrl_bus.h"
 #include "stream_sink.h"
 
@@ -45,6 +46,13 @@ class BusSlave : private BusHandler {
   // `stop` is called at once when function 0x2F is requested while another one is pending. That one has to end
   // then; what was requested between the two is dropped.
   void on_stop(void (*stop)()) { stop_ = stop; }
+
+  // Announces rows to the bridge, which asks for them where `bus/announcements` is true: see announcer.h. `text` is
+  // an array in program memory (PROGMEM).
+  template <size_t Size>
+  void announce(const char (&text)[Size]) {
+    announcer_.begin(text);
+  }
 
   // Calls the functions for what was received.
   void update() {
@@ -87,11 +95,18 @@ class BusSlave : private BusHandler {
   }
 
   BusResult request(uint8_t cmd2, const uint8_t* data, uint16_t size) override {
+    if (cmd2 == kFunctionAnnouncement) return chunk(data, size);
     const Handler* handler = find(cmd2);
     const bool stops = cmd2 == kFunctionStop && stop_;
     if (!handler && !stops) return BusResult::failed(kErrorUnsupported);
     if (size != (handler ? handler->size : 0)) return BusResult::failed(kErrorMalformed);
     return handler ? handler->call(handler->handle, data) : BusResult::ok();  // the pending function has ended
+  }
+
+  BusResult chunk(const uint8_t* index, uint16_t size) const {
+    BusResult result = BusResult::ok();
+    if (size == 1) result.size = announcer_.get(*index, result.data);
+    return result.size > 0 ? result : BusResult::failed(kErrorUnsupported);
   }
 
   BusResult poll() override { return ask_ ? ask_() : BusResult::failed(kErrorOperation); }
@@ -103,6 +118,7 @@ class BusSlave : private BusHandler {
   }
 
   Stream& port_;
+  Announcer<sizeof(BusResult::data) - 4> announcer_;
   RobotCtrlBusSlave<StreamSink, kMaxData> slave_;
   Handler handlers_[kMaxHandlers];
   uint8_t count_ = 0;

@@ -11,6 +11,7 @@
 #ifndef PACKETLINK_H
 #define PACKETLINK_H
 
+#include "announcer.h"
 #include "arduino_packets.h"
 #include "heartbeat_watch.h"
 #include "stream_sink.h"
@@ -49,6 +50,12 @@ class PacketLink : public PacketSender<StreamSink> {
   void on_led(void (*handle)(const char* text)) { led_ = handle; }
   void on_calibration(void (*handle)()) { calibration_ = handle; }
 
+  // Announces rows to the bridge, in update(): see announcer.h. `text` is an array in program memory (PROGMEM).
+  template <size_t Size>
+  void announce(const char (&text)[Size]) {
+    announcer_.begin(text);
+  }
+
   // Calls the functions for what was received.
   void update() {
     if (refused_type_) {
@@ -60,6 +67,9 @@ class PacketLink : public PacketSender<StreamSink> {
     while (port_.available() > 0) {
       if (decoder_.feed(read(), now)) dispatch(decoder_.packet());
     }
+    uint8_t chunk[Chunks::kMaxChunk];
+    const uint8_t size = announcer_.next(port_, now, chunk);
+    if (size > 0) send(MessageType::Announcement, chunk, size);
   }
 
   // A line in the bridge's log.
@@ -80,6 +90,8 @@ class PacketLink : public PacketSender<StreamSink> {
 #endif
 
  private:
+  typedef Announcer<16> Chunks;  // on the wire 23 bytes, so that 40 more fit into the send buffer of an AVR
+
   struct Handler {
     void (*call)(void (*handle)(), const uint8_t* data);
     void (*handle)();
@@ -123,6 +135,7 @@ class PacketLink : public PacketSender<StreamSink> {
   }
 
   void handle_heartbeat() {
+    if (heartbeat_age() > 100) announcer_.hurry();
     heartbeat_ms_ = millis();
     had_heartbeat_ = true;
 #if defined(__AVR__)
@@ -144,6 +157,7 @@ class PacketLink : public PacketSender<StreamSink> {
   }
 
   Stream& port_;
+  Chunks announcer_;
   PacketDecoder<kMaxPacket, kMaxHandlers> decoder_;
   Handler handlers_[kMaxHandlers];
   uint8_t handler_count_ = 0;

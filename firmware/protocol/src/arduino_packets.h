@@ -31,12 +31,14 @@ enum class MessageType : uint8_t {
   Voltage = 10,         // from the board: float32, V, averaged over 3 s
   Heartbeat = 11,       // to the board: no data
   ImuCalibration = 12,  // to the board: no data
+  Announcement = 255,   // from the board: a chunk of its rows' text
 };
 
 const uint8_t kMessageTypes = 13;  // the first type of custom messages
-const uint8_t kAnnouncement = 255;
 
-constexpr bool is_custom_type(uint8_t type) { return type >= kMessageTypes && type != kAnnouncement; }
+constexpr bool is_custom_type(uint8_t type) {
+  return type >= kMessageTypes && type != static_cast<uint8_t>(MessageType::Announcement);
+}
 
 const uint8_t kImuDataSize = 22;
 const uint8_t kLedTextMax = 30;

@@ -1,19 +1,20 @@
 """The model car's Arduino Nano: COBS packets, and a heartbeat that keeps the motor running."""
 from typing import Any, List, Mapping
 
+from ...framing import announcement
 from ...framing.custom_messages import FROM_BOARD, TO_BOARD, CustomMessage, read_messages
 from ...framing.stream import Decoder
 from ..description import CustomRows, Description, Heartbeat, Topic
 from . import wire
 
 
-def custom_messages(entries: Any) -> List[CustomMessage]:
-    """The custom messages in ``arduino/messages``.
+def custom_messages(entries: Any, key: str = 'arduino/messages') -> List[CustomMessage]:
+    """The custom messages in ``arduino/messages``, or in another parameter `key`.
 
     Raises:
         RowError: for the first mistake in them.
     """
-    return read_messages(entries, 'arduino/messages', range(13, 256), wire.MAX_PACKET - 1,
+    return read_messages(entries, key, range(13, announcement.TYPE), wire.MAX_PACKET - 1,
                          (FROM_BOARD, TO_BOARD))
 
 

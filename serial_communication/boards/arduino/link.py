@@ -8,6 +8,7 @@ import traceback
 from collections import deque
 from typing import Any, Callable, Deque, Iterable, List, NamedTuple, Optional, Tuple, Type
 
+from ...framing.announcement import Chunk
 from ...framing.layout import LayoutMessage
 from ...framing.stream import Frame
 from ...link.link import OK, WARN, Link, Refused, Report
@@ -43,7 +44,7 @@ class ArduinoLink(Link):
 
     Args:
         on_message: called in the link's thread with the (message, stamp) of each message except
-            log messages.
+            log messages and announcements.
         on_log: called in the link's thread with the (severity 0 … 3, text) of each log message; if
             the board sends too many, some are dropped.
         on_calibrating: called with True when a calibration begins, with False when it ends.
@@ -325,6 +326,9 @@ class ArduinoLink(Link):
         message = frame.message
         if isinstance(message, wire.Log):
             self._log_received(message, now)
+            return
+        if isinstance(message, Chunk):
+            self.take_chunk(message)
             return
         if isinstance(message, wire.Imu) and self._calibration:
             self._end_calibration(self._calibration.imu_data(clock()))

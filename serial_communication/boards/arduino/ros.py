@@ -13,10 +13,11 @@ from serial_communication.msg import (SpeedPWMCommand, SteeringFeedback, Steerin
 
 from ...link.link import Refused
 from ...link.outcome import NOT_SENT, Outcome
+from ...ros.announced import AnnouncedRows
 from ...ros.answers import service_error
 from ...ros.commands import CommandTopic
-from ...ros.custom_topics import (built_in_topic, custom_topics, message_rows, names_of,
-                                  take_commands)
+from ...ros.custom_topics import (add_announced, built_in_topic, custom_topics, message_rows,
+                                  names_of, resolve, take_commands)
 from ...ros.geometry import OrientationBroadcaster
 from ...ros.interface import LinkOptions, Interface
 from ...ros.parameter import BAUD, MOUNT, PORT, Parameter, frame_id, seconds
@@ -45,6 +46,7 @@ class ArduinoInterface(Interface):
         'calibration_timeout': seconds(_DEFAULTS.calibration_timeout, 1.0, 86400.0),
         'check_plausibility': Parameter(_DEFAULTS.check_plausibility),
         'messages': Parameter({}, parse=partial(message_rows, DESCRIPTION)),
+        'announcements': Parameter(True),
         'gyro_scale': Parameter(wire.GYRO_SCALE, -1.0, 1.0, unit='rad/s per LSB'),
         'linear_acceleration_stdev': Parameter(400e-6 * 9.807, 0.0, 1e3, unit='m/s^2'),
         'angular_velocity_stdev': Parameter(radians(0.05), 0.0, 1e3, unit='rad/s'),
@@ -87,6 +89,12 @@ class ArduinoInterface(Interface):
             messages=[kind for kind in self._topics if kind not in wire.FROM_BOARD],
             on_message=self._received, on_log=self._log,
             on_calibrating=lambda on: self._calibrating.publish(on), **link_options._asdict())
+        if p['announcements']:
+            self.announced = AnnouncedRows(
+                DESCRIPTION, self.link, [row.custom for row in self._custom_messages],
+                lambda custom: resolve(custom, '~'),
+                lambda row: add_announced(row, '~', p['frame_prefix'], self.link, self._topics,
+                                          self._command_age))
 
     @staticmethod
     def custom_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
@@ -118,7 +126,9 @@ class ArduinoInterface(Interface):
         if type(message) is wire.Imu:
             self._publish_imu(message, stamp)
             return
-        self._topics[type(message)].publish(message, stamp)
+        topic = self._topics.get(type(message))
+        if topic:       # None: an announced one that was just taken down
+            topic.publish(message, stamp)
 
     def _publish_imu(self, message: wire.Imu, stamp: rospy.Time) -> None:
         if wanted(self._imu):

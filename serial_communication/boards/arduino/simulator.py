@@ -58,6 +58,7 @@ class ModelCar(Board):
         seed: seed of the sensors' noise.
         custom: custom messages: those from the board are sent, those to it are shown.
         lose_stops: the line loses the first SPEED 0 of each stop, as noise may do.
+        announcement: the text to announce; None: nothing.
     """
 
     decoder: wire.BoardDecoder
@@ -82,13 +83,14 @@ class ModelCar(Board):
     @classmethod
     def from_options(cls, options: argparse.Namespace) -> 'ModelCar':
         return cls(options.calibration_time, options.seed, options.config,
-                   options.lose_stops)
+                   options.lose_stops, options.announcement)
 
     def __init__(self, calibration_time: float = 10.0, seed: int = 0,
-                 custom: Sequence[CustomMessage] = (), lose_stops: bool = False) -> None:
+                 custom: Sequence[CustomMessage] = (), lose_stops: bool = False,
+                 announcement: Optional[bytes] = None) -> None:
         super().__init__(wire.BoardDecoder(
             messages=[message.kind for message in custom if message.is_command]))
-        self._custom = CustomMessagePlayer(custom)
+        self._custom = CustomMessagePlayer(custom, announcement)
         self.motor_on = False
         self.command = 0           # the SPEED at which the motor runs; 0 if it is off
         self.velocity = 0.0        # m/s
@@ -158,6 +160,8 @@ class ModelCar(Board):
             return
         self.note('rx', type=frame.type, data=frame.data.hex())
         if isinstance(message, wire.Heartbeat):
+            if self._heartbeat is None or now >= self._heartbeat + HEARTBEAT_TIMEOUT:
+                self._custom.announce_often(now)
             self._heartbeat = now
         elif isinstance(message, wire.SpeedCommand):
             self._set_speed(message.value, now)

@@ -12,7 +12,7 @@ import struct
 from math import pi
 from typing import Any, Dict, Iterable, List, NamedTuple, Tuple, Type
 
-from ...framing import cobs
+from ...framing import announcement, cobs
 from ...framing.layout import Layout, LayoutMessage, Value, message_class, readable
 from ...framing.parts import Part, Parts
 from ...framing.stream import (FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN, Frame, frame_of,
@@ -272,6 +272,14 @@ class _Decoder:
         self._messages.update((message.TYPE, message) for message in messages)
         self.reset()
 
+    def add_message(self, kind: Type[LayoutMessage]) -> None:
+        """Decode custom messages of this class from now on; from any thread."""
+        self._messages = {**self._messages, kind.TYPE: kind}
+
+    def remove_message(self, kind: Type[LayoutMessage]) -> None:
+        """Decode them no longer; from any thread."""
+        self._messages = {type_: each for type_, each in self._messages.items() if each is not kind}
+
     @property
     def pending(self) -> bool:
         """Whether there is an incomplete packet."""
@@ -395,7 +403,7 @@ class _Decoder:
 class Decoder(_Decoder):
     """Decodes what the board sends."""
 
-    _messages = {**{message.TYPE: message for message in FROM_BOARD},
+    _messages = {**{message.TYPE: message for message in (*FROM_BOARD, announcement.Chunk)},
                  **dict.fromkeys(Log.TYPES, Log)}
 
 

@@ -4,11 +4,11 @@ from typing import Any, Mapping
 from ...framing.stream import Decoder
 from ..description import Command, CustomRows, Description, Topic
 from . import wire
-from .functions import read_functions
+from .functions import ANNOUNCEMENT, read_functions
 
 
 def _decoder(sent: bool, parameters: Mapping[str, Any]) -> Decoder:
-    functions = read_functions(parameters.get('functions') or {})
+    functions = [*read_functions(parameters.get('functions') or {}), ANNOUNCEMENT]
     return wire.RequestDecoder(functions=functions) if sent else wire.ReplyDecoder(
         bool(parameters.get('reply_has_cmd2')), functions=functions)
 

@@ -4,8 +4,9 @@ config/custom_messages.yaml shows their keys. The names of ROS types are plain t
 """
 from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
+from ...framing import announcement
 from ...framing.custom_messages import LAYOUT_KEYS, ROS_TYPE, Row, RowError, rows
-from ...framing.layout import Layout
+from ...framing.layout import Layout, Value
 from . import wire
 
 _BUILT_IN = (wire.LIFT, wire.GIMBAL, wire.ENVIRONMENT)
@@ -68,6 +69,14 @@ class CustomFunction(NamedTuple):
         return named
 
 
+# Asks for one chunk of the board's announcement.
+ANNOUNCEMENT = CustomFunction(
+    name='announcement', key='bus/announcements', cmd2=announcement.TYPE,
+    request=Layout('<B', [Value('index')]), reply=announcement.Chunk.LAYOUT, srv_type='',
+    ros_type='', period=0.0, frame_id='', constants={}, timeout=None, repeatable=True,
+    interrupts=False)
+
+
 def read_functions(entries: Any, key: str = 'bus/functions') -> List[CustomFunction]:
     """The custom functions in ``bus/functions``.
 
@@ -78,8 +87,8 @@ def read_functions(entries: Any, key: str = 'bus/functions') -> List[CustomFunct
     for name, row in rows(entries, key, _KEYS):
         if ('srv_type' in row.given) == ('ros_type' in row.given):
             raise RowError(row.key, None if row.given else {}, 'has either srv_type or ros_type')
-        cmd2 = row.number('cmd2', lambda n: n not in _BUILT_IN and 0 <= n <= 255,
-                          'a whole number from 0 to 255 but 32, 33 and 34', whole=True)
+        cmd2 = row.number('cmd2', lambda n: n not in _BUILT_IN and 0 <= n <= 254,
+                          'a whole number from 0 to 254 but 32, 33 and 34', whole=True)
         row.refuse_second('cmd2', cmd2, {other.cmd2: other.name for other in functions})
         polled = 'ros_type' in row.given
         if polled:

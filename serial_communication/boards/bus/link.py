@@ -11,6 +11,8 @@ from ...link.outcome import NOT_SENT, Outcome
 from ...transport.pace import Every
 from ...transport.port import Port, PortBusy, PortError
 from . import wire
+from .announcement import AnnouncementQuestion
+from .functions import ANNOUNCEMENT
 from .master import NOT_READY_WAIT, Call, Condition, Master
 
 _BLOCKED = 0.05     # s until the next try, after the port took no data
@@ -26,17 +28,22 @@ class BusSettings(NamedTuple):
     environment_period: float = 1.0    # 0: never
     environment_datelen: int = 2
     reply_has_cmd2: bool = False
+    announcements: bool = False        # ask the board for its announcement after each connect
 
 
-class _Poller:
+class Poller:
     """Submits one request every `period` s, unless the one before has no outcome yet.
 
     Args:
         period: s.
         submit: submits the request; returns its call.
+        announced: whether the board announces it; then it waits after each connect until the board
+            has announced it again.
     """
 
-    def __init__(self, period: float, submit: Callable[[], Call]) -> None:
+    def __init__(self, period: float, submit: Callable[[], Call],
+                 announced: bool = False) -> None:
+        self.announced = announced
         self.pace = Every(period, 0.0)
         self._period = period
         self._submit = submit
@@ -70,7 +77,9 @@ class BusLink(Link):
         self.settings = settings
         self.master = Master(settings.reply_timeout, settings.motion_timeout, self.log)
         self._on_environment = on_environment
-        self._pollers: List[_Poller] = []
+        self._pollers: List[Poller] = []
+        self._question = AnnouncementQuestion(self._ask, self.announcement, self.log) \
+            if settings.announcements else None
         self._blocked_until = 0.0
         self._due = 0.0         # when `tick` has to run next, at the latest
         if settings.environment_period:
@@ -137,17 +146,31 @@ class BusLink(Link):
                          + call.tries * (call.timeout + NOT_READY_WAIT))
 
     def poll(self, period: float, request: wire.Request, reply_layout: Optional[Layout],
-             on_success: Callable[[Outcome], None], timeout: Optional[float] = None) -> None:
-        """Send this repeatable request every `period` s; has to be called before `start`.
+             on_success: Callable[[Outcome], None], timeout: Optional[float] = None,
+             announced: bool = False) -> Poller:
+        """Send this repeatable request every `period` s, until `end_poll`.
 
-        The other arguments are those of `request`.
+        The other arguments are those of `request` and `Poller`.
         """
         def submit() -> Call:
             call = self._call(request, True, timeout, reply_layout, on_success, poll=True)
             self.master.submit(call)
             return call
 
-        self._pollers.append(_Poller(period, submit))
+        poller = Poller(period, submit, announced)
+        self._pollers = [*self._pollers, poller]     # the link's thread may be reading the old list
+        return poller
+
+    def end_poll(self, poller: Poller) -> None:
+        """Submit no further requests; `on_success` may be called once more."""
+        self._pollers = [each for each in self._pollers if each is not poller]
+
+    def _ask(self, index: int) -> Call:
+        """Submit the request for one chunk of the board's announcement."""
+        call = self._call(ANNOUNCEMENT.make_request((index,)), True, None, ANNOUNCEMENT.reply,
+                          None, poll=True)
+        self.master.submit(call)
+        return call
 
     def _move(self, build: Callable[[int, int], wire.Request], direction: int,
               amount: int) -> Outcome:
@@ -176,6 +199,8 @@ class BusLink(Link):
     def opened(self, now: float) -> None:
         for poller in self._pollers:
             poller.start(now)
+        if self._question:
+            self._question.restart()
         self.master.connected(now)
         self._due = now
 
@@ -209,8 +234,12 @@ class BusLink(Link):
         times = [now + LONGEST_SLEEP]
         if self.master.synchronised:
             for poller in self._pollers:
-                poller.tick(now)
-                times.append(poller.pace.due)
+                if not poller.announced or self.still_announces:
+                    poller.tick(now)
+                    times.append(poller.pace.due)
+            text = self._question.step() if self._question else None
+            if text is not None and self.on_announcement:
+                self.on_announcement(text)
         # A request is sent only after everything received before it has been decoded.
         may_send = (self.drained and not self.decoder.begun and not self.is_dropping
                     and now >= self._blocked_until)

@@ -10,7 +10,9 @@ from serial_communication.srv import (BusRequest, BusRequestResponse, GetEnviron
                                       GetEnvironmentResponse, Gimbal, GimbalResponse, Lift,
                                       LiftResponse)
 
+from ...link.link import Refused
 from ...link.outcome import NOT_SENT, Outcome
+from ...ros.announced import AnnouncedRows
 from ...ros.answers import fill_response
 from ...ros.custom_topics import ValuePublisher, check_frame_id, names_of, refuse_taken
 from ...ros.fields import RosFields, find_type
@@ -20,7 +22,7 @@ from ...ros.publishing import publisher, wanted
 from ...transport.port import Port
 from . import DESCRIPTION, wire
 from .functions import CustomFunction, read_functions
-from .link import BusLink, BusSettings
+from .link import BusLink, BusSettings, Poller
 
 _DEFAULTS = BusSettings()
 
@@ -39,6 +41,7 @@ class BusInterface(Interface):
         'environment_datelen': Parameter(_DEFAULTS.environment_datelen, choices=(0, 2)),
         'reply_has_cmd2': Parameter(_DEFAULTS.reply_has_cmd2),
         'functions': Parameter({}, parse=lambda given: _ros_functions(given)),
+        'announcements': Parameter(_DEFAULTS.announcements),
     }
     link: BusLink
 
@@ -50,6 +53,10 @@ class BusInterface(Interface):
             on_environment=self._publish_environment, **link_options._asdict())
         self._functions = p['functions']
         _poll_functions(self._functions, self.link, p['frame_prefix'])
+        if p['announcements']:
+            self.announced = AnnouncedRows(
+                DESCRIPTION, self.link, [row.custom for row in self._functions], _ros_function,
+                lambda row: _add_announced(row, self.link, p['frame_prefix']))
         self._environment = publisher('~environment', Environment)
         self._temperature = publisher('~environment/temperature', Temperature)
         self._humidity = publisher('~environment/humidity', RelativeHumidity)
@@ -154,13 +161,19 @@ def _ros_function(function: CustomFunction) -> RosFunction:
 
 def _poll_functions(functions: List[RosFunction], link: BusLink, frame_prefix: str) -> None:
     """Poll the functions with a period and publish their replies; before the link starts."""
-    for function, ros_class, _, reply in functions:
-        if function.period:
-            topic = ValuePublisher('~' + function.name, ros_class, reply,
-                                   function.frame_id and frame_prefix + function.frame_id)
-            zeros = (0,) * len(function.request.values)
-            link.poll(function.period, function.make_request(zeros), function.reply,
-                      _publish_reply(function, topic), function.timeout)
+    for each in functions:
+        if each.custom.period:
+            _poll(each, link, frame_prefix)
+
+
+def _poll(row: RosFunction, link: BusLink, frame_prefix: str,
+          announced: bool = False) -> Tuple[Poller, ValuePublisher]:
+    function = row.custom
+    topic = ValuePublisher('~' + function.name, row.ros_class, row.reply,
+                           function.frame_id and frame_prefix + function.frame_id)
+    zeros = (0,) * len(function.request.values)
+    return link.poll(function.period, function.make_request(zeros), function.reply,
+                     _publish_reply(function, topic), function.timeout, announced), topic
 
 
 def _publish_reply(function: CustomFunction, topic: ValuePublisher) -> Callable[[Outcome], None]:
@@ -179,12 +192,29 @@ def _advertise_functions(functions: List[RosFunction], link: BusLink) -> None:
                           _service(each.custom, each.request, each.reply, link))
 
 
+def _add_announced(row: RosFunction, link: BusLink, frame_prefix: str) -> Callable[[], None]:
+    """Make the service or the poll of an announced function; return what takes it down."""
+    if row.request:
+        service = rospy.Service('~' + row.custom.name, row.ros_class,
+                                _service(row.custom, row.request, row.reply, link, announced=True))
+        return lambda: service.shutdown('the board announces it no longer')
+    poller, topic = _poll(row, link, frame_prefix, announced=True)
+
+    def take_down() -> None:
+        link.end_poll(poller)
+        topic.close()
+
+    return take_down
+
+
 def _service(function: CustomFunction, request_fields: RosFields, reply_fields: RosFields,
-             link: BusLink) -> Callable[[Any], Any]:
+             link: BusLink, announced: bool = False) -> Callable[[Any], Any]:
     def handle(ros_request: Any) -> Any:
         try:
+            if announced:
+                link.refuse_unless_announced(function.name)
             request = function.make_request(request_fields.read(ros_request))
-        except ValueError as error:
+        except (ValueError, Refused) as error:
             outcome = Outcome(NOT_SENT, f'{error}; nothing was sent')
         else:
             outcome = link.request(request, function.repeatable, function.timeout, function.reply,

@@ -26,11 +26,12 @@ from collections import deque
 from random import Random
 from typing import Any, Deque, Iterable, NamedTuple, Optional, Tuple
 
+from ...framing.announcement import chunks_of
 from ...framing.stream import CHECKSUM, Frame
 from ...simulation.board import FRAME_TIMEOUT, Board, positive
-from ...simulation.custom_messages import simulated_values
+from ...simulation.custom_messages import CHUNK, simulated_values
 from . import DESCRIPTION, wire
-from .functions import CustomFunction
+from .functions import ANNOUNCEMENT, CustomFunction
 
 MEMORY = 0xF0            # CMD2 of the function that no bridge knows
 LIFT_RANGE = (0, 1000)   # mm
@@ -95,6 +96,7 @@ class ControlBoard(Board):
         ok_data: DATE of its OK to a move.
         seed: seed of the environment's noise.
         custom: custom functions; the values of their replies vary with time.
+        announcement: the text to announce; None: nothing.
     """
 
     decoder: wire.RequestDecoder
@@ -123,14 +125,16 @@ class ControlBoard(Board):
     def from_options(cls, options: argparse.Namespace) -> 'ControlBoard':
         return cls(options.lift_speed, options.gimbal_speed, options.max_length,
                    options.reply_has_cmd2, options.seed, not options.no_echo, options.ok_data,
-                   options.config)
+                   options.config, options.announcement)
 
     def __init__(self, lift_speed: float = LIFT_SPEED, gimbal_speed: float = GIMBAL_SPEED,
                  max_length: int = wire.MAX_LENGTH, reply_has_cmd2: bool = False,
                  seed: int = 0, echoes: bool = True, ok_data: bytes = b'',
-                 custom: Iterable[CustomFunction] = ()) -> None:
+                 custom: Iterable[CustomFunction] = (),
+                 announcement: Optional[bytes] = None) -> None:
         super().__init__(wire.RequestDecoder(max(wire.MAX_LENGTH, max_length)))
         self._custom = {function.cmd2: function for function in custom}
+        self._chunks = [] if announcement is None else chunks_of(announcement, CHUNK)
         self.lift = Axis(LIFT_START, LIFT_RANGE, lift_speed)
         self.pan = Axis(0, PAN_RANGE, gimbal_speed)
         self.tilt = Axis(0, TILT_RANGE, gimbal_speed)
@@ -266,6 +270,10 @@ class ControlBoard(Board):
             return wire.Reply(wire.OK, self.environment(now).pack())
         if request.cmd2 in self._custom:
             return self._custom_function(self._custom[request.cmd2], request, now)
+        if request.cmd2 == ANNOUNCEMENT.cmd2 and self._chunks:
+            if len(request.data) != 1 or request.data[0] >= len(self._chunks):
+                return _error(wire.MALFORMED)
+            return wire.Reply(wire.OK, self._chunks[request.data[0]].pack())
         if request.cmd2 == MEMORY:
             self.memory = request.data
             return wire.Reply(wire.OK, request.data)

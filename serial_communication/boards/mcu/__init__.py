@@ -1,6 +1,7 @@
 """The ESP32 with two range sensors and an IMU, or with ADC channels."""
 from typing import Any, List, Mapping
 
+from ...framing import announcement
 from ...framing.custom_messages import CustomMessage, read_messages
 from ...framing.stream import Decoder
 from ..description import Command, CustomRows, Description, Topic
@@ -9,14 +10,14 @@ from . import wire
 _STATUS = 1.0     # s; the longest period: the status of a silent board is published once a second
 
 
-def custom_messages(entries: Any) -> List[CustomMessage]:
-    """The custom messages in ``mcu/messages``.
+def custom_messages(entries: Any, key: str = 'mcu/messages') -> List[CustomMessage]:
+    """The custom messages in ``mcu/messages``, or in another parameter `key`.
 
     Raises:
         RowError: for the first mistake in them.
     """
-    types = [type_ for type_ in range(256) if type_ not in wire.MESSAGES]
-    return read_messages(entries, 'mcu/messages', types, wire.MAX_PAYLOAD)
+    types = [type_ for type_ in range(announcement.TYPE) if type_ not in wire.MESSAGES]
+    return read_messages(entries, key, types, wire.MAX_PAYLOAD)
 
 
 def _decoder(_sent: bool, parameters: Mapping[str, Any]) -> Decoder:

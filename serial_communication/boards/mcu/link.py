@@ -2,6 +2,7 @@
 import time
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tuple, Type
 
+from ...framing.announcement import Chunk
 from ...framing.layout import LayoutMessage
 from ...framing.stream import CHECKSUM, Frame
 from ...link.link import OK, WARN, Link
@@ -13,8 +14,9 @@ _DOUBLED = 0.01        # s; the same bytes again within this are one frame, doub
 
 
 class _Latest(NamedTuple):
-    """The latest message of one class."""
+    """The latest message of one TYPE."""
 
+    kind: Optional[Type[LayoutMessage]]
     seq: int
     received_at: float
     silent_at: float     # when its absence is reported next
@@ -36,7 +38,8 @@ class McuLink(Link):
 
     def __init__(self, port: Port, timeout: float = 1.0,
                  on_status: Optional[Callable[[Any, int, Any], None]] = None,
-                 on_silence: Optional[Callable[[Optional[type], int, float], None]] = None,
+                 on_silence: Optional[
+                     Callable[[Optional[Type[LayoutMessage]], int, float], None]] = None,
                  network_silence: float = 5.0, messages: Iterable[Type[LayoutMessage]] = (),
                  **link_arguments: Any) -> None:
         super().__init__('mcu', port, wire.Decoder(messages), **link_arguments)
@@ -52,7 +55,8 @@ class McuLink(Link):
         self._last: Optional[Frame] = None      # since the port opened
         self._last_at = 0.0                     # when it was received
         now = time.monotonic()
-        self._latest: Dict[Optional[type], _Latest] = {None: _Latest(0, now, now + timeout)}
+        # By TYPE; by None until the board has sent a message.
+        self._latest: Dict[Optional[int], _Latest] = {None: _Latest(None, 0, now, now + timeout)}
 
     def opened(self, now: float) -> None:
         self._last = None
@@ -69,10 +73,14 @@ class McuLink(Link):
         self._last_at = now
         if frame.message is None:     # a valid frame of an unknown type
             return
+        if isinstance(frame.message, Chunk):
+            self.take_chunk(frame.message)
+            return
         if self.silent:
             self.silent = False
             self._latest.pop(None, None)
-        self._latest[type(frame.message)] = _Latest(frame.command, now, now + self._timeout)
+        self._latest[frame.type] = _Latest(type(frame.message), frame.command, now,
+                                           now + self._timeout)
         if self._on_status:
             self._on_status(frame.message, frame.command, frame.stamp)
 
@@ -85,10 +93,10 @@ class McuLink(Link):
         return due if next_check is None else min(due, next_check)
 
     def idle(self, now: float) -> float:
-        for kind, (seq, received_at, silent_at) in self._latest.items():
+        for type_, (kind, seq, received_at, silent_at) in self._latest.items():
             if now >= silent_at:
-                self._latest[kind] = _Latest(seq, received_at,
-                                             max(silent_at + _STATUS_PERIOD, now))
+                self._latest[type_] = _Latest(kind, seq, received_at,
+                                              max(silent_at + _STATUS_PERIOD, now))
                 self._update_silent(now)
                 if self._on_silence:
                     self._on_silence(kind, seq, now - received_at)

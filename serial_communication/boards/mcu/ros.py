@@ -2,14 +2,16 @@
 import time
 from functools import partial
 from math import inf, nan, pi, radians
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Any, Dict, List, Optional, Tuple, Type
 
 import rospy
 from sensor_msgs.msg import Imu, Range
 
 from serial_communication.msg import McuStatus, McuStatus2
 
-from ...ros.custom_topics import custom_topics, message_rows, names_of
+from ...framing.layout import LayoutMessage
+from ...ros.announced import AnnouncedRows
+from ...ros.custom_topics import add_announced, custom_topics, message_rows, names_of, resolve
 from ...ros.geometry import OrientationBroadcaster, quaternion
 from ...ros.interface import LinkOptions, Interface
 from ...ros.parameter import BAUD, MOUNT, PORT, Parameter, frame_id, seconds
@@ -32,6 +34,7 @@ class McuInterface(Interface):
         'network_silence': seconds(5.0, 0.0, 3600.0),
         'yaw_clockwise': Parameter(True),
         'messages': Parameter({}, parse=partial(message_rows, DESCRIPTION)),
+        'announcements': Parameter(True),
         'roll_pitch_stdev': Parameter(radians(1.0), 0.0, pi, unit='rad'),
         'yaw_stdev': Parameter(radians(5.0), 0.0, pi, unit='rad'),
         'min_range': Parameter(0.03, 0.0, 65.0, unit='m'),
@@ -67,6 +70,12 @@ class McuInterface(Interface):
                             network_silence=p['network_silence'],
                             messages=list(self._custom_topics),
                             **link_options._asdict())
+        if p['announcements']:
+            self.announced = AnnouncedRows(
+                DESCRIPTION, self.link, [row.custom for row in p['messages']],
+                lambda custom: resolve(custom, 'mcu/'),
+                lambda row: add_announced(row, 'mcu/', p['frame_prefix'], self.link,
+                                          self._custom_topics, 0.0))
 
     @staticmethod
     def problem(parameters: Dict[str, Any]) -> str:
@@ -79,9 +88,10 @@ class McuInterface(Interface):
         return names_of(parameters['messages'], 'mcu/')
 
     def _received(self, message: Any, seq: int, stamp: rospy.Time) -> None:
-        custom_topic = self._custom_topics.get(type(message))
-        if custom_topic:
-            custom_topic.publish(message, stamp)
+        if message.TYPE not in wire.MESSAGES:
+            custom_topic = self._custom_topics.get(type(message))
+            if custom_topic:        # None: an announced one that was just taken down
+                custom_topic.publish(message, stamp)
             return
         now = time.monotonic()
         age = now - (self.link.last_frame_at or now)
@@ -108,8 +118,8 @@ class McuInterface(Interface):
             if self._orientation:
                 self._orientation.send(turned, stamp)
 
-    def _silent(self, kind: Optional[type], seq: int, age: float) -> None:
-        if kind in self._custom_topics:
+    def _silent(self, kind: Optional[Type[LayoutMessage]], seq: int, age: float) -> None:
+        if kind and kind.TYPE not in wire.MESSAGES:
             return      # custom messages have no status: their topics are silent, too
         head = (rospy.Time.now(), seq, False, False, self.link.checksum_errors, age)
         if kind is wire.AdcStatus:

@@ -35,6 +35,7 @@ class SensorBoard(Board):
         imu: whether there is an IMU; without one the angles are unknown.
         seed: seed of the noise and the timeouts.
         custom: custom messages, sent in addition.
+        announcement: the text to announce; None: nothing.
     """
 
     NAME = DESCRIPTION.name
@@ -58,10 +59,11 @@ class SensorBoard(Board):
     @classmethod
     def from_options(cls, options: argparse.Namespace) -> 'SensorBoard':
         return cls(options.rate, options.adc, options.seed, options.config,
-                   not options.no_imu)
+                   not options.no_imu, options.announcement)
 
     def __init__(self, rate: float = RATE, adc: bool = False, seed: int = 0,
-                 custom: Iterable[CustomMessage] = (), imu: bool = True) -> None:
+                 custom: Iterable[CustomMessage] = (), imu: bool = True,
+                 announcement: Optional[bytes] = None) -> None:
         super().__init__()
         self.seq = 0        # of the next frame
         self._adc = adc
@@ -70,7 +72,7 @@ class SensorBoard(Board):
         self._random = Random(f'{seed} sensors')
         self._pace = Every(self._period, 0.0)
         self._on_since = 0.0
-        self._custom = CustomMessagePlayer(custom)
+        self._custom = CustomMessagePlayer(custom, announcement)
 
     # -- hooks ----------------------------------------------------------------------------
 

@@ -10,8 +10,9 @@ a frame, modulo 256. Little-endian. Only the board sends.
 """
 import struct
 from math import isnan, nan
-from typing import Iterable, List, NamedTuple, Type, Union
+from typing import Dict, Iterable, List, NamedTuple, Type, Union
 
+from ...framing.announcement import Chunk
 from ...framing.layout import Layout, LayoutMessage, Value, message_class
 from ...framing.parts import Part, Parts
 from ...framing.stream import (CHECKSUM, IMPLAUSIBLE, LENGTH, NO_FRAME, UNKNOWN, Bad, Good, Need,
@@ -127,8 +128,16 @@ class Decoder(StreamDecoder):
     def __init__(self, messages: Iterable[Type[LayoutMessage]] = ()) -> None:
         super().__init__()
         self.errors.update({UNKNOWN: 0, LENGTH: 0, IMPLAUSIBLE: 0})
-        self._messages = dict(MESSAGES)
+        self._messages: Dict[int, Type[LayoutMessage]] = {**MESSAGES, Chunk.TYPE: Chunk}
         self._messages.update((message.TYPE, message) for message in messages)
+
+    def add_message(self, kind: Type[LayoutMessage]) -> None:
+        """Decode custom messages of this class from now on; from any thread."""
+        self._messages = {**self._messages, kind.TYPE: kind}
+
+    def remove_message(self, kind: Type[LayoutMessage]) -> None:
+        """Decode them no longer; from any thread."""
+        self._messages = {type_: each for type_, each in self._messages.items() if each is not kind}
 
     def explain(self, frame: bytes) -> List[Part]:
         """The named parts of one frame, valid or not, incomplete, or of noise."""

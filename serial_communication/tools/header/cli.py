@@ -6,7 +6,6 @@ board announces its rows. It needs no ROS master, and the same file makes the sa
 """
 import argparse
 import os
-import re
 import signal
 import sys
 from typing import Any, Dict, List, Optional, Tuple
@@ -16,8 +15,6 @@ from ...boards.config_file import board_parameters, read_parameters
 from ...boards.description import CustomRows, Description
 from ...output import prepare_output
 from .cpp import header
-
-_LONGEST_NAME = 80     # characters; the bridge cuts a longer one
 
 _EXAMPLES = """\
 example:
@@ -43,7 +40,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
     signal.signal(signal.SIGPIPE, signal.SIG_DFL)
     options = _arguments(arguments)
     try:
-        print(_header(options.file, options.link, options.firmware), end='')
+        print(_header(options.file, options.link), end='')
     except _Mistake as error:
         print(f'header: {options.file}: {error}', file=sys.stderr)
         return error.status
@@ -58,19 +55,10 @@ def _arguments(arguments: Optional[List[str]]) -> argparse.Namespace:
     parser.add_argument('link', metavar='LINK', nargs='?', default='',
                         help='the board: ' + ', '.join(BOARDS) + ', or one of another package; '
                              'not needed if only one has rows')
-    parser.add_argument('--firmware', type=_firmware, default='', metavar='NAME_VERSION',
-                        help='its name and version, as "my_robot 1.0"; the board announces them')
     return parser.parse_args(arguments)
 
 
-def _firmware(text: str) -> str:
-    if not re.fullmatch(rf'[ -z|~]{{0,{_LONGEST_NAME}}}', text):
-        raise argparse.ArgumentTypeError(
-            f'{text!r} may be up to {_LONGEST_NAME} characters of ASCII, without braces')
-    return text.strip()
-
-
-def _header(path: str, link: str, firmware: str) -> str:
+def _header(path: str, link: str) -> str:
     try:
         parameters = read_parameters(path)
         board, custom = _board(parameters, link)
@@ -80,7 +68,7 @@ def _header(path: str, link: str, firmware: str) -> str:
         raise _Mistake(error.strerror) from None
     except (BoardError, ValueError) as error:
         raise _Mistake(error) from None
-    return header(os.path.basename(path), board.name, read, rows, firmware)
+    return header(os.path.basename(path), board.name, read, rows)
 
 
 def _board(parameters: Dict[str, Any], link: str) -> Tuple[Description, CustomRows]:

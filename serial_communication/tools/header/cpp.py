@@ -3,11 +3,11 @@
 The header is for any compiler with GCC's attributes, on a little-endian processor. It includes
 nothing but <stdint.h> and <string.h>, so it also works without the library of this package.
 """
-import binascii
 import math
 import re
 from typing import Any, Dict, Iterable, List, Set, Tuple
 
+from ...framing.announced_text import announcement_text
 from ...framing.layout import Layout, Value
 
 _TYPES = {'b': 'int8_t', 'B': 'uint8_t', 'h': 'int16_t', 'H': 'uint16_t', 'i': 'int32_t',
@@ -26,7 +26,6 @@ _KEYWORDS = set('''
 _ARDUINO = {'String', 'Serial', 'Print', 'Stream', 'Printable', 'Server', 'Client', 'BigEndian'}
 _WORDS = {'e': 'the bits of a float of 16 bits', '?': '0: false, 1: true'}
 _LARGEST_FLOAT = 3.4e38
-_MOST_TEXT, _MOST_ROWS = 2048, 16     # of an announcement
 
 _TOP = """\
 // Custom messages of the board "{link}", made by `header` from {file}.
@@ -73,8 +72,7 @@ struct __attribute__((packed)) BigEndian {
 """
 
 
-def header(file: str, link: str, read: Iterable[Any], rows: Dict[str, Any],
-           firmware: str = '') -> str:
+def header(file: str, link: str, read: Iterable[Any], rows: Dict[str, Any]) -> str:
     """The text of the header.
 
     Args:
@@ -82,13 +80,12 @@ def header(file: str, link: str, read: Iterable[Any], rows: Dict[str, Any],
         link: the name of the board's link.
         read: the rows, as the board's description reads them.
         rows: the same rows, as the file has them.
-        firmware: its name and version, for the announcement; '': not announced.
     """
     names = _Names(_ARDUINO)
     parts = [part for row in read for part in _row(row, names)]
     big_endian = any('BigEndian<' in part for part in parts)
     return '\n'.join([_TOP.format(file=_one_line(file), link=link) + _BIG_ENDIAN * big_endian,
-                      *parts, _announcement(rows, firmware)])
+                      *parts, _announcement(rows)])
 
 
 class _Names:
@@ -202,16 +199,16 @@ def _constants(value: Value, name: str) -> List[str]:
             if value.name and number != default and abs(number) < _LARGEST_FLOAT]
 
 
-def _announcement(rows: Dict[str, Any], firmware: str) -> str:
-    """The text with which the board announces these rows, one a line."""
-    lines = [f'firmware: {firmware}\n'] * bool(firmware) + _row_lines(rows)
-    text = ''.join(lines).encode()
-    if len(text) > _MOST_TEXT or len(rows) > _MOST_ROWS:
-        return (f'// No announcement: these are {len(rows)} rows and {len(text)} bytes, the most '
-                f'are {_MOST_ROWS} and {_MOST_TEXT}.\n')
-    quoted = '\n'.join(f'    "{_escaped(line)}"' for line in lines)
+def _announcement(rows: Dict[str, Any]) -> str:
+    """The text with which the board announces these rows."""
+    try:
+        text = announcement_text(rows)
+    except ValueError as error:
+        return f'// No announcement: {error}\n'
+    quoted = '\n'.join(f'    "{_escaped(line)}"' for line in text.splitlines(keepends=True))
     return f"""\
-// These rows, as the board announces them to the bridge.
+// These rows, for `announce(kAnnouncement)` of a link. If FIRMWARE_NAME and FIRMWARE_VERSION, two
+// texts, are defined before this file is included, the board announces them, too.
 #ifdef __AVR__
 #include <avr/pgmspace.h>
 #define SERIAL_COMMUNICATION_FLASH PROGMEM
@@ -219,31 +216,17 @@ def _announcement(rows: Dict[str, Any], firmware: str) -> str:
 #define SERIAL_COMMUNICATION_FLASH
 #endif
 const char kAnnouncement[] SERIAL_COMMUNICATION_FLASH =
+#ifdef FIRMWARE_NAME
+    "firmware: " FIRMWARE_NAME " " FIRMWARE_VERSION "\\n"
+#endif
 {quoted};
-const uint16_t kAnnouncementSize = {len(text)};
-const uint16_t kAnnouncementCrc = 0x{binascii.crc_hqx(text, 0xFFFF):04x};
 """
 
 
-def _row_lines(rows: Dict[str, Any]) -> List[str]:
-    """The rows in YAML's flow form."""
-    import yaml     # it has read the file
-
-    class Dumper(yaml.SafeDumper):
-        """Writes what two keys share twice, since an announcement has no references."""
-
-        def ignore_aliases(self, data: Any) -> bool:
-            return True
-
-    return [yaml.dump({name: rows[name]}, Dumper=Dumper, default_flow_style=True, width=10 ** 6,
-                      sort_keys=False, allow_unicode=True).strip()[1:-1] + '\n'
-            for name in sorted(rows)]
-
-
-def _escaped(line: str) -> str:
+def _escaped(line: bytes) -> str:
     """A line as the contents of a C string, in UTF-8."""
     return ''.join(chr(byte) if 32 <= byte < 127 and byte not in b'"\\?' else f'\\{byte:03o}'
-                   for byte in line.encode()).replace('\\012', '\\n')
+                   for byte in line).replace('\\012', '\\n')
 
 
 def _one_line(text: str) -> str:

@@ -3,6 +3,8 @@ import time
 from typing import Any, Callable, Dict, Iterable, List, Mapping, NamedTuple, Optional
 
 from ...boards.description import Description
+from ...framing.announced_text import read_announcement
+from ...framing.announcement import Assembly, Chunk
 from ...framing.recognition import Recognition
 from ...framing.stream import Decoder
 from ...transport.port import Port, PortBusy, PortError
@@ -10,6 +12,8 @@ from ...transport.port import Port, PortBusy, PortError
 USUAL = (9600, 57600, 38400, 19200, 230400, 460800, 921600, 500000, 250000, 1000000)    # baud
 _STARTUP = 2.0    # s more for a silent port: opening it may have reset its board
 _OTHER = 0.7      # s that is enough to recognise a board at another rate, at most
+_CHUNK = 1.2      # s more for a board that was recognised: it may announce its firmware …
+_CHUNKS = 4.0     # … which then takes so long, at most
 _ANSWER = 0.3     # s for an answer
 _QUESTIONS = 3    # times that a question is asked
 _SAMPLE = 24      # bytes
@@ -34,6 +38,7 @@ class Heard(NamedTuple):
     size: int = 0                  # bytes received at the first rate
     sample: bytes = b''            # the first of them
     trouble: str = ''              # why the port cannot be listened to
+    firmware: str = ''             # its name and version, if the board announces them in time
 
     @property
     def kind(self) -> str:
@@ -82,12 +87,11 @@ class Listener:
             wait: listen longer if nothing is received.
         """
         recognition = Recognition({each.board.name: each.decoder for each in self._candidates})
-        size, sample = 0, b''
+        heard, firmware = b'', ''
 
         def received(data: bytes) -> bool:
-            nonlocal size, sample
-            size += len(data)
-            sample = (sample + data)[:_SAMPLE]
+            nonlocal heard
+            heard += data
             recognition.feed(data)
             return bool(recognition.name)
 
@@ -95,13 +99,37 @@ class Listener:
         try:
             port.open()
             _read(port, seconds, received)
-            if wait and not size:
+            if wait and not heard:
                 _read(port, _STARTUP, received)
+            size = len(heard)
+            if recognition.name:
+                firmware = self._firmware(port, recognition.name, heard)
         finally:
             port.close()
         recognition.finish()
         found = recognition.name
-        return Heard(found, baud if found else None, size, sample)
+        return Heard(found, baud if found else None, size, heard[:_SAMPLE], firmware=firmware)
+
+    def _firmware(self, port: Port, name: str, heard: bytes) -> str:
+        """The name and version of the firmware, if the board announces them soon enough."""
+        decoder, = [each.decoder() for each in self._candidates if each.board.name == name]
+        assembly = Assembly()
+        chunks = 0
+
+        def received(data: bytes) -> bool:
+            nonlocal chunks
+            for frame in decoder.feed(data):
+                if isinstance(frame.message, Chunk):
+                    chunks += 1
+                    try:
+                        assembly.take(frame.message)
+                    except ValueError:
+                        pass     # the text is too long
+            return bool(chunks)
+
+        if received(heard) or _read(port, _CHUNK, received):
+            _read(port, _CHUNKS, lambda data: received(data) and assembly.complete)
+        return read_announcement(assembly.text or b'').firmware
 
     def _asked(self, url: str) -> Optional[Heard]:
         """The board that answers its question; None: no board does."""

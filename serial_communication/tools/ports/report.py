@@ -37,6 +37,7 @@ def as_json(ports: Iterable[Found]) -> str:
         'board': port.heard.board or None,
         'heard': port.heard.kind,
         'baud': port.heard.baud,
+        'firmware': port.heard.firmware or None,
         'held_by': ', '.join(map(str, port.holders)) or None,
         'name': port.device.name,
         'by_id': port.device.by_id or None,
@@ -76,7 +77,9 @@ def _meaning(heard: Heard, boards: Mapping[str, Description]) -> str:
     if heard.board:
         board = boards[heard.board]
         other = f', at {heard.baud} baud' if heard.baud != board.baud else ''
-        return f'{board.name} ({board.title}){other}' if board.title else board.name + other
+        title = f' ({board.title})' if board.title else ''
+        firmware = f', firmware {heard.firmware}' if heard.firmware else ''
+        return board.name + title + firmware + other
     if heard.trouble:
         return f'not listened to: {heard.trouble}'
     return 'bytes of no known board, at no usual baud rate' if heard.size else 'silent'

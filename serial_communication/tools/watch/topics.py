@@ -10,7 +10,7 @@ from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Tuple, Union
 
 from ...boards import BOARDS, BoardError, description
 from ...boards.config_file import board_parameters
-from ...boards.description import Description
+from ...boards.description import ANNOUNCED, Description
 
 NODE = '/serial_communication'           # the bridge's default name
 LINKS = BOARDS                           # in this order, before links of other packages
@@ -173,12 +173,12 @@ def expected_links(parameters: Dict[str, Any]) -> List[str]:
 
 
 def custom_rows(board: Description, parameters: Any) -> Dict[str, Dict[str, Any]]:
-    """Return the rows of a board's parameters, by name: custom messages or functions."""
-    rows = None
-    if board.custom:
-        rows = board_parameters(parameters, board.name).get(board.custom.parameter)
-    return {name: row for name, row in (rows.items() if isinstance(rows, dict) else ())
-            if isinstance(row, dict)}
+    """Return the custom messages or functions of a board, by name: the rows of its parameters, and
+    those that it announces."""
+    names = (ANNOUNCED, board.custom.parameter) if board.custom else ()
+    given = board_parameters(parameters, board.name)
+    return {name: row for rows in map(given.get, names) if isinstance(rows, dict)
+            for name, row in rows.items() if isinstance(row, dict)}
 
 
 def custom_topics(board: Description, parameters: Any) -> List[BridgeTopic]:

@@ -23,6 +23,7 @@ from ...boards.description import Command
 from ...framing.parts import Part
 from ...framing.stream import FRAMING, Frame
 from . import lines
+from .announced import with_announced
 from .lines import Settings
 from .show import Paint, hexed
 
@@ -128,8 +129,15 @@ def explain(data: bytes, line: Settings, sent: Optional[bool] = None) -> List[Ex
         sent: whether `data` was sent to the board; None: decided for each frame.
 
     Valid frames of either end are found first, since `data` may hold both directions. The bytes
-    between them are explained as whichever direction is more plausible.
+    between them are explained as whichever direction is more plausible. What the board announces in
+    `data` is known everywhere in it.
     """
+    found = _explain(data, line, sent)
+    learned = with_announced(line, [(each.sent, each.frame) for each in found])
+    return found if learned is line else _explain(data, learned, sent)
+
+
+def _explain(data: bytes, line: Settings, sent: Optional[bool]) -> List[Explained]:
     senders = (False, True) if sent is None else (sent,)
     found: List[Explained] = []
     end = 0

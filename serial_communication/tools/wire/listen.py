@@ -18,7 +18,7 @@ import argparse
 import os
 
 from . import display, lines
-from .recording import frames_of, load
+from .recording import frames_of, learned_from, load
 
 SUMMARY = 'show every frame that a board sends; writes nothing to the port'
 
@@ -37,5 +37,6 @@ def run(options: argparse.Namespace) -> int:
     line = lines.settings(options)
     if os.path.isfile(options.port):
         recording = load(options.port, options.topic)
+        line = learned_from(recording, line)
         return display.show_recorded(frames_of(recording, line), recording.began, options)
     return display.show_live(line, [options.port], options)

@@ -7,8 +7,9 @@ import os
 import queue
 import threading
 import time
-from typing import Callable, NamedTuple, Optional, Sequence, Union
+from typing import Any, Callable, NamedTuple, Optional, Sequence, Union
 
+from ...framing.custom_messages import CustomMessage
 from ...framing.stream import Frame
 from ...link.backlog import STALL, Backlog
 from ...transport import pace
@@ -16,6 +17,7 @@ from ...transport.holders import holders_of
 from ...transport.opener import Opener
 from ...transport.port import Port, PortError
 from . import recording
+from .announced import Learner
 from .forwarder import Forwarder
 from .lines import Direction, Settings
 from .recording import Read
@@ -246,6 +248,15 @@ def decode_inbox(inbox: Inbox, line: Settings, until: Optional[float],
         on_event: is called with each event.
     """
     directions = [Direction(line, sent) for sent in (False, True)]
+    learner = Learner(line)
+
+    def take(sent: bool, frame: Frame) -> None:
+        on_frame(sent, frame)
+        for custom in learner.take(sent, frame):
+            if isinstance(custom, CustomMessage):     # others change nothing that is shown live
+                decoder: Any = directions[custom.is_command].decoder    # of a board that announces
+                decoder.add_message(custom.kind)
+
     while True:
         times = [time_ for time_ in [until] + [direction.due() for direction in directions]
                  if time_ is not None]
@@ -253,10 +264,10 @@ def decode_inbox(inbox: Inbox, line: Settings, until: Optional[float],
         now = time.monotonic() if item is None else item.at
         if isinstance(item, Read):
             for frame in directions[item.sent].feed(item.data, item.at):
-                on_frame(item.sent, frame)
+                take(item.sent, frame)
         for direction in directions:
             for frame in direction.expire(now):
-                on_frame(direction.sent, frame)
+                take(direction.sent, frame)
         if isinstance(item, Event):
             if item.lost:
                 directions[item.sent].reset()

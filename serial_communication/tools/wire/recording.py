@@ -14,7 +14,8 @@ Other lines that begin with # are comments. A bag holds the messages of the topi
 from math import inf
 from typing import Any, Dict, List, NamedTuple, TextIO, Tuple
 
-from ...framing.stream import Decoder, Frame
+from ...framing.stream import UNKNOWN, Decoder, Frame
+from .announced import with_announced
 from .lines import MAX_BAUD, Direction, Settings
 from .show import WireError
 
@@ -206,6 +207,13 @@ def load(path: str, topic: str = '') -> Recording:
         raise RecordingError(f'{path}: {error.strerror}') from None
 
 
+def learned_from(recording: Recording, line: Settings) -> Settings:
+    """Return the line with the custom messages that its board announces in the recording."""
+    frames = [(each.sent, each.frame) for each in frames_of(recording, line)]
+    # A request and its reply may have the same time.
+    return with_announced(line, sorted(frames, key=lambda each: (each[1].stamp, not each[0])))
+
+
 def frames_of(recording: Recording, line: Settings) -> List[RecordedFrame]:
     """Return all frames of one link: those from the board, then those to the board, both in the
     order in which they were on the line."""
@@ -224,9 +232,14 @@ def frames_of(recording: Recording, line: Settings) -> List[RecordedFrame]:
 
 
 def _with_message(frame: Frame, decoder: Decoder) -> Frame:
-    """A frame of a bag with its message, which a bag does not hold."""
-    if frame.cause:
+    """A frame of a bag with its message, which a bag does not hold.
+
+    What was unknown to the bridge may be known by now.
+    """
+    if frame.cause not in ('', UNKNOWN):
         return frame
     again = decoder.feed(frame.raw)
     decoder.reset()
-    return frame._replace(message=again[0].message) if len(again) == 1 else frame
+    if len(again) != 1:
+        return frame
+    return frame._replace(message=again[0].message, cause=again[0].cause, error=again[0].error)

@@ -19,7 +19,7 @@ from ...framing.stream import FRAMING, Bad, StreamDecoder
 from . import lines
 from .figures import percentile
 from .lines import Settings
-from .recording import Recording, RecordedFrame, frames_of, load
+from .recording import Recording, RecordedFrame, frames_of, learned_from, load
 from .show import Paint, WireError, print_note
 
 SUMMARY = 'show statistics of a recording: counts, gaps, errors, load, round trips; a plot'
@@ -46,7 +46,8 @@ def run(options: argparse.Namespace) -> int:
     recording = load(options.recording, options.topic)
     line_of = lines.known_lines(options.config)
     baud = options.baud or recording.baud
-    known = {link: _settings(link, recording, line_of, baud) for link in recording.links()}
+    known = {link: learned_from(recording, _settings(link, recording, line_of, baud))
+             for link in recording.links()}
     frames = sorted((each for line in known.values() for each in frames_of(recording, line)),
                     key=lambda each: each.frame.stamp)
     if not frames:

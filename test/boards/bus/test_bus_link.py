@@ -6,7 +6,7 @@ import pytest
 
 from fake_boards import PATIENCE, BusBoard, until
 from serial_communication.link import link as link_module
-from serial_communication.boards.bus.link import BusLink, BusSettings, _Poller
+from serial_communication.boards.bus.link import BusLink, BusSettings, Poller
 from serial_communication.link.link import ERROR, OK, RX, TX, WARN
 from serial_communication.boards.bus.master import NOT_SENT, FENCE_SILENCE, TIMEOUT, Condition
 from serial_communication.transport.port import Port, PortBusy, PortError
@@ -87,7 +87,7 @@ def test_a_poller_skips_missed_periods():
         outcome = 'answered'
 
     asked, now = [], [0.0]
-    poller = _Poller(1.0, lambda: asked.append(now[0]) or Asked())
+    poller = Poller(1.0, lambda: asked.append(now[0]) or Asked())
     poller.start(10.0)
     for now[0] in (10.0, 10.5, 11.25, 11.75, 12.0, 17.5, 18.0, 18.5, 19.0, 19.5):
         poller.tick(now[0])

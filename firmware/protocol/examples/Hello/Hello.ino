@@ -1,11 +1,12 @@
 // Sends one value and takes one command: any AVR or ESP32. (HelloESP32: where there is no LED_BUILTIN.)
-// On the computer:
-//   arduino:
-//     messages:
-//       light: {type: 32, ros_type: std_msgs/UInt16, layout: "<H", fields: [data]}
-//       lamp: {type: 33, direction: to_board, ros_type: std_msgs/Bool, layout: "<?", fields: [data]}
+// It announces both, so that the bridge needs no file: `rostopic list` has light and lamp.
 
 #include <PacketLink.h>
+
+const char kRows[] PROGMEM =
+    "firmware: hello 1.0\n"
+    "light: {type: 32, ros_type: std_msgs/UInt16, layout: '<H', fields: [data]}\n"
+    "lamp: {type: 33, direction: to_board, ros_type: std_msgs/Bool, layout: '<?', fields: [data]}\n";
 
 struct PACKED Light {
   uint16_t raw;
@@ -24,6 +25,7 @@ void setup() {
   pinMode(LED_BUILTIN, OUTPUT);
   Serial.begin(115200);
   bridge.on<Lamp>(33, handle_lamp);
+  bridge.announce(kRows);
 }
 
 void loop() {

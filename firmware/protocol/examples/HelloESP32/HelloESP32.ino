@@ -1,4 +1,4 @@
-// Hello on an ESP32. The rows are those of Hello. For the bridge this board is the `arduino`, not the `mcu`:
+// Hello on an ESP32. For the bridge this board is the `arduino`, not the `mcu`:
 // sketch and link must have the same protocol, and that of the `mcu` only sends.
 //
 // The bootloader of an ESP32 prints text; after a reset the bridge counts some errors.
@@ -7,6 +7,11 @@
 
 const uint8_t kLampPin = 2;    // the blue LED of most boards
 const uint8_t kLightPin = 34;  // an input of ADC1: ADC2 does not work while WiFi is on
+
+const char kRows[] PROGMEM =
+    "firmware: hello 1.0\n"
+    "light: {type: 32, ros_type: std_msgs/UInt16, layout: '<H', fields: [data]}\n"
+    "lamp: {type: 33, direction: to_board, ros_type: std_msgs/Bool, layout: '<?', fields: [data]}\n";
 
 struct PACKED Light {
   uint16_t raw;  // 0 … 4095
@@ -25,6 +30,7 @@ void setup() {
   pinMode(kLampPin, OUTPUT);
   Serial.begin(115200);
   bridge.on<Lamp>(33, handle_lamp);
+  bridge.announce(kRows);
 }
 
 void loop() {

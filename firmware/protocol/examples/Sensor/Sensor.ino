@@ -1,11 +1,11 @@
-// A sensor board, which only sends: the status of its range sensors and its IMU, and a custom value. Any AVR
-// or ESP32. On the computer mcu/status and the like, and with a row:
-//
-//   mcu:
-//     messages:
-//       cliff: {type: 0x20, ros_type: sensor_msgs/Range, layout: "<H", fields: [range], scale: 0.001}
+// A sensor board, which only sends: the status of its range sensors and its IMU, and a custom value, which it
+// announces. Any AVR or ESP32. On the computer: mcu/status and the like, and mcu/cliff.
 
 #include <FrameLink.h>
+
+const char kRows[] PROGMEM =
+    "firmware: sensor 1.0\n"
+    "cliff: {type: 0x20, ros_type: sensor_msgs/Range, layout: '<H', fields: [range], scale: 0.001}\n";
 
 struct PACKED Cliff {
   uint16_t millimetres;
@@ -15,10 +15,12 @@ FrameLink bridge(Serial);
 
 void setup() {
   Serial.begin(115200);
+  bridge.announce(kRows);
 }
 
 void loop() {
   static uint32_t sent_ms = 0;
+  bridge.update();
   if (millis() - sent_ms < 50) return;
   sent_ms += 50;
 

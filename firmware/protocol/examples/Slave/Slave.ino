@@ -1,19 +1,19 @@
 // A board on the bus with three functions: one with data, one with a reply, and a slow one that can be
-// stopped. For an AVR. On the computer:
-//
-//   bus:
-//     functions:
-//       pump: {cmd2: 0x30, srv_type: std_srvs/SetBool, request: {layout: "<?", fields: [data]}}
-//       water: {cmd2: 0x32, ros_type: sensor_msgs/Temperature, period: 1.0,
-//               reply: {layout: "<h", fields: [temperature], scale: 0.00390625}}
-//       door: {cmd2: 0x33, srv_type: std_srvs/SetBool, request: {layout: "<?", fields: [data]}, timeout: 6.0}
-//       stop: {cmd2: 0x2F, srv_type: std_srvs/Trigger, repeatable: true, interrupts: true}
+// stopped. For an AVR. It announces them: the bridge asks for the rows with `bus/announcements: true`.
 //
 // The built-in lift, gimbal and environment are kFunctionLift, kFunctionGimbal and
 // kFunctionEnvironment; firmware/ctrl_board has them.
 
 #include <BusSlave.h>
 #include <avr_i2c.h>  // unlike Wire, its waits are bounded, and it frees a blocked bus
+
+const char kRows[] PROGMEM =
+    "firmware: slave 1.0\n"
+    "pump: {cmd2: 0x30, srv_type: std_srvs/SetBool, request: {layout: '<?', fields: [data]}}\n"
+    "water: {cmd2: 0x32, ros_type: sensor_msgs/Temperature, period: 1.0,"
+    " reply: {layout: '<h', fields: [temperature], scale: 0.00390625}}\n"
+    "door: {cmd2: 0x33, srv_type: std_srvs/SetBool, request: {layout: '<?', fields: [data]}, timeout: 6.0}\n"
+    "stop: {cmd2: 0x2F, srv_type: std_srvs/Trigger, repeatable: true, interrupts: true}\n";
 
 const uint8_t kPumpPin = 11;
 const uint8_t kDoorPin = 5;       // its motor
@@ -80,6 +80,7 @@ void setup() {
   bus.on<Door>(0x33, door);
   bus.on_pending(door_moves);
   bus.on_stop(stop);
+  bus.announce(kRows);
 }
 
 void loop() {

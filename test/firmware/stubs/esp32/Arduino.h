@@ -22,12 +22,14 @@ uint16_t analogRead(uint8_t pin);
 
 class __FlashStringHelper;
 #define F(text) (reinterpret_cast<const __FlashStringHelper*>(text))
+#define PROGMEM
 #define pgm_read_byte(address) (*reinterpret_cast<const unsigned char*>(address))
 
 class Stream {
  public:
   virtual int available() = 0;
   virtual int read() = 0;
+  virtual int availableForWrite() { return 0; }
   virtual size_t write(uint8_t byte) = 0;
   virtual size_t write(const uint8_t* buffer, size_t size) = 0;
 };

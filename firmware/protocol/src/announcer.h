@@ -1,0 +1,90 @@
+// Announces the custom messages of a board to the bridge, which then needs no rows for them. The text has one row
+// a line, after a first line `firmware: NAME VERSION` where that is wanted:
+//
+//   const char kRows[] PROGMEM =
+//       "firmware: hello 1.0\n"
+//       "light: {type: 32, ros_type: std_msgs/UInt16, layout: '<H', fields: [data]}\n";
+//   bridge.announce(kRows);      // in setup(), for a PacketLink, a FrameLink or a BusSlave
+//
+// It stays in program memory, and is sent in chunks:
+//
+//   | index | count | CRC-16 of the whole text | text … |
+//
+// `header` writes such a text from the rows of a configuration, as kAnnouncement.
+
+#ifndef SERIAL_COMMUNICATION_ANNOUNCER_H
+#define SERIAL_COMMUNICATION_ANNOUNCER_H
+
+#include <Arduino.h>
+
+namespace serial_communication {
+
+// `Text`: bytes of text in a chunk.
+template <uint8_t Text>
+class Announcer {
+ public:
+  static const uint8_t kHead = 4;
+  static const uint8_t kMaxChunk = kHead + Text;
+
+  template <size_t Size>
+  void begin(const char (&text)[Size]) {
+    static_assert(Size - 1 <= 2048, "an announcement has at most 2048 bytes");
+    text_ = text;
+    size_ = Size - 1;
+    crc_ = 0xFFFF;
+    for (uint16_t at = 0; at < size_; ++at) {  // CRC-16/CCITT-FALSE
+      uint8_t x = static_cast<uint8_t>(crc_ >> 8) ^ byte_at(at);
+      x ^= x >> 4;
+      crc_ = static_cast<uint16_t>(crc_ << 8 ^ static_cast<uint16_t>(x) << 12 ^ static_cast<uint16_t>(x) << 5 ^ x);
+    }
+  }
+
+  // Writes a chunk to `chunk`, which has room for kMaxChunk bytes. Returns its size; 0: there is no such chunk.
+  uint8_t get(uint8_t index, uint8_t* chunk) const {
+    const uint16_t start = static_cast<uint16_t>(index) * Text;
+    if (start >= size_) return 0;
+    const uint16_t rest = size_ - start;
+    const uint8_t size = rest < Text ? rest : Text;
+    chunk[0] = index;
+    chunk[1] = static_cast<uint8_t>((size_ + Text - 1) / Text);
+    chunk[2] = static_cast<uint8_t>(crc_);
+    chunk[3] = static_cast<uint8_t>(crc_ >> 8);
+    for (uint8_t i = 0; i < size; ++i) chunk[kHead + i] = byte_at(start + i);
+    return kHead + size;
+  }
+
+  // Likewise the chunk that is to be sent now; 0: none. There is one every 100 ms at first, later one a second, and
+  // only while the port's send buffer is empty: so nothing else has to wait for it. (Where that is never empty, the
+  // chunk leaves all the same, a second late.)
+  uint8_t next(Stream& port, uint32_t now_ms, uint8_t* chunk) {
+    const uint16_t waited = static_cast<uint16_t>(now_ms) - sent_ms_;
+    const uint16_t period = often_ > 0 ? 100 : 1000;
+    if (size_ == 0 || waited < period) return 0;
+    const int room = port.availableForWrite();
+    if (room > most_room_) most_room_ = room;
+    if (room < most_room_ && waited < period + 1000) return 0;
+    sent_ms_ = static_cast<uint16_t>(now_ms);
+    if (often_ > 0) --often_;
+    const uint8_t size = get(index_, chunk);
+    if (++index_ == chunk[1]) index_ = 0;
+    return size;
+  }
+
+  // The bridge may be a new one: the next chunks, of 3 s, are sent more often.
+  void hurry() { often_ = 30; }
+
+ private:
+  uint8_t byte_at(uint16_t at) const { return pgm_read_byte(text_ + at); }
+
+  const char* text_ = 0;  // in program memory
+  uint16_t size_ = 0;     // 0: nothing is announced
+  uint16_t crc_ = 0;
+  uint16_t sent_ms_ = 0;  // when the latest chunk was sent
+  int most_room_ = 0;     // in the send buffer: it is empty then
+  uint8_t index_ = 0;     // of the next chunk
+  uint8_t often_ = 30;    // so many more chunks every 100 ms
+};
+
+}  // namespace serial_communication
+
+#endif

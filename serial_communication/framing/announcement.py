@@ -1,0 +1,141 @@
+"""Announcements: a board sends the rows of its custom messages itself, as a text in chunks.
+
+    +---------------+---------------+----------------+--------+
+    | index (uint8) | count (uint8) | CRC-16 (2)     | text … |
+    +---------------+---------------+----------------+--------+
+
+`count` is the number of chunks; the chunks may have any size. The CRC is that of the whole text:
+CRC-16/CCITT-FALSE, little-endian. Each link has one type for chunks, `TYPE`.
+"""
+import binascii
+import struct
+from typing import Dict, List, NamedTuple, Optional, Tuple
+
+from .layout import Layout, LayoutMessage, Value, readable
+from .parts import Part
+
+TYPE = 255           # message type (arduino), TYPE (mcu), CMD2 (bus)
+LONGEST = 2048       # bytes of a text
+_HEADER = struct.Struct('<BBH')
+_MOST_TEXTS = 4      # that are assembled at a time
+
+_Key = Tuple[int, int]     # CRC and count
+
+
+def crc_of(text: bytes) -> int:
+    """CRC-16/CCITT-FALSE."""
+    return binascii.crc_hqx(text, 0xFFFF)
+
+
+class _ChunkValues(NamedTuple):
+    index: int       # type: ignore[assignment]  # not tuple's methods
+    count: int       # type: ignore[assignment]
+    crc: int         # of the whole text
+    text: bytes      # may begin or end inside a character
+
+
+class Chunk(LayoutMessage, _ChunkValues):
+    """One chunk of an announcement."""
+
+    __slots__ = ()
+    TYPE = TYPE
+    LABEL = 'announcement'
+    LAYOUT = Layout('<BBHs', [Value('index'), Value('count'), Value('crc'), Value('text')])
+
+    @classmethod
+    def unpack(cls, data: bytes) -> 'Chunk':
+        """From the data; struct.error if it has fewer than four bytes."""
+        return tuple.__new__(cls, (*_HEADER.unpack_from(data), data[_HEADER.size:]))
+
+    def pack(self) -> bytes:
+        """The data."""
+        return _HEADER.pack(*self[:3]) + self.text
+
+    @classmethod
+    def parts(cls, data: bytes) -> List[Part]:
+        """The values of the data, each with its bytes."""
+        parts = cls.LAYOUT.parts(data)
+        if len(data) >= _HEADER.size:
+            parts[0] = parts[0]._replace(error=cls.unpack(data).implausible())
+        return parts
+
+    def implausible(self) -> str:
+        """Why these values are impossible; '' if they are not."""
+        return '' if self.index < self.count else \
+            f'chunk {self.index} of {self.count}: the index has to be under the count'
+
+    def __str__(self) -> str:
+        return (f'announcement {self.index + 1}/{self.count} (CRC {self.crc:04x}): '
+                f'{readable(self.text.decode("utf-8", "replace"))}')
+
+
+def chunks_of(text: bytes, size: int) -> List[Chunk]:
+    """The chunks of a text, with at most `size` bytes of it each.
+
+    Raises:
+        ValueError: the text is too long, or needs more than 255 chunks.
+    """
+    pieces = [text[at:at + size] for at in range(0, len(text), size)] or [b'']
+    if len(text) > LONGEST or len(pieces) > 255:
+        raise ValueError(f'{len(text)} bytes to announce in chunks of {size}, may be at most '
+                         f'{min(LONGEST, 255 * size)}')
+    crc = crc_of(text)
+    return [Chunk(index, len(pieces), crc, piece) for index, piece in enumerate(pieces)]
+
+
+class Assembly:
+    """Assembles the text of one board, whatever chunks are lost, repeated, damaged or mixed up.
+
+    Chunks belong together if they have the same CRC and count. The chunks of a few texts are kept,
+    so one with a damaged CRC or count does not undo those before it. Of an index the latest chunk
+    counts, so a damaged one is replaced when the board sends it again.
+    """
+
+    def __init__(self) -> None:
+        self.text: Optional[bytes] = None    # the latest whole text; None: none yet
+        self.confirmed = False     # a chunk of it was received since the port was opened
+        self._crc = -1             # of the text
+        self._key: Optional[_Key] = None     # of the text; None: not assembled since then
+        # The texts of the chunks of each unfinished text; the one with the latest chunk comes last.
+        self._begun: Dict[_Key, Dict[int, bytes]] = {}
+
+    @property
+    def complete(self) -> bool:
+        """Whether a whole text was assembled since the port was opened."""
+        return self._key is not None
+
+    def reset(self) -> None:
+        """The port was opened: forget all chunks, but not the text."""
+        self._begun.clear()
+        self._key = None
+        self.confirmed = False
+
+    def take(self, chunk: Chunk) -> Optional[bytes]:
+        """Add a chunk. If it completes a text other than the latest, return that, else None.
+
+        Raises:
+            ValueError: the text is too long; its chunks so far are dropped.
+        """
+        key = chunk.crc, chunk.count
+        self.confirmed |= chunk.crc == self._crc
+        if key == self._key or chunk.implausible():
+            return None     # if it differs from the text's chunk, it is damaged
+        pieces = self._begun.pop(key, {})
+        pieces[chunk.index] = chunk.text
+        if sum(map(len, pieces.values())) > LONGEST:
+            raise ValueError(f'the announcement has over {LONGEST} bytes; it is ignored')
+        self._begun[key] = pieces
+        if len(self._begun) > _MOST_TEXTS:
+            del self._begun[next(iter(self._begun))]
+        text = b''.join(pieces[index] for index in sorted(pieces))
+        if len(pieces) < chunk.count or crc_of(text) != chunk.crc:
+            return None
+        self._begun.clear()
+        self._key = key
+        return self.whole(text)
+
+    def whole(self, text: bytes) -> Optional[bytes]:
+        """The board announces this text; return it if it is not the latest, else None."""
+        is_new = text != self.text
+        self.text, self._crc, self.confirmed = text, crc_of(text), True
+        return text if is_new else None

@@ -1,0 +1,222 @@
+"""Announced rows: their topics, services and polls are made and taken down while the bridge runs.
+
+A link passes on each new text of its board. Everything else happens in one thread for all links,
+since rospy and the master may take any time.
+"""
+import logging
+import threading
+import time
+from collections import deque
+from typing import Any, Callable, Deque, Dict, Iterable, List, NamedTuple
+
+import rospy
+
+from ..boards import BOARDS
+from ..boards.description import ANNOUNCED, Description
+from ..framing.announced_text import read_announcement
+from ..framing.custom_messages import RowError, meaning
+from ..link.link import Announced, Link
+from ..link.sparing_log import SparingLog
+from ..transport.pace import Allowance
+from .rospy_mends.remapping import explained
+
+_PAUSE = 1.0                # s between two announcements: a board may change its own all the time
+_LINES = 60, 2.0            # log lines: at most in a burst, and then per second
+_XML_RPC = 2 ** 31          # the parameter server takes no greater integer
+
+
+class _Made(NamedTuple):
+    """A row that is in use."""
+
+    custom: Any                       # the custom message or function
+    given: Dict[str, Any]             # the row itself
+    take_down: Callable[[], None]
+
+
+class AnnouncedRows:
+    """The announced rows of one board.
+
+    Args:
+        board: whose `custom` reads the rows.
+        link: passes on the announcements.
+        configured: the custom messages or functions of the parameters; they take precedence.
+        resolve: returns a row for a custom message or function: a tuple that has it as `custom`,
+            with its ROS types; raises RowError.
+        add: makes the topic, service or poll of such a row; returns a function that takes it down.
+    """
+
+    def __init__(self, board: Description, link: Link, configured: Iterable[Any],
+                 resolve: Callable[[Any], Any],
+                 add: Callable[[Any], Callable[[], None]]) -> None:
+        self.link = link
+        self._key = f'{board.name}/{ANNOUNCED}'
+        assert board.custom, f'{board.name} has no custom rows'
+        self._custom = board.custom
+        self._configured = list(configured)
+        self._resolve = resolve
+        self._add = add
+        self._made: Dict[str, _Made] = {}     # by name
+        self._allowance = Allowance(*_LINES)
+
+    def update(self, text: bytes, names: Dict[str, str]) -> Dict[str, Any]:
+        """Make and take down what changed; return the rows that are in use now, by name.
+
+        Args:
+            text: the board's announcement.
+            names: of topics and services of custom rows, with their parameters; for all links.
+        """
+        announcement = read_announcement(text)
+        for problem in announcement.problems:
+            self._warn(problem)
+        rows = self._accepted(announcement.rows, names)
+        for name in list(self._made):
+            if name not in rows or meaning(rows[name].custom) != meaning(self._made[name].custom):
+                self._take_down(name, names)
+        self.link.text_in_use = text
+        for name, row in rows.items():
+            if name not in self._made:
+                self._make(row, announcement.rows[name], names)
+        in_use = [name for name in rows if name in self._made]
+        self.link.announced = Announced(announcement.firmware, in_use)
+        firmware = f' (firmware {announcement.firmware})' if announcement.firmware else ''
+        if self._allowance.take(time.monotonic()):
+            self.link.log.always_info(f'announces {", ".join(in_use) or "nothing"}{firmware}')
+        return {name: self._made[name].given for name in in_use}
+
+    def _accepted(self, given: Dict[str, Any], names: Dict[str, str]) -> Dict[str, Any]:
+        """Return the rows that may be used, with their ROS types, by name."""
+        accepted: Dict[str, Any] = {}
+        for name, row in given.items():
+            try:
+                custom, = self._custom.read({name: row}, self._key)
+                if not self._is_configured(custom):
+                    self._refuse_second(custom, [each.custom for each in accepted.values()], names)
+                    accepted[name] = self._resolve(custom)
+            except RowError as error:
+                self._warn(f'an announced row is left out: {error}')
+        return accepted
+
+    def _is_configured(self, custom: Any) -> bool:
+        """Return whether a row of the parameters is used instead; warn if it differs."""
+        for other in self._configured:
+            if custom.name == other.name or custom.number == other.number:
+                if meaning(custom) != meaning(other):
+                    same = 'name' if custom.name == other.name else custom.number[0]
+                    self._warn(f'the announced row {custom.name} is left out: the parameter '
+                               f'{other.key} has the same {same}, differs, and takes precedence')
+                return True
+        return False
+
+    def _refuse_second(self, custom: Any, others: Iterable[Any], names: Dict[str, str]) -> None:
+        """Raise RowError if another row has the number or the name."""
+        key, number = custom.number
+        for other in others:
+            if other.number == custom.number:
+                raise RowError(f'{custom.key}/{key}', number,
+                               f'is already the {key} of {other.name}')
+        user = names.get(self._custom.prefix + custom.name, custom.key)
+        if user != custom.key:
+            raise RowError(custom.key, custom.name, f'has the name of {user}')
+
+    def _make(self, row: Any, given: Dict[str, Any], names: Dict[str, str]) -> None:
+        custom = row.custom
+        try:
+            self._made[custom.name] = _Made(custom, given, self._add(row))
+            names[self._custom.prefix + custom.name] = custom.key
+        except Exception as error:  # pylint: disable=broad-except
+            self._warn(f'the announced row {custom.name} is left out: {explained(error)}')
+
+    def _take_down(self, name: str, names: Dict[str, str]) -> None:
+        del names[self._custom.prefix + name]
+        try:
+            self._made.pop(name).take_down()
+        except Exception as error:  # pylint: disable=broad-except
+            self._warn(f'{name} is announced no longer, but cannot be taken down: {error}')
+
+    def _warn(self, text: str) -> None:
+        if self._allowance.take(time.monotonic()) and not rospy.is_shutdown():
+            self.link.log.always_warn(text)
+
+
+class Announcements:
+    """The announced rows of all links, and the thread that makes and takes them down.
+
+    Args:
+        boards: those whose announcements are used.
+        names: of topics and services of the custom rows of all parameters, with their parameters.
+        parameters: the node's private parameters, which are set at a new master: the announced rows
+            are kept there, too.
+    """
+
+    def __init__(self, boards: Iterable[AnnouncedRows], names: Dict[str, str],
+                 parameters: Dict[str, Any], logger: logging.Logger) -> None:
+        self._names = names
+        self._parameters = parameters
+        self._log = SparingLog('announcements', logger)
+        self._arrived = threading.Event()
+        self._texts: List[Any] = []     # each board and its latest text, if that is new
+        for board in boards:
+            latest: Deque[bytes] = deque(maxlen=1)
+            self._texts.append((board, latest))
+            board.link.on_announcement = self._arrival(latest)
+
+    def _arrival(self, latest: Deque[bytes]) -> Callable[[bytes], None]:
+        def arrived(text: bytes) -> None:      # in the link's thread
+            latest.append(text)
+            self._arrived.set()
+        return arrived
+
+    def start(self) -> None:
+        """Serve the links from now on; texts that have arrived before are served, too."""
+        if self._texts:
+            threading.Thread(target=self._run, name='announcements', daemon=True).start()
+
+    def _run(self) -> None:
+        while True:
+            self._arrived.wait()
+            self._arrived.clear()
+            for board, latest in self._texts:
+                if latest:
+                    self._update(board, latest.pop())
+            time.sleep(_PAUSE)
+
+    def _update(self, board: AnnouncedRows, text: bytes) -> None:
+        try:
+            rows = board.update(text, self._names)
+            self._set_parameter(board.link.name, rows)
+        except Exception as error:  # pylint: disable=broad-except
+            if not rospy.is_shutdown():
+                self._log.error('fault', f'fault in the bridge: {error!r}')
+
+    def _set_parameter(self, board: str, rows: Dict[str, Any]) -> None:
+        rows = _for_xml_rpc(rows)
+        self._parameters[board] = {**self._parameters.get(board, {}), ANNOUNCED: rows}
+        name = f'~{board}/{ANNOUNCED}'
+        try:
+            rospy.set_param(name, rows)
+        except Exception as error:  # pylint: disable=broad-except
+            # rospy passes on what its master, or another server at its address, answers.
+            self._log.warn('parameter', f'the parameter {rospy.resolve_name(name)} cannot be set '
+                           f'now ({error}); a new roscore gets it')
+
+
+def _for_xml_rpc(value: Any) -> Any:
+    """Return the value with floats for the integers that XML-RPC cannot carry."""
+    if isinstance(value, dict):
+        return {key: _for_xml_rpc(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_for_xml_rpc(each) for each in value]
+    return float(value) if type(value) is int and not -_XML_RPC <= value < _XML_RPC else value
+
+
+def without_announced(given: Any) -> Any:
+    """Return the node's parameters without the rows that boards announced before it started."""
+    if not isinstance(given, dict):
+        return given
+    found = {}
+    for name, group in given.items():
+        if name in BOARDS and isinstance(group, dict) and ANNOUNCED in group:
+            group = {key: value for key, value in group.items() if key != ANNOUNCED}
+            rospy.delete_param(f'~{name}/{ANNOUNCED}')
+        found[name] = group
+    return found

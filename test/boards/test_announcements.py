@@ -1,0 +1,277 @@
+"""Announcements on the links, over real ttys."""
+import time
+
+import pytest
+
+from fake_boards import BusBoard, CarBoard, until
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.arduino.link import ArduinoLink
+from serial_communication.boards.bus import wire as bus
+from serial_communication.boards.bus.link import BusLink, BusSettings
+from serial_communication.boards.mcu import wire as mcu
+from serial_communication.boards.mcu.link import McuLink
+from serial_communication.framing.announcement import Chunk, chunks_of
+from serial_communication.link.link import Announced
+from serial_communication.transport.port import Port
+
+TEXT = b'firmware: nano_car 1.1.0\nforce: {type: 32, ros_type: std_msgs/Float32}\n'
+OTHER = b'bumper: {type: 33, ros_type: std_msgs/Bool}\n'
+TICKS = arduino.encode(arduino.Ticks(1))
+
+
+def packets(text, size=20):
+    """The chunks as the model car sends them."""
+    return [arduino.encode(chunk) for chunk in chunks_of(text, size)]
+
+
+@pytest.fixture
+def board(line, running):
+    return running(CarBoard(line))
+
+
+@pytest.fixture
+def car(line, board, logger, running):
+    """A link to the model car, with what it has announced and sent."""
+    got = []
+    link = ArduinoLink(Port(line.path), on_message=lambda message, stamp: got.append(message),
+                       logger=logger)
+    link.texts, link.got = [], got
+    link.on_announcement = link.texts.append
+    running(link)
+    until(lambda: link.heartbeats_sent)
+    return link
+
+
+def test_the_car_announces_a_text_once_and_a_changed_one_again(line, car):
+    line.write(b''.join(packets(TEXT) * 2 + packets(OTHER)[:1] + packets(TEXT)) + TICKS)
+    until(lambda: car.got)
+    assert car.texts == [TEXT] and car.got == [arduino.Ticks(1)]
+    line.write(b''.join(packets(OTHER)))
+    until(lambda: len(car.texts) == 2)
+    assert car.texts == [TEXT, OTHER]
+    assert not any(car.decoder.errors.values())
+
+
+def test_announced_rows_are_confirmed_again_after_a_reconnect(line, board, car):
+    line.write(b''.join(packets(TEXT)))
+    until(lambda: car.texts)
+    assert not car.still_announces       # until its rows are in use
+    car.text_in_use = TEXT
+    assert car.still_announces
+    with board.unplugged():
+        until(lambda: not car.port.is_open)
+    until(lambda: car.port.is_open and car.connections == 2)
+    assert not car.still_announces
+    line.write(packets(TEXT)[2])
+    until(lambda: car.still_announces)
+    line.write(b''.join(packets(TEXT) + packets(OTHER)))
+    until(lambda: len(car.texts) == 2)
+    assert car.texts == [TEXT, OTHER] and not car.still_announces
+
+
+def test_a_text_that_is_too_long_is_refused_with_one_line(line, car, lines):
+    line.write(b''.join(arduino.encode(Chunk(index, 12, 7, bytes(200))) for index in range(12)))
+    until(lambda: lines('over 2048 bytes'))
+    line.write(b''.join(packets(TEXT)))
+    until(lambda: car.texts)
+    assert car.texts == [TEXT] and len(lines('over 2048 bytes')) == 1
+
+
+def test_diagnostics_have_the_keys_once_something_is_announced(car):
+    assert not {'firmware', 'announced'} & set(dict(car.report(time.monotonic()).values))
+    car.announced = Announced('nano_car 1.1.0', ['force', 'gripper'])
+    values = dict(car.report(time.monotonic()).values)
+    assert (values['firmware'], values['announced']) == ('nano_car 1.1.0', 'force, gripper')
+
+
+def test_chunks_of_the_sensor_board_count_in_seq_and_are_no_sign_of_life(line, logger, running):
+    silences = []
+    link = McuLink(Port(line.path), timeout=0.1, logger=logger,
+                   on_silence=lambda *silence: silences.append(silence))
+    texts = []
+    link.on_announcement = texts.append
+    running(link)
+    until(lambda: link.port.is_open)
+    line.write(b''.join(mcu.encode(chunk, seq + 7) for seq, chunk in
+                        enumerate(chunks_of(TEXT, 20))))
+    until(lambda: texts and silences)
+    assert texts == [TEXT] and link.frames_lost == 0 and link.silent
+    assert {kind for kind, _, _ in silences} == {None}
+
+
+def test_the_silence_of_classes_that_were_replaced_is_not_kept(line, logger, running):
+    link = running(McuLink(Port(line.path), timeout=20.0, logger=logger))
+    until(lambda: link.port.is_open)
+    for seq in range(5):
+        kind = type('Custom', (mcu.AdcStatus,), {'TYPE': 0x70})
+        link.decoder.add_message(kind)
+        line.write(mcu.encode(kind(*range(6)), seq))
+        until(lambda seq=seq: link.frames_received == seq + 1)
+        link.decoder.remove_message(kind)
+    assert len(link._latest) == 1
+
+
+# What the links sent before there were announcements: recorded, each frame once, without ECHOs.
+RECORDED_CAR = {b'\x02\x04\x01\x01', b'\x02\x0b'}                       # SPEED 0, heartbeat
+RECORDED_BUS = {b'\xa5\x00\x00\x00\xa5', b'\xa5\x02\x55\x22\xd0'}    # SYNC, environment
+
+
+@pytest.mark.parametrize('announces', [False, True])
+def test_the_car_gets_no_byte_that_it_did_not_get_before(line, logger, running, announces):
+    link = ArduinoLink(Port(line.path), logger=logger)
+    texts = []
+    link.on_announcement = texts.append
+    running(link)
+    received = line.read(10)
+    line.write(b''.join(packets(TEXT)) if announces else TICKS)
+    until(lambda: link.frames_received)
+    until(lambda: link.heartbeats_sent > 30)
+    received += line.read_all(0.005)
+    assert texts == [TEXT] * announces
+    assert set(received.split(b'\0')[:-1]) == RECORDED_CAR
+
+
+def test_the_sensor_board_gets_no_byte(line, logger, running):
+    link = McuLink(Port(line.path), logger=logger)
+    texts = []
+    link.on_announcement = texts.append
+    running(link)
+    until(lambda: link.port.is_open)
+    line.write(b''.join(mcu.encode(chunk, seq) for seq, chunk in enumerate(chunks_of(TEXT, 20))))
+    until(lambda: texts)
+    assert line.read(0.1) == b''
+
+
+# -- the bus ---------------------------------------------------------------------------------------
+
+ASKED = bus.FUNCTION, 0xFF
+
+
+class AnnouncingBoard(BusBoard):
+    """Answers requests for its announcement from `chunks`."""
+
+    chunks = []
+
+    def usual(self, request):
+        if request[:2] != ASKED or not self.chunks:
+            return super().usual(request)
+        index, = request.data
+        return bus.Reply(bus.OK, self.chunks[index].pack() if index < len(self.chunks) else b'')
+
+    def questions(self):
+        """The indices that it was asked for."""
+        return [request.data for request in self.requests() if request[:2] == ASKED]
+
+
+@pytest.fixture
+def bus_board(line, running):
+    return running(AnnouncingBoard(line))
+
+
+@pytest.fixture
+def bus_link(line, logger, running, bus_board):
+    def start(announcements=True, **settings):
+        link = BusLink(Port(line.path), BusSettings(
+            reply_timeout=0.2, environment_period=0.05, announcements=announcements, **settings),
+            logger=logger)
+        link.texts = []
+        link.on_announcement = link.texts.append
+        return running(link)
+    return start
+
+
+def test_a_bus_board_is_asked_only_if_the_parameter_says_so(bus_board, bus_link):
+    bus_board.chunks = chunks_of(TEXT, 20)
+    bus_link(announcements=False)
+    until(lambda: len(bus_board.executed) > 5)
+    assert bus_board.questions() == [] and set(bus_board.executed) == {bus.ENVIRONMENT_REQUEST}
+
+
+def test_a_bus_board_gets_no_byte_that_it_did_not_get_before(line, logger, running, bus_board):
+    link = BusLink(Port(line.path), BusSettings(reply_timeout=0.2, environment_period=0.01),
+                   logger=logger)
+    link.on_announcement = lambda text: None
+    running(link)
+    until(lambda: bus_board.executed.count(bus.ENVIRONMENT_REQUEST) > 10)
+    assert {frame.raw for frame in list(bus_board.seen)
+            if frame.message.cmd1 != bus.ECHO} == RECORDED_BUS
+
+
+def test_a_bus_board_is_asked_for_each_chunk_once_a_connection_after_sync(bus_board, bus_link):
+    bus_board.chunks = chunks_of(TEXT, 20)
+    link = bus_link()
+    until(lambda: link.texts)
+    environment = bus_board.executed.count(bus.ENVIRONMENT_REQUEST)
+    until(lambda: bus_board.executed.count(bus.ENVIRONMENT_REQUEST) > environment + 3)
+    assert link.texts == [TEXT]
+    assert bus_board.questions() == [bytes((index,)) for index in range(len(bus_board.chunks))]
+    kinds = [request.cmd1 for request in bus_board.requests()]
+    assert kinds.index(bus.SYNC) < kinds.index(bus.FUNCTION)
+    first = next(frame for frame in bus_board.seen if frame.message[:2] == ASKED)
+    assert first.raw == bytes.fromhex('a50155ff000e')
+    with bus_board.unplugged():
+        until(lambda: not link.port.is_open)
+    until(lambda: len(bus_board.questions()) == 2 * len(bus_board.chunks))
+    assert link.texts == [TEXT]
+
+
+@pytest.mark.parametrize('answer', [
+    bus.Reply(bus.ERROR, b'\x00\x80'), bus.Reply(bus.OK), bus.Reply(bus.OK, b'\0\1'), b''],
+    ids=('error', 'OK without data', 'OK that is too short', 'none'))
+def test_any_other_answer_means_that_nothing_is_announced(bus_board, bus_link, answer):
+    bus_board.rule = lambda request: answer if request[:2] == ASKED else None
+    link = bus_link(retries=0)
+    until(lambda: link.texts)
+    seen = len(bus_board.executed)
+    until(lambda: len(bus_board.executed) > seen + 3)
+    assert link.texts == [b''] and bus_board.questions() == [b'\0']
+
+
+def test_a_bus_board_that_no_longer_announces_is_noticed_after_a_reconnect(bus_board, bus_link):
+    bus_board.chunks = chunks_of(TEXT, 20)
+    link = bus_link()
+    until(lambda: link.texts == [TEXT])
+    with bus_board.unplugged():
+        until(lambda: not link.port.is_open)
+        bus_board.chunks = []
+    until(lambda: link.texts == [TEXT, b''])
+
+
+def test_a_text_that_changes_while_it_is_asked_for_is_read_anew(bus_board, bus_link):
+    bus_board.chunks = chunks_of(TEXT, 20)
+
+    def change(request):
+        if request[:2] == ASKED and request.data == b'\2':
+            bus_board.chunks = chunks_of(OTHER, 10)
+    bus_board.rule = change
+    link = bus_link()
+    until(lambda: link.texts)
+    assert link.texts == [OTHER]
+
+
+def test_a_text_whose_crc_never_matches_is_ignored_after_three_rounds(bus_board, bus_link, lines):
+    bus_board.chunks = [chunk._replace(crc=1) for chunk in chunks_of(TEXT, 50)]
+    link = bus_link()
+    until(lambda: link.texts)
+    seen = len(bus_board.executed)
+    until(lambda: len(bus_board.executed) > seen + 3)
+    assert link.texts == [b''] and len(bus_board.questions()) == 3 * len(bus_board.chunks)
+    assert len(lines('does not match its text in 3 rounds')) == 1
+
+
+def test_announced_polls_wait_until_the_board_announces_them(bus_board, bus_link):
+    pump = bus.Request(bus.FUNCTION, 0x30)
+    link = bus_link()
+    poller = link.poll(0.01, pump, None, lambda outcome: None, announced=True)
+    until(lambda: link.texts == [b''])
+    seen = len(bus_board.executed)
+    until(lambda: len(bus_board.executed) > seen + 3)
+    assert pump not in bus_board.executed
+    link.text_in_use = b''
+    until(lambda: pump in bus_board.executed)
+    link.end_poll(poller)
+    until(lambda: bus_board.executed[-1] != pump)
+    count = bus_board.executed.count(pump)
+    seen = len(bus_board.executed)
+    until(lambda: len(bus_board.executed) > seen + 3)
+    assert bus_board.executed.count(pump) <= count + 1

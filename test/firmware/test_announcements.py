@@ -1,0 +1,222 @@
+"""A sketch that announces its rows: when its chunks are sent, and that nothing waits for them."""
+import os
+import re
+
+import pytest
+
+from board_ends import HEARTBEAT, IMU, OK, TICKS, Car, Master, error, takes
+from emulated_board import FIRMWARE, EmulatedBoard
+from serial_communication.boards.arduino import custom_messages
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.bus.functions import read_functions
+from serial_communication.boards.config_file import read_parameters
+from serial_communication.boards.mcu import custom_messages as mcu_messages
+from serial_communication.boards.mcu import wire as mcu
+from serial_communication.framing.announced_text import read_announcement
+from serial_communication.framing.announcement import TYPE, Assembly, Chunk
+from serial_communication.framing.custom_messages import meaning
+from test_library import run_on_the_pc
+
+EXAMPLES = read_parameters(os.path.join(os.path.dirname(FIRMWARE), 'config',
+                                        'custom_messages.yaml'))
+TEXT = 'firmware: test 1.0\n' + ''.join(
+    f'row_{type_}: {{type: {type_}, ros_type: std_msgs/Bool, layout: <?, fields: [data]}}\n'
+    for type_ in range(40, 45))
+# A port with the send buffer of an AVR, at 115200 baud; what is sent is printed.
+PORT = r'''
+  static const char rows[] = "%s";
+  struct Uart : HardwareSerial {
+    int waiting = 0, waits = 0, tenths = 0;
+    bool knows_its_room = true;
+    int availableForWrite() override { return knows_its_room ? 63 - waiting : 0; }
+    size_t write(const uint8_t* bytes, size_t size) override {
+      waiting += int(size);
+      if (waiting > 63) ++waits;
+      printf("%%lu ", now_ms);
+      for (size_t i = 0; i < size; ++i) printf("%%02x", bytes[i]);
+      puts("");
+      return size;
+    }
+    void pass() {
+      ++now_ms;
+      tenths += 115;
+      for (; tenths >= 10; tenths -= 10) waiting -= waiting > 0;
+    }
+  } uart;
+''' % TEXT.replace('\n', '\\n')
+
+
+def chunks_of(output, decoder):
+    """The (ms, chunk) of the chunks in the lines that the port prints."""
+    found = [(int(line.split()[0]), frame.message) for line in output.splitlines()
+             for frame in decoder.feed(bytes.fromhex(line.split()[1]))]
+    return [(ms, message) for ms, message in found if isinstance(message, Chunk)]
+
+
+def assembled(chunks):
+    """The text of these chunks, none of which is missing."""
+    assembly = Assembly()
+    assert [chunk.index for chunk in chunks] == [
+        index % chunks[0].count for index in range(len(chunks))]
+    return [text for text in map(assembly.take, chunks) if text]
+
+
+def test_chunks_are_sent_ten_times_a_second_for_3_s_and_then_once(tmp_path):
+    """Of 39 bytes every 10 ms, as the car sends, none finds too little room in the buffer."""
+    output = run_on_the_pc(tmp_path, PORT + '''
+  PacketLink bridge(uart);
+  bridge.announce(rows);
+  while (now_ms < 9000) {
+    if (now_ms >= 7000 && now_ms % 10 == 0) received = std::string("\\x02\\x0b\\0", 3);
+    bridge.update();
+    if (now_ms % 10 == 0) {
+      for (int i = 0; i < 8; ++i) bridge.send_ticks(0);
+      bridge.send_voltage(12);
+    }
+    uart.pass();
+  }
+  CHECK(uart.waits == 0)''')
+    chunks = chunks_of(output, arduino.Decoder())
+    assert assembled([chunk for _, chunk in chunks]) == [TEXT.encode()]
+    times = [ms for ms, _ in chunks]
+    gaps = [(ms, ms - last) for last, ms in zip(times, times[1:])]
+    # A chunk waits for an empty buffer, so it may be a few ms late. At 7 s heartbeats return.
+    assert [gap for ms, gap in gaps if 100 <= gap <= 110 and ms < 3200] == [100] * 29, gaps
+    assert all(1000 <= gap <= 1010 for ms, gap in gaps if 3200 < ms < 7000), gaps
+    assert all(100 <= gap <= 110 for ms, gap in gaps if ms > 7010), gaps
+    assert len([ms for ms in times if ms >= 7000]) == 20
+
+
+def test_a_port_without_a_buffer_and_a_full_one_get_their_chunks_too(tmp_path):
+    output = run_on_the_pc(tmp_path, PORT + '''
+  uart.knows_its_room = false;
+  PacketLink bridge(uart);
+  bridge.announce(rows);
+  for (; now_ms < 4000; uart.pass()) bridge.update();
+  CHECK(uart.waits == 0)
+  uart.knows_its_room = true;
+  uart.waiting = 0;
+  bridge.update();
+  for (; now_ms < 20000; uart.pass()) {
+    uart.waiting = now_ms % 2 ? 63 : 40;          // a sketch that never lets it become empty
+    bridge.update();
+  }''')
+    chunks = chunks_of(output, arduino.Decoder())
+    assert len([ms for ms, _ in chunks if ms < 4000]) == 30
+    assert len([ms for ms, _ in chunks if ms >= 4000]) == 8      # each is a second late
+
+
+def test_a_sensor_board_sends_its_chunks_between_its_frames(tmp_path):
+    output = run_on_the_pc(tmp_path, PORT + '''
+  FrameLink bridge(uart);
+  bridge.announce(rows);
+  for (; now_ms < 3050; uart.pass()) {
+    bridge.update();
+    if (now_ms % 50 == 0) bridge.send_sensor_status(SensorStatus());
+  }
+  CHECK(uart.waits == 0)''')
+    chunks = chunks_of(output, mcu.Decoder())
+    assert assembled([chunk for _, chunk in chunks]) == [TEXT.encode()] and len(chunks) == 30
+
+
+def test_without_an_announcement_no_byte_is_sent(tmp_path):
+    assert run_on_the_pc(tmp_path, PORT + '''
+  (void)rows;
+  PacketLink packets(uart);
+  FrameLink frames(uart);
+  received = std::string("\\x02\\x0b\\0", 3);
+  for (; now_ms < 5000; uart.pass()) {
+    packets.update();
+    frames.update();
+  }''') == ''
+
+
+# The reference sketches, on the emulated chip
+
+
+def rows_in(text):
+    """The rows of an announcement, none of which is left out."""
+    announcement = read_announcement(text)
+    assert announcement.problems == []
+    return announcement.firmware, announcement.rows
+
+
+def meanings(customs):
+    return [meaning(custom) for custom in customs]
+
+
+def test_the_car_announces_the_example(firmware_build):
+    with EmulatedBoard(firmware_build, 'car', image='nano_car_custom.elf') as board:
+        car = Car(board)
+        board.wait_until(lambda: car.read(TYPE), 1)
+        count = Chunk.unpack(car.read(TYPE)[0]).count
+        board.wait_until(lambda: len(car.read(TYPE)) >= count, 4)
+        text, = assembled([Chunk.unpack(data) for data in car.read(TYPE)])
+        firmware, rows = rows_in(text)
+        assert firmware == 'nano_car 1.1.0'
+        named = {name: EXAMPLES['arduino']['messages'][name] for name in ('force', 'gripper')}
+        assert meanings(custom_messages(rows)) == meanings(custom_messages(named))
+        car.port.close()
+
+
+def test_chunks_do_not_change_how_many_measurements_the_car_sends(firmware_build):
+    """100 packets a second of each, in the 3 s of many chunks and when there is one a second."""
+    with EmulatedBoard(firmware_build, 'car', image='nano_car_custom.elf') as board:
+        car = Car(board)
+        car.wait_for_text('IMU ready')
+        assert takes(board, lambda: car.next(IMU, 100), 1)
+        assert len(car.read(TYPE)) >= 9
+        assert abs(len(car.read(TICKS)) - 100) <= 1
+        board.wait_until(lambda: car.next(IMU, 100) and len(car.read(TYPE)) <= 2, 5)
+        assert takes(board, lambda: car.next(IMU, 100), 1)
+        car.port.close()
+
+
+def test_the_control_board_announces_the_example(firmware_build):
+    with EmulatedBoard(firmware_build, 'ctrl', image='ctrl_board_custom.elf') as board:
+        board.wait_until(lambda: board.time > 0.05, 1)
+        master = Master(board)
+        master.sync()
+        assembly, index, text = Assembly(), 0, None
+        while text is None:
+            reply = master.function(TYPE, bytes([index]))
+            assert reply[:1] == OK
+            text = assembly.take(Chunk.unpack(reply[1:]))
+            index += 1
+        assert master.function(TYPE, bytes([index])) == error(0x8000)
+        assert master.function(TYPE) == error(0x8000)
+        firmware, rows = rows_in(text)
+        assert firmware == 'ctrl_board 1.1.0'
+        named = {name: EXAMPLES['bus']['functions'][name] for name in ('pump', 'stop', 'tank')}
+        assert meanings(read_functions(rows)) == meanings(read_functions(named))
+        master.port.close()
+
+
+@pytest.mark.parametrize('world', ['car', 'ctrl'])
+def test_without_custom_messages_nothing_is_announced(firmware_build, world):
+    with EmulatedBoard(firmware_build, world) as board:
+        if world == 'ctrl':
+            board.wait_until(lambda: board.time > 0.05, 1)
+            master = Master(board)
+            master.sync()
+            assert master.function(TYPE, b'\0') == error(0x8000)
+            master.port.close()
+            return
+        car = Car(board)
+        for _ in range(3):
+            car.send(HEARTBEAT)
+        car.next(TICKS, 150)
+        assert car.read(TYPE) == []
+        car.port.close()
+
+
+@pytest.mark.parametrize('example', ['Hello', 'HelloESP32', 'Sensor', 'Slave'])
+def test_the_rows_of_the_examples_are_valid(example):
+    path = os.path.join(FIRMWARE, 'protocol', 'examples', example, example + '.ino')
+    with open(path, encoding='utf-8') as file:
+        literal = re.search(r'kRows\[\] PROGMEM =\n((?: +".*"\n?)+);', file.read()).group(1)
+    text = ''.join(re.findall(r'"(.*)"', literal)).replace('\\n', '\n')
+    firmware, rows = rows_in(text.encode())
+    assert firmware.endswith(' 1.0')
+    read = {'Sensor': mcu_messages, 'Slave': read_functions}.get(example, custom_messages)
+    assert len(read(rows)) == text.count('\n') - 1

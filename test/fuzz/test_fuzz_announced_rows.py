@@ -1,0 +1,92 @@
+"""Any announcements, one after the other: what is in use is always what the latest one allows, and
+all that was made is taken down once."""
+import logging
+from types import SimpleNamespace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+pytest.importorskip('rospy')
+from serial_communication.boards.arduino import DESCRIPTION  # noqa: E402
+from serial_communication.framing.announced_text import announcement_text  # noqa: E402
+from serial_communication.link.sparing_log import SparingLog  # noqa: E402
+from serial_communication.ros.announced import AnnouncedRows  # noqa: E402
+from serial_communication.ros.custom_topics import message_rows, resolve  # noqa: E402
+
+ROW = {'ros_type': 'std_msgs/Float32', 'layout': '<h', 'fields': ['data']}
+CONFIGURED = message_rows(DESCRIPTION, {'mine': dict(ROW, type=40)})
+rows = st.dictionaries(
+    st.sampled_from(('force', 'level', 'mine', 'other', 'imu', 'pump', '2nd')),
+    st.one_of(
+        st.builds(lambda type_, scale: dict(ROW, type=type_, scale=scale),
+                  st.integers(38, 42), st.sampled_from((1, 0.5))),
+        st.builds(lambda type_: dict(ROW, type=type_, ros_type='std_msgs/Nothing'),
+                  st.integers(38, 42)),
+        st.just({'type': 10}), st.just(5)), max_size=6)
+texts = st.one_of(rows.map(lambda given: announcement_text(given, 'nano_car 1.1.0')),
+                  st.binary(max_size=60))
+
+
+class Stage:
+    """Announced rows whose topics are only counted."""
+
+    def __init__(self, failing=()):
+        self.up = {}            # rows that are made, by name
+        self.made = 0
+        self.names = {'~pump': 'bus/announced/pump'}
+        self._failing = failing
+        log = SparingLog('arduino', logging.getLogger('fuzz'))
+        self.link = SimpleNamespace(name='arduino', log=log, text_in_use=None, announced=None)
+        self.rows = AnnouncedRows(DESCRIPTION, self.link, [row.custom for row in CONFIGURED],
+                                  lambda custom: resolve(custom, '~'), self._add)
+
+    def _add(self, row):
+        name = row.custom.name
+        assert name not in self.up
+        assert row.kind.TYPE not in [each.kind.TYPE for each in self.up.values()]
+        if name in self._failing:
+            raise RuntimeError('any failure')
+        self.up[name] = row
+        self.made += 1
+        return lambda: self.up.pop(name)
+
+    def update(self, text):
+        in_use = self.rows.update(text, self.names)
+        assert set(in_use) == set(self.up) == set(self.link.announced.rows)
+        assert self.link.text_in_use == text
+        assert self.names == {'~pump': 'bus/announced/pump',
+                              **{f'~{name}': f'arduino/announced/{name}' for name in self.up}}
+        return in_use
+
+
+@given(st.lists(texts, max_size=8))
+def test_what_is_in_use_is_what_the_latest_announcement_allows(sequence):
+    stage = Stage()
+    for text in sequence:
+        in_use = stage.update(text)
+        assert in_use == Stage().update(text)
+        made = stage.made
+        assert stage.update(text) == in_use and stage.made == made, 'the same again changes nothing'
+        for name, row in in_use.items():
+            assert stage.up[name].kind.LAYOUT.values[0].scale == row['scale']
+    assert stage.update(b'') == {}
+
+
+@given(first=rows, second=rows)
+def test_a_row_that_cannot_be_made_is_left_out_and_the_others_stand(first, second):
+    stage, whole = Stage(failing=['force']), Stage()
+    for given_rows in first, second:
+        text = announcement_text(given_rows)
+        expected = whole.update(text)
+        expected.pop('force', None)
+        assert stage.update(text) == expected
+
+
+def test_unchanged_rows_are_not_made_again():
+    stage = Stage()
+    stage.update(announcement_text({'force': dict(ROW, type=38), 'level': dict(ROW, type=39)}))
+    force = stage.up['force']
+    stage.update(announcement_text({
+        'level': dict(ROW, type=41), 'force': dict(ROW, type=38, scale=1, direction='from_board')}))
+    assert stage.up['force'] is force and stage.made == 3

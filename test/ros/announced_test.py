@@ -1,0 +1,400 @@
+#!/usr/bin/python3
+"""Boards that announce their custom messages: what they add appears, changes and goes while the
+bridge runs, and nothing else notices."""
+import os
+import re
+import shutil
+import struct
+import subprocess
+import unittest
+
+import rosgraph
+import rospy
+import rostest
+from std_msgs.msg import Bool, Float32, UInt16
+from std_srvs.srv import SetBool, Trigger
+
+from boards import (PACKAGE, Bridge, BusBoard, CarBoard, Diagnostics, Line, Rosout, SensorBoard,
+                    Topic, command_topic, level_imu, own_folder, service, until)
+from heartbeats import HeartbeatWatch
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.bus import wire as bus
+from serial_communication.boards.mcu import wire as mcu
+from serial_communication.framing.announcement import TYPE, chunks_of
+from serial_communication.msg import SerialMsg, Ticks
+
+NODE = '/' + PACKAGE + '/'
+FORCE = 'force: {type: 32, ros_type: std_msgs/Float32, layout: "<h", fields: [data], scale: 0.01}\n'
+LEVEL = 'level: {type: 33, ros_type: std_msgs/UInt16, layout: "<H", fields: [data]}\n'
+GRIPPER = ('gripper: {type: 48, direction: to_board, ros_type: std_msgs/UInt16, layout: "<H", '
+           'fields: [data]}\n')
+FIRMWARE = 'firmware: nano_car 1.1.0\n'
+PUMP = ('pump: {cmd2: 0x40, srv_type: std_srvs/SetBool, '
+        'request: {layout: "<?", fields: [data]}}\n')
+TANK = ('tank: {cmd2: 0x41, ros_type: std_msgs/Float32, period: 0.05, '
+        'reply: {layout: "<H", fields: [data], scale: 0.1}}\n')
+
+
+class AnnouncingBus(BusBoard):
+    """A control board with a pump and a tank, which announces `text`."""
+
+    text = ''
+
+    def usual(self, request):
+        if request.cmd1 == bus.FUNCTION and request.cmd2 == TYPE:
+            chunks = chunks_of(self.text.encode(), 40)
+            return bus.Reply(bus.OK, chunks[request.data[0]].pack()) if self.text else \
+                bus.Reply(bus.ERROR, b'\0\x80')
+        if request.cmd1 == bus.FUNCTION and request.cmd2 == 0x41:
+            self.executed.append(request)
+            return bus.Reply(bus.OK, b'\x0f\x00')
+        return super().usual(request)
+
+
+class Stage:
+    """A bridge and three boards.
+
+    Args:
+        text: what the bus board announces.
+        parameters: of the bridge, besides the ports.
+    """
+
+    def __init__(self, text, parameters):
+        self.folder = own_folder()
+        self.lines = {link: Line(os.path.join(self.folder, link)).plug()
+                      for link in ('bus', 'arduino', 'mcu')}
+        self.bus = AnnouncingBus(self.lines['bus'].far)
+        self.bus.text = text
+        self.car = CarBoard(self.lines['arduino'].far)
+        self.sensors = SensorBoard(self.lines['mcu'].far)
+        self.parameters = {
+            **{'%s/port' % link: line.near for link, line in self.lines.items()},
+            'bus/environment_period': 0.05, 'arduino/speed_timeout': 0.0, **parameters}
+        self.bridge = None
+
+    def start(self):
+        """Start the bridge, and wait until it is complete: the service is its last."""
+        self.bridge = Bridge(parameters=self.parameters)
+        until(lambda: NODE + 'calibrate_imu' in published(), 'the bridge is complete')
+        self.car.wait_for_heartbeats(1)
+        return self
+
+    def end(self):
+        """End all of it."""
+        self.bridge.end()
+        for board in self.bus, self.car, self.sensors:
+            board.close()
+        for line in self.lines.values():
+            line.unplug()
+        shutil.rmtree(self.folder)
+
+
+def published():
+    """The names of all topics that the bridge publishes or subscribes to, and its services."""
+    return {name for entries in rosgraph.Master('/announced_test').getSystemState()
+            for name, nodes in entries if '/' + PACKAGE in nodes}
+
+
+class AnnouncedTest(unittest.TestCase):
+    """A bridge that uses all announcements, and has two rows in its parameters."""
+
+    @classmethod
+    def setUpClass(cls):
+        row = {'ros_type': 'std_msgs/Bool', 'layout': '<?', 'fields': ['data']}
+        cls.stage = Stage(FIRMWARE + PUMP + TANK, {
+            'bus/announcements': True,
+            'arduino/messages': {'mine': dict(row, type=40), 'same': dict(row, type=41)}}).start()
+        cls.bus, cls.car, cls.sensors = cls.stage.bus, cls.stage.car, cls.stage.sensors
+        cls.lines = cls.stage.lines
+        cls.rosout, cls.diagnostics = Rosout(), Diagnostics()
+        until(lambda: {NODE + 'pump', NODE + 'tank'} <= published(), 'the bus board announces')
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.rosout.close()
+        cls.diagnostics.close()
+        cls.stage.end()
+
+    def setUp(self):
+        self.car.forget()
+        self.rosout.forget()
+        self.diagnostics.forget()
+
+    def tearDown(self):
+        if self.parameter():
+            self.announce('')
+
+    def say(self, text, size=60, board=None):
+        """A function that announces a text once: the car's, or another board's."""
+        board = board or self.car
+        return lambda: [board.say(chunk) for chunk in chunks_of(text.encode(), size)]
+
+    def announce(self, text, board=None):
+        """Announce a text until the bridge says that it uses it."""
+        names = ', '.join(line.split(':')[0] for line in text.splitlines()
+                          if not line.startswith('firmware'))
+        self.rosout.forget()
+        return self.rosout.wait_for(PACKAGE, 'announces ' + (names or 'nothing'),
+                                    doing=self.say(text, board=board))
+
+    def topic(self, name, message_class):
+        """A record of a topic, which is closed when the test ends."""
+        topic = Topic(NODE + name, message_class, wait=False)
+        self.addCleanup(topic.close)
+        return topic
+
+    def parameter(self, link='arduino'):
+        """The announced rows on the parameter server."""
+        return rospy.get_param(NODE + link + '/announced', None)
+
+    def reconnects(self):
+        """How often the bridge has opened the car's port again."""
+        status = self.diagnostics.fresh('arduino', lambda status: True, 'a status')
+        return int(status.keys['reconnects'])
+
+    def send(self, type_, data):
+        """A function that sends a packet of the car."""
+        return lambda: self.car.write(arduino.encode_raw(type_, data))
+
+    # -- the car ---------------------------------------------------------------------------------
+
+    def test_topics_and_commands_appear_and_carry_values(self):
+        before = published()
+        line = self.announce(FIRMWARE + FORCE + GRIPPER)
+        self.assertEqual(line, 'arduino: announces force, gripper (firmware nano_car 1.1.0)')
+        self.assertEqual(published() - before, {NODE + 'force', NODE + 'gripper'})
+        force = self.topic('force', Float32)
+        force.first(lambda message: abs(message.data - 12.34) < 1e-4,
+                    self.send(32, struct.pack('<h', 1234)))
+        gripper = command_topic(NODE + 'gripper', UInt16)
+        self.addCleanup(gripper.unregister)
+        gripper.publish(513)
+        until(lambda: arduino.encode_raw(48, b'\1\2') in [frame.raw for frame in self.car.bad],
+              'the board gets the command')
+        self.assertEqual(self.parameter(), {
+            'force': {'type': 32, 'ros_type': 'std_msgs/Float32', 'layout': '<h',
+                      'fields': ['data'], 'scale': 0.01},
+            'gripper': {'type': 48, 'direction': 'to_board', 'ros_type': 'std_msgs/UInt16',
+                        'layout': '<H', 'fields': ['data']}})
+        status = self.diagnostics.wait_for('arduino', lambda status: status.keys.get('firmware'),
+                                           'a firmware')
+        self.assertEqual((status.keys['firmware'], status.keys['announced']),
+                         ('nano_car 1.1.0', 'force, gripper'))
+
+    def test_serial_msg_knows_the_chunks_and_then_the_messages(self):
+        traffic = Topic('/serial_msg', SerialMsg)
+        self.addCleanup(traffic.close)
+        self.announce(FORCE)
+        chunk = traffic.first(lambda message: message.type == TYPE)
+        self.assertTrue(chunk.text.startswith('announcement 1/2 (CRC '), chunk.text)
+        self.assertEqual(chunk.error, '')
+        message = traffic.first(lambda message: message.type == 32 and not message.error,
+                                self.send(32, struct.pack('<h', 50)))
+        self.assertEqual(message.text, 'force data=0.5')
+
+    def test_what_changes_is_replaced_and_what_went_is_taken_down_and_nothing_else_notices(self):
+        self.announce(FORCE + GRIPPER)
+        force, ticks = self.topic('force', Float32), self.topic('ticks', Ticks)
+        speak = self.send(32, struct.pack('<h', 100))
+        force.first(doing=speak)
+        publications = force._subscriber.impl.connections[:]
+        reconnects = self.reconnects()
+        heartbeats = HeartbeatWatch(self.car, self.stage.bridge.process.pid)
+        number = [0]
+
+        def busy():
+            """Ticks that count, and force, while everything else changes."""
+            self.car.say(arduino.Ticks(number[0] % 256))
+            number[0] += 1
+            speak()
+
+        self.rosout.forget()
+        self.rosout.wait_for(PACKAGE, 'announces force, level', doing=lambda: (
+            busy(), self.say(FORCE + LEVEL)()))
+        self.assertNotIn(NODE + 'gripper', published())
+        level = self.topic('level', UInt16)
+        level.first(lambda message: message.data == 7, self.send(33, b'\7\0'))
+        level.close()       # rospy has one type for a name in a process
+        self.announce(FORCE + LEVEL.replace('UInt16', 'Bool'))
+        changed = self.topic('level', Bool)
+        changed.first(lambda message: message.data is True, self.send(33, b'\7\0'))
+        heartbeats.check()
+        self.assertEqual(force._subscriber.impl.connections, publications)
+        force.next(lambda message: message.data == 1.0, doing=speak)
+        ticks.first(lambda message: message.value == (number[0] - 1) % 256)
+        received = [message.value for message in ticks.messages]
+        status = self.diagnostics.fresh('arduino', lambda status: True, 'a status')
+        if status.keys['stale'] == '0':     # else this machine stalled the bridge
+            self.assertEqual(received, [value % 256 for value in range(
+                number[0] - len(received), number[0])])
+        self.announce('')
+        self.assertEqual(published() & {NODE + 'force', NODE + 'level'}, set())
+        self.assertEqual(self.parameter(), {})
+        self.assertEqual(self.reconnects(), reconnects)
+        self.diagnostics.wait_for('arduino', lambda status: status.keys['announced'] == '',
+                                  'no row')
+
+    def test_the_same_again_changes_nothing(self):
+        self.announce(FORCE)
+        force = self.topic('force', Float32)
+        speak = self.send(32, struct.pack('<h', 100))
+        force.first(doing=speak)
+        publications = force._subscriber.impl.connections[:]
+        self.rosout.forget()
+        reconnects = self.reconnects()
+        self.lines['arduino'].unplug()
+        self.diagnostics.wait_for('arduino', lambda status: status.level == 2, 'a closed port')
+        self.lines['arduino'].plug()
+        force.next(doing=lambda: (self.say(FORCE)(), speak()))
+        self.say(FORCE)()
+        self.say(FORCE, size=11)()
+        self.car.say(level_imu())
+        self.assertEqual(self.reconnects(), reconnects + 1)
+        self.assertEqual(force._subscriber.impl.connections, publications)
+        self.assertEqual(self.rosout.lines(PACKAGE, 'announces'), [])
+
+    def test_after_a_reconnect_commands_wait_until_the_board_announces_them_again(self):
+        self.announce(GRIPPER)
+        gripper = command_topic(NODE + 'gripper', UInt16)
+        self.addCleanup(gripper.unregister)
+        self.lines['arduino'].unplug()
+        self.diagnostics.wait_for('arduino', lambda status: status.level == 2, 'a closed port')
+        self.lines['arduino'].plug()
+        self.car.forget()
+        self.car.wait_for_heartbeats(1)
+        self.rosout.wait_for(PACKAGE, 'gripper data=9 refused: the board has not announced it',
+                             doing=lambda: gripper.publish(9))
+        sent = arduino.encode_raw(48, b'\x09\0')
+        self.assertNotIn(sent, [frame.raw for frame in self.car.bad])
+        chunk = chunks_of(GRIPPER.encode(), 60)[1]     # any one confirms all
+        until(lambda: sent in [frame.raw for frame in self.car.bad], 'the command is sent',
+              doing=lambda: (self.car.say(chunk), gripper.publish(9)))
+
+    def test_rows_that_may_not_be_are_left_out_with_a_line_each(self):
+        row = '{type: %d, ros_type: %s, layout: "<H", fields: [data]}\n'
+        reasons = {
+            'imu: ' + row % (50, 'std_msgs/UInt16'): 'announced/imu is .imu.*may not be a name',
+            'a: ' + row % (10, 'std_msgs/UInt16'): 'announced/a/type is 10 .int., may be a whole',
+            'b: ' + row % (51, 'std_msgs/Uint16'): 'announced/b/ros_type is .*did you mean',
+            'c: {typ: 5}\n': 'announced/c/typ is 5 .*did you mean type',
+            'd: {type: 5\n': 'line 5 of the announcement is left out',
+            'e: ' + row % (33, 'std_msgs/UInt16'): 'announced/e/type is 33 .*already the type of l',
+            'mine: ' + row % (42, 'std_msgs/UInt16'):
+                'row mine is left out: the parameter arduino/messages/mine has the same name',
+            'f: ' + row % (40, 'std_msgs/UInt16'):
+                'row f is left out: the parameter arduino/messages/mine has the same type',
+        }
+        same = 'same: {fields: [data], layout: "<?", ros_type: std_msgs/Bool, type: 41}\n'
+        bad = list(reasons)
+        self.rosout.forget()
+        text = ''.join(bad[:5]) + LEVEL + ''.join(bad[5:]) + same + FORCE
+        self.rosout.wait_for(PACKAGE, 'arduino: announces level, force', doing=self.say(text))
+        warnings = [line for line in self.rosout.lines(PACKAGE, '', 4) if 'left out' in line]
+        for reason in reasons.values():
+            self.assertEqual(len([line for line in warnings if re.search(reason, line)]), 1,
+                             (reason, warnings))
+        self.assertEqual(len(warnings), len(reasons), warnings)
+        self.assertEqual(set(self.parameter()), {'level', 'force'})
+        force = self.topic('force', Float32)
+        force.first(doing=self.send(32, b'\1\0'))
+
+    def test_a_bridge_that_starts_again_forgets_the_rows_and_warns_of_nothing(self):
+        self.announce(FORCE)
+        self.stage.bridge.end()
+        self.assertEqual(set(self.parameter()), {'force'})
+        # Not `Bridge`, which clears the parameters.
+        bridge = self.stage.bridge
+        bridge.process = subprocess.Popen(bridge.process.args, stdout=bridge._output,
+                                          stderr=subprocess.STDOUT)
+        until(lambda: NODE + 'calibrate_imu' in published(), 'the bridge is complete')
+        until(lambda: self.parameter('arduino') is None, 'the old rows are gone')
+        self.announce(FORCE)
+        self.assertEqual(set(self.parameter()), {'force'})
+        self.assertNotIn('unknown', bridge.output())
+
+    # -- the other boards --------------------------------------------------------------------------
+
+    def test_the_sensor_board_announces_too(self):
+        text = FIRMWARE.replace('nano_car', 'esp') + LEVEL
+        line = self.announce(text, self.sensors)
+        self.assertEqual(line, 'mcu: announces level (firmware esp 1.1.0)')
+        level = Topic('/mcu/level', UInt16)
+        self.addCleanup(level.close)
+        level.first(lambda message: message.data == 300, lambda: self.sensors.write(
+            mcu.encode_raw(33, 0, struct.pack('<H', 300))))
+        self.assertEqual(set(self.parameter('mcu')), {'level'})
+        self.assertEqual(bytes(self.sensors.wire), b'')
+
+    def test_services_and_polls_of_a_bus_board_appear_change_and_go(self):
+        before = self.bus.text
+        pump = service(NODE + 'pump', SetBool)
+        answer = until(lambda: self.call(pump, True), 'the pump runs')
+        self.assertTrue(answer.success)
+        self.assertIn(bus.Request(bus.FUNCTION, 0x40, b'\1'), self.bus.executed)
+        tank = self.topic('tank', Float32)
+        tank.first(lambda message: abs(message.data - 1.5) < 1e-6)
+        self.assertEqual(set(self.parameter('bus')), {'pump', 'tank'})
+        self.lines['bus'].unplug()
+        self.diagnostics.wait_for('bus', lambda status: status.level == 2
+                                  and 'closed' in status.message, 'a closed port')
+        self.bus.text = FIRMWARE + PUMP.replace('SetBool', 'Trigger').replace(
+            ', request: {layout: "<?", fields: [data]}', '')
+        self.rosout.forget()
+        self.lines['bus'].plug()
+        self.assertEqual(self.rosout.wait_for(PACKAGE, 'announces'),
+                         'bus: announces pump (firmware nano_car 1.1.0)')
+        self.assertNotIn(NODE + 'tank', published())
+        answer = until(lambda: self.call(service(NODE + 'pump', Trigger)), 'the pump answers')
+        self.assertTrue(answer.success)
+        self.assertIn(bus.Request(bus.FUNCTION, 0x40), self.bus.executed)
+        for text, line in ('', 'bus: announces nothing'), (before, 'bus: announces pump, tank'):
+            self.lines['bus'].unplug()
+            self.diagnostics.fresh('bus', lambda status: status.level == 2
+                                   and 'closed' in status.message, 'a closed port')
+            self.bus.text = text
+            self.lines['bus'].plug()
+            self.rosout.wait_for(PACKAGE, line)
+            self.assertEqual(NODE + 'pump' in published(), bool(text))
+
+    @staticmethod
+    def call(proxy, *arguments):
+        """The answer if the call succeeds, else None."""
+        try:
+            answer = proxy(*arguments)
+        except rospy.ServiceException:
+            return None
+        return answer if answer.success else None
+
+    def test_a_name_that_another_link_has_is_left_out(self):
+        service(NODE + 'pump', SetBool)
+        self.rosout.forget()
+        self.rosout.wait_for(PACKAGE, 'arduino: announces force',
+                             doing=self.say(FORCE + LEVEL.replace('level', 'pump')))
+        self.assertEqual(len(self.rosout.lines(
+            PACKAGE, "arduino/announced/pump is 'pump' (str), has the name of bus/announced/pump")),
+            1)
+
+
+class IgnoredTest(unittest.TestCase):
+    """A bridge that uses no announcements: the bus's parameter has its default."""
+
+    def test_without_the_parameters_nothing_is_asked_and_nothing_is_used(self):
+        stage = Stage(PUMP, {'arduino/announcements': False}).start()
+        self.addCleanup(stage.end)
+        diagnostics = Diagnostics()
+        self.addCleanup(diagnostics.close)
+        ticks = Topic(NODE + 'ticks', Ticks)
+        self.addCleanup(ticks.close)
+        for chunk in chunks_of(FORCE.encode(), 20):
+            stage.car.say(chunk)
+        ticks.first(doing=lambda: stage.car.say(arduino.Ticks(3)))
+        diagnostics.fresh('arduino', lambda status: 'announced' not in status.keys
+                          and status.keys['unknown type errors'] == '0', 'no announcement')
+        until(lambda: len(stage.bus.executed) > 5, 'the board is polled')
+        self.assertEqual({request.cmd2 for request in stage.bus.executed}, {bus.ENVIRONMENT})
+        self.assertEqual(published() & {NODE + 'force', NODE + 'pump'}, set())
+
+
+if __name__ == '__main__':
+    rospy.init_node('announced_test')
+    rostest.rosrun(PACKAGE, 'announced', __name__)
