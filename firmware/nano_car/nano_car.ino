@@ -62,7 +62,7 @@ static void handle_led(const char* text) {
 #ifdef CUSTOM_MESSAGES
 // An example of custom messages, which the board announces: the bridge needs no rows for them.
 static const char kRows[] PROGMEM =
-    "firmware: nano_car 1.1.0\n"
+    "firmware: nano_car 1.2.0\n"
     "force: {type: 32, ros_type: std_msgs/Float32, layout: '<h', fields: [data], scale: 0.01,"
     " minimum: 0, maximum: 300}\n"
     "gripper: {type: 48, direction: to_board, ros_type: geometry_msgs/Vector3, layout: '<hB', fields: [x, z],"

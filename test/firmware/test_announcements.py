@@ -153,7 +153,7 @@ def test_the_car_announces_the_example(firmware_build):
         board.wait_until(lambda: len(car.read(TYPE)) >= count, 4)
         text, = assembled([Chunk.unpack(data) for data in car.read(TYPE)])
         firmware, rows = rows_in(text)
-        assert firmware == 'nano_car 1.1.0'
+        assert firmware == 'nano_car 1.2.0'
         named = {name: EXAMPLES['arduino']['messages'][name] for name in ('force', 'gripper')}
         assert meanings(custom_messages(rows)) == meanings(custom_messages(named))
         car.port.close()
