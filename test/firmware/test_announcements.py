@@ -186,7 +186,7 @@ def test_the_control_board_announces_the_example(firmware_build):
         assert master.function(TYPE, bytes([index])) == error(0x8000)
         assert master.function(TYPE) == error(0x8000)
         firmware, rows = rows_in(text)
-        assert firmware == 'ctrl_board 1.1.0'
+        assert firmware == 'ctrl_board 1.2.0'
         named = {name: EXAMPLES['bus']['functions'][name] for name in ('pump', 'stop', 'tank')}
         assert meanings(read_functions(rows)) == meanings(read_functions(named))
         master.port.close()
