@@ -14,9 +14,7 @@ class Requirement:
     """One requirement and the results of its checks; if `counted`, only a number of events."""
 
     def __init__(self, group: str, text: str, counted: bool = False) -> None:
-        self.group = group
-        self.text = text
-        self.counted = counted
+        self.group, self.text, self.counted = group, text, counted
         self.checks = 0
         self.violations = 0
         self.undecided = 0      # checks without a result

@@ -16,7 +16,7 @@ import signal
 import struct
 import threading
 import time
-from typing import Any, Callable, Deque, Dict, List, Optional, Tuple
+from typing import Any, Callable, Deque, Dict, List, Optional, Set, Tuple
 
 from heartbeats import BEAT_MISSED, longest_gap
 from processes import usage_of
@@ -48,8 +48,7 @@ class LineHistory:
     """What the bridge received on one link in the last seconds, and the values in it."""
 
     def __init__(self, frame_at: codec.FrameAt, keys: Callable[[codec.Frame], List[Key]]) -> None:
-        self._frame_at = frame_at
-        self._keys = keys
+        self._frame_at, self._keys = frame_at, keys
         self._writes: Deque[Tuple[float, bytes, bytes]] = collections.deque()
         self._sent: 'collections.OrderedDict[Key, float]' = collections.OrderedDict()
         self._lock = threading.Lock()
@@ -103,9 +102,7 @@ class Storm:
 
     def __init__(self, rig: Rig, duration: float, seed: str, busy: int) -> None:
         self.__name__ = f'all faults at once, for {duration:g} s'
-        self.rig = rig
-        self.duration = duration
-        self._busy = busy
+        self.rig, self.duration, self._busy = rig, duration, busy
         self._random = random.Random(f'storm {seed}')
         self._stopping = threading.Event()
         self._damage_lock = threading.Lock()
@@ -116,10 +113,8 @@ class Storm:
         self.histories = {'arduino': LineHistory(codec.arduino_at, car_keys),
                           'mcu': LineHistory(codec.mcu_at, sensor_keys),
                           'bus': LineHistory(codec.reply_at, reply_keys)}
-        self.motor = MotorCheck(self)
-        self.calls = CallCheck(self)
-        self._values = ValueCheck(self)
-        self._process = ProcessCheck(self)
+        self.motor, self.calls = MotorCheck(self), CallCheck(self)
+        self._values, self._process = ValueCheck(self), ProcessCheck(self)
 
     def record(self, *what: Any) -> None:
         self._records.append((round(time.monotonic(), 4), *what))
@@ -230,6 +225,7 @@ class Storm:
     def _react(self, request: Request) -> Optional[Reaction]:
         if request.cmd2 in (DEPTH, HEIGHT, codec.ENVIRONMENT):
             return None
+        self.calls.received(request.key)
         ok = self.bus.ok_reply(request)
         return self._random.choice((
             *[Reaction([(0, reply_frame(codec.ERROR, struct.pack('<H', codec.FAILED)))])] * 2,
@@ -277,7 +273,6 @@ class Storm:
             self.record('bridge', 'suspended')
             self.wait(self._random.choice((0.1, 0.8, 1.5)))
             self.motor.clear_heartbeats()
-            self.record('bridge', 'continued')
 
 
 class MotorCheck:
@@ -293,8 +288,7 @@ class MotorCheck:
         self._gap = require('storm: motor', 'no gap of 30 ms between heartbeats of an open port')
         self._reader = codec.Reader(codec.arduino_at, float('inf'))
         self._commands: Dict[int, Tuple[float, int]] = {}    # time and connection (-1: none)
-        self._connection = 0
-        self._is_first = False
+        self._connection, self._is_first = 0, False
         self._moving_since: Optional[int] = None     # heartbeats since the last speed other than 0
         self._times: List[float] = []                # of heartbeats
         self._lock = threading.RLock()
@@ -311,8 +305,7 @@ class MotorCheck:
         with self._lock:
             self._reader.reset()
             self._connection += 1
-            self._is_first = True
-            self._moving_since = None
+            self._is_first, self._moving_since = True, None
             self._times.clear()
 
     def clear_heartbeats(self) -> None:
@@ -383,6 +376,8 @@ class CallCheck:
         self._returns = require('storm: bus', 'every call returns (worst: over timeout + 0.8 s)')
         self.executed: 'collections.Counter[Tuple[int, bytes]]' = collections.Counter()
         self._numbers = iter(range(1, 1 << 32))
+        self._unchecked: Set[Tuple[int, bytes]] = set()
+        self._made: Deque[float] = collections.deque(maxlen=100)   # requests made by damage
         self._pending: Deque[Tuple[float, Callable[[], None]]] = collections.deque()
         self._lock = threading.RLock()
 
@@ -390,6 +385,7 @@ class CallCheck:
         while self._storm.wait(0.01):
             with self._lock:
                 key = MEMORY, struct.pack('<I', next(self._numbers))
+                self._unchecked.add(key)
             began = time.time()
             outcome = self._storm.rig.robot.call('bus/request', codec.FUNCTION, *key)
             self._storm.record('returned', key[1].hex(), outcome)
@@ -398,6 +394,11 @@ class CallCheck:
                 self._pending.append((began, functools.partial(self._check, key, outcome, began)))
                 self.check_pending(time.time() - _CALL_TIME)
 
+    def received(self, key: Tuple[int, bytes]) -> None:
+        """To be called for each request that the board receives."""
+        if key not in self._unchecked:
+            self._made.append(time.time())
+
     def check_pending(self, until: float = float('inf')) -> None:
         """Check the calls that began before `until`."""
         while self._pending and self._pending[0][0] < until:
@@ -405,6 +406,7 @@ class CallCheck:
 
     def _check(self, key: Tuple[int, bytes], outcome: Outcome, began: float) -> None:
         executed = self.executed.pop(key, 0)
+        self._unchecked.discard(key)
         if not self._storm.check(self._returns, outcome.status is not None, outcome.message):
             return
         name = ('done' if outcome.success else 'not known' if outcome.status == TIMEOUT
@@ -420,10 +422,11 @@ class CallCheck:
             self._storm.check(self._own_data, own, text)
 
     def _is_from_damage(self, outcome: Outcome, key: Tuple[int, bytes], began: float) -> bool:
-        """Whether a valid frame on the line had this outcome, and no board sent it."""
+        """Whether the outcome is due to a valid frame that damage made, in either direction."""
         if outcome.status == NOT_SENT:
             return False
-        return self._storm.histories['bus'].has_frame(
+        made = any(began <= at <= began + outcome.seconds for at in list(self._made))
+        return made or self._storm.histories['bus'].has_frame(
             lambda frame: frame.type == outcome.status and frame.data == outcome.data
             and frame.data != key[1] if outcome.success else frame.type == outcome.status, began,
             True)

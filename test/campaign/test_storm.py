@@ -148,6 +148,18 @@ def test_wrong_outcome_from_a_frame_that_damage_created(fake):
         fake.histories['bus'].add(error, error, began + 0.5)
 
 
+def test_wrong_outcome_of_a_request_that_damage_changed_to_another(fake):
+    calls, key, began = storm.CallCheck(fake), (MEMORY, TOKEN), time.time()
+    calls._unchecked.add(key)
+    calls.received(key)
+    both = ['outcome done: executed exactly once', 'a raw call returns the data of its own reply']
+    for violated in both, []:
+        calls._check(key, Outcome(True, 2, 60.0, '', b'else'), began)
+        assert fake.violated == violated
+        fake.violated.clear()
+        calls.received((MEMORY, b'else'))
+
+
 def test_published_values(fake):
     fake.histories['mcu'] = fake.histories['arduino']
     values = storm.ValueCheck(fake)
