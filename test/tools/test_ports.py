@@ -28,6 +28,7 @@ from serial_communication.tools.ports.report import Found
 from serial_communication.transport.devices import Device
 from serial_communication.transport.holders import Holder
 
+pytestmark = pytest.mark.slow      # the program listens for seconds
 HERE = os.path.dirname(os.path.abspath(__file__))
 ROOT = os.path.dirname(os.path.dirname(HERE))
 PROGRAM = os.path.join(ROOT, 'scripts', 'ports')
