@@ -1,5 +1,6 @@
 """Standard output and standard error of a program."""
 import io
+import os
 import signal
 import sys
 
@@ -15,3 +16,8 @@ def prepare_output() -> None:
     for stream in sys.stdout, sys.stderr:
         if isinstance(stream, io.TextIOWrapper):    # None if it was closed before the start
             stream.reconfigure(line_buffering=True)
+
+
+def no_more_output(descriptor: int = 1) -> None:
+    """Redirect an output that cannot be written to, or flushing it at exit would fail."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), descriptor)

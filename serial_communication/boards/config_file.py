@@ -1,5 +1,5 @@
 """Reads a file with parameters of the bridge, for programs without ROS."""
-from typing import Any, Dict
+from typing import Any, Dict, List
 
 
 def read_parameters(path: str) -> Dict[str, Any]:
@@ -27,3 +27,9 @@ def board_parameters(parameters: Any, name: str) -> Dict[str, Any]:
     """The parameters of one board, from all of them; empty if there is no such group."""
     group = parameters.get(name) if isinstance(parameters, dict) else None
     return group if isinstance(group, dict) else {}
+
+
+def board_packages(parameters: Any) -> List[Any]:
+    """The parameter `boards`, import names of packages with boards; empty if it is no list."""
+    packages = parameters.get('boards') if isinstance(parameters, dict) else None
+    return packages if isinstance(packages, list) else []

@@ -11,9 +11,9 @@ from typing import Any, List, NoReturn, Optional, Type
 
 from ..boards import BOARDS, BoardError, description, load
 from ..boards.description import Description
-from ..output import prepare_output
+from ..output import no_more_output, prepare_output
 from ..transport.pace import Allowance
-from ..transport.port import Port, check_url
+from ..transport.port import Port, url_argument
 from . import faults
 from .board import Board, Runner, positive
 from .custom_messages import add_options, announced_text
@@ -120,7 +120,7 @@ class _Printer:
         try:
             sys.stdout.flush()
         except (OSError, ValueError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+            no_more_output()
 
 
 # -- the command line -------------------------------------------------------------------------
@@ -216,10 +216,6 @@ def _fault_help(board: Type[Board]) -> str:
 
 
 def _port(text: str) -> str:
-    try:
-        check_url(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f'{text}: {error}') from None
     if not text:
         raise argparse.ArgumentTypeError('is empty')
-    return text
+    return url_argument(text)

@@ -7,6 +7,7 @@ sleeps in poll() until a byte is received. Other kinds (rfc2217://, loop://) are
 A connection (socket://, rfc2217://) detects a peer that vanished. What it has not sent when it is
 closed is dropped, not delivered later.
 """
+import argparse
 import errno
 import fcntl
 import grp
@@ -20,7 +21,7 @@ import struct
 import termios
 import threading
 import time
-from typing import Optional, Tuple
+from typing import Callable, Optional, Tuple
 from urllib.parse import urlsplit
 
 import serial
@@ -35,6 +36,7 @@ _STALLED = 0.1     # s of wire time; with a longer backlog a tty counts as held 
 _NOT_SENT = 0x894B     # SIOCOUTQNSD, which no Python module defines
 NETWORK = 'socket', 'rfc2217'       # the schemes with a host
 _VANISHED = 4      # s without an answer after which a connection's peer has vanished
+_LOOK_AGAIN = 10.0  # s for which the program that has the port open is not looked up again
 _IAC = b'\xff'     # RFC 2217 is telnet, where this byte is doubled in data
 _PTMX = os.makedev(5, 2)             # /dev/ptmx
 _PTY = range(136, 144)               # major numbers of /dev/pts/*
@@ -69,6 +71,15 @@ def check_url(url: str) -> None:
     if scheme in NETWORK:
         _check_network_url(url, port)
     _check_device(port.port)
+
+
+def url_argument(text: str) -> str:
+    """For argparse: a device or URL that pyserial may be able to open."""
+    try:
+        check_url(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f'{text}: {error}') from None
+    return text
 
 
 def _check_device(path: str) -> None:
@@ -123,6 +134,7 @@ class Port:
         self._out = -1                   # to write to; -1: closed, or there is none
         self._settings = b''             # which the tty should have; b'': not a tty
         self._failure = ''               # why this connection was given up
+        self._in_use = ('', '', 0.0)     # path, who has it open, when to look again (monotonic)
         self._lock = threading.Lock()    # held to write, open and close
         self._rest = b''                 # the unsent rest of a frame that the kernel took in part
         self._wake_read, self._wake_write = os.pipe()
@@ -154,7 +166,7 @@ class Port:
                 opened.exclusive = True
             opened.open()
         except (OSError, ValueError, termios.error) as error:
-            raise PortError(_explain(error, path)) from None
+            raise PortError(_explain(error, path, self._who_has_it_open)) from None
         try:
             fd = opened.fileno()
         except (io.UnsupportedOperation, AttributeError):
@@ -177,10 +189,18 @@ class Port:
         with self._lock:
             self._rest = b''
             self._failure = ''
+            self._in_use = ('', '', 0.0)
             self._settings = settings
             self._fd = fd
             self._out = out
             self._serial = opened
+
+    def _who_has_it_open(self, path: str) -> str:
+        """Looked up at most every `_LOOK_AGAIN` s: it reads the open files of all processes."""
+        now = time.monotonic()
+        if path != self._in_use[0] or now >= self._in_use[2]:
+            self._in_use = path, _who_has_it_open(path), now + _LOOK_AGAIN
+        return self._in_use[1]
 
     def close(self) -> None:
         """Close the port; what was written but not sent is dropped."""
@@ -533,7 +553,8 @@ def _who_has_it_open(path: str) -> str:
     return f'{_HINTS[errno.EBUSY]}: {", ".join(map(str, holders))}'
 
 
-def _explain(error: BaseException, path: str = '') -> str:
+def _explain(error: BaseException, path: str = '',
+             who_has_it_open: Callable[[str], str] = _who_has_it_open) -> str:
     """What is wrong, for people, and what to do about it if that is known.
 
     Args:
@@ -548,7 +569,7 @@ def _explain(error: BaseException, path: str = '') -> str:
         if isinstance(cause, (OSError, termios.error)) and cause.args:
             number = cause.args[0]
             if path and number in (errno.EBUSY, errno.EAGAIN):
-                return _who_has_it_open(path)
+                return who_has_it_open(path)
             if path and number == errno.ENOENT:
                 return _HINTS[number] + _what_is_there(path)
             hint = _who_may_open(path) if number == errno.EACCES else _HINTS.get(number)

@@ -216,6 +216,24 @@ def test_the_program_that_has_a_port_open_is_named(line, tmp_path):
     assert Holder(held.pid, 'holds_it') not in holders_of(line.path)
 
 
+def test_the_holder_is_looked_up_once_for_many_tries(line, monkeypatch):
+    looked_up = []
+    monkeypatch.setattr('serial_communication.transport.port.holders_of',
+                        lambda path: looked_up.append(path) or [])
+    port = Port(line.path, 115200)
+    holder = Port(line.path, 115200)
+    for _ in range(2):
+        holder.open()
+        for _ in range(3):
+            with pytest.raises(PortError, match='another program has it open'):
+                port.open()
+        assert looked_up == [line.path]
+        holder.close()
+        port.open()         # so the next holder may be another one
+        port.close()
+        looked_up.clear()
+
+
 def test_a_holder_that_cannot_be_seen_is_found_with_a_command(line, port, monkeypatch):
     monkeypatch.setattr('serial_communication.transport.port.holders_of', lambda path: [])
     assert refusal(line.path) == ('another program has it open, of another user: `sudo fuser -v '

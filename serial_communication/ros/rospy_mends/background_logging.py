@@ -6,12 +6,13 @@ call. Here the log call only queues the line, and a handler that hangs or fails 
 else, not even the other handlers.
 """
 import logging
-import os
 import queue
 import sys
 import threading
 import time
 from typing import Dict, Optional
+
+from ...output import no_more_output
 
 _QUEUED = 1000    # lines that may wait for one handler; newer ones are dropped
 _LAST = 0.5       # s to write the waiting lines when the process ends
@@ -105,6 +106,6 @@ def _flush() -> None:
         try:
             stream.flush()
         except OSError:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+            no_more_output(stream.fileno())
         except (AttributeError, ValueError):
             pass    # the stream is None (closed before the start), or has been closed

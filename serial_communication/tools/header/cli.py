@@ -11,7 +11,7 @@ import sys
 from typing import Any, Dict, List, Optional, Tuple
 
 from ...boards import BOARDS, BoardError, find
-from ...boards.config_file import board_parameters, read_parameters
+from ...boards.config_file import board_packages, board_parameters, read_parameters
 from ...boards.description import CustomRows, Description
 from ...output import prepare_output
 from .cpp import header
@@ -73,8 +73,7 @@ def _header(path: str, link: str) -> str:
 
 def _board(parameters: Dict[str, Any], link: str) -> Tuple[Description, CustomRows]:
     """The board with that link; '': the only one with rows. And how its rows are read."""
-    packages = parameters.get('boards')
-    packages = packages if isinstance(packages, list) else []
+    packages = board_packages(parameters)
     if link:
         try:
             board = find(link, packages)

@@ -12,12 +12,12 @@ import threading
 from typing import Any, Dict, List, Optional
 
 from ...boards import BOARDS, BoardError, find
-from ...boards.config_file import board_parameters, read_parameters
-from ...output import prepare_output
+from ...boards.config_file import board_packages, board_parameters, read_parameters
+from ...output import no_more_output, prepare_output
 from ...transport import devices
 from ...transport.devices import Device
 from ...transport.holders import holders_of
-from ...transport.port import check_url
+from ...transport.port import url_argument
 from . import configuration
 from .configuration import WriteError
 from .listening import Candidate, Heard, Listener
@@ -42,7 +42,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)    # else Python reports it at its exit
+        no_more_output()
         return 0
 
 
@@ -50,7 +50,7 @@ def _arguments(arguments: Optional[List[str]]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog='ports', description=__doc__.partition('\n\n')[2], epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('ports', metavar='PORT', nargs='*', type=_url,
+    parser.add_argument('ports', metavar='PORT', nargs='*', type=url_argument,
                         help='a device, or whatever pyserial opens (all serial ports of this '
                              'computer)')
     parser.add_argument('--seconds', type=_seconds, default=2.0, metavar='S',
@@ -72,14 +72,6 @@ def _arguments(arguments: Optional[List[str]]) -> argparse.Namespace:
     return options
 
 
-def _url(text: str) -> str:
-    try:
-        check_url(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f'{text}: {error}') from None
-    return text
-
-
 def _seconds(text: str) -> float:
     value = float(text)
     if not 0 < value <= _LONGEST:
@@ -90,8 +82,7 @@ def _seconds(text: str) -> float:
 
 def _candidates(config: str) -> List[Candidate]:
     parameters: Dict[str, Any] = read_parameters(config) if config else {}
-    packages = parameters.get('boards')
-    boards = map(find, (*BOARDS, *(packages if isinstance(packages, list) else ())))
+    boards = map(find, (*BOARDS, *board_packages(parameters)))
     candidates = [Candidate(board, board_parameters(parameters, board.name)) for board in boards]
     for candidate in candidates:
         candidate.decoder()     # raises ValueError for a mistake in a custom message

@@ -9,7 +9,7 @@ import re
 from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Tuple, Union
 
 from ...boards import BOARDS, BoardError, description
-from ...boards.config_file import board_parameters
+from ...boards.config_file import board_packages, board_parameters
 from ...boards.description import ANNOUNCED, Description
 
 NODE = '/serial_communication'           # the bridge's default name
@@ -127,8 +127,7 @@ def boards_of(parameters: Any) -> List[Description]:
     A board that cannot be imported here is left out. Its topics and frames are still shown.
     """
     found = [description(name) for name in BOARDS]
-    packages = parameters.get('boards') if isinstance(parameters, dict) else None
-    for package in packages if isinstance(packages, list) else ():
+    for package in board_packages(parameters):
         try:
             found.append(description(str(package)))
         except BoardError:

@@ -5,9 +5,9 @@ import signal
 import sys
 from typing import List, Optional
 
-from ...output import prepare_output
+from ...output import no_more_output, prepare_output
 from . import explain, listen, play, stats, tap
-from .show import WireError, print_note, no_more_output
+from .show import WireError, print_note
 
 PROGRAMS = {'explain': explain, 'listen': listen, 'tap': tap, 'play': play, 'stats': stats}
 

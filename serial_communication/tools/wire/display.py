@@ -7,12 +7,13 @@ from datetime import datetime
 from typing import Iterable, List, Optional, Sequence
 
 from ...framing.stream import Frame
+from ...output import no_more_output
 from ...transport.port import Port
 from . import lines
 from .lines import Settings
 from .live import Inbox, PortReader, Recorder, claim, decode_inbox
 from .recording import RecordedFrame
-from .show import Paint, frame_line, no_more_output, print_note, seconds
+from .show import Paint, frame_line, print_note, seconds
 
 _SWITCH_INTERVAL = 0.0005   # s that decoding and printing may delay the threads of the ports
 

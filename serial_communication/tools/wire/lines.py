@@ -3,11 +3,10 @@ import argparse
 from typing import Any, Callable, List, Mapping, NamedTuple, Optional
 
 from ...boards import BOARDS, BoardError, find
-from ...boards.config_file import board_parameters, read_parameters
+from ...boards.config_file import board_packages, board_parameters, read_parameters
 from ...boards.description import Description
 from ...framing.frame_timer import FrameTimer
 from ...framing.stream import Decoder, Frame
-from ...transport.port import check_url
 from .show import WireError
 
 MAX_BAUD = 10 ** 8
@@ -44,15 +43,6 @@ def positive(text: str) -> float:
     if not 0 < value < float('inf'):
         raise argparse.ArgumentTypeError(f'{text} is not a finite number above 0')
     return value
-
-
-def port(text: str) -> str:
-    """For argparse: a device or URL that pyserial may be able to open."""
-    try:
-        check_url(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f'{text}: {error}') from None
-    return text
 
 
 def baud(text: str) -> int:
@@ -119,11 +109,10 @@ def known_lines(config: str) -> Callable[[str, int], Settings]:
         parameters = read_parameters(config) if config else {}
     except (OSError, ValueError) as error:
         raise UsageError(f'{config}: {error}') from None
-    packages = parameters.get('boards')
 
     def known(link: str, baud_rate: int = 0) -> Settings:
         try:
-            board = find(link, packages if isinstance(packages, list) else ())
+            board = find(link, board_packages(parameters))
         except BoardError as error:
             raise UnknownBoard(
                 f'there is no board {link}, only {", ".join(BOARDS)}; for a board of another '

@@ -17,6 +17,7 @@ examples:
 import argparse
 import os
 
+from ...transport.port import url_argument
 from . import display, lines
 from .recording import frames_of, learned_from, load
 
@@ -26,7 +27,7 @@ SUMMARY = 'show every frame that a board sends; writes nothing to the port'
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `wire listen`."""
     lines.add_options(parser)
-    parser.add_argument('port', metavar='PORT', type=lines.port,
+    parser.add_argument('port', metavar='PORT', type=url_argument,
                         help='a device, or whatever pyserial opens; or a recording')
     parser.add_argument('--topic', default='', help='the topic of a bag with several')
     display.add_options(parser)

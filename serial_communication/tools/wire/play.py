@@ -25,7 +25,7 @@ import time
 from typing import Any, Dict, List, Sequence
 
 from ...transport.pace import set_priority
-from ...transport.port import Port, PortBusy, PortError
+from ...transport.port import Port, PortBusy, PortError, url_argument
 from . import lines
 from .figures import percentile
 from .playback import Piece, differences, is_complete, pieces_of, spaced
@@ -45,7 +45,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `wire play`."""
     parser.add_argument('recording', metavar='RECORDING', help='a bag, or a file of --raw')
     lines.add_options(parser)
-    parser.add_argument('port', metavar='PORT', type=lines.port,
+    parser.add_argument('port', metavar='PORT', type=url_argument,
                         help='a device, or whatever pyserial opens')
     parser.add_argument('--topic', default='', help='the topic of a bag with several')
     parser.add_argument('--from', dest='begin', type=clock, default=0.0, metavar='TIME',

@@ -4,6 +4,7 @@ import sys
 from typing import Optional, TextIO
 
 from ...framing.stream import Frame
+from ...output import no_more_output
 
 _COLOURS = {'board': '36', 'computer': '33', 'bad': '31', 'good': '32', 'dim': '2'}
 
@@ -48,11 +49,6 @@ def seconds(value: float) -> str:
     if value < 0.001:
         return f'{value * 1e6:.0f} us'
     return f'{value * 1e3:.2f} ms' if value < 1 else f'{value:.3f} s'
-
-
-def no_more_output(descriptor: int = 1) -> None:
-    """Redirect an output that cannot be written to, or flushing it at exit would fail."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), descriptor)
 
 
 def print_note(text: str) -> None:

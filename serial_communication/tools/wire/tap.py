@@ -17,6 +17,7 @@ and return.
 """
 import argparse
 
+from ...transport.port import url_argument
 from . import display, lines
 
 SUMMARY = 'sit between computer and board, forward and show both directions'
@@ -26,7 +27,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `wire tap`."""
     lines.add_options(parser)
     for end in 'board', 'computer':
-        parser.add_argument(f'{end}_port', metavar=f'{end.upper()}_PORT', type=lines.port,
+        parser.add_argument(f'{end}_port', metavar=f'{end.upper()}_PORT', type=url_argument,
                             help=f'the port of the {end}')
     display.add_options(parser)
 
