@@ -2,8 +2,7 @@
 
     subscriber NAME     subscribes to all topics
     caller NAME         calls the lift for each line "DIRECTION DISTANCE" of stdin; prints results
-    latching NAME A B   publishes speed A latched, prints "connected" once the bridge has connected;
-                        after a line on stdin publishes speed B
+    latching NAME A B   publishes speed A latched; after a line on stdin B, when A was received
     speeds NAME A       publishes speeds A, A + 1 ... at 20 Hz
     sleeper             prints when it was woken late, and by how many seconds
 """
@@ -11,7 +10,9 @@ import itertools
 import signal
 import sys
 import time
+from xmlrpc.client import ServerProxy
 
+import rosgraph
 import rospy
 
 from serial_communication.msg import SpeedPWMCommand
@@ -40,11 +41,18 @@ def latching(first: str, second: str) -> None:
     publisher = rospy.Publisher(NODE + '/speed', SpeedPWMCommand, queue_size=10, latch=True)
     publisher.publish(value=int(first))
     print('ready', flush=True)
-    while not publisher.impl.message_data_sent:     # rospy sends the latched one after it connects
-        time.sleep(0.01)
-    print('connected', flush=True)
     for _line in sys.stdin:
+        while not _bridge_has_received():   # of two that wait, it would use only the newer one
+            time.sleep(_PERIOD)
         publisher.publish(value=int(second))
+
+
+def _bridge_has_received() -> bool:
+    """Return whether the bridge that runs now has received a message of this process."""
+    bridge = ServerProxy(rosgraph.Master(rospy.get_name()).lookupNode(NODE))
+    ids = [each[0] for each in bridge.getBusInfo('')[2] if each[1] == rospy.get_node_uri()]
+    return any(number for _topic, connections in bridge.getBusStats('')[2][1]
+               for id_, _bytes, number, *_ in connections if id_ in ids)
 
 
 def speeds(first: str) -> None:

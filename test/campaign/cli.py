@@ -75,8 +75,7 @@ def _write_table_regularly(rig: Rig) -> None:
 
 def _report(table: Table, rig: Optional[Rig], options) -> bool:
     """Print the table. Keep the records if a requirement was violated, which is returned."""
-    print(table.render())
-    print(table.summary())
+    print(table.render(), table.summary(), sep='\n')
     if options.json:
         with open(options.json, 'w') as file:
             file.write(table.as_json())

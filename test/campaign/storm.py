@@ -191,9 +191,8 @@ class Storm:
         self.rig.robot.on_message = self._values.check
 
     def _disconnect_lines(self) -> None:
-        rig = self.rig
-        rig.robot.on_message = rig.robot.keep
-        for board in (rig.car, rig.bus, rig.sensors):
+        self.rig.robot.on_message = self.rig.robot.keep
+        for board in (self.rig.car, self.rig.bus, self.rig.sensors):
             board.line.damage = lambda data: data
             board.attach()
 
@@ -409,8 +408,7 @@ class CallCheck:
         self._unchecked.discard(key)
         if not self._storm.check(self._returns, outcome.status is not None, outcome.message):
             return
-        name = ('done' if outcome.success else 'not known' if outcome.status == TIMEOUT
-                else 'refused')
+        name = 'done' if outcome.success else {TIMEOUT: 'not known'}.get(outcome.status, 'refused')
         text = f'{key[1].hex()}: {outcome}, executed {executed} times'
         holds = {'done': executed == 1, 'refused': not executed, 'not known': executed <= 1}[name]
         own = not outcome.success or outcome.data == key[1]
@@ -443,8 +441,7 @@ class ValueCheck:
     def check(self, topic: str, message: Published) -> None:
         if message.key is None:
             return
-        link = ('bus' if topic in POLLED_TOPICS else 'mcu' if topic.startswith('mcu/')
-                else 'arduino')
+        link = 'bus' if topic in POLLED_TOPICS else 'mcu' if topic.startswith('mcu/') else 'arduino'
         history, key = self._storm.histories[link], (topic, message.key)
         sent_at = history.sent_at(key)
         if sent_at is None and history.may_have(key):
