@@ -184,6 +184,7 @@ class AnnouncedTest(unittest.TestCase):
     def test_serial_msg_knows_the_chunks_and_then_the_messages(self):
         traffic = Topic('/serial_msg', SerialMsg)
         self.addCleanup(traffic.close)
+        traffic.first()     # from now on it records every frame
         self.announce(FORCE)
         chunk = traffic.first(lambda message: message.type == TYPE)
         self.assertTrue(chunk.text.startswith('announcement 1/2 (CRC '), chunk.text)

@@ -109,6 +109,7 @@ class Car(CarBench):
 
     def test_the_motor_stops_after_the_speed_timeout_and_stays_off(self):
         speed, traffic = self.speed(), self.collect(Topic('/serial_msg', SerialMsg))
+        traffic.first()     # from now on it records every command
         for _ in range(TRIES):
             traffic.forget()
             before = self.pwm()
