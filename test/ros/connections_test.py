@@ -93,7 +93,8 @@ class Short(unittest.TestCase):
         with connected(service_address(NAME + '/get_loggers')) as subscriber:
             header = shake(subscriber, topic=NAME + '/voltage', type=Voltage._type)
             self.assertEqual(header['type'], Voltage._type)
-            self.car.say(arduino.Voltage(12.0))
+            until(lambda: select.select([subscriber], [], [], 0)[0], 'a voltage is published',
+                  doing=lambda: self.car.say(arduino.Voltage(12.0)), every=0.05)
             size, = struct.unpack('<I', subscriber.recv(4, socket.MSG_WAITALL))
             message = Voltage().deserialize(subscriber.recv(size, socket.MSG_WAITALL))
             self.assertEqual(message.value, 12.0)
