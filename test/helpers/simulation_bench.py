@@ -100,6 +100,10 @@ class Cable:
         until(lambda: os.path.exists(self.a) and os.path.exists(self.b), 'the ports')
 
     def unplug(self):
+        # The links first, so that they never point to a device that another test has got.
+        for path in self.a, self.b:
+            if os.path.lexists(path):
+                os.unlink(path)
         self._process.kill()
         self._process.wait()
 
