@@ -75,7 +75,7 @@ class HeartbeatThread:
             heartbeat_due = pace.passed(now)
             try:
                 if self._work(heartbeat_due):
-                    self._count(now)
+                    self._count(now, clock())
             except BaseException:  # pylint: disable=broad-except
                 self._on_fault(traceback.format_exc())
             try:
@@ -85,11 +85,13 @@ class HeartbeatThread:
                 # Without a pause, this loop would take a whole core at real-time priority.
                 self._stopping.wait(_LONGEST_SLEEP)
 
-    def _count(self, now: float) -> None:
-        last, self._last = self._last, now
+    def _count(self, began: float, ended: float) -> None:
+        """Count a heartbeat that was sent between these times."""
+        last, self._last = self._last, began
         if last is not None:
-            self.max_gap = max(self.max_gap, now - last)
-            self._gaps.append(now - last)
+            gap = ended - last      # never shorter than on the line, however long sending took
+            self.max_gap = max(self.max_gap, gap)
+            self._gaps.append(gap)
         self.sent += 1
 
 
