@@ -1,6 +1,6 @@
-"""What soak and bench stand on: a roscore of their own, the node, and other child processes.
+"""The processes of the campaign and the bench: a separate roscore, the node and other children.
 
-Everything ends with the `with` block, or with the process that has it, whatever happened.
+All of them end with the `with` block, or with the process that started them, whatever happens.
 """
 import ctypes
 import os
@@ -20,25 +20,25 @@ import rosgraph
 NODE = 'serial_communication'
 _PR_SET_PDEATHSIG = 1
 _START = 30.0            # s that anything may take to start
-_GRACE = 6.0             # s that a child has to end in
+_GRACE = 6.0             # s that a child may take to end
 
 
 class StageError(RuntimeError):
-    """The campaign or the bench itself did not work; the text is for a person."""
+    """The campaign or the bench itself did not work; the text says why."""
 
 
 _ENDS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 
 
 class Child:
-    """One process.
+    """A child process.
 
     Args:
-        folder: where it runs, and where its log is.
-        priority: real-time, if asked for and allowed; 0: none.
+        folder: its working directory, which also has its log.
+        priority: its real-time priority, if the system allows it; 0: none.
         orders: whether it reads its stdin.
         stdout, stderr: a descriptor, or subprocess.PIPE for stdout; None: its log.
-        fds: descriptors that it shares.
+        fds: descriptors that it inherits.
     """
 
     def __init__(self, name: str, command: Sequence[str], folder: str, env: Dict[str, str],
@@ -47,7 +47,7 @@ class Child:
         self.name = name
         self.log = os.path.join(folder, name.replace('/', '_').replace(' ', '_') + '.out')
         with open(self.log, 'ab') as log:
-            # What a signal raises while a process forks, Python ignores: until then it waits.
+            # Python ignores what a signal handler raises during a fork. So signals are blocked.
             signal.pthread_sigmask(signal.SIG_BLOCK, _ENDS)
             try:
                 self.process = subprocess.Popen(
@@ -67,7 +67,7 @@ class Child:
         return self.process.poll() is None
 
     def order(self, text: str) -> None:
-        """A line for its stdin; StageError where it has ended."""
+        """Write a line to its stdin; StageError if it has ended."""
         try:
             self.process.stdin.write(text.encode() + b'\n')
             self.process.stdin.flush()
@@ -75,34 +75,34 @@ class Child:
             raise self.fault() from None
 
     def fault(self) -> StageError:
-        """What to raise where it does not do as it should."""
+        """Return the error to raise if the process does not do what it should."""
         return StageError(f"{self.name} {'hangs' if self.alive else 'has ended'}: "
-                          f"{self.tail() or 'without a word'}")
+                          f"{self.tail() or 'it printed nothing'}")
 
     def send(self, number: int) -> None:
-        """A signal, if it still lives."""
+        """Send a signal, if it is still running."""
         if self.alive:
             self.process.send_signal(number)
 
     def hold(self) -> None:
-        """Stop it, until it is sent SIGCONT: it stands when this returns, or has ended."""
+        """Suspend it until it is sent SIGCONT; returns when it is suspended or has ended."""
         self.send(signal.SIGSTOP)
         os.waitid(os.P_PID, self.pid, os.WSTOPPED | os.WEXITED | os.WNOWAIT)
 
     def ask_to_end(self, number: int = signal.SIGTERM) -> None:
-        """Begin to end it, also where it is stopped."""
+        """Send it the signal, also if it is suspended."""
         self.send(signal.SIGCONT)
         self.send(number)
 
     def end(self, number: int = signal.SIGTERM, grace: float = _GRACE) -> float:
-        """Signal it, wait, force it in the end; the seconds that it took."""
+        """Send the signal and wait; kill it after `grace` s. Return the seconds that it took."""
         began = time.monotonic()
         self.ask_to_end(number)
         self.join(grace)
         return time.monotonic() - began
 
     def join(self, grace: float) -> None:
-        """Wait for its end; force it after `grace` seconds."""
+        """Wait for its end; kill it after `grace` s."""
         try:
             self.process.wait(max(0.0, grace))
         except subprocess.TimeoutExpired:
@@ -119,7 +119,7 @@ class Child:
                 pass        # it ended without having read all
 
     def tail(self) -> str:
-        """What it said last."""
+        """Return the end of its log."""
         with open(self.log, errors='replace') as log:
             return log.read()[-1500:].strip()
 
@@ -135,8 +135,9 @@ class Stage:
     """A folder, a roscore, and children.
 
     Args:
-        prefix: of the folder's name; `folder`: an own one, which is kept.
-        bridge: the command that is run in place of the node.
+        prefix: of the name of a temporary folder.
+        folder: used instead, and kept.
+        bridge: a command that is run instead of the node.
     """
 
     def __init__(self, prefix: str, folder: str = '', bridge: str = '') -> None:
@@ -169,7 +170,7 @@ class Stage:
         self._end_unlisted()
 
     def start_master(self) -> None:
-        """A roscore, at the same address each time; returns when it answers."""
+        """Start a roscore, always at the same address, and wait until it answers."""
         core = self.launch_master()
         master = rosgraph.Master('/stage')
         self.wait(lambda: _answers(master) or not core.alive, 'roscore')
@@ -177,22 +178,22 @@ class Stage:
             raise StageError(f'roscore does not start: {core.tail()}')
 
     def launch_master(self) -> Child:
-        """The same without waiting for it."""
+        """Start a roscore without waiting for it."""
         self._core = Child('roscore', ['roscore', '-p', str(self._port)], self.folder, self.env)
         return self._core
 
     @property
     def master_runs(self) -> bool:
-        """Whether there is a roscore, one that was asked to end included."""
+        """Whether a roscore is running, also one that was asked to end."""
         return self._core is not None and self._core.alive
 
     def ask_master_to_end(self) -> None:
-        """Returns at once: a roscore may take seconds to end."""
+        """Ask the roscore to end, which may take seconds; returns at once."""
         if self._core:
             self._core.ask_to_end()
 
     def end_master(self) -> None:
-        """Nobody answers at its address any more."""
+        """End the roscore and wait for its end."""
         if self._core:
             self._core.end()
             self._core = None
@@ -208,7 +209,7 @@ class Stage:
     # -- children -------------------------------------------------------------------------
 
     def child(self, name: str, command: Sequence[str], **options: Any) -> Child:
-        """Start one; `options` as Child has them, `namespace` for a node."""
+        """Start a child; `options` are those of Child, and `namespace` for a node."""
         return self.add(Child(name, command, self.folder, self._env(options), **options))
 
     def _env(self, options: Dict[str, Any]) -> Dict[str, str]:
@@ -216,12 +217,12 @@ class Stage:
         return dict(self.env, ROS_NAMESPACE=namespace) if namespace else self.env
 
     def add(self, child: Child) -> Any:
-        """One that ends with the stage; returns it."""
+        """Return the child, which will end with the stage."""
         self.children.append(child)
         return child
 
     def end(self, child: Child, number: int = signal.SIGTERM, grace: float = _GRACE) -> float:
-        """End one; the seconds that it took."""
+        """End a child; return the seconds that it took."""
         took = child.end(number, grace)
         if child in self.children:
             self.children.remove(child)
@@ -229,7 +230,7 @@ class Stage:
 
     def clear(self) -> None:
         """End every child."""
-        # Users of a node first: one that goes before them makes them complain.
+        # The users of a node first: they would log errors if the node ended before them.
         for child in reversed(self.children):
             child.ask_to_end()
         deadline = time.monotonic() + _GRACE
@@ -238,7 +239,7 @@ class Stage:
         self.children.clear()
 
     def _end_unlisted(self) -> None:
-        """End what was started as a Ctrl-C came, before it was in the list of children."""
+        """End a process that a Ctrl-C kept out of the list of children."""
         left = [process for process in psutil.Process().children()
                 if _runs_in(process, self.folder)]
         for process in left:
@@ -248,17 +249,18 @@ class Stage:
             process.wait()
 
     def check(self, *children: Child) -> None:
-        """StageError if one of them has ended."""
+        """Raise StageError if one of them has ended."""
         for child in children:
             if not child.alive:
                 raise child.fault()
 
     def bridge(self, ports: Dict[str, str], parameters: Dict[str, Any], name: str = 'bridge',
                command: Sequence[str] = (), **options: Any) -> Child:
-        """The node; `parameters` by their names, with the slash. Those of one before it go.
+        """Start the node with these parameters (``arduino/speed_timeout``), and no earlier ones.
 
-        `command`, where there is one, is run in its place.
-        In a namespace its /diagnostics stand there too, so that they have readers of their own.
+        Args:
+            command: run instead of the node.
+            options: with `namespace`, its /diagnostics are in that namespace, too.
         """
         namespace = options.get('namespace', '')
         _forget_parameters(f'{namespace}/{NODE}')
@@ -271,7 +273,7 @@ class Stage:
                           **options)
 
     def busy(self, number: int) -> List[Child]:
-        """Processes that take all the CPU they get."""
+        """Start processes that use all the CPU time they get."""
         return [self.child(f'busy{index}', [sys.executable, '-c', 'while True: pass'])
                 for index in range(number)]
 
@@ -279,7 +281,7 @@ class Stage:
 
     @staticmethod
     def wait(condition: Callable[[], Any], what: str, seconds: float = _START) -> Any:
-        """Until `condition()`, which is returned; StageError after `seconds`."""
+        """Wait until `condition()` is true, and return its value; StageError after `seconds`."""
         deadline = time.monotonic() + seconds
         while True:
             value = condition()
@@ -291,7 +293,7 @@ class Stage:
 
 
 def usage_of(pid: int) -> Dict[str, float]:
-    """Resident MB, threads and open files of a process; empty if it has ended."""
+    """Return the resident MB, threads and open files of a process; empty if it has ended."""
     try:
         process = psutil.Process(pid)
         with process.oneshot():
@@ -302,7 +304,7 @@ def usage_of(pid: int) -> Dict[str, float]:
 
 
 def has_priority(pid: int) -> bool:
-    """Whether a thread of the process has real-time priority."""
+    """Return whether a thread of the process has real-time priority."""
     try:
         return any(os.sched_getscheduler(int(thread)) == os.SCHED_FIFO for thread in
                    os.listdir(f'/proc/{pid}/task'))
