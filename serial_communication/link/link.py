@@ -14,6 +14,7 @@ from ..transport.port import Port, PortError
 from .backlog import LONGEST_SLEEP, STALL, Backlog
 from .presence import LOOK_PERIOD, STARTUP_TIME, PresenceLog
 from .sparing_log import SparingLog
+from .stall import StallWatch
 from .unknown_bytes import OtherBoard, UnknownBytes
 
 OK, WARN, ERROR = 0, 1, 2      # as in diagnostic_msgs/DiagnosticStatus
@@ -21,7 +22,6 @@ RX, TX = 0, 1                  # as in SerialMsg
 SILENCE = 1.0                  # s without a frame after which a board counts as silent
 _SHUTDOWN_TIME = 0.5           # s within which bridge and simulated boards end if stopped together
 _AFTER_FAULT = 0.1             # s until the thread goes on after an unexpected error
-_NEVER = float('inf')
 _OLD = object()                # the stamp of bytes that waited during a stall
 
 Tap = Callable[[str, int, Frame], None]      # gets the link's name, RX or TX, and the frame
@@ -89,15 +89,14 @@ class Link:
         self.announcement = Assembly()
         self.announced: Optional[Announced] = None   # None: nothing was announced
         self.text_in_use: Optional[bytes] = None     # the announcement whose rows are in use
-        # When the thread last returned from a read, by `pace.clock`; _NEVER: the port is closed.
-        self.awake_at = _NEVER
+        self._stalls = StallWatch(STALL)   # of the thread; by `pace.clock`
         self._clock = clock
         self._timer = FrameTimer(decoder, frame_timeout, port.baud)
         self.connections = 0               # how often the port has been opened
         self._trouble = ''                 # why the port is closed
         self._lost = ''                    # why the port was lost; '': not lost, or already logged
         self._lost_at = 0.0                # when; monotonic
-        self._opener = Opener(port, name + ' opening', self._port_opened)
+        self._opener = Opener(port, name + ' opening')
         self._stopping = self._opener.ending
         self._thread = threading.Thread(target=self._run, name=name + ' link', daemon=True)
         self._reported_errors = 0
@@ -179,6 +178,11 @@ class Link:
         """Whether received bytes are dropped now, after a stall."""
         return self._backlog is not None
 
+    @property
+    def awake_at(self) -> float:
+        """When the thread last ran, by `pace.clock`; infinite before the start."""
+        return self._stalls.awake_at
+
     # -- for callers ------------------------------------------------------------------
 
     def start(self) -> None:
@@ -199,6 +203,15 @@ class Link:
     def wake(self) -> None:
         """Make the thread call `tick` soon."""
         self.port.wake()
+
+    def may_be_from_a_stall(self) -> bool:
+        """Whether what is asked for now may have waited while the bridge stalled.
+
+        That is so during a stall, and until `AFTER_STALL` s after it. Any thread may call this: a
+        caller's thread may run again before the link's thread does.
+        """
+        now = pace.clock()
+        return self._stalls.stalled_for(now) > 0 or self._stalls.has_just_stalled(now)
 
     def send(self, frame: bytes, type_: int, command: int, data: bytes, message: Any) -> None:
         """Write one frame, count it and pass it to `tap`.
@@ -330,21 +343,28 @@ class Link:
         """Open the port, serve it and close it, again and again."""
         if self.port.is_open:       # an error ended the previous call
             self._close_port()
-        while self._opener.open(self._not_opened, lambda now: self._guarded(self.idle, now)):
+        while self._opener.open(self._not_opened, self._idle):
             self._guarded(self._serve)
             self._close_port()
 
     def _close_port(self) -> None:
-        self.awake_at = _NEVER
         self._guarded(self.port.close)
         self._guarded(self.closed, time.monotonic())
 
-    def _port_opened(self) -> None:
-        """Runs in the opener's thread; from now on bytes can wait in the port."""
-        self.awake_at = pace.clock()
+    def _idle(self, now: float) -> float:
+        self._check_awake()
+        due = self._guarded(self.idle, now)
+        soon = now + LONGEST_SLEEP
+        return soon if due is None else min(due, soon)
+
+    def _check_awake(self) -> float:
+        """The length in s of the stall that ends now; 0.0 if there is none."""
+        now = pace.clock()
+        seconds = self._stalls.stalled_for(now)
+        self._stalls.awake_at = now
+        return seconds
 
     def _not_opened(self, trouble: str) -> None:
-        self.awake_at = _NEVER
         self._trouble = trouble
         # If everything is stopped together, a simulated board's port may vanish first: no warning.
         if time.monotonic() >= self._lost_at + _SHUTDOWN_TIME:
@@ -432,16 +452,15 @@ class Link:
             f'{unknown} `rosrun serial_communication ports` finds out which board is on which port')
 
     def _check_stall(self, now: float) -> None:
-        awake_at = pace.clock()
-        seconds = awake_at - self.awake_at
-        if seconds > STALL:
-            if self._backlog is None:
-                self._backlog = Backlog(self.port.baud, seconds, awake_at)
-                self.decoder.reset()
-            else:
-                self._backlog.extend(seconds, awake_at)
-            self.stalled(seconds, now)
-        self.awake_at = awake_at
+        seconds = self._check_awake()
+        if not seconds:
+            return
+        if self._backlog is None:
+            self._backlog = Backlog(self.port.baud, seconds, self.awake_at)
+            self.decoder.reset()
+        else:
+            self._backlog.extend(seconds, self.awake_at)
+        self.stalled(seconds, now)
 
     def _drop(self, backlog: Backlog, data: bytes, now: float) -> None:
         """Drop the bytes of one read; end the backlog if they are the last of it."""

@@ -25,13 +25,11 @@ class Opener:
     Args:
         port: the port to open; its reader closes it.
         name: of the thread.
-        opened: called in the thread as soon as the port is open.
     """
 
-    def __init__(self, port: Port, name: str, opened: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, port: Port, name: str) -> None:
         self.ending = threading.Event()      # `end` has been called
         self._port = port
-        self._opened = opened
         self._pause = 0.0                    # s until the next try
         self._trouble = ''                   # why the latest try failed; '': the port is open
         self._tried = threading.Event()      # that try has ended
@@ -100,7 +98,6 @@ class Opener:
         try:
             if not self._port.is_open:      # an earlier order may have opened it
                 self._port.open()
-            self._opened()
         except PortError as error:
             return str(error)
         except BaseException as error:  # pylint: disable=broad-except

@@ -15,6 +15,7 @@ from waiting import Waiter
 
 from serial_communication.boards.arduino.link import ArduinoLink
 from serial_communication.link.backlog import STALL, Backlog
+from serial_communication.link.stall import AFTER_STALL, StallWatch
 from serial_communication.boards.bus.link import BusLink, BusSettings
 from serial_communication.boards.mcu.link import McuLink
 from serial_communication.boards.arduino import wire as arduino
@@ -399,17 +400,76 @@ def test_no_request_is_sent_while_replies_are_dropped(line, logger, running, clo
     link = running(BusLink(Port(line.path), BusSettings(environment_period=0.0), logger=logger))
     board = running(BusBoard(line))
     until(lambda: link.master.in_step)
-    for moves in range(3):
+    for readings in range(3):
         clock.begin_stall(link, 1.0)
         seen = len(board.seen)
-        caller = Waiter(link.lift, 0, 1)
+        caller = Waiter(link.environment)
         caller.name = 'caller'
         waited = time.monotonic()
         until(lambda: time.monotonic() > waited + 0.2)
         assert len(board.seen) == seen
         clock.end(link)
-        assert caller.result().success and len(board.moves()) == moves + 1
+        assert caller.result()[0].success and len(board.executed) == readings + 1
     assert link.master.timeouts == 0, 'the reply to an ECHO was dropped'
+
+
+# -- what was asked for during a stall -------------------------------------------------------------
+
+def test_a_stall_is_found_before_and_after_the_links_thread_runs_again(
+        line, logger, running, clock):
+    free, held = threading.Event(), threading.Event()
+
+    def hold(message, seq, stamp):
+        held.set()
+        free.wait(PATIENCE)
+
+    link = running(McuLink(Port(line.path), timeout=60.0, logger=logger, on_status=hold))
+    until(lambda: held.is_set() or line.write(mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 1)))
+    clock._stopped_at = link.awake_at + STALL - 0.01
+    assert not link.may_be_from_a_stall()
+    clock._stopped_at = link.awake_at + STALL + 0.01
+    assert link.may_be_from_a_stall(), 'before its thread runs'
+    free.set()
+    until(lambda: link.awake_at == clock._stopped_at)
+    clock._stopped_at += AFTER_STALL / 2
+    until(lambda: link.awake_at == clock._stopped_at)
+    assert link.may_be_from_a_stall(), 'after its thread has run'
+    for _ in range(2):      # in two steps: neither is a stall
+        clock._stopped_at += AFTER_STALL / 3
+        until(lambda: link.awake_at == clock._stopped_at)
+    assert not link.may_be_from_a_stall()
+
+
+def test_a_stall_counts_although_the_port_was_closed_or_is_lost_at_its_end(
+        line, logger, running, clock):
+    """A USB adapter is often gone after the computer was suspended, and back at once."""
+    link = running(McuLink(Port(line.path), timeout=60.0, logger=logger))
+    until(lambda: link.port.is_open)
+    clock._stopped_at = clock() + 15.0
+    line.unplug()
+    until(lambda: not link.port.is_open and link.awake_at == clock._stopped_at)
+    assert link.may_be_from_a_stall()
+    while link.may_be_from_a_stall():
+        clock._stopped_at += STALL / 2
+        until(lambda: link.awake_at == clock._stopped_at)
+    clock._stopped_at += 15.0
+    line.plug()
+    until(lambda: link.port.is_open and link.awake_at == clock._stopped_at)
+    assert link.may_be_from_a_stall()
+
+
+def test_a_watch_finds_the_stall_of_the_thread_that_stalled_longest():
+    watch = StallWatch(0.5, 10.0)
+    assert watch.stalled_for(10.5) == 0.0 and not watch.has_just_stalled(10.5)
+    assert watch.stalled_for(10.5, receiving_at=9.0) == 1.5
+    assert watch.has_just_stalled(10.99) and not watch.has_just_stalled(11.0)
+    assert watch.stalled_for(12.0) == 2.0
+    assert watch.stalled_for(11.0) == 1.0, 'by a thread that has read the clock earlier'
+    assert watch.has_just_stalled(12.49)
+
+
+def test_a_thread_that_was_not_started_does_not_stall():
+    assert StallWatch(0.5).stalled_for(1e9) == 0.0
 
 
 # -- when a backlog ends --------------------------------------------------------------------------

@@ -6,11 +6,12 @@ computer is suspended. The link asks what is due, and reports what it has sent.
 import enum
 from typing import Optional
 
+from ...link.stall import StallWatch
+
 _REPEAT_PERIOD = 0.05    # s between the repetitions of a stop: the line may lose any of them
 _REPEAT_FOR = 1.0        # s after the first SPEED 0 for which it is repeated
 _EARLY = 0.005           # s by which a repetition may be early, instead of one heartbeat late
 _STALL = 0.5             # s without a run of the heartbeat thread; fixed, whatever speed_timeout is
-_OLD_COMMANDS = 0.5      # s after a stall in which commands from its time may still arrive
 
 
 class Stop(enum.Enum):
@@ -37,8 +38,7 @@ class Motor:
         self._timeout_at = now       # when SPEED 0 is due, if moving
         self._repeat_at = 0.0
         self._repeat_until = float('-inf')
-        self._awake_at = now
-        self._ignores_until = now
+        self._stalls = StallWatch(_STALL, now)
 
     def sent(self, speed: int, now: float) -> None:
         """This speed was written to an open port."""
@@ -82,12 +82,11 @@ class Motor:
             receiving_at: when the receiving threads last ran; infinite: there is nothing to
                 receive. A stall of these threads alone is detected while it lasts.
         """
-        seconds = now - min(self._awake_at, receiving_at)
-        if seconds <= _STALL:
-            return None
         known_already = self.ignores_commands(now)
-        self._awake_at = now
-        self._ignores_until = now + _OLD_COMMANDS
+        seconds = self._stalls.stalled_for(now, receiving_at)
+        if not seconds:
+            return None
+        self._stalls.awake_at = now
         if known_already:
             return None
         self.forget_speed()
@@ -95,8 +94,8 @@ class Motor:
 
     def awake(self, now: float) -> None:
         """The heartbeat thread runs: nothing but a stall of the process can hold it up."""
-        self._awake_at = now
+        self._stalls.awake_at = now
 
     def ignores_commands(self, now: float) -> bool:
         """Whether a command that arrives now may be from the time of a stall."""
-        return now < self._ignores_until
+        return self._stalls.has_just_stalled(now)

@@ -1,0 +1,36 @@
+"""Finds stalls: times in which the bridge did not run, or a thread of it."""
+AFTER_STALL = 0.5    # s after a stall in which what waited meanwhile may still arrive
+
+
+class StallWatch:
+    """Watches one thread, and tells which commands and calls may have waited during a stall.
+
+    Any thread may ask. Times are seconds of a clock that also runs while the computer is suspended.
+
+    Args:
+        limit: s; a longer time in which the thread does not run is a stall.
+        now: the thread runs from now on; infinite: it has not been started.
+    """
+
+    def __init__(self, limit: float, now: float = float('inf')) -> None:
+        self.awake_at = now      # when the thread last ran
+        self._limit = limit
+        self._until = float('-inf')
+
+    def stalled_for(self, now: float, receiving_at: float = float('inf')) -> float:
+        """The length in s of a stall that ends now, or still lasts; 0.0 if there is none.
+
+        The caller may run before the threads that stalled: all of them wake up in any order.
+
+        Args:
+            receiving_at: when another thread last ran, which is watched as well.
+        """
+        seconds = now - min(self.awake_at, receiving_at)
+        if seconds <= self._limit:
+            return 0.0
+        self._until = max(self._until, now + AFTER_STALL)
+        return seconds
+
+    def has_just_stalled(self, now: float) -> bool:
+        """Whether what arrives now may have waited during a stall that `stalled_for` has found."""
+        return now < self._until
