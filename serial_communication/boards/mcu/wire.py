@@ -25,7 +25,7 @@ MAX_PAYLOAD = 253      # bytes
 RANGE_TIMED_OUT = 0xFFFF  # in place of a range: the sensor timed out
 ANGLE_UNKNOWN = -0x8000   # pitch and roll where the IMU did not answer: no attitude has -327.68°
 
-_WRAP = 655.36         # degrees by which a heading over 327.67 wraps in the int16
+_WRAP = 0x10000        # by which a heading over 327.67° wraps in the int16; 0.01°
 
 
 class _SensorValues(NamedTuple):
@@ -48,7 +48,8 @@ class SensorStatus(LayoutMessage, _SensorValues):
 
     @classmethod
     def unpack(cls, data: bytes) -> 'SensorStatus':
-        """From the payload. A yaw under -180° is a heading that wrapped; it is restored.
+        """From the payload. A yaw under -180° is a heading that wrapped; it is restored, and one over
+        360° is given as the same direction under 360°.
 
         Raises:
             struct.error: the payload does not have ten bytes.
@@ -56,9 +57,10 @@ class SensorStatus(LayoutMessage, _SensorValues):
         range_1, range_2, yaw, pitch, roll = cls.LAYOUT.raw(data)
         if pitch == roll == ANGLE_UNKNOWN:    # yaw alone cannot tell: it may be a heading
             return cls(range_1, range_2, nan, nan, nan)
-        yaw /= 100
-        return tuple.__new__(cls, (range_1, range_2, yaw if yaw >= -180 else round(yaw + _WRAP, 2),
-                                   pitch / 100, roll / 100))
+        if yaw < -18000:
+            yaw += _WRAP
+            yaw -= 36000 * (yaw > 36000)
+        return tuple.__new__(cls, (range_1, range_2, yaw / 100, pitch / 100, roll / 100))
 
     def pack(self) -> bytes:
         """The payload. Angles are rounded to 0.01° and wrap as the board's int16 does."""

@@ -120,8 +120,17 @@ def test_yaw_over_the_whole_int16_range():
     for raw in range(-0x8000, 0x8000):
         message = mcu.SensorStatus.unpack(struct.pack('<HHhhh', 1, 2, raw, 3, 4))
         heading = raw + 65536 if raw < -18000 else raw
-        assert message.yaw == heading / 100
-        assert message.pack()[4:6] == struct.pack('<h', raw)
+        if heading <= 36000:
+            assert message.yaw == heading / 100
+            assert message.pack()[4:6] == struct.pack('<h', raw)
+        else:
+            assert message.yaw == (heading - 36000) / 100
+
+
+def test_no_restored_heading_is_over_360_degrees():
+    yaws = [mcu.SensorStatus.unpack(struct.pack('<HHhhh', 1, 2, raw, 3, 4)).yaw
+            for raw in range(-0x8000, -18000)]
+    assert 0 < min(yaws) and max(yaws) == 360
 
 
 @pytest.mark.parametrize('heading', [0.0, 179.99, 180.0, 327.67, 327.68, 350.0, 359.99])
@@ -131,7 +140,8 @@ def test_every_heading_is_restored_from_its_int16(heading):
     assert frame.message == sent
 
 
-@pytest.mark.parametrize('raw, yaw', [(-18000, -180.0), (-18001, 475.35), (-30536, 350.0),
+@pytest.mark.parametrize('raw, yaw', [(-18000, -180.0), (-18001, 115.35), (-30536, 350.0),
+                                      (-25000, 45.36), (-29536, 360.0), (-29535, 0.01),
                                       (32767, 327.67), (-32768, 327.68)])
 def test_the_edges_of_the_wrap(raw, yaw):
     (frame,), _ = decode(MCU, status(raw))
@@ -175,6 +185,8 @@ def test_one_angle_of_the_marker_is_an_angle(pitch, roll):
 def test_sensor_status_round_trip(range_1, range_2, yaw, pitch, roll, seq):
     if pitch == roll == -0x8000:
         yaw = 0    # of unknown angles it means nothing
+    if -29536 < yaw < -18000:
+        yaw = 0    # a heading over 360°
     wire = status(yaw, pitch, roll, range_1, range_2, seq)
     frames, errors = decode(MCU, wire, end=False)
     assert [(frame.type, frame.command) for frame in frames] == [(0x10, seq)]
