@@ -1,5 +1,6 @@
 """When an incomplete frame is given up. All times are seconds of one monotonic clock."""
-from typing import List, Optional
+from collections import deque
+from typing import Deque, List, Optional, Tuple
 
 from .stream import Decoder, Frame
 
@@ -7,10 +8,9 @@ from .stream import Decoder, Frame
 class FrameTimer:
     """Watches one decoder, of a link or of a simulated board.
 
-    After `timeout` without a byte an incomplete frame is given up, and noise ends. A frame with a
-    false length could still delay valid frames for as long as bytes keep arriving. So a frame that
-    takes `timeout` longer than its bytes need on the wire is given up, too, if a valid frame
-    begins inside it.
+    After `timeout` without a byte an incomplete frame is given up, and noise ends. Whatever is
+    received meanwhile, a frame is also given up `timeout` and its own time on the wire after its
+    first byte. So a false length cannot delay other frames, or hold a link, for longer.
 
     Args:
         decoder: whose pending frame is watched.
@@ -22,38 +22,38 @@ class FrameTimer:
         self._decoder = decoder
         self._timeout = timeout
         self._seconds_a_byte = 10.0 / baud
-        self._front: Optional[int] = None  # where in the stream the pending frame begins
-        self._front_at = 0.0               # when it was first seen there
+        # Of each read with bytes of the incomplete frame: the bytes received by then, and its time.
+        self._reads: Deque[Tuple[int, float]] = deque()
 
     def reset(self) -> None:
         """Begin again, as after a reconnect."""
-        self._front = None
+        self._reads.clear()
 
-    def due(self, last_byte: float, now: float) -> Optional[float]:
+    def due(self, last_byte: float) -> Optional[float]:
         """When to call `overdue` at the latest; None while nothing is pending.
+
+        To be called after each read, or `overdue`.
 
         Args:
             last_byte: when the latest byte was received.
         """
-        if not self._decoder.pending:
+        decoder, reads = self._decoder, self._reads
+        if not decoder.pending:
+            reads.clear()
             return None
-        return min(last_byte + self._timeout, self._overlong_at(now))
+        if not reads or reads[-1][0] != decoder.received:
+            reads.append((decoder.received, last_byte))
+        while reads and reads[0][0] <= decoder.front:
+            reads.popleft()
+        begun = reads[0][1] + decoder.needed * self._seconds_a_byte if reads else last_byte
+        return min(last_byte, begun) + self._timeout
 
     def overdue(self, last_byte: float, now: float) -> List[Frame]:
-        """Give up a frame that has waited too long; return the frames, valid and invalid, that
-        this completes."""
-        decoder = self._decoder
+        """Give up what has waited too long; return the frames, valid and invalid, that this
+        completes."""
         frames: List[Frame] = []
-        if now >= last_byte + self._timeout:
-            while decoder.pending:
-                frames += decoder.give_up()
-        elif decoder.pending and now >= self._overlong_at(now):
-            self._front = None
-            frames = decoder.skip_false_start()
+        due = self.due(last_byte)
+        while due is not None and now >= due:
+            frames += self._decoder.give_up()
+            due = self.due(last_byte)
         return frames
-
-    def _overlong_at(self, now: float) -> float:
-        front = self._decoder.front
-        if front != self._front:
-            self._front, self._front_at = front, now
-        return self._front_at + self._timeout + self._decoder.needed * self._seconds_a_byte

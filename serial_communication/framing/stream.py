@@ -85,8 +85,12 @@ class Decoder(Protocol):
         """Whether a frame has begun that is not complete."""
 
     @property
+    def received(self) -> int:
+        """How many bytes were received so far."""
+
+    @property
     def front(self) -> int:
-        """Where that frame begins: how many bytes of the stream are before it."""
+        """Where the incomplete frame begins: how many bytes are before it; all if there is none."""
 
     @property
     def needed(self) -> int:
@@ -100,10 +104,6 @@ class Decoder(Protocol):
 
         To be called until nothing is `pending`.
         """
-
-    def skip_false_start(self) -> List[Frame]:
-        """The incomplete frame takes too long, though bytes arrive: give it up if a valid frame
-        begins inside it."""
 
     def reset(self) -> None:
         """Drop what is pending, as after a reconnect; the counts stay."""
@@ -203,8 +203,13 @@ class StreamDecoder:
         return bool(self.buffer)
 
     @property
+    def received(self) -> int:
+        """How many bytes were received so far."""
+        return self._offset + len(self.buffer)
+
+    @property
     def front(self) -> int:
-        """Where that frame begins: how many bytes of the stream are before it."""
+        """Where the incomplete frame begins: how many bytes are before it; all if there is none."""
         return self._offset
 
     @property
@@ -231,23 +236,12 @@ class StreamDecoder:
             self._end_noise(0)
         return frames
 
-    def skip_false_start(self) -> List[Frame]:
-        """Give up the incomplete frame if a valid frame begins inside it.
-
-        Else a false length would delay valid frames for as long as bytes keep arriving.
-        """
-        frames: List[Frame] = []
-        if any(byte in self.STARTS and isinstance(self.frame_at(at), Good)
-               for at, byte in enumerate(self.buffer) if at):
-            while all(frame.cause for frame in frames):
-                frames += self.give_up()
-        return frames
-
     def reset(self) -> None:
         """Drop what is pending, as after a reconnect; the counts stay."""
-        errors = self.errors
+        errors, received = self.errors, self.received
         StreamDecoder.__init__(self)
         self.errors = errors
+        self._offset = self._classified = received
 
     # -- for subclasses ---------------------------------------------------------------
 
@@ -268,7 +262,7 @@ class StreamDecoder:
             frames += apart.give_up()
         if not frames:
             if frame:
-                parts.take_bytes(apart.front + apart.needed, 'frame')
+                parts.take_bytes(apart.front - self.received + apart.needed, 'frame')
             return parts.found
         first = frames[0]
         start, payload, end = first.raw.partition(first.data) if first.data else \

@@ -415,7 +415,7 @@ class Link:
             if now >= look_at:
                 look_at = now + LONGEST_SLEEP
                 self._check_port(now)
-            due = timer.due(self.last_byte_at, now)
+            due = timer.due(self.last_byte_at)
             if due is not None:
                 wake_at = min(wake_at, due)
             data = self.port.read(wake_at - now)

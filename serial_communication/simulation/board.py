@@ -86,7 +86,7 @@ class Board:
             return self.advance(now)
         for frame in self._timer.overdue(self._last_byte, now):
             self.frame(frame, now)
-        times = [self.advance(now), self._timer.due(self._last_byte, now)]
+        times = [self.advance(now), self._timer.due(self._last_byte)]
         return min((due for due in times if due is not None), default=None)
 
     # -- hooks ----------------------------------------------------------------------------

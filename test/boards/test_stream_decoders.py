@@ -81,8 +81,7 @@ def test_one_invalid_frame_is_returned_for_each_counted_error(kind, stream, seed
     decoder, chance, frames = kind.make(), random.Random(seed), []
     for chunk in random_chunks(stream, seed):
         frames += decoder.feed(chunk)
-        frames += chance.choice((list, list, decoder.give_up,
-                                 decoder.skip_false_start))()
+        frames += chance.choice((list, list, decoder.give_up))()
         check_counted(kind, frames, decoder.errors)
 
 
@@ -332,36 +331,6 @@ def test_false_starts_inside_a_false_start_are_given_up_one_by_one(kind):
 
 
 @every_checksummed
-def test_the_frames_after_a_false_start_are_found(kind):
-    wires = sample_wires(kind)
-    for starts in (1, 3):
-        decoder = kind.make()
-        assert valid(decoder.feed(kind.false_start * starts + b''.join(wires))) == []
-        assert [frame.raw for frame in valid(decoder.skip_false_start())] == wires
-        assert not decoder.pending and decoder.errors[FRAMING] >= 1
-
-
-@every_checksummed
-def test_a_slow_frame_is_no_false_start(kind):
-    wire = sample_wires(kind)[0]
-    for size in range(1, len(wire)):
-        decoder = kind.make()
-        decoder.feed(wire[:size])
-        before = dict(decoder.errors), decoder.front, decoder.needed
-        assert decoder.skip_false_start() == [] and decoder.pending
-        assert (decoder.errors, decoder.front, decoder.needed) == before
-        assert [frame.raw for frame in decoder.feed(wire[size:])] == [wire]
-
-
-@every_checksummed
-def test_an_empty_decoder_has_no_false_start(kind):
-    decoder = kind.make()
-    assert decoder.skip_false_start() == []
-    decoder.feed(sample_wires(kind)[0])
-    assert decoder.skip_false_start() == []
-
-
-@every_checksummed
 def test_the_front_moves_only_when_a_frame_is_decided(kind):
     wire = sample_wires(kind)[0]
     decoder = kind.make()
@@ -371,6 +340,8 @@ def test_the_front_moves_only_when_a_frame_is_decided(kind):
     assert decoder.front == len(wire) and decoder.needed <= len(wire)
     decoder.feed(wire[4:] + wire[:2])
     assert decoder.front == 2 * len(wire)
+    decoder.reset()
+    assert decoder.front == decoder.received == 2 * len(wire) + 2
 
 
 @pytest.mark.parametrize('kind, wire', [

@@ -6,9 +6,9 @@ import time
 
 import pytest
 
-from fake_boards import until
+from fake_boards import BusBoard, until
 from serial_communication.boards.arduino.link import ArduinoLink
-from serial_communication.boards.bus.link import BusLink
+from serial_communication.boards.bus.link import BusLink, BusSettings
 from serial_communication.boards.mcu.link import McuLink
 from serial_communication.transport.port import Port
 from serial_communication.link.sparing_log import SparingLog
@@ -394,10 +394,33 @@ def test_a_false_start_does_not_delay_frames_that_follow_without_a_pause(line, l
     assert taken[0] == 0 and len(taken) < 10
 
 
+def test_a_false_start_and_a_byte_now_and_then_do_not_hold_the_bus(line, logger, running):
+    """The false start would take 244 bytes: over seven seconds."""
+    board = running(BusBoard(line))
+    link = running(BusLink(Port(line.path), BusSettings(environment_period=0.0), logger=logger))
+    until(lambda: link.master.in_step)
+    line.write(b'\xa5\xf0')
+    ended = threading.Event()
+
+    def send_noise():
+        while not ended.wait(0.03):
+            line.write(b'\x11')
+
+    noise = threading.Thread(target=send_noise, name='noise', daemon=True)
+    noise.start()
+    try:
+        outcomes = [link.sync() for _ in range(5)]
+    finally:
+        ended.set()
+        noise.join()
+    assert [outcome.message for outcome in outcomes if not outcome.success] == []
+    assert board.requests(bus.SYNC)
+
+
 def test_a_slow_frame_is_received(line, logger, running):
-    """It takes longer than frame_timeout as a whole, but no pause in it is as long."""
+    """It comes in many reads, with pauses, but within frame_timeout."""
     taken = []
-    link = running(McuLink(Port(line.path), timeout=20.0, logger=logger, frame_timeout=1.0,
+    link = running(McuLink(Port(line.path), timeout=20.0, logger=logger, frame_timeout=5.0,
                            on_status=lambda message, seq, stamp: taken.append(seq)))
     until(lambda: link.port.is_open)
     wire = mcu.encode(mcu.SensorStatus(400, 500, 1.0, 2.0, 3.0), 7)

@@ -261,7 +261,7 @@ class _Decoder:
         messages: classes of custom messages: see `message_class`. Their limits are always checked.
     """
 
-    front = needed = 0     # for `skip_false_start`, which has no use in this framing
+    needed = _MAX_ENCODED      # bytes of the longest packet: no packet says how long it is
     _messages: Dict[int, Any] = {}
 
     def __init__(self, check_plausibility: bool = True,
@@ -270,6 +270,7 @@ class _Decoder:
         self._unchecked = frozenset(() if check_plausibility else self._messages)
         self._messages = dict(self._messages)
         self._messages.update((message.TYPE, message) for message in messages)
+        self.received = 0     # bytes
         self.reset()
 
     def add_message(self, kind: Type[LayoutMessage]) -> None:
@@ -290,6 +291,11 @@ class _Decoder:
         """The same: every byte belongs to a packet, so there is no noise between packets."""
         return self.pending
 
+    @property
+    def front(self) -> int:
+        """Where the incomplete packet begins: how many bytes are before it; all if there is none."""
+        return self.received - len(self._begun)
+
     def reset(self) -> None:
         """Forget the incomplete packet, as after a reconnect; the counts stay."""
         self._begun = b''
@@ -300,6 +306,7 @@ class _Decoder:
         """Decode bytes as they were read; return the packets that are now complete, invalid ones
         included."""
         frames: List[Frame] = []
+        self.received += len(data)
         packets = (self._begun + data).split(b'\0')
         self._begun = packets.pop()
         for packet in packets:
@@ -325,10 +332,6 @@ class _Decoder:
             frames.append(invalid_frame(self._begun, FRAMING, 'an incomplete packet', self._stamp))
         self.reset()
         return frames
-
-    def skip_false_start(self) -> List[Frame]:
-        """Do nothing: a packet has no length field, so an invalid one cannot delay the next."""
-        return []
 
     def _oversize(self, packet: bytes, frames: List[Frame], stamp: Any) -> None:
         frames.append(self._bad(packet, OVERSIZE, f'a packet of over {MAX_PACKET} bytes', stamp))

@@ -155,7 +155,6 @@ class Direction:
         self.decoder = decoder(line, sent)
         self._timer = FrameTimer(self.decoder, line.frame_timeout, line.baud)
         self._last_byte = float('-inf')
-        self._now = 0.0
 
     def feed(self, data: bytes, at: float) -> List[Frame]:
         """Decode a read. Return the frames that are complete, or dropped as incomplete, by now."""
@@ -165,7 +164,7 @@ class Direction:
             if due is None or due >= at:     # a link decodes new bytes before it drops a frame
                 break
             frames += self._give_up(due)
-        self._last_byte = self._now = at
+        self._last_byte = at
         return frames + self.decoder.feed(data, at) + self._give_up(at)
 
     def expire(self, now: float) -> List[Frame]:
@@ -179,7 +178,7 @@ class Direction:
 
     def due(self) -> Optional[float]:
         """Return when to call `expire` next; None: not before the next read."""
-        return self._timer.due(self._last_byte, self._now)
+        return self._timer.due(self._last_byte)
 
     def reset(self) -> None:
         """Drop pending bytes: the port was closed, or bytes are missing."""
@@ -187,5 +186,4 @@ class Direction:
         self._timer.reset()
 
     def _give_up(self, now: float) -> List[Frame]:
-        self._now = now
         return self._timer.overdue(self._last_byte, now)
