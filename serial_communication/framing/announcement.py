@@ -105,7 +105,7 @@ class Assembly:
         return self._key is not None
 
     def reset(self) -> None:
-        """The port was opened: forget all chunks, but not the text."""
+        """The port was closed: forget all chunks, but not the text."""
         self._begun.clear()
         self._key = None
         self.confirmed = False

@@ -373,6 +373,7 @@ class LayoutMessage(tuple):
     TYPE: int
     LABEL: str
     LAYOUT: Layout
+    ANNOUNCED = False      # the board announces this message itself
 
     @classmethod
     def unpack(cls, data: bytes) -> Any:

@@ -89,6 +89,7 @@ class Link:
         self.announcement = Assembly()
         self.announced: Optional[Announced] = None   # None: nothing was announced
         self.text_in_use: Optional[bytes] = None     # the announcement whose rows are in use
+        self.held_back = 0                 # values of announced rows: see `holds_back`
         self._stalls = StallWatch(STALL)   # of the thread; by `pace.clock`
         self._clock = clock
         self._timer = FrameTimer(decoder, frame_timeout, port.baud)
@@ -247,11 +248,20 @@ class Link:
     def still_announces(self) -> bool:
         """Whether the board is known to announce the rows in use.
 
-        After the port was opened it may have other firmware, to which the same bytes mean something
-        else. So nothing that a row describes is sent before the board has announced it again.
+        After the port was opened the board may be another one, or have other firmware, where the
+        same bytes mean something else. So until it has announced the rows again, nothing that they
+        describe is sent or published.
         """
         announcement = self.announcement
         return announcement.confirmed and announcement.text == self.text_in_use
+
+    def holds_back(self, message: Any) -> bool:
+        """Whether a received message may mean something else, since only a row describes it that
+        the board is not known to announce. It is then counted, and may not be published."""
+        if not message.ANNOUNCED or self.still_announces:
+            return False
+        self.held_back += 1
+        return True
 
     def refuse_unless_announced(self, command: str) -> None:
         """Raise Refused for an announced command that the board may no longer have."""
@@ -310,7 +320,8 @@ class Link:
         values += self.extra_values()
         if self.announced is not None:
             values += [('firmware', self.announced.firmware),
-                       ('announced', ', '.join(self.announced.rows))]
+                       ('announced', ', '.join(self.announced.rows)),
+                       ('held back', self.held_back)]
         return Report(level, summary, values)
 
     def condition(self, now: float) -> Tuple[int, str]:
@@ -348,6 +359,7 @@ class Link:
             self._close_port()
 
     def _close_port(self) -> None:
+        self.announcement.reset()      # before any thread can write to the port's next opening
         self._guarded(self.port.close)
         self._guarded(self.closed, time.monotonic())
 
@@ -398,7 +410,6 @@ class Link:
         self.connections += 1
         self.log.info('opened', f'{self.port.url}: open')
         self.decoder.reset()
-        self.announcement.reset()
         now = time.monotonic()
         self.opened(now)
         self.last_byte_at = self._opened_at = self._presence_at = look_at = now

@@ -157,12 +157,9 @@ def add_announced(row: RosMessage, prefix: str, frame_prefix: str, link: Any,
     Returns:
         a function that takes it down.
     """
+    row.kind.ANNOUNCED = True
     if row.custom.is_command:
-        def send(message: Any) -> None:
-            link.refuse_unless_announced(str(message)[:_LABEL])
-            link.command(message)
-
-        return _take_command(row, prefix, send, link.log, age_limit).close
+        return _take_command(row, prefix, link.command, link.log, age_limit).close
 
     def take_down() -> None:
         link.decoder.remove_message(row.kind)

@@ -11,7 +11,7 @@ from serial_communication.boards.bus.link import BusLink, BusSettings
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.mcu.link import McuLink
 from serial_communication.framing.announcement import Chunk, chunks_of
-from serial_communication.link.link import Announced
+from serial_communication.link.link import Announced, Refused
 from serial_communication.transport.port import Port
 
 TEXT = b'firmware: nano_car 1.1.0\nforce: {type: 32, ros_type: std_msgs/Float32}\n'
@@ -24,9 +24,17 @@ def packets(text, size=20):
     return [arduino.encode(chunk) for chunk in chunks_of(text, size)]
 
 
+class Force(arduino.Ticks):
+    """The message of the announced row `force`."""
+
+    __slots__ = ()
+    TYPE = 32
+    ANNOUNCED = True
+
+
 @pytest.fixture
 def board(line, running):
-    return running(CarBoard(line))
+    return running(CarBoard(line, [Force]))
 
 
 @pytest.fixture
@@ -69,6 +77,74 @@ def test_announced_rows_are_confirmed_again_after_a_reconnect(line, board, car):
     assert car.texts == [TEXT, OTHER] and not car.still_announces
 
 
+def test_values_of_announced_rows_are_held_back_until_this_board_has_announced_them(
+        line, board, car):
+    """After the port was opened, another board may be behind it."""
+    force = arduino.encode(Force(7))
+    car.decoder.add_message(Force)
+    line.write(b''.join(packets(TEXT)))
+    until(lambda: car.texts)
+    car.text_in_use = TEXT
+    line.write(force + TICKS)
+    until(lambda: car.got == [Force(7), arduino.Ticks(1)])
+    del car.got[:]
+    with board.unplugged():
+        until(lambda: not car.port.is_open)
+    until(lambda: car.port.is_open)
+    line.write(force * 3 + TICKS)
+    until(lambda: car.got)
+    assert car.got == [arduino.Ticks(1)]
+    line.write(packets(TEXT)[2] + force)
+    until(lambda: len(car.got) == 2)
+    assert car.got[1] == Force(7)
+    car.announced = Announced('', ['force'])
+    assert dict(car.report(time.monotonic()).values)['held back'] == 3
+    line.write(b''.join(packets(OTHER)) + force + TICKS)
+    until(lambda: len(car.got) == 3)
+    assert car.got[2] == arduino.Ticks(1), 'the board announces something else now'
+
+
+def test_values_of_the_sensor_boards_announced_rows_are_held_back(line, logger, running):
+    got = []
+    kind = type('Custom', (mcu.AdcStatus,), {'TYPE': 0x70, 'ANNOUNCED': True})
+    link = McuLink(Port(line.path), timeout=60.0, logger=logger, messages=[kind],
+                   on_status=lambda message, seq, stamp: got.append(seq))
+    link.on_announcement = lambda text: setattr(link, 'text_in_use', text)
+    running(link)
+    until(lambda: link.port.is_open)
+    line.write(mcu.encode(kind(*range(6)), 0) + mcu.encode(mcu.AdcStatus(*range(6)), 1))
+    until(lambda: got)
+    line.write(b''.join(mcu.encode(chunk, seq + 2) for seq, chunk in
+                        enumerate(chunks_of(TEXT, 200))) + mcu.encode(kind(*range(6)), 3))
+    until(lambda: len(got) == 2)
+    assert got == [1, 3] and link.held_back == 1 and link.frames_lost == 0
+
+
+def test_no_thread_can_send_an_announced_command_to_a_port_that_was_just_opened(
+        line, board, car, monkeypatch):
+    """It is tried in the moment when the port is open and no thread of the link has run yet."""
+    line.write(b''.join(packets(TEXT)))
+    until(lambda: car.texts)
+    car.text_in_use = TEXT
+    car.command(Force(1))
+    tried = []
+    really_open = car.port.open
+
+    def open_and_command():
+        really_open()
+        with pytest.raises(Refused, match='has not announced it') as refused:
+            car.command(Force(2))
+        tried.append(refused)
+
+    monkeypatch.setattr(car.port, 'open', open_and_command)
+    with board.unplugged():
+        until(lambda: not car.port.is_open)
+    until(lambda: tried)
+    heartbeats = car.heartbeats_sent
+    until(lambda: car.heartbeats_sent > heartbeats + 3)
+    assert board.messages(Force) == [Force(1)]
+
+
 def test_a_text_that_is_too_long_is_refused_with_one_line(line, car, lines):
     line.write(b''.join(arduino.encode(Chunk(index, 12, 7, bytes(200))) for index in range(12)))
     until(lambda: lines('over 2048 bytes'))
@@ -78,7 +154,7 @@ def test_a_text_that_is_too_long_is_refused_with_one_line(line, car, lines):
 
 
 def test_diagnostics_have_the_keys_once_something_is_announced(car):
-    assert not {'firmware', 'announced'} & set(dict(car.report(time.monotonic()).values))
+    assert not {'firmware', 'announced', 'held back'} & set(dict(car.report(time.monotonic()).values))
     car.announced = Announced('nano_car 1.1.0', ['force', 'gripper'])
     values = dict(car.report(time.monotonic()).values)
     assert (values['firmware'], values['announced']) == ('nano_car 1.1.0', 'force, gripper')

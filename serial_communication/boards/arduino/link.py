@@ -169,6 +169,8 @@ class ArduinoLink(Link):
     def _refuse_if_not_ready(self, message: LayoutMessage, now: float) -> None:
         if self._stopped:
             raise Refused(f'{message} refused: the bridge is stopping', 'stopping')
+        if message.ANNOUNCED:       # with the lock held, which `closed` takes before a next opening
+            self.refuse_unless_announced(f'{message}')
         if self.calibrating:
             raise Refused(f'{message} refused: the board calibrates its IMU, '
                           'which takes minutes', 'calibrating')
@@ -332,7 +334,7 @@ class ArduinoLink(Link):
             return
         if isinstance(message, wire.Imu) and self._calibration:
             self._end_calibration(self._calibration.imu_data(clock()))
-        if self._on_message:
+        if self._on_message and not self.holds_back(message):
             self._on_message(message, frame.stamp)
 
     def tick(self, now: float) -> Optional[float]:

@@ -81,7 +81,7 @@ class McuLink(Link):
             self._latest.pop(None, None)
         self._latest[frame.type] = _Latest(type(frame.message), frame.command, now,
                                            now + self._timeout)
-        if self._on_status:
+        if self._on_status and not self.holds_back(frame.message):
             self._on_status(frame.message, frame.command, frame.stamp)
 
     def damaged(self, frame: Frame, now: float) -> None:
