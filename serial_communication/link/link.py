@@ -269,6 +269,10 @@ class Link:
             raise Refused(f'{command} refused: the board has not announced it since the port was '
                           'opened or since it announced something else', 'not announced')
 
+    def silent_for(self, now: float) -> float:
+        """s since the latest byte; 0.0 if none was received since the port was opened."""
+        return now - self.last_byte_at if self.last_byte_at > self._opened_at else 0.0
+
     def check_silence(self, now: float, limit: float) -> Optional[float]:
         """For `tick`: have a network port closed if it has been silent for `limit` s.
 

@@ -125,6 +125,7 @@ class Port:
         self.url, self._scheme = read_url(url)
         # Whether the port is on another computer, which hides how much it has not sent.
         self.is_network = self._scheme in NETWORK
+        self.is_pty = False              # the open port is a pseudo terminal, which hides it, too
         self.baud = baud
         self.bytes_received = 0
         self.bytes_sent = 0
@@ -187,6 +188,7 @@ class Port:
         if fd >= 0:
             self._poll.register(fd, select.POLLIN)
         with self._lock:
+            self.is_pty = _is_pty(fd)
             self._rest = b''
             self._failure = ''
             self._in_use = ('', '', 0.0)
@@ -363,6 +365,7 @@ class Port:
         """Drop what was written but not sent.
 
         A connection cannot do that. It is given up instead, and the next `read` raises PortError.
+        Of a pseudo terminal, up to 4095 bytes that its other side can read already stay there.
 
         Returns:
             whether the port is still usable.
@@ -448,11 +451,19 @@ def _keep_others_out(fd: int) -> None:
     A pseudo terminal is left unlocked. The kernel would keep the lock for as long as the other end
     is open, so after a SIGKILL this user could not open the port again.
     """
+    if _is_pty(fd):
+        return
     try:
-        if os.major(os.fstat(fd).st_rdev) not in _PTY:
-            fcntl.ioctl(fd, termios.TIOCEXCL)
+        fcntl.ioctl(fd, termios.TIOCEXCL)
     except OSError:
         pass
+
+
+def _is_pty(fd: int) -> bool:
+    try:
+        return os.major(os.fstat(fd).st_rdev) in _PTY
+    except OSError:
+        return False
 
 
 def _let_others_open(fd: int) -> None:

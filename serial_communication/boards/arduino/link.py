@@ -35,7 +35,8 @@ class ArduinoSettings(NamedTuple):
     speed_timeout: float = 0.5           # 0: never
     calibration_timeout: float = 900.0   # after this time a calibration counts as over
     check_plausibility: bool = True
-    # A network port is closed and opened again after this silence of the board; 0: never.
+    # After this silence of the board a network port is closed and opened again, and on a pseudo
+    # terminal commands are refused; 0: never.
     network_silence: float = DESCRIPTION.network_silence
 
 
@@ -65,10 +66,11 @@ class ArduinoLink(Link):
         self._on_message = on_message
         self._on_log = on_log
         self._on_calibrating = on_calibrating
-        # Held while anything is sent. It also guards the next five attributes.
+        # Held while anything is sent. It also guards the next six attributes.
         self._send_lock = threading.Lock()
         self._motor = Motor(settings.speed_timeout, clock())
         self._cut_off = False                # the latest packet may have been sent in part
+        self._held = False                   # the other side of a pty may hold what is written
         self._stopped = False                # the last SPEED 0 is sent: nothing may follow it
         self._calibration: Optional[Calibration] = None
         self._check_backlog_at = 0.0
@@ -174,9 +176,14 @@ class ArduinoLink(Link):
         if self.calibrating:
             raise Refused(f'{message} refused: the board calibrates its IMU, '
                           'which takes minutes', 'calibrating')
-        if self._motor.ignores_commands(now):
+        # A call counts as from a stall sooner than a topic's command, as on the bus.
+        if self._motor.ignores_commands(now) or (
+                isinstance(message, wire.ImuCalibration) and self.may_be_from_a_stall()):
             raise Refused(f'{message} refused: it may have waited while the bridge stalled; '
                           'send it again', 'stall')
+        if self._held:
+            raise Refused(f'{message} refused: the board is silent, so the other side of the pseudo '
+                          'terminal may hold it back', 'silent')
         if self.port.backlog() > _MOST_BACKLOG:
             raise Refused(f'{message} refused: the port takes no data', 'busy')
 
@@ -216,12 +223,16 @@ class ArduinoLink(Link):
     def _drop_backlog(self) -> None:
         """Drop the output that waits in a blocked port, so that no old command reaches the
         board."""
-        self._motor.forget_speed()
-        self._cut_off = True
-        dropped = self.port.discard_output()
+        dropped = self._drop_output()
         self._log_later('blocked', 'the port takes no data: ' + (
             'the output that waited is dropped' if dropped else 'the connection is closed')
                         + ', and the board stops its motor')
+
+    def _drop_output(self) -> bool:
+        """Drop what was written but not sent; return whether the port is still usable."""
+        self._motor.forget_speed()
+        self._cut_off = True
+        return self.port.discard_output()
 
     # -- the heartbeat --------------------------------------------------------------------
 
@@ -312,7 +323,7 @@ class ArduinoLink(Link):
                 self._log_later('moved', 'the port closed while the car may have been moving: '
                                          'SPEED 0 is sent first when it is open again')
             self._motor.forget_speed()
-            self._cut_off = False
+            self._cut_off = self._held = False
             self._heartbeat.port_closed()
 
     def stalled(self, seconds: float, now: float) -> None:
@@ -342,11 +353,30 @@ class ArduinoLink(Link):
         self._check_calibration_timeout()
         if self._calibration:
             return None     # the board may be silent; `tick` runs every 0.1 s in any case
+        self._check_pty(now)
         try:
             return self.check_silence(now, self.settings.network_silence)
         except PortError:
             self._append_speed_0()
             raise
+
+    def _check_pty(self, now: float) -> None:
+        """Drop what was written to a pseudo terminal, as long as a board that has talked is silent.
+
+        Its other side (socat, ser2net, a virtual machine) may stand, and send it all later. What it
+        can read already stays there, with SPEED 0 behind it. Heartbeats go on: the board may read.
+        """
+        limit = self.settings.network_silence
+        held = self.port.is_pty and 0 < limit <= self.silent_for(now)
+        if not held and not self._held:
+            return
+        with self._send_lock:
+            self._drop_output()
+            self._held, was_held = held, self._held
+        if not was_held:
+            self.log.warn('silent', f'nothing received from the board for {limit:g} s: what was '
+                          'written is dropped, SPEED 0 is sent, and commands are refused until '
+                          'it talks')
 
     def idle(self, now: float) -> Optional[float]:
         self._log_now()

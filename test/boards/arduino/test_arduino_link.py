@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from fake_boards import PATIENCE, CarBoard, Rfc2217Server, until
+from fake_boards import PATIENCE, CarBoard, Line, Rfc2217Server, until
 from serial_communication.boards.arduino import link as link_module
 from serial_communication.boards.arduino import calibration as calibration_module
 from serial_communication.boards.arduino import heartbeat as heartbeat_module
@@ -514,6 +514,24 @@ def test_commands_are_refused_just_after_a_stall_and_accepted_later(board, open_
     assert board.commands()[0] == SpeedCommand(2)
 
 
+def test_a_call_to_calibrate_is_refused_after_a_stall_of_over_300_ms(board, open_link, stall):
+    """A topic's command only after one of over 500 ms."""
+    link = open_link(port=RecordingPort)
+    stall(link, 0.4)
+    with pytest.raises(Refused, match='it may have waited while the bridge stalled'):
+        link.calibrate_imu()
+    link.set_speed(1)
+
+    def calibrates():
+        try:
+            link.calibrate_imu()
+        except Refused as refused:
+            assert refused.cause == 'stall'
+        return link.calibrating
+
+    until(calibrates)
+
+
 def test_commands_are_refused_after_a_stall_while_the_port_is_closed(board, open_link, stall):
     link = open_link(ArduinoSettings(speed_timeout=0.5), port=RecordingPort)
     with board.unplugged():
@@ -907,6 +925,118 @@ def test_a_stalled_rfc2217_server_delivers_no_old_speed_afterwards(line, logger,
         behind.write(b'\0' + arduino.encode(LedCommand('brake')))
     until(lambda: LedCommand('brake') in board.commands())
     assert board.commands()[-2:] == [SpeedCommand(0), LedCommand('brake')]
+
+
+# -- a pseudo terminal whose other side stands ------------------------------------------------------
+
+@pytest.fixture
+def relayed(logger, running, tmp_path):
+    """A link whose port is a socat, and the board at its other end; `relay` is its process."""
+    near, far = tmp_path / 'near', tmp_path / 'far'
+    relay = subprocess.Popen(['socat', f'pty,raw,echo=0,link={near}',
+                              f'pty,raw,echo=0,link={far}'])
+    until(lambda: near.exists() and far.exists())
+    end = Line(far)
+    end.fd = os.open(str(far), os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    board = running(CarBoard(end))
+    link = running(ArduinoLink(Port(str(near)), STEADY._replace(network_silence=0.4),
+                               logger=logger))
+    link.board, link.relay = board, relay
+    until(lambda: link.heartbeats_sent)
+    yield link
+    relay.send_signal(signal.SIGCONT)
+    board.stop()
+    relay.terminate()
+    relay.wait()
+    os.close(end.fd)
+
+
+def drive(link, speed):
+    """Whether the link accepts this speed; where it does not, why."""
+    try:
+        link.set_speed(speed)
+        return ''
+    except Refused as refused:
+        return refused.cause
+
+
+def test_no_command_waits_in_a_pty_whose_other_side_stands(relayed, lines):
+    link, board = relayed, relayed.board
+    board.streaming = True
+    until(lambda: link.last_frame_at)
+    link.set_speed(1)
+    until(board.commands)
+    link.relay.send_signal(signal.SIGSTOP)
+    # Speeds go on, as from a joystick. What is accepted is from before the silence was noticed.
+    waiting = []
+
+    def refuses():
+        cause = drive(link, 100 + len(waiting) % 800)
+        waiting.append(100 + len(waiting) % 800)
+        return cause
+    until(refuses, every=0.02)
+    accepted = waiting[:-1]
+    assert link.silent_for(time.monotonic()) >= 0.4
+    # Long enough for heartbeats to fill what the other side can read.
+    for speed in (-i for i in range(1, 150)):
+        assert drive(link, speed) == 'silent'
+        threading.Event().wait(0.01)
+    board.forget()
+    link.relay.send_signal(signal.SIGCONT)
+    until(lambda: not drive(link, -500), every=0.02)
+    until(lambda: SpeedCommand(-500) in board.messages())
+    speeds = [message.value for message in board.messages(SpeedCommand)]
+    before = speeds[:speeds.index(-500)]
+    moving = [speed for speed in before if speed]
+    assert moving == accepted[:len(moving)], 'Linux cannot take these back, but all others'
+    assert before[len(moving):] and not any(before[len(moving):]), 'they end with SPEED 0'
+    assert len(lines('nothing received from the board for 0.4 s')) == 1
+
+
+def test_the_speeds_in_a_pty_are_dropped_that_its_other_side_cannot_read_yet(relayed):
+    """More than the 4095 bytes that Linux keeps for it."""
+    link, board = relayed, relayed.board
+    board.streaming = True
+    until(lambda: link.last_frame_at)
+    limit_silence(link, 0.0)
+    link.relay.send_signal(signal.SIGSTOP)
+    sent = link.port.bytes_sent
+    number = 0
+    while link.port.bytes_sent < sent + 4096:
+        number += 1
+        link.set_speed(number)
+    last = number
+    while not drive(link, number + 1):
+        number += 1
+        if link.silent_for(time.monotonic()) > 0.4:
+            limit_silence(link, 0.4)
+        threading.Event().wait(0.01)
+    assert number > last
+    board.forget()
+    link.relay.send_signal(signal.SIGCONT)
+    until(lambda: not drive(link, -500), every=0.02)
+    until(lambda: SpeedCommand(-500) in board.messages())
+    assert not {*range(last + 1, number + 1)} & {
+        message.value for message in board.messages(SpeedCommand)}
+
+
+def test_a_board_behind_a_pty_that_never_talks_gets_all_commands(relayed):
+    link = relayed
+    heartbeats = link.heartbeats_sent
+    until(lambda: link.heartbeats_sent > heartbeats + 80)
+    link.set_speed(5)
+    until(lambda: link.board.commands()[-1:] == [SpeedCommand(5)])
+
+
+def test_a_board_behind_a_pty_that_calibrates_may_be_silent(relayed):
+    link, board = relayed, relayed.board
+    board.streaming = True
+    until(lambda: link.last_frame_at)
+    link.calibrate_imu()
+    board.streaming = False
+    heartbeats = link.heartbeats_sent
+    until(lambda: link.heartbeats_sent > heartbeats + 80)
+    assert board.commands() == [ImuCalibration()] and drive(link, 1) == 'calibrating'
 
 
 # -- calibration ----------------------------------------------------------------------------------
