@@ -37,6 +37,7 @@ OK, WARN, ERROR = 0, 1, 2        # levels of diagnostics
 RX, TX = 0, 1                    # directions of SerialMsg
 NOT_SENT, TIMEOUT = 253, 254     # statuses of a bus service beside a reply's CMD1
 GIVE_UP = 0.3                    # s after which a board drops an incomplete frame
+_QUIET = 0.4                     # s after which a car that has talked sends an empty packet
 
 SYNC_FRAME = bytes.fromhex('a5000000a5')
 HEARTBEAT_PACKET = bytes.fromhex('020b00')
@@ -152,11 +153,16 @@ class BusBoard(FakeBus, Board):
 
 
 class CarBoard(Board):
-    """The model car, which does not move at first."""
+    """The model car, which does not move at first.
+
+    Once it has sent something it is never silent, as long as it gets heartbeats: the bridge refuses
+    commands to a board that has fallen silent. Then it sends empty packets, which are nothing.
+    """
 
     def __init__(self, path):
         self.command_frames = []     # neither heartbeats nor repetitions of SPEED 0
         self._speed = 0
+        self._wrote_at = float('inf')
         super().__init__(path, arduino.BoardDecoder())
 
     @property
@@ -186,6 +192,12 @@ class CarBoard(Board):
                 return
         if frame.raw != HEARTBEAT_PACKET:
             self.command_frames.append(frame)
+        elif time.monotonic() > self._wrote_at + _QUIET:
+            self.write(b'\0')
+
+    def write(self, data):
+        self._wrote_at = time.monotonic()
+        return super().write(data)
 
     def say(self, message):
         """Send a typed message."""

@@ -569,7 +569,7 @@ def test_if_only_receiving_stalls_heartbeats_go_on_and_the_motor_stops(
         entered.set()
         free.wait(PATIENCE)
 
-    link = open_link(on_message=on_message)
+    link = open_link(STEADY._replace(network_silence=0.0), on_message=on_message)
     link.set_speed(500)
     until(lambda: board.commands() == [SpeedCommand(500)])
     line.write(arduino.encode(arduino.Ticks(1)))
