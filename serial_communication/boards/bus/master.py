@@ -11,9 +11,9 @@ next call. The rules:
 4. A move that is executed twice is a fault. Moves and raw requests are sent again only after a
    reply which means that nothing was executed. Requests that only read are repeatable: they may
    be sent again after any try.
-   A board may also send INVALID because of noise, and then execute the request after the noise. So
-   an ECHO must return before a call is sent again or reported as refused. If an OK arrives before
-   that ECHO, the outcome is unknown.
+   A board may also send INVALID, with any code, because of noise, and then execute the request
+   after the noise. So an ECHO must return before a call is sent again or reported as refused. If an
+   OK arrives before that ECHO, or bytes that are no valid reply, the outcome is unknown.
 5. A board may put data into its OK to a request that expects none. Behind a fence it is the reply
    to this request, whatever data it has. From a board that never echoes it counts as another
    request's reply.
@@ -102,6 +102,11 @@ class Call:
         """Whether it needs a fence whatever the exchange before was; see rule 6."""
         is_probe = self.repeatable and self.request.cmd1 in (wire.SYNC, wire.ECHO)
         return not (self.poll or is_probe)
+
+    @property
+    def needs_confirmation(self) -> bool:
+        """Whether its INVALID has to be confirmed; not if it is sent again anyway."""
+        return self.invalid_unconfirmed and not (self.repeatable and self.tries)
 
     def claim(self, tries: int = 1) -> bool:
         """Count a try; False if the caller has given up, so it must not be sent."""
@@ -248,10 +253,10 @@ class Master:
         exchange, reply = self._exchange, frame.message
         if reply.cmd1 == wire.ECHO:      # late or not, the board knows ECHO
             self._has_echoed = True
-        if self._retry is not None and _may_answer_after_invalid(reply, self._retry):
-            # Either the INVALID was for noise, or this is the reply to another request.
-            call, self._retry = self._retry, None
-            call.finish(_unknown_after_invalid(call.last_try))
+        if (self._retry is not None and self._retry.needs_confirmation
+                and reply.cmd1 not in (wire.ERROR, wire.INVALID)
+                and _may_answer(reply, self._retry.request)):
+            self._doubt_invalid()
         elif exchange is None or (exchange.kind is _Kind.SILENCE and _lost_synchronism(reply)):
             self._exchange = None
             self._out_of_step(f'received a reply without a request: {reply}')
@@ -263,6 +268,7 @@ class Master:
     def damaged(self, frame: Frame, now: float) -> None:
         """Bytes were received that are no valid reply."""
         self._last_received = now
+        self._doubt_invalid()
         exchange = self._exchange
         if exchange is not None and exchange.kind is _Kind.SILENCE:
             self._expect_silence(now)
@@ -283,8 +289,11 @@ class Master:
             exchange.reply_may_be_lost = True
         elif exchange is not None and exchange.kind is _Kind.SILENCE:
             self._expect_silence(now)
-        if self._retry is not None and self._retry.invalid_unconfirmed:
-            # One of them may have shown that the INVALID was for noise.
+        self._doubt_invalid()
+
+    def _doubt_invalid(self) -> None:
+        """An OK was received, or perhaps: the INVALID before it may have been for noise."""
+        if self._retry is not None and self._retry.needs_confirmation:
             call, self._retry = self._retry, None
             call.finish(_unknown_after_invalid(call.last_try))
 
@@ -473,11 +482,9 @@ class Master:
         if code == wire.NOT_SYNCHRONISED:
             self.state = SessionState.UNSYNCHRONISED
         elif call.always_fenced:
-            call.invalid_unconfirmed = True
             self.state = SessionState.OUT_OF_STEP
-            self._send_again(exchange, now, outcome)
-            return
-        if call.tries:
+        call.invalid_unconfirmed = call.always_fenced
+        if call.tries or call.invalid_unconfirmed:
             self._send_again(exchange, now, outcome)
         else:
             self._finish(exchange, now, outcome)
@@ -693,15 +700,6 @@ def _may_answer(reply: wire.Reply, request: wire.Request) -> bool:
     if request.cmd1 == wire.SYNC:
         return reply.cmd1 == wire.SYNC
     return reply.cmd1 == wire.OK
-
-
-def _may_answer_after_invalid(reply: wire.Reply, call: Call) -> bool:
-    """Whether this reply may mean that the call was executed although an INVALID was received.
-
-    False if the call is sent again anyway.
-    """
-    return (call.invalid_unconfirmed and not (call.repeatable and call.tries)
-            and reply.cmd1 not in (wire.ERROR, wire.INVALID) and _may_answer(reply, call.request))
 
 
 def _unknown_after_invalid(invalid: Outcome) -> Outcome:

@@ -301,22 +301,44 @@ def test_a_request_is_sent_again_after_invalid_checksum(session, request_):
 
 
 @MOVING_OR_RAW
-@pytest.mark.parametrize('code', [0x40, 0x20])
-def test_an_ok_after_an_invalid_makes_the_outcome_unknown(session, request_, code):
+@pytest.mark.parametrize('answer', [lambda session: session.reply(OK_REPLY), Session.damage],
+                         ids=('ok', 'damaged'))
+@pytest.mark.parametrize('code', [0x40, 0x20, 0x10])
+def test_an_ok_after_an_invalid_makes_the_outcome_unknown(session, request_, answer, code):
     """Either the INVALID was for noise and the OK is the reply, or the OK is a doubled reply to an
     earlier request. Neither "refused" nor "success" is safe then, nor is another try."""
     call = session.call(request_)
     session.send_next()
     session.reply(invalid(code))
     assert call.outcome is None
-    echo = session.send_next()
-    assert echo.cmd1 == bus.ECHO
-    session.reply(OK_REPLY)
+    if code == 0x10:
+        assert session.send_next() == bus.SYNC_REQUEST
+    else:
+        echo = session.send_next()
+        assert echo.cmd1 == bus.ECHO
+    answer(session)
     assert (call.outcome.status, call.outcome.error_code) == (TIMEOUT, code)
     assert 'not known' in call.outcome.message
     assert session.send_next() is None and not session.master.in_step
+    if code == 0x10:
+        session.reply(SYNC_REPLY)
+        echo = session.send_next()
     session.reply(bus.Reply(bus.ECHO, echo.data))
     assert session.master.in_step and session.send_next() is None
+
+
+@MOVING_OR_RAW
+def test_an_ok_after_invalid_not_synchronised_and_sync_makes_the_outcome_unknown(session, request_):
+    """The OK arrives between the replies to SYNC and to the ECHO after it."""
+    call = session.call(request_, tries=1)
+    session.send_next()
+    session.reply(invalid(0x10))
+    assert session.send_next() == bus.SYNC_REQUEST
+    session.reply(SYNC_REPLY)
+    assert call.outcome is None, 'a refusal is reported before an ECHO has confirmed it'
+    assert session.send_next().cmd1 == bus.ECHO
+    session.reply(OK_REPLY)
+    assert (call.outcome.status, call.outcome.error_code) == (TIMEOUT, 0x10)
 
 
 @MOVING_OR_RAW
@@ -358,10 +380,12 @@ def test_a_call_is_sent_before_a_repeated_poll(session):
 
 @MOVING_OR_RAW
 @pytest.mark.parametrize('end', ['closed', 'no echo'])
-def test_an_invalid_without_a_confirming_echo_is_not_reported_as_a_refusal(session, request_, end):
+@pytest.mark.parametrize('code', [0x40, 0x10])
+def test_an_invalid_without_a_confirming_echo_is_not_reported_as_a_refusal(
+        session, request_, end, code):
     call = session.call(request_)
     session.send_next()
-    session.reply(invalid(0x40))
+    session.reply(invalid(code))
     session.send_next()
     if end == 'closed':
         session.master.disconnected(session.now, 'unplugged')
