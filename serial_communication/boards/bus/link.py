@@ -13,7 +13,7 @@ from ...transport.port import Port, PortBusy, PortError
 from . import wire
 from .announcement import AnnouncementQuestion
 from .functions import ANNOUNCEMENT
-from .master import NOT_READY_WAIT, Call, Condition, Master
+from .master import NOT_READY_WAIT, STALLED, Call, Condition, Master
 
 _BLOCKED = 0.05     # s until the next try, after the port took no data
 _MOVES = (wire.LIFT, wire.GIMBAL)   # functions that have the motion timeout
@@ -120,6 +120,8 @@ class BusLink(Link):
         Returns after the timeouts of all its tries at the latest, plus the time that it waits for
         its turn, which is at most `motion_timeout`, or 0.8 s if that is longer.
 
+        What may have waited while the bridge stalled is not sent, unless it is repeatable.
+
         Args:
             repeatable: it only reads, so it may be sent again after a timeout.
             timeout: s from sending to the reply; None: `motion_timeout` for lift and gimbal, else
@@ -140,6 +142,9 @@ class BusLink(Link):
                            f'({self._trouble or "not opened yet"}); nothing was sent')
         call = self._call(request, repeatable, timeout, reply_layout, on_success,
                           interrupts=interrupts)
+        # Checked after the time of the call was taken, so that a stall in between makes it expire.
+        if not repeatable and self.may_be_from_a_stall():
+            return Outcome(NOT_SENT, f'{STALLED}; nothing was sent')
         self.master.submit(call)
         self.wake()
         return call.wait(max(self.settings.motion_timeout, NOT_READY_WAIT)
@@ -223,7 +228,7 @@ class BusLink(Link):
         self.master.damaged(frame, now)
 
     def stalled(self, seconds: float, now: float) -> None:
-        self.master.may_have_missed('the bridge stalled', now)
+        self.master.stalled(now)
 
     def altered(self, now: float) -> None:
         self.master.may_have_missed('another program changed the settings of the port', now)

@@ -37,6 +37,8 @@ next call. The rules:
    likewise if the link is out of step, and again after each unanswered ECHO or SYNC. All replies
    are dropped until an ECHO returns. Then the stop is sent in its turn like any repeatable request,
    and the reply to that is its outcome.
+9. What may have waited while the bridge stalled is not sent, unless it is repeatable. The link
+   refuses such calls; those that waited here already are given up when the stall is reported.
 """
 import enum
 import os
@@ -54,6 +56,8 @@ from . import wire
 ECHO_TRIES = 3         # unanswered ECHOs before a SYNC and a silence replace them
 FENCE_SILENCE = 0.02   # s of silence as a fence: a USB adapter delivers bytes up to 16 ms late
 NOT_READY_WAIT = 0.8   # s that a call waits while the link is not ready
+
+STALLED = 'it may have waited while the bridge stalled'
 
 _UNKNOWN = f'it is not known whether this was executed; {LOOK}'
 _NOT_TRIED = Outcome(NOT_SENT, 'nothing was sent')
@@ -290,6 +294,14 @@ class Master:
         elif exchange is not None and exchange.kind is _Kind.SILENCE:
             self._expect_silence(now)
         self._doubt_invalid()
+
+    def stalled(self, now: float) -> None:
+        """The bridge stalled: a request that moves something and still waits is too old now."""
+        self.may_have_missed('the bridge stalled', now)
+        self._queue_submitted(now)
+        for call in self._waiting():
+            if not call.repeatable:
+                self._abandon(call, STALLED)
 
     def _doubt_invalid(self) -> None:
         """An OK was received, or perhaps: the INVALID before it may have been for noise."""
