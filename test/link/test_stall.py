@@ -414,6 +414,19 @@ def test_no_request_is_sent_while_replies_are_dropped(line, logger, running, clo
     assert link.master.timeouts == 0, 'the reply to an ECHO was dropped'
 
 
+def test_a_stop_is_sent_while_replies_are_dropped(line, logger, running, clock):
+    link = running(BusLink(Port(line.path), BusSettings(environment_period=0.0), logger=logger))
+    board = running(BusBoard(line))
+    until(lambda: link.master.in_step)
+    clock.begin_stall(link, 1.0)
+    stop = bus.Request(bus.FUNCTION, 0x2F)
+    caller = Waiter(lambda: link.request(stop, True, interrupts=True))
+    until(lambda: stop in board.requests())
+    assert link.is_dropping
+    clock.end(link)
+    assert caller.result().success
+
+
 # -- what was asked for during a stall -------------------------------------------------------------
 
 def test_a_stall_is_found_before_and_after_the_links_thread_runs_again(

@@ -32,11 +32,11 @@ next call. The rules:
 7. The reported outcome is always true. Success: executed exactly once. Refused or not sent: not
    executed. Timeout: unknown, executed once or not at all. For a repeatable request this describes
    the last try alone.
-8. A call that interrupts, a stop, is the exception to rules 1 and 6. Calls that wait are not sent.
-   If a request of a call is outstanding, its outcome is unknown, and the stop is sent at once;
-   likewise if the link is out of step, and again after each unanswered ECHO or SYNC. All replies
-   are dropped until an ECHO returns. Then the stop is sent in its turn like any repeatable request,
-   and the reply to that is its outcome.
+8. A call that interrupts, a stop, is the exception to rules 1 and 6. It is sent at once, whatever is
+   being received: only a port that takes no data holds it. Calls that wait are not sent. If a
+   request of a call is outstanding, its outcome is unknown. The stop is sent again after each
+   unanswered ECHO or SYNC. All replies are dropped until an ECHO returns. Then the stop is sent in
+   its turn like any repeatable request, and the reply to that is its outcome.
 9. What may have waited while the bridge stalled is not sent, unless it is repeatable. The link
    refuses such calls; those that waited here already are given up when the stall is reported.
 """
@@ -212,6 +212,7 @@ class Master:
         self._polls: Deque[Call] = deque()
         self._retry: Optional[Call] = None      # the call to send again, before all others
         self._at_once: List[Call] = []          # to be sent now, whatever is outstanding
+        self._waits_for = ''                    # see `step`
         self._exchange: Optional[_Exchange] = None
         self._latest_request: Optional[wire.Request] = None
         self._served_until = 0.0                # when the exchange of the latest call ended
@@ -231,6 +232,11 @@ class Master:
     def submit(self, call: Call) -> None:
         """Queue a call, from any thread; `Call.wait` returns its outcome."""
         self._submitted.append(call)
+
+    @property
+    def has_new_calls(self) -> bool:
+        """Whether a call was submitted since the latest `step`."""
+        return bool(self._submitted)
 
     # -- events -------------------------------------------------------------------------
 
@@ -311,25 +317,29 @@ class Master:
 
     # -- what to do ---------------------------------------------------------------------
 
-    def step(self, now: float,
-             may_send: bool = True) -> Tuple[Optional[wire.Request], Optional[float]]:
+    def step(self, now: float, waits_for: str = '',
+             port_ready: bool = True) -> Tuple[Optional[wire.Request], Optional[float]]:
         """Do what is due now.
 
         Args:
-            may_send: False: nothing can be sent now.
+            waits_for: what has to be received before a request may be sent, for people; '': nothing.
+                A call that interrupts does not wait for it.
+            port_ready: False: nothing at all can be sent now.
 
         Returns:
             The request to send now, or None, and the time of the next call at the latest, or None.
             The request counts as outstanding from now on.
         """
+        self._waits_for = waits_for
         self._queue_submitted(now)
         exchange = self._exchange
         if exchange is not None and now >= exchange.deadline:
             self._exchange = None
             self._timeout_handlers[exchange.kind](exchange, now)
         self._abandon_overdue(now)
-        if may_send and self._at_once:
+        if port_ready and self._at_once:
             return self._send_at_once(), now
+        may_send = port_ready and not waits_for
         request, silent_until = self._next_request(now) if may_send else (None, None)
         times = [self._expiry(call) for call in self._waiting()]
         if silent_until is not None:
@@ -607,15 +617,15 @@ class Master:
     # -- interruptions; see rule 8 ----------------------------------------------------------
 
     def _interrupt(self, call: Call, now: float) -> None:
-        """Prepare to send this call at once, unless the board is idle."""
+        """Prepare to send this call at once."""
         exchange = self._exchange
-        if not self.in_step or isinstance(exchange, _CallExchange):
-            self._out_of_step(f'{call.request} was called')
-            if isinstance(exchange, _CallExchange):
-                self._repeat_or_finish(exchange, now, Outcome(
-                    TIMEOUT, f'{call.request} was sent before the reply: {_UNKNOWN}'))
-            self._exchange = None
-            self._at_once.append(call)
+        if self.synchronised:
+            self.state = SessionState.OUT_OF_STEP
+        if isinstance(exchange, _CallExchange):
+            self._repeat_or_finish(exchange, now, Outcome(
+                TIMEOUT, f'{call.request} was sent before the reply: {_UNKNOWN}'))
+        self._exchange = None
+        self._at_once.append(call)
         for other in self._waiting():
             if not other.interrupts:
                 self._abandon(other, f'{call.request} was called')
@@ -684,7 +694,12 @@ class Master:
             if call.outcome is not None:      # its caller has given up
                 self._remove(call)
             elif now >= self._expiry(call):
-                self._abandon(call, self.condition().value or 'the bus is busy with other calls')
+                self._abandon(call, self._why_it_waits())
+
+    def _why_it_waits(self) -> str:
+        if self._waits_for and not isinstance(self._exchange, _CallExchange):
+            return f'the link waits for {self._waits_for}'
+        return self.condition().value or 'the bus is busy with other calls'
 
     def _abandon(self, call: Call, why: str) -> None:
         """Give up a waiting call: it is not sent, or not sent again."""

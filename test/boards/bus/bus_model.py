@@ -134,6 +134,7 @@ class Model:
         self.now = 10.0
         self.board = Board(faults, echoes, ok_data)
         self.asked: List[ModelCall] = []
+        self.sent: List[bus.Request] = []       # by the Master
         logger = logging.getLogger('bus model')
         logger.propagate = False
         nonces = itertools.count()
@@ -187,6 +188,10 @@ class Model:
                     self.now, kind in POLLS, layout, interrupts=kind == 'stop')
         self.asked.append(ModelCall(call, kind, self.now, self.board.readings))
         self.master.submit(call)
+        if kind == 'stop' and self._connected:
+            before = len(self.sent)
+            self._step()
+            assert request in self.sent[before:], 'the stop was not sent at once'
 
     def run(self, seconds: float) -> None:
         """Let time pass."""
@@ -215,9 +220,11 @@ class Model:
                 self._deliver(self._decoder.feed(wire))
             while self._decoder.pending and self.now >= self._last_byte + _FRAME_TIMEOUT:
                 self._deliver(self._decoder.give_up())
-            request, self._wake_at = self.master.step(self.now, not self._decoder.begun)
+            request, self._wake_at = self.master.step(
+                self.now, 'the rest' if self._decoder.begun else '')
             if request is None:
                 return
+            self.sent.append(request)
             for when, wire in self.board.take(request, self.now):
                 heapq.heappush(self._line, (when, next(self._number), wire))
 

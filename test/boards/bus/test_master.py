@@ -71,7 +71,7 @@ class Session:
 
     def wake_at(self):
         """When the Master has to be called again at the latest; nothing is sent."""
-        return self.master.step(self.now, may_send=False)[1]
+        return self.master.step(self.now, port_ready=False)[1]
 
     def send_next(self):
         """The request to send now, or None. A fence before it is answered first."""
@@ -93,7 +93,7 @@ class Session:
 
     def later(self, seconds):
         self.now += seconds
-        self.master.step(self.now, may_send=False)
+        self.master.step(self.now, port_ready=False)
 
     def connect(self):
         """Connect to a board that answers SYNC, and the ECHO after it, at once."""
@@ -1539,12 +1539,40 @@ def test_a_stop_takes_the_place_of_a_move_that_waits_for_its_fence(session):
     lift = session.call(LIFT)
     assert session.next_request().cmd1 == bus.ECHO
     stop = session.call(STOP)
-    assert session.next_request() is None, 'the board is idle: the stop is sent in its turn'
+    assert session.next_request() == STOP
     assert lift.outcome.status == NOT_SENT
-    session.reply(bus.Reply(bus.ECHO, session.nonces[-1]))
+    echo = session.next_request()
+    session.reply(bus.Reply(bus.ECHO, session.nonces[-2]), OK_REPLY)
+    assert stop.outcome is None and session.next_request() is None
+    session.reply(bus.Reply(bus.ECHO, echo.data))
     assert session.next_request() == STOP
     session.reply(OK_REPLY)
     assert stop.outcome.success
+
+
+@pytest.mark.parametrize('idle', [True, False], ids=('idle', 'moving'))
+def test_a_stop_waits_for_nothing_that_is_received(session, idle):
+    lift = None if idle else moving(session)
+    stop, other = session.call(STOP), session.call(LIFT)
+    assert session.master.has_new_calls
+    held = 'the rest of an incomplete frame'
+    assert session.master.step(session.now, held, port_ready=False)[0] is None
+    assert session.master.step(session.now, held)[0] == STOP
+    assert idle or lift.outcome.status == TIMEOUT
+    assert session.master.step(session.now, held)[0] is None, 'all others wait'
+    session.later(MOTION_TIMEOUT)
+    session.master.step(session.now, held)
+    assert stop.outcome.status == TIMEOUT and other.outcome.status == NOT_SENT
+
+
+def test_a_call_that_waits_is_told_what_for(session):
+    held = 'the rest of an incomplete frame'
+    call = session.call(LIFT)
+    assert session.master.step(session.now, held)[0] is None
+    session.now += MOTION_TIMEOUT
+    session.master.step(session.now, held)
+    assert call.outcome == (NOT_SENT, f'the link waits for {held}; nothing was sent', 0, b'', 0.0,
+                            True, None)
 
 
 def test_a_stop_is_sent_at_once_while_a_move_with_an_unknown_outcome_may_last(session):
