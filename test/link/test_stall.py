@@ -15,6 +15,7 @@ from waiting import Waiter
 
 from serial_communication.boards.arduino.link import ArduinoLink
 from serial_communication.link.backlog import STALL, Backlog
+from serial_communication.link.outcome import NOT_SENT
 from serial_communication.link.stall import AFTER_STALL, StallWatch
 from serial_communication.boards.bus.link import BusLink, BusSettings
 from serial_communication.boards.mcu.link import McuLink
@@ -413,6 +414,19 @@ def test_no_request_is_sent_while_replies_are_dropped(line, logger, running, clo
     assert link.master.timeouts == 0, 'the reply to an ECHO was dropped'
 
 
+def test_a_stop_is_sent_while_replies_are_dropped(line, logger, running, clock):
+    link = running(BusLink(Port(line.path), BusSettings(environment_period=0.0), logger=logger))
+    board = running(BusBoard(line))
+    until(lambda: link.master.in_step)
+    clock.begin_stall(link, 1.0)
+    stop = bus.Request(bus.FUNCTION, 0x2F)
+    caller = Waiter(lambda: link.request(stop, True, interrupts=True))
+    until(lambda: stop in board.requests())
+    assert link.is_dropping
+    clock.end(link)
+    assert caller.result().success
+
+
 # -- what was asked for during a stall -------------------------------------------------------------
 
 def test_a_stall_is_found_before_and_after_the_links_thread_runs_again(
@@ -456,6 +470,44 @@ def test_a_stall_counts_although_the_port_was_closed_or_is_lost_at_its_end(
     line.plug()
     until(lambda: link.port.is_open and link.awake_at == clock._stopped_at)
     assert link.may_be_from_a_stall()
+
+
+def test_what_moves_is_not_sent_if_it_was_asked_for_during_a_stall_or_just_after(
+        line, logger, running, clock):
+    link = running(BusLink(Port(line.path), BusSettings(environment_period=0.0), logger=logger))
+    board = running(BusBoard(line))
+    until(lambda: link.master.in_step)
+    moves = [lambda: link.lift(0, 1), lambda: link.gimbal(0, 1),
+             lambda: link.request(bus.Request(bus.FUNCTION, 0x30))]
+    clock.begin_stall(link, 15.0)
+    for move in moves:
+        outcome = move()
+        assert outcome.status == NOT_SENT and not board.executed
+        assert outcome.message == 'it may have waited while the bridge stalled; nothing was sent'
+    clock.end(link)
+    assert link.environment()[0].success and link.echo().success and link.sync().success
+    until(lambda: not link.may_be_from_a_stall())
+    for move in moves:
+        assert move().success
+    assert len(board.moves()) == 3
+
+
+def test_a_move_that_waited_for_its_turn_during_a_stall_is_not_sent(line, logger, running, clock):
+    link = running(BusLink(Port(line.path), BusSettings(
+        environment_period=0.0, motion_timeout=PATIENCE), logger=logger))
+    board = running(BusBoard(line))
+    until(lambda: link.master.in_step)
+    board.script.append(b'')
+    moving = Waiter(link.lift, 0, 1)
+    until(lambda: board.moves() == [bus.lift(0, 1)])
+    waiting = [Waiter(link.gimbal, 0, 1), Waiter(link.environment)]
+    until(lambda: len(link.master._calls) == 2)
+    clock.begin_stall(link, 15.0)
+    clock.end(link)
+    assert 'waited while the bridge stalled' in waiting[0].result().message
+    board.say(bus.Reply(bus.OK))
+    assert moving.result().success and waiting[1].result()[0].success
+    assert board.moves() == [bus.lift(0, 1)]
 
 
 def test_a_watch_finds_the_stall_of_the_thread_that_stalled_longest():

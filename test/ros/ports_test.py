@@ -20,7 +20,7 @@ from serial_communication.msg import (McuStatus2, SerialMsg, SpeedPWMCommand, St
                                       Voltage)
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
-from serial_communication.srv import Lift
+from serial_communication.srv import BusRequest, GetEnvironment, Gimbal, Lift
 
 LINKS = 'bus', 'arduino', 'mcu'
 TRIES = 3      # of what a signal between two instructions may spoil
@@ -264,6 +264,39 @@ class Cut(PortsTest):
         self.assertEqual(board.frames, [])
         process.send_signal(signal.SIGCONT)
         board.wait_for_heartbeats(60)
+
+    def test_what_moves_is_not_sent_if_it_was_called_while_the_bridge_stood_still(self):
+        """SIGSTOP; the calls wait in connections that exist already."""
+        proxies = {'lift': rospy.ServiceProxy('/cut/lift', Lift, persistent=True),
+                   'gimbal': rospy.ServiceProxy('/cut/gimbal', Gimbal, persistent=True),
+                   'request': rospy.ServiceProxy('/cut/bus/request', BusRequest, persistent=True),
+                   'reading': rospy.ServiceProxy('/cut/get_environment', GetEnvironment,
+                                                 persistent=True)}
+        arguments = {'lift': (0, 100), 'gimbal': (1, 30), 'request': (0x55, 0x30, b''),
+                     'reading': ()}
+        for name, proxy in proxies.items():
+            self.addCleanup(proxy.close)
+            until(lambda n=name, p=proxy: p(*arguments[n]).success, name)
+        board = self.boards['bus']
+        board.forget()
+        process = self.bridge.process
+        process.send_signal(signal.SIGSTOP)
+        os.waitpid(process.pid, os.WUNTRACED)
+        sent = {name: proxy.transport.stat_bytes for name, proxy in proxies.items()}
+        waiters = {name: Waiter(proxy, *arguments[name]) for name, proxy in proxies.items()}
+        until(lambda: all(proxy.transport.stat_bytes > sent[name]
+                          for name, proxy in proxies.items()), 'the calls are under way')
+        stopped = time.monotonic()
+        until(lambda: time.monotonic() > stopped + 1.0, 'a stall')
+        process.send_signal(signal.SIGCONT)
+        answers = {name: waiter.result() for name, waiter in waiters.items()}
+        self.assertTrue(answers.pop('reading').success)
+        for name, answer in answers.items():
+            self.assertEqual((answer.success, answer.status), (False, NOT_SENT), name)
+            self.assertEqual(answer.message,
+                             'it may have waited while the bridge stalled; nothing was sent')
+        self.assertEqual(set(board.others), {bus.encode_request(bus.ENVIRONMENT_REQUEST)})
+        until(lambda: proxies['lift'](0, 100).success, 'the lift moves again')
 
     def test_noise_on_every_line_is_counted_and_good_frames_still_come(self):
         before = self.diagnostics.fresh_of_all(LINKS, lambda s, _link: True, 'any level')

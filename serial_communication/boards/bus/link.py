@@ -5,7 +5,7 @@ from typing import Any, Callable, List, NamedTuple, Optional, Tuple
 
 from ...framing.layout import Layout
 from ...framing.stream import Frame
-from ...link.backlog import LONGEST_SLEEP
+from ...link.backlog import LONGEST_SLEEP, STALL
 from ...link.link import ERROR, OK, WARN, Link
 from ...link.outcome import NOT_SENT, Outcome
 from ...transport.pace import Every
@@ -13,7 +13,7 @@ from ...transport.port import Port, PortBusy, PortError
 from . import wire
 from .announcement import AnnouncementQuestion
 from .functions import ANNOUNCEMENT
-from .master import NOT_READY_WAIT, Call, Condition, Master
+from .master import NOT_READY_WAIT, STALLED, Call, Condition, Master
 
 _BLOCKED = 0.05     # s until the next try, after the port took no data
 _MOVES = (wire.LIFT, wire.GIMBAL)   # functions that have the motion timeout
@@ -82,6 +82,7 @@ class BusLink(Link):
             if settings.announcements else None
         self._blocked_until = 0.0
         self._due = 0.0         # when `tick` has to run next, at the latest
+        self._waits_since = 0.0     # when a request could be sent last; monotonic
         if settings.environment_period:
             self.poll(settings.environment_period, wire.ENVIRONMENT_REQUEST,
                       wire.Environment.LAYOUT, self._environment_received)
@@ -120,6 +121,8 @@ class BusLink(Link):
         Returns after the timeouts of all its tries at the latest, plus the time that it waits for
         its turn, which is at most `motion_timeout`, or 0.8 s if that is longer.
 
+        What may have waited while the bridge stalled is not sent, unless it is repeatable.
+
         Args:
             repeatable: it only reads, so it may be sent again after a timeout.
             timeout: s from sending to the reply; None: `motion_timeout` for lift and gimbal, else
@@ -140,6 +143,9 @@ class BusLink(Link):
                            f'({self._trouble or "not opened yet"}); nothing was sent')
         call = self._call(request, repeatable, timeout, reply_layout, on_success,
                           interrupts=interrupts)
+        # Checked after the time of the call was taken, so that a stall in between makes it expire.
+        if not repeatable and self.may_be_from_a_stall():
+            return Outcome(NOT_SENT, f'{STALLED}; nothing was sent')
         self.master.submit(call)
         self.wake()
         return call.wait(max(self.settings.motion_timeout, NOT_READY_WAIT)
@@ -202,13 +208,13 @@ class BusLink(Link):
         if self._question:
             self._question.restart()
         self.master.connected(now)
-        self._due = now
+        self._due = self._waits_since = now
 
     def closed(self, now: float) -> None:
         self.master.disconnected(now, self._trouble or 'the bridge is stopping')
 
     def idle(self, now: float) -> Optional[float]:
-        return self.master.step(now, may_send=False)[1]
+        return self.master.step(now, port_ready=False)[1]
 
     def received(self, frame: Frame, now: float) -> None:
         self.master.received(frame, now)
@@ -223,14 +229,14 @@ class BusLink(Link):
         self.master.damaged(frame, now)
 
     def stalled(self, seconds: float, now: float) -> None:
-        self.master.may_have_missed('the bridge stalled', now)
+        self.master.stalled(now)
 
     def altered(self, now: float) -> None:
         self.master.may_have_missed('another program changed the settings of the port', now)
 
     def tick(self, now: float) -> Optional[float]:
-        if not self.drained and now < self._due:
-            return now      # nothing may be sent before everything received has been read
+        if not self.drained and now < self._due and not self.master.has_new_calls:
+            return now      # no request may be sent before everything received has been read
         times = [now + LONGEST_SLEEP]
         if self.master.synchronised:
             for poller in self._pollers:
@@ -240,10 +246,10 @@ class BusLink(Link):
             text = self._question.step() if self._question else None
             if text is not None and self.on_announcement:
                 self.on_announcement(text)
-        # A request is sent only after everything received before it has been decoded.
-        may_send = (self.drained and not self.decoder.begun and not self.is_dropping
-                    and now >= self._blocked_until)
-        request, wake_at = self.master.step(now, may_send)
+        waits_for = self._waits_for()
+        if not waits_for:
+            self._waits_since = now
+        request, wake_at = self.master.step(now, waits_for, now >= self._blocked_until)
         if request is not None:
             self._send_request(request, now)
         if wake_at is not None:
@@ -252,6 +258,14 @@ class BusLink(Link):
             times.append(self._blocked_until)
         self._due = min(times)
         return self._due if self.drained else now
+
+    def _waits_for(self) -> str:
+        """What has to be received and decoded before a request may be sent; '': nothing."""
+        if self.is_dropping:
+            return 'the end of the bytes that waited during a stall'
+        if self.decoder.begun:
+            return 'the rest of an incomplete frame'
+        return '' if self.drained else 'the end of the bytes that are received'
 
     def _send_request(self, request: wire.Request, now: float) -> None:
         frame = wire.encode_request(request, self.settings.environment_datelen)
@@ -274,6 +288,9 @@ class BusLink(Link):
             return super().condition(now)
         condition = self.master.condition()
         if condition is Condition.READY:
+            waits_for = self._waits_for()
+            if waits_for and now - self._waits_since > STALL:
+                return WARN, f'open, waits for {waits_for}'
             return OK, 'ready'
         level = ERROR if condition in (Condition.NO_SYNC, Condition.NO_ECHO) else WARN
         unknown = self.unknown_bytes(now) if condition is Condition.NO_SYNC else ''

@@ -11,9 +11,9 @@ next call. The rules:
 4. A move that is executed twice is a fault. Moves and raw requests are sent again only after a
    reply which means that nothing was executed. Requests that only read are repeatable: they may
    be sent again after any try.
-   A board may also send INVALID because of noise, and then execute the request after the noise. So
-   an ECHO must return before a call is sent again or reported as refused. If an OK arrives before
-   that ECHO, the outcome is unknown.
+   A board may also send INVALID, with any code, because of noise, and then execute the request
+   after the noise. So an ECHO must return before a call is sent again or reported as refused. If an
+   OK arrives before that ECHO, or bytes that are no valid reply, the outcome is unknown.
 5. A board may put data into its OK to a request that expects none. Behind a fence it is the reply
    to this request, whatever data it has. From a board that never echoes it counts as another
    request's reply.
@@ -32,11 +32,13 @@ next call. The rules:
 7. The reported outcome is always true. Success: executed exactly once. Refused or not sent: not
    executed. Timeout: unknown, executed once or not at all. For a repeatable request this describes
    the last try alone.
-8. A call that interrupts, a stop, is the exception to rules 1 and 6. Calls that wait are not sent.
-   If a request of a call is outstanding, its outcome is unknown, and the stop is sent at once;
-   likewise if the link is out of step, and again after each unanswered ECHO or SYNC. All replies
-   are dropped until an ECHO returns. Then the stop is sent in its turn like any repeatable request,
-   and the reply to that is its outcome.
+8. A call that interrupts, a stop, is the exception to rules 1 and 6. It is sent at once, whatever is
+   being received: only a port that takes no data holds it. Calls that wait are not sent. If a
+   request of a call is outstanding, its outcome is unknown. The stop is sent again after each
+   unanswered ECHO or SYNC. All replies are dropped until an ECHO returns. Then the stop is sent in
+   its turn like any repeatable request, and the reply to that is its outcome.
+9. What may have waited while the bridge stalled is not sent, unless it is repeatable. The link
+   refuses such calls; those that waited here already are given up when the stall is reported.
 """
 import enum
 import os
@@ -54,6 +56,8 @@ from . import wire
 ECHO_TRIES = 3         # unanswered ECHOs before a SYNC and a silence replace them
 FENCE_SILENCE = 0.02   # s of silence as a fence: a USB adapter delivers bytes up to 16 ms late
 NOT_READY_WAIT = 0.8   # s that a call waits while the link is not ready
+
+STALLED = 'it may have waited while the bridge stalled'
 
 _UNKNOWN = f'it is not known whether this was executed; {LOOK}'
 _NOT_TRIED = Outcome(NOT_SENT, 'nothing was sent')
@@ -102,6 +106,11 @@ class Call:
         """Whether it needs a fence whatever the exchange before was; see rule 6."""
         is_probe = self.repeatable and self.request.cmd1 in (wire.SYNC, wire.ECHO)
         return not (self.poll or is_probe)
+
+    @property
+    def needs_confirmation(self) -> bool:
+        """Whether its INVALID has to be confirmed; not if it is sent again anyway."""
+        return self.invalid_unconfirmed and not (self.repeatable and self.tries)
 
     def claim(self, tries: int = 1) -> bool:
         """Count a try; False if the caller has given up, so it must not be sent."""
@@ -203,6 +212,7 @@ class Master:
         self._polls: Deque[Call] = deque()
         self._retry: Optional[Call] = None      # the call to send again, before all others
         self._at_once: List[Call] = []          # to be sent now, whatever is outstanding
+        self._waits_for = ''                    # see `step`
         self._exchange: Optional[_Exchange] = None
         self._latest_request: Optional[wire.Request] = None
         self._served_until = 0.0                # when the exchange of the latest call ended
@@ -222,6 +232,11 @@ class Master:
     def submit(self, call: Call) -> None:
         """Queue a call, from any thread; `Call.wait` returns its outcome."""
         self._submitted.append(call)
+
+    @property
+    def has_new_calls(self) -> bool:
+        """Whether a call was submitted since the latest `step`."""
+        return bool(self._submitted)
 
     # -- events -------------------------------------------------------------------------
 
@@ -248,10 +263,10 @@ class Master:
         exchange, reply = self._exchange, frame.message
         if reply.cmd1 == wire.ECHO:      # late or not, the board knows ECHO
             self._has_echoed = True
-        if self._retry is not None and _may_answer_after_invalid(reply, self._retry):
-            # Either the INVALID was for noise, or this is the reply to another request.
-            call, self._retry = self._retry, None
-            call.finish(_unknown_after_invalid(call.last_try))
+        if (self._retry is not None and self._retry.needs_confirmation
+                and reply.cmd1 not in (wire.ERROR, wire.INVALID)
+                and _may_answer(reply, self._retry.request)):
+            self._doubt_invalid()
         elif exchange is None or (exchange.kind is _Kind.SILENCE and _lost_synchronism(reply)):
             self._exchange = None
             self._out_of_step(f'received a reply without a request: {reply}')
@@ -263,6 +278,7 @@ class Master:
     def damaged(self, frame: Frame, now: float) -> None:
         """Bytes were received that are no valid reply."""
         self._last_received = now
+        self._doubt_invalid()
         exchange = self._exchange
         if exchange is not None and exchange.kind is _Kind.SILENCE:
             self._expect_silence(now)
@@ -283,32 +299,47 @@ class Master:
             exchange.reply_may_be_lost = True
         elif exchange is not None and exchange.kind is _Kind.SILENCE:
             self._expect_silence(now)
-        if self._retry is not None and self._retry.invalid_unconfirmed:
-            # One of them may have shown that the INVALID was for noise.
+        self._doubt_invalid()
+
+    def stalled(self, now: float) -> None:
+        """The bridge stalled: a request that moves something and still waits is too old now."""
+        self.may_have_missed('the bridge stalled', now)
+        self._queue_submitted(now)
+        for call in self._waiting():
+            if not call.repeatable:
+                self._abandon(call, STALLED)
+
+    def _doubt_invalid(self) -> None:
+        """An OK was received, or perhaps: the INVALID before it may have been for noise."""
+        if self._retry is not None and self._retry.needs_confirmation:
             call, self._retry = self._retry, None
             call.finish(_unknown_after_invalid(call.last_try))
 
     # -- what to do ---------------------------------------------------------------------
 
-    def step(self, now: float,
-             may_send: bool = True) -> Tuple[Optional[wire.Request], Optional[float]]:
+    def step(self, now: float, waits_for: str = '',
+             port_ready: bool = True) -> Tuple[Optional[wire.Request], Optional[float]]:
         """Do what is due now.
 
         Args:
-            may_send: False: nothing can be sent now.
+            waits_for: what has to be received before a request may be sent, for people; '': nothing.
+                A call that interrupts does not wait for it.
+            port_ready: False: nothing at all can be sent now.
 
         Returns:
             The request to send now, or None, and the time of the next call at the latest, or None.
             The request counts as outstanding from now on.
         """
+        self._waits_for = waits_for
         self._queue_submitted(now)
         exchange = self._exchange
         if exchange is not None and now >= exchange.deadline:
             self._exchange = None
             self._timeout_handlers[exchange.kind](exchange, now)
         self._abandon_overdue(now)
-        if may_send and self._at_once:
+        if port_ready and self._at_once:
             return self._send_at_once(), now
+        may_send = port_ready and not waits_for
         request, silent_until = self._next_request(now) if may_send else (None, None)
         times = [self._expiry(call) for call in self._waiting()]
         if silent_until is not None:
@@ -473,11 +504,9 @@ class Master:
         if code == wire.NOT_SYNCHRONISED:
             self.state = SessionState.UNSYNCHRONISED
         elif call.always_fenced:
-            call.invalid_unconfirmed = True
             self.state = SessionState.OUT_OF_STEP
-            self._send_again(exchange, now, outcome)
-            return
-        if call.tries:
+        call.invalid_unconfirmed = call.always_fenced
+        if call.tries or call.invalid_unconfirmed:
             self._send_again(exchange, now, outcome)
         else:
             self._finish(exchange, now, outcome)
@@ -588,15 +617,15 @@ class Master:
     # -- interruptions; see rule 8 ----------------------------------------------------------
 
     def _interrupt(self, call: Call, now: float) -> None:
-        """Prepare to send this call at once, unless the board is idle."""
+        """Prepare to send this call at once."""
         exchange = self._exchange
-        if not self.in_step or isinstance(exchange, _CallExchange):
-            self._out_of_step(f'{call.request} was called')
-            if isinstance(exchange, _CallExchange):
-                self._repeat_or_finish(exchange, now, Outcome(
-                    TIMEOUT, f'{call.request} was sent before the reply: {_UNKNOWN}'))
-            self._exchange = None
-            self._at_once.append(call)
+        if self.synchronised:
+            self.state = SessionState.OUT_OF_STEP
+        if isinstance(exchange, _CallExchange):
+            self._repeat_or_finish(exchange, now, Outcome(
+                TIMEOUT, f'{call.request} was sent before the reply: {_UNKNOWN}'))
+        self._exchange = None
+        self._at_once.append(call)
         for other in self._waiting():
             if not other.interrupts:
                 self._abandon(other, f'{call.request} was called')
@@ -665,7 +694,12 @@ class Master:
             if call.outcome is not None:      # its caller has given up
                 self._remove(call)
             elif now >= self._expiry(call):
-                self._abandon(call, self.condition().value or 'the bus is busy with other calls')
+                self._abandon(call, self._why_it_waits())
+
+    def _why_it_waits(self) -> str:
+        if self._waits_for and not isinstance(self._exchange, _CallExchange):
+            return f'the link waits for {self._waits_for}'
+        return self.condition().value or 'the bus is busy with other calls'
 
     def _abandon(self, call: Call, why: str) -> None:
         """Give up a waiting call: it is not sent, or not sent again."""
@@ -693,15 +727,6 @@ def _may_answer(reply: wire.Reply, request: wire.Request) -> bool:
     if request.cmd1 == wire.SYNC:
         return reply.cmd1 == wire.SYNC
     return reply.cmd1 == wire.OK
-
-
-def _may_answer_after_invalid(reply: wire.Reply, call: Call) -> bool:
-    """Whether this reply may mean that the call was executed although an INVALID was received.
-
-    False if the call is sent again anyway.
-    """
-    return (call.invalid_unconfirmed and not (call.repeatable and call.tries)
-            and reply.cmd1 not in (wire.ERROR, wire.INVALID) and _may_answer(reply, call.request))
 
 
 def _unknown_after_invalid(invalid: Outcome) -> Outcome:

@@ -23,7 +23,8 @@ _FRAME_TIMEOUT = 0.05
 FAULTS = ('none', 'lose request', 'lose reply', ('late', REPLY_TIMEOUT + 0.2),
           ('late', MOTION_TIMEOUT + 0.9), ('double', 0.0), ('double', 0.005), ('double', 0.1),
           ('double', MOTION_TIMEOUT), 'damage reply', 'damage request', 'damage request, silent',
-          'noise', 'noise before', 'cut', 'error', 'too long', 'reset', 'invalid for noise')
+          'noise', 'noise before', 'cut', 'error', 'too long', 'reset',
+          'invalid for noise', 'unsynchronised for noise', 'invalid for noise, damage reply')
 UNREPEATABLE = ('lift', 'gimbal', 'raw', 'act')         # never sent again after a timeout
 REPEATABLE = ('read', 'test', 'stop')                 # functions that may be sent again
 REQUESTS = UNREPEATABLE + REPEATABLE + ('air', 'echo', 'sync')
@@ -76,13 +77,14 @@ class Board:
         if fault == 'too long':
             return self._at(now, bus.encode_reply(bus.Reply(bus.INVALID, b'\x20')))
         before = b''
-        if fault == 'invalid for noise':
-            before = bus.encode_reply(bus.Reply(bus.INVALID, b'\x40'))
+        if 'for noise' in fault:
+            code = b'\x10' if fault == 'unsynchronised for noise' else b'\x40'
+            before = bus.encode_reply(bus.Reply(bus.INVALID, code))
         reply = self._execute(request, fault == 'error')
         if reply is None or fault == 'lose reply':
             return self._at(now, before) if before else []
         wire = bus.encode_reply(reply)
-        if fault == 'damage reply':
+        if 'damage reply' in fault:
             wire = wire[:-1] + bytes((wire[-1] ^ 4,))
         elif fault == 'noise':
             wire = b'\x11\x22' + wire
@@ -132,6 +134,7 @@ class Model:
         self.now = 10.0
         self.board = Board(faults, echoes, ok_data)
         self.asked: List[ModelCall] = []
+        self.sent: List[bus.Request] = []       # by the Master
         logger = logging.getLogger('bus model')
         logger.propagate = False
         nonces = itertools.count()
@@ -185,6 +188,10 @@ class Model:
                     self.now, kind in POLLS, layout, interrupts=kind == 'stop')
         self.asked.append(ModelCall(call, kind, self.now, self.board.readings))
         self.master.submit(call)
+        if kind == 'stop' and self._connected:
+            before = len(self.sent)
+            self._step()
+            assert request in self.sent[before:], 'the stop was not sent at once'
 
     def run(self, seconds: float) -> None:
         """Let time pass."""
@@ -213,9 +220,11 @@ class Model:
                 self._deliver(self._decoder.feed(wire))
             while self._decoder.pending and self.now >= self._last_byte + _FRAME_TIMEOUT:
                 self._deliver(self._decoder.give_up())
-            request, self._wake_at = self.master.step(self.now, not self._decoder.begun)
+            request, self._wake_at = self.master.step(
+                self.now, 'the rest' if self._decoder.begun else '')
             if request is None:
                 return
+            self.sent.append(request)
             for when, wire in self.board.take(request, self.now):
                 heapq.heappush(self._line, (when, next(self._number), wire))
 

@@ -457,3 +457,39 @@ def test_the_link_continues_after_a_fault_in_a_callback(board, open_link, lines)
     until(lambda: link.master.synchronised and link.master.in_step)
     assert link.lift(0, 100).success
     assert lines('a fault of the callback')
+
+
+# -- what a request waits for -----------------------------------------------------------------------
+
+STOP = bus.Request(bus.FUNCTION, 0x2F)
+
+
+def test_a_stop_is_sent_while_an_incomplete_frame_is_received(line, board, open_link):
+    link = open_link(frame_timeout=60.0)
+    line.write(b'\xa5\xf0')
+    until(lambda: link.decoder.begun)
+    call_in_thread(lambda: link.request(STOP, True, interrupts=True))
+    until(lambda: STOP in board.requests())
+
+
+def test_a_stop_is_sent_while_bytes_are_received_without_a_pause(line, logger, monkeypatch):
+    link = BusLink(Port(line.path), PATIENT, logger=logger)
+    sent = []
+    monkeypatch.setattr(link, 'send', lambda frame, cmd1, cmd2, data, request: sent.append(request))
+    link.master.connected(10.0)
+    link.tick(10.0)
+    assert not link.drained and sent == []
+    link.master.submit(link._call(STOP, True, None, None, None, interrupts=True))
+    assert link.tick(10.001) == 10.001 and sent == [STOP]
+
+
+def test_the_state_says_what_a_call_waits_for(line, board, open_link):
+    link = open_link(SHORT, frame_timeout=60.0)
+    line.write(b'\xa5\xf0')
+    until(lambda: link.decoder.begun)
+    outcome = link.lift(0, 100)
+    assert outcome.status == NOT_SENT
+    assert outcome.message == 'the link waits for the rest of an incomplete frame; nothing was sent'
+    assert link.report(time.monotonic())[:2] == (
+        WARN, 'open, waits for the rest of an incomplete frame')
+    assert board.moves() == []

@@ -71,7 +71,7 @@ class Session:
 
     def wake_at(self):
         """When the Master has to be called again at the latest; nothing is sent."""
-        return self.master.step(self.now, may_send=False)[1]
+        return self.master.step(self.now, port_ready=False)[1]
 
     def send_next(self):
         """The request to send now, or None. A fence before it is answered first."""
@@ -93,7 +93,7 @@ class Session:
 
     def later(self, seconds):
         self.now += seconds
-        self.master.step(self.now, may_send=False)
+        self.master.step(self.now, port_ready=False)
 
     def connect(self):
         """Connect to a board that answers SYNC, and the ECHO after it, at once."""
@@ -301,22 +301,44 @@ def test_a_request_is_sent_again_after_invalid_checksum(session, request_):
 
 
 @MOVING_OR_RAW
-@pytest.mark.parametrize('code', [0x40, 0x20])
-def test_an_ok_after_an_invalid_makes_the_outcome_unknown(session, request_, code):
+@pytest.mark.parametrize('answer', [lambda session: session.reply(OK_REPLY), Session.damage],
+                         ids=('ok', 'damaged'))
+@pytest.mark.parametrize('code', [0x40, 0x20, 0x10])
+def test_an_ok_after_an_invalid_makes_the_outcome_unknown(session, request_, answer, code):
     """Either the INVALID was for noise and the OK is the reply, or the OK is a doubled reply to an
     earlier request. Neither "refused" nor "success" is safe then, nor is another try."""
     call = session.call(request_)
     session.send_next()
     session.reply(invalid(code))
     assert call.outcome is None
-    echo = session.send_next()
-    assert echo.cmd1 == bus.ECHO
-    session.reply(OK_REPLY)
+    if code == 0x10:
+        assert session.send_next() == bus.SYNC_REQUEST
+    else:
+        echo = session.send_next()
+        assert echo.cmd1 == bus.ECHO
+    answer(session)
     assert (call.outcome.status, call.outcome.error_code) == (TIMEOUT, code)
     assert 'not known' in call.outcome.message
     assert session.send_next() is None and not session.master.in_step
+    if code == 0x10:
+        session.reply(SYNC_REPLY)
+        echo = session.send_next()
     session.reply(bus.Reply(bus.ECHO, echo.data))
     assert session.master.in_step and session.send_next() is None
+
+
+@MOVING_OR_RAW
+def test_an_ok_after_invalid_not_synchronised_and_sync_makes_the_outcome_unknown(session, request_):
+    """The OK arrives between the replies to SYNC and to the ECHO after it."""
+    call = session.call(request_, tries=1)
+    session.send_next()
+    session.reply(invalid(0x10))
+    assert session.send_next() == bus.SYNC_REQUEST
+    session.reply(SYNC_REPLY)
+    assert call.outcome is None, 'a refusal is reported before an ECHO has confirmed it'
+    assert session.send_next().cmd1 == bus.ECHO
+    session.reply(OK_REPLY)
+    assert (call.outcome.status, call.outcome.error_code) == (TIMEOUT, 0x10)
 
 
 @MOVING_OR_RAW
@@ -358,10 +380,12 @@ def test_a_call_is_sent_before_a_repeated_poll(session):
 
 @MOVING_OR_RAW
 @pytest.mark.parametrize('end', ['closed', 'no echo'])
-def test_an_invalid_without_a_confirming_echo_is_not_reported_as_a_refusal(session, request_, end):
+@pytest.mark.parametrize('code', [0x40, 0x10])
+def test_an_invalid_without_a_confirming_echo_is_not_reported_as_a_refusal(
+        session, request_, end, code):
     call = session.call(request_)
     session.send_next()
-    session.reply(invalid(0x40))
+    session.reply(invalid(code))
     session.send_next()
     if end == 'closed':
         session.master.disconnected(session.now, 'unplugged')
@@ -1515,12 +1539,40 @@ def test_a_stop_takes_the_place_of_a_move_that_waits_for_its_fence(session):
     lift = session.call(LIFT)
     assert session.next_request().cmd1 == bus.ECHO
     stop = session.call(STOP)
-    assert session.next_request() is None, 'the board is idle: the stop is sent in its turn'
+    assert session.next_request() == STOP
     assert lift.outcome.status == NOT_SENT
-    session.reply(bus.Reply(bus.ECHO, session.nonces[-1]))
+    echo = session.next_request()
+    session.reply(bus.Reply(bus.ECHO, session.nonces[-2]), OK_REPLY)
+    assert stop.outcome is None and session.next_request() is None
+    session.reply(bus.Reply(bus.ECHO, echo.data))
     assert session.next_request() == STOP
     session.reply(OK_REPLY)
     assert stop.outcome.success
+
+
+@pytest.mark.parametrize('idle', [True, False], ids=('idle', 'moving'))
+def test_a_stop_waits_for_nothing_that_is_received(session, idle):
+    lift = None if idle else moving(session)
+    stop, other = session.call(STOP), session.call(LIFT)
+    assert session.master.has_new_calls
+    held = 'the rest of an incomplete frame'
+    assert session.master.step(session.now, held, port_ready=False)[0] is None
+    assert session.master.step(session.now, held)[0] == STOP
+    assert idle or lift.outcome.status == TIMEOUT
+    assert session.master.step(session.now, held)[0] is None, 'all others wait'
+    session.later(MOTION_TIMEOUT)
+    session.master.step(session.now, held)
+    assert stop.outcome.status == TIMEOUT and other.outcome.status == NOT_SENT
+
+
+def test_a_call_that_waits_is_told_what_for(session):
+    held = 'the rest of an incomplete frame'
+    call = session.call(LIFT)
+    assert session.master.step(session.now, held)[0] is None
+    session.now += MOTION_TIMEOUT
+    session.master.step(session.now, held)
+    assert call.outcome == (NOT_SENT, f'the link waits for {held}; nothing was sent', 0, b'', 0.0,
+                            True, None)
 
 
 def test_a_stop_is_sent_at_once_while_a_move_with_an_unknown_outcome_may_last(session):

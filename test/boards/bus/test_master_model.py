@@ -160,7 +160,8 @@ def test_without_faults_every_call_succeeds_at_once():
         model.run(0.05)
         assert model.asked[-1].call.outcome.success
     model.check()
-    assert len(model.board.executed) == 160 and model.master.timeouts == 0
+    # A stop is sent twice: at once, and behind a fence.
+    assert len(model.board.executed) == 180 and model.master.timeouts == 0
 
 
 def test_every_request_but_sync_echo_and_the_latest_poll_has_a_fence():
