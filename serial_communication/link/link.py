@@ -11,10 +11,9 @@ from ..framing.stream import CHECKSUM, FRAMING, Decoder, Frame
 from ..transport import pace
 from ..transport.opener import Opener
 from ..transport.port import Port, PortError
-from .backlog import LONGEST_SLEEP, STALL, Backlog
 from .presence import LOOK_PERIOD, STARTUP_TIME, PresenceLog
 from .sparing_log import SparingLog
-from .stall import StallWatch
+from .stall import LONGEST_SLEEP, STALL, StallWatch
 from .unknown_bytes import OtherBoard, UnknownBytes
 
 OK, WARN, ERROR = 0, 1, 2      # as in diagnostic_msgs/DiagnosticStatus
@@ -68,6 +67,9 @@ class Link:
     """
 
     STOPS_FIRST = False     # True: at shutdown this link is stopped before the others
+    # True: the link knows by itself which bytes are new after a stall. Else a network port, where
+    # any number of old ones may wait, is then opened again.
+    HAS_FENCES = False
 
     def __init__(self, name: str, port: Port, decoder: Decoder, frame_timeout: float = 0.05,
                  clock: Callable[[], Any] = time.time,
@@ -105,7 +107,8 @@ class Link:
         self._unknown_bytes = UnknownBytes(
             other for other in other_boards if other.name != name)
         self._opened_at = self._presence_at = 0.0    # monotonic
-        self._backlog: Optional[Backlog] = None      # None: no bytes are dropped
+        self._stall = 0.0     # s; of the stall during which received bytes waited; 0.0: none
+        self._dropped = 0     # of them
         # Whether the latest read returned nothing, and no frame has been delivered since.
         self.drained = False
 
@@ -126,7 +129,8 @@ class Link:
     def stalled(self, seconds: float, now: float) -> None:
         """The thread stalled for `seconds`, which are more than `STALL`.
 
-        After this call the backlog is dropped; `received` is not called until that is done.
+        After this call what is received is dropped until `AFTER_STALL` s after the stall, and
+        `received` is not called.
         """
 
     def altered(self, now: float) -> None:
@@ -177,7 +181,7 @@ class Link:
     @property
     def is_dropping(self) -> bool:
         """Whether received bytes are dropped now, after a stall."""
-        return self._backlog is not None
+        return self._stall > 0
 
     @property
     def awake_at(self) -> float:
@@ -417,7 +421,6 @@ class Link:
         now = time.monotonic()
         self.opened(now)
         self.last_byte_at = self._opened_at = self._presence_at = look_at = now
-        self._backlog = None
         self._unknown_bytes.reset()
         self.drained = False
         timer = self._timer
@@ -437,9 +440,14 @@ class Link:
             stamp = self._clock()
             now = time.monotonic()
             self.drained = not data
-            self._check_stall(now)
-            if self._backlog is not None:
-                self._drop(self._backlog, data, now)
+            stall = self._check_awake()
+            if stall:
+                self._begin_to_drop(stall, now)
+            if self._stall:
+                self._drop(data, now)
+                if stall and self.port.is_network and not self.HAS_FENCES:
+                    raise PortError(f'the bridge stalled for {stall:.3g} s, and what waited in the '
+                                    'network is old')
             elif data:
                 self.take(data, stamp, now)
             if self.decoder.pending:
@@ -466,33 +474,29 @@ class Link:
         return self.silence() if not unknown else (
             f'{unknown} `rosrun serial_communication ports` finds out which board is on which port')
 
-    def _check_stall(self, now: float) -> None:
-        seconds = self._check_awake()
-        if not seconds:
-            return
-        if self._backlog is None:
-            self._backlog = Backlog(self.port.baud, seconds, self.awake_at)
-            self.decoder.reset()
-        else:
-            self._backlog.extend(seconds, self.awake_at)
+    def _begin_to_drop(self, seconds: float, now: float) -> None:
+        """The thread stalled for `seconds`, or did so again soon after a stall."""
+        self._stall += seconds
+        self.decoder.reset()
         self.stalled(seconds, now)
 
-    def _drop(self, backlog: Backlog, data: bytes, now: float) -> None:
-        """Drop the bytes of one read; end the backlog if they are the last of it."""
+    def _drop(self, data: bytes, now: float) -> None:
+        """Drop the bytes of one read at the end of a stall, or shortly after it."""
         self.stale += len(data)
+        self._dropped += len(data)
         if data:
             self.last_byte_at = now
-        if not backlog.drop(data, self.awake_at):
-            return
-        self._backlog = None
-        if backlog.size:
-            self.log.warn('stalled', f'the bridge stalled for {backlog.seconds:.3g} s: '
-                          f'{backlog.size} bytes that waited in the port are old and were dropped')
-        # A frame may begin in the backlog and end in the next read. If it has no checksum, its end
+        # A frame may begin in these bytes and end in the next read. If it has no checksum, its end
         # alone could be taken for another frame. So the decoder gets the beginning, too.
         errors = dict(self.decoder.errors)
-        self.decoder.feed(backlog.last, _OLD)
+        self.decoder.feed(data, _OLD)
         self.decoder.errors.update(errors)
+        if self._stalls.has_just_stalled(self.awake_at):
+            return
+        if self._dropped:
+            self.log.warn('stalled', f'the bridge stalled for {self._stall:.3g} s: {self._dropped} '
+                          'bytes that waited in the port are old and were dropped')
+        self._stall, self._dropped = 0.0, 0
 
     def take(self, data: bytes, stamp: Any, now: float) -> None:
         """Decode the bytes of one read and deliver their frames."""

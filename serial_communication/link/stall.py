@@ -1,5 +1,7 @@
 """Finds stalls: times in which the bridge did not run, or a thread of it."""
-AFTER_STALL = 0.5    # s after a stall in which what waited meanwhile may still arrive
+STALL = 0.3            # s between two reads; longer is a stall
+AFTER_STALL = 0.5      # s after a stall in which what waited meanwhile may still arrive
+LONGEST_SLEEP = 0.1    # s; a link's thread never sleeps longer in a read
 
 
 class StallWatch:
@@ -32,5 +34,9 @@ class StallWatch:
         return seconds
 
     def has_just_stalled(self, now: float) -> bool:
-        """Whether what arrives now may have waited during a stall that `stalled_for` has found."""
+        """Whether what arrives now may have waited during a stall that `stalled_for` has found.
+
+        Behind a port are other buffers (a USB adapter's, socat's), so not only what the kernel has
+        when the stall ends is old.
+        """
         return now < self._until

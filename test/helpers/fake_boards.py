@@ -188,17 +188,17 @@ class CarBoard(Board):
 
 
 class Rfc2217Server:
-    """A server for one connection. Later ones are refused at once, so that no link still waits for
-    an answer when a test ends."""
+    """A server for one connection, or a few, one after the other. Later ones are refused at once,
+    so that no link still waits for an answer when a test ends."""
 
-    def __init__(self, listening, path):
+    def __init__(self, listening, path, connections=1):
         self.url = 'rfc2217://127.0.0.1:%d' % listening.getsockname()[1]
         self.peer = None
         self._going = threading.Event()
         self._going.set()
         self._standing = threading.Event()
         self._ended = threading.Event()
-        self._server, self._path = listening, path
+        self._server, self._path, self._connections = listening, path, connections
         self._thread = threading.Thread(target=self._serve, name='rfc2217 server', daemon=True)
         self._thread.start()
 
@@ -222,7 +222,13 @@ class Rfc2217Server:
 
     def _serve(self):
         with self._server:
+            for _ in range(self._connections - 1):
+                self.peer, _ = self._server.accept()
+                self._serve_peer()
             self.peer, _ = self._server.accept()
+        self._serve_peer()
+
+    def _serve_peer(self):
         connection = _Connection(self.peer)
         with self.peer, _Device(self._path, timeout=0.05) as device:
             manager = serial.rfc2217.PortManager(device, connection)

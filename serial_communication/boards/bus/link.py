@@ -5,9 +5,9 @@ from typing import Any, Callable, List, NamedTuple, Optional, Tuple
 
 from ...framing.layout import Layout
 from ...framing.stream import Frame
-from ...link.backlog import LONGEST_SLEEP, STALL
 from ...link.link import ERROR, OK, WARN, Link
 from ...link.outcome import NOT_SENT, Outcome
+from ...link.stall import LONGEST_SLEEP, STALL
 from ...transport.pace import Every
 from ...transport.port import Port, PortBusy, PortError
 from . import wire
@@ -68,6 +68,8 @@ class BusLink(Link):
         on_environment: called in the link's thread with each reading and its stamp.
         link_arguments: frame_timeout, clock and logger, as for `Link`.
     """
+
+    HAS_FENCES = True      # the Master drops all replies until an ECHO has returned
 
     def __init__(self, port: Port, settings: BusSettings = BusSettings(),
                  on_environment: Optional[Callable[[wire.Environment, Any], None]] = None,

@@ -11,7 +11,7 @@ from typing import Any, Callable, NamedTuple, Optional, Sequence, Union
 
 from ...framing.custom_messages import CustomMessage
 from ...framing.stream import Frame
-from ...link.backlog import STALL, Backlog
+from ...link.stall import AFTER_STALL, STALL
 from ...transport import pace
 from ...transport.holders import holders_of
 from ...transport.opener import Opener
@@ -26,6 +26,7 @@ from .show import WireError, print_note
 _MOST_WAITING = 10000    # reads in an inbox; further ones are left out
 _FLUSH = 0.5             # s until a read is in the file, at most
 _TICK = 0.05             # s that a read of a port waits, at most
+_AFTER_OPENING = 0.1     # s in which a tap drops what a port has as it opens
 _REALTIME_PRIORITY = 15
 
 
@@ -164,21 +165,23 @@ class PortReader:
         `data` is what was read of it already.
         """
         awake_at = pace.clock()
-        backlog = Backlog(self._port.baud, stall, awake_at)
-        while not backlog.drop(data, awake_at) and not self._stopping.is_set():
-            data = self._port.read(_TICK)
+        end = awake_at + (AFTER_STALL if stall else _AFTER_OPENING)
+        dropped, stalled_for = len(data), stall
+        while awake_at < end and not self._stopping.is_set():
+            dropped += len(self._port.read(_TICK))
             stall, awake_at = pace.clock() - awake_at, pace.clock()
             if stall > STALL:
-                backlog.extend(stall, awake_at)
-        if not backlog.size:
+                end = awake_at + AFTER_STALL
+                stalled_for += stall
+        if not dropped:
             return
         remedy = ''
         if self._forwarder:
-            self._forwarder.input_dropped(backlog.size, time.monotonic())
+            self._forwarder.input_dropped(dropped, time.monotonic())
             remedy = self._forwarder.remedy
-        when = f'while this program stalled for {backlog.seconds:.3g} s' if backlog.seconds else \
+        when = f'while this program stalled for {stalled_for:.3g} s' if stalled_for else \
             'as it opened'
-        self._report(f'{backlog.size} bytes that waited {when} were stale and dropped{remedy}',
+        self._report(f'{dropped} bytes that waited {when} were stale and dropped{remedy}',
                      lost=True)
 
     def _report(self, text: str, lost: bool = False) -> None:
