@@ -11,7 +11,7 @@ from . import exact_bus, exact_car, exact_node, exact_sensors
 from .boards import Car
 from .exact_node import End
 from .lines import NetworkLine
-from .rig import MachineTooBusy, Rig, Scenario
+from .rig import QUIET_CAR, MachineTooBusy, Rig, Scenario
 
 FIRST = (*exact_bus.SCENARIOS, *exact_car.SCENARIOS, *exact_sensors.SCENARIOS,
          *exact_node.SCENARIOS)
@@ -27,7 +27,7 @@ def run(rig: Rig, only: str = '') -> None:
         scenarios if any(only in name_of(scenario) for scenario in scenarios) else ()
         for scenarios in (SECOND, THIRD))
     if first or second:
-        rig.start()
+        rig.start(QUIET_CAR)
         carry_out(rig, (*first, *second))
         rig.end_bridge()
     if third:

@@ -236,6 +236,7 @@ def suspended_bridge(rig: Rig) -> None:
             rig.sleep(1.0)
         rig.bus.react = None
         calls.check(key, future.result(MAX_WAIT), 'stall', 'not known', MOTION_TIMEOUT + 1.0)
+        rig.wait_heartbeats(70)     # moves are refused until 0.5 s after a stall
         calls.check_received(calls.call('lift', 'after a stall', 'done'), 1, 'after a stall')
 
 

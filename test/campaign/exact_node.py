@@ -14,7 +14,7 @@ from .boards import CUSTOM, POLLED, Reaction
 from .exact_bus import Calls
 from .exact_car import Drive, measurements
 from .requirements import MAX_WAIT
-from .rig import LATCHED, MOTION_TIMEOUT, STOP_FIRST, Rig
+from .rig import LATCHED, MOTION_TIMEOUT, QUIET_CAR, STOP_FIRST, Rig
 from .robot import NODE
 
 _END = 2.0               # s
@@ -122,7 +122,7 @@ def killed(rig: Rig) -> None:
     rig.bus.start_connection()
     rig.mcu_line.unplug()
     since = len(rig.car.packets)
-    rig.start(POLLING)
+    rig.start({**POLLING, **QUIET_CAR})
     packet = rig.car.first[rig.car.connection]
     first.check(packet.is_stop, f'the first packet was {packet}')
     child.order('next')

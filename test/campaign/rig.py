@@ -20,6 +20,8 @@ SPEED_TIMEOUT = 0.5
 PARAMETERS: Dict[str, Any] = {
     'bus/motion_timeout': MOTION_TIMEOUT, 'bus/reply_timeout': REPLY_TIMEOUT,
     'bus/environment_period': 0.0, **{name: json.dumps(rows) for name, rows in CUSTOM.items()}}
+# A car on a pty that sends only what a scenario asks for would be silent, and get no commands.
+QUIET_CAR: Dict[str, Any] = {'arduino/network_silence': 0.0}
 POLLED_TOPICS = '~environment', '~depth', '~height'
 
 PORT_RETURNS = 'ports', "data within 1.5 s of the port's return"

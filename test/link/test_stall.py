@@ -294,6 +294,10 @@ class Clock:
         until(lambda: link.is_dropping)
 
     def end(self, link):
+        """Let time pass, in steps that are no stalls, until nothing is dropped."""
+        while link.is_dropping:
+            self._stopped_at += STALL / 2
+            until(lambda: link.awake_at == self._stopped_at)
         self._ahead = self._stopped_at - self._real()
         self._stopped_at = None
         until(lambda: not link.is_dropping)
@@ -386,6 +390,26 @@ def test_the_hook_stalled_is_called_before_a_frame_is_received(
     assert calls[-1] == pytest.approx(40.0, abs=5.0)
     clock.end(link)
     until(lambda: calls[-1] == 2 or line.write(mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 2)))
+
+
+@pytest.mark.parametrize('kind, openings', [(ArduinoLink, 2), (McuLink, 2), (BusLink, 1)])
+def test_a_network_port_is_opened_anew_after_a_stall_unless_the_link_has_fences(
+        kind, openings, server, logger, running, clock):
+    link = running(kind(Port('socket://127.0.0.1:%d' % server.getsockname()[1]), logger=logger))
+    peers = [server.accept()[0]]
+    until(lambda: link.connections == 1)
+    clock._stopped_at = clock() + 2.0
+    link.wake()
+    until(lambda: link.is_dropping)
+    clock.end(link)
+    if openings == 2:
+        peers.append(server.accept()[0])
+        until(lambda: link.connections == 2)
+    heard = time.monotonic()
+    until(lambda: time.monotonic() > heard + 0.3)
+    assert link.connections == openings and link.port.is_open
+    for peer in peers:
+        peer.close()
 
 
 def test_a_slow_callback_is_a_stall(line, logger, running):

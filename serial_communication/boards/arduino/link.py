@@ -361,19 +361,20 @@ class ArduinoLink(Link):
             raise
 
     def _check_pty(self, now: float) -> None:
-        """Drop what was written to a pseudo terminal, as long as a board that has talked is silent.
+        """Hold commands back from a pseudo terminal while a board that has talked is silent.
 
-        Its other side (socat, ser2net, a virtual machine) may stand, and send it all later. What it
-        can read already stays there, with SPEED 0 behind it. Heartbeats go on: the board may read.
+        Its other side (socat, ser2net, a virtual machine) may stand, and send all of them later.
+        What it can read already cannot be dropped, but has SPEED 0 behind it then. Heartbeats go
+        on: the board may read.
         """
         limit = self.settings.network_silence
         held = self.port.is_pty and 0 < limit <= self.silent_for(now)
-        if not held and not self._held:
+        if held == self._held:
             return
         with self._send_lock:
-            self._drop_output()
-            self._held, was_held = held, self._held
-        if not was_held:
+            self._drop_output()     # also when it talks again: the heartbeats that waited
+            self._held = held
+        if held:
             self.log.warn('silent', f'nothing received from the board for {limit:g} s: what was '
                           'written is dropped, SPEED 0 is sent, and commands are refused until '
                           'it talks')
