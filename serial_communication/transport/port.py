@@ -361,11 +361,14 @@ class Port:
             waiting = 0
         return (waiting + len(self._rest)) * 10.0 / self.baud
 
-    def discard_output(self) -> bool:
+    def discard_output(self, why: str = 'the peer takes no data') -> bool:
         """Drop what was written but not sent.
 
         A connection cannot do that. It is given up instead, and the next `read` raises PortError.
         Of a pseudo terminal, up to 4095 bytes that its other side can read already stay there.
+
+        Args:
+            why: the text of that error.
 
         Returns:
             whether the port is still usable.
@@ -376,7 +379,7 @@ class Port:
                 if self._out >= 0:
                     _flush_output(self._out)
                 return True
-            self._failure = 'the peer takes no data'
+            self._failure = why
         self.wake()
         return False
 

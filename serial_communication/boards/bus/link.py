@@ -77,7 +77,8 @@ class BusLink(Link):
         super().__init__('bus', port, wire.ReplyDecoder(settings.reply_has_cmd2),
                          **link_arguments)
         self.settings = settings
-        self.master = Master(settings.reply_timeout, settings.motion_timeout, self.log)
+        self.master = Master(settings.reply_timeout, settings.motion_timeout, self.log,
+                             drop_output=self._drop_output)
         self._on_environment = on_environment
         self._pollers: List[Poller] = []
         self._question = AnnouncementQuestion(self._ask, self.announcement, self.log) \
@@ -197,6 +198,9 @@ class BusLink(Link):
             timeout = settings.motion_timeout if moves else settings.reply_timeout
         return Call(request, timeout, repeatable, 1 + settings.retries, time.monotonic(), poll,
                     reply_layout, on_success, interrupts)
+
+    def _drop_output(self) -> None:
+        self.port.discard_output('nothing received since a request, which may still wait')
 
     def _environment_received(self, outcome: Outcome) -> None:
         if self._on_environment:

@@ -39,6 +39,10 @@ next call. The rules:
    its turn like any repeatable request, and the reply to that is its outcome.
 9. What may have waited while the bridge stalled is not sent, unless it is repeatable. The link
    refuses such calls; those that waited here already are given up when the stall is reported.
+10. A move is not executed late. Its fence is at most `FENCE_AGE` old, so the board was heard just
+   before. If nothing at all was received since a request that is not repeatable, and it times out,
+   it may still wait in the port: it is dropped there. Readings are not dropped: a network
+   connection would have to be closed for each poll of a silent board.
 """
 import enum
 import os
@@ -55,6 +59,7 @@ from . import wire
 
 ECHO_TRIES = 3         # unanswered ECHOs before a SYNC and a silence replace them
 FENCE_SILENCE = 0.02   # s of silence as a fence: a USB adapter delivers bytes up to 16 ms late
+FENCE_AGE = 1.0        # s; before a move, an older fence is renewed
 NOT_READY_WAIT = 0.8   # s that a call waits while the link is not ready
 
 STALLED = 'it may have waited while the bridge stalled'
@@ -194,10 +199,12 @@ class Master:
         motion_timeout: s; the longest timeout of a call, and so the longest wait for a turn.
         log: for warnings.
         nonce: returns new bytes for an ECHO.
+        drop_output: drops what was sent but may still wait on its way; see rule 10.
     """
 
     def __init__(self, reply_timeout: float, motion_timeout: float, log: SparingLog,
-                 nonce: Callable[[], bytes] = lambda: os.urandom(4)) -> None:
+                 nonce: Callable[[], bytes] = lambda: os.urandom(4),
+                 drop_output: Callable[[], None] = lambda: None) -> None:
         self.state = SessionState.CLOSED
         self.timeouts = 0
         self.length_errors = 0
@@ -207,6 +214,7 @@ class Master:
         self._longest_wait = max(motion_timeout, NOT_READY_WAIT)
         self._log = log
         self._nonce = nonce
+        self._drop_output = drop_output
         self._submitted: Deque[Call] = deque()  # from other threads
         self._calls: Deque[Call] = deque()
         self._polls: Deque[Call] = deque()
@@ -216,6 +224,7 @@ class Master:
         self._exchange: Optional[_Exchange] = None
         self._latest_request: Optional[wire.Request] = None
         self._served_until = 0.0                # when the exchange of the latest call ended
+        self._fenced_at = 0.0                   # when the latest fence was complete
         self._last_received = 0.0               # when the latest bytes were received
         self._unanswered_syncs = 0
         self._unanswered_echoes = 0
@@ -392,6 +401,11 @@ class Master:
         """Whether a reply to the request before could be taken for the reply to this one."""
         return call.always_fenced or (call.poll and call.request != self._latest_request)
 
+    def _is_fenced(self, call: Call, now: float) -> bool:
+        """Whether no reply can be under way, and the board, for a move, has just been heard."""
+        return self.state is SessionState.FENCED and (
+            call.repeatable or now <= self._fenced_at + FENCE_AGE)
+
     def _out_of_step(self, why: str) -> None:
         if self.in_step:
             self._log.warn('out of step', f'out of step: {why}; sending ECHO to get in step again')
@@ -414,7 +428,7 @@ class Master:
             if call is None:
                 return None, None
             if call.tries and self._needs_fence(call):
-                if not self._never_echoes and self.state is not SessionState.FENCED:
+                if not self._never_echoes and not self._is_fenced(call, now):
                     return self._send_echo(now), None
                 if self._never_echoes and now < self._last_received + FENCE_SILENCE:
                     return None, self._last_received + FENCE_SILENCE
@@ -458,12 +472,13 @@ class Master:
         elif reply.cmd1 != wire.INVALID:     # INVALID: the SYNC was damaged; it is sent again later
             self._out_of_step(f'{reply} to SYNC')
 
-    def _echo_answered(self, exchange: _Exchange, frame: Frame, _now: float) -> None:
+    def _echo_answered(self, exchange: _Exchange, frame: Frame, now: float) -> None:
         reply = frame.message
         if reply.cmd1 == wire.ECHO and reply.data == exchange.request.data:
             self._exchange = None
             self._unanswered_echoes = 0
             self.state = SessionState.FENCED
+            self._fenced_at = now
         elif _lost_synchronism(reply):
             self._exchange = None
             self._echo_unanswered()
@@ -568,8 +583,9 @@ class Master:
             self._log.warn('no echo', 'the board does not answer ECHO; a SYNC and '
                            f'{self._reply_timeout:g} s of silence replace it')
 
-    def _silence_complete(self, _exchange: _Exchange, _now: float) -> None:
+    def _silence_complete(self, _exchange: _Exchange, now: float) -> None:
         self.state = SessionState.FENCED
+        self._fenced_at = now
         if self._has_echoed:        # the board knows ECHO, so the line lost these: try ECHO again
             self._unanswered_echoes = 0
 
@@ -581,6 +597,8 @@ class Master:
         self._log.warn('timeout', f'no reply to "{exchange.request}" {within}')
         self._out_of_step('no reply')
         self._repeat_or_finish(exchange, now, Outcome(TIMEOUT, f'no reply {within}: {_UNKNOWN}'))
+        if not exchange.call.repeatable and self._last_received <= exchange.sent:
+            self._drop_output()
 
     # -- the end of an exchange -----------------------------------------------------------
 

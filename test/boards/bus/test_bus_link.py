@@ -1,10 +1,11 @@
 """The bus link and a board, over a real tty."""
+import socket
 import threading
 import time
 
 import pytest
 
-from fake_boards import PATIENCE, BusBoard, until
+from fake_boards import PATIENCE, BusBoard, Line, until
 from serial_communication.link import link as link_module
 from serial_communication.boards.bus.link import BusLink, BusSettings, Poller
 from serial_communication.link.link import ERROR, OK, RX, TX, WARN
@@ -493,3 +494,44 @@ def test_the_state_says_what_a_call_waits_for(line, board, open_link):
     assert link.report(time.monotonic())[:2] == (
         WARN, 'open, waits for the rest of an incomplete frame')
     assert board.moves() == []
+
+
+# -- a move never comes late --------------------------------------------------------------------------
+
+def test_a_move_that_timed_out_is_dropped_where_it_waits(line, board, open_link):
+    """The other side of a pseudo terminal takes nothing, from the reply to the fence on."""
+    link = open_link(PATIENT._replace(reply_timeout=0.15, motion_timeout=0.3))
+
+    def stand(request):
+        if request.cmd1 == bus.ECHO:
+            link.port.write(bytes(8000))    # a flush does not reach what the other side can read
+            board._ending.set()
+
+    assert link.request(bus.Request(bus.FUNCTION, 0x30)).success    # so that the next has a fence
+    board.rule = stand
+    assert link.lift(0, 100).status == TIMEOUT
+    waiting = line.read_all()
+    assert waiting and bus.encode_request(LIFT) not in waiting
+
+
+def test_a_move_that_timed_out_closes_a_network_connection(logger, running):
+    with socket.socket() as server:
+        server.bind(('127.0.0.1', 0))
+        server.listen(1)
+        server.settimeout(PATIENCE)
+        link = running(BusLink(Port('socket://127.0.0.1:%d' % server.getsockname()[1]),
+                               SHORT._replace(retries=0), logger=logger))
+        with server.accept()[0] as peer:
+            peer.setblocking(False)
+            line = Line('a connection')
+            line.fd = peer.fileno()
+            board = running(BusBoard(line))
+            until(lambda: link.master.in_step)
+            board.script.append(b'')
+            assert link.environment()[0].status == TIMEOUT
+            assert link.lift(0, 1).success and link.connections == 1, 'a reading closes nothing'
+            board.script.append(b'')
+            assert link.lift(0, 100).status == TIMEOUT
+            server.accept()[0].close()
+            until(lambda: link.reconnects)
+            board.stop()

@@ -4,7 +4,7 @@ import logging
 import pytest
 
 from serial_communication.boards.bus import master as master_module
-from serial_communication.boards.bus.master import (ECHO_TRIES, FENCE_SILENCE, NOT_READY_WAIT,
+from serial_communication.boards.bus.master import (ECHO_TRIES, FENCE_AGE, FENCE_SILENCE, NOT_READY_WAIT,
                                                     NOT_SENT, TIMEOUT, Call, Condition, Master,
                                                     SessionState)
 from serial_communication.link.sparing_log import SparingLog
@@ -48,9 +48,11 @@ class Session:
         self._caplog = caplog
         self.now = 100.0
         self.nonces = []
+        self.dropped = []       # when output was dropped
         self._motion_timeout = motion_timeout
         self.master = Master(REPLY_TIMEOUT, motion_timeout, SparingLog(
-            'bus', logging.getLogger('session'), clock=lambda: self.now), self._nonce)
+            'bus', logging.getLogger('session'), clock=lambda: self.now), self._nonce,
+            drop_output=lambda: self.dropped.append(self.now))
 
     def _nonce(self):
         self.nonces.append(b'n%03d' % len(self.nonces))
@@ -810,10 +812,30 @@ def test_a_repeatable_call_is_sent_again_though_an_ok_follows_the_invalid(sessio
     assert call.outcome.success
 
 
-def test_a_fence_lasts_until_the_next_exchange(session):
+@pytest.mark.parametrize('request_', [AIR, READ], ids=str)
+def test_a_fence_lasts_until_the_next_exchange(session, request_):
     session.later(3600.0)
-    session.call(LIFT)
-    assert session.next_request() == LIFT
+    session.call(request_)
+    assert session.next_request() == request_
+
+
+@pytest.mark.parametrize('request_', [LIFT, GIMBAL, RAW, CUSTOM], ids=str)
+def test_before_a_move_a_fence_is_renewed_after_1_s(session, request_):
+    """The other side may stand meanwhile, and would deliver the move when it goes on."""
+    session.later(FENCE_AGE - 0.01)
+    session.call(request_)
+    assert session.next_request() == request_
+    session.reply(OK_REPLY)
+    session.call(bus.echo(b'x'))
+    session.next_request()
+    session.reply(bus.Reply(bus.ECHO, b'x'))
+    call = session.call(request_)
+    session.get_in_step()
+    session.later(FENCE_AGE + 0.01)
+    assert session.next_request().cmd1 == bus.ECHO
+    session.later(NOT_READY_WAIT)
+    session.later(MOTION_TIMEOUT)
+    assert call.outcome.status == NOT_SENT
 
 
 def test_a_new_poll_waits_for_the_move_after_the_fence(session):
@@ -1592,3 +1614,21 @@ def test_of_two_stops_both_have_an_outcome(session):
         assert session.send_next() == STOP
         session.reply(OK_REPLY)
         assert stop.outcome.success
+
+
+# -- 10. a move never comes late ---------------------------------------------------------------------
+
+@pytest.mark.parametrize('received', [None, 'noise', 'another reply'])
+@pytest.mark.parametrize('request_', [LIFT, GIMBAL, RAW, CUSTOM, AIR, READ], ids=str)
+def test_output_is_dropped_if_nothing_was_received_since_a_move(session, request_, received):
+    session.call(request_, tries=1)
+    assert session.send_next() == request_
+    session.now += 0.1
+    if received == 'noise':
+        session.damage(FRAMING)
+    elif received:
+        session.reply(bus.Reply(bus.ECHO, b'late'))
+    assert session.dropped == []
+    session.later(MOTION_TIMEOUT)
+    assert session.dropped == ([session.now] if not received and request_ not in ALL_REPEATABLE
+                               else [])
