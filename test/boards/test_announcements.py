@@ -154,7 +154,8 @@ def test_a_text_that_is_too_long_is_refused_with_one_line(line, car, lines):
 
 
 def test_diagnostics_have_the_keys_once_something_is_announced(car):
-    assert not {'firmware', 'announced', 'held back'} & set(dict(car.report(time.monotonic()).values))
+    keys = set(dict(car.report(time.monotonic()).values))
+    assert not {'firmware', 'announced', 'held back'} & keys
     car.announced = Announced('nano_car 1.1.0', ['force', 'gripper'])
     values = dict(car.report(time.monotonic()).values)
     assert (values['firmware'], values['announced']) == ('nano_car 1.1.0', 'force, gripper')

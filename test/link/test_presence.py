@@ -7,7 +7,7 @@ import time
 import pytest
 
 from fake_boards import BusBoard, CarBoard, until
-from serial_communication.boards.arduino.link import ArduinoLink
+from serial_communication.boards.arduino.link import ArduinoLink, ArduinoSettings
 from serial_communication.boards.arduino.calibration import Calibration
 from serial_communication.boards.bus.link import BusLink, BusSettings
 from serial_communication.link.link import SILENCE
@@ -70,7 +70,7 @@ def test_a_car_that_talks_falls_silent_and_is_back_is_logged(line, running, logg
                 self.line.write(arduino.encode(arduino.Voltage(12.0)))
 
     running(Car(line))
-    running(ArduinoLink(Port(line.path), logger=logger))
+    running(ArduinoLink(Port(line.path), ArduinoSettings(network_silence=0.0), logger=logger))
     until(lambda: said() == ['ready: the board talks'])
     talking[0] = False
     until(lambda: len(said()) == 2)

@@ -182,8 +182,8 @@ class ArduinoLink(Link):
             raise Refused(f'{message} refused: it may have waited while the bridge stalled; '
                           'send it again', 'stall')
         if self._held:
-            raise Refused(f'{message} refused: the board is silent, so the other side of the pseudo '
-                          'terminal may hold it back', 'silent')
+            raise Refused(f'{message} refused: the board is silent, so the other side of the '
+                          'pseudo terminal may hold it back', 'silent')
         if self.port.backlog() > _MOST_BACKLOG:
             raise Refused(f'{message} refused: the port takes no data', 'busy')
 

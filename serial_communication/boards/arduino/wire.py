@@ -293,7 +293,7 @@ class _Decoder:
 
     @property
     def front(self) -> int:
-        """Where the incomplete packet begins: how many bytes are before it; all if there is none."""
+        """Where the incomplete packet begins: how many bytes are before it."""
         return self.received - len(self._begun)
 
     def reset(self) -> None:

@@ -48,8 +48,8 @@ class SensorStatus(LayoutMessage, _SensorValues):
 
     @classmethod
     def unpack(cls, data: bytes) -> 'SensorStatus':
-        """From the payload. A yaw under -180° is a heading that wrapped; it is restored, and one over
-        360° is given as the same direction under 360°.
+        """From the payload. A yaw under -180° is a heading that wrapped; it is restored, and
+        one over 360° is given as the same direction under 360°.
 
         Raises:
             struct.error: the payload does not have ten bytes.

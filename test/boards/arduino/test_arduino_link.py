@@ -927,7 +927,7 @@ def test_a_stalled_rfc2217_server_delivers_no_old_speed_afterwards(line, logger,
     assert board.commands()[-2:] == [SpeedCommand(0), LedCommand('brake')]
 
 
-# -- a pseudo terminal whose other side stands ------------------------------------------------------
+# -- a pseudo terminal whose other side stands ----------------------------------------------------
 
 @pytest.fixture
 def relayed(logger, running, tmp_path):
