@@ -6,11 +6,11 @@ import sys
 import time
 from contextlib import contextmanager
 from functools import partial
-from typing import Iterator, List, Type
+from typing import Any, Iterator, List, Type
 
 import rospy
 
-from ..boards import reason
+from ..boards import BOARDS, reason
 from ..link.link import Link
 from ..link.sparing_log import SparingLog
 from ..link.unknown_bytes import OtherBoard
@@ -22,7 +22,7 @@ from .diagnostics import Diagnostics
 from .geometry import publish_mounts
 from .interface import Interface, LinkOptions
 from .last_resort import LastResort
-from .launch_arguments import unknown_arguments
+from .launch_arguments import empty_ports, unknown_arguments
 from .master import full_name
 from .other_boards import description_of
 from .parameter import ParameterError
@@ -82,7 +82,7 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
         signal.signal(signal.SIGHUP, lambda *_: _hang_up(start))
     bridge = None
     try:
-        given = without_announced(rospy.get_param('~', {}))
+        given = _given()
         values, warnings = parameters.check(given, rospy.get_name())
         for warning in [*warnings, *unknown_arguments()]:
             rospy.logwarn(warning)
@@ -101,6 +101,13 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
         return 1
     rospy.spin()
     return 0
+
+
+def _given() -> Any:
+    """Return the node's private parameters as they are given."""
+    for name in set(empty_ports()) & set(BOARDS):
+        rospy.set_param(f'~{name}/port', '')
+    return without_announced(rospy.get_param('~', {}))
 
 
 def _hang_up(start: starting.Start) -> None:
