@@ -18,7 +18,7 @@ from ..framing.custom_messages import RowError, meaning
 from ..link.link import Announced, Link
 from ..link.sparing_log import SparingLog
 from ..transport.pace import Allowance
-from .rospy_mends.remapping import explained
+from .rospy_mends.own_names import explained
 
 _PAUSE = 1.0                # s between two announcements: a board may change its own all the time
 _LINES = 60, 2.0            # log lines: at most in a burst, and then per second

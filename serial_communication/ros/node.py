@@ -26,7 +26,7 @@ from .launch_arguments import empty_ports, unknown_arguments
 from .master import full_name
 from .other_boards import description_of
 from .parameter import ParameterError
-from .rospy_mends import background_logging, direct, handshake, log_file, remapping, shortage
+from .rospy_mends import background_logging, direct, handshake, log_file, own_names, shortage
 from .rospy_mends.master_watch import MasterWatch
 from .traffic import Traffic
 
@@ -74,7 +74,7 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
     finally:
         start.registered()
     direct.install(_LOGGER)
-    remapping.install()
+    own_names.install()
     # From now on a signal ends the process, even if the import of a board or the master hangs
     # before there is a bridge to stop.
     rospy.on_shutdown(last_resort.begin)
@@ -93,10 +93,10 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
             MasterWatch(given, _LOGGER).start()
     except rospy.ROSInterruptException:
         return 0
-    except (ParameterError, *remapping.NAME_ERRORS) as error:
+    except (ParameterError, *own_names.NAME_ERRORS) as error:
         if bridge:
             bridge.stop()
-        rospy.logfatal(remapping.explained(error))
+        rospy.logfatal(own_names.explained(error))
         starting.wait_under_roslaunch()
         return 1
     rospy.spin()
@@ -120,7 +120,7 @@ def _errors_naming(board: Type[Interface]) -> Iterator[None]:
     """Turn what a board's code raises at the start into a ParameterError that names the board."""
     try:
         yield
-    except remapping.NAME_ERRORS:
+    except own_names.NAME_ERRORS:
         raise       # its text names the topic or service
     except (Exception, SystemExit) as error:  # pylint: disable=broad-except
         named_by = '' if board in parameters.BUILT_IN else \
