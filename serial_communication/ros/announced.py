@@ -7,6 +7,7 @@ import logging
 import threading
 import time
 from collections import deque
+from contextlib import suppress
 from typing import Any, Callable, Deque, Dict, Iterable, List, NamedTuple
 
 import rospy
@@ -217,6 +218,7 @@ def without_announced(given: Any) -> Any:
     for name, group in given.items():
         if name in BOARDS and isinstance(group, dict) and ANNOUNCED in group:
             group = {key: value for key, value in group.items() if key != ANNOUNCED}
-            rospy.delete_param(f'~{name}/{ANNOUNCED}')
+            with suppress(KeyError):    # deleted by a call whose answer was lost
+                rospy.delete_param(f'~{name}/{ANNOUNCED}')
         found[name] = group
     return found

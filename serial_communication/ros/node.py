@@ -26,8 +26,9 @@ from .launch_arguments import empty_ports, unknown_arguments
 from .master import full_name
 from .other_boards import description_of
 from .parameter import ParameterError
-from .rospy_mends import background_logging, direct, handshake, log_file, own_names, shortage
-from .rospy_mends.master_watch import MasterWatch
+from .rospy_mends import (background_logging, direct, handshake, log_file, master_calls, own_names,
+                          shortage)
+from .rospy_mends.master_watch import MasterWatch, merged
 from .traffic import Traffic
 
 _SWITCH_INTERVAL = 0.0005   # s; so that a busy thread does not delay the heartbeat
@@ -44,6 +45,7 @@ def main() -> None:
     starting.check_arguments(sys.argv[1:])
     sys.setswitchinterval(_SWITCH_INTERVAL)
     background_logging.install()
+    master_calls.limit_time()
     if full_name(_NAME) != f'/{_NAME}':     # one of several robots: its lines have its name
         os.environ.setdefault('ROSCONSOLE_FORMAT', '[${severity}] [${time}] ${node}: ${message}')
     start = starting.Start(_NAME)
@@ -67,17 +69,24 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
     log = SparingLog('ROS', _LOGGER)
     handshake.install(log)
     shortage.install(log)
+    master_calls.install(starting.say, log.always_warn)
+    watch = MasterWatch(full_name(_NAME), _LOGGER)
+    if start.stopping.is_set():
+        return 0
+    # From now on a signal ends the process, even if the import of a board or the master hangs
+    # before there is a bridge to stop.
+    rospy.on_shutdown(last_resort.begin)
     try:
         log_file.init_node(_NAME)
-    except rospy.ROSInitException:      # a signal arrived before the master answered
-        return 0
+    except (rospy.ROSInitException, rospy.ROSInterruptException) as error:
+        if rospy.core.is_shutdown_requested():
+            return 0
+        rospy.logfatal(error)
+        return 1
     finally:
         start.registered()
     direct.install(_LOGGER)
     own_names.install()
-    # From now on a signal ends the process, even if the import of a board or the master hangs
-    # before there is a bridge to stop.
-    rospy.on_shutdown(last_resort.begin)
     if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:    # nohup ignores it
         signal.signal(signal.SIGHUP, lambda *_: _hang_up(start))
     bridge = None
@@ -90,7 +99,7 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
         rospy.on_shutdown(bridge.stop)
         if not rospy.core.is_shutdown_requested():      # otherwise nothing may call `stop` later
             bridge.start()
-            MasterWatch(given, _LOGGER).start()
+            watch.start(given)
     except rospy.ROSInterruptException:
         return 0
     except (ParameterError, *own_names.NAME_ERRORS) as error:
@@ -104,10 +113,12 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
 
 
 def _given() -> Any:
-    """Return the node's private parameters as they are given."""
+    """Return the node's private parameters, as they are given."""
     for name in set(empty_ports()) & set(BOARDS):
         rospy.set_param(f'~{name}/port', '')
-    return without_announced(rospy.get_param('~', {}))
+    given = without_announced(rospy.get_param('~', {}))
+    # rospy has set those of the command line, but perhaps at a master that has ended since.
+    return merged(starting.parameters_of(sys.argv), given) if isinstance(given, dict) else given
 
 
 def _hang_up(start: starting.Start) -> None:
