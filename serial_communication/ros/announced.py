@@ -7,6 +7,7 @@ import logging
 import threading
 import time
 from collections import deque
+from contextlib import suppress
 from typing import Any, Callable, Deque, Dict, Iterable, List, NamedTuple
 
 import rospy
@@ -18,7 +19,7 @@ from ..framing.custom_messages import RowError, meaning
 from ..link.link import Announced, Link
 from ..link.sparing_log import SparingLog
 from ..transport.pace import Allowance
-from .rospy_mends.remapping import explained
+from .rospy_mends.own_names import explained
 
 _PAUSE = 1.0                # s between two announcements: a board may change its own all the time
 _LINES = 60, 2.0            # log lines: at most in a burst, and then per second
@@ -217,6 +218,7 @@ def without_announced(given: Any) -> Any:
     for name, group in given.items():
         if name in BOARDS and isinstance(group, dict) and ANNOUNCED in group:
             group = {key: value for key, value in group.items() if key != ANNOUNCED}
-            rospy.delete_param(f'~{name}/{ANNOUNCED}')
+            with suppress(KeyError):    # deleted by a call whose answer was lost
+                rospy.delete_param(f'~{name}/{ANNOUNCED}')
         found[name] = group
     return found

@@ -6,11 +6,11 @@ import sys
 import time
 from contextlib import contextmanager
 from functools import partial
-from typing import Iterator, List, Type
+from typing import Any, Iterator, List, Type
 
 import rospy
 
-from ..boards import reason
+from ..boards import BOARDS, reason
 from ..link.link import Link
 from ..link.sparing_log import SparingLog
 from ..link.unknown_bytes import OtherBoard
@@ -22,12 +22,13 @@ from .diagnostics import Diagnostics
 from .geometry import publish_mounts
 from .interface import Interface, LinkOptions
 from .last_resort import LastResort
-from .launch_arguments import unknown_arguments
+from .launch_arguments import empty_ports, unknown_arguments
 from .master import full_name
 from .other_boards import description_of
 from .parameter import ParameterError
-from .rospy_mends import background_logging, direct, handshake, log_file, remapping, shortage
-from .rospy_mends.master_watch import MasterWatch
+from .rospy_mends import (background_logging, direct, handshake, log_file, master_calls, own_names,
+                          shortage)
+from .rospy_mends.master_watch import MasterWatch, merged
 from .traffic import Traffic
 
 _SWITCH_INTERVAL = 0.0005   # s; so that a busy thread does not delay the heartbeat
@@ -44,6 +45,7 @@ def main() -> None:
     starting.check_arguments(sys.argv[1:])
     sys.setswitchinterval(_SWITCH_INTERVAL)
     background_logging.install()
+    master_calls.limit_time()
     if full_name(_NAME) != f'/{_NAME}':     # one of several robots: its lines have its name
         os.environ.setdefault('ROSCONSOLE_FORMAT', '[${severity}] [${time}] ${node}: ${message}')
     start = starting.Start(_NAME)
@@ -67,22 +69,29 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
     log = SparingLog('ROS', _LOGGER)
     handshake.install(log)
     shortage.install(log)
-    try:
-        log_file.init_node(_NAME)
-    except rospy.ROSInitException:      # a signal arrived before the master answered
+    master_calls.install(starting.say, log.always_warn)
+    watch = MasterWatch(full_name(_NAME), _LOGGER)
+    if start.stopping.is_set():
         return 0
-    finally:
-        start.registered()
-    direct.install(_LOGGER)
-    remapping.install()
     # From now on a signal ends the process, even if the import of a board or the master hangs
     # before there is a bridge to stop.
     rospy.on_shutdown(last_resort.begin)
+    try:
+        log_file.init_node(_NAME)
+    except (rospy.ROSInitException, rospy.ROSInterruptException) as error:
+        if rospy.core.is_shutdown_requested():
+            return 0
+        rospy.logfatal(error)
+        return 1
+    finally:
+        start.registered()
+    direct.install(_LOGGER)
+    own_names.install()
     if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:    # nohup ignores it
         signal.signal(signal.SIGHUP, lambda *_: _hang_up(start))
     bridge = None
     try:
-        given = without_announced(rospy.get_param('~', {}))
+        given = _given()
         values, warnings = parameters.check(given, rospy.get_name())
         for warning in [*warnings, *unknown_arguments()]:
             rospy.logwarn(warning)
@@ -90,17 +99,26 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
         rospy.on_shutdown(bridge.stop)
         if not rospy.core.is_shutdown_requested():      # otherwise nothing may call `stop` later
             bridge.start()
-            MasterWatch(given, _LOGGER).start()
+            watch.start(given)
     except rospy.ROSInterruptException:
         return 0
-    except (ParameterError, *remapping.NAME_ERRORS) as error:
+    except (ParameterError, *own_names.NAME_ERRORS) as error:
         if bridge:
             bridge.stop()
-        rospy.logfatal(remapping.explained(error))
+        rospy.logfatal(own_names.explained(error))
         starting.wait_under_roslaunch()
         return 1
     rospy.spin()
     return 0
+
+
+def _given() -> Any:
+    """Return the node's private parameters, as they are given."""
+    for name in set(empty_ports()) & set(BOARDS):
+        rospy.set_param(f'~{name}/port', '')
+    given = without_announced(rospy.get_param('~', {}))
+    # rospy has set those of the command line, but perhaps at a master that has ended since.
+    return merged(starting.parameters_of(sys.argv), given) if isinstance(given, dict) else given
 
 
 def _hang_up(start: starting.Start) -> None:
@@ -113,7 +131,7 @@ def _errors_naming(board: Type[Interface]) -> Iterator[None]:
     """Turn what a board's code raises at the start into a ParameterError that names the board."""
     try:
         yield
-    except remapping.NAME_ERRORS:
+    except own_names.NAME_ERRORS:
         raise       # its text names the topic or service
     except (Exception, SystemExit) as error:  # pylint: disable=broad-except
         named_by = '' if board in parameters.BUILT_IN else \

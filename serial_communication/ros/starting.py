@@ -11,7 +11,7 @@ import socket
 import sys
 import threading
 import time
-from typing import List, Optional
+from typing import Any, Dict, List, Optional
 
 import rosgraph
 import rospy
@@ -87,7 +87,7 @@ class Start:
         for number in _STOP_SIGNALS:
             signal.signal(number, lambda *_: self.stopping.set())
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _STOP_SIGNALS)
-        if not wait_for_master(self.stopping, _say):
+        if not wait_for_master(self.stopping, say):
             return 0
         rospy.core.add_preshutdown_hook(self._on_shutdown)
         status = self._after_displacements() or self._wait_for_name()
@@ -129,9 +129,9 @@ class Start:
         """Wait a random time if this node was displaced; return an exit status to end, or None."""
         number = _displacements()
         if number > _MOST_DISPLACEMENTS:
-            _say(f'another node has registered as {self._name} {number} times, but does not answer '
-                 'this host; is it reachable from here (ROS_IP, ROS_HOSTNAME)? Otherwise give one '
-                 'of the two another name')
+            say(f'another node has registered as {self._name} {number} times, but does not answer '
+                'this host; is it reachable from here (ROS_IP, ROS_HOSTNAME)? Otherwise give one '
+                'of the two another name')
             return NAME_TAKEN
         if number:
             self.stopping.wait(random.uniform(0.5, 4.0 * number))
@@ -152,9 +152,9 @@ class Start:
             self._lock.release()
             if deadline is None:
                 deadline = time.monotonic() + _AGAIN
-                _say(f'{self._name} is already running ({address}); end that node first (rosnode '
-                     f'kill {self._name}), or give this one another name (name:=NAME for the '
-                     'launch file, __name:=NAME for the node)')
+                say(f'{self._name} is already running ({address}); end that node first (rosnode '
+                    f'kill {self._name}), or give this one another name (name:=NAME for the '
+                    'launch file, __name:=NAME for the node)')
             if not started_by_roslaunch() or time.monotonic() >= deadline:
                 return NAME_TAKEN
             self.stopping.wait(1.0)
@@ -185,7 +185,7 @@ class _NameLock:
                 return
             if waited > 1.0 and not reported:
                 reported = True
-                _say(f'another {self._name} is starting on this host; waiting for it')
+                say(f'another {self._name} is starting on this host; waiting for it')
 
     def release(self) -> None:
         """Release the lock, if it is held."""
@@ -213,6 +213,20 @@ def _displacements() -> int:
     return int(os.environ.get(_DISPLACEMENTS, '0'))
 
 
+def parameters_of(arguments: List[str]) -> Dict[str, Any]:
+    """Return the tree of the parameters on a command line, such as ``_bus/port:=/dev/ttyS0``."""
+    tree: Dict[str, Any] = {}
+    for path, value in rospy.client.load_command_line_node_params(arguments).items():
+        *groups, name = path.strip('/').split('/')
+        group = tree
+        for each in groups:
+            if not isinstance(group.get(each), dict):
+                group[each] = {}
+            group = group[each]
+        group[name] = value
+    return tree
+
+
 def wait_under_roslaunch() -> None:
     """Under roslaunch, wait until the node is stopped; otherwise return at once.
 
@@ -223,7 +237,7 @@ def wait_under_roslaunch() -> None:
         time.sleep(0.1)
 
 
-def _say(text: str) -> None:
+def say(text: str) -> None:
     """Print to stderr, since rospy does not log yet; ignore a stream that cannot be written."""
     try:
         print(f'{_PROGRAM}: {text}', file=sys.stderr, flush=True)

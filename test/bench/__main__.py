@@ -1,3 +1,7 @@
-from .cli import main
+from .arguments import parse
 
-raise SystemExit(main())
+options = parse()
+# After the arguments are known to be right: `--help` needs nothing of what this imports.
+from .cli import main  # noqa: E402
+
+raise SystemExit(main(options))

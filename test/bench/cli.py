@@ -1,17 +1,11 @@
-"""Measures latency, jitter and CPU time of the bridge on this machine. Takes about six minutes.
-
-The bench starts its own roscore, the bridge, boards behind pseudo terminals, and the references: a
-node that polls its port, a node that only publishes, and with --against the bridge of another
-commit. All take turns in rounds of six seconds, and the best of four rounds counts. The exit status
-is 0 if the bench worked, whatever it measured.
-"""
-import argparse
+"""The bench; arguments.py says what it does."""
 import json
 import os
 import platform
 import signal
 import sys
-from typing import Dict, List, Optional
+from argparse import Namespace
+from typing import Dict, List
 
 import psutil
 
@@ -23,10 +17,9 @@ from .sections import SECTIONS, Plan
 from .stage import BenchStage
 
 
-def main(arguments: Optional[List[str]] = None) -> int:
-    """Run the bench and return the exit status."""
+def main(options: Namespace) -> int:
+    """Run the bench with the options of arguments.py and return the exit status."""
     prepare_output()
-    options = _parser().parse_args(arguments)
     plan = Plan(1.0, 2, 2) if options.short else Plan(6.0, 4, 10)
     signal.signal(signal.SIGTERM, signal.default_int_handler)    # the children end
     before, load = psutil.cpu_times(), os.getloadavg()[0]
@@ -63,28 +56,3 @@ def measure(names: List[str], plan: Plan, against: str) -> Dict[str, Results]:
             results[name] = SECTIONS[name](stage, plan)
             stage.clear()
     return results
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog='bench', description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--short', action='store_true',
-                        help='two rounds of one second each, only to check that the bench works')
-    parser.add_argument('--against', metavar='COMMIT', default='',
-                        help='build this commit and measure its bridge in the same rounds')
-    parser.add_argument('--only', metavar='SECTION,...', type=_sections, default=list(SECTIONS),
-                        help='measure only these sections, of ' + ', '.join(SECTIONS))
-    parser.add_argument('--hostile', action='store_true',
-                        help='measure only the cost of the worst bytes, compared with normal '
-                             'traffic')
-    parser.add_argument('--json', metavar='FILE', help='write the figures to this file')
-    return parser
-
-
-def _sections(text: str) -> List[str]:
-    names = text.split(',')
-    for name in names:
-        if name not in SECTIONS:
-            raise argparse.ArgumentTypeError(f"{name!r} is not one of {', '.join(SECTIONS)}")
-    return names

@@ -1,9 +1,13 @@
 import os
 import sys
 
-from .cli import main
+from .arguments import parse
 
-status = main()
+options = parse()
+# After the arguments are known to be right: `--help` needs nothing of what this imports.
+from .cli import main  # noqa: E402
+
+status = main(options)
 sys.stdout.flush()
 # rospy's own exit may wait for a bridge that has ended.
 os._exit(status)

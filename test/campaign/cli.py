@@ -1,18 +1,11 @@
-"""The fault campaign: checks the requirements of doc/reliability.md against a running bridge.
-
-The exact part has one fault at a time on quiet lines, so every comparison is exact. Then the
-statistical part has all faults at once, and damage on every line, for --duration or --hours. Every
-half hour the exact part is repeated. After Ctrl-C it prints the table of the results so far. The
-exit status is 0 only if no requirement was violated.
-"""
-import argparse
+"""The fault campaign; arguments.py says what it does."""
 import contextlib
 import os
 import signal
 import sys
 import time
-from random import SystemRandom
-from typing import List, Optional
+from argparse import Namespace
+from typing import Optional
 
 from processes import StageError
 from serial_communication.output import prepare_output
@@ -25,9 +18,8 @@ _STORM_DURATION = 1800.0     # s of the statistical part between two exact parts
 _TABLE_PERIOD = 10.0         # s
 
 
-def main(arguments: Optional[List[str]] = None) -> int:
+def main(options: Namespace) -> int:
     prepare_output()
-    options = _parse(sys.argv[1:] if arguments is None else arguments)
     for number in signal.SIGTERM, signal.SIGHUP:
         signal.signal(number, signal.default_int_handler)    # as Ctrl-C, so that children are ended
     table = Table()
@@ -84,28 +76,3 @@ def _report(table: Table, rig: Optional[Rig], options) -> bool:
     elif rig:
         rig.discard()
     return bool(table.violated)
-
-
-def _parse(arguments: List[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog='soak', description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--duration', type=float, default=60.0, metavar='S',
-                        help='duration of the statistical part in seconds (%(default)g)')
-    parser.add_argument('--hours', type=lambda text: float(text) * 3600, dest='duration',
-                        metavar='N', help='the same in hours')
-    parser.add_argument('--seed', type=int, metavar='N', default=SystemRandom().randrange(1 << 31),
-                        help='seed of the random numbers, to repeat a run')
-    parser.add_argument('--busy', type=int, default=2, metavar='N',
-                        help='busy processes during the statistical part (%(default)d)')
-    parser.add_argument('--keep', default='', metavar='DIR',
-                        help='keep all records here, not only those of a violation')
-    parser.add_argument('--json', metavar='FILE', help='write the table to this file as JSON')
-    parser.add_argument('--part', default='all', metavar='NAME',
-                        help='run only the statistical part (storm), or only the scenarios of the '
-                             'exact part with NAME in their name (exact_car, openings)')
-    parser.add_argument('--bridge', default='', metavar='COMMAND',
-                        help='run this command instead of the node, to test the campaign')
-    options = parser.parse_args(arguments)
-    if options.keep and os.path.isdir(options.keep) and os.listdir(options.keep):
-        parser.error(f'{options.keep} is not empty')
-    return options

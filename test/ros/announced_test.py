@@ -376,6 +376,30 @@ class AnnouncedTest(unittest.TestCase):
             1)
 
 
+class SameNameTest(unittest.TestCase):
+    """A bridge that is named like the topics of its sensor board."""
+
+    def test_an_announced_row_with_a_name_of_the_node_is_left_out_with_one_line(self):
+        folder = own_folder()
+        line = Line(os.path.join(folder, 'mcu')).plug()
+        sensors = SensorBoard(line.far)
+        bridge = Bridge('mcu', {'mcu/port': line.near})
+        try:
+            chunks = chunks_of(LEVEL.replace('level', 'get_loggers').encode() + FORCE.encode(), 60)
+            until(lambda: 'announces force' in bridge.output(), 'the other row is used',
+                  doing=lambda: [sensors.say(chunk) for chunk in chunks], every=0.1)
+            self.assertEqual(bridge.output().count(
+                'the announced row get_loggers is left out: /mcu/get_loggers cannot be a '
+                'std_msgs/UInt16: this node already uses the name for a roscpp/GetLoggers'), 1)
+            self.assertEqual(bridge.end()[1], 0, bridge.output())
+        finally:
+            bridge.process.kill()
+            bridge.process.wait(10)
+            sensors.close()
+            line.unplug()
+            shutil.rmtree(folder)
+
+
 class IgnoredTest(unittest.TestCase):
     """A bridge that uses no announcements: the bus's parameter has its default."""
 

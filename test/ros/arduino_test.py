@@ -1,12 +1,12 @@
 #!/usr/bin/python3
 """The arduino link: measurements with their exact values, commands with their exact bytes, the
 heartbeat, the speed timeout, the calibration and the board's log lines."""
+import subprocess
 import unittest
 from math import nan
 
 import rospy
 import rostest
-from roscpp.srv import SetLoggerLevel
 from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import Imu, Temperature
 from std_msgs.msg import Bool, String
@@ -248,12 +248,22 @@ class Logs(ArduinoTest):
     """The board's log lines."""
 
     def test_log_lines_of_the_board_keep_their_severity(self):
-        service('/serial_communication/set_logger_level', SetLoggerLevel)('rosout', 'debug')
-        for severity, level in enumerate((Log.DEBUG, Log.INFO, Log.WARN, Log.ERROR)):
+        for severity, level in enumerate((Log.INFO, Log.WARN, Log.ERROR), 1):
             text = 'a line of severity %d' % severity
             self.board.say(arduino.Log(severity, text))
             ROSOUT.wait_for(self.node, text, level)
-        service('/serial_communication/set_logger_level', SetLoggerLevel)('rosout', 'info')
+
+    def test_debug_lines_of_the_board_are_logged_once_the_service_asks_for_them(self):
+        self.board.say(arduino.Log(0, 'a line that nobody asked for'))
+        self.board.say(arduino.Log(1, 'the line after it'))
+        ROSOUT.wait_for(self.node, 'the line after it', Log.INFO)
+        self.assertEqual(ROSOUT.lines(self.node, 'a line that nobody asked for'), [])
+        for level in 'DEBUG', 'INFO':
+            subprocess.run(['rosservice', 'call', '/serial_communication/set_logger_level',
+                            'rosout', level], check=True, stdout=subprocess.DEVNULL)
+            if level == 'DEBUG':
+                self.board.say(arduino.Log(0, 'a line that was asked for'))
+                ROSOUT.wait_for(self.node, 'a line that was asked for', Log.DEBUG)
 
     def test_the_zero_byte_that_ends_a_log_line_is_removed(self):
         self.board.write(bytes.fromhex('0c01444d50207265616479210100'))

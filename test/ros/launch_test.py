@@ -76,13 +76,21 @@ class Launch(unittest.TestCase):
         self.output.seek(0)
         return self.output.read()
 
-    def launch_with_two_ports(self, *arguments):
-        """Launch with a bus board and a car; both work when this returns."""
+    def open_two_lines(self):
+        """Plug in a bus board and a car."""
         self.lines = [Line(os.path.join(self.folder, name)).plug() for name in ('bus', 'arduino')]
-        bus_board, car = BusBoard(self.lines[0].far), CarBoard(self.lines[1].far)
-        self.boards = [bus_board, car]
+        self.boards = [BusBoard(self.lines[0].far), CarBoard(self.lines[1].far)]
+
+    def launch_with_two_ports(self, *arguments):
+        """Launch with a bus board and a car; both work when this returns the car."""
+        self.open_two_lines()
         self.launch('bus_port:=' + self.lines[0].near, 'arduino_port:=' + self.lines[1].near,
                     *arguments)
+        return self.assert_two_links_work()
+
+    def assert_two_links_work(self):
+        """Wait until both boards work; return the car."""
+        bus_board, car = self.boards
         until(lambda: service('/serial_communication/lift', Lift)(0, 100).success,
               'the lift answers')
         self.assertIn(bytes.fromhex('a50255200064b6'), bus_board.raws)
@@ -103,9 +111,37 @@ class Launch(unittest.TestCase):
 
     def test_an_empty_port_on_the_command_line_turns_its_link_off(self):
         self.launch_with_two_ports('mcu_port:=')
+        self.assert_mcu_is_off()
+
+    def test_a_single_empty_port_leaves_the_other_links_as_configured(self):
+        self.open_two_lines()
+        config = os.path.join(self.folder, 'robot.yaml')
+        with open(config, 'w') as file:
+            yaml.safe_dump({name: {'port': os.path.join(self.folder, name)}
+                            for name in ('bus', 'arduino', 'mcu')}, file)
+        self.launch('config:=' + config, 'mcu_port:=')
+        self.assert_two_links_work()
+        self.assert_mcu_is_off()
+
+    def test_an_empty_port_of_an_including_file_turns_its_link_off(self):
+        file = os.path.join(self.folder, 'robot.launch')
+        for sim, ports in ('false', ['/dev/ttyS0', '/dev/ttyUSB0', '']), \
+                ('true', ['/x/bus', '/x/arduino', '']):
+            with open(file, 'w') as including:
+                including.write(f'''<launch>
+                    <include file="$(find {PACKAGE})/launch/bridge.launch">
+                      <arg name="mcu_port" value=""/> <arg name="sim" value="{sim}"/>
+                      <arg name="sim_dir" value="/x"/>
+                    </include></launch>''')
+            with self.subTest(sim=sim):
+                self.assertEqual(self.ports(file), ports)
+
+    def assert_mcu_is_off(self):
+        """The bridge has no topic of the mcu link, and its parameter says so."""
         state = rosgraph.Master('/launch_test').getSystemState()[0]
         self.assertEqual([name for name, nodes in state if name.startswith('/mcu')
                           and '/serial_communication' in nodes], [])
+        self.assertEqual(rospy.get_param('/serial_communication/mcu/port'), '')
 
     def test_with_one_port_argument_the_log_names_the_links_that_are_off(self):
         self.launch('arduino_port:=' + os.path.join(self.folder, 'arduino'))
@@ -117,8 +153,14 @@ class Launch(unittest.TestCase):
     @staticmethod
     def parameters(*arguments):
         """The parameters that this launch would set, by name."""
-        return yaml.safe_load(subprocess.check_output(
-            ['roslaunch', '--dump-params', PACKAGE, 'bridge.launch', *arguments]))
+        if not arguments or ':=' in arguments[0]:
+            arguments = (PACKAGE, 'bridge.launch', *arguments)
+        return yaml.safe_load(subprocess.check_output(['roslaunch', '--dump-params', *arguments]))
+
+    def ports(self, *arguments):
+        """The port of each link that this launch would set."""
+        given = self.parameters(*arguments)
+        return [given[f'/serial_communication/{link}/port'] for link in ('bus', 'arduino', 'mcu')]
 
     def test_values_of_sim_turn_the_simulation_on_or_off(self):
         for value, simulated in (('1', True), ('YES', True), ('on', True), ('True', True),
@@ -129,17 +171,16 @@ class Launch(unittest.TestCase):
                 self.assertEqual(port.startswith('/tmp/serial_communication-'), simulated, port)
                 self.assertEqual(port == '/dev/ttyS0', not simulated, port)
 
-    def test_port_arguments_override_the_config_file_and_turn_the_other_links_off(self):
+    def test_one_port_argument_turns_the_links_without_one_off(self):
         for arguments, ports in (
                 ([], ['/dev/ttyS0', '/dev/ttyUSB0', '/dev/ttyUSB1']),
-                (['mcu_port:='], ['/dev/ttyS0', '/dev/ttyUSB0', '/dev/ttyUSB1']),
                 (['bus_port:=/dev/a'], ['/dev/a', '', '']),
+                (['bus_port:=/dev/a', 'arduino_port:=/dev/b'], ['/dev/a', '/dev/b', '']),
+                (['bus_port:=/dev/a', 'mcu_port:='], ['/dev/a', '', '']),
                 (['bus_port:=/dev/a', 'mcu_port:=', 'arduino_port:=/dev/b'],
                  ['/dev/a', '/dev/b', ''])):
             with self.subTest(arguments):
-                given = self.parameters(*arguments)
-                self.assertEqual([given[f'/serial_communication/{link}/port']
-                                  for link in ('bus', 'arduino', 'mcu')], ports)
+                self.assertEqual(self.ports(*arguments), ports)
 
     def test_a_wrong_value_of_sim_ends_the_launch_with_a_clear_error(self):
         for value in 'maybe', '2', 'simulated':

@@ -27,6 +27,37 @@ def free_port():
         return listener.getsockname()[1]
 
 
+def answer_of(call, *arguments):
+    """Return the answer of a call of the master; None for an error."""
+    try:
+        return call(*arguments)
+    except (rosgraph.MasterException, OSError):
+        return None
+
+
+def state(server, node):
+    """Return a node's topics, subscriptions and services."""
+    return [{name for name, nodes in entries if node in nodes}
+            for entries in server.getSystemState()]
+
+
+def start_core(uri):
+    """Start a roscore and return its process."""
+    core = subprocess.Popen(['roscore', '-p', uri.rsplit(':', 1)[1]],
+                            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    server = rosgraph.Master('/master_test', uri)
+    until(server.is_online, 'the master answers', every=0.1)
+    # Until then, Ctrl-C may miss the node that it is starting, and then takes 15 s.
+    until(lambda: answer_of(server.lookupNode, '/rosout'), 'roscore is complete')
+    return core
+
+
+def stop_core(core):
+    """Send Ctrl-C, and wait until the master has ended."""
+    core.send_signal(signal.SIGINT)
+    core.wait(PATIENCE)
+
+
 class Tool:
     """A command line tool of ROS that uses the master at `uri`."""
 
@@ -77,33 +108,19 @@ class MasterTest(unittest.TestCase):
 
     def start_core(self):
         """Start a roscore, always at the same port."""
-        self.core = subprocess.Popen(['roscore', '-p', self.uri.rsplit(':', 1)[1]],
-                                     stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        until(self.server.is_online, 'the master answers', every=0.1)
-        # Until then, Ctrl-C may miss the node that it is starting, and then takes 15 s.
-        until(lambda: self.answers(self.server.lookupNode, '/rosout'), 'roscore is complete')
+        self.core = start_core(self.uri)
 
     def stop_core(self):
         """Send Ctrl-C, and wait until the master has ended."""
-        self.core.send_signal(signal.SIGINT)
-        self.core.wait(PATIENCE)
-
-    @staticmethod
-    def answers(call, *arguments):
-        """Return the answer of a call; None for an error."""
-        try:
-            return call(*arguments)
-        except (rosgraph.MasterException, OSError):
-            return None
+        stop_core(self.core)
 
     def state(self):
         """The bridge's topics, subscriptions and services."""
-        return [{name for name, nodes in entries if NAME in nodes}
-                for entries in self.server.getSystemState()]
+        return state(self.server, NAME)
 
     def known(self):
         """Whether the last of its services is registered."""
-        state = self.answers(self.state)
+        state = answer_of(self.state)
         return state and NAME + '/calibrate_imu' in state[2] and '/diagnostics' in state[0]
 
     def call(self, name, *arguments):

@@ -58,15 +58,21 @@ HANGING = {
 }
 # A link of the node, a remapping, and a part of the line that the node logs.
 REMAPPED = (
-    ('bus', '~lift:=~gimbal', 'service [/NODE/gimbal] already registered'),
-    ('bus', '~lift:=~set_logger_level', 'service [/NODE/set_logger_level] already registered'),
-    ('arduino', '~voltage:=~ticks', 'topic [/NODE/ticks] cannot be a serial_communication/Ticks: '
-     'this node already uses it as a serial_communication/Voltage'),
-    ('arduino', '~speed:=~steering', 'topic [/NODE/steering] cannot be a serial_communication/'
-     'SteeringPWMCommand: this node already uses it as a serial_communication/SpeedPWMCommand'),
-    ('arduino', '~speed:=~voltage', 'topic [/NODE/voltage] cannot be a serial_communication/'
-     'SpeedPWMCommand: this node already uses it as a serial_communication/Voltage'),
-    ('mcu', 'serial_msg:=mcu/imu', 'topic [/mcu/imu] cannot be a serial_communication/SerialMsg'),
+    ('bus', '~lift:=~gimbal', '/NODE/gimbal cannot be a serial_communication/Gimbal: this node '
+     'already uses the name for a serial_communication/Lift'),
+    ('bus', '~lift:=~set_logger_level', 'already uses the name for a roscpp/SetLoggerLevel'),
+    ('bus', '~lift:=serial_msg', '/serial_msg cannot be a serial_communication/Lift: this node '
+     'already uses the name for a serial_communication/SerialMsg'),
+    ('arduino', '~voltage:=~ticks', '/NODE/ticks cannot be a serial_communication/Ticks: this node '
+     'already uses the name for a serial_communication/Voltage'),
+    ('arduino', '~speed:=~steering', '/NODE/steering cannot be a serial_communication/'
+     'SteeringPWMCommand: this node already uses the name for a serial_communication/'
+     'SpeedPWMCommand'),
+    ('arduino', '~speed:=~voltage', '/NODE/voltage cannot be a serial_communication/'
+     'SpeedPWMCommand: this node already uses the name for a serial_communication/Voltage'),
+    ('mcu', 'serial_msg:=mcu/imu', '/mcu/imu cannot be a serial_communication/SerialMsg'),
+    ('mcu', 'mcu/range_1:=mcu/range_2', '/mcu/range_2 cannot be a sensor_msgs/Range: this node '
+     'already uses the name for a sensor_msgs/Range'),
 )
 
 
@@ -170,8 +176,15 @@ class Mistakes(unittest.TestCase):
                 self.assert_one_line(said.replace('NODE', f'remapped_{number}'), *result)
                 self.assert_one_line(f'; check the remappings {argument}', *result)
 
-    def test_topics_of_the_same_type_may_be_remapped_to_one_name(self):
-        bridge = Bridge('one_topic', {'mcu/port': self.absent('mcu')}, ['mcu/range_1:=mcu/range_2'])
+    def test_a_bridge_with_the_name_of_its_topics_ends_with_one_line(self):
+        result = self.ended('mcu', {'arduino/port': self.absent('arduino'),
+                                    'mcu/port': self.absent('mcu')})
+        self.assert_one_line('/mcu/imu cannot be a sensor_msgs/Imu: this node already uses the '
+                             'name for a sensor_msgs/Imu', *result)
+        self.assert_one_line('give the node another name', *result)
+
+    def test_that_name_is_allowed_while_no_two_names_are_the_same(self):
+        bridge = Bridge('mcu', {'mcu/port': self.absent('mcu'), 'publish_tf': True})
         bridge.wait_for('waiting for it')
         self.assertTrue(bridge.alive)
         self.assertEqual(bridge.end()[1], 0, bridge.output())

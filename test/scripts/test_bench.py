@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from bench import report, sections, stage
+from bench import arguments, report, sections, stage
 from bench.boards import COUNT, arduino_turn, imu_count, mcu_turn
 from processes import StageError
 from serial_communication.boards import description
@@ -84,6 +84,10 @@ def test_goals_are_judged_only_for_sections_that_ran():
 
 def test_every_goal_belongs_to_a_section():
     assert {goal.section for goal in report.GOALS} == set(sections.SECTIONS)
+
+
+def test_the_option_only_knows_every_section():
+    assert arguments.SECTIONS == tuple(sections.SECTIONS)
 
 
 def test_the_report_compares_the_bridge_with_another_commit():

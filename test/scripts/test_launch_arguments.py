@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from serial_communication.ros.launch_arguments import unknown_arguments, warnings_of
+from serial_communication.ros.launch_arguments import (empty_ports, unknown_arguments,
+                                                       warnings_of)
 
 LAUNCH = xml.etree.ElementTree.parse(
     Path(__file__).resolve().parents[2] / 'launch' / 'bridge.launch').getroot()
@@ -28,3 +29,4 @@ def test_an_argument_that_the_launch_file_does_not_have_is_named(words, warnings
 
 def test_a_process_that_roslaunch_did_not_start_has_none():
     assert unknown_arguments() == []
+    assert empty_ports() == []

@@ -4,6 +4,7 @@ test_demo_arguments has those of scripts/demo and scripts/test; test/ros/same_na
 a node while another one of its name runs.
 """
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -44,6 +45,22 @@ def test_help_prints_the_usage(name, option):
     assert (done.returncode, done.stderr) == (0, '')
     assert done.stdout.startswith('usage: ')
     assert name in done.stdout.split('\n', 1)[0]
+
+
+@pytest.mark.parametrize('name', ['avr_board', 'bench', 'demo', 'pictures', 'soak', 'test'])
+def test_help_installs_and_builds_nothing_and_touches_no_ros(name, tmp_path):
+    checkout = tmp_path / 'checkout'
+    for folder in 'scripts', 'test/bench', 'test/campaign', 'test/helpers', 'firmware':
+        shutil.copytree(str(SCRIPTS.parent / folder), str(checkout / folder))
+    missing = 'psutil', 'tabulate', 'tqdm', 'yaml', 'rosgraph', 'rospy', 'serial_communication'
+    for module in missing:      # as if nothing of it were installed
+        (checkout / 'test' / 'helpers' / f'{module}.py').write_text('raise ImportError(__name__)')
+    done = subprocess.run([str(checkout / 'scripts' / name), '--help'], text=True, timeout=60,
+                          env={'PATH': '/usr/bin:/bin'}, stdin=subprocess.DEVNULL,
+                          stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert (done.returncode, done.stderr) == (0, '')
+    assert done.stdout.startswith('usage: ')
+    assert not (checkout / 'build' / 'devel').exists()
 
 
 @pytest.mark.parametrize('name, arguments', WRONG, ids=lambda each: str(each))

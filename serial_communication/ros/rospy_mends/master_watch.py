@@ -3,7 +3,6 @@
 A new roscore does not know the nodes that are running. Connected peers stay connected, but nobody
 can find the node's topics, services and parameters.
 """
-import http.client
 import logging
 import threading
 import xmlrpc.client
@@ -14,33 +13,38 @@ import rospy
 from rospy.impl import registration
 
 _PERIOD = 3.0     # s between checks of the master
-_TIMEOUT = 2.0    # s for each answer
-
-
-class _Transport(xmlrpc.client.Transport):
-    """HTTP with a timeout, since the master may hang."""
-
-    def make_connection(self, host: Any) -> http.client.HTTPConnection:
-        connection = super().make_connection(host)
-        connection.timeout = _TIMEOUT
-        return connection
 
 
 class MasterWatch:
     """Checks every 3 s for a new master, in a thread that nothing else waits for.
 
+    Create it before the node registers anything: a master that is replaced while the node starts
+    is a new one, too.
+
     Args:
-        parameters: the node's private parameters, which are set at a new master, too.
+        name: the node's full name.
     """
 
-    def __init__(self, parameters: Dict[str, Any], logger: logging.Logger) -> None:
-        self._parameters = parameters
+    def __init__(self, name: str, logger: logging.Logger) -> None:
+        self._name = name
+        self._parameters: Dict[str, Any] = {}
         self._logger = logger
         self._uri = rosgraph.get_master_uri()
-        self._known: Optional[Tuple] = None     # pid and run_id of the master that knows the node
+        # pid and run_id of the master that knows the node; None: not known
+        self._known: Optional[Tuple[int, str]] = None
+        try:
+            with xmlrpc.client.ServerProxy(self._uri) as master:
+                self._known, _, _ = self._ask(master)
+        except Exception:  # pylint: disable=broad-except
+            pass        # see _run
 
-    def start(self) -> None:
-        """Watch until the process ends."""
+    def start(self, parameters: Dict[str, Any]) -> None:
+        """Watch until the process ends.
+
+        Args:
+            parameters: the node's private parameters, which are set at a new master, too.
+        """
+        self._parameters = parameters
         threading.Thread(target=self._run, name='master watch', daemon=True).start()
 
     def _run(self) -> None:
@@ -58,22 +62,26 @@ class MasterWatch:
                                          'stay connected; start roscore again', self._uri, error)
             pause.wait(_PERIOD)
 
+    def _ask(self, master: Any) -> Tuple[Tuple[int, str], bool, str]:
+        """Return the master's pid and run_id, whether it knows the node, and the node's address."""
+        ask: Any = xmlrpc.client.MultiCall(master)
+        ask.getPid(self._name)
+        ask.getParam(self._name, '/run_id')     # each roscore has a new one; rosmaster has none
+        ask.lookupNode(self._name, self._name)
+        (_, _, pid), (has_id, _, run_id), (found, _, uri) = ask()
+        return (pid, run_id if has_id == 1 else ''), found == 1, uri
+
     def _check(self) -> None:
         """Register again if the master is a new one, or does not know this node."""
-        with xmlrpc.client.ServerProxy(self._uri, _Transport()) as master:
-            name = rospy.get_name()
-            ask: Any = xmlrpc.client.MultiCall(master)
-            ask.getPid(name)
-            ask.getParam(name, '/run_id')       # each roscore has a new one; rosmaster has none
-            ask.lookupNode(name, name)
-            (_, _, pid), (_, _, run_id), (found, _, uri) = ask()
-            if found == 1 and uri != rospy.get_node_uri():
-                raise ValueError(f'another node is named {name}')
-            seen = (pid, run_id)
-            if found == 1 and self._known in (None, seen):
+        with xmlrpc.client.ServerProxy(self._uri) as master:
+            seen, found, uri = self._ask(master)
+            if found and uri != rospy.get_node_uri():
+                raise ValueError(f'another node is named {self._name}')
+            # A roscore that has just started sets its run_id a little later.
+            if found and self._known in (seen, (seen[0], '')):
                 self._known = seen
             elif not rospy.core.is_shutdown_requested():
-                self._register(master, name)
+                self._register(master, self._name)
                 self._known = seen
                 self._logger.info('%s is a new ROS master: registered topics, services and '
                                   'parameters there', self._uri)
@@ -92,7 +100,7 @@ class MasterWatch:
             calls.registerService(name, service, service_uri, uri)
         if self._parameters:
             _, _, there = master.getParam(name, name)
-            calls.setParam(name, name, _merged(self._parameters, there))
+            calls.setParam(name, name, merged(self._parameters, there))
         answers = list(calls())
         for code, text, _ in answers:
             if code != 1:
@@ -103,12 +111,12 @@ class MasterWatch:
                     listener.publisher_update(topic, publishers)
 
 
-def _merged(ours: Dict[str, Any], theirs: Any) -> Dict[str, Any]:
+def merged(ours: Dict[str, Any], theirs: Any) -> Dict[str, Any]:
     """Return our parameters; a value that the new master already has takes precedence."""
     if not isinstance(theirs, dict):    # the master answers 0 if it has none
         return ours
-    merged = dict(ours)
+    result = dict(ours)
     for key, value in theirs.items():
         both = isinstance(value, dict) and isinstance(ours.get(key), dict)
-        merged[key] = _merged(ours[key], value) if both else value
-    return merged
+        result[key] = merged(ours[key], value) if both else value
+    return result

@@ -20,7 +20,7 @@ import tornado.ioloop
 from ...link.sparing_log import SparingLog
 from ...ros.last_resort import LastResort
 from ...ros.master import full_name, running_node, wait_for_master
-from ...ros.rospy_mends import background_logging
+from ...ros.rospy_mends import background_logging, master_calls
 from ...ros.rospy_mends.log_file import init_node
 from ...ros.rospy_mends.master_watch import MasterWatch
 from ..watch.watcher import leave_ros
@@ -62,6 +62,7 @@ class _Ros:
                         f"or name this one: __name:={taken.rpartition('/')[2]}_2")
             self._end(3)
             return
+        watch = MasterWatch(full_name(name), logging.getLogger('rosout'))
         try:
             init_node(name, disable_signals=True)
         except rospy.ROSInitException:      # another node took the name meanwhile
@@ -71,7 +72,7 @@ class _Ros:
         if rospy.core.is_shutdown_requested():      # before the hook was set
             self._ended()
             return
-        MasterWatch({}, logging.getLogger('rosout')).start()
+        watch.start({})
         self._ready()
 
     def _ended(self) -> None:
@@ -93,6 +94,7 @@ def _free_name() -> str:
 def run(options: argparse.Namespace) -> int:
     """Serve until a signal ends the program; return the exit status."""
     background_logging.install()
+    master_calls.limit_time()
     status = 1
     try:
         status = _serve(options)

@@ -1,0 +1,38 @@
+"""The fault campaign: checks the requirements of doc/reliability.md against a running bridge.
+
+The exact part has one fault at a time on quiet lines, so every comparison is exact. Then the
+statistical part has all faults at once, and damage on every line, for --duration or --hours. Every
+half hour the exact part is repeated. After Ctrl-C it prints the table of the results so far. The
+exit status is 0 only if no requirement was violated.
+"""
+# `--help` needs nothing that is installed or built, so this imports only the standard library.
+import argparse
+import os
+from random import SystemRandom
+from typing import List, Optional
+
+
+def parse(arguments: Optional[List[str]] = None) -> argparse.Namespace:
+    """Return the options; print the usage and exit if that is asked for, or they are wrong."""
+    parser = argparse.ArgumentParser(
+        prog='soak', description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('--duration', type=float, default=60.0, metavar='S',
+                        help='duration of the statistical part in seconds (%(default)g)')
+    parser.add_argument('--hours', type=lambda text: float(text) * 3600, dest='duration',
+                        metavar='N', help='the same in hours')
+    parser.add_argument('--seed', type=int, metavar='N', default=SystemRandom().randrange(1 << 31),
+                        help='seed of the random numbers, to repeat a run')
+    parser.add_argument('--busy', type=int, default=2, metavar='N',
+                        help='busy processes during the statistical part (%(default)d)')
+    parser.add_argument('--keep', default='', metavar='DIR',
+                        help='keep all records here, not only those of a violation')
+    parser.add_argument('--json', metavar='FILE', help='write the table to this file as JSON')
+    parser.add_argument('--part', default='all', metavar='NAME',
+                        help='run only the statistical part (storm), or only the scenarios of the '
+                             'exact part with NAME in their name (exact_car, openings)')
+    parser.add_argument('--bridge', default='', metavar='COMMAND',
+                        help='run this command instead of the node, to test the campaign')
+    options = parser.parse_args(arguments)
+    if options.keep and os.path.isdir(options.keep) and os.listdir(options.keep):
+        parser.error(f'{options.keep} is not empty')
+    return options
