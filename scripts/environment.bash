@@ -35,19 +35,32 @@ pictures | imagemagick                               | imagemagick
 END
 }
 
-say() { printf '==> %s\n' "$*"; }
+say() { printf '==> %s\n' "$*" 2>/dev/null; }    # the reader of a pipe may have ended
 
 fail() {
     printf '%s: %s\n' "${0##*/}" "$*" >&2
     exit 1
 }
 
+# fail_if_disk_full [LOG]: fail if a disk that is written to is full, or if LOG says so.
+fail_if_disk_full() {
+    local folder free full=''
+    [[ ! -e ${1:-} ]] || ! grep -qE 'No space left|quota exceeded' "$1" || full='a disk'
+    for folder in "${TMPDIR:-/tmp}" "$checkout" "$build" "${ROS_LOG_DIR:-$build}"; do
+        free=$(df --output=avail -k "$folder" 2>/dev/null | tail -n 1) || continue
+        ((free > 1000)) || full="the disk of $folder"
+    done
+    [[ -z $full ]] || fail "no space left on $full: make room (df -h, df -i), then try again."
+}
+
 # set_up NEED...: install the missing packages for these needs, build, and source the result.
 set_up() {
     forget_other_ros
     if [[ ! -d $noetic ]]; then
-        is_debian_12 || fail "this system is neither Debian 12 nor one with $noetic;" \
-            "use one of these, or a container of one."
+        is_debian_12 || fail "this system is neither Debian 12 nor one with $noetic." \
+            "A container of Debian 12 does, here with the demo:" \
+            "$(printf 'docker run -it --network host -v %q:/bridge debian:12 /bridge/scripts/demo' \
+                "$checkout")"
     fi
     local missing
     missing=$(missing_packages "$@")
@@ -113,58 +126,81 @@ built_from_source() {
 
 # install PACKAGE...
 install() {
-    local as_root=() log
+    local as_root=() log apt traps stopped='' status
     if ((EUID)); then
         may_use_sudo || fail "these packages are missing, and only root may install them: $*;" \
             "run this as root or as a user with sudo, or ask an administrator to install them."
-        as_root=(sudo)
+        as_root=(sudo -n)
     fi
     log=$(mktemp)
-    say "Installing $# missing packages and their dependencies: a few minutes, once ..."
-    show_last_line "$log" &
-    local shown_by=$!
-    # The package lists are fetched only if they are missing or too old.
-    if ! apt_install "$@" &>"$log"; then
-        "${as_root[@]}" apt-get -q update &>>"$log" || true
-        apt_install "$@" &>>"$log" || explain_failed_install "$log"
-    fi
-    kill "$shown_by" 2>/dev/null || true
-    [[ ! -t 1 ]] || printf '\e[K'
+    say "Installing $# missing packages and their dependencies: two to four minutes, once ..."
+    # Ctrl-C must not end apt-get half-way, so it gets a process group of its own.
+    traps=$(trap -p INT USR1)
+    trap 'finish_first' INT USR1
+    set -m
+    {
+        "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive bash -c "$apt_install" apt-get "$@" \
+            </dev/null 2>&1 | tee "$log" | show_last_line
+    } &
+    apt=$!
+    set +m
+    while status=0; wait "$apt" || status=$?; kill -0 "$apt" 2>/dev/null; do :; done
+    clear_line
+    trap - INT USR1
+    eval "$traps"
+    [[ -z $stopped ]] || { rm -f "$log"; kill -INT $$; }
+    ((status == 0)) || explain_failed_install "$log" "$*"
     rm -f "$log"
 }
 
-# show_last_line FILE: on a terminal, show what is written to a file, while this script runs.
+# What root runs. The package lists are fetched only if they are missing or too old.
+# shellcheck disable=SC2016  # its own variables
+apt_install='
+get() { apt-get -q -y -o DPkg::Lock::Timeout=300 "$@"; }
+get install --no-install-recommends "$@" || { get update; get install --no-install-recommends "$@"; }'
+
+# shellcheck disable=SC2317  # called from a trap
+finish_first() {
+    clear_line
+    [[ -n $stopped ]] || say "Ctrl-C: apt-get finishes first, then ${0##*/} ends ..."
+    stopped=yes
+}
+
+# On a terminal, show the latest line of the input. sudo's pty ends lines with CR LF.
 show_last_line() {
-    [[ -t 1 ]] || return 0
-    while sleep 2 && kill -0 $$ 2>/dev/null && [[ -e $1 ]]; do
-        printf '    %s\e[K\r' "$(tail -n 1 "$1" | cut -c 1-74)"
+    local line
+    trap '' TTOU    # after `stty tostop`
+    while read -r line; do
+        [[ ! -t 1 ]] || printf '    %.74s\e[K\r' "${line%$'\r'}"
     done
 }
 
-apt_install() {
-    "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get -q -y \
-        -o DPkg::Lock::Timeout=300 install --no-install-recommends "$@" </dev/null
-}
+clear_line() { [[ ! -t 1 ]] || printf '\r\e[K'; }
 
 # sudo may ask for a password only on a terminal.
 may_use_sudo() {
     command -v sudo >/dev/null || return 1
-    sudo -n true 2>/dev/null || { [[ -t 0 ]] && sudo -v; }
+    sudo -n true 2>/dev/null || {
+        [[ -t 0 ]] && say "Packages are missing. To install them, sudo asks for your password:" &&
+            sudo -v && sudo -n true
+    }
 }
 
+# explain_failed_install LOG PACKAGES
 explain_failed_install() {
+    fail_if_disk_full "$1"
     grep -E '^(E|Err):?' "$1" | tail -n 5 >&2 || true
     if grep -qE 'Could not resolve|Temporary failure|Could not connect|Unable to connect' "$1"; then
         fail "the packages cannot be fetched: connect this machine to the network and try" \
             "again (the output of apt-get: $1)."
     fi
-    fail "apt-get could not install $missing; see above, and $1 for its whole output."
+    fail "apt-get could not install $2; see above, and $1 for its whole output."
 }
 
 # -- build ---------------------------------------------------------------------------------
 
 build_if_changed() {
-    mkdir -p "$build" 2>/dev/null || true
+    mkdir -p "$build" 2>/dev/null || fail_if_disk_full
     [[ -w $build ]] ||
         fail "$build cannot be written to; use your own checkout, or make $(id -un) its owner."
     (
@@ -180,11 +216,12 @@ build_if_changed() {
         find "$build" -mindepth 1 -maxdepth 1 ! -name .lock ! -name ros -exec rm -rf {} + ||
             fail "$build holds files of another user; remove it, then try again."
         if ! { cmake -S "$checkout" -B "$build" -DPYTHON_EXECUTABLE=/usr/bin/python3 \
-            -DCATKIN_ENABLE_TESTING=OFF && make -C "$build"; } &>"$log"; then
+            -DCATKIN_ENABLE_TESTING=OFF && make -C "$build" &&
+            echo "$wanted" >"$build/.built"; } &>"$log"; then
+            fail_if_disk_full "$log"
             tail -n 20 "$log" >&2
             fail "the build failed; see above, and $log for its whole output."
         fi
-        echo "$wanted" >"$build/.built"
     ) 9>"$build/.lock" || exit
 }
 

@@ -1,8 +1,12 @@
 """Standard output and standard error of a program."""
+import errno
 import io
 import os
 import signal
 import sys
+from typing import Callable
+
+_SIGPIPE_STATUS = 128 + signal.SIGPIPE     # as a shell reports a program that SIGPIPE has ended
 
 
 def prepare_output() -> None:
@@ -21,3 +25,21 @@ def prepare_output() -> None:
 def no_more_output(descriptor: int = 1) -> None:
     """Redirect an output that cannot be written to, or flushing it at exit would fail."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), descriptor)
+
+
+def end_with_output(name: str, run: Callable[[], int]) -> int:
+    """Run a program that is useless without its output, and return its exit status.
+
+    If the reader of a pipe has ended, it ends without a word; on a full disk, with one line.
+    """
+    try:
+        return run()
+    except BrokenPipeError:
+        no_more_output()
+        return _SIGPIPE_STATUS
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        no_more_output()
+        print(f'{name}: its output cannot be written: {error.strerror}', file=sys.stderr)
+        return 1

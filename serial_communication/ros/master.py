@@ -9,7 +9,7 @@ import rosgraph
 
 _ASK_EVERY = 0.1                           # s
 _FIRST_REPORT, _REPORT_EVERY = 1.0, 10.0   # s of waiting
-_PATIENCE = 1.0                            # s for a node's answer
+_PATIENCE = 1.0                            # s for a node's answer, by default
 
 
 def wait_for_master(stopping: threading.Event, say: Callable[[str], None] = lambda _text: None,
@@ -59,8 +59,8 @@ def started_by_roslaunch() -> bool:
     return '__log' in rosgraph.names.load_mappings(sys.argv)
 
 
-def running_node(name: str) -> str:
-    """Return the URI of the node with this full name, if it answers within 1 s; otherwise ''.
+def running_node(name: str, patience: float = _PATIENCE) -> str:
+    """Return the URI of the node with this full name, if it answers in time; otherwise ''.
 
     A killed or suspended node does not count, nor does another process at a dead node's address.
     """
@@ -68,7 +68,7 @@ def running_node(name: str) -> str:
     asking = threading.Thread(target=_ask, args=(name, found), name='is the name taken',
                               daemon=True)
     asking.start()          # an unreachable host may take minutes to fail
-    asking.join(_PATIENCE)
+    asking.join(patience)
     return found[0] if found else ''
 
 

@@ -41,7 +41,8 @@ def build_firmware():
     with open(os.path.join(build, '.lock'), 'w') as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)  # others may build it just now
         result = subprocess.run(
-            ['make', '-C', FIRMWARE, 'BUILD=' + build, '-j2', 'WARNINGS=-Wall -Wextra -Werror'],
+            ['make', '-C', FIRMWARE, 'BUILD=' + os.path.relpath(build, FIRMWARE), '-j2',
+             'WARNINGS=-Wall -Wextra -Werror'],
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             universal_newlines=True,

@@ -18,7 +18,7 @@ from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 from serial_communication.srv import Gimbal, Lift
 
 from ...link.outcome import LOOK, Verdict
-from ...output import prepare_output
+from ...output import end_with_output, prepare_output
 from ...ros.answers import read_error, read_response
 from ...ros.master import wait_for_master
 from ..watch.live import LiveTable, stopped_by_signals
@@ -124,6 +124,10 @@ def main(argv: Optional[List[str]] = None) -> int:
     """Show the table. Return the exit status: 1 if something is missing after --duration."""
     prepare_output()
     options = _arguments(argv)
+    return end_with_output('table', lambda: _run(options))
+
+
+def _run(options: argparse.Namespace) -> int:
     demo = Demo(options.boards, options.links, options.move, options.setup,
                 rosgraph.get_master_uri(), options.page, options.control)
     stopping = stopped_by_signals()
@@ -147,11 +151,13 @@ def main(argv: Optional[List[str]] = None) -> int:
         stopping.wait(0.1)
     moves = Moves(demo) if options.move and not stopping.is_set() else None
     try:
-        table.run(stopping, options.duration)
-    finally:
-        if moves:
-            moves.stop()
+        try:
+            table.run(stopping, options.duration)
+        finally:
+            if moves:
+                moves.stop()
         table.close()
+    finally:
         leave_ros()
     return _result(demo, table.elapsed) if options.duration and not stopping.is_set() else 0
 

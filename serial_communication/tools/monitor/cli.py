@@ -13,7 +13,7 @@ from typing import List, Optional, Tuple
 import rosgraph
 import rospy
 
-from ...output import prepare_output
+from ...output import end_with_output, prepare_output
 from ...ros.master import wait_for_master
 from ..watch.live import LiveTable, stopped_by_signals
 from ..watch.state import BridgeState
@@ -29,6 +29,10 @@ def main(argv: Optional[List[str]] = None) -> int:
     """Run the monitor and return the exit status."""
     prepare_output()
     options = _arguments(argv)
+    return end_with_output('monitor', lambda: _run(options))
+
+
+def _run(options: argparse.Namespace) -> int:
     bridge = BridgeState(options.node or NODE, master=rosgraph.get_master_uri())
     stopping = stopped_by_signals()
     if options.once:

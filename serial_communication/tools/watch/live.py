@@ -1,4 +1,5 @@
 """The live table as a program: what the monitor and the demo share."""
+import logging
 import signal
 import threading
 import time
@@ -34,6 +35,7 @@ class LiveTable:
         self._heading = heading
         self._outages = Outages()
         self._screen = Screen()
+        logging.raiseExceptions = False     # or tracebacks cover the table if the disk is full
         init_node(name, anonymous=True, disable_signals=True)
         self.watcher = Watcher(bridge)
         self.watcher.start()

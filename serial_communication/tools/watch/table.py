@@ -3,6 +3,7 @@
 Links and calls are on top, since they show whether the robot works. Where the terminal is too
 small, the last topics are left out and counted.
 """
+import os
 import shutil
 import sys
 from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
@@ -182,13 +183,15 @@ def plain(bridge: BridgeState, heading: Heading, now: float) -> str:
 class Screen:
     """Redraws the table in place on a terminal; elsewhere prints a report every 5 redraws."""
 
-    _STYLES: Dict[str, str] = {'plain': '', 'head': '\033[1m', 'good': '\033[32m',
+    _STYLES: Dict[str, str] = {'head': '\033[1m', 'good': '\033[32m',
                                'warn': '\033[33m', 'bad': '\033[31m'}
 
     def __init__(self, out: Any = None) -> None:
         self._out = sys.stdout if out is None else out
         self.is_terminal = self._out.isatty()
         self._draws = 0
+        # Any text turns styles off: see no-color.org.
+        self._styles = {} if os.environ.get('NO_COLOR') else self._STYLES
         if hasattr(self._out, 'reconfigure'):
             self._out.reconfigure(errors='replace')    # for characters that the locale lacks
 
@@ -210,7 +213,8 @@ class Screen:
         # After a full row the cursor stays on its last character, which clearing to the end of
         # the row would erase.
         full = line.text and len(line.text) % width == 0
-        return f"{self._STYLES[line.style]}{line.text}\033[0m{'' if full else chr(27) + '[K'}"
+        style = self._styles.get(line.style, '')
+        return f"{style}{line.text}\033[0m{'' if full else chr(27) + '[K'}"
 
     def say(self, text: str) -> None:
         """Print lines between the reports; nothing on a terminal."""

@@ -25,7 +25,7 @@ class Paint:
     """Colours text, if the stream is a terminal and NO_COLOR is not set."""
 
     def __init__(self, stream: Optional[TextIO] = None) -> None:
-        self._on = is_terminal(stream) and 'NO_COLOR' not in os.environ
+        self._on = is_terminal(stream) and not os.environ.get('NO_COLOR')
 
     def __call__(self, text: str, colour: str) -> str:
         """Return `text` in a colour: board, computer, bad, good or dim."""

@@ -1,0 +1,131 @@
+"""scripts/demo ends by itself where it cannot go on, and leaves no process and no file."""
+import contextlib
+import os
+import shutil
+import signal
+import socket
+import subprocess
+from pathlib import Path
+
+import pytest
+from waiting import until
+
+DEMO = Path(__file__).resolve().parents[2] / 'scripts' / 'demo'
+PATIENCE = 60.0      # s; only a failing test waits so long
+
+
+@pytest.fixture(name='folder')
+def fixture_folder(tmp_path):
+    """The folder of temporary files of what a test starts; it must be empty at the end."""
+    folder = tmp_path / 'temporary'
+    folder.mkdir()
+    yield folder
+    assert list(folder.iterdir()) == []
+
+
+@contextlib.contextmanager
+def started(folder, command, uri, **environment):
+    """Run a command, of which no process may be left at the end."""
+    process = subprocess.Popen(
+        [str(each) for each in command], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, text=True,
+        env={**os.environ, 'TMPDIR': str(folder), 'ROS_MASTER_URI': uri, **environment})
+    try:
+        yield process
+        until(lambda: running(folder) == [], 'no process is left')
+    finally:
+        for pid in running(folder):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        process.communicate()
+
+
+def running(folder):
+    """The processes that were started with this folder for temporary files."""
+    found = []
+    for entry in Path('/proc').glob('[0-9]*'):
+        with contextlib.suppress(OSError):     # it has ended, or is another user's
+            if f'TMPDIR={folder}\0' in (entry / 'environ').read_text(errors='replace'):
+                found.append(int(entry.name))
+    return found
+
+
+def arguments(pid):
+    try:
+        return Path(f'/proc/{pid}/cmdline').read_text().split('\0')
+    except OSError:
+        return []      # it has ended
+
+
+def free_address():
+    """The address of a master that is not there yet."""
+    with socket.socket() as free:
+        free.bind(('localhost', 0))
+        return f'http://localhost:{free.getsockname()[1]}'
+
+
+@pytest.mark.parametrize('uri, why', [
+    ('http://no-such-host.invalid:11311', 'the name no-such-host.invalid cannot be resolved'),
+    ('lab', 'it is no address such as http://localhost:11311'),
+    (None, 'no answer within 10 s')])
+def test_a_master_that_cannot_be_used_is_named_with_the_mend(folder, uri, why):
+    with socket.socket() as silent:      # it accepts connections and never answers
+        silent.bind(('localhost', 0))
+        silent.listen()
+        uri = uri or f'http://localhost:{silent.getsockname()[1]}'
+        with started(folder, [DEMO], uri) as demo:
+            output, errors = demo.communicate(timeout=PATIENCE)
+    assert demo.returncode == 1 and 'Launching' not in output
+    assert errors == f'demo: no ROS master answers at {uri}: {why}. ' \
+        'For a master of its own:  unset ROS_MASTER_URI\n'
+
+
+def test_the_end_of_roslaunch_ends_the_demo_with_its_last_lines(folder):
+    with started(folder, [DEMO], free_address()) as demo:
+        log = DEMO.parents[1] / 'build' / 'ros' / 'log' / f'demo_{demo.pid}.log'
+        until(lambda: log.exists() and 'process[serial_communication-' in log.read_text(),
+              'roslaunch has output', PATIENCE)
+        roslaunch, = [pid for pid in running(folder) if '--skip-log-check' in arguments(pid)]
+        os.kill(roslaunch, signal.SIGKILL)
+        errors = demo.communicate(timeout=PATIENCE)[1]
+    assert demo.returncode == 1
+    assert 'process[serial_communication-' in errors
+    assert errors.endswith('demo: roslaunch has ended; see its last output above.\n')
+
+
+def test_a_reader_that_has_ended_ends_the_demo_without_a_word(folder):
+    pipe = ['bash', '-o', 'pipefail', '-c', '"$0" | head -n 2', DEMO]
+    with started(folder, pipe, free_address()) as demo:
+        output, errors = demo.communicate(timeout=PATIENCE)
+    assert (demo.returncode, errors) == (128 + signal.SIGPIPE, '')
+    assert output.splitlines()[1].endswith('the bridge is there')
+
+
+@pytest.mark.skipif(subprocess.call(['unshare', '-m', 'true'], stderr=subprocess.DEVNULL) != 0,
+                    reason='to fill a disk, a file system is mounted: only root may')
+@pytest.mark.parametrize('fills', ['before', 'during the start'])
+def test_a_full_disk_is_one_line(folder, fills):
+    logs = DEMO.parents[1] / 'build' / 'ros'
+    size = '16k' if fills == 'before' else '1200k'
+    fill = '' if fills == 'before' else \
+        '(until grep -qs SUMMARY "$1"/log/demo_*.log; do sleep 0.1; done; ' \
+        'cat /dev/zero >"$1/fill" 2>/dev/null) & '
+    full = ['unshare', '-m', 'bash', '-c',
+            f'mount -t tmpfs -o size={size} none "$1"; {fill}"$0"', DEMO, logs]
+    with started(folder, full, free_address()) as demo:
+        errors = demo.communicate(timeout=PATIENCE)[1]
+    assert demo.returncode == 1
+    assert errors == f'demo: no space left on the disk of {logs}/log: make room ' \
+        '(df -h, df -i), then try again.\n'
+
+
+@pytest.mark.skipif(not shutil.which('avr-g++'), reason='gcc-avr is not installed')
+def test_firmware_that_does_not_build_ends_the_demo_with_the_last_lines_of_make(folder, tmp_path):
+    build = tmp_path / 'firmware'
+    with started(folder, [DEMO, '--avr'], free_address(), FIRMWARE_BUILD=str(build),
+                 ARDUINO='/nowhere') as demo:
+        output, errors = demo.communicate(timeout=PATIENCE)
+    assert demo.returncode == 1 and 'Launching' not in output
+    assert '/nowhere/cores/arduino is missing' in errors
+    assert errors.endswith('avr_board: the firmware did not build; see above, and '
+                           f'{build}/make.log for all.\n')
