@@ -1,4 +1,4 @@
-"""Sends what a board sent, errors included, from a recording at the recorded times.
+"""Sends what a board sent, from a recording, at the recorded times.
 
 A recording is a bag of serial_msg (rosbag record /serial_msg) or a file of wire listen --raw or
 wire tap --raw. A bridge at the other end of the port then receives what the one on the robot did:
@@ -7,29 +7,32 @@ wire tap --raw. A bridge at the other end of the port then receives what the one
   roslaunch serial_communication bridge.launch mcu_port:=/tmp/bridge &
   wire play drive.bag mcu /tmp/board
 
+A file of --raw has the board's bytes, which are sent as they were, errors included. A bag has
+frames. Of these the whole ones are sent; noise, incomplete frames and frames with a wrong checksum
+are left out.
+
 What the bridge sends to the port is read and dropped. For the arduino and the mcu that changes
 nothing. On the bus the recorded replies answer the requests of the recorded bridge. The new bridge
-shows these frames in serial_msg and counts the same errors, but accepts none as a reply to its own
-requests, since its ECHO has a random number that no recording contains. So its calls end with
-TIMEOUT, its diagnostics report that the board does not answer, and nothing from the bus is
-published. To try calls, use a simulated board: rosrun serial_communication simulator bus.
+shows these frames in serial_msg, but accepts none as a reply to its own requests, since its ECHO
+has a random number that no recording contains. So its calls end with TIMEOUT, its diagnostics
+report that the board does not answer, and nothing from the bus is published. To try calls, use a
+simulated board: rosrun serial_communication simulator bus.
 
-The program keeps the times with real-time priority, where the system allows it. With a --rate
-other than 1 the silences differ from the board's.
+The program keeps the times with real-time priority, where the system allows it.
 """
 import argparse
 import json
 import sys
 import threading
 import time
-from typing import Any, Dict, List, Sequence
+from typing import Dict, List, NamedTuple, Sequence, Tuple
 
+from ...framing.stream import CHECKSUM, FRAMING, OVERSIZE
 from ...transport.pace import set_priority
 from ...transport.port import Port, PortBusy, PortError, url_argument
 from . import lines
 from .figures import percentile
-from .playback import Piece, differences, is_complete, pieces_of, spaced
-from .recording import frames_of, load
+from .recording import Recording, frames_of, load
 from .show import WireError, is_terminal, print_note, seconds
 
 SUMMARY = 'send what a board sent, from a recording, at the recorded times'
@@ -38,7 +41,8 @@ _REALTIME_PRIORITY = 15
 _PROGRESS = 0.2           # s between two progress lines on a terminal …
 _PROGRESS_PLAIN = 10.0    # … and elsewhere
 _PAUSE = 2.0              # in frame_timeouts, between two rounds of --loop
-_MOVED = 1e-6             # s; a piece that is moved by more counts as moved
+# Causes of frames of which a bag has only a part, or whose bytes may belong to other frames.
+_NOT_WHOLE = (CHECKSUM, FRAMING, OVERSIZE)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -56,8 +60,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
                         help='2 is twice as fast (%(default)g)')
     parser.add_argument('--loop', action='store_true', help='repeat until Ctrl-C')
     parser.add_argument('--json', action='store_true',
-                        help='print a JSON object at the end: frames, bad, left_out, moved, '
-                             'rounds, lost, late (s)')
+                        help='print a JSON object at the end: writes, left_out, rounds, lost, '
+                             'late (s)')
 
 
 def clock(text: str) -> float:
@@ -74,6 +78,23 @@ def clock(text: str) -> float:
     if not 0 <= value < float('inf'):
         raise argparse.ArgumentTypeError(f'{text} is not a time such as 12.5 or 1:12.5')
     return value
+
+
+class Piece(NamedTuple):
+    """Bytes to send in one write."""
+
+    at: float           # s since the recording's start
+    data: bytes
+
+
+def pieces_of(recording: Recording, line: lines.Settings) -> Tuple[List[Piece], int]:
+    """Return what the board sent, and how many of its frames are left out."""
+    reads = recording.reads.get(line.link)
+    if reads:
+        return [Piece(read.at, read.data) for read in reads if not read.sent], 0
+    frames = [each.frame for each in frames_of(recording, line) if not each.sent]
+    whole = [frame for frame in frames if frame.cause not in _NOT_WHOLE]
+    return [Piece(frame.stamp, frame.raw) for frame in whole], len(frames) - len(whole)
 
 
 class PiecePlayer:
@@ -156,20 +177,17 @@ def run(options: argparse.Namespace) -> int:
     """Play the recording and return the exit status."""
     line = lines.settings(options)
     recording = load(options.recording, options.topic)
-    frames = [each.frame for each in frames_of(recording, line) if not each.sent]
-    original = [piece for piece in pieces_of(recording, frames, line)
-                if options.begin <= piece.at < options.end]
-    if not original:
+    pieces, left_out = pieces_of(recording, line)
+    pieces = [Piece(piece.at / options.rate, piece.data) for piece in pieces
+              if options.begin <= piece.at < options.end]
+    if not pieces:
         raise WireError(f'{options.recording}: no bytes from the board of the link {line.link} in '
                         'this time; links in it: '
                         f'{", ".join(recording.links()) or "none"}')
-    pieces = spaced(original, line, options.rate)
-    shifts = [abs(piece.at - before.at / options.rate) for piece, before in zip(pieces, original)]
-    frames = [frame for frame in frames if options.begin <= frame.stamp < options.end]
-    counts = {'frames': len(frames), 'invalid': sum(bool(frame.cause) for frame in frames),
-              'left_out': sum(not is_complete(frame, line) for frame in frames),
-              'moved': sum(shift > _MOVED for shift in shifts)}
-    _announce(counts, pieces, max(shifts), differences(frames, pieces, line))
+    counts = {'writes': len(pieces), 'left_out': left_out}
+    print_note(f'{len(pieces)} writes in {pieces[-1].at - pieces[0].at:.1f} s')
+    if left_out:
+        print_note(f'{left_out} invalid frames of the bag are left out')
     port = Port(options.port, line.baud)
     try:
         port.open()
@@ -185,21 +203,6 @@ def run(options: argparse.Namespace) -> int:
     player.stop()
     port.close()
     return _result(player, counts, options, stopped)
-
-
-def _announce(counts: Dict[str, Any], pieces: Sequence[Piece], longest_shift: float,
-              different: int) -> None:
-    print_note(f'{counts["frames"]} frames, {counts["invalid"]} of them invalid, in '
-               f'{pieces[-1].at - pieces[0].at:.1f} s')
-    if counts['moved']:
-        print_note(f'{counts["moved"]} incomplete frames are sent up to {seconds(longest_shift)} '
-                   'earlier or later than recorded, so that they time out as they did')
-    if counts['left_out']:
-        print_note(f'{counts["left_out"]} invalid frames are left out: the bag has only a part of '
-                   'each')
-    if different:
-        print_note(f'{different} frames will be decoded differently; use the --frame-timeout and '
-                   'options of the recorded bridge')
 
 
 def _show_progress(player: PiecePlayer, pieces: Sequence[Piece]) -> None:
@@ -220,7 +223,7 @@ def _show_progress(player: PiecePlayer, pieces: Sequence[Piece]) -> None:
         sys.stderr.flush()
 
 
-def _result(player: PiecePlayer, counts: Dict[str, Any], options: argparse.Namespace,
+def _result(player: PiecePlayer, counts: Dict[str, int], options: argparse.Namespace,
             stopped: bool) -> int:
     late = {name: percentile(player.delays, percent) for name, percent in (
         ('p50', 50), ('p99', 99), ('max', 100))} if player.delays else None

@@ -7,7 +7,6 @@ also the round trips; for the arduino the gaps between heartbeats (one over 30 m
 For an unknown link in a bag, types are shown as numbers.
 
   wire stats drive.bag
-  wire stats drive.bag --plot drive.png      a timeline with the errors marked
 """
 import argparse
 import json
@@ -22,9 +21,8 @@ from .lines import Settings
 from .recording import Recording, RecordedFrame, frames_of, learned_from, load
 from .show import Paint, WireError, print_note
 
-SUMMARY = 'show statistics of a recording: counts, gaps, errors, load, round trips; a plot'
+SUMMARY = 'show statistics of a recording: counts, gaps, errors, load, round trips'
 
-_MATPLOTLIB = ('the plot needs matplotlib; install it: sudo apt-get install python3-matplotlib')
 _BITS_A_BYTE = 10        # a start bit, eight data bits, a stop bit
 _MOST_SHARE = 1.05       # of the wire's capacity; the clocks of two sides differ a little
 
@@ -37,7 +35,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
                         help="baud rate of the lines (default: that of a file of --raw, or each "
                              "board's default)")
     lines.add_config_option(parser)
-    parser.add_argument('--plot', metavar='FILE.png', help='a timeline with the errors marked')
     parser.add_argument('--json', action='store_true', help='the same as JSON; times in s')
 
 
@@ -54,13 +51,6 @@ def run(options: argparse.Namespace) -> int:
         raise WireError(f'{options.recording}: contains no frames')
     figures = measure(frames, known, bytes_read(recording))
     print(json.dumps(figures, indent=1) if options.json else render(figures))
-    if options.plot:
-        try:
-            plot(frames, known, options.plot)
-        except ImportError:
-            raise WireError(_MATPLOTLIB) from None
-        except (OSError, ValueError) as error:
-            raise WireError(f'{options.plot}: {error}') from None
     return 0
 
 
@@ -273,33 +263,3 @@ def _spread(each: Dict[str, Any], name: str) -> str:
 
 def _ms(value: Optional[float]) -> str:
     return '-' if value is None else f'{value * 1e3:.2f}'
-
-
-def plot(frames: Sequence[RecordedFrame], known: Dict[str, Settings], path: str) -> None:
-    """Draw a timeline with a line for each link, direction, and type or cause of errors.
-
-    Raises:
-        ImportError: matplotlib is missing.
-        OSError, ValueError: the file cannot be written, or matplotlib does not know its format.
-    """
-    import matplotlib
-    matplotlib.use('Agg')
-    from matplotlib import pyplot
-
-    name_of = naming(known)
-    tracks: Dict[Any, List[float]] = {}    # stamps, by name and whether these are errors
-    for each in frames:
-        name = f'{each.link} {"->" if each.sent else "<-"} {each.frame.cause or name_of(each)}'
-        tracks.setdefault((name, bool(each.frame.cause)), []).append(each.frame.stamp)
-    figure, axes = pyplot.subplots(figsize=(12, 1.5 + 0.3 * len(tracks)))
-    in_order = sorted(tracks, reverse=True)
-    for height, (name, is_error) in enumerate(in_order):
-        stamps = tracks[name, is_error]
-        axes.plot(stamps, [height] * len(stamps), 'rx' if is_error else 'k|')
-        for stamp in stamps if is_error else ():
-            axes.axvline(stamp, color='red', alpha=0.15, linewidth=0.8)
-    axes.set_yticks(range(len(in_order)))
-    axes.set_yticklabels([name for name, _ in in_order])
-    axes.set_xlabel('s')
-    figure.savefig(path, bbox_inches='tight', dpi=100)
-    pyplot.close(figure)
