@@ -257,7 +257,7 @@ class Link:
         """Raise Refused for an announced command that the board may no longer have."""
         if not self.still_announces:
             raise Refused(f'{command} refused: the board has not announced it since the port was '
-                          'opened or since it announced something else', 'not announced')
+                          'opened, or since the board may have changed', 'not announced')
 
     def check_silence(self, now: float, limit: float) -> Optional[float]:
         """For `tick`: have a network port closed if it has been silent for `limit` s.
