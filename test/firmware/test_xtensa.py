@@ -1,4 +1,4 @@
-"""The protocol headers on an emulated Xtensa processor, as in an ESP32: they behave as on the PC."""
+"""The protocol headers on an emulated Xtensa processor, as in an ESP32: as on the PC."""
 import os
 import shutil
 import subprocess
