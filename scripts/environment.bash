@@ -29,6 +29,8 @@ browser | chromium chromium-driver python3-selenium  |
 avr    | gcc-avr avr-libc arduino-core-avr           | gcc-avr avr-libc arduino-core-avr
 avr    | simavr libsimavr-dev libelf-dev pkg-config  | simavr libsimavr-dev libelf-dev pkg-config
 esp    | gcc-xtensa-lx106                            | gcc-xtensa-lx106
+# Ubuntu's QEMU is too old: it has no lx106.
+esp    | qemu-system-misc                            |
 view   | rviz python3-rviz ros-robot-state-publisher | ros-noetic-rviz ros-noetic-robot-state-publisher
 view   | xvfb                                        | xvfb
 pictures | imagemagick                               | imagemagick

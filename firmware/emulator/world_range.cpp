@@ -9,13 +9,19 @@ namespace {
 
 const int kChannels[2] = {3, 6};  // of the TCA9548A
 
-// Only what continuous ranging needs after initialisation: start, ready, result, clear.
+// Only what continuous ranging needs after initialisation: start, ready, result, clear, and a reset.
 class Vl53l0x : public I2cRegisters {
  public:
   explicit Vl53l0x(Mcu& mcu) : mcu_(mcu) { power_on(); }
 
   double range = 800;  // mm
   double alive = 1;    // 0: answers, but finishes no measurement
+  double error = 0;    // the code that its results have instead of 11, "complete", until it is reset
+
+  void set_present(double now_present) {
+    if (present == 0 && now_present != 0) power_on();
+    present = now_present;
+  }
 
  protected:
   void defaults() override {
@@ -26,10 +32,15 @@ class Vl53l0x : public I2cRegisters {
 
   void before_read(uint8_t pointer) override {
     if (pointer == 0x13) registers_[0x13] = alive != 0 && mcu_.seconds() >= next_ready_ ? 4 : 0;
+    if (pointer == 0x14) registers_[0x14] = uint8_t((error != 0 ? error : 11)) << 3;
     if (pointer == 0x1E) put_uint16_be(0x1E, uint16_t(std::lround(range)));
   }
 
   void written(uint8_t reg, uint8_t value) override {
+    if (reg == 0xBF && value == 0) {
+      power_on();
+      error = 0;
+    }
     if (reg == 0x00 && value == 0x02) next_ready_ = mcu_.seconds() + kTimingBudget;
     if (reg == 0x0B && (value & 1) && std::isfinite(next_ready_)) next_ready_ = mcu_.seconds() + kTimingBudget;
   }
@@ -40,7 +51,7 @@ class Vl53l0x : public I2cRegisters {
   double next_ready_ = INFINITY;
 };
 
-// Identity, mode, status and Euler angles. Without power it forgets its mode, and its angles are 0.
+// Identity, mode, status, reset and Euler angles. Without power it forgets its mode, and its angles are 0.
 class Bno055 : public I2cRegisters {
  public:
   explicit Bno055(Mcu& mcu) : mcu_(mcu) { power_on(); }
@@ -50,6 +61,9 @@ class Bno055 : public I2cRegisters {
     present = now_present;
   }
 
+  bool start(bool read) override { return mcu_.seconds() >= boots_until_ && I2cRegisters::start(read); }
+
+  double error = 0;    // 1: a system error, which only a reset ends
   double heading = 0;  // degrees, clockwise
   double pitch = 0, roll = 0;
 
@@ -60,8 +74,8 @@ class Bno055 : public I2cRegisters {
   }
 
   void before_read(uint8_t pointer) override {
-    const bool fusing = mcu_.seconds() >= fusion_at_;
-    registers_[0x39] = fusing ? 5 : 0;
+    const bool fusing = error == 0 && mcu_.seconds() >= fusion_at_;
+    registers_[0x39] = error != 0 ? 1 : fusing ? 5 : 0;
     if (pointer != 0x1A || !fusing) return;
     const double turns = std::floor(heading / 360);
     put_uint16_le(0x1A, sixteenths(heading - 360 * turns));
@@ -70,12 +84,18 @@ class Bno055 : public I2cRegisters {
   }
 
   void written(uint8_t reg, uint8_t value) override {
+    if (reg == 0x3F && (value & 0x20)) {
+      power_on();
+      error = 0;
+      boots_until_ = mcu_.seconds() + kBootsIn;
+    }
     if (reg == 0x3D) fusion_at_ = value == 0x0C ? mcu_.seconds() + kStartsIn : INFINITY;
   }
 
  private:
-  static constexpr double kStartsIn = 0.02;
+  static constexpr double kStartsIn = 0.02, kBootsIn = 0.65;
   Mcu& mcu_;
+  double boots_until_ = 0;
   double fusion_at_ = INFINITY;
 
   static uint16_t sixteenths(double degrees) { return uint16_t(int16_t(std::lround(degrees * 16))); }
@@ -130,11 +150,14 @@ class RangeWorld : public World {
       const std::string name = "range" + std::to_string(i + 1);
       values.variable(name, &range_[i].range);
       values.variable(name + "_alive", &range_[i].alive);
-      values.variable(name + "_present", &range_[i].present);
+      values.variable(name + "_error", &range_[i].error);
+      values.variable(name + "_present", [this, i] { return range_[i].present; },
+                      [this, i](double present) { range_[i].set_present(present); });
     }
     values.variable("heading", &bno055_.heading);
     values.variable("pitch", &bno055_.pitch);
     values.variable("roll", &bno055_.roll);
+    values.variable("bno055_error", &bno055_.error);
     values.variable("bno055_present", [this] { return bno055_.present; },
                     [this](double present) { bno055_.set_present(present); });
     if (!still) mcu.every(uint64_t(0.005 * mcu.frequency()), [this] { move(); });

@@ -58,6 +58,9 @@ static void update_attitude() {
 }
 
 void setup() {
+#if defined(ARDUINO_ARCH_ESP32)
+  enableLoopWDT();  // a loop() that hangs for 5 s resets the chip
+#endif
   Serial.begin(kBaud);
   sensors_begin();
 }

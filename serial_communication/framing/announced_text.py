@@ -47,7 +47,16 @@ def read_announcement(text: bytes) -> Announcement:
             why = ' '.join(str(error).split())
             problems.append(readable(f'line {number} of the announcement is left out: '
                                      f'{brief(line, 60)}: {why[:120]}'))
+    if problems and not rows and not _is_text(text):
+        # An AVR reads the text from program memory; without PROGMEM it is in the RAM.
+        problems = [f'the announcement is no text: {brief(text, 60)}: PROGMEM missing in the '
+                    'sketch?']
     return Announcement(firmware, rows, problems)
+
+
+def _is_text(text: bytes) -> bool:
+    words = ''.join(text.decode('utf-8', 'replace').split())
+    return '\N{REPLACEMENT CHARACTER}' not in readable(words)
 
 
 def _read_row(line: str) -> Tuple[str, Any]:

@@ -18,7 +18,7 @@ _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
 _STEP = r'[A-Za-z][A-Za-z0-9_]*(\[[0-9]{1,9}\])?'
 _PATH = re.compile(rf'({_STEP}(\.{_STEP})*)?')
 ROS_TYPE = re.compile(r'[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*')
-LAYOUT_KEYS = ('layout', 'fields', 'scale', 'offset', 'minimum', 'maximum')
+LAYOUT_KEYS = ('layout', 'fields', 'scale', 'offset', 'minimum', 'maximum', 'invalid')
 _MESSAGE_KEYS = ('type', 'direction', 'ros_type', 'frame_id', 'constants') + LAYOUT_KEYS
 _HUGE = 2 ** 64     # greater than any raw number
 
@@ -100,7 +100,7 @@ def read_messages(entries: Any, key: str, types: Sequence[int], longest: int,
         if direction not in directions:
             raise RowError(row.name('direction'), direction, f'may be {" or ".join(directions)}')
         if direction == TO_BOARD:
-            row.refuse_unused(['constants'], 'direction: to_board')
+            row.refuse_unused(['constants', 'invalid'], 'direction: to_board')
         ros_type = row.text('ros_type', ROS_TYPE, 'a message type, as std_msgs/Float32')
         kind = message_class(name, type_, *row.layout(longest))
         messages.append(CustomMessage(name, row.key, kind, direction == TO_BOARD, ros_type,
@@ -214,8 +214,9 @@ class Row:
         values = [Value(path, '', scale, offset, minimum, maximum)
                   for path, scale, offset, minimum, maximum in zip(
                       paths, scales, offsets, minima, maxima)]
-        self._check_limits(Layout(layout, values))
-        return layout, values
+        placed = Layout(layout, values).values
+        self._check_limits(placed)
+        return layout, self._with_invalid(placed)
 
     def _each(self, key: str, count: int, default: float, may_be: Callable[[float], bool],
               allowed: str) -> List[float]:
@@ -228,12 +229,35 @@ class Row:
         # Whole numbers stay whole, except where a product with a raw number could overflow a float.
         return [number if abs(number) < _HUGE else float(number) for number in numbers]
 
-    def _check_limits(self, layout: Layout) -> None:
+    def _with_invalid(self, values: Sequence[Value]) -> List[Value]:
+        """The values with their raw numbers that mean "no value".
+
+        One number for all applies to each value whose place can hold it; in a list, '' means that
+        there is none.
+        """
+        if 'invalid' not in self.given:
+            return list(values)
+        given = self.given['invalid']
+        is_list = type(given) is list
+        numbers = given if is_list else [given] * len(values)
+        if len(numbers) != len(values) or not all(
+                _is_number(number) or is_list and number == '' for number in numbers):
+            raise RowError(self.name('invalid'), given, f'may be a number, or a list of '
+                           f'{len(values)} with a number or an empty text for each value')
+        fits = [number == '' or value.holds(number) for number, value in zip(numbers, values)]
+        if not (all(fits) if is_list else any(fits)):
+            code = values[fits.index(False)].code if values else ''
+            raise RowError(self.name('invalid'), given, 'may be a raw number that its place '
+                           f'({code}) can hold exactly')
+        return [value._replace(invalid=number) if fit and number != '' else value
+                for number, fit, value in zip(numbers, fits, values)]
+
+    def _check_limits(self, values: Sequence[Value]) -> None:
         """Refuse a limit that no raw number reaches, and a minimum above its maximum.
 
         One limit for all values has to be in the range of at least one of them.
         """
-        limited = [(value, value.range) for value in layout.values
+        limited = [(value, value.range) for value in values
                    if value.name and value.kind != 'text']
         for key in ('minimum', 'maximum'):
             given = self.given.get(key)

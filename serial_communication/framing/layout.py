@@ -18,6 +18,9 @@ FRACTIONS = 'efd'             # those of them for floats
 _RANGES = {'?': (0, 1), 'e': (-65504.0, 65504.0), 'f': (-3.4028234663852886e38,
            3.4028234663852886e38), 'd': (-inf, inf), 's': (-inf, inf)}
 
+# The value of a raw number that means "no value": a NaN, told from others by its identity.
+NO_VALUE = float('nan')
+
 
 class Value(NamedTuple):
     """One value of a message: value = raw * scale + offset."""
@@ -28,6 +31,7 @@ class Value(NamedTuple):
     offset: float = 0
     minimum: float = -inf      # of the value, not of the raw number
     maximum: float = inf
+    invalid: Optional[float] = None    # the raw number that means "no value"; None: there is none
     # Its place in the data, filled in by the `Layout` that has it:
     code: str = ''             # struct's code; 's': a text
     start: int = 0             # index of its first byte
@@ -69,13 +73,23 @@ class Value(NamedTuple):
                      for raw in _RANGES.get(self.code) or _whole_range(self.code))
         return min(low, high), max(low, high)
 
+    def holds(self, raw: float) -> bool:
+        """Whether its place can hold exactly this raw number."""
+        try:
+            number = raw if self.code in FRACTIONS else int(raw)
+            return bool(struct.unpack('<' + self.code, struct.pack('<' + self.code, number))
+                        == (raw,))
+        except (struct.error, OverflowError):
+            return False
+
     def scaled(self, raw: Any) -> Any:
         """The value of a raw number, or of each number in a tuple; a text stays as it is."""
-        if isinstance(raw, str) or not self.is_scaled:
-            return raw
         if isinstance(raw, tuple):
-            return tuple([each * self.scale + self.offset for each in raw])
-        return raw * self.scale + self.offset
+            return tuple([self.scaled(each) for each in raw])
+        if raw == self.invalid:
+            return NO_VALUE
+        return raw if isinstance(raw, str) or not self.is_scaled else \
+            raw * self.scale + self.offset
 
     def packed(self, given: Any, order: str) -> bytes:
         """The data of a value, in the byte order '<' or '>'.
@@ -94,6 +108,8 @@ class Value(NamedTuple):
 
     def _raw(self, number: Any) -> Any:
         """The raw number that is nearest to a value."""
+        if number is NO_VALUE and self.invalid is not None:
+            return self.invalid if self.code in FRACTIONS else int(self.invalid)
         if not isinstance(number, (int, float)):
             raise TypeError
         if self.is_scaled:
@@ -107,7 +123,8 @@ class Value(NamedTuple):
     def why_implausible(self, given: Any) -> str:
         """Why a value, or one number of an array, is outside its limits; '' if it is not."""
         for number in given if isinstance(given, tuple) else (given,):
-            if not isinstance(number, str) and not self.minimum <= number <= self.maximum \
+            if not isinstance(number, str) and number is not NO_VALUE \
+                    and not self.minimum <= number <= self.maximum \
                     and (self.minimum > -inf or self.maximum < inf):
                 return f'{self.name} is {number:.6g}, {self._limits()}'
         return ''
@@ -152,7 +169,7 @@ class Layout:
         # Bytes of one more number or character in the last value; 0: the size is fixed.
         self._step = struct.calcsize(layout[0] + rest) if rest else 0
         self._scaled = [(index, value) for index, value in enumerate(self.values)
-                        if value.is_scaled]
+                        if value.is_scaled or value.invalid is not None]
         self._limited = [(index, value.minimum, value.maximum)
                          for index, value in enumerate(self.values) if value.kind != 'text'
                          and (value.minimum > -inf or value.maximum < inf)]
@@ -263,7 +280,8 @@ class Layout:
                                   unit=value.unit).cut_short(missing))
             else:
                 parts.append(Part(start, end, name, data[start:end], raw, given, value.unit,
-                                  error=value.why_implausible(given)))
+                                  'no value' if given is NO_VALUE else '',
+                                  value.why_implausible(given)))
         self._pad(parts, data, min(self.size, len(data)))
         at = parts[-1].end if parts else 0
         if at < len(data):
@@ -346,6 +364,8 @@ def _words(given: Any, unit: str) -> str:
         return repr(readable(given))
     if isinstance(given, tuple):
         words = '[' + ' '.join(_words(number, '') for number in given) + ']'
+    elif given is NO_VALUE:
+        return 'none'
     elif isinstance(given, bool):
         words = str(given).lower()
     else:

@@ -7,7 +7,7 @@ from typing import Any, Callable, Iterable, List, NamedTuple, Optional, Tuple
 
 from ..framing.announcement import Assembly, Chunk
 from ..framing.frame_timer import FrameTimer
-from ..framing.stream import CHECKSUM, FRAMING, Decoder, Frame
+from ..framing.stream import CHECKSUM, FRAMING, UNKNOWN, Decoder, Frame
 from ..transport import pace
 from ..transport.opener import Opener
 from ..transport.port import Port, PortError
@@ -19,6 +19,7 @@ from .unknown_bytes import OtherBoard, UnknownBytes
 OK, WARN, ERROR = 0, 1, 2      # as in diagnostic_msgs/DiagnosticStatus
 RX, TX = 0, 1                  # as in SerialMsg
 SILENCE = 1.0                  # s without a frame after which a board counts as silent
+_ANNOUNCING = 5.0              # s after the opening in which a board announces what it sends
 _SHUTDOWN_TIME = 0.5           # s within which bridge and simulated boards end if stopped together
 _AFTER_FAULT = 0.1             # s until the thread goes on after an unexpected error
 _OLD = object()                # the stamp of bytes that waited during a stall
@@ -70,6 +71,7 @@ class Link:
     # True: the link knows by itself which bytes are new after a stall. Else a network port, where
     # any number of old ones may wait, is then opened again.
     HAS_FENCES = False
+    PRINT_TO = 'another port'      # what a sketch should print to
 
     def __init__(self, name: str, port: Port, decoder: Decoder, frame_timeout: float = 0.05,
                  clock: Callable[[], Any] = time.time,
@@ -105,7 +107,7 @@ class Link:
         self._reported_errors = 0
         self._presence = PresenceLog(self.log)
         self._unknown_bytes = UnknownBytes(
-            other for other in other_boards if other.name != name)
+            (other for other in other_boards if other.name != name), self.PRINT_TO)
         self._opened_at = self._presence_at = 0.0    # monotonic
         self._stall = 0.0     # s; of the stall during which received bytes waited; 0.0: none
         self._dropped = 0     # of them
@@ -305,8 +307,8 @@ class Link:
         new_errors, self._reported_errors = errors - self._reported_errors, errors
         level, summary = self.condition(now)
         if level == OK and new_errors:
-            level, summary = WARN, (f'{new_errors} error{"s" if new_errors > 1 else ""} '
-                                    'in the last second')
+            level, summary = WARN, self._unknown_bytes.printed(now) or (
+                f'{new_errors} error{"s" if new_errors > 1 else ""} in the last second')
         counted = dict(self.decoder.errors)
         checksum = counted.pop(CHECKSUM, 0)
         framing = counted.pop(FRAMING)
@@ -421,7 +423,7 @@ class Link:
         now = time.monotonic()
         self.opened(now)
         self.last_byte_at = self._opened_at = self._presence_at = look_at = now
-        self._unknown_bytes.reset()
+        self._unknown_bytes.opened()
         self.drained = False
         timer = self._timer
         timer.reset()
@@ -514,8 +516,14 @@ class Link:
                 continue
             self.drained = False
             shown = self.shown(frame) if tap else frame
-            if frame.cause:
+            printed = '' if frame.message is not None else self._unknown_bytes.add(frame, now)
+            if self._may_be_announced(frame, now):
+                self.decoder.errors[UNKNOWN] -= 1
+            elif printed:
+                self.log.warn('text', printed)
+            elif frame.cause:
                 self.log.warn(frame.cause, f'{frame.cause}: {frame.error}: {frame.raw[:24].hex()}')
+            if frame.cause:
                 self.damaged(frame, now)
             else:
                 self.frames_received += 1
@@ -525,3 +533,8 @@ class Link:
                 self.received(frame, now)
             if tap:
                 self._guarded(tap, self.name, RX, shown)
+
+    def _may_be_announced(self, frame: Frame, now: float) -> bool:
+        """Whether a frame of an unknown type may have one that the board will announce."""
+        return frame.message is None and frame.cause in ('', UNKNOWN) \
+            and self.on_announcement is not None and now < self._opened_at + _ANNOUNCING

@@ -1,11 +1,19 @@
-"""Bytes that a link receives while no frame of its board is among them: what are they?"""
-from typing import Callable, Iterable, NamedTuple
+"""What a link receives that is no message of its board: what is it?"""
+import re
+from typing import Callable, Iterable, NamedTuple, Set
 
+from ..framing.layout import readable
 from ..framing.recognition import Recognition
-from ..framing.stream import Decoder
+from ..framing.stream import FRAMING, OVERSIZE, UNKNOWN, Decoder, Frame
 
 _ENOUGH = 32      # bytes; fewer may be noise on a line without a board
+_FRAMES = 3       # of unknown types; fewer may be noise on a line without checksums
 _PAUSE = 3.0      # s without a byte after which the bytes before no longer count
+_MOST_TYPES = 5   # that are named
+# What Serial.println and printf send, at the beginning of an invalid frame; long enough that noise
+# hardly ever looks like it.
+_CHARACTER = rb'(?:[\t -~]|[\xc2-\xf4][\x80-\xbf]{1,3})'
+_TEXT = re.compile(b'C+\r\n|C{8,}\n|C{24,}'.replace(b'C', _CHARACTER))
 
 
 class OtherBoard(NamedTuple):
@@ -18,21 +26,54 @@ class OtherBoard(NamedTuple):
 
 class UnknownBytes:
     """Counts the bytes since the last frame, and tries the decoders of other boards on them.
+    Recognises text, also between frames, and frames of types that nobody knows.
 
     Args:
         others: boards other than the link's own.
+        print_to: what a sketch should print to instead of the port.
     """
 
-    def __init__(self, others: Iterable[OtherBoard]) -> None:
+    def __init__(self, others: Iterable[OtherBoard], print_to: str = 'another port') -> None:
         self._others = {other.name: other for other in others}
+        self._print_to = print_to
+        self.opened()
+
+    def opened(self) -> None:
+        """The port was opened."""
+        self._may_be_cut = True     # the next invalid frame may have begun before
+        self._printed_at = float('-inf')     # when the latest text was received; monotonic
         self.reset()
 
     def reset(self) -> None:
-        """A frame was received, or the port was opened: begin anew."""
+        """A frame was received, or there was a pause: begin anew."""
         self.size = 0          # bytes
         self._last_at = 0.0    # when the latest of them was received; monotonic
+        self._types: Set[int] = set()    # of the frames of unknown types …
+        self._frames = 0                 # … their number …
+        self._surplus = 0                # … and their bytes, less those of invalid frames
         self._recognition = Recognition({
             other.name: other.decoder for other in self._others.values()})
+
+    def add(self, frame: Frame, now: float) -> str:
+        """Take a frame without a message; if the board prints it, return a line that says so."""
+        if frame.cause in ('', UNKNOWN):
+            self._types.add(frame.type)
+            self._frames += 1
+            self._surplus += len(frame.raw)
+            return ''
+        self._surplus -= len(frame.raw)
+        text = frame.cause in (FRAMING, OVERSIZE) and not self._may_be_cut \
+            and _TEXT.match(frame.raw)
+        self._may_be_cut = False
+        if not text:
+            return ''
+        self._printed_at = now
+        return f'{self.printed(now)}: {readable(text.group()[:60].decode("utf-8", "replace"))!r}'
+
+    def printed(self, now: float) -> str:
+        """That the board prints text, for people; '' if it does not now."""
+        return f'the sketch prints text to this port: use {self._print_to}' \
+            if now <= self._printed_at + _PAUSE else ''
 
     def take(self, data: bytes, now: float) -> None:
         """Count the bytes of one read, in which no frame was."""
@@ -44,11 +85,19 @@ class UnknownBytes:
 
     def meaning(self, baud: int, now: float) -> str:
         """What they are, for people; '' if too few bytes are received now."""
-        if self.size < _ENOUGH or now > self._last_at + _PAUSE:
+        if now > self._last_at + _PAUSE:
             return ''
         other = self._others.get(self._recognition.name)
         if other is None:
-            return (f'bytes come, but none is a frame of this board: another baud rate ({baud} is '
-                    'set), or another board')
+            printed = self.printed(now)
+            if printed:
+                return printed
+            if self._frames >= _FRAMES and self._surplus > 0:
+                types = ', '.join(map(str, sorted(self._types)[:_MOST_TYPES]))
+                return (f'messages come, but of unknown types ({types}): no row of the parameters, '
+                        'and none that the board announces, has them')
+            return '' if self.size < _ENOUGH else (
+                f'bytes come, but none is a frame of this board: another baud rate ({baud} is '
+                'set), or another board')
         return f"bytes come, but they are the {other.name}'s: " + (
             'are the two ports swapped?' if other.has_port else 'is this its port?')

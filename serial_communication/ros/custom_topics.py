@@ -86,7 +86,10 @@ def check_frame_id(custom: Any, found: Any) -> None:
 
 
 class ValuePublisher:
-    """Publishes tuples of values as messages of one ROS type, while the topic has subscribers."""
+    """Publishes tuples of values as messages of one ROS type, while the topic has subscribers.
+
+    A message is left out if one of its values is "no value" and its field cannot be NaN.
+    """
 
     def __init__(self, name: str, ros_class: Any, fields: RosFields, frame_id: str = '') -> None:
         self._lock = threading.Lock()     # held while a message is published or the topic closed
@@ -101,7 +104,7 @@ class ValuePublisher:
         """Publish a message with these values; do nothing once it is closed."""
         with self._lock:
             topic = self._topic
-            if topic is not None and wanted(topic):
+            if topic is not None and wanted(topic) and not self._fields.lacks(values):
                 if self._has_header:
                     self._message.header.stamp = stamp
                 topic.publish(self._fields.fill(self._message, values))

@@ -15,7 +15,7 @@ from typing import (Any, Callable, Dict, Iterable, List, NamedTuple, Optional, S
 import roslib.message
 
 from ..framing.custom_messages import RowError
-from ..framing.layout import FRACTIONS, Layout, Value
+from ..framing.layout import FRACTIONS, NO_VALUE, Layout, Value
 
 _CODES = {'bool': '?', 'int8': 'b', 'byte': 'b', 'uint8': 'B', 'char': 'B', 'int16': 'h',
           'uint16': 'H', 'int32': 'i', 'uint32': 'I', 'int64': 'q', 'uint64': 'Q',
@@ -113,6 +113,10 @@ class RosFields:
         self._filled: List[Tuple] = [
             (index, place.owner, place.last, isinstance(place.last, int), place.to_ros)
             for index, place in enumerate(self._places) if place]
+        # The values that may be "no value", in fields that cannot be NaN.
+        self.without_nan = [
+            index for index, (value, place) in enumerate(zip(layout.values, self._places))
+            if place and value.invalid is not None and place.code not in FRACTIONS]
 
     def narrowed(self, layout: Layout) -> Layout:
         """Return the layout; there, a value that its field cannot hold is implausible."""
@@ -135,6 +139,11 @@ class RosFields:
             else:
                 setattr(holder, place.last, value)
         return message
+
+    def lacks(self, values: Sequence) -> bool:
+        """Return whether one of the values is "no value" and its field cannot be NaN."""
+        return any(values[index] is NO_VALUE or isinstance(values[index], tuple)
+                   and NO_VALUE in values[index] for index in self.without_nan)
 
     def fill(self, message: Any, values: Sequence) -> Any:
         """Write the values into a message from `new`, and return it."""
@@ -266,7 +275,7 @@ class _NarrowedLayout(Layout):
             (f'{value.name} is {number:.6g}, which its ROS field cannot hold'
              for given, value, code in zip(values, self.values, self._codes) if code
              for number in (given if isinstance(given, tuple) else (given,))
-             if not _holds(code, number)), '')
+             if number is not NO_VALUE and not _holds(code, number)), '')
 
 
 def _holds_all(code: str, value: Value) -> bool:

@@ -1,6 +1,7 @@
 """Custom messages that simulated boards send and announce, and values for replies to functions.
 
-Values oscillate between their minimum and maximum, or between -100 and 100 without limits.
+Values oscillate between their minimum and maximum, or between -100 and 100 without limits. One
+that may be "no value" is that for one second in ten.
 """
 import argparse
 import math
@@ -11,7 +12,7 @@ from ..boards.description import Description
 from ..framing.announced_text import announcement_text
 from ..framing.announcement import chunks_of
 from ..framing.custom_messages import CustomMessage
-from ..framing.layout import Layout, Value
+from ..framing.layout import NO_VALUE, Layout, Value
 from ..transport.pace import Every
 
 PERIOD = 0.1      # s between two messages of a kind
@@ -19,6 +20,7 @@ CHUNK = 60        # bytes of text in a chunk of an announcement
 _OFTEN, _OFTEN_FOR, _SELDOM = 0.1, 3.0, 1.0     # s between two chunks: at first, how long, later
 _UNLIMITED = 100.0     # the maximum of a value that has none
 _OSCILLATION = 10.0    # s; period of a value
+_NO_VALUE_FOR = 1.0    # s of each period
 
 
 class ConfiguredRows(list):
@@ -121,6 +123,8 @@ def simulated_values(layout: Layout, now: float) -> Tuple:
 
 
 def _number(value: Value, index: int, now: float) -> float:
+    if value.invalid is not None and now % _OSCILLATION < _NO_VALUE_FOR:
+        return NO_VALUE
     least, most = value.range
     low, high = value.minimum, value.maximum
     if math.isinf(low):

@@ -567,6 +567,21 @@ def test_sensor_that_times_out(sensors, fault):
     board.wait_until(lambda: sensors.next()[0][2] == 333, 3)
 
 
+@pytest.mark.parametrize('code', [1, 2, 3])
+def test_a_range_sensor_with_a_fault_is_reset(sensors, code):
+    board = sensors.board
+    board.set('range1_error', code)
+    board.wait_until(lambda: sensors.next()[0][1] == 0xFFFF, 1)
+    assert sensors.next()[0][2] == 800
+    board.wait_until(lambda: sensors.next()[0][1] == 800, 3)
+    assert board.get('range1_error') == 0    # only a reset ends it
+
+
+def test_a_range_without_a_target_is_no_fault(sensors):
+    sensors.board.set('range1_error', 4)
+    assert {frame[1] for frame in sensors.next(40)} == {800}
+
+
 KNOWN, UNKNOWN = (-1225, 3300), (-32768, -32768)    # pitch and roll
 
 
@@ -587,6 +602,18 @@ def test_angles_are_unknown_while_the_bno055_is_gone(sensors):
 
     board.wait_until(known, 3)
     assert {frame[4:] for frame in frames} <= {KNOWN, UNKNOWN}
+
+
+def test_a_bno055_with_a_system_error_is_reset(sensors):
+    board = sensors.board
+    board.set('pitch', -12.25)
+    board.set('roll', 33)
+    board.wait_until(lambda: sensors.next()[0][4:] == KNOWN, 3)
+    board.set('bno055_error', 1)
+    board.wait_until(lambda: sensors.next()[0][4:] == UNKNOWN, 1)
+    assert sensors.next()[0][1:3] == (800, 800)
+    board.wait_until(lambda: sensors.next()[0][4:] == KNOWN, 4)
+    assert board.get('bno055_error') == 0    # only a reset ends it
 
 
 def test_angles_are_unknown_from_the_start(sensors):

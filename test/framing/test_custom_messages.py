@@ -1,5 +1,6 @@
 """Custom messages: from a row of parameters to bytes and back, and every mistake in a row."""
 import math
+import struct
 import tracemalloc
 
 import pytest
@@ -142,6 +143,35 @@ def test_limits_hold_for_each_number_of_an_array():
     kind = message('<B*', ['ranges'], maximum=9)
     assert received(kind, b'\1\x09')[1] == {}
     assert received(kind, b'\1\x0a')[1] == {IMPLAUSIBLE: 1}
+
+
+@pytest.mark.parametrize('layout, invalid, data, text', [
+    ('<H', 65535, 'ffff', 'a=none'), ('<H', 65535, 'feff', 'a=65.534'),
+    ('>h', -1, 'ffff', 'a=none'), ('<?', 1, '01', 'a=none'), ('<Q', 2**64 - 1, 'ff' * 8, 'a=none'),
+    ('<f', -1, '000080bf', 'a=none'), ('<f', math.inf, '0000807f', 'a=none'),
+    ('<hs', [-1, ''], 'ffff6f6b', "a=none b='ok'"),
+    ('<hh', [-1, ''], 'ffffffff', 'a=none b=-0.001'), ('<Bh', 300, '2c2c01', 'a=0.044 b=none'),
+    ('<H*', 65535, '0100ffff', 'a=[0.001 none]')])
+def test_a_raw_number_may_mean_no_value(layout, invalid, data, text):
+    fields = ['a', 'b'][:len(layout.rstrip('*')) - 1]
+    kind = message(layout, fields, invalid=invalid, scale=0.001)
+    got, errors = received(kind, bytes.fromhex(data))
+    assert str(got) == f'name {text}' and not errors
+    assert got.pack() == bytes.fromhex(data), 'a simulated board sends it'
+    for part in kind.parts(bytes.fromhex(data))[:1]:
+        assert part.meaning == ('no value' if 'a=none' in text else '')
+
+
+def test_no_value_is_not_implausible_but_nan_is():
+    kind = message('<HfB*', ['a', 'b', 'c'], invalid=[65535, -1, 255], minimum=0,
+                   maximum=[100, 1.5, 9])
+    data = b'\xff\xff' + struct.pack('<f', -1) + b'\5\xff'
+    got, errors = received(kind, data)
+    assert [math.isnan(number) for number in (got[0], got[1], *got[2])] == [
+        True, True, False, True] and not errors
+    assert not any(part.error for part in kind.parts(data))
+    assert received(kind, b'\xff\xff' + struct.pack('<f', math.nan))[1] == {IMPLAUSIBLE: 1}
+    assert received(kind, b'\xfe\xff' + struct.pack('<f', -1))[1] == {IMPLAUSIBLE: 1}
 
 
 def test_nan_is_implausible_where_there_are_limits():
@@ -289,6 +319,23 @@ def test_custom_functions_are_explained_by_name():
     (FORCE, {'maximum': 10**400}, 'maximum', 'may be a number'),
     (FORCE, {'frame_id': ['x'] * 10**5}, 'frame_id', '… (list), may be text'),
     (FORCE, {'frame\nid': 'x'}, 'frame\ufffdid', 'did you mean frame_id?'),
+    (FORCE, {'invalid': 'none'}, 'invalid', "is 'none' (str), may be a number, or a list of 1"),
+    (FORCE, {'invalid': ''}, 'invalid', 'may be a number, or a list of 1'),
+    (FORCE, {'invalid': True}, 'invalid', 'may be a number, or a list of 1'),
+    (FORCE, {'invalid': float('nan')}, 'invalid', 'may be a number, or a list of 1'),
+    (FORCE, {'invalid': [1, 2]}, 'invalid', 'or a list of 1 with a number or an empty text'),
+    (FORCE, {'invalid': 40000}, 'invalid', 'is 40000 (int), may be a raw number that its'),
+    (FORCE, {'invalid': 0.5}, 'invalid', 'may be a raw number that its place (h) can hold exactly'),
+    (FORCE, {'invalid': 10**400}, 'invalid', 'may be a number'),
+    (FORCE, {'layout': '<f', 'invalid': 0.1}, 'invalid', 'its place (f) can hold exactly'),
+    (FORCE, {'layout': '<f', 'invalid': 1e39}, 'invalid', 'its place (f) can hold exactly'),
+    (FORCE, {'layout': '<Bh', 'fields': ['a', 'b'], 'maximum': None, 'scale': 1,
+             'invalid': [300, 300]}, 'invalid', 'its place (B) can hold exactly'),
+    (FORCE, {'layout': '<s', 'minimum': None, 'maximum': None, 'invalid': 5}, 'invalid',
+     'its place (s)'),
+    (FORCE, {'invalid': -1, 'direction': 'to_board'}, 'invalid', 'beside direction: to_board'),
+    (PUMP, {'request': {'layout': '<h', 'fields': ['data'], 'invalid': 1}}, 'request/invalid',
+     'has no meaning beside a request'),
     (PUMP, {'srv_type': ''}, 'srv_type', 'a service type, as std_srvs/Trigger'),
     (PUMP, {'srv_type': 'std_srvs'}, 'srv_type', 'a service type, as std_srvs/Trigger'),
     (PUMP, {'srv_type': None, 'ros_type': '', 'period': 1, 'request': None}, 'ros_type',

@@ -43,7 +43,7 @@ def part(draw, paths):
     found['fields'] = draw(st.permutations((*paths, '', '', '')))[:count]
     if draw(st.integers(0, 4)) == 0:
         found['fields'] = draw(st.lists(st.one_of(ODD_PATHS, st.sampled_from(paths)), max_size=3))
-    for key in 'scale', 'offset', 'minimum', 'maximum':
+    for key in 'scale', 'offset', 'minimum', 'maximum', 'invalid':
         if draw(st.integers(0, 3)) == 0:
             found[key] = draw(st.one_of(NUMBERS, st.lists(NUMBERS, min_size=count, max_size=count)))
     return found
@@ -95,7 +95,7 @@ def test_any_row_is_accepted_or_refused_with_one_line(case, data):
             values = layout.unpack(received)
             layout.text(values)
             layout.parts(received)
-            if not is_command and not layout.implausible(values):
+            if not is_command and not layout.implausible(values) and not fields.lacks(values):
                 fields.fill(message, values).serialize(BytesIO())
     back = layout if rows_of == 'messages' else custom.request
     source = fields if rows_of == 'messages' else accepted.request

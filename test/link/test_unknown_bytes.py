@@ -1,5 +1,6 @@
 """A link on the wrong port, or with a wrong baud rate: bytes are received, but no frame."""
 import logging
+import random
 import time
 from functools import partial
 
@@ -12,7 +13,8 @@ from serial_communication.boards.arduino.link import ArduinoLink
 from serial_communication.boards.bus.link import BusLink
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.mcu.link import McuLink
-from serial_communication.link.link import ERROR, WARN
+from serial_communication.framing.stream import FRAMING, invalid_frame
+from serial_communication.link.link import ERROR, RX, WARN
 from serial_communication.link.unknown_bytes import OtherBoard, UnknownBytes
 from serial_communication.transport.port import Port
 
@@ -74,6 +76,86 @@ def test_frames_of_an_unknown_type_do_not_hide_that_the_bytes_are_anothers(line,
     until(lambda: line.write(TICKS + unknown + TICKS) or time.sleep(0.01) or
           link.condition(time.monotonic())[1] == 'open, ' + SWAPPED.format('arduino'))
     assert link.last_frame_at is not None
+
+
+@pytest.mark.parametrize('kind, data, text, instead', [
+    # Serial.println between packets breaks the packet after it.
+    (ArduinoLink, b'speed 7\r\n' + TICKS, 'speed 7', 'bridge.log'),
+    (ArduinoLink, b'7\r\n' + arduino.encode(arduino.Ticks(3)), '7', 'bridge.log'),
+    (ArduinoLink, b'speed 7\r\n', 'speed 7', 'bridge.log'),
+    (ArduinoLink, 'it is 21 °C in here\n'.encode() + TICKS, 'it is 21 °C in here', 'bridge.log'),
+    (McuLink, STATUS + b'distance: 7\n', 'distance: 7', 'another port'),
+    (McuLink, b'a text of any length, without an end ', 'a text of any length', 'another port'),
+    (BusLink, b'pump on\r\n', 'pump on', 'another port')])
+def test_a_sketch_that_prints_text_is_told(line, link_of, lines, kind, data, text, instead):
+    link = link_of(kind)
+    words = f'the sketch prints text to this port: use {instead}'
+    until(lambda: line.write(data) or time.sleep(0.1) or any(
+        each.startswith(f"{link.name}: {words}: '{text}") for each in lines('the sketch prints')),
+          'it is logged')
+    until(lambda: line.write(data) or time.sleep(0.1)
+          or words in link.report(time.monotonic()).summary, 'it is reported')
+    assert link.decoder.errors['framing'] > 0 and not lines('another baud rate')
+
+
+def test_a_frame_that_the_opening_cut_is_no_text(line, link_of, lines):
+    """An announcement is text; the port may be opened while one of its chunks is sent."""
+    link = link_of(ArduinoLink)
+    until(lambda: link.port.is_open)
+    line.write(b"uino/UInt16, layout: '<H', fields: [data]}\nlamp: {type: 33\0" + TICKS)
+    until(lambda: link.frames_received == 2)
+    assert link.decoder.errors['framing'] == 1 and not lines('prints text')
+    # Neither is a message with a text, or damage inside a chunk.
+    line.write(arduino.encode_raw(77, b'a text of any length, which is a value') + b'\x30' + TICKS)
+    until(lambda: lines('unknown type') and link.frames_received == 3)
+    assert not lines('prints text')
+
+
+def test_random_bytes_are_no_text():
+    unknown = UnknownBytes([])
+    source = random.Random(7)
+    noise = (source.getrandbits(8 * 40).to_bytes(40, 'little') for _ in range(100000))
+    assert sum(bool(unknown.add(invalid_frame(raw, FRAMING, ''), 1.0)) for raw in noise) <= 10
+
+
+@pytest.mark.parametrize('kind, data, types', [
+    (ArduinoLink, arduino.encode_raw(40, b'\1\2') + arduino.encode_raw(41, b''), '40, 41'),
+    (ArduinoLink, b'\x30\0' + arduino.encode_raw(40, b'\1' * 20), '40'),
+    (McuLink, mcu.encode_raw(0x20, 0, b'\1'), '32')])
+def test_types_that_nobody_knows_are_not_another_baud_rate(line, link_of, lines, kind, data, types):
+    link = link_of(kind)
+    words = (f'messages come, but of unknown types ({types}): no row of the parameters, and none '
+             'that the board announces, has them')
+    until(lambda: line.write(data) or time.sleep(0.02) or lines(words), 'it is logged')
+    assert link.condition(time.monotonic()) == (WARN, f'open, {words}')
+    assert not lines('another baud rate') and not lines('the board is silent')
+
+
+@pytest.mark.parametrize('kind, data', [
+    (ArduinoLink, arduino.encode_raw(40, b'\1\2')), (McuLink, mcu.encode_raw(0x20, 0, b'\1'))])
+def test_types_that_the_board_may_still_announce_are_no_errors(
+        line, logger, running, lines, kind, data):
+    link = kind(Port(line.path), logger=logger)
+    link.on_announcement = lambda text: None
+    taken = []
+    link.tap = lambda name, direction, frame: direction == RX and taken.append(frame)
+    began = time.monotonic()
+    running(link)
+    until(lambda: link.port.is_open)
+    line.write(data)
+    until(lambda: taken)
+    if time.monotonic() < began + 4:
+        assert link.error_count() == 0 and not lines('unknown type')
+    until(lambda: line.write(data) or time.sleep(0.05) or link.error_count(), 'it is counted')
+    assert time.monotonic() >= began + 5
+    assert link.decoder.errors['unknown type'] == link.error_count()
+
+
+def test_without_announcements_an_unknown_type_is_an_error_at_once(line, link_of):
+    link = link_of(ArduinoLink)
+    until(lambda: link.port.is_open)
+    line.write(arduino.encode_raw(40, b''))
+    until(lambda: link.decoder.errors['unknown type'] == 1)
 
 
 def test_a_few_bytes_of_noise_are_silence(line, link_of):

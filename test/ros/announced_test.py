@@ -316,13 +316,14 @@ class AnnouncedTest(unittest.TestCase):
     # -- the other boards --------------------------------------------------------------------------
 
     def test_the_sensor_board_announces_too(self):
-        text = FIRMWARE.replace('nano_car', 'esp') + LEVEL
+        text = FIRMWARE.replace('nano_car', 'esp') + LEVEL.replace('}', ', invalid: 65535}')
         line = self.announce(text, self.sensors)
         self.assertEqual(line, 'mcu: announces level (firmware esp 1.1.0)')
         level = Topic('/mcu/level', UInt16)
         self.addCleanup(level.close)
-        level.first(lambda message: message.data == 300, lambda: self.sensors.write(
-            mcu.encode_raw(33, 0, struct.pack('<H', 300))))
+        level.first(doing=lambda: self.sensors.write(       # 65535 is no value
+            mcu.encode_raw(33, 0, b'\xff\xff') + mcu.encode_raw(33, 1, struct.pack('<H', 300))))
+        self.assertEqual(level.messages[0].data, 300)
         self.assertEqual(set(self.parameter('mcu')), {'level'})
         self.assertEqual(bytes(self.sensors.wire), b'')
 

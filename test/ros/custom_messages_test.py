@@ -3,6 +3,7 @@
 values on both sides of real ttys, and every mistake that only ROS can reveal."""
 import contextlib
 import io
+import math
 import os
 import socket
 import struct
@@ -21,7 +22,8 @@ from geometry_msgs.msg import Vector3
 from roscpp.srv import GetLoggers
 from sensor_msgs.msg import (BatteryState, CameraInfo, FluidPressure, JointState, MagneticField,
                              Range)
-from std_msgs.msg import Bool, Float32, Int16MultiArray, String, UInt8MultiArray, UInt16MultiArray
+from std_msgs.msg import (Bool, Float32, Int16MultiArray, String, UInt8MultiArray, UInt16,
+                          UInt16MultiArray)
 from std_srvs.srv import SetBool, Trigger
 
 from boards import (NOT_SENT, PACKAGE, PATIENCE, TIMEOUT, BusBoard, CarBoard, Diagnostics, Rosout,
@@ -214,6 +216,15 @@ class FromTheCar(unittest.TestCase):
                         doing=lambda n=number: CAR.write(packet(206, struct.pack('<f', n))))
         self.assertIs(truth.messages[0].data, False)    # nothing else was published before
 
+    def test_a_message_without_a_value_is_left_out_where_the_field_cannot_be_nan(self):
+        topic, frames = Topic(OWN + 'revolutions', UInt16), Topic('/serial_msg', SerialMsg)
+        for each in topic, frames:
+            self.addCleanup(each.close)
+        frames.first(lambda m: (m.text, m.error) == ('revolutions data=none', ''),
+                     doing=lambda: CAR.write(packet(210, b'\xff\xff')))
+        topic.first(doing=lambda: CAR.write(packet(210, b'\5\0')))
+        self.assertEqual(topic.messages[0].data, 5)
+
     def test_a_row_may_have_the_name_of_a_python_keyword(self):
         self.first('class', Bool, 207, b'\1', lambda m: m.data is True)
 
@@ -290,6 +301,8 @@ class FromTheSensors(unittest.TestCase):
         self.assertEqual((message.header.frame_id, message.radiation_type),
                          ('robot/cliff', Range.INFRARED))
         self.assertAlmostEqual(message.field_of_view, 0.44, 6)
+        topic.first(lambda m: math.isnan(m.range), what='no value', doing=lambda: SENSORS.write(
+            mcu.encode_raw(0x20, next(seqs) % 256, b'\xff\xff')))
         frames = Topic('/serial_msg', SerialMsg)
         self.addCleanup(frames.close)
         for data, error in ((b'\1\0\0', 'length: cliff frame with 3 bytes of data where 2 is'),
@@ -580,6 +593,8 @@ class Mistakes(unittest.TestCase):
                 ({'srv_type': 'std_srvs/SetBol'}, '/srv_type', 'did you mean std_srvs/SetBool?'),
                 ({'request': {'layout': '<?', 'fields': ['dat']}}, '/request/fields',
                  'std_srvs/SetBoolRequest has no field dat; did you mean data?'),
+                ({'reply': {'layout': '<?', 'fields': ['success'], 'invalid': 1}},
+                 '/reply/invalid', 'needs a float field, but success is none, and a response'),
                 ({'reply': {'layout': '<?', 'fields': ['data']}}, '/reply/fields',
                  'std_srvs/SetBoolResponse has no field data')):
             with self.subTest(said):

@@ -143,10 +143,16 @@ class DiagnosticsTest(unittest.TestCase):
         self.assertEqual(after.level, OK)
 
     def test_an_unknown_type_with_a_valid_checksum_is_counted(self):
-        before = self.fresh('mcu', lambda s: s.level == OK, 'OK')
         board = BOARDS['mcu']
-        board.write(mcu.encode_raw(0x55, board.seq, b'\x01'))
-        board.seq = (board.seq + 1) % 256
+
+        def send():
+            board.write(mcu.encode_raw(0x55, board.seq, b'\x01'))
+            board.seq = (board.seq + 1) % 256
+        # In the first 5 s of a connection the board may still announce the type.
+        self.diagnostics.wait_for('mcu', lambda s: number(s, 'unknown type errors'),
+                                  'an unknown type', doing=send)
+        before = self.fresh('mcu', lambda s: s.level == OK, 'OK')
+        send()
         self.fresh('mcu', lambda s: number(s, 'unknown type errors')
                    == number(before, 'unknown type errors') + 1, 'an unknown type')
 

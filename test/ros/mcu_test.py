@@ -7,7 +7,7 @@ import rospy
 import rostest
 from sensor_msgs.msg import Imu, Range
 
-from boards import PACKAGE, SensorBoard, Topic, ranges, stamped, until, values_of
+from boards import PACKAGE, Rosout, SensorBoard, Topic, ranges, stamped, until, values_of
 from serial_communication.msg import McuStatus, McuStatus2
 from serial_communication.boards.mcu import wire as mcu
 
@@ -80,6 +80,14 @@ class Frames(McuTest):
     def test_a_timeout_of_the_other_sensor_makes_it_invalid_too(self):
         status = self.first('status', McuStatus2, ranges(100, 0xFFFF), lambda m: m.vl53_1 == 100)
         self.assertFalse(status.valid)
+
+    def test_values_that_are_missing_and_back_are_logged(self):
+        rosout = Rosout()
+        self.addCleanup(rosout.close)
+
+        for first, said in ((0xFFFF, 'mcu: no value of range 1: the board starts such a sensor'),
+                            (700, 'mcu: all sensors have values again')):
+            rosout.wait_for(PACKAGE, said, doing=lambda first=first: self.board.say(ranges(first)))
 
     def test_unknown_angles_are_nan_and_no_imu_message(self):
         unknown = mcu.SensorStatus(123, 200, nan, nan, nan)

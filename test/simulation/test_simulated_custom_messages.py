@@ -59,6 +59,16 @@ def test_simulated_values_cover_their_range_and_stay_in_it(values, range_of):
     assert max(numbers) - min(numbers) >= 0.9 * (range_of[1] - range_of[0])
 
 
+def test_no_value_is_played_sometimes():
+    custom, = custom_messages({'any': dict(type=99, ros_type='a/B', layout='<Hh*', minimum=0,
+                                           fields=['a', 'b'], maximum=9, invalid=[65535, -1])})
+    layout = custom.kind.LAYOUT
+    texts = [layout.text(layout.unpack(layout.pack(simulated_values(layout, tick / 10))))
+             for tick in range(100)]
+    assert sum('a=none' in text for text in texts) == 10
+    assert sum(text.partition('b=')[2].count('none') for text in texts) == 4 * 10
+
+
 def test_a_simulated_text_is_cut_to_its_place():
     custom, = custom_messages({'any': dict(type=99, ros_type='a/B', layout='<3s2xs',
                                            fields=['a', 'b'])})

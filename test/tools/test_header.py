@@ -1,4 +1,5 @@
 """The program `header`: what it makes compiles, and a struct has the bytes that a decoder reads."""
+import math
 import os
 import struct
 import subprocess
@@ -78,6 +79,21 @@ def test_structs_of_the_examples_have_the_bytes_that_the_decoder_reads(tmp_path)
         "firmware_version data='1.2.3'", 'bumper data=true',
         'joints position[0]=-3.14159 position[1]=3.14159']
     assert lines[len(names):] == ['48', '0.1', '-100', '-3.14159']
+
+
+def test_a_struct_has_the_raw_number_that_means_no_value(tmp_path):
+    """So that the sketch and the row cannot differ; in C++ of the right type, at every limit."""
+    numbers = {'H': 65535, 'b': -128, 'q': -2**63, 'Q': 2**64 - 1, 'i': -2**31, 'f': -1.5,
+               'd': math.inf, 'e': -1.5, '?': 0}
+    path = configuration(tmp_path, {f'row_{index}': {
+        'type': 20 + index, 'ros_type': 'std_msgs/Float32', 'layout': '>' + code,
+        'fields': ['data'], 'invalid': number} for index, (code, number) in enumerate(
+            numbers.items())})
+    lines = output(tmp_path, made(path), ''.join(
+        f'    Row{index} row{index};\n    row{index}.data = Row{index}::data_invalid();\n'
+        f'    show(row{index});\n' for index in range(len(numbers))))
+    assert lines == [struct.pack('>' + code, number).hex() for code, number in numbers.items()]
+    assert '65535 raw: no value' in made(path)
 
 
 def test_a_struct_reads_what_the_bridge_sends(tmp_path):

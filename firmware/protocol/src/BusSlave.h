@@ -1,5 +1,7 @@
 // A Slave on the robot-ctrl-bus (`bus`): calls a function for each request, and sends the reply.
 //
+// The port belongs to it: Serial.print breaks replies. Print to another port.
+//
 //   BusSlave bus(Serial);
 //   BusResult pump(const Pump& pump) { …; return BusResult::ok(); }
 //   BusResult tank() { …; return BusResult::ok(tank); }       // a packed struct

@@ -1,5 +1,7 @@
 // A sensor board's link to the bridge (`mcu`): sends frames, and receives nothing.
 //
+// The port belongs to it: what Serial.print sends there is counted as errors. Print to another port.
+//
 //   FrameLink bridge(Serial);
 //   bridge.send(0x20, value);      // a packed struct
 //   bridge.update();               // in loop(), often, where the board announces its rows

@@ -1,5 +1,7 @@
 // A board's link to the bridge (`arduino`): sends packets, and calls a function for each that it receives.
 //
+// The port belongs to it: Serial.print breaks the packet that follows. bridge.log("text") is in the bridge's log.
+//
 //   PacketLink bridge(Serial);
 //   bridge.on<Lamp>(33, handle_lamp);      // in setup(), after Serial.begin(115200)
 //   bridge.update();                       // in loop(), often
@@ -73,6 +75,8 @@ class PacketLink : public PacketSender<StreamSink> {
   }
 
   // A line in the bridge's log.
+  bool log(const char* text) { return info(text); }
+  bool log(const __FlashStringHelper* text) { return info(text); }
   bool info(const char* text) { return send_text(MessageType::Info, text); }
   bool warn(const char* text) { return send_text(MessageType::Warn, text); }
   bool error(const char* text) { return send_text(MessageType::Error, text); }

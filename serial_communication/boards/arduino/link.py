@@ -54,6 +54,7 @@ class ArduinoLink(Link):
     """
 
     STOPS_FIRST = True
+    PRINT_TO = 'bridge.log'     # of the library's PacketLink
 
     def __init__(self, port: Port, settings: ArduinoSettings = ArduinoSettings(),
                  on_message: Optional[Callable[[Any, Any], None]] = None,

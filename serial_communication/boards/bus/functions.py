@@ -117,6 +117,8 @@ def _layout(row: Row, key: str, only_zeros: bool = False) -> Layout:
         return wire.NO_DATA
     inner = Row(row.name(key), row.given[key], LAYOUT_KEYS)
     layout, values = inner.layout(wire.MAX_LENGTH)
+    if key == 'request':
+        inner.refuse_unused(['invalid'], 'a request, which is sent to the board')
     if only_zeros and any(value.name for value in values):
         raise RowError(inner.name('fields'), inner.given['fields'], 'may be empty texts only: '
                        'a polled request has no message to take values from')

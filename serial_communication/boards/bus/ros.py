@@ -10,6 +10,7 @@ from serial_communication.srv import (BusRequest, BusRequestResponse, GetEnviron
                                       GetEnvironmentResponse, Gimbal, GimbalResponse, Lift,
                                       LiftResponse)
 
+from ...framing.custom_messages import RowError
 from ...link.link import Refused
 from ...link.outcome import NOT_SENT, Outcome
 from ...ros.announced import AnnouncedRows
@@ -150,6 +151,9 @@ def _ros_function(function: CustomFunction) -> RosFunction:
         found = find_type(f'{key}/srv_type', function.srv_type, 'srv')
         request = RosFields(found._request_class, function.request, f'{key}/request/fields')
         reply = RosFields(found._response_class, function.reply, f'{key}/reply/fields')
+        for value in map(function.reply.values.__getitem__, reply.without_nan):
+            raise RowError(f'{key}/reply/invalid', value.invalid, f'needs a float field, but '
+                           f'{value.name} is none, and a response cannot be left out')
     else:
         found = find_type(f'{key}/ros_type', function.ros_type)
         check_frame_id(function, found)

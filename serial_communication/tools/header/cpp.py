@@ -5,10 +5,11 @@ nothing but <stdint.h> and <string.h>, so it also works without the library of t
 """
 import math
 import re
+import struct
 from typing import Any, Dict, Iterable, List, Set, Tuple
 
 from ...framing.announced_text import announcement_text
-from ...framing.layout import Layout, Value
+from ...framing.layout import FRACTIONS, Layout, Value
 
 _TYPES = {'b': 'int8_t', 'B': 'uint8_t', 'h': 'int16_t', 'H': 'uint16_t', 'i': 'int32_t',
           'I': 'uint32_t', 'l': 'int32_t', 'L': 'uint32_t', 'q': 'int64_t', 'Q': 'uint64_t',
@@ -183,6 +184,8 @@ def _comment(value: Value) -> str:
             f' {"+-"[value.offset < 0]} {abs(value.offset):.10g}' if value.offset else ''))
     if not value.name:
         words.append('the bridge leaves it out')
+    if value.invalid is not None:
+        words.append(f'{value.invalid:.10g} raw: no value')
     low, high = value.minimum, value.maximum
     if low > -math.inf or high < math.inf:
         words.append(f'at least {low:.10g}' if high == math.inf else f'at most {high:.10g}'
@@ -191,12 +194,30 @@ def _comment(value: Value) -> str:
 
 
 def _constants(value: Value, name: str) -> List[str]:
-    """Functions with a value's scale, offset and limits; not constants, which need a definition."""
+    """Functions with a value's scale, offset, limits and "no value"; not constants, which need a
+    definition."""
     given = (('scale', value.scale, 1), ('offset', value.offset, 0),
              ('minimum', value.minimum, -math.inf), ('maximum', value.maximum, math.inf))
-    return [f'  static constexpr float {name}_{what}() {{ return {float(number)!r}f; }}'
-            for what, number, default in given
-            if value.name and number != default and abs(number) < _LARGEST_FLOAT]
+    constants = [f'  static constexpr float {name}_{what}() {{ return {float(number)!r}f; }}'
+                 for what, number, default in given
+                 if value.name and number != default and abs(number) < _LARGEST_FLOAT]
+    if value.invalid is not None:
+        constants.append(f'  static constexpr {_TYPES[value.code]} {name}_invalid() '
+                         f'{{ return {_raw(value.invalid, value.code)}; }}')
+    return constants
+
+
+def _raw(number: float, code: str) -> str:
+    """A raw number in C++."""
+    if code == 'e':
+        number, = struct.unpack('<H', struct.pack('<e', number))
+    elif code in FRACTIONS:
+        sign = '-' * (number < 0)
+        return f'{sign}__builtin_inf()' if math.isinf(number) else \
+            f'{float(number)!r}' + 'f' * (code == 'f')
+    # The literal 9223372036854775808 is too great for a signed type.
+    return '-9223372036854775807 - 1' if number == -2 ** 63 else \
+        f'{int(number)}' + 'u' * (number >= 2 ** 63)
 
 
 def _announcement(rows: Dict[str, Any]) -> str:

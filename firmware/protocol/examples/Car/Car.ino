@@ -1,7 +1,7 @@
 // A model car on an AVR: the built-in commands and measurements, and a motor that stops when the bridge
 // ends. No rows are needed. On the computer: ~speed, ~steering, ~led, ~ticks, ~voltage, ~steering_angle.
 //
-// firmware/nano_car is a whole car.
+// firmware/nano_car is a whole car. Use bridge.log("text"), not Serial.print, which breaks the packet that follows.
 
 #include <PacketLink.h>
 #include <util/atomic.h>

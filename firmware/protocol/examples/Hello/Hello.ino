@@ -1,5 +1,5 @@
-// Sends one value and takes one command: any AVR or ESP32. (HelloESP32: where there is no LED_BUILTIN.)
-// It announces both, so that the bridge needs no file: `rostopic list` has light and lamp.
+// Sends one value and takes one command, and announces both: `rostopic list` has light and lamp. Any AVR or ESP32.
+// Use bridge.log("text"), not Serial.print, which breaks the packet that follows. (HelloESP32: no LED_BUILTIN.)
 
 #include <PacketLink.h>
 

@@ -1,7 +1,8 @@
 // Hello on an ESP32. For the bridge this board is the `arduino`, not the `mcu`:
 // sketch and link must have the same protocol, and that of the `mcu` only sends.
 //
-// The bootloader of an ESP32 prints text; after a reset the bridge counts some errors.
+// The port belongs to the bridge: use bridge.log("text"), not Serial.print, which breaks the packet that follows.
+// The bootloader of an ESP32 prints text, too; after a reset the bridge counts some errors, and says so.
 
 #include <PacketLink.h>
 

@@ -1,5 +1,7 @@
 // A sensor board, which only sends: the status of its range sensors and its IMU, and a custom value, which it
 // announces. Any AVR or ESP32. On the computer: mcu/status and the like, and mcu/cliff.
+//
+// The port belongs to the bridge: do not Serial.print to it.
 
 #include <FrameLink.h>
 

@@ -9,13 +9,20 @@
 
 #define HIGH 1
 #define LOW 0
+#define INPUT 1
 #define OUTPUT 3
+#define INPUT_PULLUP 5
+#define OUTPUT_OPEN_DRAIN 0x13
+typedef bool boolean;
 #define LED_BUILTIN 2
 const uint8_t A0 = 36;
 const uint8_t A1 = 37;
 
 unsigned long millis();
 void delay(uint32_t ms);
+void delayMicroseconds(uint32_t us);
+int digitalRead(uint8_t pin);
+void enableLoopWDT();
 void pinMode(uint8_t pin, uint8_t mode);
 void digitalWrite(uint8_t pin, uint8_t level);
 uint16_t analogRead(uint8_t pin);

@@ -1,4 +1,5 @@
-// The signatures of Pololu's library that the sensor board uses; there is nothing behind them.
+// The signatures of Pololu's library that the sensor board uses. esp32_sensor_board.cpp has the least behind them;
+// it also runs with the library itself.
 
 #ifndef STUB_VL53L0X_H
 #define STUB_VL53L0X_H
@@ -7,7 +8,7 @@
 
 class VL53L0X {
  public:
-  enum regAddr { RESULT_INTERRUPT_STATUS = 0x13 };
+  enum regAddr { RESULT_INTERRUPT_STATUS = 0x13, RESULT_RANGE_STATUS = 0x14 };
 
   uint8_t last_status;  // of the last I2C transmission
 

@@ -1,4 +1,5 @@
-// The signatures of the ESP32's Wire library that the sensor board uses; there is nothing behind them.
+// The signatures of the ESP32's Wire library that the sensor board uses; there is nothing behind them
+// but what a test defines.
 
 #ifndef STUB_WIRE_H
 #define STUB_WIRE_H

@@ -1,0 +1,36 @@
+"""The protocol headers on an emulated Xtensa processor, as in an ESP32: as on the PC."""
+import os
+import shutil
+import subprocess
+
+import pytest
+
+from test_compilers import PROTOCOL, STUBS
+
+HERE = os.path.dirname(os.path.abspath(__file__))
+SOURCE = os.path.join(HERE, 'headers_hash.cpp')
+QEMU = 'qemu-system-xtensa'
+OPTIONS = ['-std=gnu++11', '-Os', '-Wall', '-Wextra', '-Werror', '-I', PROTOCOL, SOURCE]
+
+
+def output(command):
+    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, timeout=60,
+                          universal_newlines=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+@pytest.mark.skipif(not shutil.which(QEMU), reason=QEMU + ' is not installed: it is in the package '
+                    'qemu-system-misc')
+@pytest.mark.parametrize('sign', ['signed', 'unsigned'])
+def test_the_headers_behave_as_on_the_pc(tmp_path, sign):
+    here, there = str(tmp_path / 'here'), str(tmp_path / 'there')
+    output(['g++', '-fsanitize=address,undefined', '-f%s-char' % sign, *OPTIONS, '-o', here])
+    output(['xtensa-lx106-elf-g++', '-ffreestanding', '-nostdlib', '-fno-exceptions', '-fno-rtti',
+            '-fno-threadsafe-statics', '-mtext-section-literals', '-Wl,-N,--no-warn-rwx-segments',
+            '-T', os.path.join(HERE, 'xtensa.ld'), '-I', os.path.join(STUBS, 'no_libc'), *OPTIONS,
+            '-o', there])
+    expected = output([here])
+    assert len(expected) == 8
+    assert output([QEMU, '-cpu', 'lx106', '-M', 'sim', '-display', 'none', '-monitor', 'none',
+                   '-semihosting', '-kernel', there]) == expected
