@@ -20,7 +20,8 @@ from std_msgs.msg import ColorRGBA, Float32, Float64, Int64, String
 from std_srvs.srv import SetBool, SetBoolResponse
 
 from serial_communication.link.outcome import NOT_SENT, Outcome
-from serial_communication.msg import Environment, SteeringFeedback, Ticks, Voltage, McuStatus2
+from serial_communication.msg import (Environment, McuStatus2, SpeedPWMCommand,
+                                      SteeringFeedback, Ticks, Voltage)
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.tools.watch.topics import TOPICS
@@ -627,6 +628,56 @@ def test_stop_stops_the_car_whichever_page_drives(control_page, control_panel, r
                                            for each in page.texts('.answers li')), 'it is shown')
     finally:
         other.close()
+
+
+def test_stop_on_the_page_of_a_second_panel_stops_the_car(control_page, robot):
+    """Each panel has a browser of its own; what is counted is what the board receives."""
+    second, browser = Panel('--control', '--token', TOKEN, name='panel_second'), Browser()
+    try:
+        browser.open(second.url)
+        browser.wait_for_text('#connection', 'live')
+        browser.wait_for_text('[data-link="bus"] .summary', 'ready')
+        hold(control_page, robot)
+        browser.click('#stop')
+        wait_until_stopped(robot, control_page)         # and its pad is still pressed
+        control_page.wait(lambda page: '/panel_second commands the car' in page.text('#pad-words'),
+                          'the page says why')
+        control_page.release()
+        # While the first drives, the second does not.
+        hold(control_page, robot)
+        robot.car.forget()
+        browser.press_at('#pad', 0, 60)
+        browser.wait(lambda page: '/panel_control commands the car' in page.text('#pad-words'),
+                     'the second is refused')
+        assert min(robot.car.speeds, default=0) >= 0
+        browser.release()
+        control_page.release()
+        wait_until_stopped(robot, control_page)
+    finally:
+        browser.quit()
+        assert second.end() == 0
+
+
+def test_stop_says_that_another_program_goes_on(control_page, robot):
+    ended = threading.Event()
+    other = rospy.Publisher(NODE + '/speed', SpeedPWMCommand, queue_size=1, tcp_nodelay=True)
+
+    def drive():
+        while not ended.wait(0.05):
+            other.publish(value=300)
+    threading.Thread(target=drive, daemon=True).start()
+    try:
+        until(lambda: 300 in robot.car.speeds, 'it drives')
+        robot.car.forget()
+        control_page.click('#stop')
+        control_page.wait(lambda page: any('STOP not known /panel_test goes on' in each
+                                           for each in page.texts('.answers li')), 'it is shown')
+        assert robot.car.speeds.count(0) >= 3
+    finally:
+        ended.set()
+        other.unregister()
+        control_page.click('#stop')
+        until(lambda: robot.car.speeds[-1] == 0, 'the car stops')
 
 
 def test_calibration_needs_a_confirmation(control_page, robot):

@@ -24,7 +24,7 @@ from std_msgs.msg import String
 
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
-from serial_communication.msg import SerialMsg
+from serial_communication.msg import SerialMsg, SpeedPWMCommand
 
 TOPICS = ['~imu', '~voltage', '~environment', 'mcu/range_1', '~nothing']
 
@@ -852,6 +852,126 @@ def test_the_car_stops_when_the_panel_ends(robot):
     panel.process.send_signal(signal.SIGTERM)
     until(has_stopped(robot), 'the car stops')
     assert panel.end() == 0
+
+
+class Teleop:
+    """Another program that commands the car: this process, 20 times a second.
+
+    Args:
+        speed: None: it sends nothing.
+    """
+
+    def __init__(self, speed=None):
+        self.speed = speed
+        self._topic = rospy.Publisher(NODE + '/speed', SpeedPWMCommand, queue_size=1,
+                                      tcp_nodelay=True)
+        self._ended = threading.Event()
+        threading.Thread(target=self._publish, daemon=True).start()
+
+    def _publish(self):
+        while not self._ended.wait(0.05):
+            if self.speed is not None:
+                self._topic.publish(value=self.speed)
+
+    def is_heard_by(self, *nodes):
+        """Whether these nodes are connected."""
+        return all(self._topic.impl.has_connection(node) for node in nodes)
+
+    def end(self):
+        """Publish no more."""
+        self._ended.set()
+        self._topic.unregister()
+
+
+@pytest.fixture
+def teleop(driver, control_panel, robot):
+    """Another program that drives, at 300."""
+    teleop = Teleop(300)
+    until(lambda: teleop.is_heard_by(NODE, control_panel.node), 'bridge and panel hear it')
+    until(drives(robot, 300), 'it drives')
+    yield teleop
+    teleop.end()
+    driver.send(stop={'key': 'over'})
+    until(has_stopped(robot), 'the car stops')
+
+
+def is_refused(words):
+    """Whether a command of the page was refused with these words."""
+    return lambda page: words in page.known.get('refused', {}).get('words', '')
+
+
+def test_no_page_drives_while_another_program_does(driver, teleop, robot):
+    robot.car.forget()
+    for hold in range(1, 20):
+        drive(driver, hold)
+        time.sleep(0.04)
+    driver.until(is_refused('/panel_test commands the car'), 'it is refused, with the reason')
+    assert set(robot.car.speeds) <= {300}
+
+
+def test_a_speed_0_of_another_program_ends_a_hold(driver, control_panel, robot):
+    other = Teleop()
+    try:
+        until(lambda: other.is_heard_by(NODE, control_panel.node), 'bridge and panel hear it')
+        hold = drive_until(driver, drives(robot), 'the car drives')
+        other.speed = 0
+        until(lambda: is_refused('/panel_test commands the car')(driver), 'the hold has ended',
+              doing=lambda: drive(driver, hold), every=0.04)
+        until(has_stopped(robot), 'the car stops')
+        count = len(robot.car.speeds)
+        for _ in range(20):
+            drive(driver, hold)
+            time.sleep(0.04)
+        assert not any(robot.car.speeds[count:])
+    finally:
+        other.end()
+
+
+def test_stop_is_repeated_against_a_program_that_goes_on_and_says_so(driver, teleop, robot):
+    robot.car.forget()
+    driver.send(stop={'key': 'against'})
+    driver.until(lambda page: page.calls.get('against', {}).get('outcome') == 'not known',
+                 'the page says that it goes on')
+    assert '/panel_test goes on sending speeds' in driver.calls['against']['words']
+    assert robot.car.speeds.count(0) >= 3
+    teleop.speed = 0
+    until(has_stopped(robot), 'the car stops')
+
+
+def test_two_panels_do_not_drive_at_once(driver, robot):
+    second = Panel('--control', '--token', TOKEN, name='panel_beside')
+    other = Page(second, TOKEN)
+    try:
+        other.until(lambda page: 'node' in page.known, 'the other panel sends updates')
+        until(lambda: second.node in publishers_and_subscribers()[1].get(NODE + '/speed', ()),
+              'it watches the speeds')
+        hold = drive_until(driver, drives(robot), 'the car drives')
+
+        def both():
+            drive(driver, hold)
+            drive(other, 1, speed=-90)
+        until(lambda: 'commands the car' in other.known.get('refused', {}).get('words', ''),
+              'the other is refused', doing=both, every=0.04)
+        robot.car.forget()
+        for step in range(20):
+            drive(driver, hold)
+            drive(other, 2 + step, speed=-90)
+            time.sleep(0.04)
+        signs = [speed > 0 for speed in robot.car.speeds if speed]
+        assert sum(one != next_ for one, next_ in zip(signs, signs[1:])) == 0
+        # STOP on the second ends the driving of the first.
+        hold = drive_until(driver, drives(robot, 130), 'the car drives', 130)
+        other.send(stop={'key': 'second'})
+        until(has_stopped(robot), 'the car stops', doing=lambda: drive(driver, hold, 130),
+              every=0.04)
+        count = len(robot.car.speeds)
+        for _ in range(20):
+            drive(driver, hold, 130)
+            time.sleep(0.04)
+        assert not any(robot.car.speeds[count:])
+    finally:
+        other.close()
+        assert second.end() == 0
 
 
 # -- a master, a bridge or a panel that hangs -------------------------------------------------

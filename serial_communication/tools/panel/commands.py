@@ -4,6 +4,7 @@ Each call runs in its own thread, since it may take seconds; the registrar's thr
 publishers. Everything else runs on the IO loop, including the dead man's switch.
 """
 import io
+import math
 import threading
 import time
 from collections import deque
@@ -34,7 +35,12 @@ _DOUBLE_CLICK = 0.5         # s after a call in which another one of its service
 _MAX_AGE = 2.0              # s from a click until its request is sent; later it is refused
 _MAX_CALLS = 8              # under way at once
 _MAX_ANSWERS = 30           # kept for the pages
+_STOPPING = 1.0             # s for which SPEED 0 is repeated after STOP
+_STOP_PERIOD = 0.05         # s between two of them
+_GOES_ON = 0.3              # s after STOP; a speed of another program that comes later is new
+_FOREIGN = 0.5              # s for which no page drives after another program has sent a speed
 _SENT = 'sent'              # the outcome of what no board answers
+_TO_THE_BRIDGE = 'to the bridge; this command has no answer'
 _TOPICS = {'~speed': SpeedPWMCommand, '~led': String, '~steering': SteeringPWMCommand}
 
 # The services that every bridge has a control for, by name relative to the node.
@@ -69,7 +75,10 @@ class Commands:
         self._changed: List[Dict[str, Any]] = []
         self._wanted = False             # whether a page is open
         self._publishers: Dict[str, rospy.Publisher] = {}    # set in the registrar's thread
+        self._speeds: Any = None         # subscriber to ~speed; set in the registrar's thread
         self._switch = DeadManSwitch(self._publish_stop)
+        self._stopped_at = -math.inf     # when STOP was pressed last
+        self._stop_answer: Dict[str, Any] = {}
         self._drive_words = ''
         self._sent_drive: Any = None
 
@@ -92,7 +101,14 @@ class Commands:
         self._registrar.submit(self._register)
 
     def _register(self) -> None:
-        """Create and unregister publishers. Runs in the registrar's thread."""
+        """Create and unregister publishers, and watch ~speed. Runs in the registrar's thread."""
+        if self._wanted and self._speeds is None:
+            self._speeds = rospy.Subscriber(
+                resolve('~speed', self._node), SpeedPWMCommand, self._on_speed, queue_size=10,
+                tcp_nodelay=True)
+        elif not self._wanted and self._speeds is not None:
+            self._speeds.unregister()
+            self._speeds = None
         classes = {**_TOPICS, **{name: each.row.message_class
                                  for name, each in self._messages.items()}} if self._wanted else {}
         for name, publisher in list(self._publishers.items()):
@@ -232,16 +248,49 @@ class Commands:
         except rospy.ROSException as error:
             raise CommandRefused(f'nothing was sent: {error}') from None     # rospy shuts down
         self._add_answer(key, name, arguments, now, outcome=_SENT, took=0.0,
-                         words='to the bridge; the board does not answer')
+                         words=_TO_THE_BRIDGE)
 
     # -- the car -------------------------------------------------------------------------------
 
     def stop_car(self, key: str) -> None:
-        """End any page's driving and send SPEED 0, at any time and however old the command is."""
-        self._switch.end()
-        command = SpeedPWMCommand(value=0)
-        command.header.stamp = rospy.Time.now()
-        self._send(key, '~speed', {'value': 0}, command, time.monotonic())
+        """End any page's driving and send SPEED 0, at any time and however old the command is.
+
+        SPEED 0 is repeated for a second, and follows every speed of another program at once.
+        """
+        now = time.monotonic()
+        self._stopped_at = now
+        self._switch.bar('STOP was pressed a moment ago; press again', now + _STOPPING)
+        self._repeat_stop(now)
+        self._publisher('~speed')       # or the answer is why it is not received
+        self._stop_answer = self._add_answer(key, '~speed', {'value': 0}, now, outcome=_SENT,
+                                             took=0.0, words=_TO_THE_BRIDGE)
+
+    def _repeat_stop(self, stopped_at: float) -> None:
+        if stopped_at == self._stopped_at and time.monotonic() < stopped_at + _STOPPING:
+            self._publish_stop()
+            self._call_later(_STOP_PERIOD, self._repeat_stop, stopped_at)
+
+    def _on_speed(self, command: Any) -> None:
+        """Receive a speed, also one of this panel. Runs in rospy's thread."""
+        name = command._connection_header['callerid']
+        if name != rospy.get_name():
+            self._add_callback(self._foreign_speed, name, command.value)
+
+    def _foreign_speed(self, name: str, speed: int) -> None:
+        """Another program has sent a speed: no page drives beside it, and STOP answers it."""
+        now = time.monotonic()
+        if self._switch.hold:
+            self._drive_words = f'stopped: {name} commands the car'
+        self._switch.bar(f'{name} commands the car', now + _FOREIGN)
+        since = now - self._stopped_at
+        if speed and since < _STOPPING:
+            self._publish_stop()
+            if since > _GOES_ON and self._stop_answer.get('outcome') == _SENT:
+                self._stop_answer.update(
+                    outcome=Verdict.NOT_KNOWN.value,
+                    words=f'{name} goes on sending speeds; SPEED 0 is sent against it for '
+                          f'{_STOPPING:g} s: end that program')
+                self._changed.append(self._stop_answer)
 
     def drive(self, page: Any, hold: int, seen: float, speed: int, steering: int) -> None:
         """Drive until the page has not repeated this for SILENCE.
@@ -296,7 +345,8 @@ class Commands:
 
     def _publisher(self, name: str) -> rospy.Publisher:
         publisher = self._publishers.get(name) if self._wanted else None
-        if publisher is None or not publisher.get_num_connections():
+        # Of all subscribers only the bridge counts; this panel itself is one of ~speed.
+        if publisher is None or not publisher.impl.has_connection(self._node):
             raise CommandRefused(f'the bridge does not subscribe to {name}: it does not run, '
                                  'or that link is off')
         return publisher
