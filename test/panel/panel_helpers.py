@@ -349,6 +349,13 @@ class Page:
         """Wait for a condition of this page."""
         return until(lambda: condition(self) or self.closed and 'closed', what)
 
+    def settle(self):
+        """Wait until commands are taken: not in the first second."""
+        self.until(lambda page: 'node' in page.known, 'the panel sends updates')
+        first = self.updates[0]['now']
+        self.until(lambda page: page.now > first + 1, 'a second passes')
+        return self
+
     def _read(self):
         try:
             while True:

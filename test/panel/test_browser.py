@@ -69,11 +69,18 @@ def control_page(chromium, control_panel, network, robot):
     chromium.wait_for_text('#connection', 'live')
     until(lambda: robot.car.connected, 'the car is connected')
     chromium.wait_for_text('[data-link="bus"] .summary', 'ready')
+    wait_until_settled(chromium)
     robot.car.forget()
     robot.bus.forget()
     yield chromium
     chromium.script("document.getElementById('pad').blur()")
     assert chromium.errors() == []
+
+
+def wait_until_settled(page):
+    """Wait until the page takes commands: it has neither appeared nor got the focus just now."""
+    page.click('h1')        # or the first click of the test would give it the focus
+    page.wait(lambda page: page.all('[data-service="~lift"] button:enabled'), 'it takes commands')
 
 
 # -- the display ------------------------------------------------------------------------------
@@ -636,7 +643,7 @@ def test_stop_on_the_page_of_a_second_panel_stops_the_car(control_page, robot):
     try:
         browser.open(second.url)
         browser.wait_for_text('#connection', 'live')
-        browser.wait_for_text('[data-link="bus"] .summary', 'ready')
+        wait_until_settled(browser)
         hold(control_page, robot)
         browser.click('#stop')
         wait_until_stopped(robot, control_page)         # and its pad is still pressed
@@ -789,7 +796,7 @@ def hold(page, robot):
         # The page shows the hold a frame later; a test can only see it end if it was shown.
         return any(speed > 0 for speed in robot.car.speeds) \
             and page.attribute('#pad', 'data-held') is not None
-    until(drives, 'the car drives', doing=press, every=0.3)
+    until(drives, 'the car drives', doing=press, every=0.6)     # a double click would not drive
 
 
 def wait_until_stopped(robot, page):
@@ -1149,19 +1156,14 @@ def test_the_page_reconnects_after_a_restart_of_the_panel(chromium, robot):
     assert second.end() == 0
 
 
-def test_a_page_of_another_site_can_neither_connect_nor_embed(chromium, panel):
-    evil = f'''<title>evil</title><script>
-      const socket = new WebSocket('ws://127.0.0.1:{panel.port}/socket');
-      socket.onopen = () => document.title = 'open';
-      socket.onerror = () => document.title = 'refused';
-    </script><iframe src="http://127.0.0.1:{panel.port}/"></iframe>'''.encode()
-
+def serve(content):
+    """Another site, with one page."""
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self):
             self.send_response(200)
             self.send_header('Content-Type', 'text/html')
             self.end_headers()
-            self.wfile.write(evil)
+            self.wfile.write(content)
 
         def log_message(self, *_arguments):
             pass
@@ -1169,6 +1171,68 @@ def test_a_page_of_another_site_can_neither_connect_nor_embed(chromium, panel):
     # Threads: chromium opens a second connection in advance, on which nothing comes for a minute.
     server = ThreadingHTTPServer(('127.0.0.1', 0), Handler)
     threading.Thread(target=server.serve_forever, daemon=True).start()
+    return server
+
+
+def test_a_click_in_a_window_that_another_site_has_opened_moves_nothing(control_page, robot,
+                                                                        network):
+    """The key is in this browser, and the window appears under the pointer."""
+    site = serve(f'''<button onclick="open('http://127.0.0.1:{network.port}/', 'w',
+                     'popup,width=1200,height=900')">play</button>'''.encode())
+    up, pad = '[data-service="~lift"] button', '#pad'
+    control_page.open(f'http://localhost:{site.server_port}/')
+    with control_page.window_opened_by('button'):
+        page = control_page
+        page.wait(lambda page: page.all(up), 'the controls appear')
+        appeared, clicks = time.monotonic(), 0
+        while time.monotonic() - appeared < 0.5 or not clicks:
+            page.click_now(up)
+            page.click_now(pad, 2)
+            clicks += 1
+        page.wait_for_updates(5)
+        assert not robot.lift_requests and not any(robot.car.speeds), f'{clicks} clicks'
+        page.click('#stop')
+        page.wait(lambda page: any(each.startswith('STOP sent') for each in page.texts(
+            '.answers li')), 'STOP works at once')
+        wait_until_settled(page)
+        page.click_now(up)
+        until(lambda: robot.lift_requests, 'a click moves the lift when a second has passed')
+    site.shutdown()
+    control_page.open(network.url)
+
+
+def test_the_pad_takes_no_second_press_of_a_double_click(control_page, robot):
+    control_page.click_now('#pad', 2)
+    control_page.wait(lambda page: 'a double click' in page.text('#pad-words'), 'it says why')
+    control_page.wait_for_updates(15)
+    assert control_page.attribute('#pad', 'data-held') is None
+    assert sum(speed > 0 for speed in robot.car.speeds) <= 1       # of the first press
+
+
+def test_after_the_focus_returns_no_command_is_taken_for_a_second(control_page, robot):
+    clicked = control_page.script('''
+        window.dispatchEvent(new Event('focus'));
+        const button = document.querySelector('[data-service="~lift"] button');
+        const wasEnabled = !button.disabled;
+        button.click();
+        return wasEnabled;''')
+    assert clicked
+    control_page.wait(lambda page: any('nothing was sent: the page has just appeared' in each
+                                       for each in page.texts('.answers li')), 'it says so')
+    control_page.wait(lambda page: page.text('[data-service="~lift"] .reason')
+                      == 'the page has just appeared', 'with the reason beside the controls')
+    wait_until_settled(control_page)
+    assert not robot.lift_requests
+
+
+def test_a_page_of_another_site_can_neither_connect_nor_embed(chromium, panel):
+    evil = f'''<title>evil</title><script>
+      const socket = new WebSocket('ws://127.0.0.1:{panel.port}/socket');
+      socket.onopen = () => document.title = 'open';
+      socket.onerror = () => document.title = 'refused';
+    </script><iframe src="http://127.0.0.1:{panel.port}/"></iframe>'''.encode()
+
+    server = serve(evil)
     chromium.open(f'http://localhost:{server.server_port}/')
     chromium.wait(lambda page: page.title == 'refused', 'the connection is refused')
     chromium.assert_in_frame('iframe', lambda page: not page.all('#node'))

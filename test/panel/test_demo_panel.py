@@ -42,7 +42,7 @@ def test_the_demo_prints_the_address_of_a_page_that_has_commands():
             address = until(lambda: shown(r'In a browser:  http://127.0.0.1:(\d+)/#(\S+)')
                             or demo.poll() is not None, 'it is printed', 60)
             panel = PrintedPanel(address)
-            page = Page(panel, panel.token)
+            page = Page(panel, panel.token).settle()
             page.until(lambda page: '~lift' in page.known.get('controls', {}).get('services', ()),
                        'the page has commands')
             page.until(lambda page: any(

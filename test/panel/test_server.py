@@ -50,8 +50,7 @@ def two_pages(panel):
 @pytest.fixture
 def driver(control_panel, robot):
     """A page that may drive, and whose commands the bridge receives."""
-    page = Page(control_panel, TOKEN)
-    page.until(lambda page: 'node' in page.known, 'the panel sends updates')
+    page = Page(control_panel, TOKEN).settle()
     until(lambda: robot.car.connected, 'the car is connected')
     until(lambda: control_panel.node in publishers_and_subscribers()[0].get(NODE + '/speed', ()),
           'the panel publishes speeds')
@@ -544,6 +543,30 @@ def lift(page, key, distance=5):
                     'arguments': {'direction': 0, 'distance': distance}})
 
 
+def test_a_page_that_has_just_been_opened_takes_no_command_but_stop(control_panel, robot):
+    robot.car.forget()
+    robot.bus.forget()
+    page = Page(control_panel, TOKEN)
+    page.until(lambda page: 'node' in page.known, 'the panel sends updates')
+    lift(page, 'early')
+    page.send(led={'key': 'early led', 'text': 'left'})
+    drive(page, 1)
+    page.send(stop={'key': 'early stop'})
+    refused = {}
+
+    def collect(page):
+        refused.update((update['refused']['key'], update['refused']['words'])
+                       for update in list(page.updates) if 'refused' in update)
+        return {'early', 'early led', 'drive'} <= set(refused)
+    page.until(collect, 'all are refused')
+    assert {each for key, each in refused.items() if key != 'early stop'} == {
+        'nothing was sent: the page has just appeared; press again'}
+    assert 'just appeared' not in refused.get('early stop', '')
+    page.settle()
+    assert not robot.lift_requests and not any(robot.car.speeds)
+    page.close()
+
+
 def test_a_call_is_executed_and_answered(driver, robot):
     robot.bus.forget()
     lift(driver, 'one', 17)
@@ -666,7 +689,7 @@ def floats(core, tmp_path):
     ('NaN', False), ('1e999', False), ('-Infinity', False), ('1e39', True),
     ('1' + '0' * 400, True)], ids=['nan', 'overflow', 'infinity', 'beyond float32', 'integer'])
 def test_a_call_with_an_invalid_number_does_not_disturb_other_pages(floats, number, is_json):
-    page, other = Page(floats, TOKEN), Page(floats, TOKEN)
+    page, other = Page(floats, TOKEN).settle(), Page(floats, TOKEN)
     page.until(lambda page: '~set' in page.known.get('controls', {}).get('services', ()),
                'the service is offered')
     page.write(b'{"seen": %f, "call": {"key": "odd", "name": "~set", "arguments": {"data": %s}}}'
@@ -831,7 +854,7 @@ def test_a_panel_that_was_suspended_does_not_continue_to_drive(driver, control_p
 
 def test_two_pages_do_not_drive_at_once(driver, control_panel, robot):
     other = Page(control_panel, TOKEN)
-    other.until(lambda page: page.now, 'the other page receives updates')
+    other.settle()
     hold = drive_until(driver, drives(robot), 'the car drives')
 
     def both():
@@ -845,8 +868,7 @@ def test_two_pages_do_not_drive_at_once(driver, control_panel, robot):
 
 def test_the_car_stops_when_the_panel_ends(robot):
     panel = Panel('--control', '--token', TOKEN, name='panel_third')
-    page = Page(panel, TOKEN)
-    page.until(lambda page: page.now, 'the page receives updates')
+    page = Page(panel, TOKEN).settle()
     robot.car.forget()
     drive_until(page, drives(robot), 'the car drives')
     panel.process.send_signal(signal.SIGTERM)
@@ -942,7 +964,7 @@ def test_two_panels_do_not_drive_at_once(driver, robot):
     second = Panel('--control', '--token', TOKEN, name='panel_beside')
     other = Page(second, TOKEN)
     try:
-        other.until(lambda page: 'node' in page.known, 'the other panel sends updates')
+        other.settle()
         until(lambda: second.node in publishers_and_subscribers()[1].get(NODE + '/speed', ()),
               'it watches the speeds')
         hold = drive_until(driver, drives(robot), 'the car drives')
@@ -1030,8 +1052,7 @@ def show_wire(panel):
 
 def call(panel):
     """Let the panel look up a service."""
-    page = Page(panel, TOKEN)
-    page.until(lambda page: page.now, 'the page receives updates')
+    page = Page(panel, TOKEN).settle()
     lift(page, 'key')
     page.until(lambda page: 'key' in page.calls, 'the call is under way')
 

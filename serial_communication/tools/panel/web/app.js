@@ -8,6 +8,7 @@ import {Log} from './cards/log.js';
 import {CustomMessages} from './cards/custom.js';
 import {Channels, Sensors} from './cards/sensors.js';
 import {Wire} from './cards/wire.js';
+import {appear} from './appeared.js';
 import {Connection} from './connection.js';
 import {formatAge, h, updateAttribute, updateText, withoutAges} from './dom.js';
 import {flow} from './flow.js';
@@ -101,6 +102,7 @@ function drawSoon() {
 }
 
 connection.addEventListener('update', ({detail: update}) => {
+  if ('node' in update) appear();       // the first update of a connection: now there are controls
   model.take(update);
   if (update.known && custom.learn(update.known)) watch();
   if (update.wire) wire.take(update.wire);

@@ -3,6 +3,7 @@
  * answered, and while it cannot be carried out, with the reason beside it. If the connection is lost
  * during a call, its outcome is shown as not known.
  */
+import {APPEARED, hasJustAppeared} from '../appeared.js';
 import {card, formatAge, h, updateAttribute, updateText} from '../dom.js';
 import {whyNoCall, whyNot} from '../reasons.js';
 import {Answers, BUS, MOVES, PLAIN} from './answers.js';
@@ -99,6 +100,10 @@ export class Commands {
   _request(event, name, message, words) {
     // The second click of a double click must not move anything again.
     if (event.detail > 1) return;
+    if (hasJustAppeared()) {
+      this._addAnswer(words, 'refused', `nothing was sent: ${APPEARED}; press again`);
+      return;
+    }
     for (const button of this._groups.get(name)) {
       button.disabledUntil = performance.now() + LEAST_DISABLED;
       updateAttribute(button, 'disabled', true);
