@@ -286,6 +286,11 @@ class Browser:
         self._driver.get(url)
         self._driver.execute_script('localStorage.clear()')
 
+    def history(self):
+        """The addresses that the tab can go back or forward to."""
+        return [entry['url'] for entry in self._driver.execute_cdp_cmd(
+            'Page.getNavigationHistory', {})['entries']]
+
     def cookies(self):
         """All cookies of the page's host."""
         return self._driver.get_cookies()

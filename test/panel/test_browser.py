@@ -1253,6 +1253,7 @@ def test_the_page_needs_the_token_once(chromium, control_panel, panel):
     chromium.open(control_panel.url)        # in the same tab: only the part after # changes
     chromium.wait_for_text('#connection', 'live')
     assert chromium.script('return location.href') == control_panel.url.split('#')[0]
+    assert not any(TOKEN in each for each in chromium.history())
     chromium.open('about:blank')
     chromium.open(control_panel.url.split('#')[0])
     chromium.wait_for_text('#connection', 'live')

@@ -228,6 +228,8 @@ def test_the_policy_forbids_foreign_and_inline_content(panel):
     assert 'unsafe' not in policy and '*' not in policy
     assert headers['X-Content-Type-Options'] == 'nosniff'
     assert headers['Referrer-Policy'] == 'no-referrer'
+    for feature in 'camera', 'microphone', 'serial', 'usb', 'geolocation':
+        assert f'{feature}=()' in headers['Permissions-Policy']
 
 
 @pytest.mark.parametrize('path', ['/../cli.py', '/%2e%2e/cli.py', '/cards/../../cli.py',
@@ -261,6 +263,7 @@ def test_a_connection_needs_the_key_that_the_token_is_exchanged_for(control_pane
     assert control_panel.get('/key')[0] == 401
     status, headers, key = control_panel.exchange(TOKEN)
     assert status == 200 and 'Set-Cookie' not in headers and TOKEN not in key
+    assert headers['Cache-Control'] == 'no-store'
     assert control_panel.get('/key', X_Key=key)[0] == 200
     page = Page(control_panel, TOKEN)
     assert page.status == 101
@@ -274,17 +277,76 @@ def test_a_page_of_another_site_cannot_send_a_token(control_panel, origin):
     assert control_panel.exchange(TOKEN, Origin=origin)[0] == 403
 
 
-def test_a_wrong_token_is_refused_and_guesses_are_slowed():
+def test_a_wrong_token_is_refused_and_the_right_one_gets_in_nevertheless():
     panel = Panel('--control', name='panel_guessed')
-    status, _headers, text = panel.exchange('not-the-right-one')
-    assert status == 401 and 'the token is wrong' in text
-    status, _headers, text = panel.exchange(panel.token)
-    assert status == 401 and 'try again in 2 s' in text
-    until(lambda: panel.exchange(panel.token)[0] == 200, 'it is accepted later', every=0.5)
-    panel.wait_for('panel: for another browser: http://127.0.0.1:')
-    addresses = re.findall(r'http://\S+#\S+', panel.output())
-    assert len(addresses) == len(set(addresses)) == 2
-    assert panel.exchange(panel.token)[0] == 401
+    ended = threading.Event()
+
+    def guess():
+        while not ended.is_set():
+            assert panel.exchange('not-the-right-one')[0] == 401
+    guesser = threading.Thread(target=guess)
+    guesser.start()
+    try:
+        status, _headers, text = panel.exchange('not-the-right-one')
+        assert status == 401 and 'the token is wrong' in text
+        token = panel.token
+        for number in range(1, 11):
+            assert panel.exchange(token)[0] == 200
+            addresses = until(lambda number=number: printed(panel, number + 1), 'a new address')
+            assert panel.exchange(token)[0] == 401
+            token = addresses[-1].partition('#')[2]
+    finally:
+        ended.set()
+        guesser.join()
+    assert len(addresses) == len(set(addresses))
+    assert 'panel: for another browser: http://127.0.0.1:' in panel.output()
+    assert panel.end() == 0
+
+
+def printed(panel, number):
+    """The addresses that the panel has printed, if there are so many."""
+    found = re.findall(r'http://\S+#\S+', panel.output())
+    return found if len(found) >= number else None
+
+
+def test_guesses_of_a_token_of_ones_own_are_limited_over_all_addresses():
+    """Every address of loopback is another one."""
+    panel = Panel('--control', '--token', TOKEN, name='panel_own_token')
+    assert panel.exchange(TOKEN)[0] == 200
+    answers = [guess_from(f'127.0.{number // 250}.{number % 250 + 1}', panel)
+               for number in range(300)]
+    assert 100 <= sum('the token is wrong' in each for each in answers) < 150
+    assert 'one in 2 s is compared: try again' in answers[-1]
+    until(lambda: panel.exchange(TOKEN)[0] == 200, 'the right one gets in', every=0.2)
+    assert panel.end() == 0
+
+
+def guess_from(address, panel):
+    """Send a wrong token from this address; return the answer."""
+    with socket.create_connection(('127.0.0.1', panel.port), PATIENCE,
+                                  source_address=(address, 0)) as connection:
+        connection.sendall(b'POST /key HTTP/1.0\r\nHost: localhost\r\nOrigin: http://localhost\r\n'
+                           b'Content-Length: 5\r\n\r\nwrong')
+        return connection.makefile().read()
+
+
+def test_a_token_can_be_read_from_a_file(tmp_path):
+    (tmp_path / 'token').write_text(TOKEN + '\n')
+    panel = Panel('--control', '--token', f'@{tmp_path}/token', name='panel_file')
+    assert panel.exchange(TOKEN)[0] == 200
+    assert TOKEN.encode() not in open(f'/proc/{panel.process.pid}/cmdline', 'rb').read()
+    assert panel.end() == 0
+
+
+@pytest.mark.parametrize('arguments', [[], ['--control']])
+def test_on_loopback_a_name_of_this_machine_is_refused(arguments):
+    """A proxy or a tunnel that others reach is behind it."""
+    panel = Panel(*arguments, name='panel_loopback')
+    for host in socket.gethostname(), '192.168.1.7':
+        status, _headers, text = panel.get('/', Host=f'{host}:{panel.port}')
+        assert status == 403 and 'on loopback' in text
+        assert Page(panel, host=f'{host}:{panel.port}').status == 403
+    assert panel.get('/', Host='127.0.0.1')[0] == panel.get('/', Host='localhost')[0] == 200
     assert panel.end() == 0
 
 

@@ -146,7 +146,7 @@ def _serve(options: argparse.Namespace) -> int:
         code = qr_code(address) if sys.stdout.isatty() and not is_loopback(options.bind) else ''
         print(f'panel: {words}{address}' + f'\n{code}'.rstrip(), flush=True)
     entrance.on_used = lambda: print_address('for another browser: ')
-    server = serve(sockets, hub, Guard([*host_names(), options.bind]), entrance)
+    server = serve(sockets, hub, Guard(options.bind, host_names()), entrance)
     statuses: List[int] = []
     last_resort = LastResort(_EXIT_TIME)
 
