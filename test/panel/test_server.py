@@ -126,6 +126,20 @@ def test_a_second_panel_without_options_takes_the_next_port_and_name(robot):
         assert panel.end() == 0
 
 
+def test_panels_that_start_together_take_different_names(core):
+    panels = []
+    threads = [threading.Thread(target=lambda: panels.append(Panel(name=None))) for _ in range(5)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(panels) == 5
+    names = ['/panel', *(f'/panel_{number}' for number in range(2, 6))]
+    until(lambda: all(is_registered(name) for name in names)
+          or not all(panel.alive for panel in panels), 'all are registered')
+    assert [panel.end() for panel in panels] == [0] * 5
+
+
 def test_on_a_terminal_an_address_for_the_network_is_a_qr_code_as_well():
     """Tells dark from light as a camera does, on a terminal with a dark background."""
     near, far = pty.openpty()
