@@ -112,6 +112,9 @@ class Robot:
                 'minimum': [-10, 0, 0], 'maximum': [10, 50, 3]}},
             # The responses of both have no status; the first also has no field for success.
             'bus/functions': {
+                'weigh': {'cmd2': 0x32, 'srv_type': 'serial_communication/GetEnvironment',
+                          'reply': {'layout': '<Hf', 'fields': ['environment.smoke',
+                                                                'environment.temperature']}},
                 'beep': {'cmd2': 0x30, 'srv_type': 'std_srvs/Empty', 'timeout': 0.3},
                 'dock': {'cmd2': 0x31, 'srv_type': 'std_srvs/Trigger', 'timeout': 0.3}}})
         rospy.wait_for_service(NODE + '/calibrate_imu', PATIENCE)

@@ -722,6 +722,14 @@ def test_led_echo_and_sync_reach_their_boards(control_page, robot):
             '.answers li')), word)
 
 
+def test_the_reply_of_a_custom_function_is_shown_field_by_field(control_page, robot):
+    robot.bus.script.append(bus.Reply(bus.OK, bytes.fromhex('d204 0000 b841')))
+    control_page.click('[data-service="~weigh"] button')
+    control_page.wait(lambda page: page.attribute('.answers li', 'data-outcome') == 'done', 'done')
+    assert control_page.texts('.answers li:first-child .reply div') == [
+        'environment.smoke\n1234', 'environment.temperature\n23', 'environment.humidity\n0']
+
+
 def was_too_old(page):
     """Whether the latest command was refused for its age, as may happen on a busy machine."""
     return 'press again' in (page.text('.answers li') if page.all('.answers li') else '')

@@ -706,6 +706,20 @@ def test_a_call_that_the_board_refused_is_shown_as_refused(driver, robot, name):
         'refused', 'the board refused: 0x8002: the operation failed')
 
 
+def test_the_reply_of_a_custom_function_is_shown_field_by_field(driver, robot):
+    robot.bus.script.append(bus.Reply(bus.OK, bytes.fromhex('d204 0000 b841')))
+    call = call_custom(driver, '~weigh')
+    assert call['outcome'] == 'done'
+    assert call['reply'] == [['environment.smoke', '1234'], ['environment.temperature', '23'],
+                             ['environment.humidity', '0']]
+
+
+def test_the_reply_of_a_call_that_failed_is_not_shown(driver, robot):
+    robot.bus.script.append(bus.Reply(bus.ERROR, b'\2\x80'))
+    call = call_custom(driver, '~weigh')
+    assert (call['outcome'], call['reply']) == ('refused', [])
+
+
 def test_the_outcome_of_a_call_is_not_known_if_the_bridge_dies(driver, robot):
     until(lambda: time.monotonic() - driver.now < 1, 'the page is up to date')
     robot.bus.script.append(lambda request: robot.bridge.process.kill() or b'')
@@ -785,6 +799,7 @@ def test_a_call_with_an_invalid_number_does_not_disturb_other_pages(floats, numb
 def test_led_text_is_sent_and_too_long_a_one_is_refused(driver, robot):
     driver.until(lambda page: send_led(page, robot), 'the car receives it')
     driver.until(lambda page: page.calls.get('led', {}).get('outcome') == 'sent', 'the answer')
+    assert driver.calls['led']['words'] == 'to the bridge; this command has no answer'
     driver.send(led={'key': 'long', 'text': 'x' * 31})
     driver.until(lambda page: page.known.get('refused', {}).get('key') == 'long', 'refused')
 

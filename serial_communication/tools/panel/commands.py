@@ -8,7 +8,8 @@ import math
 import threading
 import time
 from collections import deque
-from typing import Any, Callable, Deque, Dict, List, Optional, Tuple
+from itertools import islice
+from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional, Tuple
 
 import genpy
 import rosgraph
@@ -23,9 +24,9 @@ from serial_communication.srv import Gimbal, Lift
 
 from ...boards.arduino.wire import LED_LIMIT, SPEED_LIMIT
 from ...link.outcome import LOOK, Verdict
-from ...ros.answers import read_error, read_response
+from ...ros.answers import outcome_fields, read_error, read_response
 from ..watch.state import BridgeState
-from ..watch.topics import resolve
+from ..watch.topics import leaves, one_line, resolve
 from .dead_man import SILENCE, CommandRefused, DeadManSwitch
 from .forms import Message, Service, custom_messages, custom_services, service
 from .registrar import Registrar
@@ -35,6 +36,8 @@ _DOUBLE_CLICK = 0.5         # s after a call in which another one of its service
 _MAX_AGE = 2.0              # s from a click until its request is sent; later it is refused
 _MAX_CALLS = 8              # under way at once
 _MAX_ANSWERS = 30           # kept for the pages
+_MAX_REPLY = 40             # fields of a response that are shown
+_MAX_REPLY_TEXT = 200       # characters of each
 _STOPPING = 1.0             # s for which SPEED 0 is repeated after STOP
 _STOP_PERIOD = 0.05         # s between two of them
 _GOES_ON = 0.3              # s after STOP; a speed of another program that comes later is new
@@ -47,6 +50,14 @@ _TOPICS = {'~speed': SpeedPWMCommand, '~led': String, '~steering': SteeringPWMCo
 _BUILT_IN = {'~lift': service(Lift, 'bus'), '~gimbal': service(Gimbal, 'bus'),
              '~calibrate_imu': service(Empty, 'arduino'), '~bus/echo': service(Trigger, 'bus'),
              '~bus/sync': service(Trigger, 'bus')}
+
+
+class _Answer(NamedTuple):
+    """The answer to a service call."""
+
+    outcome: Verdict
+    words: str
+    reply: List[Tuple[str, str]] = []    # the response's own fields: name and value as text
 
 
 class Commands:
@@ -190,13 +201,14 @@ class Commands:
         self._ended = {key: at for key, at in self._ended.items() if key[0] is not page}
 
     def _run(self, page: Any, service_class: Any, request: Any, entry: Dict[str, Any]) -> None:
-        outcome, words = _call(resolve(entry['name'], self._node), service_class, request,
-                               entry['began'] + _MAX_AGE)
-        self._add_callback(self._answered, page, entry, outcome, words)
+        answer = _call(resolve(entry['name'], self._node), service_class, request,
+                       entry['began'] + _MAX_AGE)
+        self._add_callback(self._answered, page, entry, answer)
 
-    def _answered(self, page: Any, entry: Dict[str, Any], outcome: Verdict, words: str) -> None:
+    def _answered(self, page: Any, entry: Dict[str, Any], answer: '_Answer') -> None:
         now = time.monotonic()
-        entry.update(outcome=outcome.value, words=words, took=round(now - entry['began'], 3))
+        entry.update(outcome=answer.outcome.value, words=answer.words, reply=answer.reply,
+                     took=round(now - entry['began'], 3))
         self._under_way -= 1
         if (page, entry['name']) in self._ended:
             self._ended[page, entry['name']] = now
@@ -399,17 +411,27 @@ def _connected(name: str, service_class: Any, deadline: float) -> rospy.ServiceP
     return proxy
 
 
-def _call(name: str, service_class: Any, request: Any, deadline: float) -> Tuple[Verdict, str]:
-    """Call the service; return the outcome and a text. Nothing is sent after the deadline."""
+def _reply(response: Any) -> List[Tuple[str, str]]:
+    """The fields of a response that an outcome does not fill: name and value as text."""
+    known = outcome_fields(type(response))
+    return [(each.name, one_line(each.text())[:_MAX_REPLY_TEXT]) for each in islice(
+        (leaf for name in response.__slots__ if name not in known
+         for leaf in leaves(name, getattr(response, name))), _MAX_REPLY)]
+
+
+def _call(name: str, service_class: Any, request: Any, deadline: float) -> _Answer:
+    """Call the service and return its answer. Nothing is sent after the deadline."""
     try:
         proxy = _connected(name, service_class, deadline)
     except Exception as error:  # pylint: disable=broad-except
         why = 'no bridge offers this service now' if isinstance(error, rosgraph.MasterError) \
             else 'the ROS master does not answer' if isinstance(error, OSError) else error
-        return Verdict.REFUSED, f'nothing was sent: {why}'
+        return _Answer(Verdict.REFUSED, f'nothing was sent: {why}')
     try:
-        return read_response(proxy(request))
+        response = proxy(request)
+        outcome, words = read_response(response)
+        return _Answer(outcome, words, _reply(response) if outcome is Verdict.DONE else [])
     except rospy.ServiceException as error:
-        return read_error(error)
+        return _Answer(*read_error(error))
     except Exception as error:  # pylint: disable=broad-except
-        return Verdict.NOT_KNOWN, f'the call failed: {error}; {LOOK}'
+        return _Answer(Verdict.NOT_KNOWN, f'the call failed: {error}; {LOOK}')

@@ -14,7 +14,7 @@ from .guard import Entrance, Guard, WrongToken
 WEB = Path(__file__).resolve().parent / 'web'
 KEY_HEADER = 'X-Key'
 _PERMISSIONS = ', '.join(f'{feature}=()' for feature in (
-    'accelerometer', 'bluetooth', 'camera', 'display-capture', 'fullscreen', 'geolocation',
+    'accelerometer', 'camera', 'display-capture', 'fullscreen', 'geolocation',
     'gyroscope', 'hid', 'magnetometer', 'microphone', 'midi', 'payment', 'serial', 'usb'))
 _NEEDS_KEY = '; open the address that the panel printed last'
 

@@ -22,8 +22,9 @@ are in every message, the other keys only if they have changed:
     wire        {frames, left_out}: see wire.py; only while this page shows the wire
     controls    (first message, with --control) {services, messages: {name: {link, fields}}}; a
                 field is {name, kind, whole, unit, low, high}
-    calls       [{number, key, name, arguments, began, outcome, words, took}] of every page, calls
-                and messages; without the last three while the call is under way
+    calls       [{number, key, name, arguments, began, outcome, words, took, reply}] of every page,
+                calls and messages; without the last four while the call is under way. `reply` (of
+                a call) has [field, value as text] of the response
     drive       {held, words}
     refused     {key, words}: why a command of this page was not executed
 
