@@ -1251,6 +1251,30 @@ def test_a_page_of_another_site_can_neither_connect_nor_embed(chromium, panel):
     chromium.errors()
 
 
+def test_a_second_browser_with_a_used_address_is_told_one_thing(chromium):
+    panel = Panel('--control', name='panel_used')
+    try:
+        assert panel.exchange(panel.token)[0] == 200        # by the first browser
+        chromium.open('about:blank')
+        chromium.open(panel.url)
+        chromium.wait(lambda page: page.text('#trouble').startswith('the '), 'it shows the reason')
+        chromium.script("""window.shown = new Set([document.getElementById('trouble').textContent]);
+            new MutationObserver(() => shown.add(document.getElementById('trouble').textContent))
+                .observe(document.getElementById('trouble'), {childList: true});""")
+        before = panel.output().count('refused')
+        chromium.wait(lambda _page: chromium.script('return window.tries ?? 0') > 2,
+                      'it tries again', doing=lambda: chromium.script(
+            "window.tries = performance.getEntriesByType('resource')"
+            ".filter((each) => each.name.endsWith('/key')).length"))
+        assert before and chromium.script('return [...shown]') == [
+            'the token is wrong, or has been used already; '
+            'open the address that the panel printed last']
+    finally:
+        chromium.open('about:blank')
+        chromium.errors()
+        panel.end()
+
+
 def test_the_page_needs_the_token_once(chromium, control_panel, panel):
     chromium.forget_storage(control_panel.url)
     chromium.open('about:blank')
