@@ -6,7 +6,7 @@ const SHOWN = 12;
 export class Answers {
   constructor() {
     this._own = [];       // answers of this page, beside those of the panel
-    this._list = h('ol', {class: 'answers', 'aria-label': 'answers, the latest first'});
+    this._list = h('ol', {class: 'answers', tabindex: '0', 'aria-label': 'answers, the latest first'});
     this.element = h('div', {class: 'answers-of'}, h('h3', {}, 'Answers'), this._list);
     this._drawn = '';
   }

@@ -29,7 +29,7 @@ export class Commands {
     this._reasons = [];             // [{name, link, isCall, place}]: where the reasons are shown
     this._body = h('div', {class: 'commands'});
     this._answers = new Answers();
-    this._calibrateNote = h('p', {class: 'words'});
+    this._calibrateNote = h('p', {class: 'words beside-button'});
     this.element = card('Commands', '', this._body, this._answers.element);
     this.element.hidden = true;
     this._shape = null;
@@ -52,6 +52,7 @@ export class Commands {
     for (const {name, link, isCall, place} of this._reasons) {
       const reason = (isCall ? whyNoCall : whyNot)(model, this._connection, now, link);
       updateText(place, reason);
+      updateAttribute(place, 'title', reason || null);
       this._groups.get(name).forEach((button) => {
         updateAttribute(button, 'disabled', Boolean(reason) || busy.has(name)
           || button.disabledUntil > performance.now());
