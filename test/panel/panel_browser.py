@@ -244,6 +244,35 @@ class Browser:
             self._driver.close()
             self._driver.switch_to.window(here)
 
+    @contextlib.contextmanager
+    def window_opened_by(self, selector):
+        """Inside this block, the window that a click on this element opens is in front."""
+        here, before = self._driver.current_window_handle, set(self._driver.window_handles)
+        self.click(selector)
+        until(lambda: set(self._driver.window_handles) - before, 'a window opens', every=0.01)
+        self._driver.switch_to.window((set(self._driver.window_handles) - before).pop())
+        try:
+            yield
+        finally:
+            self._driver.close()
+            self._driver.switch_to.window(here)
+
+    def click_now(self, selector, count=1):
+        """Click the middle of this element at once, whatever its state.
+
+        Args:
+            count: 2: a double click.
+        """
+        x, y = self.script("""
+            const element = document.querySelector(arguments[0]);
+            element.scrollIntoView({block: 'center'});
+            const {left, top, width, height} = element.getBoundingClientRect();
+            return [left + width / 2, top + height / 4];""", selector)
+        for number in range(1, count + 1):
+            for what in 'mousePressed', 'mouseReleased':
+                self._driver.execute_cdp_cmd('Input.dispatchMouseEvent', {
+                    'type': what, 'x': x, 'y': y, 'button': 'left', 'clickCount': number})
+
     def assert_in_frame(self, selector, condition):
         """Assert `condition(self)` inside this frame."""
         self._driver.switch_to.frame(self.all(selector)[0])
@@ -256,6 +285,11 @@ class Browser:
         """Delete what this site has stored."""
         self._driver.get(url)
         self._driver.execute_script('localStorage.clear()')
+
+    def history(self):
+        """The addresses that the tab can go back or forward to."""
+        return [entry['url'] for entry in self._driver.execute_cdp_cmd(
+            'Page.getNavigationHistory', {})['entries']]
 
     def cookies(self):
         """All cookies of the page's host."""

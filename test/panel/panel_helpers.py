@@ -112,6 +112,9 @@ class Robot:
                 'minimum': [-10, 0, 0], 'maximum': [10, 50, 3]}},
             # The responses of both have no status; the first also has no field for success.
             'bus/functions': {
+                'weigh': {'cmd2': 0x32, 'srv_type': 'serial_communication/GetEnvironment',
+                          'reply': {'layout': '<Hf', 'fields': ['environment.smoke',
+                                                                'environment.temperature']}},
                 'beep': {'cmd2': 0x30, 'srv_type': 'std_srvs/Empty', 'timeout': 0.3},
                 'dock': {'cmd2': 0x31, 'srv_type': 'std_srvs/Trigger', 'timeout': 0.3}}})
         rospy.wait_for_service(NODE + '/calibrate_imu', PATIENCE)
@@ -348,6 +351,13 @@ class Page:
     def until(self, condition, what):
         """Wait for a condition of this page."""
         return until(lambda: condition(self) or self.closed and 'closed', what)
+
+    def settle(self):
+        """Wait until commands are taken: not in the first second."""
+        self.until(lambda page: 'node' in page.known, 'the panel sends updates')
+        first = self.updates[0]['now']
+        self.until(lambda page: page.now > first + 1, 'a second passes')
+        return self
 
     def _read(self):
         try:

@@ -20,7 +20,8 @@ from std_msgs.msg import ColorRGBA, Float32, Float64, Int64, String
 from std_srvs.srv import SetBool, SetBoolResponse
 
 from serial_communication.link.outcome import NOT_SENT, Outcome
-from serial_communication.msg import Environment, SteeringFeedback, Ticks, Voltage, McuStatus2
+from serial_communication.msg import (Environment, McuStatus2, SpeedPWMCommand,
+                                      SteeringFeedback, Ticks, Voltage)
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.tools.watch.topics import TOPICS
@@ -68,11 +69,18 @@ def control_page(chromium, control_panel, network, robot):
     chromium.wait_for_text('#connection', 'live')
     until(lambda: robot.car.connected, 'the car is connected')
     chromium.wait_for_text('[data-link="bus"] .summary', 'ready')
+    wait_until_settled(chromium)
     robot.car.forget()
     robot.bus.forget()
     yield chromium
     chromium.script("document.getElementById('pad').blur()")
     assert chromium.errors() == []
+
+
+def wait_until_settled(page):
+    """Wait until the page takes commands: it has neither appeared nor got the focus just now."""
+    page.click('h1')        # or the first click of the test would give it the focus
+    page.wait(lambda page: page.all('[data-service="~lift"] button:enabled'), 'it takes commands')
 
 
 # -- the display ------------------------------------------------------------------------------
@@ -629,6 +637,56 @@ def test_stop_stops_the_car_whichever_page_drives(control_page, control_panel, r
         other.close()
 
 
+def test_stop_on_the_page_of_a_second_panel_stops_the_car(control_page, robot):
+    """Each panel has a browser of its own; what is counted is what the board receives."""
+    second, browser = Panel('--control', '--token', TOKEN, name='panel_second'), Browser()
+    try:
+        browser.open(second.url)
+        browser.wait_for_text('#connection', 'live')
+        wait_until_settled(browser)
+        hold(control_page, robot)
+        browser.click('#stop')
+        wait_until_stopped(robot, control_page)         # and its pad is still pressed
+        control_page.wait(lambda page: '/panel_second commands the car' in page.text('#pad-words'),
+                          'the page says why')
+        control_page.release()
+        # While the first drives, the second does not.
+        hold(control_page, robot)
+        robot.car.forget()
+        browser.press_at('#pad', 0, 60)
+        browser.wait(lambda page: '/panel_control commands the car' in page.text('#pad-words'),
+                     'the second is refused')
+        assert min(robot.car.speeds, default=0) >= 0
+        browser.release()
+        control_page.release()
+        wait_until_stopped(robot, control_page)
+    finally:
+        browser.quit()
+        assert second.end() == 0
+
+
+def test_stop_says_that_another_program_goes_on(control_page, robot):
+    ended = threading.Event()
+    other = rospy.Publisher(NODE + '/speed', SpeedPWMCommand, queue_size=1, tcp_nodelay=True)
+
+    def drive():
+        while not ended.wait(0.05):
+            other.publish(value=300)
+    threading.Thread(target=drive, daemon=True).start()
+    try:
+        until(lambda: 300 in robot.car.speeds, 'it drives')
+        robot.car.forget()
+        control_page.click('#stop')
+        control_page.wait(lambda page: any('STOP not known /panel_test goes on' in each
+                                           for each in page.texts('.answers li')), 'it is shown')
+        assert robot.car.speeds.count(0) >= 3
+    finally:
+        ended.set()
+        other.unregister()
+        control_page.click('#stop')
+        until(lambda: robot.car.speeds[-1] == 0, 'the car stops')
+
+
 def test_calibration_needs_a_confirmation(control_page, robot):
     packet = arduino.encode(arduino.ImuCalibration())
     control_page.click('[data-service="~calibrate_imu"] button')
@@ -662,6 +720,14 @@ def test_led_echo_and_sync_reach_their_boards(control_page, robot):
                             ".find(b => b.textContent == arguments[0]).click()", word)
         control_page.wait(lambda page: any(each.startswith(word + ' done') for each in page.texts(
             '.answers li')), word)
+
+
+def test_the_reply_of_a_custom_function_is_shown_field_by_field(control_page, robot):
+    robot.bus.script.append(bus.Reply(bus.OK, bytes.fromhex('d204 0000 b841')))
+    control_page.click('[data-service="~weigh"] button')
+    control_page.wait(lambda page: page.attribute('.answers li', 'data-outcome') == 'done', 'done')
+    assert control_page.texts('.answers li:first-child .reply div') == [
+        'environment.smoke\n1234', 'environment.temperature\n23', 'environment.humidity\n0']
 
 
 def was_too_old(page):
@@ -738,7 +804,7 @@ def hold(page, robot):
         # The page shows the hold a frame later; a test can only see it end if it was shown.
         return any(speed > 0 for speed in robot.car.speeds) \
             and page.attribute('#pad', 'data-held') is not None
-    until(drives, 'the car drives', doing=press, every=0.3)
+    until(drives, 'the car drives', doing=press, every=0.6)     # a double click would not drive
 
 
 def wait_until_stopped(robot, page):
@@ -1098,19 +1164,14 @@ def test_the_page_reconnects_after_a_restart_of_the_panel(chromium, robot):
     assert second.end() == 0
 
 
-def test_a_page_of_another_site_can_neither_connect_nor_embed(chromium, panel):
-    evil = f'''<title>evil</title><script>
-      const socket = new WebSocket('ws://127.0.0.1:{panel.port}/socket');
-      socket.onopen = () => document.title = 'open';
-      socket.onerror = () => document.title = 'refused';
-    </script><iframe src="http://127.0.0.1:{panel.port}/"></iframe>'''.encode()
-
+def serve(content):
+    """Another site, with one page."""
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self):
             self.send_response(200)
             self.send_header('Content-Type', 'text/html')
             self.end_headers()
-            self.wfile.write(evil)
+            self.wfile.write(content)
 
         def log_message(self, *_arguments):
             pass
@@ -1118,6 +1179,68 @@ def test_a_page_of_another_site_can_neither_connect_nor_embed(chromium, panel):
     # Threads: chromium opens a second connection in advance, on which nothing comes for a minute.
     server = ThreadingHTTPServer(('127.0.0.1', 0), Handler)
     threading.Thread(target=server.serve_forever, daemon=True).start()
+    return server
+
+
+def test_a_click_in_a_window_that_another_site_has_opened_moves_nothing(control_page, robot,
+                                                                        network):
+    """The key is in this browser, and the window appears under the pointer."""
+    site = serve(f'''<button onclick="open('http://127.0.0.1:{network.port}/', 'w',
+                     'popup,width=1200,height=900')">play</button>'''.encode())
+    up, pad = '[data-service="~lift"] button', '#pad'
+    control_page.open(f'http://localhost:{site.server_port}/')
+    with control_page.window_opened_by('button'):
+        page = control_page
+        page.wait(lambda page: page.all(up), 'the controls appear')
+        appeared, clicks = time.monotonic(), 0
+        while time.monotonic() - appeared < 0.5 or not clicks:
+            page.click_now(up)
+            page.click_now(pad, 2)
+            clicks += 1
+        page.wait_for_updates(5)
+        assert not robot.lift_requests and not any(robot.car.speeds), f'{clicks} clicks'
+        page.click('#stop')
+        page.wait(lambda page: any(each.startswith('STOP sent') for each in page.texts(
+            '.answers li')), 'STOP works at once')
+        wait_until_settled(page)
+        page.click_now(up)
+        until(lambda: robot.lift_requests, 'a click moves the lift when a second has passed')
+    site.shutdown()
+    control_page.open(network.url)
+
+
+def test_the_pad_takes_no_second_press_of_a_double_click(control_page, robot):
+    control_page.click_now('#pad', 2)
+    control_page.wait(lambda page: 'a double click' in page.text('#pad-words'), 'it says why')
+    control_page.wait_for_updates(15)
+    assert control_page.attribute('#pad', 'data-held') is None
+    assert sum(speed > 0 for speed in robot.car.speeds) <= 1       # of the first press
+
+
+def test_after_the_focus_returns_no_command_is_taken_for_a_second(control_page, robot):
+    clicked = control_page.script('''
+        window.dispatchEvent(new Event('focus'));
+        const button = document.querySelector('[data-service="~lift"] button');
+        const wasEnabled = !button.disabled;
+        button.click();
+        return wasEnabled;''')
+    assert clicked
+    control_page.wait(lambda page: any('nothing was sent: the page has just appeared' in each
+                                       for each in page.texts('.answers li')), 'it says so')
+    control_page.wait(lambda page: page.text('[data-service="~lift"] .reason')
+                      == 'the page has just appeared', 'with the reason beside the controls')
+    wait_until_settled(control_page)
+    assert not robot.lift_requests
+
+
+def test_a_page_of_another_site_can_neither_connect_nor_embed(chromium, panel):
+    evil = f'''<title>evil</title><script>
+      const socket = new WebSocket('ws://127.0.0.1:{panel.port}/socket');
+      socket.onopen = () => document.title = 'open';
+      socket.onerror = () => document.title = 'refused';
+    </script><iframe src="http://127.0.0.1:{panel.port}/"></iframe>'''.encode()
+
+    server = serve(evil)
     chromium.open(f'http://localhost:{server.server_port}/')
     chromium.wait(lambda page: page.title == 'refused', 'the connection is refused')
     chromium.assert_in_frame('iframe', lambda page: not page.all('#node'))
@@ -1126,6 +1249,30 @@ def test_a_page_of_another_site_can_neither_connect_nor_embed(chromium, panel):
     assert 'is not a name of this machine' in chromium.text('body')
     server.shutdown()
     chromium.errors()
+
+
+def test_a_second_browser_with_a_used_address_is_told_one_thing(chromium):
+    panel = Panel('--control', name='panel_used')
+    try:
+        assert panel.exchange(panel.token)[0] == 200        # by the first browser
+        chromium.open('about:blank')
+        chromium.open(panel.url)
+        chromium.wait(lambda page: page.text('#trouble').startswith('the '), 'it shows the reason')
+        chromium.script("""window.shown = new Set([document.getElementById('trouble').textContent]);
+            new MutationObserver(() => shown.add(document.getElementById('trouble').textContent))
+                .observe(document.getElementById('trouble'), {childList: true});""")
+        before = panel.output().count('refused')
+        chromium.wait(lambda _page: chromium.script('return window.tries ?? 0') > 2,
+                      'it tries again', doing=lambda: chromium.script(
+            "window.tries = performance.getEntriesByType('resource')"
+            ".filter((each) => each.name.endsWith('/key')).length"))
+        assert before and chromium.script('return [...shown]') == [
+            'the token is wrong, or has been used already; '
+            'open the address that the panel printed last']
+    finally:
+        chromium.open('about:blank')
+        chromium.errors()
+        panel.end()
 
 
 def test_the_page_needs_the_token_once(chromium, control_panel, panel):
@@ -1138,6 +1285,7 @@ def test_the_page_needs_the_token_once(chromium, control_panel, panel):
     chromium.open(control_panel.url)        # in the same tab: only the part after # changes
     chromium.wait_for_text('#connection', 'live')
     assert chromium.script('return location.href') == control_panel.url.split('#')[0]
+    assert not any(TOKEN in each for each in chromium.history())
     chromium.open('about:blank')
     chromium.open(control_panel.url.split('#')[0])
     chromium.wait_for_text('#connection', 'live')

@@ -42,7 +42,7 @@ def test_the_demo_prints_the_address_of_a_page_that_has_commands():
             address = until(lambda: shown(r'In a browser:  http://127.0.0.1:(\d+)/#(\S+)')
                             or demo.poll() is not None, 'it is printed', 60)
             panel = PrintedPanel(address)
-            page = Page(panel, panel.token)
+            page = Page(panel, panel.token).settle()
             page.until(lambda page: '~lift' in page.known.get('controls', {}).get('services', ()),
                        'the page has commands')
             page.until(lambda page: any(
@@ -60,3 +60,6 @@ def test_the_demo_prints_the_address_of_a_page_that_has_commands():
         finally:
             demo.send_signal(signal.SIGINT)
             demo.wait(20)
+        # The last table has the address for the next browser, not the one that has been used.
+        last = shown(r'(?s).*In a browser:  http://127.0.0.1:\d+/#(\S+)').group(1)
+        assert last != panel.token

@@ -2,7 +2,9 @@
 import pytest
 from serial_communication.tools.panel.guard import Entrance, Guard, WrongToken, is_loopback
 
-GUARD = Guard(['Robot', 'robot.local'])
+NAMES = ['Robot', 'robot.local']
+GUARD = Guard('0.0.0.0', NAMES)
+LOOPBACK = Guard('127.0.0.1', NAMES)
 
 
 @pytest.mark.parametrize('host', [
@@ -19,6 +21,17 @@ def test_names_of_other_machines_are_refused(host):
     assert 'is not a name of this machine' in GUARD.check_host(host)
 
 
+@pytest.mark.parametrize('host', ['127.0.0.1:8080', 'localhost:8080', '127.3.2.1', '[::1]:80'])
+def test_on_loopback_its_addresses_and_localhost_are_allowed(host):
+    assert LOOPBACK.check_host(host) == GUARD.check_host(host) == ''
+
+
+@pytest.mark.parametrize('host', ['robot', 'ROBOT.local:8080', '192.168.1.7', '0.0.0.0', '[fe80::1]'])
+def test_on_loopback_no_other_name_or_address_of_this_machine_is_allowed(host):
+    assert 'is not a name of this machine on loopback' in LOOPBACK.check_host(host)
+    assert GUARD.check_host(host) == ''
+
+
 @pytest.mark.parametrize('origin, same', [
     ('http://robot:8080', True), ('https://ROBOT:8080', True), ('http://robot:8081', False),
     ('http://robot', False), ('http://evil.example', False), ('null', False), ('', False),
@@ -32,12 +45,12 @@ def test_a_new_token_is_exchanged_once_and_its_key_stays_valid():
     entrance = Entrance(needed=True)
     entrance.on_used = lambda: used.append(entrance.token)
     first = entrance.token
-    key = entrance.exchange(first, 'laptop', 1.0)
+    key = entrance.exchange(first, 1.0)
     assert used == [entrance.token] and first not in (key, entrance.token)
     assert entrance.check_key(key) == ''
     with pytest.raises(WrongToken, match='has been used already'):
-        entrance.exchange(first, 'laptop', 2.0)
-    other = entrance.exchange(entrance.token, 'phone', 2.0)
+        entrance.exchange(first, 2.0)
+    other = entrance.exchange(entrance.token, 2.0)
     assert entrance.check_key(other) == entrance.check_key(key) == '' and other != key
     assert entrance.check_key(first) == entrance.check_key('\udcff') \
         == 'its key is not valid any more'
@@ -46,26 +59,47 @@ def test_a_new_token_is_exchanged_once_and_its_key_stays_valid():
 
 def test_a_given_token_is_exchanged_any_number_of_times():
     entrance = Entrance(True, 'a-token-of-the-tests')
-    keys = {entrance.exchange('a-token-of-the-tests', 'laptop', 1.0) for _ in range(3)}
+    keys = {entrance.exchange('a-token-of-the-tests', 1.0) for _ in range(3)}
     assert len(keys) == 3 and entrance.token == 'a-token-of-the-tests'
     assert entrance.check_key('a-token-of-the-tests')
 
 
-def test_after_a_wrong_token_an_address_waits_two_seconds_even_with_the_right_one():
-    entrance = Entrance(True, 'a-token-of-the-tests')
-    with pytest.raises(WrongToken, match='the token is wrong'):
-        entrance.exchange('a-token-of-the-test', 'laptop', 10.0)
-    with pytest.raises(WrongToken, match='try again in 2 s'):
-        entrance.exchange('a-token-of-the-tests', 'laptop', 11.9)
-    assert entrance.exchange('a-token-of-the-tests', 'phone', 11.9)
-    assert entrance.exchange('a-token-of-the-tests', 'laptop', 12.1)
+@pytest.mark.parametrize('given', [None, 'a-token-of-the-tests'])
+def test_the_right_token_gets_in_while_wrong_ones_are_sent(given):
+    entrance = Entrance(True, given)
+    for number in range(50):
+        now = 10.0 + 0.1 * number
+        with pytest.raises(WrongToken, match='the token is wrong'):
+            entrance.exchange('a-token-of-the-test', now)
+        assert entrance.exchange(entrance.token, now + 0.01)
+
+
+def test_guesses_of_a_given_token_are_limited_over_all_addresses():
+    entrance, compared = Entrance(True, 'a-token-of-the-tests'), 0
+    for number in range(20000):         # in 20 s
+        try:
+            entrance.exchange('a-token-of-the-test', 10.0 + 0.001 * number)
+        except WrongToken as error:
+            compared += 'the token is wrong' in str(error)
+    assert compared == 110
+    with pytest.raises(WrongToken, match='one in 2 s is compared: try again'):
+        entrance.exchange('a-token-of-the-tests', 30.0)
+    assert entrance.exchange('a-token-of-the-tests', 32.1)
+
+
+def test_a_new_token_gets_in_whatever_was_guessed():
+    entrance = Entrance(True)
+    for _ in range(20000):
+        with pytest.raises(WrongToken, match='the token is wrong'):
+            entrance.exchange('a-token-of-the-test', 10.0)
+    assert entrance.exchange(entrance.token, 10.0)
 
 
 def test_without_a_token_every_page_may_connect_and_none_is_exchanged():
     entrance = Entrance(needed=False)
     assert entrance.check_key(None) == '' and entrance.token is None
     with pytest.raises(WrongToken):
-        entrance.exchange('', 'laptop', 1.0)
+        entrance.exchange('', 1.0)
 
 
 @pytest.mark.parametrize('address, loopback', [

@@ -24,7 +24,7 @@ from std_msgs.msg import String
 
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
-from serial_communication.msg import SerialMsg
+from serial_communication.msg import SerialMsg, SpeedPWMCommand
 
 TOPICS = ['~imu', '~voltage', '~environment', 'mcu/range_1', '~nothing']
 
@@ -50,8 +50,7 @@ def two_pages(panel):
 @pytest.fixture
 def driver(control_panel, robot):
     """A page that may drive, and whose commands the bridge receives."""
-    page = Page(control_panel, TOKEN)
-    page.until(lambda page: 'node' in page.known, 'the panel sends updates')
+    page = Page(control_panel, TOKEN).settle()
     until(lambda: robot.car.connected, 'the car is connected')
     until(lambda: control_panel.node in publishers_and_subscribers()[0].get(NODE + '/speed', ()),
           'the panel publishes speeds')
@@ -125,6 +124,20 @@ def test_a_second_panel_without_options_takes_the_next_port_and_name(robot):
         page.until(lambda page: '~imu' in page.samples, 'it shows the bridge')
         page.close()
         assert panel.end() == 0
+
+
+def test_panels_that_start_together_take_different_names(core):
+    panels = []
+    threads = [threading.Thread(target=lambda: panels.append(Panel(name=None))) for _ in range(5)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(panels) == 5
+    names = ['/panel', *(f'/panel_{number}' for number in range(2, 6))]
+    until(lambda: all(is_registered(name) for name in names)
+          or not all(panel.alive for panel in panels), 'all are registered')
+    assert [panel.end() for panel in panels] == [0] * 5
 
 
 def test_on_a_terminal_an_address_for_the_network_is_a_qr_code_as_well():
@@ -229,6 +242,8 @@ def test_the_policy_forbids_foreign_and_inline_content(panel):
     assert 'unsafe' not in policy and '*' not in policy
     assert headers['X-Content-Type-Options'] == 'nosniff'
     assert headers['Referrer-Policy'] == 'no-referrer'
+    for feature in 'camera', 'microphone', 'serial', 'usb', 'geolocation':
+        assert f'{feature}=()' in headers['Permissions-Policy']
 
 
 @pytest.mark.parametrize('path', ['/../cli.py', '/%2e%2e/cli.py', '/cards/../../cli.py',
@@ -262,6 +277,7 @@ def test_a_connection_needs_the_key_that_the_token_is_exchanged_for(control_pane
     assert control_panel.get('/key')[0] == 401
     status, headers, key = control_panel.exchange(TOKEN)
     assert status == 200 and 'Set-Cookie' not in headers and TOKEN not in key
+    assert headers['Cache-Control'] == 'no-store'
     assert control_panel.get('/key', X_Key=key)[0] == 200
     page = Page(control_panel, TOKEN)
     assert page.status == 101
@@ -275,17 +291,76 @@ def test_a_page_of_another_site_cannot_send_a_token(control_panel, origin):
     assert control_panel.exchange(TOKEN, Origin=origin)[0] == 403
 
 
-def test_a_wrong_token_is_refused_and_guesses_are_slowed():
+def test_a_wrong_token_is_refused_and_the_right_one_gets_in_nevertheless():
     panel = Panel('--control', name='panel_guessed')
-    status, _headers, text = panel.exchange('not-the-right-one')
-    assert status == 401 and 'the token is wrong' in text
-    status, _headers, text = panel.exchange(panel.token)
-    assert status == 401 and 'try again in 2 s' in text
-    until(lambda: panel.exchange(panel.token)[0] == 200, 'it is accepted later', every=0.5)
-    panel.wait_for('panel: for another browser: http://127.0.0.1:')
-    addresses = re.findall(r'http://\S+#\S+', panel.output())
-    assert len(addresses) == len(set(addresses)) == 2
-    assert panel.exchange(panel.token)[0] == 401
+    ended = threading.Event()
+
+    def guess():
+        while not ended.is_set():
+            assert panel.exchange('not-the-right-one')[0] == 401
+    guesser = threading.Thread(target=guess)
+    guesser.start()
+    try:
+        status, _headers, text = panel.exchange('not-the-right-one')
+        assert status == 401 and 'the token is wrong' in text
+        token = panel.token
+        for number in range(1, 11):
+            assert panel.exchange(token)[0] == 200
+            addresses = until(lambda number=number: printed(panel, number + 1), 'a new address')
+            assert panel.exchange(token)[0] == 401
+            token = addresses[-1].partition('#')[2]
+    finally:
+        ended.set()
+        guesser.join()
+    assert len(addresses) == len(set(addresses))
+    assert 'panel: for another browser: http://127.0.0.1:' in panel.output()
+    assert panel.end() == 0
+
+
+def printed(panel, number):
+    """The addresses that the panel has printed, if there are so many."""
+    found = re.findall(r'http://\S+#\S+', panel.output())
+    return found if len(found) >= number else None
+
+
+def test_guesses_of_a_token_of_ones_own_are_limited_over_all_addresses():
+    """Every address of loopback is another one."""
+    panel = Panel('--control', '--token', TOKEN, name='panel_own_token')
+    assert panel.exchange(TOKEN)[0] == 200
+    answers = [guess_from(f'127.0.{number // 250}.{number % 250 + 1}', panel)
+               for number in range(300)]
+    assert 100 <= sum('the token is wrong' in each for each in answers) < 150
+    assert 'one in 2 s is compared: try again' in answers[-1]
+    until(lambda: panel.exchange(TOKEN)[0] == 200, 'the right one gets in', every=0.2)
+    assert panel.end() == 0
+
+
+def guess_from(address, panel):
+    """Send a wrong token from this address; return the answer."""
+    with socket.create_connection(('127.0.0.1', panel.port), PATIENCE,
+                                  source_address=(address, 0)) as connection:
+        connection.sendall(b'POST /key HTTP/1.0\r\nHost: localhost\r\nOrigin: http://localhost\r\n'
+                           b'Content-Length: 5\r\n\r\nwrong')
+        return connection.makefile().read()
+
+
+def test_a_token_can_be_read_from_a_file(tmp_path):
+    (tmp_path / 'token').write_text(TOKEN + '\n')
+    panel = Panel('--control', '--token', f'@{tmp_path}/token', name='panel_file')
+    assert panel.exchange(TOKEN)[0] == 200
+    assert TOKEN.encode() not in open(f'/proc/{panel.process.pid}/cmdline', 'rb').read()
+    assert panel.end() == 0
+
+
+@pytest.mark.parametrize('arguments', [[], ['--control']])
+def test_on_loopback_a_name_of_this_machine_is_refused(arguments):
+    """A proxy or a tunnel that others reach is behind it."""
+    panel = Panel(*arguments, name='panel_loopback')
+    for host in socket.gethostname(), '192.168.1.7':
+        status, _headers, text = panel.get('/', Host=f'{host}:{panel.port}')
+        assert status == 403 and 'on loopback' in text
+        assert Page(panel, host=f'{host}:{panel.port}').status == 403
+    assert panel.get('/', Host='127.0.0.1')[0] == panel.get('/', Host='localhost')[0] == 200
     assert panel.end() == 0
 
 
@@ -544,6 +619,30 @@ def lift(page, key, distance=5):
                     'arguments': {'direction': 0, 'distance': distance}})
 
 
+def test_a_page_that_has_just_been_opened_takes_no_command_but_stop(control_panel, robot):
+    robot.car.forget()
+    robot.bus.forget()
+    page = Page(control_panel, TOKEN)
+    page.until(lambda page: 'node' in page.known, 'the panel sends updates')
+    lift(page, 'early')
+    page.send(led={'key': 'early led', 'text': 'left'})
+    drive(page, 1)
+    page.send(stop={'key': 'early stop'})
+    refused = {}
+
+    def collect(page):
+        refused.update((update['refused']['key'], update['refused']['words'])
+                       for update in list(page.updates) if 'refused' in update)
+        return {'early', 'early led', 'drive'} <= set(refused)
+    page.until(collect, 'all are refused')
+    assert {each for key, each in refused.items() if key != 'early stop'} == {
+        'nothing was sent: the page has just appeared; press again'}
+    assert 'just appeared' not in refused.get('early stop', '')
+    page.settle()
+    assert not robot.lift_requests and not any(robot.car.speeds)
+    page.close()
+
+
 def test_a_call_is_executed_and_answered(driver, robot):
     robot.bus.forget()
     lift(driver, 'one', 17)
@@ -607,6 +706,20 @@ def test_a_call_that_the_board_refused_is_shown_as_refused(driver, robot, name):
         'refused', 'the board refused: 0x8002: the operation failed')
 
 
+def test_the_reply_of_a_custom_function_is_shown_field_by_field(driver, robot):
+    robot.bus.script.append(bus.Reply(bus.OK, bytes.fromhex('d204 0000 b841')))
+    call = call_custom(driver, '~weigh')
+    assert call['outcome'] == 'done'
+    assert call['reply'] == [['environment.smoke', '1234'], ['environment.temperature', '23'],
+                             ['environment.humidity', '0']]
+
+
+def test_the_reply_of_a_call_that_failed_is_not_shown(driver, robot):
+    robot.bus.script.append(bus.Reply(bus.ERROR, b'\2\x80'))
+    call = call_custom(driver, '~weigh')
+    assert (call['outcome'], call['reply']) == ('refused', [])
+
+
 def test_the_outcome_of_a_call_is_not_known_if_the_bridge_dies(driver, robot):
     until(lambda: time.monotonic() - driver.now < 1, 'the page is up to date')
     robot.bus.script.append(lambda request: robot.bridge.process.kill() or b'')
@@ -666,7 +779,7 @@ def floats(core, tmp_path):
     ('NaN', False), ('1e999', False), ('-Infinity', False), ('1e39', True),
     ('1' + '0' * 400, True)], ids=['nan', 'overflow', 'infinity', 'beyond float32', 'integer'])
 def test_a_call_with_an_invalid_number_does_not_disturb_other_pages(floats, number, is_json):
-    page, other = Page(floats, TOKEN), Page(floats, TOKEN)
+    page, other = Page(floats, TOKEN).settle(), Page(floats, TOKEN)
     page.until(lambda page: '~set' in page.known.get('controls', {}).get('services', ()),
                'the service is offered')
     page.write(b'{"seen": %f, "call": {"key": "odd", "name": "~set", "arguments": {"data": %s}}}'
@@ -686,6 +799,7 @@ def test_a_call_with_an_invalid_number_does_not_disturb_other_pages(floats, numb
 def test_led_text_is_sent_and_too_long_a_one_is_refused(driver, robot):
     driver.until(lambda page: send_led(page, robot), 'the car receives it')
     driver.until(lambda page: page.calls.get('led', {}).get('outcome') == 'sent', 'the answer')
+    assert driver.calls['led']['words'] == 'to the bridge; this command has no answer'
     driver.send(led={'key': 'long', 'text': 'x' * 31})
     driver.until(lambda page: page.known.get('refused', {}).get('key') == 'long', 'refused')
 
@@ -831,7 +945,7 @@ def test_a_panel_that_was_suspended_does_not_continue_to_drive(driver, control_p
 
 def test_two_pages_do_not_drive_at_once(driver, control_panel, robot):
     other = Page(control_panel, TOKEN)
-    other.until(lambda page: page.now, 'the other page receives updates')
+    other.settle()
     hold = drive_until(driver, drives(robot), 'the car drives')
 
     def both():
@@ -845,13 +959,132 @@ def test_two_pages_do_not_drive_at_once(driver, control_panel, robot):
 
 def test_the_car_stops_when_the_panel_ends(robot):
     panel = Panel('--control', '--token', TOKEN, name='panel_third')
-    page = Page(panel, TOKEN)
-    page.until(lambda page: page.now, 'the page receives updates')
+    page = Page(panel, TOKEN).settle()
     robot.car.forget()
     drive_until(page, drives(robot), 'the car drives')
     panel.process.send_signal(signal.SIGTERM)
     until(has_stopped(robot), 'the car stops')
     assert panel.end() == 0
+
+
+class Teleop:
+    """Another program that commands the car: this process, 20 times a second.
+
+    Args:
+        speed: None: it sends nothing.
+    """
+
+    def __init__(self, speed=None):
+        self.speed = speed
+        self._topic = rospy.Publisher(NODE + '/speed', SpeedPWMCommand, queue_size=1,
+                                      tcp_nodelay=True)
+        self._ended = threading.Event()
+        threading.Thread(target=self._publish, daemon=True).start()
+
+    def _publish(self):
+        while not self._ended.wait(0.05):
+            if self.speed is not None:
+                self._topic.publish(value=self.speed)
+
+    def is_heard_by(self, *nodes):
+        """Whether these nodes are connected."""
+        return all(self._topic.impl.has_connection(node) for node in nodes)
+
+    def end(self):
+        """Publish no more."""
+        self._ended.set()
+        self._topic.unregister()
+
+
+@pytest.fixture
+def teleop(driver, control_panel, robot):
+    """Another program that drives, at 300."""
+    teleop = Teleop(300)
+    until(lambda: teleop.is_heard_by(NODE, control_panel.node), 'bridge and panel hear it')
+    until(drives(robot, 300), 'it drives')
+    yield teleop
+    teleop.end()
+    driver.send(stop={'key': 'over'})
+    until(has_stopped(robot), 'the car stops')
+
+
+def is_refused(words):
+    """Whether a command of the page was refused with these words."""
+    return lambda page: words in page.known.get('refused', {}).get('words', '')
+
+
+def test_no_page_drives_while_another_program_does(driver, teleop, robot):
+    robot.car.forget()
+    for hold in range(1, 20):
+        drive(driver, hold)
+        time.sleep(0.04)
+    driver.until(is_refused('/panel_test commands the car'), 'it is refused, with the reason')
+    assert set(robot.car.speeds) <= {300}
+
+
+def test_a_speed_0_of_another_program_ends_a_hold(driver, control_panel, robot):
+    other = Teleop()
+    try:
+        until(lambda: other.is_heard_by(NODE, control_panel.node), 'bridge and panel hear it')
+        hold = drive_until(driver, drives(robot), 'the car drives')
+        other.speed = 0
+        until(lambda: is_refused('/panel_test commands the car')(driver), 'the hold has ended',
+              doing=lambda: drive(driver, hold), every=0.04)
+        until(has_stopped(robot), 'the car stops')
+        count = len(robot.car.speeds)
+        for _ in range(20):
+            drive(driver, hold)
+            time.sleep(0.04)
+        assert not any(robot.car.speeds[count:])
+    finally:
+        other.end()
+
+
+def test_stop_is_repeated_against_a_program_that_goes_on_and_says_so(driver, teleop, robot):
+    robot.car.forget()
+    driver.send(stop={'key': 'against'})
+    driver.until(lambda page: page.calls.get('against', {}).get('outcome') == 'not known',
+                 'the page says that it goes on')
+    assert '/panel_test goes on sending speeds' in driver.calls['against']['words']
+    assert robot.car.speeds.count(0) >= 3
+    teleop.speed = 0
+    until(has_stopped(robot), 'the car stops')
+
+
+def test_two_panels_do_not_drive_at_once(driver, robot):
+    second = Panel('--control', '--token', TOKEN, name='panel_beside')
+    other = Page(second, TOKEN)
+    try:
+        other.settle()
+        until(lambda: second.node in publishers_and_subscribers()[1].get(NODE + '/speed', ()),
+              'it watches the speeds')
+        hold = drive_until(driver, drives(robot), 'the car drives')
+
+        def both():
+            drive(driver, hold)
+            drive(other, 1, speed=-90)
+        until(lambda: 'commands the car' in other.known.get('refused', {}).get('words', ''),
+              'the other is refused', doing=both, every=0.04)
+        robot.car.forget()
+        for step in range(20):
+            drive(driver, hold)
+            drive(other, 2 + step, speed=-90)
+            time.sleep(0.04)
+        signs = [speed > 0 for speed in robot.car.speeds if speed]
+        assert sum(one != next_ for one, next_ in zip(signs, signs[1:])) == 0
+        # STOP on the second ends the driving of the first.
+        hold = drive_until(driver, drives(robot, 130), 'the car drives', 130)
+        other.send(stop={'key': 'second'})
+        until(has_stopped(robot), 'the car stops', doing=lambda: drive(driver, hold, 130),
+              every=0.04)
+        count = len(robot.car.speeds)
+        for _ in range(20):
+            drive(driver, hold, 130)
+            time.sleep(0.04)
+        assert not any(robot.car.speeds[count:])
+    finally:
+        other.close()
+        assert second.end() == 0
 
 
 # -- a master, a bridge or a panel that hangs -------------------------------------------------
@@ -910,8 +1143,7 @@ def show_wire(panel):
 
 def call(panel):
     """Let the panel look up a service."""
-    page = Page(panel, TOKEN)
-    page.until(lambda page: page.now, 'the page receives updates')
+    page = Page(panel, TOKEN).settle()
     lift(page, 'key')
     page.until(lambda page: 'key' in page.calls, 'the call is under way')
 

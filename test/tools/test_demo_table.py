@@ -6,7 +6,7 @@ from types import SimpleNamespace as Message
 import pytest
 from serial_communication.link.outcome import Verdict
 from serial_communication.tools.demo import cli
-from serial_communication.tools.demo.state import Calls, Demo
+from serial_communication.tools.demo.state import Calls, Demo, PageAddress
 from serial_communication.tools.watch import table
 from serial_communication.tools.watch.state import LinkState
 from serial_communication.tools.watch.table import Screen, TextLine
@@ -321,3 +321,23 @@ def test_an_output_that_is_no_terminal_gets_a_plain_report_every_five_redraws():
     assert '\033' not in out.getvalue()
     assert out.getvalue().count('17 of 17 topics carry data') == 2
     assert 'topic ' in out.getvalue()
+
+
+def test_the_latest_address_of_the_page_is_shown(tmp_path):
+    log = tmp_path / 'log'
+    state = running(Demo(page=PageAddress(str(log))))
+
+    def shown():
+        return [line.text for line in lines(state, 100, 30) if 'In a browser' in line.text]
+    assert shown() == []
+    with log.open('w') as out:
+        for text, address in (
+                ('panel: http://127.0.0.1:8080/#one\n', 'http://127.0.0.1:8080/#one'),
+                ('[INFO] arduino says "panel: http://evil/"\npanel: waiting for http://a:1\n',
+                 'http://127.0.0.1:8080/#one'),
+                ('panel: for another browser: http://127.0.0.1:8080/#tw', None), ('o\n', None)):
+            out.write(text)
+            out.flush()
+            if address:
+                assert shown() == ['In a browser:  ' + address]
+    assert shown() == ['In a browser:  http://127.0.0.1:8080/#two']

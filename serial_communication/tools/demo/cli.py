@@ -24,7 +24,7 @@ from ...ros.master import wait_for_master
 from ..watch.live import LiveTable, stopped_by_signals
 from ..watch.topics import LINKS, NODE
 from ..watch.watcher import leave_ros
-from .state import Demo
+from .state import Demo, PageAddress
 
 _START = 60.0           # s for the bridge to start
 _CALL_EVERY = 3.0       # s between two lift or gimbal calls
@@ -116,7 +116,7 @@ def _arguments(argv: Optional[List[str]]) -> argparse.Namespace:
     parser.add_argument('--control', action='store_true', help='the page has commands')
     parser.add_argument('--duration', type=float, metavar='SECONDS', help='end after this time')
     parser.add_argument('--setup', default='', help='the command that sets up a second terminal')
-    parser.add_argument('--page', default='', help="the panel's address")
+    parser.add_argument('--page-log', help='the file in which the panel prints its addresses')
     return parser.parse_args(argv)
 
 
@@ -129,7 +129,8 @@ def main(argv: Optional[List[str]] = None) -> int:
 
 def _run(options: argparse.Namespace) -> int:
     demo = Demo(options.boards, options.links, options.move, options.setup,
-                rosgraph.get_master_uri(), options.page, options.control)
+                rosgraph.get_master_uri(), options.page_log and PageAddress(options.page_log),
+                options.control)
     stopping = stopped_by_signals()
     if not wait_for_master(stopping, patience=_START):
         if stopping.is_set():

@@ -1,5 +1,6 @@
 """What the demo shows beyond the bridge itself: its boards, calls and commands."""
-from typing import List, Sequence, Tuple
+import re
+from typing import List, Optional, Sequence, Tuple
 
 from ...link.outcome import Verdict
 from ..watch.state import ERROR, OK, BridgeState
@@ -39,6 +40,34 @@ class Calls:
         return not self.succeeded and any(self._counts.values())
 
 
+class PageAddress:
+    """The address of the page that is valid now: the one that the panel has printed last.
+
+    Args:
+        log: the file that it prints to, among other lines.
+    """
+
+    def __init__(self, log: str) -> None:
+        self._log = log
+        self._read = 0       # bytes of the file
+        self._address = ''
+
+    def latest(self) -> str:
+        """Return the address; '' if there is none yet."""
+        try:
+            with open(self._log, 'rb') as file:
+                file.seek(self._read)
+                new = file.read()
+        except OSError:
+            return self._address
+        complete = new[:new.rfind(b'\n') + 1]
+        self._read += len(complete)
+        for found in re.finditer(rb'^panel: (?:for another browser: )?(http://\S+)$', complete,
+                                 re.MULTILINE):
+            self._address = found.group(1).decode(errors='replace')
+        return self._address
+
+
 class Demo:
     """The state that the demo's table shows.
 
@@ -48,13 +77,13 @@ class Demo:
         moves: whether lift and gimbal are called.
         setup: the command that sets up a second terminal.
         master: the master's address.
-        page: the panel's address.
+        page: the panel's address; None: there is no panel.
         control: whether the page has commands.
     """
 
     def __init__(self, boards: str = 'simulated', links: Sequence[str] = LINKS,
-                 moves: bool = True, setup: str = '', master: str = '', page: str = '',
-                 control: bool = False) -> None:
+                 moves: bool = True, setup: str = '', master: str = '',
+                 page: Optional[PageAddress] = None, control: bool = False) -> None:
         self.bridge = BridgeState(NODE, [topic for topic in TOPICS
                                          if set(topic.links) & set(links)], links, master)
         self.calls = {'lift': Calls(), 'gimbal': Calls()} if moves and 'bus' in links else {}
@@ -62,8 +91,8 @@ class Demo:
         self._boards = boards
         self._no_commands = 'none; the page has them' if control \
             else 'none: real boards are not moved'
-        self._notes = [TextLine(words + text, whole=True) for words, text in (
-            ('In another terminal:  ', setup), ('In a browser:  ', page)) if text]
+        self._setup = setup
+        self._page = page
 
     def links_open(self) -> bool:
         """Whether every link has reported an open port, and no board that does not answer."""
@@ -98,7 +127,10 @@ class Demo:
         if self.driving:
             commands.append(TextLine(f'car     speed refused: {refusal}', 'warn') if refusal
                             else TextLine(f'car     {self.driving}'))
+        own = [TextLine(words + text, whole=True) for words, text in (
+            ('In another terminal:  ', self._setup),
+            ('In a browser:  ', self._page.latest() if self._page else '')) if text]
         return Heading(
             (f'{self._boards.capitalize()} boards, {elapsed:.0f} s.', 'Ctrl-C ends the demo.',
-             f'~ is {NODE}/'), (*self._notes, *notes),
+             f'~ is {NODE}/'), (*own, *notes),
             tuple(commands) or (TextLine(self._no_commands),))

@@ -1,5 +1,6 @@
 """The panel's command line. It imports neither ROS nor tornado, so --help works without them."""
 import argparse
+import os
 import re
 import sys
 from typing import List, Optional
@@ -20,7 +21,7 @@ def _port(text: str) -> int:
 def _token(text: str) -> str:
     if text.startswith('@'):
         try:
-            with open(text[1:], encoding='utf-8') as file:
+            with open(os.path.expanduser(text[1:]), encoding='utf-8') as file:
                 text = file.read().strip()
         except (OSError, UnicodeDecodeError) as error:
             raise argparse.ArgumentTypeError(f'{text[1:]} cannot be read: {error}') from None
@@ -50,7 +51,8 @@ def _arguments(argv: List[str]) -> argparse.Namespace:
                         help='let the page move lift, gimbal and car')
     parser.add_argument('--token', type=_token,
                         help='a token of your own, which opens the page any number of times. '
-                        'Others can see it in ps; @FILE reads it from a file')
+                        'Others can see it in ps and in the log of roslaunch; @FILE reads it from '
+                        'a file')
     return parser.parse_args(argv)
 
 

@@ -4,10 +4,12 @@ Each call runs in its own thread, since it may take seconds; the registrar's thr
 publishers. Everything else runs on the IO loop, including the dead man's switch.
 """
 import io
+import math
 import threading
 import time
 from collections import deque
-from typing import Any, Callable, Deque, Dict, List, Optional, Tuple
+from itertools import islice
+from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional, Tuple
 
 import genpy
 import rosgraph
@@ -22,9 +24,9 @@ from serial_communication.srv import Gimbal, Lift
 
 from ...boards.arduino.wire import LED_LIMIT, SPEED_LIMIT
 from ...link.outcome import LOOK, Verdict
-from ...ros.answers import read_error, read_response
+from ...ros.answers import outcome_fields, read_error, read_response
 from ..watch.state import BridgeState
-from ..watch.topics import resolve
+from ..watch.topics import leaves, one_line, resolve
 from .dead_man import SILENCE, CommandRefused, DeadManSwitch
 from .forms import Message, Service, custom_messages, custom_services, service
 from .registrar import Registrar
@@ -34,13 +36,28 @@ _DOUBLE_CLICK = 0.5         # s after a call in which another one of its service
 _MAX_AGE = 2.0              # s from a click until its request is sent; later it is refused
 _MAX_CALLS = 8              # under way at once
 _MAX_ANSWERS = 30           # kept for the pages
+_MAX_REPLY = 40             # fields of a response that are shown
+_MAX_REPLY_TEXT = 200       # characters of each
+_STOPPING = 1.0             # s for which SPEED 0 is repeated after STOP
+_STOP_PERIOD = 0.05         # s between two of them
+_GOES_ON = 0.3              # s after STOP; a speed of another program that comes later is new
+_FOREIGN = 0.5              # s for which no page drives after another program has sent a speed
 _SENT = 'sent'              # the outcome of what no board answers
+_TO_THE_BRIDGE = 'to the bridge; this command has no answer'
 _TOPICS = {'~speed': SpeedPWMCommand, '~led': String, '~steering': SteeringPWMCommand}
 
 # The services that every bridge has a control for, by name relative to the node.
 _BUILT_IN = {'~lift': service(Lift, 'bus'), '~gimbal': service(Gimbal, 'bus'),
              '~calibrate_imu': service(Empty, 'arduino'), '~bus/echo': service(Trigger, 'bus'),
              '~bus/sync': service(Trigger, 'bus')}
+
+
+class _Answer(NamedTuple):
+    """The answer to a service call."""
+
+    outcome: Verdict
+    words: str
+    reply: List[Tuple[str, str]] = []    # the response's own fields: name and value as text
 
 
 class Commands:
@@ -69,7 +86,10 @@ class Commands:
         self._changed: List[Dict[str, Any]] = []
         self._wanted = False             # whether a page is open
         self._publishers: Dict[str, rospy.Publisher] = {}    # set in the registrar's thread
+        self._speeds: Any = None         # subscriber to ~speed; set in the registrar's thread
         self._switch = DeadManSwitch(self._publish_stop)
+        self._stopped_at = -math.inf     # when STOP was pressed last
+        self._stop_answer: Dict[str, Any] = {}
         self._drive_words = ''
         self._sent_drive: Any = None
 
@@ -92,7 +112,14 @@ class Commands:
         self._registrar.submit(self._register)
 
     def _register(self) -> None:
-        """Create and unregister publishers. Runs in the registrar's thread."""
+        """Create and unregister publishers, and watch ~speed. Runs in the registrar's thread."""
+        if self._wanted and self._speeds is None:
+            self._speeds = rospy.Subscriber(
+                resolve('~speed', self._node), SpeedPWMCommand, self._on_speed, queue_size=10,
+                tcp_nodelay=True)
+        elif not self._wanted and self._speeds is not None:
+            self._speeds.unregister()
+            self._speeds = None
         classes = {**_TOPICS, **{name: each.row.message_class
                                  for name, each in self._messages.items()}} if self._wanted else {}
         for name, publisher in list(self._publishers.items()):
@@ -174,13 +201,14 @@ class Commands:
         self._ended = {key: at for key, at in self._ended.items() if key[0] is not page}
 
     def _run(self, page: Any, service_class: Any, request: Any, entry: Dict[str, Any]) -> None:
-        outcome, words = _call(resolve(entry['name'], self._node), service_class, request,
-                               entry['began'] + _MAX_AGE)
-        self._add_callback(self._answered, page, entry, outcome, words)
+        answer = _call(resolve(entry['name'], self._node), service_class, request,
+                       entry['began'] + _MAX_AGE)
+        self._add_callback(self._answered, page, entry, answer)
 
-    def _answered(self, page: Any, entry: Dict[str, Any], outcome: Verdict, words: str) -> None:
+    def _answered(self, page: Any, entry: Dict[str, Any], answer: '_Answer') -> None:
         now = time.monotonic()
-        entry.update(outcome=outcome.value, words=words, took=round(now - entry['began'], 3))
+        entry.update(outcome=answer.outcome.value, words=answer.words, reply=answer.reply,
+                     took=round(now - entry['began'], 3))
         self._under_way -= 1
         if (page, entry['name']) in self._ended:
             self._ended[page, entry['name']] = now
@@ -232,16 +260,49 @@ class Commands:
         except rospy.ROSException as error:
             raise CommandRefused(f'nothing was sent: {error}') from None     # rospy shuts down
         self._add_answer(key, name, arguments, now, outcome=_SENT, took=0.0,
-                         words='to the bridge; the board does not answer')
+                         words=_TO_THE_BRIDGE)
 
     # -- the car -------------------------------------------------------------------------------
 
     def stop_car(self, key: str) -> None:
-        """End any page's driving and send SPEED 0, at any time and however old the command is."""
-        self._switch.end()
-        command = SpeedPWMCommand(value=0)
-        command.header.stamp = rospy.Time.now()
-        self._send(key, '~speed', {'value': 0}, command, time.monotonic())
+        """End any page's driving and send SPEED 0, at any time and however old the command is.
+
+        SPEED 0 is repeated for a second, and follows every speed of another program at once.
+        """
+        now = time.monotonic()
+        self._stopped_at = now
+        self._switch.bar('STOP was pressed a moment ago; press again', now + _STOPPING)
+        self._repeat_stop(now)
+        self._publisher('~speed')       # or the answer is why it is not received
+        self._stop_answer = self._add_answer(key, '~speed', {'value': 0}, now, outcome=_SENT,
+                                             took=0.0, words=_TO_THE_BRIDGE)
+
+    def _repeat_stop(self, stopped_at: float) -> None:
+        if stopped_at == self._stopped_at and time.monotonic() < stopped_at + _STOPPING:
+            self._publish_stop()
+            self._call_later(_STOP_PERIOD, self._repeat_stop, stopped_at)
+
+    def _on_speed(self, command: Any) -> None:
+        """Receive a speed, also one of this panel. Runs in rospy's thread."""
+        name = command._connection_header['callerid']
+        if name != rospy.get_name():
+            self._add_callback(self._foreign_speed, name, command.value)
+
+    def _foreign_speed(self, name: str, speed: int) -> None:
+        """Another program has sent a speed: no page drives beside it, and STOP answers it."""
+        now = time.monotonic()
+        if self._switch.hold:
+            self._drive_words = f'stopped: {name} commands the car'
+        self._switch.bar(f'{name} commands the car', now + _FOREIGN)
+        since = now - self._stopped_at
+        if speed and since < _STOPPING:
+            self._publish_stop()
+            if since > _GOES_ON and self._stop_answer.get('outcome') == _SENT:
+                self._stop_answer.update(
+                    outcome=Verdict.NOT_KNOWN.value,
+                    words=f'{name} goes on sending speeds; SPEED 0 is sent against it for '
+                          f'{_STOPPING:g} s: end that program')
+                self._changed.append(self._stop_answer)
 
     def drive(self, page: Any, hold: int, seen: float, speed: int, steering: int) -> None:
         """Drive until the page has not repeated this for SILENCE.
@@ -296,7 +357,8 @@ class Commands:
 
     def _publisher(self, name: str) -> rospy.Publisher:
         publisher = self._publishers.get(name) if self._wanted else None
-        if publisher is None or not publisher.get_num_connections():
+        # Of all subscribers only the bridge counts; this panel itself is one of ~speed.
+        if publisher is None or not publisher.impl.has_connection(self._node):
             raise CommandRefused(f'the bridge does not subscribe to {name}: it does not run, '
                                  'or that link is off')
         return publisher
@@ -349,17 +411,27 @@ def _connected(name: str, service_class: Any, deadline: float) -> rospy.ServiceP
     return proxy
 
 
-def _call(name: str, service_class: Any, request: Any, deadline: float) -> Tuple[Verdict, str]:
-    """Call the service; return the outcome and a text. Nothing is sent after the deadline."""
+def _reply(response: Any) -> List[Tuple[str, str]]:
+    """The fields of a response that an outcome does not fill: name and value as text."""
+    known = outcome_fields(type(response))
+    return [(each.name, one_line(each.text())[:_MAX_REPLY_TEXT]) for each in islice(
+        (leaf for name in response.__slots__ if name not in known
+         for leaf in leaves(name, getattr(response, name))), _MAX_REPLY)]
+
+
+def _call(name: str, service_class: Any, request: Any, deadline: float) -> _Answer:
+    """Call the service and return its answer. Nothing is sent after the deadline."""
     try:
         proxy = _connected(name, service_class, deadline)
     except Exception as error:  # pylint: disable=broad-except
         why = 'no bridge offers this service now' if isinstance(error, rosgraph.MasterError) \
             else 'the ROS master does not answer' if isinstance(error, OSError) else error
-        return Verdict.REFUSED, f'nothing was sent: {why}'
+        return _Answer(Verdict.REFUSED, f'nothing was sent: {why}')
     try:
-        return read_response(proxy(request))
+        response = proxy(request)
+        outcome, words = read_response(response)
+        return _Answer(outcome, words, _reply(response) if outcome is Verdict.DONE else [])
     except rospy.ServiceException as error:
-        return read_error(error)
+        return _Answer(*read_error(error))
     except Exception as error:  # pylint: disable=broad-except
-        return Verdict.NOT_KNOWN, f'the call failed: {error}; {LOOK}'
+        return _Answer(Verdict.NOT_KNOWN, f'the call failed: {error}; {LOOK}')

@@ -3,11 +3,12 @@ import hmac
 import ipaddress
 import secrets
 from collections import deque
-from typing import Callable, Deque, Dict, Iterable, Optional
+from typing import Callable, Deque, Iterable, Optional
 from urllib.parse import urlsplit
 
 MIN_TOKEN_LENGTH = 12     # characters; a token can be guessed over the network
-_PAUSE = 2.0              # s between two guesses from one address
+_PAUSE = 2.0              # s between two guesses of a token of the user's own, in the long run
+_GUESSES = 100            # that may come at once
 _MAX_KEYS = 100           # of browsers; a further one makes the oldest invalid
 
 
@@ -43,19 +44,25 @@ class Guard:
     Each check returns why the request is refused, or an empty string if it is allowed.
 
     Args:
+        bind: the address or name that the panel listens on.
         names: of this machine. A page of another site can reach it only by a name of its own that
             resolves to this machine's address (DNS rebinding), not by an address or these names.
+            They are not used on loopback, where a name of this machine leads to a proxy or tunnel
+            that others reach.
     """
 
-    def __init__(self, names: Iterable[str]) -> None:
-        self._names = {'localhost', *(name.lower() for name in names)}
+    def __init__(self, bind: str, names: Iterable[str]) -> None:
+        self._loopback_only = is_loopback(bind)
+        self._names = {bind.lower(), *(name.lower() for name in names)}
 
     def check_host(self, host: str) -> str:
         """Check the Host header."""
         name = _host_name(host)
-        if name in self._names or is_address(name):
+        if is_loopback(name) or not self._loopback_only and (
+                name in self._names or is_address(name)):
             return ''
-        return f'Host {host[:80]!r} is not a name of this machine'
+        return f'Host {host[:80]!r} is not a name of this machine' + (
+            ' on loopback' if self._loopback_only else '')
 
     @staticmethod
     def check_origin(origin: Optional[str], host: str) -> str:
@@ -78,7 +85,8 @@ class Entrance:
     Args:
         needed: False: there is no token, and everybody who reaches the page may use it.
         given: a token that may be exchanged any number of times; None: each one is new, and is
-            exchanged once.
+            exchanged once. A new one cannot be guessed. A given one may be a word: so, after
+            100 wrong tokens at once from all addresses together, one in 2 s is compared.
     """
 
     def __init__(self, needed: bool, given: Optional[str] = None) -> None:
@@ -87,19 +95,19 @@ class Entrance:
         self.token: Optional[str] = (given or secrets.token_urlsafe(16)) if needed else None
         self.on_used: Callable[[], None] = lambda: None    # a token has been replaced by a new one
         self._keys: Deque[str] = deque(maxlen=_MAX_KEYS)
-        self._next_try: Dict[str, float] = {}      # by the address of who has sent a wrong token
+        self._guessed_until = 0.0   # the time of the latest guess if there were one every _PAUSE
 
-    def exchange(self, token: str, address: str, now: float) -> str:
-        """Return a new key for this token, sent from this IP address.
+    def exchange(self, token: str, now: float) -> str:
+        """Return a new key for this token.
 
         Raises:
             WrongToken: there is no key, and the text says why.
         """
-        self._next_try = {each: at for each, at in self._next_try.items() if at > now}
-        if address in self._next_try:
-            raise WrongToken(f'a wrong token was sent a moment ago; try again in {_PAUSE:g} s')
+        if self._given and self._guessed_until - now >= _GUESSES * _PAUSE:
+            raise WrongToken(f'somebody sends wrong tokens; one in {_PAUSE:g} s is compared: '
+                             'try again')
         if not self.token or not _same(token, self.token):
-            self._next_try[address] = now + _PAUSE
+            self._guessed_until = max(self._guessed_until, now) + _PAUSE
             raise WrongToken('the token is wrong, or has been used already')
         key = secrets.token_urlsafe(16)
         self._keys.append(key)

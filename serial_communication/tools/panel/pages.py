@@ -13,6 +13,9 @@ from .guard import Entrance, Guard, WrongToken
 
 WEB = Path(__file__).resolve().parent / 'web'
 KEY_HEADER = 'X-Key'
+_PERMISSIONS = ', '.join(f'{feature}=()' for feature in (
+    'accelerometer', 'camera', 'display-capture', 'fullscreen', 'geolocation',
+    'gyroscope', 'hid', 'magnetometer', 'microphone', 'midi', 'payment', 'serial', 'usb'))
 _NEEDS_KEY = '; open the address that the panel printed last'
 
 
@@ -70,7 +73,7 @@ class GuardedHandler(RequestHandler):
                  "frame-ancestors 'none'; require-trusted-types-for 'script'; "
                  "trusted-types 'none'"),
                 ('X-Content-Type-Options', 'nosniff'), ('X-Frame-Options', 'DENY'),
-                ('Referrer-Policy', 'no-referrer'),
+                ('Referrer-Policy', 'no-referrer'), ('Permissions-Policy', _PERMISSIONS),
                 ('Cross-Origin-Opener-Policy', 'same-origin'),
                 ('Cross-Origin-Resource-Policy', 'same-origin'),
                 ('Cache-Control', 'no-cache'), ('Server', 'panel')):
@@ -95,11 +98,16 @@ class KeyHandler(GuardedHandler):
                                                           self.request.host))
         await super().prepare()
 
+    def set_default_headers(self) -> None:
+        """Set the headers of every answer, but let nobody store this one."""
+        super().set_default_headers()
+        self.set_header('Cache-Control', 'no-store')
+
     def post(self) -> None:
         """Answer with a key for the token in the body."""
         try:
             key = self.entrance.exchange(self.request.body.decode(errors='replace'),
-                                         self.request.remote_ip, time.monotonic())
+                                         time.monotonic())
         except WrongToken as error:
             self.refuse('token', f'{error}{_NEEDS_KEY}', 401)
             return

@@ -4,6 +4,8 @@ It serves the page at once, also without a ROS master. A thread initialises ROS 
 answers.
 """
 import argparse
+import contextlib
+import fcntl
 import logging
 import os
 import signal
@@ -11,9 +13,10 @@ import socket
 import sys
 import threading
 import time
-from typing import Callable, List
+from typing import Callable, Iterator, List
 
 import rosgraph
+import rospkg
 import rospy
 import tornado.ioloop
 
@@ -55,19 +58,20 @@ class _Ros:
     def _start(self) -> None:
         if not wait_for_master(self._stopping, print_error):
             return
-        name = _free_name()
-        if not name:
-            taken = full_name('panel')
-            print_error(f'another node is named {taken} at {rosgraph.get_master_uri()}; end it, '
-                        f"or name this one: __name:={taken.rpartition('/')[2]}_2")
-            self._end(3)
-            return
-        watch = MasterWatch(full_name(name), logging.getLogger('rosout'))
-        try:
-            init_node(name, disable_signals=True)
-        except rospy.ROSInitException:      # another node took the name meanwhile
-            self._ended()
-            return
+        with _other_panels_waiting():
+            name = _free_name()
+            if not name:
+                taken = full_name('panel')
+                print_error(f'another node is named {taken} at {rosgraph.get_master_uri()}; end '
+                            f"it, or name this one: __name:={taken.rpartition('/')[2]}_2")
+                self._end(3)
+                return
+            watch = MasterWatch(full_name(name), logging.getLogger('rosout'))
+            try:
+                init_node(name, disable_signals=True)
+            except rospy.ROSInitException:      # another node took the name meanwhile
+                self._ended()
+                return
         rospy.on_shutdown(self._ended)
         if rospy.core.is_shutdown_requested():      # before the hook was set
             self._ended()
@@ -81,6 +85,24 @@ class _Ros:
             self._stopping.set()
             print_error('ROS has ended this node (rosnode kill, or another node of its name)')
             self._end(1)
+
+
+@contextlib.contextmanager
+def _other_panels_waiting() -> Iterator[None]:
+    """Let no other panel of this user choose a name until this one is registered.
+
+    The master gives a name to the node that asks last, and ends the one that had it.
+    """
+    try:
+        folder = os.open(rospkg.get_ros_home(), os.O_RDONLY)
+    except OSError:         # it does not exist: nobody waits
+        yield
+        return
+    try:
+        fcntl.flock(folder, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(folder)
 
 
 def _free_name() -> str:
@@ -148,7 +170,7 @@ def _serve(options: argparse.Namespace) -> int:
         code = qr_code(address) if sys.stdout.isatty() and not is_loopback(options.bind) else ''
         print(f'panel: {words}{address}' + f'\n{code}'.rstrip(), flush=True)
     entrance.on_used = lambda: print_address('for another browser: ')
-    server = serve(sockets, hub, Guard([*host_names(), options.bind]), entrance)
+    server = serve(sockets, hub, Guard(options.bind, host_names()), entrance)
     statuses: List[int] = []
     last_resort = LastResort(_EXIT_TIME)
 

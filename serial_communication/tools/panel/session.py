@@ -22,8 +22,9 @@ are in every message, the other keys only if they have changed:
     wire        {frames, left_out}: see wire.py; only while this page shows the wire
     controls    (first message, with --control) {services, messages: {name: {link, fields}}}; a
                 field is {name, kind, whole, unit, low, high}
-    calls       [{number, key, name, arguments, began, outcome, words, took}] of every page, calls
-                and messages; without the last three while the call is under way
+    calls       [{number, key, name, arguments, began, outcome, words, took, reply}] of every page,
+                calls and messages; without the last four while the call is under way. `reply` (of
+                a call) has [field, value as text] of the response
     drive       {held, words}
     refused     {key, words}: why a command of this page was not executed
 
@@ -32,7 +33,9 @@ From the page, any of these keys in one message:
     seen        the `now` of the latest message received; acknowledges it and all before it.
                 `call`, `send` and `led` are refused if it is older than 2 s
     watch       [topic]: the topics that the page shows; serial_msg: the wire
-    call        {key, name, arguments}: call a service
+    call        {key, name, arguments}: call a service. This and all others but `stop` and `release`
+                are refused in the first second of a connection: the page has just appeared, and
+                the press may have been meant for what was there before
     send        {key, name, values}: send a custom command
     led         {key, text}
     stop        {key}: end any page's driving, and send SPEED 0
@@ -57,6 +60,7 @@ MAX_MESSAGE = 4096    # bytes of a message from a page
 _MAX_UNACKNOWLEDGED = 125  # updates, 5 s of them, after which the page is dropped
 _MAX_WAITING = 2 << 20     # bytes that may wait for a page; the first update has the history
 _RATE = 120.0         # frames a second that a page may send; it sends 25, and 45 as it drives
+_SETTLING = 1.0       # s of a connection in which no command moves anything
 _BURST = 240.0        # frames that it may send at once
 _DROPPED_RATE = 10.0  # frames a second read from a dropped page, until it answers the close frame
 _MAX_TOPICS = 200     # that a page may watch
@@ -76,7 +80,7 @@ class Session(GuardedHandler, WebSocketHandler):
         self._unacknowledged: Deque[float] = deque()    # `now` of each update
         self._unsent: Deque[int] = deque()     # sizes of the updates that still wait here
         self._credit = _BURST
-        self._credit_at = time.monotonic()
+        self._credit_at = self._opened_at = time.monotonic()
 
     def check_origin(self, origin: str) -> bool:
         return True     # `prepare` has checked it
@@ -195,6 +199,9 @@ class Session(GuardedHandler, WebSocketHandler):
         try:
             if commands is None:
                 raise CommandRefused('this panel is read-only; start it with --control')
+            if name not in ('stop', 'release') and \
+                    time.monotonic() - self._opened_at < _SETTLING:
+                raise CommandRefused('nothing was sent: the page has just appeared; press again')
             if name == 'call':
                 commands.call(self, key, seen, str(values['name']), dict(values['arguments']))
             elif name == 'send':

@@ -57,8 +57,8 @@ class BridgeTopic(NamedTuple):
         """Return the numbers, flags and texts of a message of this topic."""
         if self.fields:
             return [value for path in self.fields
-                    for value in _leaves(path, _follow(message, path))]
-        return list(_VALUES.get(self.type, lambda message: _leaves('', message))(message))
+                    for value in leaves(path, _follow(message, path))]
+        return list(_VALUES.get(self.type, lambda message: leaves('', message))(message))
 
     def words(self, message: Any) -> str:
         """Return a message of this topic as one line of text."""
@@ -206,7 +206,7 @@ def _follow(message: Any, path: str) -> Any:
     return message
 
 
-def _leaves(name: str, part: Any) -> Iterable[FieldValue]:
+def leaves(name: str, part: Any) -> Iterable[FieldValue]:
     """Yield each number, flag and text of a message or of a part of one, except headers."""
     if isinstance(part, (bool, int, float, str)):
         yield FieldValue(name, part)
@@ -214,11 +214,11 @@ def _leaves(name: str, part: Any) -> Iterable[FieldValue]:
         yield FieldValue(name, part.to_sec(), 's', 3)
     elif isinstance(part, (list, tuple, bytes)):
         for index, item in enumerate(part[:_MOST_ITEMS]):
-            yield from _leaves(f'{name}[{index}]', item)
+            yield from leaves(f'{name}[{index}]', item)
     else:
         for slot in getattr(part, '__slots__', ()):
             if slot != 'header':
-                yield from _leaves(f'{name}.{slot}' if name else slot, getattr(part, slot))
+                yield from leaves(f'{name}.{slot}' if name else slot, getattr(part, slot))
 
 
 def one_line(text: str) -> str:

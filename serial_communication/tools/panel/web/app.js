@@ -8,6 +8,7 @@ import {Log} from './cards/log.js';
 import {CustomMessages} from './cards/custom.js';
 import {Channels, Sensors} from './cards/sensors.js';
 import {Wire} from './cards/wire.js';
+import {appear} from './appeared.js';
 import {Connection} from './connection.js';
 import {formatAge, h, updateAttribute, updateText, withoutAges} from './dom.js';
 import {flow} from './flow.js';
@@ -30,7 +31,7 @@ const log = new Log();
 const tabs = {
   Links: [log], Drive: [drive], Commands: [commands], Car: [new Attitude(), new Motion(), new Battery()],
   Sensors: [new Sensors(), new Channels(), new Air(), custom], Wire: [wire]};
-const below = [custom, wire];
+const below = [wire, custom];       // a new card must not move the wire
 const cards = [links, ...Object.values(tabs).flat()];
 const flowing = [tabs.Car[0], drive, commands, ...cards.slice(1).filter((each) =>
   ![tabs.Car[0], drive, commands, log, ...below].includes(each)), log].map((each) => each.element);
@@ -65,6 +66,7 @@ function drawHead(now) {
     : connection.seen ? `no connection to the panel for ${formatAge(Math.max(0, now - connection.seen))}: ${connection.words}` : connection.words;
   place('trouble').hidden = !trouble || !connection.seen && connection.words === 'connecting …';
   updateText(place('trouble'), trouble);
+  updateAttribute(place('trouble'), 'title', trouble);
   const health = !alive ? 'lost' : trouble ? 'trouble' : 'live';
   updateText(place('connection'), {lost: 'no connection', trouble: 'not live', live: 'live'}[health]);
   updateAttribute(document.body, 'data-connection', health);
@@ -101,6 +103,7 @@ function drawSoon() {
 }
 
 connection.addEventListener('update', ({detail: update}) => {
+  if ('node' in update) appear();       // the first update of a connection: now there are controls
   model.take(update);
   if (update.known && custom.learn(update.known)) watch();
   if (update.wire) wire.take(update.wire);

@@ -26,6 +26,7 @@ export class Connection extends EventTarget {
     this._retry = RETRY[0];
     this._nextTry = Infinity;  // until the token in the address has been exchanged
     this._hiddenAt = null;
+    this._refusal = '';        // why the token in the address was refused
     this._watch = [];
     document.addEventListener('visibilitychange', () => this._visibility());
     window.addEventListener('hashchange', () => this._enter());
@@ -64,7 +65,7 @@ export class Connection extends EventTarget {
         const answer = await fetch('key', {method: 'POST', body: token});
         const words = await answer.text();
         if (answer.ok) localStorage.setItem(KEY, words);
-        else this.words = words;
+        this._refusal = answer.ok ? '' : words;
       } catch { /* not reached: the key of an earlier token may do */ }
     }
     if (!this._socket) this._open();
@@ -91,6 +92,7 @@ export class Connection extends EventTarget {
     this._offset = Math.min(this._offset + DRIFT * Math.min(at - this._receivedAt, 1), at - update.now);
     this._receivedAt = at;
     this._retry = RETRY[0];
+    this._refusal = '';
     this.seen = update.now;
     this.send({});
     this.dispatchEvent(new CustomEvent('update', {detail: update}));
@@ -100,7 +102,7 @@ export class Connection extends EventTarget {
     this._socket = null;
     this._receivedAt = -Infinity;
     if (this._hiddenAt !== null) return;
-    this.words = reason || 'the connection was lost';
+    this.words = reason || this._refusal || 'the connection was lost';
     this._nextTry = seconds() + this._retry;
     this._retry = Math.min(this._retry * 1.6, RETRY[1]);
     this.dispatchEvent(new Event('lost'));
@@ -112,7 +114,8 @@ export class Connection extends EventTarget {
     try {
       const key = localStorage.getItem(KEY);
       const answer = await fetch('key', {cache: 'no-store', headers: key ? {'X-Key': key} : {}});
-      if (!answer.ok) this.words = await answer.text();
+      const words = await answer.text();
+      if (!answer.ok) this.words = this._refusal || words;
     } catch {
       this.words = 'the panel does not answer';
     }

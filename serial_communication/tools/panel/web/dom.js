@@ -36,9 +36,10 @@ export function updateAttribute(element, name, value) {
   }
 }
 
-const UNITS = {'deg': '°', 'degrees C': '°C', 'm/s^2': 'm/s²', 'in 10 ms': '/10 ms'};
+// A Map, since an announced unit may have any name, such as `constructor`.
+const UNITS = new Map([['deg', '°'], ['degrees C', '°C'], ['m/s^2', 'm/s²'], ['in 10 ms', '/10 ms']]);
 
-export const unit = (name) => UNITS[name] ?? name;
+export const unit = (name) => UNITS.get(name) ?? name;
 
 /** A value as text. The minus sign U+2212 is as wide as a plus sign; a hyphen is not. */
 export function formatNumber(value, digits = null) {

@@ -1,9 +1,11 @@
 /** Why a command cannot be carried out now; '' if it can. */
+import {APPEARED, hasJustAppeared} from './appeared.js';
 import {formatAge, withoutAges} from './dom.js';
 
 /** @param link the name of the link that the command needs */
 export function whyNot(model, connection, now, link) {
   if (!connection.alive) return 'no connection to the panel';
+  if (hasJustAppeared()) return APPEARED;
   const status = model.links.get(link);
   if (!model.links.size) return model.trouble || 'no status of the bridge yet';
   if (!status) return `the ${link} link is off`;

@@ -6,7 +6,7 @@ const SHOWN = 12;
 export class Answers {
   constructor() {
     this._own = [];       // answers of this page, beside those of the panel
-    this._list = h('ol', {class: 'answers', 'aria-label': 'answers, the latest first'});
+    this._list = h('ol', {class: 'answers', tabindex: '0', 'aria-label': 'answers, the latest first'});
     this.element = h('div', {class: 'answers-of'}, h('h3', {}, 'Answers'), this._list);
     this._drawn = '';
   }
@@ -20,7 +20,7 @@ export class Answers {
   /** @param waiting [{words, at}] of what was requested and is not yet known to the panel */
   draw(model, now, waiting) {
     const calls = [...model.calls.values()].map((call) => ({
-      what: describe(call), outcome: call.outcome, at: call.began,
+      what: describe(call), outcome: call.outcome, at: call.began, reply: call.reply,
       words: call.outcome === 'sent' ? call.words
         : call.outcome ? `${answerText(call)} (${call.took.toFixed(2)} s)`.trim()
           : `under way for ${formatAge(now - call.began)}`}));
@@ -29,9 +29,11 @@ export class Answers {
     const drawn = JSON.stringify(all);
     if (drawn === this._drawn) return;
     this._drawn = drawn;
-    this._list.replaceChildren(...all.map(({what, outcome, words}) =>
+    this._list.replaceChildren(...all.map(({what, outcome, words, reply}) =>
       h('li', {'data-outcome': outcome ?? 'pending'}, h('b', {}, what), ' ',
-        h('span', {class: 'outcome'}, outcome ?? '…'), ' ', h('span', {class: 'words'}, words))));
+        h('span', {class: 'outcome'}, outcome ?? '…'), ' ', h('span', {class: 'words'}, words),
+        ...reply?.length ? [h('dl', {class: 'reply'}, ...reply.map(([name, value]) =>
+          h('div', {}, h('dt', {}, name), h('dd', {}, value))))] : [])));
   }
 }
 

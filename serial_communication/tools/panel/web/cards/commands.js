@@ -3,6 +3,7 @@
  * answered, and while it cannot be carried out, with the reason beside it. If the connection is lost
  * during a call, its outcome is shown as not known.
  */
+import {APPEARED, hasJustAppeared} from '../appeared.js';
 import {card, formatAge, h, updateAttribute, updateText} from '../dom.js';
 import {whyNoCall, whyNot} from '../reasons.js';
 import {Answers, BUS, MOVES, PLAIN} from './answers.js';
@@ -28,7 +29,7 @@ export class Commands {
     this._reasons = [];             // [{name, link, isCall, place}]: where the reasons are shown
     this._body = h('div', {class: 'commands'});
     this._answers = new Answers();
-    this._calibrateNote = h('p', {class: 'words'});
+    this._calibrateNote = h('p', {class: 'words beside-button'});
     this.element = card('Commands', '', this._body, this._answers.element);
     this.element.hidden = true;
     this._shape = null;
@@ -51,6 +52,7 @@ export class Commands {
     for (const {name, link, isCall, place} of this._reasons) {
       const reason = (isCall ? whyNoCall : whyNot)(model, this._connection, now, link);
       updateText(place, reason);
+      updateAttribute(place, 'title', reason || null);
       this._groups.get(name).forEach((button) => {
         updateAttribute(button, 'disabled', Boolean(reason) || busy.has(name)
           || button.disabledUntil > performance.now());
@@ -99,6 +101,10 @@ export class Commands {
   _request(event, name, message, words) {
     // The second click of a double click must not move anything again.
     if (event.detail > 1) return;
+    if (hasJustAppeared()) {
+      this._addAnswer(words, 'refused', `nothing was sent: ${APPEARED}; press again`);
+      return;
+    }
     for (const button of this._groups.get(name)) {
       button.disabledUntil = performance.now() + LEAST_DISABLED;
       updateAttribute(button, 'disabled', true);

@@ -7,12 +7,14 @@
  * desktop may lose it. Therefore no key drives together with a modifier, and a key that no longer
  * repeats counts as released.
  */
+import {APPEARED, hasJustAppeared} from '../appeared.js';
 import {card, h, updateAttribute, updateText} from '../dom.js';
 import {whyNot} from '../reasons.js';
 
 const TOPICS = '~speed, ~steering';
 const IDLE = 'hold to drive';
 const EVERY = 50;           // ms between two commands
+const DOUBLE_CLICK = 500;   // ms from a press of the pad to the next, which is no wish to drive
 const SILENCE = 0.3;        // s without an update from the panel, after which the hold ends
 const PANEL_SILENT = `stopped: no update from the panel for ${SILENCE} s`;
 const MIDDLE = 1500;        // µs, the servo straight ahead
@@ -33,6 +35,7 @@ export class Drive {
     this._announce = announce;
     this._hold = 0;             // number of presses
     this._timer = null;         // while held
+    this._pressedAt = -Infinity;    // the latest press of the pad, ms
     this._keys = new Set();     // codes of the keys that are held
     this._repeats = false;      // whether this system is known to repeat keys
     this._repeatDue = Infinity; // when the next repeat is due, ms of performance.now()
@@ -76,8 +79,14 @@ export class Drive {
       if (event.button !== 0) return;
       event.preventDefault();
       pad.focus();
+      const isDouble = event.timeStamp - this._pressedAt < DOUBLE_CLICK;
+      this._pressedAt = event.timeStamp;
       if (this.held) {
         this._end('stopped: pressed while a key was held');
+        return;
+      }
+      if (isDouble) {
+        updateText(this._words, 'not driven: a double click; press once, and hold');
         return;
       }
       pad.setPointerCapture(event.pointerId);
@@ -145,9 +154,10 @@ export class Drive {
 
   _begin() {
     if (this.held) return;
-    if (this._reason) {
+    const reason = hasJustAppeared() ? APPEARED : this._reason;
+    if (reason) {
       this._keys.clear();
-      updateText(this._words, this._reason);
+      updateText(this._words, reason);
       return;
     }
     this._hold += 1;

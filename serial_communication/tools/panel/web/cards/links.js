@@ -1,4 +1,7 @@
-/** A card for each link, with its status in a colour and a text that can be read from a distance. */
+/**
+ * A card for each link, with its status in a colour and a text that can be read from a distance. Its
+ * height does not depend on what it says, or the controls below would move under a pointer.
+ */
 import {card, colour, context, formatAge, formatNumber, h, shortened, updateAttribute, updateText} from '../dom.js';
 
 const SHOWN = 300;         // s, the span of the bar chart
@@ -15,7 +18,7 @@ const MORE = [
   ['timeouts', (v) => v['timeouts']],
   ['heartbeat gap', (v) => milliseconds(v['heartbeat gap [ms]'])],
   ['lost', (v) => v['frames lost']],
-  ['stale', (v) => Number(v['stale']) > 0 ? `${v['stale']} bytes` : undefined],
+  ['stale', (v) => v['stale'] === undefined ? undefined : `${v['stale']} bytes`],
   ['reconnects', (v) => v['reconnects']],
 ];
 
@@ -69,6 +72,7 @@ class LinkCard {
     if (this._summary.textContent !== summary) {      // its beginning is read from a distance
       const [, begin, more] = summary.match(/^([^:;]*)(.*)$/s);
       this._summary.replaceChildren(begin, h('span', {class: 'more'}, more));
+      updateAttribute(this._summary, 'title', summary);
     }
     if (health !== this._health) {
       if (this._health !== null || health === 'error') {
@@ -93,8 +97,9 @@ class LinkCard {
     const silence = age + (stale ? now - link.at : 0);
     updateText(this._rates.age, Number.isNaN(age) ? 'never' : silence < 0.1 ? 'now' : `${formatAge(silence)} ago`);
     this._rememberGap(values, link.at, board);
-    updateText(this._gap, this._gapAt === null ? '' : `${this._gapWords}, ${formatAge(now - this._gapAt)} ago`);
-    this._gap.parentElement.hidden = this._gapAt === null || this._gapAt === link.at;
+    updateText(this._gap, this._gapAt === null || this._gapAt === link.at ? '–'
+      : `${this._gapWords}, ${formatAge(now - this._gapAt)} ago`);
+    this._gap.parentElement.hidden = !board?.longest_gap;
     for (const [label, text] of MORE) {
       const value = text(values), place = this._more.get(label);
       place.parentElement.hidden = value === undefined;
@@ -121,7 +126,6 @@ class LinkCard {
     const shown = link.errorsSince(now - SHOWN);
     const causes = [...shown.keys()].sort();
     const words = causes.map((cause) => `${cause} ${minute.get(cause) ?? 0}`).join(' ');
-    this._causes.hidden = this._spark.hidden = !causes.length;
     if (this._causes.dataset.words !== words) {
       this._causes.dataset.words = words;
       this._causes.replaceChildren(...causes.map((cause, at) => {

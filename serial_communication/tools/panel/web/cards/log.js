@@ -21,6 +21,7 @@ export class Log {
   }
 
   draw(model, now) {
+    if (this._list.matches(':hover')) return;       // a line leads to a link: it must not move
     const lines = model.log.slice(-SHOWN).reverse();
     const last = lines[0];
     if (last !== this._last || lines.length !== this._list.children.length) {

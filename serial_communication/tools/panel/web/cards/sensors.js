@@ -45,7 +45,7 @@ class Range {
 export class Sensors {
   constructor() {
     this.topics = ['mcu/status', 'mcu/range_1', 'mcu/range_2'];
-    this._status = h('p', {class: 'words'});
+    this._status = h('p', {class: 'words status-line'});
     this._parts = [
       new Range('range 1', 'mcu/range_1'), new Range('range 2', 'mcu/range_2'),
       new Reading('roll', 'mcu/status', 'roll'), new Reading('pitch', 'mcu/status', 'pitch'),
