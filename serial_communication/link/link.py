@@ -271,7 +271,7 @@ class Link:
         """Raise Refused for an announced command that the board may no longer have."""
         if not self.still_announces:
             raise Refused(f'{command} refused: the board has not announced it since the port was '
-                          'opened or since it announced something else', 'not announced')
+                          'opened, or since the board may have changed', 'not announced')
 
     def silent_for(self, now: float) -> float:
         """s since the latest byte; 0.0 if none was received since the port was opened."""

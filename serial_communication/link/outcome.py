@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Optional, Tuple
 _DONE = (0x00, 0x01, 0x02)      # SYNC, ECHO, OK
 _ERROR, _INVALID = 0x03, 0xFF
 NOT_SENT = 253     # refused by the bridge: nothing was sent
-TIMEOUT = 254      # not known: executed once or not at all
+TIMEOUT = 254      # not known: executed once or not at all, unless it may be repeated
 LOOK = 'look before you repeat it'      # advice to the caller, where the outcome is not known
 
 _NAMES = {_ERROR: 'ERROR', _INVALID: 'INVALID', NOT_SENT: 'not sent', TIMEOUT: 'not known'}
@@ -25,9 +25,9 @@ _TEXT = re.compile(r'(?:^|: )status (\d{1,3}) \([^)]*\): (.*)', re.DOTALL)
 class Verdict(enum.Enum):
     """Whether a call was executed."""
 
-    DONE = 'done'              # executed exactly once
+    DONE = 'done'              # executed; exactly once, unless it may be repeated
     REFUSED = 'refused'        # not executed
-    NOT_KNOWN = 'not known'    # executed once or not at all
+    NOT_KNOWN = 'not known'    # executed once or not at all, unless it may be repeated
 
 
 class Outcome(NamedTuple):
@@ -43,7 +43,8 @@ class Outcome(NamedTuple):
 
     @property
     def success(self) -> bool:
-        """Whether it was executed exactly once, with a reply as expected."""
+        """Whether it was executed, with a reply as expected: exactly once, unless it may be
+        repeated."""
         return self.status in _DONE and self.as_expected
 
     @property

@@ -7,11 +7,16 @@ from fake_boards import BusBoard, CarBoard, until
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.arduino.link import ArduinoLink
 from serial_communication.boards.bus import wire as bus
+from serial_communication.boards.bus import announcement
+from serial_communication.boards.bus.functions import ANNOUNCEMENT
 from serial_communication.boards.bus.link import BusLink, BusSettings
+from serial_communication.boards.bus.master import Call
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.mcu.link import McuLink
-from serial_communication.framing.announcement import Chunk, chunks_of
+from serial_communication.framing.announcement import Assembly, Chunk, chunks_of
 from serial_communication.link.link import Announced, Refused
+from serial_communication.link.outcome import NOT_SENT, TIMEOUT, Outcome
+from serial_communication.link.sparing_log import SparingLog
 from serial_communication.transport.port import Port
 
 TEXT = b'firmware: nano_car 1.1.0\nforce: {type: 32, ros_type: std_msgs/Float32}\n'
@@ -293,8 +298,9 @@ def test_a_bus_board_is_asked_for_each_chunk_once_a_connection_after_sync(bus_bo
 
 
 @pytest.mark.parametrize('answer', [
-    bus.Reply(bus.ERROR, b'\x00\x80'), bus.Reply(bus.OK), bus.Reply(bus.OK, b'\0\1'), b''],
-    ids=('error', 'OK without data', 'OK that is too short', 'none'))
+    bus.Reply(bus.ERROR, b'\x00\x80'), bus.Reply(bus.INVALID, b'\x20'), bus.Reply(bus.OK),
+    bus.Reply(bus.OK, b'\0\1')],
+    ids=('error', 'invalid', 'OK without data', 'OK that is too short'))
 def test_any_other_answer_means_that_nothing_is_announced(bus_board, bus_link, answer):
     bus_board.rule = lambda request: answer if request[:2] == ASKED else None
     link = bus_link(retries=0)
@@ -302,6 +308,137 @@ def test_any_other_answer_means_that_nothing_is_announced(bus_board, bus_link, a
     seen = len(bus_board.executed)
     until(lambda: len(bus_board.executed) > seen + 3)
     assert link.texts == [b''] and bus_board.questions() == [b'\0']
+
+
+@pytest.fixture
+def short_pauses(monkeypatch):
+    monkeypatch.setattr(announcement, '_PAUSES', (0.0, 0.01, 0.02, 0.03, 0.04, 0.05),
+                        raising=False)
+
+
+@pytest.mark.parametrize('lost', [1, 5])
+def test_a_question_that_is_not_answered_is_asked_again(bus_board, bus_link, short_pauses, lost):
+    bus_board.chunks = chunks_of(TEXT, 20)
+    bus_board.rule = lambda request: b'' if len(bus_board.questions()) <= lost \
+        and request[:2] == ASKED else None
+    link = bus_link(retries=0)
+    until(lambda: link.texts)
+    assert link.texts == [TEXT]
+    assert bus_board.questions()[:lost + 2] == [b'\0'] * (lost + 1) + [b'\1']
+
+
+def test_a_board_that_never_answers_the_question_is_asked_six_times(
+        bus_board, bus_link, short_pauses, lines):
+    bus_board.rule = lambda request: b'' if request[:2] == ASKED else None
+    link = bus_link(retries=0)
+    until(lambda: lines('does not answer the question for its announcement'))
+    seen = len(bus_board.executed)
+    until(lambda: len(bus_board.executed) > seen + 3)
+    assert link.texts == [] and len(bus_board.questions()) == 6
+
+
+class Questions:
+    """A question whose answers and times the test sets."""
+
+    def __init__(self, log=None):
+        self.asked = []
+        self.question = announcement.AnnouncementQuestion(self._ask, Assembly(), log)
+        self.question.opened()
+        self.question.restart(0.0)
+
+    def _ask(self, index):
+        self.asked.append(Call(ANNOUNCEMENT.make_request((index,)), 0.5, True, 1, 0.0))
+        return self.asked[-1]
+
+    def pause(self, now, outcome):
+        """The outcome of a question at `now`; return when it is asked again."""
+        count = len(self.asked)
+        self.question.step(now)
+        assert len(self.asked) == count + 1
+        self.asked[-1].finish(outcome)
+        self.question.step(now)
+        for tenth in range(1000):
+            self.question.step(now + tenth / 10)
+            if len(self.asked) > count + 1:
+                del self.asked[-1]
+                self.question._call = None
+                return now + tenth / 10
+        return None
+
+
+@pytest.mark.parametrize('outcome', [
+    Outcome(TIMEOUT, 'no reply'), Outcome(bus.INVALID, 'not synchronised', bus.NOT_SYNCHRONISED)],
+    ids=('none', 'not synchronised'))
+def test_the_pauses_between_questions_grow(outcome, log):
+    questions = Questions(log)
+    now, pauses = 0.0, []
+    while now is not None:
+        after = questions.pause(now, outcome)
+        pauses.append(after and after - now)
+        now = after
+    assert pauses == pytest.approx([0.5, 1.0, 2.0, 4.0, 8.0, None])
+    questions.question.restart(100.0)       # a board that always replies that, and then SYNC
+    assert questions.question.step(107.9) is None and len(questions.asked) == 6
+    questions.question.step(108.0)
+    assert len(questions.asked) == 7
+
+
+@pytest.fixture
+def log(logger):
+    return SparingLog('bus', logger)
+
+
+class Exchange:
+    """A rule for a board that is replaced by another one, which is not synchronised at first."""
+
+    def __init__(self, board):
+        self.board = board
+        self.synchronised = True
+        board.rule = self
+
+    def replace(self, text):
+        self.synchronised = False
+        self.board.chunks = chunks_of(text, 20)
+        del self.board.executed[:]
+
+    def __call__(self, request):
+        if request.cmd1 == bus.SYNC:
+            self.synchronised = True
+        return None if self.synchronised else bus.Reply(bus.INVALID, b'\x10')
+
+
+PUMP = bus.Request(bus.FUNCTION, 0x30)
+
+
+def test_nothing_announced_is_sent_to_another_board_behind_the_same_port(bus_board, bus_link):
+    bus_board.chunks = chunks_of(TEXT, 20)
+    exchange = Exchange(bus_board)
+    link = bus_link()
+    until(lambda: link.texts == [TEXT])
+    link.text_in_use = TEXT
+    link.poll(0.01, PUMP, None, lambda outcome: None, announced=True)
+    until(lambda: PUMP in bus_board.executed)
+    assert link.request(PUMP, announced=True).success
+    exchange.replace(OTHER)
+    outcome = link.request(PUMP, announced=True)
+    assert outcome.status == NOT_SENT or outcome.status == bus.INVALID
+    until(lambda: link.texts == [TEXT, OTHER])
+    assert not link.still_announces
+    assert link.request(PUMP, announced=True).status == NOT_SENT
+    assert PUMP not in bus_board.executed
+    exchange.replace(TEXT)
+    until(lambda: link.texts == [TEXT, OTHER, TEXT])
+    assert link.request(PUMP, announced=True).success
+
+
+def test_a_board_that_was_restarted_is_asked_again_after_sync(bus_board, bus_link):
+    """The caller's SYNC is the first request that it gets."""
+    bus_board.chunks = chunks_of(TEXT, 20)
+    link = bus_link()
+    until(lambda: link.texts == [TEXT])
+    bus_board.chunks = chunks_of(OTHER, 20)
+    assert link.sync().success
+    until(lambda: link.texts == [TEXT, OTHER])
 
 
 def test_a_bus_board_that_no_longer_announces_is_noticed_after_a_reconnect(bus_board, bus_link):

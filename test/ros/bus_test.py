@@ -139,6 +139,13 @@ class Air(BusTest):
         self.assertEqual(humidity.next(lambda m: m.relative_humidity > 0.5,
                                        doing=self.get_environment).relative_humidity, 1.0)
 
+    def test_a_reading_has_the_stamp_of_the_read_in_the_answer_and_on_the_topic(self):
+        topic = Topic('/serial_communication/environment', Environment)
+        answers = []
+        message = topic.first(doing=lambda: answers.append(self.get_environment()))
+        self.assertIn(message.header.stamp, [answer.environment.header.stamp
+                                             for answer in answers])
+
     def test_a_failed_reading_is_an_error_without_values(self):
         self.board.script += [bus.Reply(bus.ERROR, bytes.fromhex('0080')),
                               bus.Reply(bus.OK, bytes.fromhex('01020304'))]

@@ -7,6 +7,10 @@
 //   bus.on(0x32, tank);
 //   bus.update();                                             // in loop(), often
 //
+// Replies go out in the order of the requests: while a function is pending, all others wait, ECHO too. The bridge
+// relies on that: an ECHO that returns shows that no earlier reply can follow. A board without this library has to
+// do the same. If it answered ECHO during a move, the late reply to the move could be taken for the next one's.
+//
 // See examples/Slave.
 
 #ifndef BUSSLAVE_H

@@ -1,16 +1,22 @@
-"""Asks a board for its announcement: once after each connect, one chunk after the other."""
+"""Asks a board for its announcement after each SYNC, one chunk after the other."""
 from typing import Callable, Optional
 
 from ...framing.announcement import Assembly, Chunk
-from ...link.outcome import NOT_SENT
+from ...link.outcome import NOT_SENT, TIMEOUT
 from ...link.sparing_log import SparingLog
+from . import wire
 from .master import Call
 
+# s before the first question, and after each one without an answer
+_PAUSES = 0.0, 0.5, 1.0, 2.0, 4.0, 8.0
 _ROUNDS = 3     # through all chunks; the text may change, or be damaged, while it is read
 
 
 class AnnouncementQuestion:
-    """Asks until the text is complete. Any other reply, or none, means that there is no text.
+    """Asks until the text is complete. Any other reply means that there is no text.
+
+    A question without an answer means nothing: it is asked again, with growing pauses. A board that
+    replies that it is not synchronised has not answered, either.
 
     Args:
         ask: submits the request for the chunk with this index.
@@ -22,21 +28,28 @@ class AnnouncementQuestion:
         self._ask = ask
         self._assembly = assembly
         self._log = log
-        self.restart()
+        self.opened()
 
-    def restart(self) -> None:
-        """The port was opened: ask again."""
+    def opened(self) -> None:
+        """The port was opened; `restart` follows."""
         self._call: Optional[Call] = None
+        self._unanswered = 0     # questions in a row
+        self._rounds_left = 0
+
+    def restart(self, now: float) -> None:
+        """The board may be another one: ask for the whole text."""
         self._index = 0
         self._rounds_left = _ROUNDS
+        self._ask_at = now + _PAUSES[self._unanswered]
 
-    def step(self) -> Optional[bytes]:
+    def step(self, now: float) -> Optional[bytes]:
         """Ask for the next chunk if it is time; return the text that the board announces if it is
         now known and not the latest, else None."""
         if not self._rounds_left:
             return None
         if self._call is None:
-            self._call = self._ask(self._index)
+            if now >= self._ask_at:
+                self._call = self._ask(self._index)
             return None
         outcome = self._call.outcome
         if outcome is None:
@@ -44,9 +57,22 @@ class AnnouncementQuestion:
         self._call = None
         if outcome.status == NOT_SENT:
             return None     # the same chunk is asked for again
+        if outcome.status == TIMEOUT or outcome.error_code == wire.NOT_SYNCHRONISED:
+            self._ask_again(now)
+            return None
+        self._unanswered = 0
         if not outcome.success:
             return self._end(b'')
         return self._take(Chunk.unpack(outcome.data))
+
+    def _ask_again(self, now: float) -> None:
+        if self._unanswered + 1 < len(_PAUSES):
+            self._unanswered += 1
+            self._ask_at = now + _PAUSES[self._unanswered]
+            return
+        self._rounds_left = 0
+        self._log.warn('announcement', 'the board does not answer the question for its '
+                       'announcement; what it announced earlier is not used')
 
     def _take(self, chunk: Chunk) -> Optional[bytes]:
         try:
@@ -57,7 +83,7 @@ class AnnouncementQuestion:
         if self._assembly.complete:
             self._rounds_left = 0
             return text
-        self._index += 1
+        self._index = chunk.index + 1
         if self._index >= chunk.count:
             self._index = 0
             self._rounds_left -= 1

@@ -37,8 +37,8 @@ class Poller:
     Args:
         period: s.
         submit: submits the request; returns its call.
-        announced: whether the board announces it; then it waits after each connect until the board
-            has announced it again.
+        announced: whether the board announces it; then it waits until the board has announced it
+            since it answered SYNC.
     """
 
     def __init__(self, period: float, submit: Callable[[], Call],
@@ -78,7 +78,8 @@ class BusLink(Link):
                          **link_arguments)
         self.settings = settings
         self.master = Master(settings.reply_timeout, settings.motion_timeout, self.log,
-                             drop_output=self._drop_output)
+                             drop_output=self._drop_output, begun_anew=self._board_begun_anew,
+                             still_announces=lambda: self.still_announces)
         self._on_environment = on_environment
         self._pollers: List[Poller] = []
         self._question = AnnouncementQuestion(self._ask, self.announcement, self.log) \
@@ -118,7 +119,7 @@ class BusLink(Link):
     def request(self, request: wire.Request, repeatable: bool = False,
                 timeout: Optional[float] = None, reply_layout: Optional[Layout] = None,
                 on_success: Optional[Callable[[Outcome], None]] = None,
-                interrupts: bool = False) -> Outcome:
+                interrupts: bool = False, announced: bool = False) -> Outcome:
         """Send any request and wait for its outcome.
 
         Returns after the timeouts of all its tries at the latest, plus the time that it waits for
@@ -137,6 +138,7 @@ class BusLink(Link):
             interrupts: a repeatable request that is sent at once, also while the reply to another
                 one is expected: a stop. The outcome of that other one is then unknown, and calls
                 that wait for their turn are not sent.
+            announced: it is sent only to a board that has announced it.
         """
         if len(request.data) > wire.MAX_LENGTH:
             return Outcome(NOT_SENT, f'data is {len(request.data)} bytes long, may be at most '
@@ -145,7 +147,7 @@ class BusLink(Link):
             return Outcome(NOT_SENT, f'the port {self.port.url} is closed '
                            f'({self._trouble or "not opened yet"}); nothing was sent')
         call = self._call(request, repeatable, timeout, reply_layout, on_success,
-                          interrupts=interrupts)
+                          interrupts=interrupts, announced=announced)
         # Checked after the time of the call was taken, so that a stall in between makes it expire.
         if not repeatable and self.may_be_from_a_stall():
             return Outcome(NOT_SENT, f'{STALLED}; nothing was sent')
@@ -162,7 +164,8 @@ class BusLink(Link):
         The other arguments are those of `request` and `Poller`.
         """
         def submit() -> Call:
-            call = self._call(request, True, timeout, reply_layout, on_success, poll=True)
+            call = self._call(request, True, timeout, reply_layout, on_success, poll=True,
+                              announced=announced)
             self.master.submit(call)
             return call
 
@@ -191,16 +194,21 @@ class BusLink(Link):
 
     def _call(self, request: wire.Request, repeatable: bool, timeout: Optional[float],
               reply_layout: Optional[Layout], on_success: Optional[Callable[[Outcome], None]],
-              poll: bool = False, interrupts: bool = False) -> Call:
+              poll: bool = False, interrupts: bool = False, announced: bool = False) -> Call:
         settings = self.settings
         if timeout is None:
             moves = request.cmd1 == wire.FUNCTION and request.cmd2 in _MOVES
             timeout = settings.motion_timeout if moves else settings.reply_timeout
         return Call(request, timeout, repeatable, 1 + settings.retries, time.monotonic(), poll,
-                    reply_layout, on_success, interrupts)
+                    reply_layout, on_success, interrupts, announced)
 
     def _drop_output(self) -> None:
         self.port.discard_output('nothing received since a request, which may still wait')
+
+    def _board_begun_anew(self, now: float) -> None:
+        self.announcement.reset()
+        if self._question:
+            self._question.restart(now)
 
     def _environment_received(self, outcome: Outcome) -> None:
         if self._on_environment:
@@ -212,7 +220,7 @@ class BusLink(Link):
         for poller in self._pollers:
             poller.start(now)
         if self._question:
-            self._question.restart()
+            self._question.opened()
         self.master.connected(now)
         self._due = self._waits_since = now
 
@@ -249,7 +257,7 @@ class BusLink(Link):
                 if not poller.announced or self.still_announces:
                     poller.tick(now)
                     times.append(poller.pace.due)
-            text = self._question.step() if self._question else None
+            text = self._question.step(now) if self._question else None
             if text is not None and self.on_announcement:
                 self.on_announcement(text)
         waits_for = self._waits_for()

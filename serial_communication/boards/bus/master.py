@@ -30,10 +30,10 @@ next call. The rules:
    After `ECHO_TRIES` unanswered ECHOs in a row, a SYNC and a silence of the reply timeout replace
    the ECHO. For a board that has never echoed, a silence of `FENCE_SILENCE` is the fence.
 7. The reported outcome is always true. Success: executed exactly once. Refused or not sent: not
-   executed. Timeout: unknown, executed once or not at all. For a repeatable request this describes
-   the last try alone.
-8. A call that interrupts, a stop, is the exception to rules 1 and 6. It is sent at once, whatever is
-   being received: only a port that takes no data holds it. Calls that wait are not sent. If a
+   executed. Timeout: unknown, executed once or not at all. A repeatable request may have been
+   executed in earlier tries, too: its outcome describes the last try.
+8. A call that interrupts, a stop, is the exception to rules 1 and 6. It is sent at once, whatever
+   is being received: only a port that takes no data holds it. Calls that wait are not sent. If a
    request of a call is outstanding, its outcome is unknown. The stop is sent again after each
    unanswered ECHO or SYNC. All replies are dropped until an ECHO returns. Then the stop is sent in
    its turn like any repeatable request, and the reply to that is its outcome.
@@ -43,6 +43,11 @@ next call. The rules:
    before. If nothing at all was received since a request that is not repeatable, and it times out,
    it may still wait in the port: it is dropped there. Readings are not dropped: a network
    connection would have to be closed for each poll of a silent board.
+11. A board answers in the order of the requests, also while it moves. Rule 6 needs that, and
+   nothing here can detect a board that does not.
+12. A board that answers SYNC, or replies "not synchronised", may have begun anew, or be another
+   one. What it announced counts no more: an announced function is not sent before it is announced
+   again.
 """
 import enum
 import os
@@ -63,7 +68,7 @@ FENCE_AGE = 1.0        # s; before a move, an older fence is renewed
 NOT_READY_WAIT = 0.8   # s that a call waits while the link is not ready
 
 STALLED = 'it may have waited while the bridge stalled'
-
+_NOT_ANNOUNCED = 'the board may have begun anew, and has not announced this function since'
 _UNKNOWN = f'it is not known whether this was executed; {LOOK}'
 _NOT_TRIED = Outcome(NOT_SENT, 'nothing was sent')
 
@@ -81,12 +86,13 @@ class Call:
         reply_layout: layout of the data in its OK; None: any data; empty: see rule 5.
         on_success: called in the link's thread with a successful outcome.
         interrupts: whether it is sent at once, whatever is outstanding; see rule 8.
+        announced: whether it is sent only to a board that has announced it; see rule 12.
     """
 
     def __init__(self, request: wire.Request, timeout: float, repeatable: bool, tries: int,
                  now: float, poll: bool = False, reply_layout: Optional[Layout] = None,
                  on_success: Optional[Callable[[Outcome], None]] = None,
-                 interrupts: bool = False) -> None:
+                 interrupts: bool = False, announced: bool = False) -> None:
         self.request = request
         self.timeout = timeout
         self.repeatable = repeatable
@@ -96,6 +102,7 @@ class Call:
         self.reply_layout = reply_layout
         self.on_success = on_success
         self.interrupts = interrupts
+        self.announced = announced
         self.last_try = _NOT_TRIED      # outcome of the try before this one
         # Whether the last try ended with an INVALID that the board may have sent because of noise.
         # An ECHO that returns before any other reply confirms that it was for this request.
@@ -200,11 +207,15 @@ class Master:
         log: for warnings.
         nonce: returns new bytes for an ECHO.
         drop_output: drops what was sent but may still wait on its way; see rule 10.
+        begun_anew: called with the time when the board may have begun anew, or be another one.
+        still_announces: whether the board has announced the announced functions since then.
     """
 
     def __init__(self, reply_timeout: float, motion_timeout: float, log: SparingLog,
                  nonce: Callable[[], bytes] = lambda: os.urandom(4),
-                 drop_output: Callable[[], None] = lambda: None) -> None:
+                 drop_output: Callable[[], None] = lambda: None,
+                 begun_anew: Callable[[float], None] = lambda now: None,
+                 still_announces: Callable[[], bool] = lambda: True) -> None:
         self.state = SessionState.CLOSED
         self.timeouts = 0
         self.length_errors = 0
@@ -215,6 +226,8 @@ class Master:
         self._log = log
         self._nonce = nonce
         self._drop_output = drop_output
+        self._begun_anew = begun_anew
+        self._still_announces = still_announces
         self._submitted: Deque[Call] = deque()  # from other threads
         self._calls: Deque[Call] = deque()
         self._polls: Deque[Call] = deque()
@@ -280,7 +293,7 @@ class Master:
             self._exchange = None
             self._out_of_step(f'received a reply without a request: {reply}')
             if _lost_synchronism(reply):
-                self.state = SessionState.UNSYNCHRONISED
+                self._lose_synchronism(now)
         else:
             self._reply_handlers[exchange.kind](exchange, frame, now)
 
@@ -331,8 +344,8 @@ class Master:
         """Do what is due now.
 
         Args:
-            waits_for: what has to be received before a request may be sent, for people; '': nothing.
-                A call that interrupts does not wait for it.
+            waits_for: what has to be received before a request may be sent, for people; '':
+                nothing. A call that interrupts does not wait for it.
             port_ready: False: nothing at all can be sent now.
 
         Returns:
@@ -412,6 +425,10 @@ class Master:
         if self.synchronised:
             self.state = SessionState.OUT_OF_STEP
 
+    def _lose_synchronism(self, now: float) -> None:
+        self.state = SessionState.UNSYNCHRONISED
+        self._begun_anew(now)
+
     # -- sending ------------------------------------------------------------------------
 
     def _next_request(self, now: float) -> Tuple[Optional[wire.Request], Optional[float]]:
@@ -427,6 +444,10 @@ class Master:
             call = self._next_call()
             if call is None:
                 return None, None
+            if call.tries and not self._may_have(call):
+                call.invalid_unconfirmed = False    # in step: an ECHO has returned since
+                self._abandon(call, _NOT_ANNOUNCED)
+                continue
             if call.tries and self._needs_fence(call):
                 if not self._never_echoes and not self._is_fenced(call, now):
                     return self._send_echo(now), None
@@ -437,6 +458,10 @@ class Master:
                 call.finish(call.last_try)
             elif call.claim():
                 return self._send_call(call, now), None
+
+    def _may_have(self, call: Call) -> bool:
+        """Whether the board is known to have the function; see rule 12."""
+        return not call.announced or self._still_announces()
 
     def _send_echo(self, now: float) -> wire.Request:
         return self._send(_Kind.ECHO, wire.echo(self._nonce()), now)
@@ -467,6 +492,7 @@ class Master:
             self._exchange = None
             self._unanswered_syncs = 0
             self.state = SessionState.OUT_OF_STEP
+            self._begun_anew(now)
             if self._unanswered_echoes >= ECHO_TRIES:
                 self._expect_silence(now)
         elif reply.cmd1 != wire.INVALID:     # INVALID: the SYNC was damaged; it is sent again later
@@ -482,7 +508,7 @@ class Master:
         elif _lost_synchronism(reply):
             self._exchange = None
             self._echo_unanswered()
-            self.state = SessionState.UNSYNCHRONISED
+            self._lose_synchronism(now)
         else:
             self._out_of_step(f'{reply} to ECHO')
 
@@ -505,19 +531,21 @@ class Master:
         outcome = _outcome_of(reply, request, round_trip, frame.stamp)
         if reply.cmd1 == wire.ECHO:
             self._unanswered_echoes = 0
+        elif reply.cmd1 == wire.SYNC:
+            self._begun_anew(now)
         if reply.cmd1 != wire.INVALID:
             self._finish(exchange, now, outcome)
             return
         if exchange.reply_may_be_lost and call.always_fenced:     # so the INVALID may be for noise
             if _lost_synchronism(reply):
-                self.state = SessionState.UNSYNCHRONISED
+                self._lose_synchronism(now)
             self._finish(exchange, now, _unknown_after_invalid(outcome))
             return
         code = reply.error_code
         if code not in (wire.NOT_SYNCHRONISED, wire.CHECKSUM_MISMATCH):
             call.tries = 0
         if code == wire.NOT_SYNCHRONISED:
-            self.state = SessionState.UNSYNCHRONISED
+            self._lose_synchronism(now)
         elif call.always_fenced:
             self.state = SessionState.OUT_OF_STEP
         call.invalid_unconfirmed = call.always_fenced
@@ -565,9 +593,9 @@ class Master:
 
     # -- timeouts -----------------------------------------------------------------------
 
-    def _sync_timed_out(self, _exchange: _Exchange, _now: float) -> None:
+    def _sync_timed_out(self, _exchange: _Exchange, now: float) -> None:
         self.timeouts += 1
-        self.state = SessionState.UNSYNCHRONISED
+        self._lose_synchronism(now)
         self._unanswered_syncs += 1
         self._repeat_interruption()
 
@@ -650,6 +678,9 @@ class Master:
 
     def _send_at_once(self) -> Optional[wire.Request]:
         call = self._at_once.pop(0)
+        if not self._may_have(call):
+            self._abandon(call, _NOT_ANNOUNCED)
+            return None
         call.last_try = Outcome(TIMEOUT, f'no reply is known to be the one to this: {_UNKNOWN}')
         return call.request if call.claim(tries=0) else None
 

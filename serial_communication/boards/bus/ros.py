@@ -86,7 +86,7 @@ class BusInterface(Interface):
         outcome, reading = self.link.environment()
         response = fill_response(GetEnvironmentResponse(), outcome)
         if reading:
-            response.environment = self._message(reading, rospy.Time.now())
+            response.environment = self._message(reading, outcome.stamp)
             response.message = f'done: {reading}'
         return response
 
@@ -218,7 +218,7 @@ def _service(function: CustomFunction, request_fields: RosFields, reply_fields: 
             outcome = Outcome(NOT_SENT, f'{error}; nothing was sent')
         else:
             outcome = link.request(request, function.repeatable, function.timeout, function.reply,
-                                   interrupts=function.interrupts)
+                                   interrupts=function.interrupts, announced=announced)
         response = fill_response(reply_fields.new(), outcome)
         if outcome.success:
             reply_fields.fill(response, _values(function, outcome))

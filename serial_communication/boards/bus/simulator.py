@@ -14,8 +14,8 @@ Master's timeout deals with them.
 
     function     range                       speed                     refused with
     lift         0 … 1000 mm, starts at 500  100 mm/s                  0x8002 out of range
-    gimbal pan   -180 … 180°, left is +      90 °/s                    0x8002 out of range
-    gimbal tilt  -45 … 90°, up is +          90 °/s                    0x8002 out of range
+    gimbal pan   -170 … 170°, left is +      90 °/s                    0x8002 out of range
+    gimbal tilt  -90 … 90°, up is +          90 °/s                    0x8002 out of range
     environment  drifts about 130 raw, 22 °C, 45 %
     0x55 0xF0    stores its DATE and answers OK with the same DATE: a function that no bridge
                  knows, for trying raw requests
@@ -36,8 +36,8 @@ from .functions import ANNOUNCEMENT, CustomFunction
 MEMORY = 0xF0            # CMD2 of the function that no bridge knows
 LIFT_RANGE = (0, 1000)   # mm
 LIFT_START = 500
-PAN_RANGE = (-180, 180)  # degrees
-TILT_RANGE = (-45, 90)
+PAN_RANGE = (-170, 170)  # degrees, as those of the reference firmware
+TILT_RANGE = (-90, 90)
 LIFT_SPEED = 100.0       # mm/s
 GIMBAL_SPEED = 90.0      # degrees/s
 

@@ -25,11 +25,12 @@ FAULTS = ('none', 'lose request', 'lose reply', ('late', REPLY_TIMEOUT + 0.2),
           ('double', MOTION_TIMEOUT), 'damage reply', 'damage request', 'damage request, silent',
           'noise', 'noise before', 'cut', 'error', 'too long', 'reset',
           'invalid for noise', 'unsynchronised for noise', 'invalid for noise, damage reply')
-UNREPEATABLE = ('lift', 'gimbal', 'raw', 'act')         # never sent again after a timeout
+UNREPEATABLE = ('lift', 'gimbal', 'raw', 'act', 'own')  # never sent again after a timeout
 REPEATABLE = ('read', 'test', 'stop')                 # functions that may be sent again
 REQUESTS = UNREPEATABLE + REPEATABLE + ('air', 'echo', 'sync')
 POLLS = ('poll air', 'poll one', 'poll two')
 RAW, ACT, READ, TEST, STOP, ONE, TWO = 0x30, 0x31, 0x32, 0x33, 0x2F, 0x40, 0x41    # CMD2
+OWN = 0x42      # an announced function
 _READ = Layout('<4x', ())      # 'read' returns its request's data reversed
 _VALUE = Layout('<6x', ())     # of both polled functions, and as long as an environment's
 
@@ -54,6 +55,8 @@ class Board:
         self._faults = iter(faults)
         self._echoes = echoes
         self.ok_data = ok_data
+        self.restarts = 0              # after each, its functions may be others
+        self.asked_at: Optional[int] = None    # the restart after which its announcement was read
         self._synchronised = False
         self._line_free = 0.0
 
@@ -71,6 +74,7 @@ class Board:
         self.latest[request] = False
         if fault == 'reset':
             self._synchronised = False
+            self.restarts += 1
             return self._at(now, b'boot\xa5')
         if fault == 'damage request':
             return self._at(now, bus.encode_reply(bus.Reply(bus.INVALID, b'\x40')))
@@ -116,6 +120,7 @@ class Board:
             return bus.Reply(bus.ECHO, request.data) if self._echoes else None
         if failing:
             return bus.Reply(bus.ERROR, b'\2\x80')
+        assert request.cmd2 != OWN or self.asked_at == self.restarts, 'sent to another board'
         self.executed.append(request)
         self.latest[request] = True
         if request == bus.ENVIRONMENT_REQUEST:
@@ -139,7 +144,8 @@ class Model:
         logger.propagate = False
         nonces = itertools.count()
         self.master = Master(REPLY_TIMEOUT, MOTION_TIMEOUT, SparingLog('bus', logger),
-                             lambda: b'N%03d' % next(nonces))
+                             lambda: b'N%03d' % next(nonces), begun_anew=self._begun_anew,
+                             still_announces=lambda: self.board.asked_at is not None)
         self._decoder = bus.ReplyDecoder()
         self._line: List[tuple] = []        # (time, number, bytes) on their way to the Master
         self._number = itertools.count()
@@ -154,7 +160,11 @@ class Model:
             self._connected = True
             self._decoder.reset()
             self._line.clear()
+            self.board.asked_at = None
             self.master.connected(self.now)
+
+    def _begun_anew(self, _now: float) -> None:
+        self.board.asked_at = None
 
     def disconnect(self) -> None:
         """The port closes."""
@@ -171,6 +181,7 @@ class Model:
             'gimbal': bus.gimbal(number % 4, number // 4 % 256),
             'raw': bus.Request(bus.FUNCTION, RAW, b'r' + tag),
             'act': bus.Request(bus.FUNCTION, ACT, b'a' + tag),
+            'own': bus.Request(bus.FUNCTION, OWN, b'o' + tag),
             'read': bus.Request(bus.FUNCTION, READ, b'f' + tag),
             'test': bus.Request(bus.FUNCTION, TEST, b't' + tag),
             'stop': bus.Request(bus.FUNCTION, STOP, b's' + tag),
@@ -185,7 +196,8 @@ class Model:
                   'poll one': _VALUE, 'poll two': _VALUE}.get(kind, bus.NO_DATA)
         slow = kind in ('lift', 'gimbal')
         call = Call(request, MOTION_TIMEOUT if slow else REPLY_TIMEOUT, kind not in UNREPEATABLE, 3,
-                    self.now, kind in POLLS, layout, interrupts=kind == 'stop')
+                    self.now, kind in POLLS, layout, interrupts=kind == 'stop',
+                    announced=kind == 'own')
         self.asked.append(ModelCall(call, kind, self.now, self.board.readings))
         self.master.submit(call)
         if kind == 'stop' and self._connected:
@@ -220,6 +232,8 @@ class Model:
                 self._deliver(self._decoder.feed(wire))
             while self._decoder.pending and self.now >= self._last_byte + _FRAME_TIMEOUT:
                 self._deliver(self._decoder.give_up())
+            if self.board.asked_at is None and self.master.in_step:
+                self.board.asked_at = self.board.restarts
             request, self._wake_at = self.master.step(
                 self.now, 'the rest' if self._decoder.begun else '')
             if request is None:

@@ -4,9 +4,9 @@ import logging
 import pytest
 
 from serial_communication.boards.bus import master as master_module
-from serial_communication.boards.bus.master import (ECHO_TRIES, FENCE_AGE, FENCE_SILENCE, NOT_READY_WAIT,
-                                                    NOT_SENT, TIMEOUT, Call, Condition, Master,
-                                                    SessionState)
+from serial_communication.boards.bus.master import (ECHO_TRIES, FENCE_AGE, FENCE_SILENCE,
+                                                    NOT_READY_WAIT, NOT_SENT, TIMEOUT, Call,
+                                                    Condition, Master, SessionState)
 from serial_communication.link.sparing_log import SparingLog
 from serial_communication.boards.bus import wire as bus
 from serial_communication.framing.stream import CHECKSUM, FRAMING, Frame, invalid_frame
@@ -49,10 +49,17 @@ class Session:
         self.now = 100.0
         self.nonces = []
         self.dropped = []       # when output was dropped
+        self.begun_anew = []    # when the board may have, since the test began
+        self.announces = False
         self._motion_timeout = motion_timeout
         self.master = Master(REPLY_TIMEOUT, motion_timeout, SparingLog(
             'bus', logging.getLogger('session'), clock=lambda: self.now), self._nonce,
-            drop_output=lambda: self.dropped.append(self.now))
+            drop_output=lambda: self.dropped.append(self.now), begun_anew=self._begin_anew,
+            still_announces=lambda: self.announces)
+
+    def _begin_anew(self, now):
+        self.begun_anew.append(now)
+        self.announces = False
 
     def _nonce(self):
         self.nonces.append(b'n%03d' % len(self.nonces))
@@ -147,7 +154,10 @@ def fresh(caplog):
 @pytest.fixture
 def session(fresh):
     """A session that is connected, synchronised and in step."""
-    return fresh.connect()
+    fresh.connect()
+    assert fresh.begun_anew == [fresh.now]
+    del fresh.begun_anew[:]
+    return fresh
 
 
 @pytest.fixture
@@ -1616,7 +1626,7 @@ def test_of_two_stops_both_have_an_outcome(session):
         assert stop.outcome.success
 
 
-# -- 10. a move never comes late ---------------------------------------------------------------------
+# -- 10. a move never comes late ---------------------------------------------------------------
 
 @pytest.mark.parametrize('received', [None, 'noise', 'another reply'])
 @pytest.mark.parametrize('request_', [LIFT, GIMBAL, RAW, CUSTOM, AIR, READ], ids=str)
@@ -1632,3 +1642,57 @@ def test_output_is_dropped_if_nothing_was_received_since_a_move(session, request
     session.later(MOTION_TIMEOUT)
     assert session.dropped == ([session.now] if not received and request_ not in ALL_REPEATABLE
                                else [])
+
+
+# -- 12. another board behind the same port ----------------------------------------------------
+
+def announced(session):
+    """A call of an announced function."""
+    call = Call(CUSTOM, REPLY_TIMEOUT, False, 3, session.now, announced=True)
+    session.master.submit(call)
+    return call
+
+
+def test_an_announced_function_is_sent_only_to_a_board_that_has_announced_it(session):
+    call = announced(session)
+    assert session.next_request() is None and session.begun_anew == []
+    assert (call.outcome.status, call.outcome.message) == (
+        NOT_SENT, 'the board may have begun anew, and has not announced this function since; '
+        'nothing was sent')
+    session.announces = True
+    call = announced(session)
+    assert session.send_next() == CUSTOM
+
+
+@pytest.mark.parametrize('way', ['unrequested', 'to the call', 'to an ECHO', 'SYNC'])
+def test_what_waits_is_not_sent_to_a_board_that_begins_anew(session, way):
+    session.announces = True
+    if way == 'to the call':
+        announced(session)
+        assert session.send_next() == CUSTOM
+    elif way == 'to an ECHO':
+        session.master.may_have_missed('a test', session.now)
+        assert session.next_request().cmd1 == bus.ECHO
+    elif way == 'SYNC':
+        session.call(bus.SYNC_REQUEST)
+        assert session.next_request() == bus.SYNC_REQUEST
+    waits, lift = announced(session), session.call(LIFT)
+    session.reply(SYNC_REPLY if way == 'SYNC' else invalid(0x10))
+    assert session.begun_anew == [session.now] and not session.announces
+    if way != 'SYNC':
+        assert session.next_request() == bus.SYNC_REQUEST
+        session.reply(SYNC_REPLY)
+        session.get_in_step()
+    assert session.send_next() == LIFT
+    assert waits.outcome.status == NOT_SENT and lift.outcome is None
+
+
+def test_an_announced_stop_is_not_sent_to_a_board_that_begins_anew(session):
+    session.announces = True
+    moving(session)
+    stop = Call(STOP, REPLY_TIMEOUT, True, 3, session.now, interrupts=True, announced=True)
+    session.reply(invalid(0x10))
+    session.master.submit(stop)
+    assert session.next_request() is None
+    assert stop.outcome.status == NOT_SENT
+    assert session.next_request() == bus.SYNC_REQUEST

@@ -128,6 +128,20 @@ def test_the_model_detects_a_fence_missing_for_some_requests(monkeypatch, has_fe
         play(Model(faults), script)
 
 
+def test_the_model_detects_a_function_sent_to_another_board(monkeypatch):
+    faults = ['none', 'none', 'none', 'none', 'reset']
+    play(Model(faults), [('own', 0.1), ('own', 3.0), ('own', 3.0)])
+    monkeypatch.setattr(Model, '_begun_anew', lambda self, now: None)
+    with pytest.raises(AssertionError, match='sent to another board'):
+        play(Model(faults), [('own', 0.1), ('own', 3.0), ('own', 3.0)])
+
+
+def test_the_model_detects_a_stop_that_waits(monkeypatch):
+    monkeypatch.setattr(Master, '_interrupt', lambda self, call, now: None)
+    with pytest.raises(AssertionError, match='the stop was not sent at once'):
+        play(Model(), [('sync', 1.0), ('lift', 0.0), ('stop', 1.0)])
+
+
 def test_moves_succeed_with_data_in_the_ok():
     model = Model(ok_data=b'\1\2')
     for kind in ('lift', 'gimbal', 'act') * 10:
@@ -161,7 +175,7 @@ def test_without_faults_every_call_succeeds_at_once():
         assert model.asked[-1].call.outcome.success
     model.check()
     # A stop is sent twice: at once, and behind a fence.
-    assert len(model.board.executed) == 180 and model.master.timeouts == 0
+    assert len(model.board.executed) == 200 and model.master.timeouts == 0
 
 
 def test_every_request_but_sync_echo_and_the_latest_poll_has_a_fence():

@@ -1,6 +1,8 @@
 """The simulated main control board."""
 import contextlib
+import re
 import threading
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -12,7 +14,7 @@ from serial_communication.boards.bus.link import BusLink, BusSettings
 from serial_communication.link.outcome import TIMEOUT
 from serial_communication.transport.port import Port
 from serial_communication.boards.bus import wire as bus
-from serial_communication.boards.bus.simulator import MEMORY, ControlBoard
+from serial_communication.boards.bus.simulator import MEMORY, PAN_RANGE, TILT_RANGE, ControlBoard
 from serial_communication.simulation.faults import Faults, parse
 
 SYNC = bus.encode_request(bus.SYNC_REQUEST)
@@ -69,7 +71,7 @@ def test_lift_moves_by_the_requested_distance_at_its_speed():
 
 
 def test_longest_motions_end_within_the_motion_timeout():
-    for request in (bus.lift(0, 255), bus.gimbal(0, 180), bus.gimbal(2, 90)):
+    for request in (bus.lift(0, 255), bus.gimbal(0, 170), bus.gimbal(2, 90)):
         assert ask(make(), request, BusSettings().motion_timeout * 0.7) == [bus.Reply(bus.OK)]
 
 
@@ -83,18 +85,25 @@ def test_lift_refuses_to_leave_its_range():
 
 
 @pytest.mark.parametrize('direction, angle, pan, tilt', [
-    (0, 30, 30, 0), (1, 30, -30, 0), (2, 90, 0, 90), (3, 45, 0, -45)])
+    (0, 30, 30, 0), (1, 30, -30, 0), (2, 90, 0, 90), (3, 90, 0, -90)])
 def test_gimbal(direction, angle, pan, tilt):
     bench = make()
     assert ask(bench, bus.gimbal(direction, angle)) == [bus.Reply(bus.OK)]
     assert (bench.board.pan.at(bench.now), bench.board.tilt.at(bench.now)) == (pan, tilt)
 
 
-@pytest.mark.parametrize('direction, angle', [(0, 181), (1, 181), (2, 91), (3, 46)])
+@pytest.mark.parametrize('direction, angle', [(0, 171), (1, 171), (2, 91), (3, 91)])
 def test_gimbal_limits(direction, angle):
     bench = make()
     assert ask(bench, bus.gimbal(direction, angle)) == [bus.Reply(bus.ERROR, b'\x02\x80')]
     assert (bench.board.pan.at(bench.now), bench.board.tilt.at(bench.now)) == (0, 0)
+
+
+def test_the_gimbals_limits_are_those_of_the_reference_firmware():
+    header = Path(__file__).parents[3].joinpath('firmware/ctrl_board/board.h').read_text('utf-8')
+    for name, limits in (('Pan', PAN_RANGE), ('Tilt', TILT_RANGE)):
+        limit = int(re.search(r'k%sLimit = (\d+);' % name, header).group(1))
+        assert limits == (-limit, limit)
 
 
 @pytest.mark.parametrize('request_, code', [
