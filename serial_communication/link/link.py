@@ -445,6 +445,8 @@ class Link:
             stall = self._check_awake()
             if stall:
                 self._begin_to_drop(stall, now)
+            if self._stall and not self._stalls.has_just_stalled(self.awake_at):
+                self._end_drop()
             if self._stall:
                 self._drop(data, now)
                 if stall and self.port.is_network and not self.HAS_FENCES:
@@ -493,8 +495,9 @@ class Link:
         errors = dict(self.decoder.errors)
         self.decoder.feed(data, _OLD)
         self.decoder.errors.update(errors)
-        if self._stalls.has_just_stalled(self.awake_at):
-            return
+
+    def _end_drop(self) -> None:
+        """What is read from now on is new; log what was dropped."""
         if self._dropped:
             self.log.warn('stalled', f'the bridge stalled for {self._stall:.3g} s: {self._dropped} '
                           'bytes that waited in the port are old and were dropped')

@@ -226,17 +226,26 @@ def unplugged_during_call(rig: Rig) -> None:
 
 
 def suspended_bridge(rig: Rig) -> None:
-    """SIGSTOP of the bridge while it waits for a reply, which arrives meanwhile, so it is stale."""
+    """SIGSTOP of the bridge while it waits for a reply, which arrives meanwhile, so it is stale.
+
+    A call that is made meanwhile is not sent.
+    """
     calls = Calls(rig)
+    late = rig.require('bus', 'what moves is not sent if it was called during a stall')
     for _ in range(2):
         rig.settle()
         key, future = calls.start_unanswered()
         with rig.suspended():
             rig.bus_line.write(reply_frame(codec.OK))
+            arguments, old_key = calls.next_arguments('lift')
+            old = rig.robot.start_call('lift', *arguments)
             rig.sleep(1.0)
         rig.bus.react = None
         calls.check(key, future.result(MAX_WAIT), 'stall', 'not known', MOTION_TIMEOUT + 1.0)
+        calls.check(old_key, old.result(MAX_WAIT), 'called during a stall', 'not sent',
+                    MOTION_TIMEOUT + 1.0)
         rig.wait_heartbeats(70)     # moves are refused until 0.5 s after a stall
+        late.check(rig.bus.executed[old_key] == 0, 'it was executed')
         calls.check_received(calls.call('lift', 'after a stall', 'done'), 1, 'after a stall')
 
 
