@@ -226,9 +226,9 @@ def test_rows_of_several_boards_need_the_name_of_one():
 
 
 # Names of fields that the header, the language or a usual library has, too.
-NASTY = ['x', 'x_scale', 'x_scale_', 'x_minimum', 'x_offset', 'Count', 'count', 'BigEndian', 'TYPE',
-         'uint8_t', 'int16_t', 'padding', 'padding_2', 'class', 'class_', 'concept', 'Clash', 'main',
-         'memcpy', 'unix', 'A0', 'bytes', 'template']
+NASTY = ['x', 'x_scale', 'x_scale_', 'x_minimum', 'x_offset', 'Count', 'count', 'BigEndian',
+         'TYPE', 'uint8_t', 'int16_t', 'padding', 'padding_2', 'class', 'class_', 'concept',
+         'Clash', 'main', 'memcpy', 'unix', 'A0', 'bytes', 'template']
 
 
 @pytest.mark.parametrize('standard', ['c++11', 'gnu++11', 'gnu++20'])

@@ -25,8 +25,8 @@ _KEYWORDS = set('''
     boolean byte word linux unix'''.split())   # the last line: Arduino's, and macros of GNU C++
 # Names that this header uses itself; a row or a field of that name gets another one.
 _OWN = {'BigEndian', 'Count', *_TYPES.values()}
-# So does a row with the name of a class or an object of the Arduino core and its usual libraries, or
-# of a class of this package's library.
+# So does a row with the name of a class or an object of the Arduino core, of a usual library, or of
+# this package's library.
 _CLASSES = {'String', 'Serial', 'Print', 'Stream', 'Printable', 'Server', 'Client', 'Servo', 'Wire',
             'Announcer', 'BusResult', 'BusSlave', 'FrameLink', 'ImuData', 'MessageType', 'Packet',
             'PacketLink', 'SensorStatus', 'StreamSink'}
