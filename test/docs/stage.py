@@ -88,6 +88,22 @@ class Stage:
         last = dict(line.split() for line in levels_since.splitlines(True) if line.endswith('\n'))
         return all(last.get(link) in levels for link in links)
 
+    def run_while_ok(self, script: str, *links: str) -> 'subprocess.CompletedProcess[str]':
+        """Run a block of commands; again if it failed while a link was not OK.
+
+        On a busy machine simulated boards may get too little processor time.
+        """
+        deadline = time.monotonic() + PATIENCE
+        while True:
+            self.until(lambda: self.links_are_ok(*links), 'all links are OK')
+            before = self._levels.stat().st_size
+            done = self.run(script)
+            meanwhile = self._levels.read_text()[before:].split()[1::2]
+            # levels.py counts late heartbeats as OK.
+            if not done.returncode or time.monotonic() > deadline or not (
+                    {'WARN', 'ERROR'} & set(meanwhile) or 'heartbeat gap of' in done.stdout):
+                return done
+
     def node_answers(self, name: str) -> bool:
         """Whether a node with this name answers."""
         master = rosgraph.Master('/docs', self.environment['ROS_MASTER_URI'])

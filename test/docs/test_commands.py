@@ -66,9 +66,7 @@ def beside(bridge):
     wait."""
     def run(block):
         if block.language == 'sh':
-            done = bridge.run(block.text)
-            # Without real-time priority heartbeats are sometimes late on a busy machine.
-            return bridge.run(block.text) if 'heartbeat gap of' in done.stdout else done
+            return bridge.run_while_ok(block.text, *LINKS)
         program = bridge.folder / f'example_{block.line}.py'
         program.write_text(block.text)
         return bridge.run(f'/usr/bin/python3 {program}')

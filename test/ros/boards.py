@@ -31,6 +31,7 @@ sys.path.insert(0, os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(
 from fake_bus import AIR, FakeBus  # noqa: E402,F401
 from heartbeats import longest_gap  # noqa: E402
 from waiting import PATIENCE, Waiter, until  # noqa: E402,F401
+from witness import Witness  # noqa: E402
 
 PACKAGE = 'serial_communication'
 OK, WARN, ERROR = 0, 1, 2        # levels of diagnostics
@@ -342,17 +343,22 @@ class Bridge:
         return self.process.poll() is None
 
     def end(self, number=signal.SIGINT):
-        """Send a signal; return the seconds until the process has ended, and its status."""
-        began = time.monotonic()
-        if self.alive:
-            self.process.send_signal(number)
-        try:
-            status = self.process.wait(PATIENCE)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait(10)
-            raise AssertionError('still runs %g s after signal %d' % (PATIENCE, number))
-        return time.monotonic() - began, status
+        """Send a signal; return the seconds until the process has ended, and its status.
+
+        They are those of a machine that has time: see witness.py.
+        """
+        with Witness() as witness:
+            began = time.monotonic()
+            if self.alive:
+                self.process.send_signal(number)
+            try:
+                status = self.process.wait(PATIENCE)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait(10)
+                raise AssertionError('still runs %g s after signal %d' % (PATIENCE, number))
+            seconds = time.monotonic() - began
+        return seconds / witness.slowdown, status
 
 
 # -- the ROS side -------------------------------------------------------------------------

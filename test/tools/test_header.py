@@ -239,3 +239,33 @@ def test_rows_of_several_boards_need_the_name_of_one():
     assert done.returncode == 2 and done.stderr.startswith(
         f'header: {EXAMPLES}: there is no board no_board, only bus, arduino, mcu: importing')
     assert run('/no/such/file').stderr == 'header: /no/such/file: No such file or directory\n'
+
+
+# Names of fields that the header, the language or a usual library has, too.
+NASTY = ['x', 'x_scale', 'x_scale_', 'x_minimum', 'x_offset', 'Count', 'count', 'BigEndian',
+         'TYPE', 'uint8_t', 'int16_t', 'padding', 'padding_2', 'class', 'class_', 'concept',
+         'Clash', 'main', 'memcpy', 'unix', 'A0', 'bytes', 'template']
+
+
+@pytest.mark.parametrize('standard', ['c++11', 'gnu++11', 'gnu++20'])
+def test_fields_with_names_of_the_header_or_the_language_compile(tmp_path, standard):
+    rows = {name: {'type': 40 + number, 'ros_type': 'std_msgs/Float32', 'layout': '>' + layout,
+                   'fields': names, 'scale': 0.5, 'offset': 1, 'minimum': -9, 'maximum': 9}
+            for number, (name, layout, names) in enumerate((
+                ('clash', 'x' + 'h' * len(NASTY), NASTY), ('count', 'h*', ['data'])))}
+    header = made(configuration(tmp_path, rows))
+    for field in 'x', 'x_scale', 'count', 'x_scale_':
+        assert f' {field};' in header
+    output(tmp_path, header, f'''
+        static_assert(sizeof(Clash) == {1 + 2 * len(NASTY)}, "");
+        static_assert(Clash::count_scale() == 0.5f, "");''', f'-std={standard}')
+
+
+def test_a_row_with_the_name_of_a_class_of_a_library_gets_another_name(tmp_path):
+    row = {'ros_type': 'std_msgs/UInt8', 'layout': '<B', 'fields': ['data']}
+    header = made(configuration(tmp_path, {
+        name: dict(row, type=40 + number)
+        for number, name in enumerate(('packet_link', 'count', 'servo'))}))
+    assert sorted(line.split()[2] for line in header.splitlines()
+                  if line.startswith('struct')) == [
+        'CountMessage', 'PacketLinkMessage', 'ServoMessage']

@@ -270,6 +270,42 @@ def test_only_port_and_baud_of_a_configuration_change(tmp_path, text, name, expe
     assert yaml.safe_load(expected)[name]['port'] == '/dev/new'
 
 
+def test_what_was_there_before_is_kept_each_time(tmp_path):
+    base, path = tmp_path / 'base.yaml', tmp_path / 'new.yaml'
+    base.write_text('mcu:\n  port: /dev/x\n')
+    for number, kept in enumerate(['new.yaml~', 'new.yaml~1', 'new.yaml~2']):
+        path.write_text(f'version {number}')
+        assert configuration.write(str(path), str(base), ['mcu'], {}) == str(tmp_path / kept)
+    assert [(tmp_path / f'new.yaml~{number}').read_text() for number in ('', '1', '2')] == [
+        'version 0', 'version 1', 'version 2']
+
+
+def test_what_is_no_regular_file_is_not_replaced(tmp_path):
+    base = tmp_path / 'base.yaml'
+    base.write_text('mcu:\n  port: /dev/x\n')
+    (tmp_path / 'folder').mkdir()
+    (tmp_path / 'folder' / 'file').write_text('in it')
+    os.mkfifo(str(tmp_path / 'fifo'))
+    (tmp_path / 'device').symlink_to('/dev/full')
+    (tmp_path / 'link').symlink_to(tmp_path / 'folder')
+    before = sorted(os.listdir(str(tmp_path)))
+    for name in 'folder', 'fifo', 'device', 'link':
+        path = str(tmp_path / name)
+        with pytest.raises(configuration.WriteError,
+                           match=f'^{path} is not written: it is not a regular file$'):
+            configuration.write(path, str(base), ['mcu'], {})
+    assert sorted(os.listdir(str(tmp_path))) == before
+
+
+def test_a_file_that_is_called_like_the_new_one_is_left_alone(tmp_path):
+    base, path, other = tmp_path / 'base.yaml', tmp_path / 'new.yaml', tmp_path / 'new.yaml.new'
+    base.write_text('mcu:\n  port: /dev/x\n')
+    other.write_text('mine')
+    with pytest.raises(configuration.WriteError, match=f'^{other}: File exists$'):
+        configuration.write(str(path), str(base), ['mcu'], {})
+    assert other.read_text() == 'mine' and not path.exists()
+
+
 @pytest.mark.parametrize('text', ['mcu: {port: /dev/x}\n', '"mcu":\n  port: /dev/x\n', '- 1\n'])
 def test_a_configuration_that_cannot_be_changed_is_left_alone(tmp_path, text):
     base, path = tmp_path / 'base.yaml', tmp_path / 'new.yaml'

@@ -4,6 +4,8 @@
 Each records a simulated board with faults over real ttys: with `wire listen`, or with `wire tap`
 between it and a link of the bridge. It takes ten seconds. The page describes those in doc/wire.
 """
+import bisect
+import itertools
 import os
 import pty
 import subprocess
@@ -146,15 +148,15 @@ class WeakSupply(Faults):
         super().__init__()
         self.board = ModelCar(seed=2)
         self._full_since = None
-        self._has_failed = False
+        self.has_failed = False
 
     def events(self, now):
-        if self._has_failed or not self.board.motor_on or self.board.command < 800:
+        if self.has_failed or not self.board.motor_on or self.board.command < 800:
             return []
         self._full_since = self._full_since or now
         if now < self._full_since + 0.1:
             return []
-        self._has_failed = True
+        self.has_failed = True
         return [('reset', 0.4)]
 
 
@@ -165,26 +167,48 @@ def reset(folder, path):
     with Stage(folder) as stage, stage.tapped('arduino', whole):
         with running(supply.board, stage.ports['board'], supply), \
                 computer(ArduinoLink(Port(stage.ports['computer']))) as car:
-            for speed, seconds in ((300, 0.4), (900, 1.2)):
-                end = time.monotonic() + seconds
-                while time.monotonic() < end:
-                    car.set_speed(speed)
-                    time.sleep(0.1)
-    cut(whole, path, b'avrboot'.hex(), 0.3, 0.6)
+            drive(car, 300, 0.4, lambda: True)
+            drive(car, 900, 0.0, lambda: supply.has_failed)
+            drive(car, 900, 0.9, lambda: place_of(whole, b'avrboot'))
+    cut(whole, path, b'avrboot', 0.3, 0.6)
 
 
-def cut(whole, path, where, before, after):
-    """Copy the part of a recording around the first line that contains `where`."""
+def drive(car, speed, seconds, condition):
+    """Send a speed for that long at least, until the condition holds."""
+    began = time.monotonic()
+    while not condition() or time.monotonic() < began + seconds:
+        assert time.monotonic() < began + PATIENCE, f'not within {PATIENCE:g} s: speed {speed}'
+        car.set_speed(speed)
+        time.sleep(0.1)
+
+
+def lines_of(whole):
+    """Return the lines of a recording, as lists of words; the last one may not be complete."""
     with open(whole, encoding='utf-8') as file:
-        lines = file.readlines()
-    middle = next(float(line.split()[0]) for line in lines if where in line)
+        return [line.split() for line in file if line.endswith('\n')]
+
+
+def place_of(whole, data):
+    """Return when the board's bytes `data` were recorded, in s; None if they were not.
+
+    They may be in several lines: a program that gets little processor time reads parts.
+    """
+    received = [line for line in lines_of(whole) if line[1] == 'rx']
+    ends = list(itertools.accumulate(len(line[2]) for line in received))
+    place = ''.join(line[2] for line in received).find(data.hex())
+    return float(received[bisect.bisect(ends, place)][0]) if place >= 0 else None
+
+
+def cut(whole, path, data, before, after):
+    """Copy the part of a recording around the first of the board's bytes `data`."""
+    middle = place_of(whole, data)
     with open(path, 'w', encoding='utf-8') as file:
-        for line in lines:
-            if line.startswith('#'):
+        for line in lines_of(whole):
+            if line[0] == '#':
                 if 'open' not in line:
-                    file.write(line)
-            elif middle - before <= float(line.split()[0]) <= middle + after:
-                file.write(line)
+                    file.write(' '.join(line) + '\n')
+            elif middle - before <= float(line[0]) <= middle + after:
+                file.write(' '.join(line) + '\n')
 
 
 # -- a late reply ---------------------------------------------------------------------------------

@@ -22,9 +22,15 @@ _KEYWORDS = set('''
     reinterpret_cast return short signed sizeof static static_assert static_cast struct switch
     template this thread_local throw true try typedef typeid typename union unsigned using virtual
     void volatile wchar_t while xor xor_eq
-    boolean byte word'''.split())      # the last line: Arduino's
-# Classes and objects of the Arduino core; a row of that name gets another one.
-_ARDUINO = {'String', 'Serial', 'Print', 'Stream', 'Printable', 'Server', 'Client', 'BigEndian'}
+    char8_t co_await co_return co_yield concept consteval constinit requires
+    boolean byte word linux unix'''.split())   # the last line: Arduino's, and macros of GNU C++
+# Names that this header uses itself; a row or a field of that name gets another one.
+_OWN = {'BigEndian', 'Count', *_TYPES.values()}
+# So does a row with the name of a class or an object of the Arduino core, of a usual library, or of
+# this package's library.
+_CLASSES = {'String', 'Serial', 'Print', 'Stream', 'Printable', 'Server', 'Client', 'Servo', 'Wire',
+            'Announcer', 'BusResult', 'BusSlave', 'FrameLink', 'ImuData', 'MessageType', 'Packet',
+            'PacketLink', 'SensorStatus', 'StreamSink'}
 _WORDS = {'e': 'the bits of a float of 16 bits', '?': '0: false, 1: true'}
 _LARGEST_FLOAT = 3.4e38
 
@@ -82,7 +88,7 @@ def header(file: str, link: str, read: Iterable[Any], rows: Dict[str, Any]) -> s
         read: the rows, as the board's description reads them.
         rows: the same rows, as the file has them.
     """
-    names = _Names(_ARDUINO)
+    names = _Names(_OWN | _CLASSES)
     parts = [part for row in read for part in _row(row, names)]
     big_endian = any('BigEndian<' in part for part in parts)
     return '\n'.join([_TOP.format(file=_one_line(file), link=link) + _BIG_ENDIAN * big_endian,
@@ -123,7 +129,7 @@ def _row(row: Any, names: _Names) -> List[str]:
 
 def _struct(where: str, name: str, key: str, number: int, layout: Layout) -> str:
     """One packed struct, with a template argument if its last value has any length."""
-    fields, constants = _members(layout)
+    fields, constants = _members(layout, name)
     size, instance = layout.size, name
     lines = [where]
     last = layout.values[-1] if layout.values else None
@@ -141,22 +147,24 @@ def _struct(where: str, name: str, key: str, number: int, layout: Layout) -> str
         f'static_assert(sizeof({instance}) == {size}, "{why}");', ''])
 
 
-def _members(layout: Layout) -> Tuple[List[str], List[str]]:
+def _members(layout: Layout, struct: str) -> Tuple[List[str], List[str]]:
     """The lines of the struct's fields, and those of their constants."""
-    names = _Names()
+    names = _Names(_OWN | {struct})
     fields: List[str] = []
-    constants: List[str] = []
+    named: List[Tuple[Value, str]] = []
     at = 0
     for value in layout.values:
         if value.start > at:
             fields.append(f'  uint8_t {names.new("padding", "padding")}[{value.start - at}];')
         name = names.new(_member(value.name), _member(value.name) + '_')
         fields.append(f'  {_declared(value, name, layout.layout[0])};{_comment(value)}')
-        constants += _constants(value, name)
+        named.append((value, name))
         at = value.end if value.end >= 0 else layout.size
     if layout.size > at:
         fields.append(f'  uint8_t {names.new("padding", "padding")}[{layout.size - at}];')
-    return fields, constants
+    # After all fields, so that a field keeps its name: with a field x_scale, the scale of x is
+    # x_scale_.
+    return fields, [line for value, name in named for line in _constants(value, name, names)]
 
 
 def _member(path: str) -> str:
@@ -193,18 +201,17 @@ def _comment(value: Value) -> str:
     return '  // ' + ', '.join(words) if words else ''
 
 
-def _constants(value: Value, name: str) -> List[str]:
+def _constants(value: Value, field: str, names: _Names) -> List[str]:
     """Functions with a value's scale, offset, limits and "no value"; not constants, which need a
     definition."""
     given = (('scale', value.scale, 1), ('offset', value.offset, 0),
              ('minimum', value.minimum, -math.inf), ('maximum', value.maximum, math.inf))
-    constants = [f'  static constexpr float {name}_{what}() {{ return {float(number)!r}f; }}'
-                 for what, number, default in given
+    functions = [('float', what, f'{float(number)!r}f') for what, number, default in given
                  if value.name and number != default and abs(number) < _LARGEST_FLOAT]
     if value.invalid is not None:
-        constants.append(f'  static constexpr {_TYPES[value.code]} {name}_invalid() '
-                         f'{{ return {_raw(value.invalid, value.code)}; }}')
-    return constants
+        functions.append((_TYPES[value.code], 'invalid', _raw(value.invalid, value.code)))
+    return [f'  static constexpr {type_} {names.new(f"{field}_{what}", f"{field}_{what}_")}() '
+            f'{{ return {number}; }}' for type_, what, number in functions]
 
 
 def _raw(number: float, code: str) -> str:

@@ -3,6 +3,7 @@
 It is the text of another configuration, comments included, in which only ports and baud rates
 change. So the result documents itself, as config/bridge.yaml does.
 """
+import itertools
 import os
 import re
 from typing import Any, Dict, List, Mapping, NamedTuple
@@ -43,7 +44,8 @@ def write(path: str, base: str, names: List[str], found: Mapping[str, Connection
     """Write a configuration, and return the path of what was there before, or ''.
 
     Args:
-        path: the file to write. One that exists is kept beside it, with ~ after its name.
+        path: the file to write. One that exists is kept beside it as FILE~, or as FILE~1, FILE~2 …
+            if that exists, too.
         base: the configuration to change.
         names: all boards; the link of one that was not found is turned off.
         found: the boards' ports.
@@ -51,6 +53,8 @@ def write(path: str, base: str, names: List[str], found: Mapping[str, Connection
     Raises:
         WriteError: it cannot be written.
     """
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise WriteError(f'{path} is not written: it is not a regular file')
     wanted = {name: found.get(name, Connection('', 0)) for name in names}
     try:
         with open(base, encoding='utf-8') as file:
@@ -69,19 +73,25 @@ def write(path: str, base: str, names: List[str], found: Mapping[str, Connection
 
 def _replace(path: str, base: str, text: str, expected: Dict[str, Any]) -> str:
     new, before = path + '.new', ''
-    with open(new, 'w', encoding='utf-8') as file:
+    with open(new, 'x', encoding='utf-8') as file:      # of nobody else
         file.write(text)
     try:
         if read_parameters(new) != expected:
             raise ValueError('its ports cannot be changed by a program; change them by hand')
         if os.path.exists(path) and os.path.getsize(path):
-            before = path + '~'
+            before = _free_name(path + '~')
             os.replace(path, before)
         os.replace(new, path)
     finally:
         if os.path.exists(new):
             os.remove(new)
     return before
+
+
+def _free_name(name: str) -> str:
+    """Return the name, or with the first number after it that makes it new."""
+    names = (f'{name}{number or ""}' for number in itertools.count())
+    return next(each for each in names if not os.path.lexists(each))
 
 
 def _changed(parameters: Dict[str, Any], wanted: Mapping[str, Connection]) -> Dict[str, Any]:
