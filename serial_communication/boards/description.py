@@ -5,6 +5,7 @@ The modules with the link, ROS and the simulator are imported on first use.
 """
 import enum
 import importlib
+import math
 from dataclasses import dataclass, field
 from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple
 
@@ -23,6 +24,30 @@ class Topic(NamedTuple):
     period_parameter: str = ''        # name of the board's parameter with the period
     ages: bool = True                 # False: published on change only, so it never becomes stale
     optional: bool = False            # only some boards send it
+    # The title of its card on the page; '': a card of its own, with plots; None: the page shows it
+    # in a card made for it, or not at all.
+    card: Optional[str] = ''
+
+
+class Field(NamedTuple):
+    """What a form shows of a field of a request, beyond its type."""
+
+    name: str
+    unit: str = ''
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    preset: Optional[float] = None
+    choices: Tuple[Tuple[str, int], ...] = ()    # label and value of each; each becomes a button
+
+
+class Service(NamedTuple):
+    """A service of the board, for programs that offer it to people."""
+
+    name: str                         # relative to the node: ~lift
+    type: str                         # ROS type: package/Type
+    title: str
+    fields: Tuple[Field, ...] = ()    # those of the request that need more than their type
+    confirm: str = ''                 # what to tell before it is called; '': nothing
 
 
 class CustomRows(NamedTuple):
@@ -64,7 +89,8 @@ class Description:
     decoder: Callable[[bool, Mapping[str, Any]], Decoder]
     title: str = ''    # what it is, for people: model car
     topics: Tuple[Topic, ...] = ()
-    other_names: Tuple[str, ...] = ()        # names of command topics and of services
+    services: Tuple[Service, ...] = ()       # that the page offers
+    other_names: Tuple[str, ...] = ()        # names of command topics and of other services
     custom: Optional[CustomRows] = None
     # Names of parameters, false by default, that change how bytes are decoded; with their meaning.
     wire_flags: Mapping[str, str] = field(default_factory=dict)

@@ -73,7 +73,9 @@ def taken_names(prefix: str) -> Set[str]:
     names = set(_NODE_SERVICES) if prefix == '~' else set()
     for board in map(description, BOARDS):
         names.update(name[len(prefix):].split('/')[0]
-                     for name in (*(topic.name for topic in board.topics), *board.other_names)
+                     for name in (*(topic.name for topic in board.topics),
+                                  *(service.name for service in board.services),
+                                  *board.other_names)
                      if name.startswith(prefix))
     return names
 

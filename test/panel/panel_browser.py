@@ -101,14 +101,15 @@ class Browser:
         return self.script("return [...document.querySelectorAll('[data-reading]')]"
                            ".filter(e => e.checkVisibility()).map(e => e.dataset.reading)")
 
-    def wait(self, condition, what, seconds=20, doing=None):
+    def wait(self, condition, what, seconds=20, doing=None, every=0.05):
         """Wait for `condition(self)`; call `doing` repeatedly until then."""
         def holds():
             try:
                 return condition(self)
             except StaleElementReferenceException:
                 return False
-        return until(holds, f'{what}; the page is titled {self.title!r}', seconds, doing, 0.05)
+        return until(holds, f'{what}; the page is titled {self.title!r}', seconds, doing,
+                     every)
 
     def wait_for_text(self, selector, text):
         """Wait until the first element that matches has this text."""

@@ -42,6 +42,18 @@ def test_only_valid_rows_to_the_board_are_offered_with_their_limits(messages):
     assert messages['~path'].fields == [field('data', 'array', -32768, 100, whole=True)]
 
 
+def test_the_services_of_the_boards_are_those_of_their_descriptions():
+    services = forms.board_services(boards_of({}))
+    assert {name: (each.link, each.title) for name, each in services.items()} == {
+        '~lift': ('bus', 'lift'), '~gimbal': ('bus', 'gimbal'), '~bus/echo': ('bus', 'echo'),
+        '~bus/sync': ('bus', 'sync'), '~calibrate_imu': ('arduino', 'calibrate the IMU')}
+    direction, distance = services['~lift'].fields
+    assert distance == {**field('distance', 'number', 1, 255, whole=True), 'unit': 'mm',
+                        'preset': 20, 'choices': ()}
+    assert dict(direction['choices']) == {'▲ up': 0, '▼ down': 1}
+    assert services['~calibrate_imu'].confirm.startswith('The car must not move')
+
+
 def test_a_service_has_the_limits_of_its_types_narrowed_by_its_row():
     assert forms.service(Lift, 'bus').fields == [
         field('direction', 'number', 0, 255, whole=True),

@@ -26,7 +26,8 @@ def test_on_loopback_its_addresses_and_localhost_are_allowed(host):
     assert LOOPBACK.check_host(host) == GUARD.check_host(host) == ''
 
 
-@pytest.mark.parametrize('host', ['robot', 'ROBOT.local:8080', '192.168.1.7', '0.0.0.0', '[fe80::1]'])
+@pytest.mark.parametrize('host', ['robot', 'ROBOT.local:8080', '192.168.1.7', '0.0.0.0',
+                                  '[fe80::1]'])
 def test_on_loopback_no_other_name_or_address_of_this_machine_is_allowed(host):
     assert 'is not a name of this machine on loopback' in LOOPBACK.check_host(host)
     assert GUARD.check_host(host) == ''

@@ -4,7 +4,7 @@ from typing import Any, List, Mapping
 from ...framing import announcement
 from ...framing.custom_messages import FROM_BOARD, TO_BOARD, CustomMessage, read_messages
 from ...framing.stream import Decoder
-from ..description import CustomRows, Description, Heartbeat, Topic
+from ..description import CustomRows, Description, Heartbeat, Service, Topic
 from . import wire
 
 
@@ -28,13 +28,16 @@ LONGEST_GAP = 0.03     # s between heartbeats
 DESCRIPTION = Description(
     'arduino', __name__, _decoder, 'model car',
     topics=(
-        Topic('~imu', 'sensor_msgs/Imu', 0.01),
-        Topic('~imu/temperature', 'sensor_msgs/Temperature', 0.01),
-        Topic('~imu/calibrating', 'std_msgs/Bool', ages=False),
-        Topic('~voltage', 'serial_communication/Voltage', 1.0),
-        Topic('~ticks', 'serial_communication/Ticks', 0.01),
-        Topic('~steering_angle', 'serial_communication/SteeringFeedback', 0.01)),
-    other_names=('~speed', '~steering', '~led', '~calibrate_imu'),
+        Topic('~imu', 'sensor_msgs/Imu', 0.01, card=None),
+        Topic('~imu/temperature', 'sensor_msgs/Temperature', 0.01, card=None),
+        Topic('~imu/calibrating', 'std_msgs/Bool', ages=False, card=None),
+        Topic('~voltage', 'serial_communication/Voltage', 1.0, card=None),
+        Topic('~ticks', 'serial_communication/Ticks', 0.01, card=None),
+        Topic('~steering_angle', 'serial_communication/SteeringFeedback', 0.01, card=None)),
+    services=(Service('~calibrate_imu', 'std_srvs/Empty', 'calibrate the IMU', confirm=(
+        'The car must not move for over five minutes. During that time it takes no commands and '
+        'sends no IMU data.')),),
+    other_names=('~speed', '~steering', '~led'),
     custom=CustomRows('messages', custom_messages, '~'),
     heartbeat=Heartbeat(wire.Heartbeat.TYPE, LONGEST_GAP),
     between=b'\0',

@@ -2,7 +2,7 @@
 from typing import Any, Mapping
 
 from ...framing.stream import Decoder
-from ..description import Command, CustomRows, Description, Topic
+from ..description import Command, CustomRows, Description, Field, Service, Topic
 from . import wire
 from .functions import ANNOUNCEMENT, read_functions
 
@@ -17,13 +17,22 @@ DESCRIPTION = Description(
     'bus', __name__, _decoder, 'control board',
     topics=(
         Topic('~environment', 'serial_communication/Environment',
-              period_parameter='environment_period'),
+              period_parameter='environment_period', card=None),
         Topic('~environment/temperature', 'sensor_msgs/Temperature',
-              period_parameter='environment_period'),
+              period_parameter='environment_period', card=None),
         Topic('~environment/humidity', 'sensor_msgs/RelativeHumidity',
-              period_parameter='environment_period')),
-    other_names=('~lift', '~gimbal', '~get_environment', '~bus/request', '~bus/echo',
-                 '~bus/sync'),
+              period_parameter='environment_period', card=None)),
+    services=(
+        Service('~lift', 'serial_communication/Lift', 'lift', (
+            Field('distance', 'mm', minimum=1, preset=20),
+            Field('direction', choices=(('▲ up', 0), ('▼ down', 1))))),
+        Service('~gimbal', 'serial_communication/Gimbal', 'gimbal', (
+            Field('angle', 'deg', minimum=1, preset=10),
+            Field('direction', choices=(('◀ left', 0), ('▶ right', 1), ('▲ up', 2),
+                                        ('▼ down', 3))))),
+        Service('~bus/echo', 'std_srvs/Trigger', 'echo'),
+        Service('~bus/sync', 'std_srvs/Trigger', 'sync')),
+    other_names=('~get_environment', '~bus/request'),
     custom=CustomRows('functions', read_functions, '~'),
     wire_flags={'reply_has_cmd2': "replies carry their request's CMD2"},
     command=Command.FUNCTION,

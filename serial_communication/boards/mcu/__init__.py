@@ -28,10 +28,11 @@ def _decoder(_sent: bool, parameters: Mapping[str, Any]) -> Decoder:
 DESCRIPTION = Description(
     'mcu', __name__, _decoder, 'sensor board',
     topics=(
-        Topic('mcu/status', 'serial_communication/McuStatus2', _STATUS),
-        Topic('mcu/adc_status', 'serial_communication/McuStatus', _STATUS, optional=True),
-        Topic('mcu/imu', 'sensor_msgs/Imu'),
-        Topic('mcu/range_1', 'sensor_msgs/Range'),
-        Topic('mcu/range_2', 'sensor_msgs/Range')),
+        Topic('mcu/status', 'serial_communication/McuStatus2', _STATUS, card='Ranges'),
+        Topic('mcu/adc_status', 'serial_communication/McuStatus', _STATUS, optional=True,
+              card='Channels'),
+        Topic('mcu/imu', 'sensor_msgs/Imu', card=None),
+        Topic('mcu/range_1', 'sensor_msgs/Range', card='Ranges'),
+        Topic('mcu/range_2', 'sensor_msgs/Range', card='Ranges')),
     custom=CustomRows('messages', custom_messages, 'mcu/'),
     command=Command.SEQUENCE)

@@ -17,10 +17,8 @@ import rospy
 from rospy.exceptions import TransportInitError
 from rospy.impl.tcpros_base import TCPROSTransport
 from std_msgs.msg import String
-from std_srvs.srv import Empty, Trigger
 
 from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
-from serial_communication.srv import Gimbal, Lift
 
 from ...boards.arduino.wire import LED_LIMIT, SPEED_LIMIT
 from ...link.outcome import LOOK, Verdict
@@ -28,7 +26,7 @@ from ...ros.answers import outcome_fields, read_error, read_response
 from ..watch.state import BridgeState
 from ..watch.topics import leaves, one_line, resolve
 from .dead_man import SILENCE, CommandRefused, DeadManSwitch
-from .forms import Message, Service, custom_messages, custom_services, service
+from .forms import Message, Service, board_services, custom_messages, custom_services
 from .registrar import Registrar
 
 STEERING = (500, 2500)      # µs, the range of a servo
@@ -45,11 +43,6 @@ _FOREIGN = 0.5              # s for which no page drives after another program h
 _SENT = 'sent'              # the outcome of what no board answers
 _TO_THE_BRIDGE = 'to the bridge; this command has no answer'
 _TOPICS = {'~speed': SpeedPWMCommand, '~led': String, '~steering': SteeringPWMCommand}
-
-# The services that every bridge has a control for, by name relative to the node.
-_BUILT_IN = {'~lift': service(Lift, 'bus'), '~gimbal': service(Gimbal, 'bus'),
-             '~calibrate_imu': service(Empty, 'arduino'), '~bus/echo': service(Trigger, 'bus'),
-             '~bus/sync': service(Trigger, 'bus')}
 
 
 class _Answer(NamedTuple):
@@ -75,7 +68,7 @@ class Commands:
         self._registrar = registrar
         self._add_callback = add_callback
         self._call_later = call_later
-        self._services: Dict[str, Service] = _BUILT_IN
+        self._services: Dict[str, Service] = {}      # by name relative to the node
         self._messages: Dict[str, Message] = {}
         self._parameters: Any = None     # that both were made from
         self._answers: Deque[Dict[str, Any]] = deque(maxlen=_MAX_ANSWERS)
@@ -132,7 +125,8 @@ class Commands:
 
     def describe(self) -> Dict[str, Any]:
         """What the page needs to build its controls."""
-        return {'services': {name: {'link': each.link, 'fields': each.fields}
+        return {'services': {name: {'link': each.link, 'fields': each.fields,
+                                    'title': each.title, 'confirm': each.confirm}
                              for name, each in self._services.items()},
                 'messages': {name: {'link': each.link, 'fields': each.fields}
                              for name, each in self._messages.items()},
@@ -142,12 +136,13 @@ class Commands:
         """What has changed since the last call, for every page.
 
         Args:
-            bridge: whose custom functions are offered, too.
+            bridge: whose services and custom functions are offered.
         """
         update: Dict[str, Any] = {}
         if bridge.parameters is not self._parameters:
             self._parameters = bridge.parameters
-            self._services = {**_BUILT_IN, **custom_services(bridge.boards, self._parameters)}
+            self._services = {**board_services(bridge.boards),
+                              **custom_services(bridge.boards, self._parameters)}
             self._messages = custom_messages(bridge.boards, self._parameters)
             self._registrar.submit(self._register)
             update['controls'] = self.describe()

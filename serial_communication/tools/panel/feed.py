@@ -14,7 +14,7 @@ import rospy
 from rosgraph_msgs.msg import Log
 
 from ..watch.state import BridgeState, LinkState, TopicState
-from ..watch.topics import DIAGNOSTICS, SERIAL_MSG, TABLE, BridgeTopic, FieldValue
+from ..watch.topics import DIAGNOSTICS, SERIAL_MSG, BridgeTopic, FieldValue
 from ..watch.watcher import Watcher
 from .registrar import Registrar
 from .wire import FrameExplainer
@@ -248,7 +248,7 @@ class Feed:
 
     def _known(self) -> Dict[str, Any]:
         return {each.topic.name: {'type': each.topic.type, 'links': each.topic.links,
-                                  'custom': each.topic.name not in TABLE}
+                                  'card': each.topic.card}
                 for each in self.state.topics}
 
     def _new_links(self) -> Dict[str, Any]:

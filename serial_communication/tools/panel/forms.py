@@ -7,7 +7,7 @@ from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Tuple
 import genpy
 import roslib.message
 
-from ...boards.description import CustomRows, Description
+from ...boards.description import CustomRows, Description, Field
 from ...framing.custom_messages import RowError
 from ...framing.layout import Value
 from ...ros.custom_topics import RosMessage, message_rows
@@ -27,6 +27,8 @@ class Service(NamedTuple):
     service_class: Any
     link: str                      # that it needs
     fields: List[Dict[str, Any]]   # of its request; see `_field`
+    title: str = ''                # '': a custom function
+    confirm: str = ''              # as in the board's description
 
 
 class Message(NamedTuple):
@@ -58,6 +60,34 @@ class Message(NamedTuple):
 
 def _number(given: Any) -> Any:
     return tuple(given) if isinstance(given, list) else given
+
+
+def board_services(boards: Iterable[Description]) -> Dict[str, Service]:
+    """The services that the boards' descriptions have and whose types are installed here."""
+    found = {}
+    for board in boards:
+        for each in board.services:
+            service_class = roslib.message.get_service_class(each.type)
+            if service_class:
+                made = service(service_class, board.name)
+                described = {field.name: field for field in each.fields}
+                found[each.name] = made._replace(title=each.title, confirm=each.confirm, fields=[
+                    _described(field, described.get(field['name'])) for field in made.fields])
+    return found
+
+
+def _described(field: Dict[str, Any], known: Optional[Field]) -> Dict[str, Any]:
+    """The field of a form, with what the board's description has of it."""
+    if known is None:
+        return field
+    limits = {'low': max(_or(field['low'], -math.inf), known.minimum),
+              'high': min(_or(field['high'], math.inf), known.maximum)}
+    return {**field, 'unit': known.unit, 'preset': known.preset, 'choices': known.choices,
+            **{name: limit if math.isfinite(limit) else None for name, limit in limits.items()}}
+
+
+def _or(limit: Optional[float], otherwise: float) -> float:
+    return otherwise if limit is None else limit
 
 
 def service(service_class: Any, link: str, values: Iterable[Value] = ()) -> Service:

@@ -11,8 +11,8 @@ are in every message, the other keys only if they have changed:
     node        (first message) the bridge's name
     boards      {link: {title, longest_gap}} of each known board: what it is, and the seconds
                 without a heartbeat after which it stops its motor (null: it has no heartbeat)
-    known       {topic: {type, links, custom}}: everything that the bridge publishes; `custom` is
-                false for the built-in topics
+    known       {topic: {type, links, card}}: everything that the bridge publishes; `card` is the
+                title of its card, '' for one of its own, null for none
     topics      {topic: {samples, words, limit, fields}}: a sample is [time, value …]; `limit` is
                 the age in s above which the value is stale (null: never); `fields` (if changed) has
                 [name, unit, digits, low, high] for each value; NaN and infinities are strings
@@ -20,8 +20,9 @@ are in every message, the other keys only if they have changed:
                 of `errors` is [time, {cause: increase}]
     log         [[time, level, text]]: log lines of the bridge
     wire        {frames, left_out}: see wire.py; only while this page shows the wire
-    controls    (first message, with --control) {services, messages: {name: {link, fields}}}; a
-                field is {name, kind, whole, unit, low, high}
+    controls    (first message, with --control) {services: {name: {link, fields, title, confirm}},
+                messages: {name: {link, fields}}}; a field is {name, kind, whole, unit, low, high,
+                preset, choices}, a choice [label, value]; the last two only if there are any
     calls       [{number, key, name, arguments, began, outcome, words, took, reply}] of every page,
                 calls and messages; without the last four while the call is under way. `reply` (of
                 a call) has [field, value as text] of the response

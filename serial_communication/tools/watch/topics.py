@@ -52,6 +52,7 @@ class BridgeTopic(NamedTuple):
     ages: bool = True                 # False: published only on change, so never stale
     optional: bool = False            # only some boards send it
     fields: Tuple[str, ...] = ()      # of a custom message: the `fields` of its row
+    card: Optional[str] = ''          # as `Topic` in boards/description.py has it
 
     def values(self, message: Any) -> List[FieldValue]:
         """Return the numbers, flags and texts of a message of this topic."""
@@ -75,17 +76,18 @@ def board_topics(board: Description, parameters: Any = None) -> List[BridgeTopic
     own = board_parameters(parameters, board.name)
     return [BridgeTopic(topic.name, topic.type, (board.name,),
                         _number(own.get(topic.period_parameter)) or topic.period,
-                        topic.ages, topic.optional) for topic in board.topics]
+                        topic.ages, topic.optional, card=topic.card) for topic in board.topics]
 
 
 def _number(value: Any) -> Optional[float]:
     return float(value) if isinstance(value, (int, float)) else None
 
 
-_SHARED_TOPICS = (BridgeTopic(SERIAL_MSG, 'serial_communication/SerialMsg', LINKS),
-                  BridgeTopic('/tf', 'tf2_msgs/TFMessage', LINKS),
-                  BridgeTopic('/tf_static', 'tf2_msgs/TFMessage', LINKS, ages=False),
-                  BridgeTopic(DIAGNOSTICS, 'diagnostic_msgs/DiagnosticArray', LINKS, 1.0))
+_SHARED_TOPICS = (BridgeTopic(SERIAL_MSG, 'serial_communication/SerialMsg', LINKS, card=None),
+                  BridgeTopic('/tf', 'tf2_msgs/TFMessage', LINKS, card=None),
+                  BridgeTopic('/tf_static', 'tf2_msgs/TFMessage', LINKS, ages=False, card=None),
+                  BridgeTopic(DIAGNOSTICS, 'diagnostic_msgs/DiagnosticArray', LINKS, 1.0,
+                              card=None))
 TOPICS = (_SHARED_TOPICS[0],
           *(topic for name in BOARDS for topic in board_topics(description(name))),
           *_SHARED_TOPICS[1:])
@@ -271,8 +273,11 @@ def _status_words(message: Any, measured: str) -> str:
     return f'{measured}, {valid}, {message.crc_error_count} CRC errors, seq {message.seq}'
 
 
+_ADC_FULL = 4095     # of an ADC channel
+
+
 def _channels(message: Any) -> List[FieldValue]:
-    return [FieldValue(f'adc{channel}', getattr(message, f'adc{channel}'), '', 0)
+    return [FieldValue(f'adc{channel}', getattr(message, f'adc{channel}'), '', 0, 0, _ADC_FULL)
             for channel in range(6)]
 
 

@@ -5,8 +5,7 @@ import {Commands} from './cards/commands.js';
 import {Drive} from './cards/drive.js';
 import {Links, worst} from './cards/links.js';
 import {Log} from './cards/log.js';
-import {CustomMessages} from './cards/custom.js';
-import {Channels, Sensors} from './cards/sensors.js';
+import {TopicCards} from './cards/topics.js';
 import {Wire} from './cards/wire.js';
 import {appear} from './appeared.js';
 import {Connection} from './connection.js';
@@ -22,7 +21,7 @@ const announce = (words) => { place('announcer').textContent = words; };
 const model = new Model();
 const connection = new Connection();
 const links = new Links(announce);
-const custom = new CustomMessages();
+const topicCards = new TopicCards();
 const commands = new Commands(connection, announce);
 const drive = new Drive(connection, announce);
 const wire = new Wire(watch);
@@ -30,20 +29,28 @@ const log = new Log();
 // The parts of the page; on a phone each is a tab. The links' card is in index.html.
 const tabs = {
   Links: [log], Drive: [drive], Commands: [commands], Car: [new Attitude(), new Motion(), new Battery()],
-  Sensors: [new Sensors(), new Channels(), new Air(), custom], Wire: [wire]};
-const below = [wire, custom];       // a new card must not move the wire
-const cards = [links, ...Object.values(tabs).flat()];
-const flowing = [tabs.Car[0], drive, commands, ...cards.slice(1).filter((each) =>
-  ![tabs.Car[0], drive, commands, log, ...below].includes(each)), log].map((each) => each.element);
+  Sensors: [new Air()], Wire: [wire]};
+const cards = [links, topicCards, ...Object.values(tabs).flat()];
+const [attitude, ...car] = tabs.Car;
+const elements = (...parts) => parts.map((each) => each.element);
+const flowing = () => [...elements(attitude, drive, commands, ...car), ...topicCards.elements,
+  ...elements(...tabs.Sensors, log)];
+let shownTab = 'Links';
 
 for (const [name, parts] of Object.entries(tabs)) parts.forEach((each) => { each.element.dataset.tab = name; });
-place('below').append(...below.map((each) => each.element));
-flow(place('columns'), flowing, () => drive.held);
+place('below').append(wire.element);
+const arrange = flow(place('columns'), flowing, () => drive.held);
+
+/** Mark the cards of other tabs, which has an effect on a phone only. */
+function markCards() {
+  for (const element of [links.element, wire.element, ...flowing()]) {
+    updateAttribute(element, 'data-elsewhere', element.dataset.tab !== shownTab);
+  }
+}
 
 function showTab(name) {
-  for (const {element} of cards) {
-    updateAttribute(element, 'data-elsewhere', element.dataset.tab !== name);    // has an effect on a phone only
-  }
+  shownTab = name;
+  markCards();
   for (const button of place('tabs').children) {
     updateAttribute(button, 'aria-pressed', String(button.textContent === name));
   }
@@ -105,7 +112,11 @@ function drawSoon() {
 connection.addEventListener('update', ({detail: update}) => {
   if ('node' in update) appear();       // the first update of a connection: now there are controls
   model.take(update);
-  if (update.known && custom.learn(update.known)) watch();
+  if (update.known && topicCards.learn(update.known)) {
+    watch();
+    markCards();
+    arrange();
+  }
   if (update.wire) wire.take(update.wire);
   if (update.refused) {
     if (update.refused.key === 'drive') drive.refused(update.refused.words);

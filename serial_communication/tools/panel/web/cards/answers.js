@@ -1,5 +1,5 @@
 /** The answers to the commands of every page, the latest first. */
-import {formatAge, h} from '../dom.js';
+import {formatAge, h, unit} from '../dom.js';
 
 const SHOWN = 12;
 
@@ -20,7 +20,7 @@ export class Answers {
   /** @param waiting [{words, at}] of what was requested and is not yet known to the panel */
   draw(model, now, waiting) {
     const calls = [...model.calls.values()].map((call) => ({
-      what: describe(call), outcome: call.outcome, at: call.began, reply: call.reply,
+      what: describe(call, model.controls.services), outcome: call.outcome, at: call.began, reply: call.reply,
       words: call.outcome === 'sent' ? call.words
         : call.outcome ? `${answerText(call)} (${call.took.toFixed(2)} s)`.trim()
           : `under way for ${formatAge(now - call.began)}`}));
@@ -40,20 +40,24 @@ export class Answers {
 /** The text of an answer; empty if it only repeats the command. */
 const answerText = ({outcome, words}) => outcome === 'done' && words.startsWith('done') ? '' : words;
 
-/** The moves with a preset amount: title, amount, unit, preset, directions. */
-export const MOVES = {
-  '~lift': ['lift', 'distance', 'mm', 20, [['▲ up', 0], ['▼ down', 1]]],
-  '~gimbal': ['gimbal', 'angle', '°', 10, [['◀ left', 0], ['▶ right', 1], ['▲ up', 2], ['▼ down', 3]]],
-};
-export const BUS = {'~bus/echo': 'echo', '~bus/sync': 'sync'};
-export const PLAIN = {...BUS, '~calibrate_imu': 'calibrate the IMU', '~speed': 'STOP'};
+const ARROW = /^[^\p{L}\p{N}]+/u;       // before the word of a button
 
-/** A command as text; it may be one of another page. */
-function describe({name, arguments: args}) {
-  const move = MOVES[name];
-  if (PLAIN[name]) return PLAIN[name];
-  if (name === '~led') return `LED ${args.text}`;
-  if (!move) return `${name.replace('~', '')} ${Object.values(args).join(' ')}`.trim();
-  const [title, amount, unit, , directions] = move;
-  return `${title} ${directions[args.direction]?.[0].slice(2) ?? args.direction} ${args[amount]} ${unit}`;
+/**
+ * A command as text; it may be one of another page.
+ *
+ * @param services as in the controls
+ */
+export function describe({name, arguments: values}, services) {
+  if (name === '~speed') return 'STOP';
+  if (name === '~led') return `LED ${values.text}`;
+  const {title, fields} = services[name] ?? {fields: []};
+  const known = new Map(fields.map((field) => [field.name, field]));
+  // First what was chosen: lift up 20 mm.
+  const words = Object.entries(values).map(([key, value]) => {
+    const {choices = [], preset, unit: name} = known.get(key) ?? {};
+    const [label] = choices.find(([, each]) => each === value) ?? [];
+    return label !== undefined ? {order: 0, text: label.replace(ARROW, '')}
+      : {order: 1, text: typeof preset === 'number' ? `${value} ${unit(name)}` : String(value)};
+  }).sort((one, other) => one.order - other.order);
+  return [title || name.replace('~', ''), ...words.map((each) => each.text)].join(' ').trim();
 }

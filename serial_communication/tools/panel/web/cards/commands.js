@@ -6,7 +6,7 @@
 import {APPEARED, hasJustAppeared} from '../appeared.js';
 import {card, formatAge, h, updateAttribute, updateText} from '../dom.js';
 import {whyNoCall, whyNot} from '../reasons.js';
-import {Answers, BUS, MOVES, PLAIN} from './answers.js';
+import {Answers, describe} from './answers.js';
 import {makeInputs} from './forms.js';
 
 const LEAST_DISABLED = 700;    // ms; the second click of a double click follows within 500
@@ -16,6 +16,8 @@ const READ_ONLY = [
   + '“rosrun serial_communication panel --control”, “bridge.launch control:=true” and “scripts/demo --panel --control”.',
   'Who reaches its address sees this page: on the panel’s machine every user, and through an ssh tunnel every '
   + 'user of the machine where the tunnel begins.'];
+
+const CALIBRATE = '~calibrate_imu';
 
 let presses = 0;
 
@@ -27,6 +29,7 @@ export class Commands {
     this._pending = new Map();      // key -> {name, words, at} of what was requested and not answered
     this._groups = new Map();       // name of a service or topic -> its buttons
     this._reasons = [];             // [{name, link, isCall, place}]: where the reasons are shown
+    this._forms = new Map();        // key -> {shape, element}
     this._body = h('div', {class: 'commands'});
     this._answers = new Answers();
     this._calibrateNote = h('p', {class: 'words beside-button'});
@@ -43,7 +46,7 @@ export class Commands {
       this._shape = shape;
       this._answers.element.hidden = !model.controls;
       if (model.controls) this._build(model.controls);
-      else this._body.replaceChildren(...READ_ONLY.map((words) => h('p', {class: 'words'}, words)));
+      else this._explainReadOnly();
     }
     if (!model.controls) return;
     this._settle(model);
@@ -73,7 +76,7 @@ export class Commands {
   }
 
   /** Stop the car, whatever the page shows. */
-  stop() { this._send('~speed', {stop: {}}, PLAIN['~speed']); }
+  stop() { this._send('~speed', {stop: {}}, 'STOP'); }
 
   _settle(model) {
     for (const call of model.calls.values()) {
@@ -124,19 +127,46 @@ export class Commands {
 
   // -- building ------------------------------------------------------------------------------
 
-  _build({services, messages, led_limit: ledLimit}) {
+  _explainReadOnly() {
+    this._forms.clear();
     this._groups.clear();
     this._reasons = [];
-    const own = (given) => Object.entries(given).filter(([name]) => !MOVES[name] && !PLAIN[name]);
-    this._body.replaceChildren(
-      ...Object.entries(MOVES).map(([name, move]) => this._move(name, services[name], ...move)),
-      this._led(ledLimit),
-      this._fieldset('bus', Object.keys(BUS), services['~bus/echo'].link, true, h('div', {class: 'controls'},
-        ...Object.entries(BUS).map(([name, words]) =>
-          this._button(name, words, (event) => this._request(event, name, {call: {name, arguments: {}}}, words))))),
-      this._calibrate(services['~calibrate_imu'].link),
-      ...own(services).map(([name, each]) => this._form(name, each, true)),
-      ...own(messages).map(([name, each]) => this._form(name, each, false)));
+    this._body.replaceChildren(...READ_ONLY.map((words) => h('p', {class: 'words'}, words)));
+  }
+
+  /** Show a form for each command. One that has not changed keeps its place, and what was entered. */
+  _build({services, messages, led_limit: ledLimit}) {
+    const wanted = new Map(), plain = new Map();
+    for (const [name, each] of Object.entries(services)) {
+      if (each.title && !each.fields.length && !each.confirm) {
+        if (!plain.has(each.link)) plain.set(each.link, []);
+        plain.get(each.link).push([name, each.title]);
+      } else {
+        wanted.set(`service ${name}`, [each, () => this._service(name, each)]);
+      }
+    }
+    for (const [link, calls] of plain) wanted.set(`link ${link}`, [calls, () => this._plain(link, calls)]);
+    wanted.set('led', [ledLimit, () => this._led(ledLimit)]);
+    for (const [name, each] of Object.entries(messages)) {
+      wanted.set(`message ${name}`, [each, () => this._form(name, each, false)]);
+    }
+    if (!this._forms.size) this._body.replaceChildren();
+    for (const [key, {shape, element}] of this._forms) {
+      if (JSON.stringify(wanted.get(key)?.[0]) !== shape) this._remove(key, element);
+    }
+    for (const [key, [description, make]] of wanted) {
+      if (this._forms.has(key)) continue;
+      const element = make();
+      this._forms.set(key, {shape: JSON.stringify(description), element});
+      this._body.append(element);
+    }
+  }
+
+  _remove(key, element) {
+    this._forms.delete(key);
+    for (const {name, place} of this._reasons) if (element.contains(place)) this._groups.delete(name);
+    this._reasons = this._reasons.filter(({place}) => !element.contains(place));
+    element.remove();
   }
 
   /** A group of controls, whose legend has the reason why they cannot be used. */
@@ -154,18 +184,16 @@ export class Commands {
     return button;
   }
 
-  _move(name, {link, fields}, title, amount, unit, preset, directions) {
-    const {high} = fields.find((field) => field.name === amount);
-    const input = h('input', {type: 'number', min: '1', max: high, step: '1', value: String(preset), required: true,
-      inputmode: 'numeric', 'aria-label': `${title}: ${amount} in ${unit === '°' ? 'degrees' : unit}, 1 to ${high}`});
-    const buttons = directions.map(([words, direction]) => this._button(name, words, (event) => {
-      if (!input.reportValidity()) return;
-      const value = Number(input.value);
-      this._request(event, name, {call: {name, arguments: {direction, [amount]: value}}},
-        `${title} ${words.slice(2)} ${value} ${unit}`);
-    }));
-    return this._fieldset(title, [name], link, true, h('div', {class: 'controls'},
-      h('label', {class: 'amount'}, input, h('span', {}, unit)), ...buttons));
+  /** The form of a service. */
+  _service(name, each) {
+    return each.confirm ? this._confirmed(name, each) : this._form(name, each, true);
+  }
+
+  /** The services of a link that take nothing. */
+  _plain(link, calls) {
+    return this._fieldset(link, calls.map(([name]) => name), link, true, h('div', {class: 'controls'},
+      ...calls.map(([name, words]) =>
+        this._button(name, words, (event) => this._request(event, name, {call: {name, arguments: {}}}, words)))));
   }
 
   _led(limit) {
@@ -177,36 +205,43 @@ export class Commands {
       input, this._button('~led', 'show', (event) => { if (input.reportValidity()) show(event, input.value); })));
   }
 
-  _calibrate(link) {
-    const name = '~calibrate_imu';
-    const yes = this._button(name, 'Calibrate now', (event) => {
+  /** A service that takes nothing, and is called after a confirmation only. */
+  _confirmed(name, {link, title, confirm}) {
+    const yes = this._button(name, 'Start now', (event) => {
       dialog.close();
-      this._request(event, name, {call: {name, arguments: {}}}, PLAIN[name]);
+      this._request(event, name, {call: {name, arguments: {}}}, title);
     });
-    const dialog = h('dialog', {'aria-labelledby': 'calibrate-title'},
-      h('h2', {id: 'calibrate-title'}, 'Calibrate the IMU?'),
-      h('p', {}, 'The car must not move for over five minutes. During that time it takes no commands '
-        + 'and sends no IMU data.'),
+    const id = `confirm-${name.replace(/\W/g, '-')}`;
+    const dialog = h('dialog', {'aria-labelledby': id},
+      h('h2', {id}, `${title[0].toUpperCase()}${title.slice(1)}?`), h('p', {}, confirm),
       h('div', {class: 'controls'}, yes, h('button', {type: 'button', onclick: () => dialog.close()}, 'Cancel')));
-    return this._fieldset('IMU', [name], link, true, h('div', {class: 'controls'},
-      this._button(name, 'calibrate …', () => dialog.showModal()), this._calibrateNote), dialog);
+    return this._fieldset(title, [name], link, true, h('div', {class: 'controls'},
+      this._button(name, 'start …', () => dialog.showModal()),
+      ...name === CALIBRATE ? [this._calibrateNote] : []), dialog);
   }
 
-  /** The form of a custom function or a custom command. */
-  _form(name, {link, fields}, isCall) {
-    const title = name.replace('~', '');
+  /** The form of a service or of a custom command; a field with choices has a button for each. */
+  _form(name, {link, fields, title}, isCall) {
+    const heading = title || name.replace('~', '');
     if (fields.some((field) => field.kind === 'other')) {
-      return h('fieldset', {}, h('legend', {}, title), h('p', {class: 'words'},
+      return h('fieldset', {}, h('legend', {}, heading), h('p', {class: 'words'},
         'its request has fields within fields; call it with rosservice'));
     }
-    const inputs = makeInputs(fields);
-    const button = this._button(name, isCall ? 'call' : 'send', (event) => {
-      const values = inputs.read();
-      if (!values) return;
+    const choice = fields.find((field) => field.choices?.length);
+    const inputs = makeInputs(fields.filter((field) => field !== choice));
+    const request = (event, chosen) => {
+      const entered = inputs.read();
+      if (!entered) return;
+      const values = {...entered, ...chosen};
       this._request(event, name, isCall ? {call: {name, arguments: values}} : {send: {name, values}},
-        `${title} ${Object.values(values).join(' ')}`.trim());
-    });
-    return this._fieldset(title, [name], link, isCall, h('div', {class: 'controls'}, ...inputs.elements, button));
+        describe({name, arguments: values}, {[name]: {title, fields}}));
+    };
+    const buttons = choice
+      ? choice.choices.map(([label, value]) =>
+        this._button(name, label, (event) => request(event, {[choice.name]: value})))
+      : [this._button(name, isCall ? 'call' : 'send', (event) => request(event, {}))];
+    return this._fieldset(heading, [name], link, isCall,
+      h('div', {class: 'controls'}, ...inputs.elements, ...buttons));
   }
 
   _calibrating(model, now) {

@@ -5,17 +5,23 @@ import {formatNumber, h, unit} from '../dom.js';
 export function makeInputs(fields) {
   const inputs = fields.map((field) => ({field, input: makeInput(field)}));
   return {
-    elements: inputs.map(({field, input}) => h('label', {class: 'amount'}, `${field.name} `, input,
-      h('span', {class: 'note'}, limits(field)))),
+    elements: inputs.map(({field, input}) => isUsual(field)
+      ? h('label', {class: 'amount'}, input, h('span', {}, unit(field.unit)))
+      : h('label', {class: 'amount'}, `${field.name} `, input, h('span', {class: 'note'}, limits(field)))),
     read: () => inputs.every(({field, input}) => check(field, input))
       ? Object.fromEntries(inputs.map(({field, input}) => [field.name, valueOf(field, input)])) : null,
   };
 }
 
-function makeInput({name, kind, whole, low, high}) {
+/** Whether the field has a preset value, beside which its unit says enough. */
+const isUsual = (field) => typeof field.preset === 'number';
+
+function makeInput(field) {
+  const {name, kind, whole, low, high} = field;
   if (kind === 'bool') return h('input', {type: 'checkbox', 'aria-label': name});
   const isNumber = kind === 'number';
-  return h('input', {type: isNumber ? 'number' : 'text', size: '6', 'aria-label': name,
+  return h('input', {type: isNumber ? 'number' : 'text', size: '6',
+    'aria-label': isUsual(field) ? `${name}: ${limits(field)}` : name, value: isUsual(field) ? field.preset : null,
     min: isNumber ? low : null, max: isNumber ? high : null, step: isNumber ? whole ? '1' : 'any' : null,
     inputmode: isNumber ? 'decimal' : null, required: isNumber});
 }
