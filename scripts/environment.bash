@@ -145,7 +145,6 @@ install() {
     apt=$!
     set +m
     while status=0; wait "$apt" || status=$?; kill -0 "$apt" 2>/dev/null; do :; done
-    clear_line
     trap - INT USR1
     eval "$traps"
     [[ -z $stopped ]] || { rm -f "$log"; kill -INT $$; }
@@ -173,6 +172,7 @@ show_last_line() {
     while read -r line; do
         [[ ! -t 1 ]] || printf '    %.74s\e[K\r' "${line%$'\r'}"
     done
+    clear_line
 }
 
 clear_line() { [[ ! -t 1 ]] || printf '\r\e[K'; }
@@ -216,8 +216,8 @@ build_if_changed() {
         find "$build" -mindepth 1 -maxdepth 1 ! -name .lock ! -name ros -exec rm -rf {} + ||
             fail "$build holds files of another user; remove it, then try again."
         if ! { cmake -S "$checkout" -B "$build" -DPYTHON_EXECUTABLE=/usr/bin/python3 \
-            -DCATKIN_ENABLE_TESTING=OFF && make -C "$build" &&
-            echo "$wanted" >"$build/.built"; } &>"$log"; then
+            -DCATKIN_ENABLE_TESTING=OFF && make -C "$build" && echo "$wanted" >"$build/.built"
+        } 2>&1 | tee "$log" 2>/dev/null | show_last_line; then
             fail_if_disk_full "$log"
             tail -n 20 "$log" >&2
             fail "the build failed; see above, and $log for its whole output."
