@@ -156,7 +156,8 @@ install() {
 # shellcheck disable=SC2016  # its own variables
 apt_install='
 get() { apt-get -q -y -o DPkg::Lock::Timeout=300 "$@"; }
-get install --no-install-recommends "$@" || { get update; get install --no-install-recommends "$@"; }'
+add() { get install --no-install-recommends "$@"; }
+add "$@" || { get update; add "$@"; }'
 
 # shellcheck disable=SC2317  # called from a trap
 finish_first() {

@@ -35,8 +35,8 @@ def program(folder, name, text):
 
 def script(folder, text, *prefix):
     """The command that sources environment.bash and runs a text."""
-    return [*prefix, '/bin/bash', '-c', f'cd {folder}; set -euo pipefail; . scripts/environment.bash;'
-            + text, 'demo']
+    set_up = f'cd {folder}; set -euo pipefail; . scripts/environment.bash; '
+    return [*prefix, '/bin/bash', '-c', set_up + text, 'demo']
 
 
 def environment(folder):
