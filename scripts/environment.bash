@@ -147,7 +147,6 @@ install() {
     apt=$!
     set +m
     while status=0; wait "$apt" || status=$?; kill -0 "$apt" 2>/dev/null; do :; done
-    clear_line
     trap - INT USR1
     eval "$traps"
     [[ -z $stopped ]] || { rm -f "$log"; kill -INT $$; }
@@ -159,7 +158,8 @@ install() {
 # shellcheck disable=SC2016  # its own variables
 apt_install='
 get() { apt-get -q -y -o DPkg::Lock::Timeout=300 "$@"; }
-get install --no-install-recommends "$@" || { get update; get install --no-install-recommends "$@"; }'
+add() { get install --no-install-recommends "$@"; }
+add "$@" || { get update; add "$@"; }'
 
 # shellcheck disable=SC2317  # called from a trap
 finish_first() {
@@ -175,6 +175,7 @@ show_last_line() {
     while read -r line; do
         [[ ! -t 1 ]] || printf '    %.74s\e[K\r' "${line%$'\r'}"
     done
+    clear_line
 }
 
 clear_line() { [[ ! -t 1 ]] || printf '\r\e[K'; }
@@ -218,8 +219,8 @@ build_if_changed() {
         find "$build" -mindepth 1 -maxdepth 1 ! -name .lock ! -name ros -exec rm -rf {} + ||
             fail "$build holds files of another user; remove it, then try again."
         if ! { cmake -S "$checkout" -B "$build" -DPYTHON_EXECUTABLE=/usr/bin/python3 \
-            -DCATKIN_ENABLE_TESTING=OFF && make -C "$build" &&
-            echo "$wanted" >"$build/.built"; } &>"$log"; then
+            -DCATKIN_ENABLE_TESTING=OFF && make -C "$build" && echo "$wanted" >"$build/.built"
+        } 2>&1 | tee "$log" 2>/dev/null | show_last_line; then
             fail_if_disk_full "$log"
             tail -n 20 "$log" >&2
             fail "the build failed; see above, and $log for its whole output."

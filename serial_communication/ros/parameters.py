@@ -67,7 +67,8 @@ def check(given: Dict[str, Any], namespace: str) -> Tuple[Dict[str, Any], List[s
         if parameter.parse is not_empty:
             values[name] = values['frame_prefix'] + values[name]
     _check_together(interfaces, values, namespace)
-    return values, [_unknown(namespace, name, parameters) for name in sorted(flat)]
+    return values, [_unknown(namespace, name, flat[name], parameters)
+                    for name in sorted(flat)]
 
 
 def of_board(interface: Type[Interface], values: Dict[str, Any]) -> Dict[str, Any]:
@@ -139,7 +140,23 @@ def _not_a_group(name: str, value: Any) -> ParameterError:
     return ParameterError(f'parameter {name} is {brief(value, 120)}, may be a group of parameters')
 
 
-def _unknown(namespace: str, name: str, parameters: Parameters) -> str:
+def _unknown(namespace: str, name: str, value: Any, parameters: Parameters) -> str:
     near = difflib.get_close_matches(name, parameters, 1)
-    meant = f'; did you mean {near[0]}?' if near else ''
+    places = _places_of_row(name, value)
+    meant = f'; this row belongs under {" or ".join(places)}' if places else \
+        f'; did you mean {near[0]}?' if near else ''
     return readable(f'parameter {namespace}/{name} is unknown and has no effect{meant}')
+
+
+def _places_of_row(name: str, value: Any) -> List[str]:
+    """The parameters of boards that could have this one as a row."""
+    group, _, row = name.rpartition('/')
+    found = []
+    for board in map(description, BOARDS):
+        if board.custom and isinstance(value, dict) and group in ('', board.name):
+            try:
+                board.custom.read({row: value})
+            except RowError:
+                continue
+            found.append(f'{board.name}/{board.custom.parameter}')
+    return found

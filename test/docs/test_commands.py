@@ -11,7 +11,7 @@ A comment right before a block of commands tells how to run it:
     <!-- run: avr -->          beside a bridge with emulated boards, their folder in $SIM_DIR
     <!-- run by: PART -->      by that part of scripts/test
     <!-- file: NAME -->        not a command: by test/ros/other_board_test.py
-    <!-- needs a board -->     not run; likewise `needs a screen`
+    <!-- needs a board -->     not run; likewise `needs a screen`, `needs a container`
 """
 import re
 import sys
@@ -81,8 +81,9 @@ def test_every_block_of_commands_has_a_valid_mark():
         if block.language != 'sh':
             continue
         kind, _, part = block.mark.partition('run by: scripts/test ')
-        assert block.mark in ('needs a board', 'needs a screen', *(f'run: {each}' for each in (
-            'bridge', 'launch', 'background', 'play', 'panel', 'avr'))) or (
+        assert block.mark in (*(f'needs a {each}' for each in ('board', 'screen', 'container')), *(
+            f'run: {each}' for each in (
+                'bridge', 'launch', 'background', 'play', 'panel', 'avr'))) or (
                 not kind and part in parts.group(1).split()), f'{block.id}: {block.mark!r}'
 
 

@@ -12,8 +12,18 @@ from stage import Stage
 
 PAGE = ROOT / 'doc' / 'recipes.md'
 UNIT = ROOT / 'config' / 'serial_communication.service'
-COMMANDS = [block.text.strip() for block in blocks(PAGE)
-            if block.mark == 'run by: scripts/test docs']
+
+
+def recipes():
+    """The commands of each recipe: steps that come first, its launch, and commands beside that."""
+    found = {}
+    headings = [number for number, line in enumerate(PAGE.read_text().splitlines(), 1)
+                if line.startswith('## ')]
+    for block in blocks(PAGE):
+        if block.mark == 'run by: scripts/test docs':
+            recipe = max(number for number in headings if number < block.line)
+            found.setdefault(recipe, []).append(block.text.strip())
+    return [(steps, launch, commands) for *steps, launch, commands in found.values()]
 
 
 @pytest.fixture
@@ -21,13 +31,20 @@ def master(tmp_path):
     """A master, in a folder with the files of the page."""
     for block in blocks(PAGE):
         if block.mark.startswith('file: '):
-            (tmp_path / block.mark.partition(' ')[2]).write_text(block.text)
+            path = tmp_path / block.mark.partition(' ')[2]
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(block.text)
     with Stage(tmp_path).master() as stage:
         yield stage
 
 
-@pytest.mark.parametrize('launch, commands', list(zip(COMMANDS[::2], COMMANDS[1::2])))
-def test_the_commands_of_a_recipe_succeed_beside_its_launch(master, launch, commands):
+@pytest.mark.parametrize('steps, launch, commands', recipes())
+def test_the_commands_of_a_recipe_succeed_beside_its_launch(master, steps, launch, commands):
+    for step in steps:
+        done = master.run(f'{step}\nenv -0 >environment')    # as in one terminal
+        assert done.returncode == 0, done.stdout
+        master.environment.update(pair.split('=', 1) for pair in (
+            master.folder / 'environment').read_text().split('\0') if pair)
     with master.background([launch]):
         master.until(lambda: master.links_are_ok('bus', 'arduino', 'mcu'), 'all links are OK')
         for command in commands.splitlines():

@@ -1,7 +1,10 @@
 """doc/troubleshooting.md quotes log lines and errors as they are in the code."""
 import ast
 import itertools
+import os
 import re
+import subprocess
+import sys
 
 import pytest
 from pages import ROOT
@@ -55,3 +58,12 @@ def test_texts_of_code_have_placeholders_for_values_and_no_docstrings():
                         'warn("no answer from %s", name)\n')) == sorted([
                             'speed … is over it: …', 'speed … is under it: …', 'no answer from …',
                             'over', 'under'])
+
+
+def test_a_script_beside_a_clone_gets_the_error_that_the_page_has(tmp_path):
+    (tmp_path / 'serial_communication' / 'msg').mkdir(parents=True)
+    done = subprocess.run(
+        [sys.executable, '-c', 'from serial_communication.msg import Ticks'], cwd=str(tmp_path),
+        env={'PATH': os.environ['PATH']}, stderr=subprocess.PIPE, text=True, timeout=60)
+    error = done.stderr.splitlines()[-1].partition(': ')[2].replace("'Ticks'", '…')
+    assert f'`{error}`' in PAGE

@@ -385,6 +385,31 @@ def test_flash_names_what_is_missing(bare_path):
     assert 'BOARD=Helo: there are nano_car ' in make('flash', 'BOARD=Helo').stdout
 
 
+def test_a_path_with_a_space_builds_or_is_one_line(tmp_path):
+    folder = tmp_path / 'a clone'
+    shutil.copytree(FIRMWARE, str(folder / 'firmware'), ignore=shutil.ignore_patterns('build'))
+    (folder / 'scripts').mkdir()
+    shutil.copy(os.path.join(FIRMWARE, os.pardir, 'scripts', 'avr_board'), str(folder / 'scripts'))
+    dry_run = dict(os.environ, MAKEFLAGS='n')
+
+    def run(*command, **environment):
+        return subprocess.run([str(each) for each in command], stdout=subprocess.PIPE,
+                              stderr=subprocess.STDOUT, universal_newlines=True,
+                              env=dict(dry_run, **environment))
+    result = run('make', '-C', folder / 'firmware')
+    assert result.returncode == 0 and ' -o build/nano_car.elf' in result.stdout, result.stdout
+    result = run(folder / 'scripts' / 'avr_board', 'build')
+    log = (folder / 'build' / 'firmware' / 'make.log').read_text()
+    assert result.returncode == 0 and ' -o ../build/firmware/nano_car.elf' in log, log
+    result = run('make', '-C', folder / 'firmware', 'BUILD=/tmp/a folder')
+    assert 'BUILD=/tmp/a folder: make cannot use a path with a space.  Stop.' in result.stdout
+    elsewhere = tmp_path / 'a folder'
+    result = run(folder / 'scripts' / 'avr_board', 'build', FIRMWARE_BUILD=str(elsewhere))
+    assert result.returncode == 1
+    assert result.stdout == 'avr_board: make cannot use a path with a space: set FIRMWARE_BUILD ' \
+        f'to a folder without one, not {elsewhere}\n'
+
+
 def test_no_program_that_is_built_has_the_name_of_a_script(firmware_build):
     """rosrun looks for its programs everywhere below the package."""
     built = {name for _, _, names in os.walk(firmware_build) for name in names}

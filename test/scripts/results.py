@@ -5,8 +5,8 @@
 FOLDER has a folder for each test program, with its JUnit XML files, `log` (its output) and
 `status` (its exit status). With a file `by_status`, the program itself is one test. A program
 without results, or that failed although none of its tests did, counts as one failure with its
-name. Prints the failures, then the line `N passed, N failed` (and `, N skipped`), and ends with
-status 1 if anything failed.
+name. Prints the failures and why tests were skipped, then the line `N passed, N failed` (and
+`, N skipped`), and ends with status 1 if anything failed.
 """
 import sys
 from pathlib import Path
@@ -22,16 +22,16 @@ class Results(NamedTuple):
 
     passed: int
     failures: List[Tuple[str, str]]    # name of the test, and its message
-    skipped: int
+    skipped: List[Tuple[str, str]]     # name of the test, and the reason
 
     def __str__(self) -> str:
         text = '%d passed, %d failed' % (self.passed, len(self.failures))
-        return text + (', %d skipped' % self.skipped if self.skipped else '')
+        return text + (', %d skipped' % len(self.skipped) if self.skipped else '')
 
 
 def of_program(folder: Path) -> Results:
     """Return the results of one test program."""
-    passed, failures, skipped = 0, [], 0
+    passed, failures, skipped = 0, [], []
     for path in sorted(folder.rglob('*.xml')):
         # rostest's own file lists each program that it ran as a test. A program counts by its own
         # file, and here only if it ended without one.
@@ -42,20 +42,21 @@ def of_program(folder: Path) -> Results:
             failures.append((path.name, 'no XML: %s' % error))
             continue
         for case in cases:
+            name = '%s.%s' % (case.get('classname', ''), case.get('name', ''))
+            skip = case.find('skipped')
             failed = [child for child in case if child.tag in ('failure', 'error')]
             if failed:
-                failures.append(('%s.%s' % (case.get('classname', ''), case.get('name', '')),
-                                 '\n'.join(_message(child) for child in failed)))
-            elif case.find('skipped') is not None:
-                skipped += 1
+                failures.append((name, '\n'.join(_message(child) for child in failed)))
+            elif skip is not None:
+                skipped.append((name, skip.get('message') or 'no reason given'))
             elif not wraps:
                 passed += 1
     status = _read(folder / 'status').strip() or 'none'
     if status == '0' and (folder / 'by_status').exists():
         passed += 1
-    if not failures and (status != '0' or not passed + skipped):
+    if not failures and (status != '0' or not (passed or skipped)):
         failures.append((folder.name, '%s (status %s); its last output:\n%s' % (
-            'failed as a whole' if passed + skipped else 'gave no result', status,
+            'failed as a whole' if passed or skipped else 'gave no result', status,
             _tail(_read(folder / 'log'), _LOG_LINES))))
     return Results(passed, failures, skipped)
 
@@ -64,7 +65,7 @@ def total(parts: List[Results]) -> Results:
     """Return the sum of the results."""
     return Results(sum(part.passed for part in parts),
                    [failure for part in parts for failure in part.failures],
-                   sum(part.skipped for part in parts))
+                   [skip for part in parts for skip in part.skipped])
 
 
 def _message(element: ElementTree.Element) -> str:
@@ -92,6 +93,9 @@ def main(argv: List[str]) -> int:
         for name, said in results.failures:
             print('\n--- %s: %s' % (program, name))
             print('\n'.join('    ' + line for line in said.splitlines()))
+    for program, results in parts:
+        for name, reason in results.skipped:
+            print('skipped: %s: %s: %s' % (program, name, reason))
     result = total([results for _, results in parts])
     print('\n' + str(result))
     return 1 if result.failures or not parts else 0

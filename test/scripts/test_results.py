@@ -28,7 +28,7 @@ def program(tmp_path):
 
 def test_each_kind_of_result_is_counted(program):
     found = results.of_program(program(status='1', results=PYTEST))
-    assert (found.passed, found.skipped) == (1, 1)
+    assert (found.passed, found.skipped) == (1, [('test_a.skipped', 'no board')])
     assert found.failures == [('test_a.red', 'where'), ('test_a.broken', 'no fixture')]
     assert str(found) == '1 passed, 2 failed, 1 skipped'
 
@@ -90,6 +90,7 @@ def test_the_last_line_has_the_count_and_the_status_shows_failures(program, tmp_
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1] == '2 passed, 2 failed, 1 skipped'
     assert '--- two: test_a.red' in lines
+    assert 'skipped: two: test_a.skipped: no board' in lines
 
 
 def test_no_program_at_all_is_a_failure(tmp_path):

@@ -35,8 +35,8 @@ def program(folder, name, text):
 
 def script(folder, text, *prefix):
     """The command that sources environment.bash and runs a text."""
-    return [*prefix, '/bin/bash', '-c', f'cd {folder}; set -euo pipefail; . scripts/environment.bash;'
-            + text, 'demo']
+    set_up = f'cd {folder}; set -euo pipefail; . scripts/environment.bash; '
+    return [*prefix, '/bin/bash', '-c', set_up + text, 'demo']
 
 
 def environment(folder):
@@ -85,9 +85,12 @@ def fixture_terminal(folder):
         each.close()
 
 
-def test_the_last_line_of_apt_stays_on_the_screen(folder, terminal):
-    program(folder, 'apt-get', APT)
-    shown = terminal('install a-package; echo "the next step"')
+@pytest.mark.parametrize('name, step', [
+    ('apt-get', 'install a-package'), ('cmake', 'build_inputs() { echo; }; build_if_changed')])
+def test_the_last_line_of_apt_and_of_the_build_stays_on_the_screen(folder, terminal, name, step):
+    program(folder, name, APT)
+    program(folder, 'make', '')
+    shown = terminal(f'{step}; echo "the next step"')
     shown.until(lambda: shown._output.endswith(b'\x1b[K\r'), 'progress')
     assert screen(shown)[1:] == ['    Unpacking ros-core (1.0) ...']
     (folder / 'finish').touch()
@@ -164,7 +167,7 @@ def test_a_full_disk_during_the_build_is_one_line(folder):
 @pytest.mark.skipif(subprocess.call(['unshare', '-m', 'true'], stderr=subprocess.DEVNULL) != 0,
                     reason='to fill a disk, a file system is mounted: only root may')
 def test_a_build_on_a_small_disk_is_one_line(folder):
-    done = run(folder, f'''unshare -m bash -c '
+    done = run(folder, f'''unshare -m bash -euo pipefail -c '
         mount -t tmpfs -o size=200k none "$1"; . {ENVIRONMENT}
         build=$1; PYTHONPATH= build_if_changed' demo {folder}/bin''')
     assert done.returncode == 1

@@ -301,6 +301,16 @@ def test_a_terminal_is_redrawn_in_place_and_restored(monkeypatch):
     assert out.getvalue().endswith('\033[?25h\r\n')
 
 
+@pytest.mark.parametrize('given, coloured', [(None, True), ('', True), ('1', False)])
+def test_no_color_turns_styles_off(monkeypatch, given, coloured):
+    monkeypatch.delenv('NO_COLOR', raising=False)
+    if given is not None:
+        monkeypatch.setenv('NO_COLOR', given)
+    out = Terminal()
+    draw(Screen(out), busy())
+    assert ('\033[32m' in out.getvalue()) == ('\033[1m' in out.getvalue()) == coloured
+
+
 @pytest.mark.parametrize('extra', [0, 1, 39])
 def test_a_full_row_keeps_its_last_character(monkeypatch, extra):
     monkeypatch.setenv('COLUMNS', '40')

@@ -1,4 +1,4 @@
-"""Before scripts/demo launches: can roslaunch use the ROS master, and is no bridge running there?"""
+"""Before scripts/demo launches: can roslaunch use the ROS master, and does no bridge run there?"""
 import socket
 import sys
 import threading
