@@ -89,6 +89,10 @@ class Mcu {
   // Whether the program drives it neither high nor low.
   bool input_pin(char port, int bit) const;
   void drive_pin(char port, int bit, bool level);
+  // Nothing drives it from outside any longer: a pull-up that the program has enabled makes it high.
+  void release_pin(char port, int bit);
+  // The level at a pin, whoever drives it.
+  bool pin_level(char port, int bit) const;
   // Calls back every `cycles`, across resets.
   void every(uint64_t cycles, std::function<void()> callback);
 
@@ -108,6 +112,7 @@ class Mcu {
   };
 
   void apply_driven_pins(char port, const DrivenPins& pins);
+  bool pull_up(char port, int bit) const;
   void after_cpu_reset();
   void hold_program();
   void start_timers();

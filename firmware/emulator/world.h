@@ -57,6 +57,8 @@ class World {
 std::unique_ptr<World> make_car_world(Mcu& mcu, bool still);
 std::unique_ptr<World> make_ctrl_world(Mcu& mcu, bool still);
 std::unique_ptr<World> make_range_world(Mcu& mcu, bool still);
+// Nothing is connected but what clients set.
+std::unique_ptr<World> make_pins_world(Mcu& mcu);
 
 // A slow oscillation between two values, for a demo.
 double wave(double seconds, double period, double low, double high);

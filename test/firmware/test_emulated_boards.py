@@ -718,7 +718,7 @@ def test_roslaunch_arguments_and_clear_errors(firmware_build, tmp_path):
     assert run(*extra) == (1, 'avr_emulator: no ELF file given; --help lists the options')
     assert run('--world', 'moon', elf, *extra) == (
         1,
-        'avr_emulator: --world must be car, ctrl or range, not "moon"',
+        'avr_emulator: --world must be car, ctrl, range or pins, not "moon"',
     )
     assert run('--world', 'car', '/no/such.elf') == (
         1,
