@@ -16,6 +16,8 @@ const uint8_t A1 = 37;
 
 unsigned long millis();
 void delay(uint32_t ms);
+void enableLoopWDT();
+void feedLoopWDT();
 void pinMode(uint8_t pin, uint8_t mode);
 void digitalWrite(uint8_t pin, uint8_t level);
 uint16_t analogRead(uint8_t pin);
