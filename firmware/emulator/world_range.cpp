@@ -45,11 +45,6 @@ class Bno055 : public I2cRegisters {
  public:
   explicit Bno055(Mcu& mcu) : mcu_(mcu) { power_on(); }
 
-  void set_present(double now_present) {
-    if (present == 0 && now_present != 0) power_on();
-    present = now_present;
-  }
-
   double heading = 0;  // degrees, clockwise
   double pitch = 0, roll = 0;
 
