@@ -25,7 +25,6 @@ const uint8_t kOutputs[] = {kMotorPwmPin, kMotorForwardPin, kMotorBackwardPin,
 const uint8_t kPauseTicks = 3;
 
 // Shared with the timer's interrupt; used only with interrupts disabled.
-HeartbeatWatch heartbeats;
 int8_t direction = 0;         // of the bridge: 1, -1, or 0 with both inputs low
 int8_t wanted_direction = 0;  // direction after the pause
 uint8_t wanted_duty = 0;
@@ -49,6 +48,12 @@ void motor_off() {
   bridge_off();
 }
 
+void stop() {
+  if (wanted_direction == 0) return;
+  motor_off();
+  heartbeat_lost = true;
+}
+
 // Sets the bridge as wanted; called again at the end of a pause.
 void drive_motor() {
   if (direction != wanted_direction) bridge_off();
@@ -69,12 +74,9 @@ void beat() {
 
 }  // namespace
 
-ISR(TIMER0_COMPA_vect) {
-  heartbeats.tick(Serial.available());
-  if (wanted_direction != 0 && !heartbeats.alive()) {
-    motor_off();
-    heartbeat_lost = true;
-  }
+STOP_WITHOUT_HEARTBEATS(stop)
+
+ISR(TIMER0_COMPB_vect) {
   if (pause_ticks > 0 && --pause_ticks == 0 && wanted_direction != 0) drive_motor();
 }
 
@@ -104,6 +106,8 @@ void drive_begin(PacketLink& link) {
     OCR1A = kServoCentreUs * 2 - 1;
     TCCR1B |= _BV(CS11);
     TIMSK1 = _BV(TOIE1) | _BV(OCIE1B);
+    // Timer0 belongs to millis(); both of its compare interrupts come at the same rate.
+    TIMSK0 |= _BV(OCIE0B);
     // INT0: rising edge.
     EICRA = _BV(ISC01) | _BV(ISC00);
     EIMSK = _BV(INT0);

@@ -68,8 +68,8 @@ def announced_text(board: str, config: Any) -> bytes:
 
 class CustomMessagePlayer:
     """Makes the custom messages that a board sends, one of each kind every `PERIOD` s, and the
-    chunks of its announcement: one every 0.1 s until each has been sent twice, and for at least 3 s;
-    later one a second.
+    chunks of its announcement: one every 0.1 s until each has been sent twice, and for at least
+    3 s; later one a second.
 
     Args:
         messages: commands among them are ignored.

@@ -19,8 +19,8 @@ from test_library import run_on_the_pc
 
 EXAMPLES = read_parameters(os.path.join(os.path.dirname(FIRMWARE), 'config',
                                         'custom_messages.yaml'))
-LONG = ''.join(f'r{type_}: {{type: {type_}, ros_type: std_msgs/Float32MultiArray, layout: "<{"f" * 9}"'
-               f', fields: [{", ".join(f"data[{index}]" for index in range(9))}]}}\n'
+LONG = ''.join(f'r{type_}: {{type: {type_}, ros_type: std_msgs/Float32MultiArray, '
+               f'layout: "<{"f" * 9}", fields: [{", ".join(f"data[{n}]" for n in range(9))}]}}\n'
                for type_ in range(40, 51))
 TEXT = 'firmware: test 1.0\n' + ''.join(
     f'row_{type_}: {{type: {type_}, ros_type: std_msgs/Bool, layout: <?, fields: [data]}}\n'

@@ -53,7 +53,7 @@ def port_opened(car):
     car.board.ask('dtr')
 
 
-def check_stop_times(car, condition, ready, pwm):
+def check_stop_times(car, condition, pwm, wait_for_start):
     """Measures how long it takes from the last heartbeat to PWM 0, and checks it."""
     board = car.board
     taken = []
@@ -70,7 +70,7 @@ def check_stop_times(car, condition, ready, pwm):
         assert off[1] == 0
         taken.append(off[0] - board.get('last_rx_time'))
         if condition is port_opened:
-            car.wait_for_text(ready)
+            wait_for_start()
         board.set('sda_stuck', 0)
         board.set('scl_stuck', 0)
         car.forget()
@@ -84,15 +84,14 @@ def check_stop_times(car, condition, ready, pwm):
     'condition', [nothing, sda_stuck, scl_stuck, uart_full, stalled, port_opened]
 )
 def test_time_from_the_last_heartbeat_to_pwm_0(car, condition):
-    check_stop_times(car, condition, 'IMU ready', PWM)
+    check_stop_times(car, condition, PWM, lambda: car.wait_for_text('IMU ready'))
 
 
 @pytest.mark.parametrize('condition', [nothing, uart_full, stalled, port_opened])
 def test_the_motor_of_the_example_stops_likewise(firmware_build, condition):
     with EmulatedBoard(firmware_build, 'car', image='Car.elf') as board:
         car = Car(board)
-        car.wait_for_text('car ready')
-        check_stop_times(car, condition, 'car ready', PWM_OF_THE_EXAMPLE)
+        check_stop_times(car, condition, PWM_OF_THE_EXAMPLE, lambda: car.next(TICKS, 3))
         car.port.close()
 
 

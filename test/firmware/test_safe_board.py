@@ -1,4 +1,4 @@
-"""What keeps every image and example safe: the watchdog, the pull-downs, and an update() that ends."""
+"""What keeps every image and example safe: watchdog, pull-downs, an update() that ends."""
 
 import os
 import re

@@ -62,8 +62,8 @@ class Announcer {
     return announcer.get(index, chunk);
   }
 
-  // Likewise the chunk that is to be sent now; 0: none. There is one every 100 ms until each has gone twice and at least
-  // for 3 s, later one a second. It is sent only while the send buffer is empty, so that nothing else has to wait for
+  // Likewise the chunk that is to be sent now; 0: none. There is one every 100 ms until each has gone twice and for at
+  // least 3 s, later one a second. It is sent only while the send buffer is empty, so that nothing else has to wait for
   // it. (Where that is never empty, the chunk leaves as soon as it has room, a second late.)
   uint8_t next(SendBuffer& buffer, uint32_t now_ms, uint8_t* chunk) {
     const uint16_t waited = static_cast<uint16_t>(now_ms) - sent_ms_;

@@ -1,5 +1,6 @@
-// A model car on an AVR: the built-in commands and measurements, and a motor that stops when the bridge
-// ends, the cable breaks, or the program hangs. No rows are needed. On the computer: ~speed, ~steering, ~led, ~ticks, ~voltage, ~steering_angle.
+// A model car on an AVR: the built-in commands and measurements, and a motor that stops when the bridge ends, the
+// cable breaks, or the program hangs. No rows are needed. On the computer: ~speed, ~steering, ~led, ~ticks,
+// ~voltage, ~steering_angle.
 //
 // firmware/nano_car is a whole car.
 
@@ -52,9 +53,10 @@ void handle_led(const char* text) {
   digitalWrite(kBrakeLampPin, strcmp(text, "brake") == 0);
 }
 
+// A car that has an IMU calibrates it here, and sends bridge.send_imu(data), an ImuData.
 void handle_calibration() {
-  static RateLimit limit;  // answers to bad input: one a second
-  if (limit.passes(millis())) bridge.warn(F("this car has no IMU"));  // one that has sends bridge.send_imu(data)
+  static RateLimit limit;  // one answer a second, however often it is called
+  if (limit.passes(millis())) bridge.warn(F("this car has no IMU"));
 }
 
 void count_tick() {
