@@ -265,6 +265,12 @@ class Board {
       mcu_.reset();
       return "ok";
     }
+    if (command == "reset_on_change") {
+      const unsigned long address = strtoul(name.c_str(), nullptr, 0);
+      if (address == 0 || address > 0x8FF) return "error: reset_on_change ADDRESS";
+      mcu_.reset_on_change(uint16_t(address));
+      return "ok";
+    }
     if (command == "power_cycle") {
       mcu_.power_cycle();
       return "ok";
@@ -291,7 +297,8 @@ class Board {
       stop_requested = 1;
       return "ok";
     }
-    return "error: commands are get, set, history, list, reset, power_cycle, dtr, dtr_in_read, crash, stall, quit";
+    return "error: commands are get, set, history, list, reset, reset_on_change, power_cycle, dtr, dtr_in_read, crash, "
+           "stall, quit";
   }
 
   Mcu mcu_;

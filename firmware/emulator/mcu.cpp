@@ -147,6 +147,7 @@ bool Mcu::run_until(uint64_t cycle) {
       after_cpu_reset();
     }
     if (state == cpu_Crashed || state == cpu_Done) return false;
+    if (watched_ != 0 && avr_->data[watched_] != watched_value_) reset();
   }
   return true;
 }
@@ -177,7 +178,14 @@ void Mcu::reset() {
   after_cpu_reset();
 }
 
+void Mcu::reset_on_change(uint16_t address) {
+  watched_ = address;
+  watched_value_ = avr_->data[address];
+  avr_->run_cycle_limit = 1;  // one instruction at a time
+}
+
 void Mcu::after_cpu_reset() {
+  watched_ = 0;
   avr_->state = cpu_Running;
   boot_end_ = stall_end_ = 0;
   program_held_ = false;

@@ -44,6 +44,8 @@ class Mcu {
   void reset();
   // As reset(), but the RAM has random content and the I2C devices are reset. The EEPROM is kept.
   void power_cycle();
+  // A reset as soon as the byte at this data address has another value.
+  void reset_on_change(uint16_t address);
   // As when the port of a real Nano is opened: a reset, then a second in the bootloader with all pins floating.
   void dtr();
   // dtr() as soon as an I2C device is sending.
@@ -131,6 +133,8 @@ class Mcu {
   uint64_t boot_end_ = 0;
   uint64_t stall_end_ = 0;
   bool program_held_ = false;
+  uint16_t watched_ = 0;  // data address; 0: none
+  uint8_t watched_value_ = 0;
   bool dtr_in_read_ = false;
   bool dtr_due_ = false;
   unsigned watchdog_resets_ = 0;

@@ -4,7 +4,7 @@ import re
 from pages import ROOT
 
 PAGE = (ROOT / 'doc' / 'reliability.md').read_text()
-SECTIONS = 'The motor', 'Old commands', 'The bus', 'Data', 'The node'
+SECTIONS = 'The motor', 'Old commands', 'The bus', 'Data', 'The node', 'The reference boards'
 
 
 def section(title):
