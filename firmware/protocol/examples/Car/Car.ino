@@ -1,5 +1,5 @@
-// A model car on an AVR: the built-in commands and measurements, and a motor that stops when the bridge ends, the
-// cable breaks, or the program hangs. No rows are needed. On the computer: ~speed, ~steering, ~led, ~ticks,
+// A model car on an ATmega328P: the built-in commands and measurements, and a motor that stops when the bridge ends,
+// the cable breaks, or the program hangs. No rows are needed. On the computer: ~speed, ~steering, ~led, ~ticks,
 // ~voltage, ~steering_angle.
 //
 // firmware/nano_car is a whole car. Use bridge.log("text"), not Serial.print, which breaks the packet that follows.

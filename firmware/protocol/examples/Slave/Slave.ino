@@ -1,5 +1,5 @@
 // A board on the bus with three functions: one with data, one with a reply, and a slow one that can be
-// stopped. For an AVR. It announces them: the bridge asks for the rows with `bus/announcements: true`.
+// stopped. For an ATmega328P. It announces them: the bridge asks for the rows with `bus/announcements: true`.
 //
 // The port belongs to the bridge: do not Serial.print to it.
 //
