@@ -22,6 +22,14 @@ const uint8_t kSmokePin = A0;
 const uint8_t kPumpPin = 11;
 const uint8_t kTankPin = A1;
 
+// Low from the start; 10 kOhm to ground on each: see safe_board.h.
+const uint8_t kOutputs[] = {kLiftStepPin, kLiftDirectionPin, kPanStepPin, kPanDirectionPin, kTiltStepPin,
+                            kTiltDirectionPin,
+#ifdef CUSTOM_MESSAGES
+                            kPumpPin
+#endif
+};
+
 // Leadscrew with 8 mm a turn, 200 steps a turn.
 const uint16_t kLiftStepsPerMm = 25;
 #ifndef LIFT_STEPS_PER_SECOND

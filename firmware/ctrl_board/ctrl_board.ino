@@ -4,6 +4,7 @@
 #include <BusSlave.h>
 #include <avr/sleep.h>
 #include <avr_i2c.h>
+#include <safe_board.h>
 
 #include "board.h"
 #include "sht3x.h"
@@ -46,7 +47,7 @@ static BusResult lift(const Lift& request) {
   if (request.direction > 1) return BusResult::failed(kErrorMalformed);
   const bool up = request.direction == 0;
   const EndSwitchPin end_switch = up ? kLiftTopPin : kLiftBottomPin;
-  if (digitalRead(end_switch) == HIGH) return BusResult::failed(kErrorOperation);
+  if (stepper_switch_open(end_switch)) return BusResult::failed(kErrorOperation);
   return start(kLift, up, uint32_t(request.distance_mm) * kLiftStepsPerMm, end_switch);
 }
 
@@ -58,7 +59,7 @@ static BusResult gimbal(const Gimbal& request) {
   const StepperAxis& axis = pan ? kPan : kTilt;
   const int16_t limit = (pan ? kPanLimit : kTiltLimit) * kGimbalStepsPerDegree;
   const int16_t steps = request.degrees * kGimbalStepsPerDegree;
-  const int16_t target = axis.count->steps + (positive ? steps : -steps);
+  const int16_t target = axis.count->steps() + (positive ? steps : -steps);
   if (target > limit || target < -limit) return BusResult::failed(kErrorOperation);
   return start(axis, positive, steps, 0);
 }
@@ -69,7 +70,7 @@ static BusResult motion() {
 }
 
 static BusResult environment() {
-  if (!sht3x.valid(millis())) return BusResult::failed(kErrorOperation);
+  if (!sht3x.valid()) return BusResult::failed(kErrorOperation);
   const Environment reading = {static_cast<uint16_t>(analogRead(kSmokePin)), sht3x.temperature(), sht3x.humidity()};
   return BusResult::ok(reading);
 }
@@ -115,11 +116,7 @@ static void sleep_until_interrupt() {
 }
 
 void setup() {
-  const StepperAxis axes[] = {kLift, kPan, kTilt};
-  for (const StepperAxis& axis : axes) {
-    pinMode(axis.step_pin, OUTPUT);
-    pinMode(axis.direction_pin, OUTPUT);
-  }
+  safe_begin(kOutputs);
   pan_count.begin();
   tilt_count.begin();
   bus.on<Lift>(kFunctionLift, lift);
@@ -128,7 +125,6 @@ void setup() {
   bus.on_pending(motion);
   bus.on_stop(stepper_stop);
 #ifdef CUSTOM_MESSAGES
-  pinMode(kPumpPin, OUTPUT);
   bus.on<Pump>(0x30, pump);
   bus.on(0x32, tank);
   bus.announce(kRows);
@@ -141,6 +137,7 @@ void setup() {
 }
 
 void loop() {
+  safe_update();
   bus.update();
   sht3x.poll(millis());
   sleep_until_interrupt();

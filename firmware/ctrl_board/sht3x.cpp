@@ -10,6 +10,7 @@ namespace {
 
 const uint8_t kAddress = 0x44;
 const uint8_t kSingleShot[2] = {0x24, 0x00};  // high repeatability, no clock stretching
+const uint8_t kSoftReset[2] = {0x30, 0xA2};
 const uint32_t kMeasuringMs = 20;
 const uint32_t kPeriodMs = 250;
 const uint32_t kValidMs = 2000;
@@ -29,11 +30,14 @@ bool take_word(const uint8_t* bytes, uint16_t* word) {
 
 void Sht3x::poll(uint32_t now_ms) {
   const uint32_t since = now_ms - started_ms_;
+  if (now_ms - measured_ms_ >= kValidMs) measured_ = false;  // for good: after 49.7 days the difference is 0 again
   if (measuring_ && since >= kMeasuringMs) {
     measuring_ = false;
     if (fetch()) {
       measured_ = true;
       measured_ms_ = now_ms;
+    } else {
+      i2c_transfer(kAddress, kSoftReset, sizeof kSoftReset, 0, 0);
     }
   } else if (!measuring_ && since >= kPeriodMs) {
     started_ms_ = now_ms;
@@ -41,7 +45,6 @@ void Sht3x::poll(uint32_t now_ms) {
   }
 }
 
-bool Sht3x::valid(uint32_t now_ms) const { return measured_ && now_ms - measured_ms_ < kValidMs; }
 
 bool Sht3x::start() { return i2c_transfer(kAddress, kSingleShot, sizeof kSingleShot, 0, 0); }
 

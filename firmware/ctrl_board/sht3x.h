@@ -1,4 +1,4 @@
-// An SHT3x, measured repeatedly without waiting for it.
+// An SHT3x, measured repeatedly without waiting for it. After a read that fails it is reset.
 
 #ifndef CTRL_BOARD_SHT3X_H
 #define CTRL_BOARD_SHT3X_H
@@ -10,8 +10,8 @@ class Sht3x {
   // Has to be called often.
   void poll(uint32_t now_ms);
 
-  // Whether the last reading is at most two seconds old.
-  bool valid(uint32_t now_ms) const;
+  // Whether the last reading was at most two seconds old at the last poll().
+  bool valid() const { return measured_; }
 
   int16_t temperature() const { return temperature_; }  // 0.01 degree Celsius
   uint16_t humidity() const { return humidity_; }       // 0.01 %

@@ -12,6 +12,8 @@ namespace {
 const uint32_t kTickHz = 16000;
 const uint8_t kTimer2Top = F_CPU / 8 / kTickHz - 1;
 
+const uint8_t kSampleTicks = kTickHz / 1000;  // between two samples of the end switch
+
 constexpr uint16_t phase_per_tick(uint16_t steps_per_second) {
   return uint16_t(uint32_t(steps_per_second) * 65536 / kTickHz);
 }
@@ -23,6 +25,8 @@ volatile uint8_t* step_port;
 uint8_t step_mask;
 volatile uint8_t* switch_port;
 uint8_t switch_mask;
+uint8_t sample_ticks;
+bool was_open;  // the end switch, at the last sample
 StepCount* step_count;
 int8_t step_sign;
 
@@ -40,11 +44,21 @@ void stop() {
   steps_left = 0;
 }
 
+// Whether the end switch was open in the last two samples; to be called each tick.
+bool at_end() {
+  if (switch_mask == 0 || --sample_ticks > 0) return false;
+  sample_ticks = kSampleTicks;
+  const bool open = *switch_port & switch_mask;
+  const bool both = open && was_open;
+  was_open = open;
+  return both;
+}
+
 }  // namespace
 
 ISR(TIMER2_COMPA_vect) {
   *step_port &= ~step_mask;  // a step's pulse lasts one tick
-  if (steps_left == 0 || (switch_mask != 0 && (*switch_port & switch_mask))) {
+  if (steps_left == 0 || at_end()) {
     stop();
     return;
   }
@@ -59,7 +73,7 @@ ISR(TIMER2_COMPA_vect) {
   if (phase < before) {
     *step_port |= step_mask;
     --steps_left;
-    if (step_count) step_count->set(step_count->steps + step_sign);
+    if (step_count) step_count->set(step_count->steps() + step_sign);
     if (!slowing && velocity < top_velocity) ++ramp_steps;
   }
 }
@@ -70,12 +84,20 @@ void stepper_begin() {
   OCR2A = kTimer2Top;
 }
 
+bool stepper_switch_open(EndSwitchPin pin) {
+  if (digitalRead(pin) == LOW) return false;
+  delay(1);
+  return digitalRead(pin) == HIGH;
+}
+
 void stepper_start(const StepperAxis& axis, bool positive, uint32_t steps, EndSwitchPin end_switch) {
   digitalWrite(axis.direction_pin, positive);
   step_port = portOutputRegister(digitalPinToPort(axis.step_pin));
   step_mask = digitalPinToBitMask(axis.step_pin);
   switch_port = portInputRegister(digitalPinToPort(end_switch));
   switch_mask = end_switch == 0 ? 0 : digitalPinToBitMask(end_switch);
+  sample_ticks = kSampleTicks;
+  was_open = false;
   step_count = axis.count;
   step_sign = positive ? 1 : -1;
   ramp_steps = 0;

@@ -5,19 +5,33 @@
 
 #include <stdint.h>
 
-// A position in steps that is kept through a reset: put a variable of this type into the section ".noinit".
-struct StepCount {
-  int16_t steps;
-  int16_t complement;
+// A position in steps that is kept through a reset: put a variable of this type into the section ".noinit". There are
+// two copies, so that one is valid even if the reset comes while the other is written.
+class StepCount {
+ public:
+  int16_t steps() const { return copies_[0].steps; }
 
   // To be called after a reset: starts at 0 if the RAM has no valid count, which is at power-up.
-  void begin() {
-    if (complement != ~steps) set(0);
-  }
+  void begin() { set(copies_[0].valid() ? copies_[0].steps : copies_[1].valid() ? copies_[1].steps : 0); }
+
   void set(int16_t value) {
-    steps = value;
-    complement = ~value;
+    copies_[0].set(value);
+    copies_[1].set(value);
   }
+
+ private:
+  struct Copy {
+    volatile int16_t steps;
+    volatile int16_t complement;
+
+    bool valid() const { return complement == ~steps; }
+    void set(int16_t value) {
+      steps = value;
+      complement = ~value;
+    }
+  };
+
+  Copy copies_[2];
 };
 
 struct StepperAxis {
@@ -27,8 +41,12 @@ struct StepperAxis {
   StepCount* count;  // 0: no counter
 };
 
-// An end switch that stops a move: a pin that goes high; 0 for none.
+// An end switch that stops a move: a pin that goes high; 0 for none. It counts as open when it is high in two samples
+// 1 ms apart, so that a spike from the motor's wires does not stop the lift.
 typedef uint8_t EndSwitchPin;
+
+// Whether it is open now; takes up to 1 ms.
+bool stepper_switch_open(EndSwitchPin pin);
 
 void stepper_begin();
 

@@ -53,7 +53,7 @@ struct Options {
 };
 
 const char kUsage[] =
-    "usage: avr_emulator --world car|ctrl|range [options] ELF\n"
+    "usage: avr_emulator --world car|ctrl|range|pins [options] ELF\n"
     "  --link PATH     UART on a new pty, with a symbolic link to it at PATH\n"
     "  --port PATH     UART on an existing tty, opened again when it vanishes\n"
     "  --control PATH  Unix socket of the control channel\n"
@@ -104,7 +104,8 @@ std::unique_ptr<World> make_world(const Options& options, Mcu& mcu) {
   if (options.world == "car") return make_car_world(mcu, options.still);
   if (options.world == "ctrl") return make_ctrl_world(mcu, options.still);
   if (options.world == "range") return make_range_world(mcu, options.still);
-  throw std::runtime_error("--world must be car, ctrl or range, not \"" + options.world + "\"");
+  if (options.world == "pins") return make_pins_world(mcu);
+  throw std::runtime_error("--world must be car, ctrl, range or pins, not \"" + options.world + "\"");
 }
 
 // The EEPROM's content in a file, written whenever it has changed.
@@ -264,6 +265,12 @@ class Board {
       mcu_.reset();
       return "ok";
     }
+    if (command == "reset_on_change") {
+      const unsigned long address = strtoul(name.c_str(), nullptr, 0);
+      if (address == 0 || address > 0x8FF) return "error: reset_on_change ADDRESS";
+      mcu_.reset_on_change(uint16_t(address));
+      return "ok";
+    }
     if (command == "power_cycle") {
       mcu_.power_cycle();
       return "ok";
@@ -290,7 +297,8 @@ class Board {
       stop_requested = 1;
       return "ok";
     }
-    return "error: commands are get, set, history, list, reset, power_cycle, dtr, dtr_in_read, crash, stall, quit";
+    return "error: commands are get, set, history, list, reset, reset_on_change, power_cycle, dtr, dtr_in_read, crash, "
+           "stall, quit";
   }
 
   Mcu mcu_;

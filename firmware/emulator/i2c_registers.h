@@ -37,8 +37,12 @@ class I2cRegisters : public I2cDevice {
     defaults();
   }
 
-  // Whether the device answers its address.
+  // Whether the device answers its address. Without it, it has no power.
   double present = 1;
+  void set_present(double now_present) {
+    if (present == 0 && now_present != 0) power_on();
+    present = now_present;
+  }
 
  protected:
   // Fills the registers as they are after power-on.

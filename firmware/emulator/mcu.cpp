@@ -147,6 +147,7 @@ bool Mcu::run_until(uint64_t cycle) {
       after_cpu_reset();
     }
     if (state == cpu_Crashed || state == cpu_Done) return false;
+    if (watched_ != 0 && avr_->data[watched_] != watched_value_) reset();
   }
   return true;
 }
@@ -177,7 +178,14 @@ void Mcu::reset() {
   after_cpu_reset();
 }
 
+void Mcu::reset_on_change(uint16_t address) {
+  watched_ = address;
+  watched_value_ = avr_->data[address];
+  avr_->run_cycle_limit = 1;  // one instruction at a time
+}
+
 void Mcu::after_cpu_reset() {
+  watched_ = 0;
   avr_->state = cpu_Running;
   boot_end_ = stall_end_ = 0;
   program_held_ = false;
@@ -318,6 +326,27 @@ void Mcu::drive_pin(char port, int bit, bool level) {
   pins.levels = uint8_t((pins.levels & ~(1 << bit)) | level << bit);
   apply_driven_pins(port, pins);
   avr_raise_irq(avr_io_getirq(avr_, uint32_t(AVR_IOCTL_IOPORT_GETIRQ(port)), bit), level);
+}
+
+void Mcu::release_pin(char port, int bit) {
+  DrivenPins& pins = driven_pins_[port];
+  pins.mask &= uint8_t(~(1 << bit));
+  apply_driven_pins(port, pins);
+  if (!input_pin(port, bit)) return;
+  avr_raise_irq(avr_io_getirq(avr_, uint32_t(AVR_IOCTL_IOPORT_GETIRQ(port)), bit), pull_up(port, bit));
+}
+
+bool Mcu::pull_up(char port, int bit) const {
+  avr_ioport_state_t state;
+  if (avr_ioctl(avr_, uint32_t(AVR_IOCTL_IOPORT_GETSTATE(port)), &state) != 0) return false;
+  return (state.port & ~state.ddr) >> bit & 1;
+}
+
+bool Mcu::pin_level(char port, int bit) const {
+  if (!input_pin(port, bit)) return output_pin(port, bit);
+  const auto found = driven_pins_.find(port);
+  const bool driven = found != driven_pins_.end() && found->second.mask >> bit & 1;
+  return driven ? found->second.levels >> bit & 1 : pull_up(port, bit);
 }
 
 void Mcu::apply_driven_pins(char port, const DrivenPins& pins) {

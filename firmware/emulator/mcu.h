@@ -44,6 +44,8 @@ class Mcu {
   void reset();
   // As reset(), but the RAM has random content and the I2C devices are reset. The EEPROM is kept.
   void power_cycle();
+  // A reset as soon as the byte at this data address has another value.
+  void reset_on_change(uint16_t address);
   // As when the port of a real Nano is opened: a reset, then a second in the bootloader with all pins floating.
   void dtr();
   // dtr() as soon as an I2C device is sending.
@@ -89,6 +91,10 @@ class Mcu {
   // Whether the program drives it neither high nor low.
   bool input_pin(char port, int bit) const;
   void drive_pin(char port, int bit, bool level);
+  // Nothing drives it from outside any longer: a pull-up that the program has enabled makes it high.
+  void release_pin(char port, int bit);
+  // The level at a pin, whoever drives it.
+  bool pin_level(char port, int bit) const;
   // Calls back every `cycles`, across resets.
   void every(uint64_t cycles, std::function<void()> callback);
 
@@ -108,6 +114,7 @@ class Mcu {
   };
 
   void apply_driven_pins(char port, const DrivenPins& pins);
+  bool pull_up(char port, int bit) const;
   void after_cpu_reset();
   void hold_program();
   void start_timers();
@@ -126,6 +133,8 @@ class Mcu {
   uint64_t boot_end_ = 0;
   uint64_t stall_end_ = 0;
   bool program_held_ = false;
+  uint16_t watched_ = 0;  // data address; 0: none
+  uint8_t watched_value_ = 0;
   bool dtr_in_read_ = false;
   bool dtr_due_ = false;
   unsigned watchdog_resets_ = 0;

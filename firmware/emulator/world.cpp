@@ -61,6 +61,19 @@ std::string Values::names() const {
   return line;
 }
 
+OutputPins::OutputPins(Mcu& mcu, Values& values) : mcu_(mcu) { values.variable("pull_downs", &pull_downs_); }
+
+bool OutputPins::level(char port, int bit) const {
+  if (!mcu_.input_pin(port, bit)) return mcu_.output_pin(port, bit);
+  return pull_downs_ == 0 && (noise_ >> ((port - 'B') * 8 + bit) & 1);
+}
+
+bool OutputPins::step() {
+  noise_ = noise_ * 1664525 + 1013904223;
+  noise_ ^= noise_ >> 16;  // the low bits of such a sequence are hardly random
+  return pull_downs_ == 0;
+}
+
 double wave(double seconds, double period, double low, double high) {
   return low + (high - low) * (1 - std::cos(2 * M_PI * seconds / period)) / 2;
 }

@@ -42,6 +42,23 @@ class Values {
   std::map<std::string, std::deque<std::pair<double, double>>> histories_;
 };
 
+// The board's outputs as what is connected to them sees them. While the program drives a pin neither high nor low, as
+// in the bootloader, its pull-down resistor keeps it low. Without one it picks up noise.
+class OutputPins {
+ public:
+  // Adds the value `pull_downs`: whether the resistors are fitted.
+  OutputPins(Mcu& mcu, Values& values);
+
+  bool level(char port, int bit) const;
+  // The noise changes; to be called at each step of the world. False: there is none.
+  bool step();
+
+ private:
+  Mcu& mcu_;
+  double pull_downs_ = 1;
+  uint32_t noise_ = 1;  // a bit for each pin
+};
+
 class World {
  public:
   virtual ~World() {}
@@ -57,6 +74,8 @@ class World {
 std::unique_ptr<World> make_car_world(Mcu& mcu, bool still);
 std::unique_ptr<World> make_ctrl_world(Mcu& mcu, bool still);
 std::unique_ptr<World> make_range_world(Mcu& mcu, bool still);
+// Nothing is connected but what clients set.
+std::unique_ptr<World> make_pins_world(Mcu& mcu);
 
 // A slow oscillation between two values, for a demo.
 double wave(double seconds, double period, double low, double high);

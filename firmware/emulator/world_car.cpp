@@ -111,7 +111,7 @@ class Mpu6050 : public I2cRegisters {
 
 class CarWorld : public World {
  public:
-  CarWorld(Mcu& mcu, bool still) : mcu_(mcu), still_(still), mpu_(attitude_) {
+  CarWorld(Mcu& mcu, bool still) : mcu_(mcu), pins_(mcu, values), still_(still), mpu_(attitude_) {
     values.clock = [this] { return mcu_.seconds(); };
     mcu.attach_i2c(0x68, &mpu_);
     mcu.adc_volts = [this](int channel) { return volts(channel); };
@@ -137,13 +137,10 @@ class CarWorld : public World {
       values.variable(std::string("accel_bias_") + axes[i], &attitude_.accel_bias[i]);
     }
     values.variable("imu_temperature", &attitude_.temperature);
-    values.variable("imu_present", &mpu_.present);
+    values.variable("imu_present", [this] { return mpu_.present; },
+                    [this](double present) { mpu_.set_present(present); });
     values.variable("imu_id", &mpu_.id);
     values.variable("imu_failures", &mpu_.failures);
-    values.variable("motor_pull_downs", [this] { return pull_downs_; }, [this](double fitted) {
-      pull_downs_ = fitted;
-      record_outputs();
-    });
     values.variable("battery", &battery_);
     values.variable("force", &force_);
     values.variable("steering_feedback", [this] { return steering_feedback(); },
@@ -168,10 +165,9 @@ class CarWorld : public World {
 
   void record_outputs() {
     const bool pwm_on = mcu_.data(kTccr2a) & 0x20;
-    // A pin that is not driven, as in the bootloader, reads high here unless it has its pull-down.
-    const bool pwm_high = floating('D', 3) || (!pwm_on && mcu_.output_pin('D', 3));
-    const bool forward = floating('D', 7) || mcu_.output_pin('D', 7);
-    const bool backward = floating('B', 0) || mcu_.output_pin('B', 0);
+    const bool pwm_high = (!pwm_on || mcu_.input_pin('D', 3)) && pins_.level('D', 3);
+    const bool forward = pins_.level('D', 7);
+    const bool backward = pins_.level('B', 0);
     motor_pwm_ = pwm_high ? 255 : pwm_on ? mcu_.data(kOcr2b) : 0;
     motor_direction_ = int(forward) - int(backward);
     const unsigned top = mcu_.data(kIcr1h) << 8 | mcu_.data(kIcr1l);
@@ -180,7 +176,7 @@ class CarWorld : public World {
     const bool servo_on = top > 0 && (mcu_.data(kTccr1b) & 7) == 2;
     servo_us_ = servo_on ? (match + 1) / 2.0 : 0;
     // The core's analogWrite() switches the pin itself for 0 and 255.
-    values.record("gripper_pwm", mcu_.data(kTccr2a) & 0x80 ? mcu_.data(kOcr2a) : 255 * mcu_.output_pin('B', 3));
+    values.record("gripper_pwm", mcu_.data(kTccr2a) & 0x80 ? mcu_.data(kOcr2a) : 255 * pins_.level('B', 3));
     values.record("motor_pwm", motor_pwm_);
     values.record("motor_direction", motor_direction_);
     values.record("bridge_inputs", int(forward) + 2 * int(backward));
@@ -190,8 +186,6 @@ class CarWorld : public World {
     values.record("led_brake", mcu_.output_pin('B', 4));
     values.record("led_builtin", mcu_.output_pin('B', 5));
   }
-
-  bool floating(char port, int bit) const { return pull_downs_ == 0 && mcu_.input_pin(port, bit); }
 
   double steering_feedback() const {
     return forced_feedback_ >= 0 ? forced_feedback_ : 512 + (servo_position_ - 1500) * 0.6;
@@ -205,6 +199,7 @@ class CarWorld : public World {
   }
 
   void step() {
+    if (pins_.step()) record_outputs();
     const double wanted = kFullSpeed * motor_pwm_ / 255.0 * motor_direction_;
     wheel_speed_ += (wanted - wheel_speed_) * kStep / kMotorLag;
     if (motor_pwm_ == 0 && std::fabs(wheel_speed_) < 0.02) wheel_speed_ = 0;
@@ -230,6 +225,7 @@ class CarWorld : public World {
   }
 
   Mcu& mcu_;
+  OutputPins pins_;
   bool still_;
   Attitude attitude_;
   Mpu6050 mpu_;
@@ -238,7 +234,6 @@ class CarWorld : public World {
   double forced_feedback_ = -1;  // below 0: the servo's own position
   double servo_position_ = 1500;
   double servo_us_ = 0;
-  double pull_downs_ = 1;  // 10 kOhm each on the motor's pins
   int motor_pwm_ = 0;
   int motor_direction_ = 0;
   double wheel_speed_ = 0;

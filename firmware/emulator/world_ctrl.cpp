@@ -12,13 +12,15 @@ namespace {
 // A step that comes sooner is lost, and the rotor stops.
 class Axis {
  public:
-  Axis(Mcu& mcu, Values& values, const std::string& name, double steps_per_unit, double start, char step_port,
-       int step_bit, char direction_port, int direction_bit)
+  Axis(Mcu& mcu, const OutputPins& pins, Values& values, const std::string& name, double steps_per_unit, double start,
+       char step_port, int step_bit, char direction_port, int direction_bit)
       : mcu_(mcu), steps_per_unit_(steps_per_unit), start_(start) {
-    mcu.on_output_pin(step_port, step_bit, [=](bool level) {
-      if (level && !level_) step(mcu_.output_pin(direction_port, direction_bit));
+    look_at_pins = [=, &pins] {
+      const bool level = pins.level(step_port, step_bit);
+      if (level && !level_) step(pins.level(direction_port, direction_bit));
       level_ = level;
-    });
+    };
+    mcu.on_output_pin(step_port, step_bit, [this](bool) { look_at_pins(); });
     values.reading(name + "_position", [this] { return position(); });
     values.reading(name + "_steps", [this] { return double(steps_); });
     values.reading(name + "_moves", [this] { return double(moves_); });
@@ -28,6 +30,9 @@ class Axis {
     values.variable(name + "_pull_in", &pull_in_);
     values.variable(name + "_pull_out", &pull_out_);
   }
+
+  // To be called when the pins may have changed without being written.
+  std::function<void()> look_at_pins;
 
   // Position of the load, in mm or degrees.
   double position() const { return start_ + rotor_ / steps_per_unit_; }
@@ -83,6 +88,7 @@ class Sht3x : public I2cDevice {
     if (!present) return false;
     count_ = 0;
     if (!read) return true;
+    if (hangs != 0) return false;
     if (mcu_.seconds() < ready_at_) return false;  // still measuring: the address is not acknowledged
     put(0, (temperature + 45) / 175 * 65535);
     put(3, humidity / 100 * 65535);
@@ -92,13 +98,23 @@ class Sht3x : public I2cDevice {
 
   void write(uint8_t byte) override {
     command_ = uint16_t(command_ << 8 | byte);
-    if (++count_ == 2 && (command_ >> 8) == 0x24) ready_at_ = mcu_.seconds() + 0.015;
+    if (++count_ == 2 && command_ == 0x30A2) power_on();  // a soft reset
+    if (count_ == 2 && (command_ >> 8) == 0x24) ready_at_ = mcu_.seconds() + 0.015;
   }
 
   uint8_t read() override { return count_ < 6 ? result_[count_++] : 0xFF; }
-  void power_on() override { ready_at_ = INFINITY; }
+  void power_on() override {
+    ready_at_ = INFINITY;
+    hangs = 0;
+  }
+
+  void set_present(double now_present) {
+    if (present == 0 && now_present != 0) power_on();
+    present = now_present;
+  }
 
   double present = 1;
+  double hangs = 0;           // it takes commands and measures nothing, until it is reset
   double temperature = 22.5;  // degrees Celsius
   double humidity = 45;       // %
 
@@ -126,23 +142,34 @@ class CtrlWorld : public World {
  public:
   CtrlWorld(Mcu& mcu, bool still)
       : mcu_(mcu),
-        lift_(mcu, values, "lift", 25, 300, 'D', 3, 'D', 4),
-        pan_(mcu, values, "pan", 10, 0, 'D', 5, 'D', 6),
-        tilt_(mcu, values, "tilt", 10, 0, 'D', 7, 'B', 0),
+        pins_(mcu, values),
+        lift_(mcu, pins_, values, "lift", 25, 300, 'D', 3, 'D', 4),
+        pan_(mcu, pins_, values, "pan", 10, 0, 'D', 5, 'D', 6),
+        tilt_(mcu, pins_, values, "tilt", 10, 0, 'D', 7, 'B', 0),
         sht3x_(mcu) {
     values.clock = [this] { return mcu_.seconds(); };
     mcu.attach_i2c(0x44, &sht3x_);
     mcu.adc_volts = [this](int channel) {
       return channel > 1 ? 0 : ((channel == 0 ? smoke_ : tank_) + 0.5) * 5 / 1024;
     };
-    mcu.on_output_pin('B', 3, [this](bool level) { values.record("pump", level); });
+    mcu.on_output_pin('B', 3, [this](bool) { look_at_pins(); });
+    mcu.on_output_pin('D', 5, [this](bool) { look_at_pins(); });
+    mcu.after_reset = [this] { look_at_pins(); };
+    look_at_pins();
     mcu.every(uint64_t(kStep * mcu.frequency()), [this, still] { step(still); });
     drive_switches();
     values.variable("smoke", &smoke_);
     values.variable("tank", &tank_);
     values.variable("temperature", &sht3x_.temperature);
     values.variable("humidity", &sht3x_.humidity);
-    values.variable("sht3x_present", &sht3x_.present);
+    values.variable("sht3x_present", [this] { return sht3x_.present; },
+                    [this](double present) { sht3x_.set_present(present); });
+    values.variable("sht3x_hangs", &sht3x_.hangs);
+    values.variable("lift_switch_spike", [this] { return std::fmax(0, spike_end_ - mcu_.seconds()); },
+                    [this](double seconds) {
+                      spike_end_ = mcu_.seconds() + seconds;
+                      drive_switches();
+                    });
     values.variable("lift_bottom", &lift_bottom_);
     values.variable("lift_top", &lift_top_);
     for (int end = 0; end < 2; ++end) {
@@ -155,10 +182,18 @@ class CtrlWorld : public World {
   }
 
  private:
+  void look_at_pins() {
+    for (Axis* axis : {&lift_, &pan_, &tilt_}) axis->look_at_pins();
+    values.record("pump", pins_.level('B', 3));
+    values.record("door", pins_.level('D', 5));  // of the example Slave; the control board has its pan there
+  }
+
   void step(bool still) {
+    if (pins_.step()) look_at_pins();
     const bool top = lift_.position() >= lift_top_;
     const bool bottom = lift_.position() <= lift_bottom_;
-    if (top != at_top_ || bottom != at_bottom_) drive_switches();
+    const bool spike = mcu_.seconds() < spike_end_;
+    if (top != at_top_ || bottom != at_bottom_ || spike != spike_) drive_switches();
     if (still) return;
     const double now = mcu_.seconds();
     smoke_ = wave(now, 20, 90, 160);
@@ -170,11 +205,13 @@ class CtrlWorld : public World {
   void drive_switches() {
     at_top_ = lift_.position() >= lift_top_;
     at_bottom_ = lift_.position() <= lift_bottom_;
-    mcu_.drive_pin('B', 1, at_top_ || wires_[1] == 0);
-    mcu_.drive_pin('B', 2, at_bottom_ || wires_[0] == 0);
+    spike_ = mcu_.seconds() < spike_end_;
+    mcu_.drive_pin('B', 1, at_top_ || wires_[1] == 0 || spike_);
+    mcu_.drive_pin('B', 2, at_bottom_ || wires_[0] == 0 || spike_);
   }
 
   Mcu& mcu_;
+  OutputPins pins_;
   Axis lift_, pan_, tilt_;
   Sht3x sht3x_;
   double smoke_ = 120;       // raw ADC
@@ -182,6 +219,8 @@ class CtrlWorld : public World {
   double lift_bottom_ = 0;   // mm
   double lift_top_ = 600;    // mm
   double wires_[2] = {1, 1};  // of the bottom and the top switch; 0: broken
+  double spike_end_ = 0;  // of a pulse that both switches' wires pick up
+  bool spike_ = false;
   bool at_top_ = false;
   bool at_bottom_ = false;
 };

@@ -18,11 +18,6 @@ class Vl53l0x : public I2cRegisters {
   double alive = 1;    // 0: answers, but finishes no measurement
   double error = 0;    // the code that its results have instead of 11, "complete", until it is reset
 
-  void set_present(double now_present) {
-    if (present == 0 && now_present != 0) power_on();
-    present = now_present;
-  }
-
  protected:
   void defaults() override {
     registers_[0xC0] = 0xEE;
@@ -55,11 +50,6 @@ class Vl53l0x : public I2cRegisters {
 class Bno055 : public I2cRegisters {
  public:
   explicit Bno055(Mcu& mcu) : mcu_(mcu) { power_on(); }
-
-  void set_present(double now_present) {
-    if (present == 0 && now_present != 0) power_on();
-    present = now_present;
-  }
 
   bool start(bool read) override { return mcu_.seconds() >= boots_until_ && I2cRegisters::start(read); }
 

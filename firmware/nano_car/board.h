@@ -32,8 +32,6 @@ const uint16_t kServoMinUs = 1000;
 const uint16_t kServoMaxUs = 2000;
 const uint16_t kServoCentreUs = 1500;
 
-const uint8_t kHeartbeatTimeoutMs = 30;
-
 // The reference car averages its offsets for over five minutes.
 #ifndef CALIBRATION_SECONDS
 #define CALIBRATION_SECONDS 310

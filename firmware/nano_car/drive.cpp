@@ -3,7 +3,7 @@
 #include "drive.h"
 
 #include <avr/interrupt.h>
-#include <avr/wdt.h>
+#include <safe_board.h>
 #include <util/atomic.h>
 
 #include "board.h"
@@ -14,15 +14,17 @@ namespace {
 const uint16_t kTimer1Top = 39999;
 const uint16_t kTimer1Half = 20000;
 
-// Timer0 interrupts every 1.024 ms. The first tick may follow right after a heartbeat, and the motor must
-// not stop before the timeout.
-const uint8_t kHeartbeatTimeoutTicks = kHeartbeatTimeoutMs * 1000UL / 1024 + 2;
-// Both inputs of the bridge stay low for this time before the motor changes direction. Timer2 takes a new
-// duty at the end of a period, 2.04 ms: until then the bridge may still be enabled.
+const uint8_t kOutputs[] = {kMotorPwmPin, kMotorForwardPin, kMotorBackwardPin,
+#ifdef CUSTOM_MESSAGES
+                            kGripperPin
+#endif
+};
+
+// Ticks of Timer0, 1.024 ms each. Both inputs of the bridge stay low for this time before the motor changes
+// direction. Timer2 takes a new duty at the end of a period, 2.04 ms: until then the bridge may still be enabled.
 const uint8_t kPauseTicks = 3;
 
 // Shared with the timer's interrupt; used only with interrupts disabled.
-HeartbeatWatch heartbeats(kHeartbeatTimeoutTicks);
 int8_t direction = 0;         // of the bridge: 1, -1, or 0 with both inputs low
 int8_t wanted_direction = 0;  // direction after the pause
 uint8_t wanted_duty = 0;
@@ -46,6 +48,12 @@ void motor_off() {
   bridge_off();
 }
 
+void stop() {
+  if (wanted_direction == 0) return;
+  motor_off();
+  heartbeat_lost = true;
+}
+
 // Sets the bridge as wanted; called again at the end of a pause.
 void drive_motor() {
   if (direction != wanted_direction) bridge_off();
@@ -66,19 +74,9 @@ void beat() {
 
 }  // namespace
 
-// After a watchdog reset the watchdog is enabled with 16 ms. It is disabled before the variables are set up.
-void watchdog_off() __attribute__((naked, used, section(".init3")));
-void watchdog_off() {
-  MCUSR = 0;
-  wdt_disable();
-}
+STOP_WITHOUT_HEARTBEATS(stop)
 
-ISR(TIMER0_COMPA_vect) {
-  heartbeats.tick(Serial.available());
-  if (wanted_direction != 0 && !heartbeats.alive()) {
-    motor_off();
-    heartbeat_lost = true;
-  }
+ISR(TIMER0_COMPB_vect) {
   if (pause_ticks > 0 && --pause_ticks == 0 && wanted_direction != 0) drive_motor();
 }
 
@@ -90,10 +88,7 @@ ISR(INT0_vect) {
 }
 
 void drive_begin(PacketLink& link) {
-  link.watch(heartbeats);
-  pinMode(kMotorPwmPin, OUTPUT);
-  pinMode(kMotorForwardPin, OUTPUT);
-  pinMode(kMotorBackwardPin, OUTPUT);
+  safe_begin(kOutputs, link, heartbeats);
   pinMode(kServoPin, OUTPUT);
   pinMode(kEncoderPin, INPUT_PULLUP);
 
@@ -111,13 +106,12 @@ void drive_begin(PacketLink& link) {
     OCR1A = kServoCentreUs * 2 - 1;
     TCCR1B |= _BV(CS11);
     TIMSK1 = _BV(TOIE1) | _BV(OCIE1B);
-    // Timer0 belongs to millis(); its compare interrupt comes at the same rate.
-    TIMSK0 |= _BV(OCIE0A);
+    // Timer0 belongs to millis(); both of its compare interrupts come at the same rate.
+    TIMSK0 |= _BV(OCIE0B);
     // INT0: rising edge.
     EICRA = _BV(ISC01) | _BV(ISC00);
     EIMSK = _BV(INT0);
   }
-  wdt_enable(WDTO_120MS);
 }
 
 void drive_set_speed(int16_t speed) {
@@ -151,7 +145,7 @@ uint8_t drive_take_beats(uint8_t* ticks) {
   ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
     const uint8_t count = beats;
     beats = 0;
-    if (count > 0) wdt_reset();
+    if (count > 0) safe_update();
     *ticks = ticks_of_beats;
     ticks_of_beats = 0;
     return count;

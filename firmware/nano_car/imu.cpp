@@ -40,14 +40,16 @@ const float kProportionalGain = 1.0f;
 const float kGravityTolerance = 0.15f;
 
 const uint16_t kCalibrationSamples = CALIBRATION_SECONDS * 100UL;
-// This number of failed reads in a row ends a calibration; fewer are tolerated.
+// This number of failed reads in a row ends a calibration, and means that the sensor is lost; fewer are tolerated. A
+// sensor that was just started has no values for some hundredths of a second.
 const uint8_t kFailedReads = 20;
 static_assert(CALIBRATION_SECONDS <= 600, "the sums of a calibration are 32 bits wide");
 // If the smallest and the largest rate differ by more, the car has moved: 10 degrees/s.
 const int16_t kStillSpread = int16_t(10 * kLsbPerDegree);
 
 const uint32_t kEepromMagic = 0x31554D49;  // "IMU1"
-uint8_t* const kEepromAddress = 0;
+// Not the first cell: it is the one that a failing supply damages.
+uint8_t* const kEepromAddress = reinterpret_cast<uint8_t*>(16);
 
 struct StoredOffsets {
   uint32_t magic;
@@ -79,18 +81,25 @@ int16_t saturate(float value) {
 bool Imu::begin() {
   load();
   aligned_ = false;
+  failed_reads_ = 0;
   uint8_t id = 0;
   return read_registers(kWhoAmI, &id, 1) && known(id) && write_register(kPowerManagement1, 0x01) &&
          write_register(kSampleRateDivider, 9) && write_register(kConfig, 0x03) &&
          write_register(kGyroConfig, 0x10) && write_register(kAccelConfig, 0x08);
 }
 
+bool Imu::lost() const { return failed_reads_ >= kFailedReads; }
+
 bool Imu::read(Sample* sample) {
   uint8_t raw[14];
+  ++failed_reads_;
   if (!read_registers(kAccelXoutH, raw, sizeof raw)) return false;
   int16_t fields[7];
   for (uint8_t i = 0; i < 7; ++i) fields[i] = int16_t(uint16_t(raw[2 * i]) << 8 | raw[2 * i + 1]);
   memcpy(sample, fields, sizeof *sample);
+  const int16_t* a = sample->acceleration;
+  if (a[0] == 0 && a[1] == 0 && a[2] == 0) return false;  // gravity is always there: it is asleep
+  failed_reads_ = 0;
   return true;
 }
 
@@ -166,8 +175,7 @@ void Imu::start_calibration() {
 
 Imu::Calibration Imu::calibrate() {
   Sample sample;
-  if (!read(&sample)) return ++failed_reads_ < kFailedReads ? Running : Failed;
-  failed_reads_ = 0;
+  if (!read(&sample)) return lost() ? Failed : Running;
   for (uint8_t i = 0; i < 3; ++i) {
     sum_acceleration_[i] += sample.acceleration[i];
     sum_rate_[i] += sample.rate[i];

@@ -14,8 +14,12 @@ class Imu {
 
   bool calibrated() const { return calibrated_; }
 
-  // Reads the sensor once and turns the orientation by `seconds` of the rate. False: no answer.
+  // Reads the sensor once and turns the orientation by `seconds` of the rate. False: there was no answer, or no
+  // values: a sensor that was without power for a moment is asleep, and answers with zeros.
   bool update(float seconds, ImuData* out);
+
+  // Whether so many reads have failed in a row, 0.2 s, that begin() has to start the sensor again.
+  bool lost() const;
 
   // The car must be level and must not move until calibrate() has returned Done or Moved.
   void start_calibration();

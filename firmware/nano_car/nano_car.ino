@@ -4,6 +4,7 @@
 #include <PacketLink.h>
 #include <avr_i2c.h>
 #include <avr/sleep.h>
+#include <rate_limit.h>
 
 #include "board.h"
 #include "drive.h"
@@ -12,9 +13,11 @@
 static PacketLink bridge(Serial);
 static Imu imu;
 
-static bool imu_present = false;
+static bool imu_started = false;
+static bool imu_ready = false;  // it was started, and has had values
 static bool calibrating = false;
 static uint8_t imu_retry_beats = 0;
+static uint8_t imu_failures = 0;  // since it was ready, modulo 10
 
 // The lamps of the last LED command, and the counter for the blinking of the indicators.
 static bool lamp_left = false;
@@ -27,15 +30,16 @@ static uint32_t battery_sums[3];
 static uint8_t battery_seconds = 0;
 static uint8_t battery_readings = 0;
 
+// It is started again each second; every tenth failure is logged.
+static void imu_failed() {
+  imu_started = imu_ready = calibrating = false;
+  if (imu_failures == 0) bridge.error(F("IMU does not answer"));
+  if (++imu_failures == 10) imu_failures = 0;
+}
+
 static void start_imu() {
-  imu_present = imu.begin();
-  if (!imu_present) {
-    bridge.error(F("IMU does not answer"));
-  } else if (imu.calibrated()) {
-    bridge.info(F("IMU ready"));
-  } else {
-    bridge.warn(F("IMU ready, not calibrated"));
-  }
+  imu_started = imu.begin();
+  if (!imu_started) imu_failed();
 }
 
 // During a calibration the input is read and dropped, so that nothing is executed minutes later.
@@ -56,7 +60,9 @@ static void handle_led(const char* text) {
   lamp_left = hazard || same(text, PSTR("left"));
   lamp_right = hazard || same(text, PSTR("right"));
   blink_beats = 0;
-  if (!lamp_brake && !lamp_left && !lamp_right && !same(text, PSTR("disable"))) bridge.warn(F("unknown LED command"));
+  if (lamp_brake || lamp_left || lamp_right || same(text, PSTR("disable"))) return;
+  static RateLimit limit;
+  if (limit.passes(millis())) bridge.warn(F("unknown LED command"));
 }
 
 #ifdef CUSTOM_MESSAGES
@@ -91,8 +97,9 @@ static void handle_gripper(const Gripper& gripper) {
 static void handle_calibration() {
   if (calibrating) return;
   drive_set_speed(0);
-  if (!imu_present) {
-    bridge.error(F("IMU does not answer"));
+  if (!imu_ready) {
+    static RateLimit limit;
+    if (limit.passes(millis())) bridge.error(F("IMU does not answer"));
     return;
   }
   imu.start_calibration();
@@ -111,8 +118,7 @@ static void continue_calibration() {
       bridge.warn(F("car moved, calibration dropped"));
       break;
     case Imu::Failed:
-      calibrating = imu_present = false;
-      bridge.error(F("IMU does not answer"));
+      imu_failed();
       break;
     default:
       break;
@@ -124,7 +130,7 @@ static void update_imu(uint8_t beats) {
     continue_calibration();
     return;
   }
-  if (!imu_present) {
+  if (!imu_started) {
     if (++imu_retry_beats == 100) {
       imu_retry_beats = 0;
       start_imu();
@@ -132,12 +138,16 @@ static void update_imu(uint8_t beats) {
     return;
   }
   ImuData data;
-  imu_present = imu.update(beats * 0.01f, &data);
-  if (imu_present) {
-    bridge.send_imu(data);
-  } else {
-    bridge.error(F("IMU does not answer"));
+  if (!imu.update(beats * 0.01f, &data)) {
+    if (imu.lost()) imu_failed();
+    return;
   }
+  if (!imu_ready) {
+    imu_ready = true;
+    imu_failures = 0;
+    imu.calibrated() ? bridge.info(F("IMU ready")) : bridge.warn(F("IMU ready, not calibrated"));
+  }
+  bridge.send_imu(data);
 }
 
 static void update_lamps() {

@@ -2,6 +2,7 @@
 // Meant for an ESP32; the same program runs on an ATmega328P with other sensor access (see sensors.h).
 
 #include <FrameLink.h>
+#include <safe_board.h>
 
 #include "sensors.h"
 #if defined(ARDUINO_ARCH_AVR)
@@ -58,14 +59,13 @@ static void update_attitude() {
 }
 
 void setup() {
-#if defined(ARDUINO_ARCH_ESP32)
-  enableLoopWDT();  // a loop() that hangs for 5 s resets the chip
-#endif
+  safe_begin();
   Serial.begin(kBaud);
   sensors_begin();
 }
 
 void loop() {
+  safe_update();
   const uint32_t now = millis();
   // After the slow start of a sensor the next frames are due from now on, without a burst.
   if (now - frame_ms >= kFramePeriodMs) {

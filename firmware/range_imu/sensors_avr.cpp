@@ -8,8 +8,6 @@
 #include "sensors.h"
 #include "tca9548a.h"
 
-using namespace serial_communication;
-
 namespace {
 
 const uint8_t kVl53l0x = 0x29;

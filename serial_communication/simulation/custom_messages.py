@@ -17,7 +17,8 @@ from ..transport.pace import Every
 
 PERIOD = 0.1      # s between two messages of a kind
 CHUNK = 60        # bytes of text in a chunk of an announcement
-_OFTEN, _OFTEN_FOR, _SELDOM = 0.1, 3.0, 1.0     # s between two chunks: at first, how long, later
+_OFTEN, _SELDOM = 0.1, 1.0     # s between two chunks: at first, later
+_LEAST_OFTEN = 30      # chunks; so many are sent often at least, each of them twice at least
 _UNLIMITED = 100.0     # the maximum of a value that has none
 _OSCILLATION = 10.0    # s; period of a value
 _NO_VALUE_FOR = 1.0    # s of each period
@@ -69,7 +70,8 @@ def announced_text(board: str, config: Any) -> bytes:
 
 class CustomMessagePlayer:
     """Makes the custom messages that a board sends, one of each kind every `PERIOD` s, and the
-    chunks of its announcement: one every 0.1 s at first, later one a second.
+    chunks of its announcement: one every 0.1 s until each has been sent twice, and for at least
+    3 s; later one a second.
 
     Args:
         messages: commands among them are ignored.
@@ -83,7 +85,7 @@ class CustomMessagePlayer:
         self._chunks = [] if announcement is None else chunks_of(announcement, CHUNK)
         self._next = 0             # index of the next chunk
         self._chunk_due = 0.0
-        self._often_until = 0.0
+        self._often = 0            # so many more chunks are sent often
 
     def power_on(self, now: float) -> None:
         """The board starts."""
@@ -95,7 +97,7 @@ class CustomMessagePlayer:
     def announce_often(self, now: float) -> None:
         """Somebody may listen anew: send the chunks more often for a while."""
         self._chunk_due = min(self._chunk_due, now + _OFTEN)
-        self._often_until = now + _OFTEN_FOR
+        self._often = max(_LEAST_OFTEN, 2 * len(self._chunks))
 
     def due(self) -> Optional[float]:
         """When the next messages are due; None: never."""
@@ -110,7 +112,8 @@ class CustomMessagePlayer:
         if self._chunks and now >= self._chunk_due:
             found.append(self._chunks[self._next])
             self._next = (self._next + 1) % len(self._chunks)
-            self._chunk_due = now + (_OFTEN if now < self._often_until else _SELDOM)
+            self._often = max(0, self._often - 1)
+            self._chunk_due = now + (_OFTEN if self._often else _SELDOM)
         return found
 
 

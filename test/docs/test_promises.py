@@ -4,7 +4,8 @@ import re
 from pages import ROOT
 
 PAGE = (ROOT / 'doc' / 'reliability.md').read_text()
-SECTIONS = 'The motor', 'Old commands', 'The bus', 'Data', 'The node', 'The page'
+SECTIONS = ('The motor', 'Old commands', 'The bus', 'Data', 'The node', 'The page',
+            'The reference boards')
 
 
 def section(title):

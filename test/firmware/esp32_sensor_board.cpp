@@ -166,6 +166,7 @@ unsigned long millis() {
 void delay(uint32_t ms) { model::pass(ms * 1000ull); }
 void delayMicroseconds(uint32_t us) { model::pass(us); }
 void enableLoopWDT() { model::loop_watched = true; }
+void feedLoopWDT() {}
 void pinMode(uint8_t, uint8_t) {}
 int digitalRead(uint8_t pin) { return pin == model::kSda && model::values["sda_stuck"] > 0 ? LOW : HIGH; }
 void digitalWrite(uint8_t pin, uint8_t level) {

@@ -19,12 +19,16 @@ from test_library import run_on_the_pc
 
 EXAMPLES = read_parameters(os.path.join(os.path.dirname(FIRMWARE), 'config',
                                         'custom_messages.yaml'))
+LONG = ''.join(f'r{type_}: {{type: {type_}, ros_type: std_msgs/Float32MultiArray, '
+               f'layout: "<{"f" * 9}", fields: [{", ".join(f"data[{n}]" for n in range(9))}]}}\n'
+               for type_ in range(40, 51))
 TEXT = 'firmware: test 1.0\n' + ''.join(
     f'row_{type_}: {{type: {type_}, ros_type: std_msgs/Bool, layout: <?, fields: [data]}}\n'
     for type_ in range(40, 45))
 # A port with the send buffer of an AVR, at 115200 baud; what is sent is printed.
 PORT = r'''
-  static const char rows[] = "%s";
+  static const char rows[] = "%s", long_rows[] = "%s";
+  (void)long_rows;
   struct Uart : HardwareSerial {
     int waiting = 0, waits = 0, tenths = 0;
     bool knows_its_room = true;
@@ -43,7 +47,7 @@ PORT = r'''
       for (; tenths >= 10; tenths -= 10) waiting -= waiting > 0;
     }
   } uart;
-''' % TEXT.replace('\n', '\\n')
+''' % tuple(text.replace('\n', '\\n').replace('"', '\\"') for text in (TEXT, LONG))
 
 
 def chunks_of(output, decoder):
@@ -61,7 +65,12 @@ def assembled(chunks):
     return [text for text in map(assembly.take, chunks) if text]
 
 
-def test_chunks_are_sent_ten_times_a_second_for_3_s_and_then_once(tmp_path):
+def quick(chunks):
+    """How many of them are sent every 100 ms: each twice, and at least 3 s."""
+    return max(30, 2 * chunks[0][1].count)
+
+
+def test_chunks_are_sent_ten_times_a_second_until_all_have_gone_twice(tmp_path):
     """Of 39 bytes every 10 ms, as the car sends, none finds too little room in the buffer."""
     output = run_on_the_pc(tmp_path, PORT + '''
   PacketLink bridge(uart);
@@ -81,10 +90,29 @@ def test_chunks_are_sent_ten_times_a_second_for_3_s_and_then_once(tmp_path):
     times = [ms for ms, _ in chunks]
     gaps = [(ms, ms - last) for last, ms in zip(times, times[1:])]
     # A chunk waits for an empty buffer, so it may be a few ms late. At 7 s heartbeats return.
-    assert [gap for ms, gap in gaps if 100 <= gap <= 110 and ms < 3200] == [100] * 29, gaps
-    assert all(1000 <= gap <= 1010 for ms, gap in gaps if 3200 < ms < 7000), gaps
+    often = quick(chunks)
+    assert often == 48
+    end = 100 * often + 100
+    assert [gap for ms, gap in gaps if 100 <= gap <= 110 and ms < end] == [100] * (often - 1), gaps
+    assert all(1000 <= gap <= 1010 for ms, gap in gaps if end < ms < 7000), gaps
     assert all(100 <= gap <= 110 for ms, gap in gaps if ms > 7010), gaps
     assert len([ms for ms in times if ms >= 7000]) == 20
+
+
+@pytest.mark.parametrize('link, decoder', [('PacketLink', arduino), ('FrameLink', mcu)])
+def test_a_long_announcement_goes_twice_before_it_becomes_seldom(tmp_path, link, decoder):
+    """Its topics would need minutes otherwise."""
+    output = run_on_the_pc(tmp_path, PORT + '''
+  %s bridge(uart);
+  bridge.announce(long_rows);
+  for (; now_ms < 40000; uart.pass()) bridge.update();''' % link)
+    assert 1500 < len(LONG) <= 2048
+    chunks = chunks_of(output, decoder.Decoder())
+    often = quick(chunks)
+    assert often > 100
+    assert [ms for ms, _ in chunks][:often + 2] == [
+        100 * (number + 1) for number in range(often)] + [100 * often + 1000, 100 * often + 2000]
+    assert assembled([chunk for _, chunk in chunks[:often]]) == [LONG.encode()]
 
 
 def test_a_port_without_a_buffer_and_a_full_one_get_their_chunks_too(tmp_path):
@@ -92,18 +120,18 @@ def test_a_port_without_a_buffer_and_a_full_one_get_their_chunks_too(tmp_path):
   uart.knows_its_room = false;
   PacketLink bridge(uart);
   bridge.announce(rows);
-  for (; now_ms < 4000; uart.pass()) bridge.update();
+  for (; now_ms < 5800; uart.pass()) bridge.update();
   CHECK(uart.waits == 0)
   uart.knows_its_room = true;
   uart.waiting = 0;
   bridge.update();
-  for (; now_ms < 20000; uart.pass()) {
+  for (; now_ms < 21800; uart.pass()) {
     uart.waiting = now_ms % 2 ? 63 : 40;          // a sketch that never lets it become empty
     bridge.update();
   }''')
     chunks = chunks_of(output, arduino.Decoder())
-    assert len([ms for ms, _ in chunks if ms < 4000]) == 30
-    assert len([ms for ms, _ in chunks if ms >= 4000]) == 8      # each is a second late
+    assert len([ms for ms, _ in chunks if ms < 5800]) == quick(chunks)
+    assert len([ms for ms, _ in chunks if ms >= 5800]) == 8      # each is a second late
 
 
 def test_a_sensor_board_sends_its_chunks_between_its_frames(tmp_path):

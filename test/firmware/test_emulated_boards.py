@@ -228,6 +228,10 @@ def test_calibration_takes_the_drift_away_and_survives_a_power_cycle(firmware_bu
         accelerations = imu_values(car.next(IMU)[0])[2]
         assert accelerations == pytest.approx((0, 0, 9.81), abs=0.05)
         car.port.close()
+    with open(eeprom, 'rb') as file:
+        content = file.read()
+    # A failing supply damages the first cell.
+    assert content[:16] == b'\xff' * 16 and content[16:20] == b'IMU1'
     with EmulatedBoard(firmware_build, 'car', eeprom=eeprom) as board:
         car = Car(board)
         car.wait_for_text('IMU ready')
@@ -718,7 +722,7 @@ def test_roslaunch_arguments_and_clear_errors(firmware_build, tmp_path):
     assert run(*extra) == (1, 'avr_emulator: no ELF file given; --help lists the options')
     assert run('--world', 'moon', elf, *extra) == (
         1,
-        'avr_emulator: --world must be car, ctrl or range, not "moon"',
+        'avr_emulator: --world must be car, ctrl, range or pins, not "moon"',
     )
     assert run('--world', 'car', '/no/such.elf') == (
         1,

@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 import pytest
+from by_definition import cobs_encode
 
 import emulated_board
 from serial_communication.boards.arduino import custom_messages
@@ -110,6 +111,47 @@ def test_a_sketch_exchanges_values_with_the_bridge_and_announces_its_rows(sketch
     text, = filter(None, [assembly.take(frame.message) for frame in frames if frame.type == TYPE])
     assert read_announcement(text) == (
         'my_robot 1.0', read_parameters(EXAMPLES)['arduino']['messages'], [])
+
+
+DISPLAY = '''
+#include <Arduino.h>
+#include <PacketLink.h>
+#include "display.h"
+
+PacketLink bridge(Serial);
+
+void handle_display(const Display<16>& display) {
+  uint8_t size = 0;
+  while (size < sizeof display.data && display.data[size] != 0) ++size;
+  bridge.send(60, display.data, size);
+}
+
+void setup() { bridge.on<Display<16>>(Display<16>::TYPE, handle_display); }
+
+void loop() { bridge.update(); }
+'''
+
+
+def test_a_command_with_a_text_takes_up_to_the_characters_of_its_struct(sketch):
+    """The sketch sends back what it is to show."""
+    (sketch / 'display.yaml').write_text('arduino: {messages: {display: {type: 50, direction: '
+                                         'to_board, ros_type: std_msgs/String, layout: "<s", '
+                                         'fields: [data]}}}')
+    (sketch / 'display.h').write_bytes(
+        subprocess.check_output(HEADER + [str(sketch / 'display.yaml')]))
+    (sketch / 'display.cpp').write_text(DISPLAY)
+    for compiler in CHIPS.values():
+        check(compiler, str(sketch / 'display.cpp'))
+    (sketch / 'display_program.cpp').write_text(DISPLAY + STDIO)
+    program = str(sketch / 'display_program')
+    subprocess.run(['g++', '-std=c++11', '-fsanitize=address,undefined', '-I', PROTOCOL, '-I',
+                    os.path.join(STUBS, 'esp32'), str(sketch / 'display_program.cpp'), '-o',
+                    program], check=True)
+    texts = [b'', b'late', b'x' * 16, b'y' * 17]
+    packets = b''.join(cobs_encode(b'\x32' + text) + b'\0' for text in texts)
+    shown = subprocess.run([program], input=packets, stdout=subprocess.PIPE, check=True).stdout
+    assert shown == b''.join(cobs_encode(b'\x3c' + text) + b'\0' for text in texts[:3]) + (
+        cobs_encode(b'\x02command 50 has 17 bytes, its struct 16\0') + b'\0')
 
 
 def test_a_double_in_a_layout_does_not_compile_for_the_avr_and_says_why(sketch):

@@ -1,8 +1,14 @@
 """I2C lines that are held low: for the clocks that a device waits for, and for good."""
 
+import os
+import subprocess
+
 import pytest
 
-from board_ends import ENVIRONMENT, IMU, OK, TICKS, takes
+from board_ends import (
+    CALIBRATION, ENVIRONMENT, ERROR, IMU, OK, TICKS, angle_between, imu_values, takes,
+)
+from emulated_board import FIRMWARE
 
 
 def free(board):
@@ -62,3 +68,103 @@ def test_sensor_board_sends_without_its_bus(sensors, line):
     board.set(line, 9 if line == 'sda_stuck' else 0)
     board.wait_until(lambda: sensors.next()[0][1:3] == (800, 800), 4)
     assert free(board)
+
+
+# Sensors that lose their power, and sensors that are not there
+
+
+def test_an_imu_without_power_for_a_moment_is_started_again(car):
+    """It comes back asleep: it answers, with zeros."""
+    for _ in range(3):
+        car.next(IMU, 3)
+        car.forget()
+        car.board.set('imu_present', 0)
+        car.board.set('imu_present', 1)
+        car.wait_for_text('IMU does not answer', seconds=2)
+        car.wait_for_text('IMU ready', seconds=3)
+        accelerations = [imu_values(data)[2] for data in car.read(IMU)]
+        # One packet may have been on its way when it lost its power.
+        assert [a for a in accelerations if a[2] == pytest.approx(9.81, abs=0.1)] == accelerations
+        assert angle_between(car.orientation(), (1, 0, 0, 0)) < 2
+
+
+def test_an_imu_that_falls_asleep_ends_a_calibration(car):
+    car.send(CALIBRATION)
+    car.wait_for_text('IMU calibration')
+    car.forget()
+    car.board.set('imu_present', 0)
+    car.board.set('imu_present', 1)
+    car.wait_for_text('IMU does not answer', seconds=2)
+    car.wait_for_text('IMU ready', seconds=3)
+    assert 'IMU calibrated, IMU ready' not in [text for _, text in car.texts()]
+
+
+def test_a_few_failed_reads_are_not_worth_a_word(car):
+    car.next(IMU)
+    car.forget()
+    car.board.set('imu_failures', 5)
+    car.board.wait_until(lambda: car.board.get('imu_failures') == 0, 1)
+    car.next(IMU, 20)
+    assert car.texts() == []
+
+
+def test_a_missing_imu_is_said_once_and_then_every_10_s(car):
+    car.forget()
+    car.board.set('imu_present', 0)
+    start = car.board.time
+    car.board.wait_until(lambda: car.read() is not None and car.board.time > start + 11.5, 13)
+    errors = [text for kind, text in car.texts() if kind == ERROR]
+    assert errors == ['IMU does not answer'] * 2
+
+
+def test_an_sht3x_that_hangs_is_reset(bus):
+    board = bus.board
+    board.wait_until(lambda: bus.function(ENVIRONMENT)[:1] == OK, 2)
+    board.set('sht3x_hangs', 1)
+    board.wait_until(lambda: board.get('sht3x_hangs') == 0, 1)
+    start = board.time
+    board.wait_until(lambda: board.time > start + 2.5, 4)    # longer than a reading is valid
+    assert bus.function(ENVIRONMENT)[:1] == OK
+
+
+SHT3X = '''
+#include <cstdio>
+#include <cstring>
+#include "sht3x.cpp"
+static bool present = true;
+bool serial_communication::i2c_transfer(uint8_t, const uint8_t*, uint8_t, uint8_t* in,
+                                        uint8_t size) {
+  if (size > 0) memcpy(in, "\\0\\0\\x81\\0\\0\\x81", 6);
+  return present;
+}
+int main() {
+  Sht3x sensor;
+  uint32_t now = 5000;
+  for (; now < 6000; ++now) sensor.poll(now);
+  std::printf("%d", sensor.valid());
+  present = false;
+  for (uint32_t ms = 0; ms < 5000; ++ms) sensor.poll(++now);
+  std::printf("%d", sensor.valid());
+  for (uint64_t days = 0; days < 4300000000ull / 997; ++days) sensor.poll(now += 997);
+  for (uint32_t ms = 0; ms < 10000; ++ms) {
+    sensor.poll(++now);
+    if (sensor.valid()) std::printf(" valid after 49.7 days");
+    now += 100000;
+  }
+}
+'''
+
+
+def test_an_old_reading_is_not_valid_again_after_49_days(tmp_path):
+    """When millis() wraps, its time seems to be now."""
+    (tmp_path / 'avr_i2c.h').write_text('''
+        #include <stdint.h>
+        namespace serial_communication {
+        bool i2c_transfer(uint8_t, const uint8_t*, uint8_t, uint8_t*, uint8_t);
+        }''')
+    (tmp_path / 'program.cpp').write_text(SHT3X)
+    program = str(tmp_path / 'program')
+    subprocess.run(['g++', '-std=c++11', '-O1', '-fsanitize=address,undefined', '-I', str(tmp_path),
+                    '-I', os.path.join(FIRMWARE, 'ctrl_board'), str(tmp_path / 'program.cpp'),
+                    '-o', program], check=True)
+    assert subprocess.check_output([program]) == b'10'

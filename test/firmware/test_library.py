@@ -1,6 +1,7 @@
 """The Arduino library: its examples as the IDE builds them, and mistakes that do not compile."""
 
 import glob
+import json
 import os
 import re
 import shutil
@@ -95,6 +96,65 @@ def test_library_has_what_the_ide_wants():
         assert name_of(path) == os.path.basename(os.path.dirname(path)) + '.ino'
 
 
+def test_the_library_stands_alone():
+    """Its folder has what a repository of its own needs, and PlatformIO's file says the same."""
+    assert read(LIBRARY + '/LICENSE') == read(os.path.join(FIRMWARE, os.pardir, 'LICENSE'))
+    properties = dict(line.split('=', 1) for line in
+                      read(LIBRARY + '/library.properties').splitlines())
+    found = json.loads(read(LIBRARY + '/library.json'))
+    assert (found['name'], found['version'], found['description'], found['headers']) == (
+        properties['name'], properties['version'], properties['sentence'],
+        properties['includes'].split(','))
+    assert '../' not in read(LIBRARY + '/README.md')
+
+
+def test_the_sketch_of_the_readme_builds(tmp_path):
+    code = re.search('```cpp\n(.*?)```', read(LIBRARY + '/README.md'), re.S).group(1)
+    source = tmp_path / 'sketch.cpp'
+    source.write_text(as_the_ide_makes_it(code), encoding='utf-8')
+    check(ON_THE_AVR, str(source))
+
+
+def test_a_sketch_may_have_names_that_the_headers_use_inside(tmp_path):
+    """No header has `using namespace`: a struct Packet of the sketch was ambiguous."""
+    inside = set()
+    for path in glob.glob(PROTOCOL + '/*.h'):
+        assert 'using namespace' not in read(path), path
+        inside.update(re.findall(r'^(?:class|struct) (\w+)', read(path), re.M))
+    own = sorted(inside - set(keywords()))
+    assert 'Packet' in own and 'Announcer' in own
+    source = tmp_path / 'sketch.cpp'
+    source.write_text(
+        '#include <Arduino.h>\n' + ''.join('#include <%s>\n' % name_of(path) for path in sorted(
+            glob.glob(PROTOCOL + '/*.h'))) + ''.join(
+                'struct %s { uint8_t own; };\n%s a%d = {1};\n' % (name, name, index)
+                for index, name in enumerate(own)))
+    check(ON_THE_AVR, str(source))
+
+
+def test_the_library_is_exported_as_a_repository_of_its_own(tmp_path):
+    root = os.path.join(FIRMWARE, os.pardir)
+
+    def git(folder, *arguments):
+        return subprocess.run(['git', '-C', str(folder), *arguments], check=True,
+                              stdout=subprocess.PIPE, universal_newlines=True).stdout
+    if subprocess.run(['git', '-C', root, 'rev-parse', 'HEAD'], stdout=subprocess.DEVNULL,
+                      stderr=subprocess.DEVNULL).returncode:
+        pytest.skip('this is no git checkout')
+    program, target = os.path.join(root, 'scripts', 'export_library'), tmp_path / 'library'
+    subprocess.run([program, str(target)], check=True, stdout=subprocess.DEVNULL)
+    names = git(target, 'ls-tree', '-r', '--name-only', 'HEAD').split()
+    assert names == git(root, 'ls-tree', '-r', '--name-only', 'HEAD:firmware/protocol').split()
+    assert git(target, 'rev-parse', 'HEAD^{tree}') == git(
+        root, 'rev-parse', 'HEAD:firmware/protocol')
+    assert git(target, 'status', '--porcelain') == '' and git(target, 'remote') == ''
+    assert git(target, 'tag').split() == [re.search(
+        '^version=(.*)', git(target, 'show', 'HEAD:library.properties'), re.M).group(1)]
+    assert int(git(target, 'rev-list', '--count', 'HEAD')) > 1
+    for arguments, status in (([str(target)], 1), ([], 2), (['--wrong'], 2)):
+        assert subprocess.run([program, *arguments], stderr=subprocess.DEVNULL).returncode == status
+
+
 def keywords():
     lines = [line for line in read(LIBRARY + '/keywords.txt').splitlines()
              if line and not line.startswith('#')]
@@ -146,6 +206,7 @@ SKETCH = """
 #include <BusSlave.h>
 #include <FrameLink.h>
 #include <PacketLink.h>
+#include <rate_limit.h>
 struct PACKED Force { int16_t centinewtons; };
 struct PACKED Big { uint8_t a[64]; };
 struct Wide { uint8_t a; uint32_t b; };
@@ -231,11 +292,11 @@ def test_send_returns_whether_all_of_it_was_sent(tmp_path):
   sent.clear();
   CHECK(!packets.send(4, force) && !packets.send(255, force))        // types of the bridge itself
   CHECK(!frames.send(0x10, force) && !frames.send(0x01, force) && !frames.send(0xFF, force))
-  CHECK(!packets.send(MessageType::Imu, bytes, 64))
+  CHECK(!packets.send(serial_communication::MessageType::Imu, bytes, 64))
   CHECK(!frames.send(40, bytes, 33))
   CHECK(sent.empty())
-  CHECK(packets.send(MessageType::Imu, bytes, 63) && frames.send(40, bytes, 32))
-  CHECK(packets.send(MessageType::Info, bytes, 64))                  // text is cut
+  CHECK(packets.send(serial_communication::MessageType::Imu, bytes, 63) && frames.send(40, bytes, 32))
+  CHECK(packets.send(serial_communication::MessageType::Info, bytes, 64))                  // text is cut
 """)
 
 
@@ -351,6 +412,147 @@ def test_commands_reach_their_functions(tmp_path):
   packets.update();
   now_ms = 70 + 0x100000000;
   CHECK(packets.heartbeat_age() == 0xFFFFFFFF)
+""")
+
+
+PORT_WITH_ROOM = """
+  struct Uart : HardwareSerial {
+    int room = 63;
+    int availableForWrite() override { return room; }
+    size_t write(const uint8_t* bytes, size_t size) override {
+      waits += int(size) > room;
+      sent.append(reinterpret_cast<const char*>(bytes), size);
+      return size;
+    }
+    int waits = 0;
+  } uart;
+"""
+
+
+def test_update_takes_at_most_64_bytes_a_call(tmp_path):
+    """So that loop() goes on, and the watchdog is served, whatever the line brings."""
+    run_on_the_pc(tmp_path, """
+  static int commands = 0;
+  packets.on_calibration([]() { ++commands; });
+  for (int i = 0; i < 100; ++i) received.append("\\x02\\x0c\\0", 3);
+  packets.update();
+  CHECK(received.size() == 300 - 64 && commands == 21)
+  while (!received.empty()) packets.update();
+  CHECK(commands == 100)
+  for (int i = 0; i < 100; ++i) received.append("\\xa5\\0\\0\\0\\xa5", 5);
+  bus.update();
+  CHECK(received.size() == 500 - 64 && sent.size() == 12 * 4)
+  while (!received.empty()) bus.update();
+  CHECK(sent.size() == 100 * 4)
+""")
+
+
+def test_a_bus_request_in_two_pieces_of_64_bytes_is_not_called_invalid(tmp_path):
+    run_on_the_pc(tmp_path, """
+  received.assign("\\xa5\\0\\0\\0\\xa5", 5);
+  received.append(60, '\\x07');            // noise, which would be INVALID after a silence
+  received.append("\\xa5\\0\\0\\0\\xa6", 5);
+  received.append("\\xa5\\0\\0\\0\\xa5", 5);
+  while (!received.empty()) {
+    bus.update();
+    ++now_ms;
+  }
+  now_ms += 100;
+  bus.update();
+  CHECK(sent == std::string("\\xa5\\0\\0\\xa5\\xa5\\0\\0\\xa5", 8))
+""")
+
+
+def test_a_command_of_another_size_is_said_once_a_type_and_second(tmp_path):
+    output = run_on_the_pc(tmp_path, PORT_WITH_ROOM + """
+  PacketLink link(uart);
+  link.on<Force>(48, take_force);
+  link.on<Force>(148, take_force);
+  const std::string wrong("\\x05\\x30\\x07\\x08\\x09\\0" "\\x03\\x94\\x07\\0", 10);
+  for (; now_ms < 5000; ++now_ms) {
+    received += wrong;
+    link.update();
+    if (now_ms == 0) uart.room = 10;               // too little
+    if (now_ms == 2500) uart.room = 63;
+  }
+  CHECK(uart.waits == 0 && taken == 0)
+  for (char byte : sent) std::putchar(byte == 0 ? '\\n' : byte);
+""")
+    texts = [line.lstrip(''.join(map(chr, range(32)))).lstrip('+,)*') for line in
+             output.split('\n')]
+    long, short = ('command %s bytes, its struct 2' % what for what in ('48 has 3', '148 has 1'))
+    assert 3 <= len([line for line in texts if long in line]) <= 4, texts
+    assert 3 <= len([line for line in texts if short in line]) <= 4, texts
+
+
+def test_data_of_any_length_are_sent_and_received(tmp_path):
+    run_on_the_pc(tmp_path, """
+  static std::string text;
+  packets.on(50, [](const uint8_t* data, size_t size) {
+    text.assign(reinterpret_cast<const char*>(data), size);
+  });
+  received.assign("\\x05\\x32" "abc\\0", 6);
+  packets.update();
+  CHECK(text == "abc" && sent.empty())
+  received.assign("\\x02\\x32\\0", 3);
+  packets.update();
+  CHECK(text.empty())
+  received.assign("\\x40\\x32" + std::string(62, 'x') + std::string(1, '\\0'));
+  while (!received.empty()) packets.update();
+  CHECK(text == std::string(62, 'x'))
+  CHECK(packets.send(51, "hello", 5) && sent == std::string("\\x07\\x33hello\\0", 8))
+  CHECK(packets.send(51, bytes, 0) && !packets.send(4, bytes, 2) && !packets.send(51, bytes, 64))
+  sent.clear();
+  CHECK(frames.send(51, "hello", 5) && sent.size() == 11)
+  CHECK(!frames.send(0x10, bytes, 10) && !frames.send(0xFF, bytes, 10))
+  bus.on(51, [](const uint8_t* data, size_t size) {
+    text.assign(reinterpret_cast<const char*>(data), size);
+    return BusResult::ok();
+  });
+  received.assign("\\xa5\\0\\0\\0\\xa5" "\\xa5\\x03\\x55\\x33" "abc\\xa0", 13);
+  bus.update();
+  CHECK(text == "abc")
+""")
+
+
+# What `header` makes of the row of a text: its last value has any length.
+DISPLAY = """
+  struct PACKED Display {
+    enum : uint16_t { LEAST = 1 };
+    uint8_t line;
+    char text[16];
+  };
+  static std::string shown;
+"""
+
+
+def test_a_struct_whose_text_has_any_length_takes_up_to_all_of_it(tmp_path):
+    run_on_the_pc(tmp_path, DISPLAY + """
+  packets.on<Display>(50, [](const Display& display) {
+    shown = char('0' + display.line) + std::string(display.text, strnlen(display.text, 16));
+  });
+  received.assign("\\x07\\x32\\x02" "late\\0", 8);
+  packets.update();
+  CHECK(shown == "2late")
+  received.assign("\\x03\\x32\\x01\\0", 4);
+  packets.update();
+  CHECK(shown == "1" && sent.empty())
+  received.assign("\\x13\\x32\\x01" + std::string(16, 'x') + std::string(1, '\\0'));
+  packets.update();
+  CHECK(shown == "1" + std::string(16, 'x'))
+  received.assign("\\x14\\x32\\x01" + std::string(17, 'y') + std::string(1, '\\0'));
+  packets.update();
+  CHECK(shown == "1" + std::string(16, 'x') && sent.find("50 has 18 bytes") != std::string::npos)
+""")
+
+
+def test_a_rate_limit_lets_one_through_a_period(tmp_path):
+    run_on_the_pc(tmp_path, """
+  RateLimit limit(1000);
+  int passed = 0;
+  now_ms = 0xFFFFF000;
+  for (int i = 0; i < 10000; ++i) passed += limit.passes(uint32_t(now_ms++));
+  CHECK(passed == 10)
 """)
 
 

@@ -1,5 +1,9 @@
 """The lift and the gimbal: switches, wires, steps, requests and stops during a motion."""
 
+import os
+import re
+import subprocess
+
 import pytest
 
 from board_ends import DOWN, ENVIRONMENT, GIMBAL, LIFT, OK, UP, Master, error, request, takes
@@ -35,6 +39,21 @@ def test_broken_wire_of_an_end_switch_stops_the_lift(bus, wire, direction):
     assert board.get('lift_steps') == stopped
 
 
+def test_a_spike_on_the_wire_of_an_end_switch_does_not_stop_the_lift(bus):
+    board = bus.board
+    start_lift(bus, UP, 60)
+    for spike in range(1, 6):
+        board.wait_until(lambda: board.get('lift_position') > 300 + 8 * spike, 2)
+        board.set('lift_switch_spike', 0.0004)
+    assert bus.reply(seconds=3) == OK
+    assert board.get('lift_position') == 360
+    board.set('lift_switch_spike', 0.0004)
+    assert bus.function(LIFT, bytes([UP, 1])) == OK
+    board.set('lift_switch_spike', 0.1)    # not a spike any more
+    assert bus.function(LIFT, bytes([UP, 1])) == FAILED
+    assert board.get('lift_position') == 361
+
+
 @pytest.mark.parametrize('reset', ['dtr', 'reset'])
 def test_gimbal_keeps_its_limit_over_a_reset(bus, reset):
     board = bus.board
@@ -57,6 +76,28 @@ def test_gimbal_reset_in_the_middle_of_a_move_knows_where_it_stands(bus):
     assert bus.function(GIMBAL, bytes([RIGHT, int(left) + 1])) == FAILED
     assert bus.function(GIMBAL, bytes([RIGHT, int(left)])) == OK
     assert board.get('pan_position') >= -170
+
+
+def address_of(image, name):
+    """The data address of a variable."""
+    table = subprocess.check_output(['avr-nm', image], universal_newlines=True)
+    return int(re.search(r'^(\w+) b \w*%s$' % name, table, re.M).group(1), 16) - 0x800000
+
+
+@pytest.mark.parametrize('byte', range(8))
+def test_gimbal_reset_while_its_count_is_stored_knows_where_it_stands(bus, firmware_build, byte):
+    """The count has several bytes, which are written one after another."""
+    board = bus.board
+    address = address_of(os.path.join(firmware_build, 'ctrl_board.elf'), 'pan_count')
+    bus.write(request(0x55, GIMBAL, bytes([RIGHT, 90])))
+    board.wait_until(lambda: board.get('pan_position') < -30, 2)
+    board.ask('reset_on_change %d' % (address + byte))
+    steps = board.get('pan_steps')
+    board.wait_until(lambda: board.get('pan_moves') == 1 and sync_answered(bus), 3)
+    assert -600 < board.get('pan_steps') <= steps
+    left = 170 + board.get('pan_position')    # degrees, with tenths; one step may not be counted
+    assert bus.function(GIMBAL, bytes([RIGHT, int(left) + 2])) == FAILED
+    assert bus.function(GIMBAL, bytes([RIGHT, int(left - 0.1)])) == OK
 
 
 def test_gimbal_begins_at_0_when_power_comes(bus):

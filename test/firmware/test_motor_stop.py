@@ -5,17 +5,24 @@ import statistics
 
 import pytest
 
-from board_ends import HEARTBEAT, TICKS, drive_until, driving, packet
+from board_ends import HEARTBEAT, TICKS, Car, drive_until, driving, packet
+from emulated_board import EmulatedBoard
 
 # MOTOR_STOP_ROUNDS=1000 measures each condition so often, and prints what came out.
 ROUNDS = int(os.environ.get('MOTOR_STOP_ROUNDS', '3'))
 
 
 PWM = 179    # of speed 700
+PWM_OF_THE_EXAMPLE = 178    # which does not round
 
 
-def drive(car):
-    drive_until(car, 700, lambda: car.board.get('motor_pwm') == PWM)
+def drive(car, pwm=PWM):
+    drive_until(car, 700, lambda: car.board.get('motor_pwm') == pwm)
+
+
+def print_times(what, taken):
+    print('%s: %d times, %.1f / %.1f / %.1f ms (min / median / max)' % (
+        what, len(taken), min(taken) * 1000, statistics.median(taken) * 1000, max(taken) * 1000))
 
 
 def nothing(car):
@@ -46,14 +53,12 @@ def port_opened(car):
     car.board.ask('dtr')
 
 
-@pytest.mark.parametrize(
-    'condition', [nothing, sda_stuck, scl_stuck, uart_full, stalled, port_opened]
-)
-def test_time_from_the_last_heartbeat_to_pwm_0(car, condition):
+def check_stop_times(car, condition, pwm, wait_for_start):
+    """Measures how long it takes from the last heartbeat to PWM 0, and checks it."""
     board = car.board
     taken = []
     for _ in range(ROUNDS):
-        drive(car)
+        drive(car, pwm)
         condition(car)
         # With a speed, should this computer have been late and the motor stopped already.
         car.port.write(driving(700) + packet(HEARTBEAT))
@@ -61,20 +66,33 @@ def test_time_from_the_last_heartbeat_to_pwm_0(car, condition):
         board.wait_until(lambda: board.time - board.get('last_rx_time') > 0.15, 2)
         on, off = board.history('motor_pwm')[-2:]
         # Bytes that a full UART loses can make another speed: the link has no checksum.
-        assert on[1] == PWM or (condition is uart_full and on[1] > 0)
+        assert on[1] == pwm or (condition is uart_full and on[1] > 0)
         assert off[1] == 0
         taken.append(off[0] - board.get('last_rx_time'))
         if condition is port_opened:
-            car.wait_for_text('IMU ready')
+            wait_for_start()
         board.set('sda_stuck', 0)
         board.set('scl_stuck', 0)
         car.forget()
-    print('%s: %d times, %.1f / %.1f / %.1f ms (min / median / max)' % (
-        condition.__name__, len(taken), min(taken) * 1000, statistics.median(taken) * 1000,
-        max(taken) * 1000))
+    print_times(condition.__name__, taken)
     assert max(taken) <= 0.033
     if condition in (nothing, sda_stuck, scl_stuck):
         assert min(taken) >= 0.030    # nor is a heartbeat too early called lost
+
+
+@pytest.mark.parametrize(
+    'condition', [nothing, sda_stuck, scl_stuck, uart_full, stalled, port_opened]
+)
+def test_time_from_the_last_heartbeat_to_pwm_0(car, condition):
+    check_stop_times(car, condition, PWM, lambda: car.wait_for_text('IMU ready'))
+
+
+@pytest.mark.parametrize('condition', [nothing, uart_full, stalled, port_opened])
+def test_the_motor_of_the_example_stops_likewise(firmware_build, condition):
+    with EmulatedBoard(firmware_build, 'car', image='Car.elf') as board:
+        car = Car(board)
+        check_stop_times(car, condition, PWM_OF_THE_EXAMPLE, lambda: car.next(TICKS, 3))
+        car.port.close()
 
 
 @pytest.mark.parametrize('held_up', [0.05, 0.1])
@@ -119,9 +137,9 @@ def test_pull_downs_keep_the_motor_off_in_the_boot_loader(car):
     drive(car)
     board.ask('dtr')
     assert board.get('motor_pwm') == board.get('bridge_inputs') == 0
-    board.set('motor_pull_downs', 0)
-    assert board.get('motor_pwm') == 255    # what floating pins may do
-    board.set('motor_pull_downs', 1)
+    board.set('pull_downs', 0)
+    board.wait_until(lambda: board.get('motor_pwm') == 255, 0.1)    # what floating pins may do
+    board.set('pull_downs', 1)
     opened = board.time
     car.forget()
     car.wait_for_text('IMU ready')

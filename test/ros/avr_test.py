@@ -10,6 +10,7 @@ import signal
 import socket
 import subprocess
 import tempfile
+import time
 import unittest
 from math import inf
 from xmlrpc.client import ServerProxy
@@ -36,6 +37,7 @@ from serial_communication.srv import (BusRequest, GetEnvironment, Gimbal, Gimbal
 LOG_WARN = 4     # levels of rosgraph_msgs/Log
 GRAVITY = 9.81
 TRIES = 10       # of a test that a stall of this computer of 30 ms may spoil
+FLOOD = 5.0      # s
 STOP = 0.040     # emulated s from the last heartbeat until the motor is off
 
 
@@ -182,6 +184,25 @@ class Car(CarBench):
         for text, lit in ('right', 1), ('disable', 0):
             led.publish(text)
             self.until_is('led_right', lit)
+
+    def test_a_flood_of_commands_does_not_reset_the_car(self):
+        """Each topic at 2 kHz. The firmware's own test has the full line, and every heartbeat."""
+        floods = (self.command('led', String), {'data': 'foo'}), \
+            (self.command('led', String), {'data': 'left'}), \
+            (self.command('steering', SteeringPWMCommand), {'value': 1400}), \
+            (self.speed(), {'value': 700})
+        ticks = self.collect(Topic(self.own('ticks'), Ticks))
+        for publisher, message in floods:
+            with self.about(topic=publisher.name, **message):
+                began, sent = time.monotonic(), 0
+                while time.monotonic() < began + FLOOD:
+                    time.sleep(max(0, began + sent / 2000 - time.monotonic()))
+                    publisher.publish(**message)
+                    sent += 1
+                self.assertEqual(self.board.get('watchdog_resets'), 0)
+        ticks.next()
+        self.drive_until_pwm(self.speed(), 0, 0)
+        self.drive_until_pwm(self.speed(), 700, 179)
 
     def test_battery_voltage_and_temperature_are_published_as_they_are_in_the_world(self):
         voltage = self.collect(Topic(self.own('voltage'), Voltage))

@@ -17,7 +17,8 @@ PROGRAMS = sorted(path.name for path in SCRIPTS.iterdir()
                   if os.access(str(path), os.X_OK))
 WRONG = (
     ('avr_board', ()), ('avr_board', ('wheel',)), ('avr_board', ('bus', '--wrong')),
-    ('avr_board', ('bus', '--link')), ('bench', ('--wrong',)), ('demo', ('--wrong',)),
+    ('avr_board', ('bus', '--link')), ('avr_board', ('--elf',)), ('bench', ('--wrong',)),
+    ('demo', ('--wrong',)), ('export_library', ()), ('export_library', ('--wrong',)),
     ('header', ()), ('header', ('--wrong', 'x')), ('header', ('a', 'b', 'c')),
     ('monitor', ('--wrong',)), ('other_program', ()), ('other_program', ('rviz',)),
     ('panel', ('--wrong',)), ('pictures', ('--wrong',)),

@@ -53,6 +53,24 @@ def test_chunks_are_sent_ten_times_a_second_for_3_s_and_then_once(board, decoder
     assert len(later) == 5 and not any(bench.decoder.errors.values())
 
 
+@pytest.mark.parametrize('board, decoder', [
+    (ModelCar, arduino.Decoder), (SensorBoard, mcu.Decoder)])
+def test_a_long_text_is_sent_twice_before_its_chunks_become_seldom(board, decoder):
+    text = TEXT * 8
+    count = len(chunks_of(text, 60))
+    bench = Bench(board(announcement=text), decoder())
+    bench.run(0.1 * 2 * count - 0.05)
+    assembly = Assembly()
+    chunks = [frame.message for frame in bench.decoder.feed(bench.output())
+              if isinstance(frame.message, Chunk)]
+    assert count > 30 and len(chunks) in (2 * count - 1, 2 * count)
+    assert list(filter(None, map(assembly.take, chunks))) == [text]
+    bench.run(5.0)
+    later = [frame for frame in bench.decoder.feed(bench.output())
+             if isinstance(frame.message, Chunk)]
+    assert len(later) in (5, 6)
+
+
 def test_the_car_announces_often_again_when_heartbeats_come_back():
     bench = Bench(ModelCar(announcement=TEXT), arduino.Decoder())
     bench.run(10.0)

@@ -37,12 +37,17 @@ class BusSlave : private BusHandler {
   bool on(uint8_t cmd2, BusResult (*handle)(const T&)) {
     check_can_cross_the_wire<T>();
     static_assert(sizeof(T) <= 255, "a request for this holds no more");
-    return add(cmd2, sizeof(T), &call_with_data<T>, reinterpret_cast<void (*)()>(handle));
+    return add(cmd2, LeastSize<T>::value, sizeof(T), &call_with_data<T>, reinterpret_cast<void (*)()>(handle));
   }
 
   // Likewise for a function without DATE.
   bool on(uint8_t cmd2, BusResult (*handle)()) {
-    return add(cmd2, 0, &call_without_data, reinterpret_cast<void (*)()>(handle));
+    return add(cmd2, 0, 0, &call_without_data, reinterpret_cast<void (*)()>(handle));
+  }
+
+  // Likewise for a function whose DATE has any length.
+  bool on(uint8_t cmd2, BusResult (*handle)(const uint8_t* data, size_t size)) {
+    return add(cmd2, 0, kMaxData, &call_with_bytes, reinterpret_cast<void (*)()>(handle));
   }
 
   // `ask` is called repeatedly after a function has returned BusResult::pending(), until it returns
@@ -58,38 +63,47 @@ class BusSlave : private BusHandler {
   template <size_t Size>
   void announce(const char (&text)[Size]) {
     announcer_.begin(text);
+    get_chunk_ = &Chunks::get_from;
   }
 
-  // Calls the functions for what was received.
+  // Calls the functions for what was received: at most 64 bytes a call, so that loop() goes on whatever the line
+  // brings.
   void update() {
-    const uint32_t now = millis();  // everything that arrived before it is fed before poll() sees the silence
-    while (port_.available() > 0) slave_.feed(static_cast<uint8_t>(port_.read()), now);
+    const uint32_t now = millis();
+    // poll() has to see the silence behind everything that arrived before `now`. Where more waits, there is none.
+    for (uint8_t left = kMaxReadAtOnce; left > 0 && port_.available() > 0; --left) {
+      slave_.feed(static_cast<uint8_t>(port_.read()), now);
+    }
     slave_.poll(now);
   }
 
  private:
-  typedef BusResult (*Call)(void (*handle)(), const uint8_t* data);
+  typedef Announcer<sizeof(BusResult::data) - 4> Chunks;
+  typedef BusResult (*Call)(void (*handle)(), const uint8_t* data, size_t size);
   struct Handler {
     uint8_t cmd2;
-    uint8_t size;
+    uint8_t least;  // bytes of DATE
+    uint16_t most;
     Call call;
     void (*handle)();
   };
 
   template <class T>
-  static BusResult call_with_data(void (*handle)(), const uint8_t* data) {
-    T value;
-    memcpy(&value, data, sizeof value);
-    return reinterpret_cast<BusResult (*)(const T&)>(handle)(value);
+  static BusResult call_with_data(void (*handle)(), const uint8_t* data, size_t size) {
+    return reinterpret_cast<BusResult (*)(const T&)>(handle)(from_received<T>(data, size));
   }
 
-  static BusResult call_without_data(void (*handle)(), const uint8_t*) {
+  static BusResult call_without_data(void (*handle)(), const uint8_t*, size_t) {
     return reinterpret_cast<BusResult (*)()>(handle)();
   }
 
-  bool add(uint8_t cmd2, uint8_t size, Call call, void (*handle)()) {
+  static BusResult call_with_bytes(void (*handle)(), const uint8_t* data, size_t size) {
+    return reinterpret_cast<BusResult (*)(const uint8_t*, size_t)>(handle)(data, size);
+  }
+
+  bool add(uint8_t cmd2, uint8_t least, uint16_t most, Call call, void (*handle)()) {
     if (count_ == kMaxHandlers || cmd2 == kFunctionAnnouncement || find(cmd2)) return false;
-    handlers_[count_++] = {cmd2, size, call, handle};
+    handlers_[count_++] = {cmd2, least, most, call, handle};
     return true;
   }
 
@@ -105,13 +119,15 @@ class BusSlave : private BusHandler {
     const Handler* handler = find(cmd2);
     const bool stops = cmd2 == kFunctionStop && stop_;
     if (!handler && !stops) return BusResult::failed(kErrorUnsupported);
-    if (size != (handler ? handler->size : 0)) return BusResult::failed(kErrorMalformed);
-    return handler ? handler->call(handler->handle, data) : BusResult::ok();  // the pending function has ended
+    if (size < (handler ? handler->least : 0) || size > (handler ? handler->most : 0)) {
+      return BusResult::failed(kErrorMalformed);
+    }
+    return handler ? handler->call(handler->handle, data, size) : BusResult::ok();  // the pending function has ended
   }
 
   BusResult chunk(const uint8_t* index, uint16_t size) const {
     BusResult result = BusResult::ok();
-    if (size == 1) result.size = announcer_.get(*index, result.data);
+    if (size == 1 && get_chunk_) result.size = get_chunk_(announcer_, *index, result.data);
     return result.size > 0 ? result : BusResult::failed(kErrorUnsupported);
   }
 
@@ -124,7 +140,8 @@ class BusSlave : private BusHandler {
   }
 
   Stream& port_;
-  Announcer<sizeof(BusResult::data) - 4> announcer_;
+  Chunks announcer_;
+  uint8_t (*get_chunk_)(const Chunks&, uint8_t index, uint8_t* chunk) = 0;  // only where something is announced
   RobotCtrlBusSlave<StreamSink, kMaxData> slave_;
   Handler handlers_[kMaxHandlers];
   uint8_t count_ = 0;
@@ -134,6 +151,14 @@ class BusSlave : private BusHandler {
 
 }  // namespace serial_communication
 
-using namespace serial_communication;
+// Only these names need no serial_communication:: in a sketch; others, such as Packet, are free for its own.
+using serial_communication::BusResult;
+using serial_communication::BusSlave;
+using serial_communication::kErrorMalformed;
+using serial_communication::kErrorOperation;
+using serial_communication::kErrorUnsupported;
+using serial_communication::kFunctionEnvironment;
+using serial_communication::kFunctionGimbal;
+using serial_communication::kFunctionLift;
 
 #endif

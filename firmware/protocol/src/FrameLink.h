@@ -20,29 +20,39 @@ namespace serial_communication {
 // Each function returns whether the whole frame was sent.
 class FrameLink : public StxEtxSender<StreamSink> {
  public:
-  explicit FrameLink(Stream& port) : StxEtxSender<StreamSink>(StreamSink{&port}), port_(port) {}
+  explicit FrameLink(Stream& port) : StxEtxSender<StreamSink>(StreamSink{&port}), buffer_(port) {}
 
   // Announces rows to the bridge, in update(): see announcer.h. `text` is an array in program memory (PROGMEM).
   template <size_t Size>
   void announce(const char (&text)[Size]) {
     announcer_.begin(text);
+    send_chunk_ = &FrameLink::send_chunk;
   }
 
   void update() {
-    uint8_t chunk[Chunks::kMaxChunk];
-    const uint8_t size = announcer_.next(port_, millis(), chunk);
-    if (size > 0) StxEtxSender<StreamSink>::send(kTypeAnnouncement, chunk, size);
+    if (send_chunk_) send_chunk_(*this);
   }
 
  private:
-  typedef Announcer<kMaxPayload - 4> Chunks;
+  typedef Announcer<kMaxPayload - 4, 6> Chunks;
 
-  Stream& port_;
+  static void send_chunk(FrameLink& link) {
+    uint8_t chunk[Chunks::kMaxChunk];
+    const uint8_t size = link.announcer_.next(link.buffer_, millis(), chunk);
+    if (size > 0) link.send_frame(kTypeAnnouncement, chunk, size);
+  }
+
+  SendBuffer buffer_;
   Chunks announcer_;
+  void (*send_chunk_)(FrameLink&) = 0;  // so that only a sketch that announces has the code
 };
 
 }  // namespace serial_communication
 
-using namespace serial_communication;
+// Only these names need no serial_communication:: in a sketch; others, such as Packet, are free for its own.
+using serial_communication::FrameLink;
+using serial_communication::SensorStatus;
+using serial_communication::kAngleUnknown;
+using serial_communication::kRangeTimedOut;
 
 #endif

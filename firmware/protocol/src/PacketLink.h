@@ -30,19 +30,19 @@ class PacketLink : public PacketSender<StreamSink> {
   static const uint8_t kMaxHandlers = 8;
   static const size_t kMaxPacket = 64;  // bytes, the type included
 
-  explicit PacketLink(Stream& port) : PacketSender<StreamSink>(StreamSink{&port}), port_(port) {}
+  explicit PacketLink(Stream& port) : PacketSender<StreamSink>(StreamSink{&port}), port_(port), buffer_(port) {}
 
   // Calls `handle` for each custom message of this type (13 … 254), whose data is a T. False where the type is
-  // another one or has its function, or there are kMaxHandlers; update() then reports it to the bridge, once.
+  // another one or has its function, or there are kMaxHandlers; update() then reports it to the bridge, once. It also
+  // reports messages that have another size, at most one a type and second.
   template <class T>
   bool on(uint8_t type, void (*handle)(const T&)) {
-    const bool taken = decoder_.accept<T>(type);
-    if (taken) {
-      handlers_[handler_count_++] = {&call<T>, reinterpret_cast<void (*)()>(handle)};
-    } else {
-      refused_type_ = true;
-    }
-    return taken;
+    return add(decoder_.accept<T>(type), &call<T>, reinterpret_cast<void (*)()>(handle));
+  }
+
+  // Likewise with data of any length.
+  bool on(uint8_t type, void (*handle)(const uint8_t* data, size_t size)) {
+    return add(decoder_.accept(type, 0, kMaxPacket - 1), &call_with_bytes, reinterpret_cast<void (*)()>(handle));
   }
 
   // The built-in commands. Speed: -1000 … 1000. Steering: microseconds of the servo's
@@ -56,22 +56,20 @@ class PacketLink : public PacketSender<StreamSink> {
   template <size_t Size>
   void announce(const char (&text)[Size]) {
     announcer_.begin(text);
+    send_chunk_ = &send_chunk;
   }
 
-  // Calls the functions for what was received.
+  // Calls the functions for what was received: at most 64 bytes a call, and nothing here waits for room to send. So
+  // loop() goes on whatever the line brings. A function that answers bad input limits how often: see rate_limit.h.
   void update() {
-    if (refused_type_) {
-      refused_type_ = false;
-      error(F("on(): a type twice, not in 13 ... 254, or one too many"));
-    }
     const uint32_t now = millis();
     if (heartbeat_age() > 60000) had_heartbeat_ = false;  // before the clock wraps
-    while (port_.available() > 0) {
+    for (uint8_t left = kMaxReadAtOnce;; --left) {
+      if (report_) report_(*this, now);
+      if (left == 0 || port_.available() <= 0) break;
       if (decoder_.feed(read(), now)) dispatch(decoder_.packet());
     }
-    uint8_t chunk[Chunks::kMaxChunk];
-    const uint8_t size = announcer_.next(port_, now, chunk);
-    if (size > 0) send(MessageType::Announcement, chunk, size);
+    if (send_chunk_) send_chunk_(*this, now);
   }
 
   // A line in the bridge's log.
@@ -94,18 +92,80 @@ class PacketLink : public PacketSender<StreamSink> {
 #endif
 
  private:
-  typedef Announcer<16> Chunks;  // on the wire 23 bytes, so that 40 more fit into the send buffer of an AVR
+  typedef Announcer<16, 3> Chunks;  // on the wire 23 bytes, so that 40 more fit into the send buffer of an AVR
+  typedef void (*Call)(void (*handle)(), const uint8_t* data, size_t size);
+  static const uint8_t kMaxWarning = 60;  // bytes on the wire
 
   struct Handler {
-    void (*call)(void (*handle)(), const uint8_t* data);
+    Call call;
     void (*handle)();
   };
 
   template <class T>
-  static void call(void (*handle)(), const uint8_t* data) {
-    T value;
-    memcpy(&value, data, sizeof value);
-    reinterpret_cast<void (*)(const T&)>(handle)(value);
+  static void call(void (*handle)(), const uint8_t* data, size_t size) {
+    reinterpret_cast<void (*)(const T&)>(handle)(from_received<T>(data, size));
+  }
+
+  static void call_with_bytes(void (*handle)(), const uint8_t* data, size_t size) {
+    reinterpret_cast<void (*)(const uint8_t*, size_t)>(handle)(data, size);
+  }
+
+  bool add(bool accepted, Call caller, void (*handle)()) {
+    if (accepted) {
+      handlers_[handler_count_++] = {caller, handle};
+    } else {
+      refused_type_ = true;
+    }
+    report_ = &report;
+    return accepted;
+  }
+
+  static void send_chunk(PacketLink& link, uint32_t now) {
+    uint8_t chunk[Chunks::kMaxChunk];
+    const uint8_t size = link.announcer_.next(link.buffer_, now, chunk);
+    if (size > 0) link.send(MessageType::Announcement, chunk, size);
+  }
+
+  static void report(PacketLink& link, uint32_t now) {
+    const bool wrong_size = link.decoder_.counters.wrong_length != link.wrong_lengths_;
+    link.wrong_lengths_ = link.decoder_.counters.wrong_length;
+    char text[kMaxWarning];
+    char* end = text;
+    if (wrong_size) {
+      uint8_t most;
+      const Packet* packet = link.decoder_.wrong_packet(&most);
+      if (!packet || !link.may_warn(packet->custom, static_cast<uint8_t>(now >> 10))) return;
+      end = append(append(end, F("command ")), static_cast<uint8_t>(packet->type));
+      end = append(append(end, F(" has ")), static_cast<uint8_t>(packet->size));
+      end = append(append(end, F(" bytes, its struct ")), most);
+    } else if (link.refused_type_ && link.buffer_.has_room(kMaxWarning)) {
+      link.refused_type_ = false;
+      end = append(end, F("on(): a type twice, not in 13 ... 254, or one too many"));
+    }
+    if (end != text) link.send(wrong_size ? MessageType::Warn : MessageType::Error, text, end + 1 - text);
+  }
+
+  // `second`: of 1.024 s. In each, there is one warning for a handler.
+  bool may_warn(uint8_t handler, uint8_t second) {
+    if (second != warned_second_) warned_ = 0;
+    warned_second_ = second;
+    const uint8_t bit = static_cast<uint8_t>(1 << handler);
+    if ((warned_ & bit) || !buffer_.has_room(kMaxWarning)) return false;
+    warned_ |= bit;
+    return true;
+  }
+
+  static char* append(char* at, const __FlashStringHelper* text) {
+    const char* from = reinterpret_cast<const char*>(text);
+    while ((*at = static_cast<char>(pgm_read_byte(from++))) != 0) ++at;
+    return at;
+  }
+
+  static char* append(char* at, uint8_t number) {
+    if (number >= 10) at = append(at, static_cast<uint8_t>(number / 10));
+    *at++ = static_cast<char>('0' + number % 10);
+    *at = 0;
+    return at;
   }
 
   uint8_t read() {
@@ -121,7 +181,7 @@ class PacketLink : public PacketSender<StreamSink> {
   void dispatch(const Packet& packet) {
     if (packet.custom < handler_count_) {
       const Handler& handler = handlers_[packet.custom];
-      handler.call(handler.handle, packet.data);
+      handler.call(handler.handle, packet.data, packet.size);
     } else if (packet.type == MessageType::Heartbeat) {
       handle_heartbeat();
     } else if (packet.type == MessageType::SpeedCmd && speed_) {
@@ -161,7 +221,14 @@ class PacketLink : public PacketSender<StreamSink> {
   }
 
   Stream& port_;
+  SendBuffer buffer_;
   Chunks announcer_;
+  // So that only a sketch that announces, or takes custom messages, has the code.
+  void (*send_chunk_)(PacketLink&, uint32_t now) = 0;
+  void (*report_)(PacketLink&, uint32_t now) = 0;
+  uint16_t wrong_lengths_ = 0;  // that have been reported
+  uint8_t warned_second_ = 0;
+  uint8_t warned_ = 0;  // a bit for each handler: warned in this second
   PacketDecoder<kMaxPacket, kMaxHandlers> decoder_;
   Handler handlers_[kMaxHandlers];
   uint8_t handler_count_ = 0;
@@ -179,6 +246,11 @@ class PacketLink : public PacketSender<StreamSink> {
 
 }  // namespace serial_communication
 
-using namespace serial_communication;
+// Only these names need no serial_communication:: in a sketch; others, such as Packet, are free for its own.
+using serial_communication::ImuData;
+using serial_communication::PacketLink;
+#if defined(__AVR__)
+using serial_communication::HeartbeatWatch;
+#endif
 
 #endif

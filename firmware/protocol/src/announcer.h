@@ -17,10 +17,12 @@
 
 #include <Arduino.h>
 
+#include "stream_sink.h"
+
 namespace serial_communication {
 
-// `Text`: bytes of text in a chunk.
-template <uint8_t Text>
+// `Text`: bytes of text in a chunk. `Framing`: what a packet or frame has besides the chunk.
+template <uint8_t Text, uint8_t Framing = 0>
 class Announcer {
  public:
   static const uint8_t kHead = 4;
@@ -37,6 +39,9 @@ class Announcer {
       x ^= x >> 4;
       crc_ = static_cast<uint16_t>(crc_ << 8 ^ static_cast<uint16_t>(x) << 12 ^ static_cast<uint16_t>(x) << 5 ^ x);
     }
+    const uint8_t count = (size_ + Text - 1) / Text;
+    quick_ = count > 15 ? 2 * count : 30;
+    hurry();
   }
 
   // Writes a chunk to `chunk`, which has room for kMaxChunk bytes. Returns its size; 0: there is no such chunk.
@@ -53,16 +58,18 @@ class Announcer {
     return kHead + size;
   }
 
-  // Likewise the chunk that is to be sent now; 0: none. There is one every 100 ms at first, later one a second, and
-  // only while the port's send buffer is empty: so nothing else has to wait for it. (Where that is never empty, the
-  // chunk leaves all the same, a second late.)
-  uint8_t next(Stream& port, uint32_t now_ms, uint8_t* chunk) {
+  static uint8_t get_from(const Announcer& announcer, uint8_t index, uint8_t* chunk) {
+    return announcer.get(index, chunk);
+  }
+
+  // Likewise the chunk that is to be sent now; 0: none. There is one every 100 ms until each has gone twice and for at
+  // least 3 s, later one a second. It is sent only while the send buffer is empty, so that nothing else has to wait for
+  // it. (Where that is never empty, the chunk leaves as soon as it has room, a second late.)
+  uint8_t next(SendBuffer& buffer, uint32_t now_ms, uint8_t* chunk) {
     const uint16_t waited = static_cast<uint16_t>(now_ms) - sent_ms_;
     const uint16_t period = often_ > 0 ? 100 : 1000;
     if (size_ == 0 || waited < period) return 0;
-    const int room = port.availableForWrite();
-    if (room > most_room_) most_room_ = room;
-    if (room < most_room_ && waited < period + 1000) return 0;
+    if (!buffer.is_empty() && (waited < period + 1000 || !buffer.has_room(kMaxChunk + Framing))) return 0;
     sent_ms_ = static_cast<uint16_t>(now_ms);
     if (often_ > 0) --often_;
     const uint8_t size = get(index_, chunk);
@@ -70,8 +77,8 @@ class Announcer {
     return size;
   }
 
-  // The bridge may be a new one: the next chunks, of 3 s, are sent more often.
-  void hurry() { often_ = 30; }
+  // Somebody may listen anew: the next chunks are sent more often.
+  void hurry() { often_ = quick_; }
 
  private:
   uint8_t byte_at(uint16_t at) const { return pgm_read_byte(text_ + at); }
@@ -80,9 +87,9 @@ class Announcer {
   uint16_t size_ = 0;     // 0: nothing is announced
   uint16_t crc_ = 0;
   uint16_t sent_ms_ = 0;  // when the latest chunk was sent
-  int most_room_ = 0;     // in the send buffer: it is empty then
+  uint16_t quick_ = 0;    // chunks until each has gone twice, at least 30
+  uint16_t often_ = 0;    // so many more chunks every 100 ms
   uint8_t index_ = 0;     // of the next chunk
-  uint8_t often_ = 30;    // so many more chunks every 100 ms
 };
 
 }  // namespace serial_communication

@@ -104,6 +104,11 @@ class PacketSender {
     return is_custom_type(type) && send(static_cast<MessageType>(type), &value, sizeof value);
   }
 
+  // Likewise with data of any length.
+  bool send(uint8_t type, const void* data, size_t size) {
+    return is_custom_type(type) && send(static_cast<MessageType>(type), data, size);
+  }
+
   // Text of a log message (Debug … Error) or an LED command; its 0x00 is sent too.
   bool send_text(MessageType type, const char* text) { return send(type, text, strlen(text) + 1); }
 
@@ -202,8 +207,13 @@ class PacketDecoder {
   bool accept(uint8_t type) {
     check_can_cross_the_wire<T>();
     static_assert(sizeof(T) < MaxPacket && sizeof(T) <= 255, "a packet of this decoder holds no more");
+    return accept(type, LeastSize<T>::value, sizeof(T));
+  }
+
+  // Likewise those with `least` to `most` bytes of data.
+  bool accept(uint8_t type, uint8_t least, uint8_t most) {
     if (custom_count_ == MaxCustom || !is_custom_type(type) || find_custom(type) != kNone) return false;
-    custom_[custom_count_++] = {type, sizeof(T)};
+    custom_[custom_count_++] = {type, least, most};
     return true;
   }
 
@@ -236,6 +246,14 @@ class PacketDecoder {
 
   const Packet& packet() const { return packet_; }
 
+  // When feed() has just counted a wrong length: the custom message, and how many bytes of data it should have had at
+  // most. Null: it was a built-in one.
+  const Packet* wrong_packet(uint8_t* most) const {
+    if (packet_.custom == kNone) return 0;
+    *most = custom_[packet_.custom].most;
+    return &packet_;
+  }
+
   Counters counters;
 
  private:
@@ -258,12 +276,13 @@ class PacketDecoder {
     packet_.data = buffer_ + 1;
     packet_.size = length - 1;
     packet_.custom = find_custom(buffer_[0]);
-    const bool custom = packet_.custom != kNone;
+    const Custom* custom = packet_.custom == kNone ? 0 : custom_ + packet_.custom;
     if (buffer_[0] >= kMessageTypes && !custom) {
       ++counters.unknown_type;
       return false;
     }
-    if (custom ? packet_.size != custom_[packet_.custom].size : !length_fits(packet_.type, packet_.size)) {
+    if (custom ? packet_.size < custom->least || packet_.size > custom->most
+               : !length_fits(packet_.type, packet_.size)) {
       ++counters.wrong_length;
       return false;
     }
@@ -295,7 +314,8 @@ class PacketDecoder {
   static const uint8_t kNone = 255;
   struct Custom {
     uint8_t type;
-    uint8_t size;
+    uint8_t least;  // bytes of data
+    uint8_t most;
   };
 
   uint8_t find_custom(uint8_t type) const {

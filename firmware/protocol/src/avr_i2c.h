@@ -115,4 +115,9 @@ inline bool i2c_read_registers(uint8_t device, uint8_t reg, uint8_t* out, uint8_
 
 }  // namespace serial_communication
 
+using serial_communication::i2c_begin;
+using serial_communication::i2c_read_registers;
+using serial_communication::i2c_transfer;
+using serial_communication::i2c_write_register;
+
 #endif

@@ -37,6 +37,25 @@ inline void check_can_cross_the_wire() {
   static_assert(!__is_class(T) || alignof(T) == 1, "a struct that is sent has to be PACKED");
 }
 
+// The least number of bytes that a T is received with: all of it, or T::LEAST. The header that `header` makes has
+// LEAST in a struct whose last value has any length. What was not received is 0.
+template <class T, class = uint16_t>
+struct LeastSize {
+  static const uint16_t value = sizeof(T);
+};
+template <class T>
+struct LeastSize<T, decltype(static_cast<uint16_t>(T::LEAST))> {
+  static const uint16_t value = T::LEAST;
+};
+
+// A T from what was received of it, at most all of its bytes.
+template <class T>
+inline T from_received(const uint8_t* data, size_t size) {
+  T value = T();
+  memcpy(static_cast<void*>(&value), data, size);
+  return value;
+}
+
 // False, and `*value` untouched, where the data has another size.
 template <class T>
 inline bool from_bytes(const uint8_t* data, size_t size, T* value) {

@@ -47,8 +47,31 @@ class StxEtxSender {
 
   explicit StxEtxSender(Sink sink) : sink_(sink) {}
 
-  // False: the payload is too long, or not all of the frame was sent.
-  bool send(uint8_t type, const uint8_t* payload, size_t size) {
+  // A custom message: any packed struct. False: the type (any but 0x01, 0x10 and 0xFF) is not that of a custom message,
+  // or not all of the frame was sent.
+  template <class T>
+  bool send(uint8_t type, const T& value) {
+    check_can_cross_the_wire<T>();
+    static_assert(sizeof(T) <= kMaxPayload, "a frame of this sender holds no more");
+    return send(type, &value, sizeof value);
+  }
+
+  // Likewise with a payload of any length. False also where it is too long.
+  bool send(uint8_t type, const void* payload, size_t size) {
+    if (type == kTypeAdcStatus || type == kTypeSensorStatus || type == kTypeAnnouncement) return false;
+    return send_frame(type, payload, size);
+  }
+
+  bool send_sensor_status(const SensorStatus& status) {
+    const uint16_t fields[5] = {status.range_mm[0], status.range_mm[1], static_cast<uint16_t>(status.yaw),
+                                static_cast<uint16_t>(status.pitch), static_cast<uint16_t>(status.roll)};
+    return send_uint16(kTypeSensorStatus, fields, 5);
+  }
+
+  bool send_adc_status(const uint16_t channels[6]) { return send_uint16(kTypeAdcStatus, channels, 6); }
+
+ protected:
+  bool send_frame(uint8_t type, const void* payload, size_t size) {
     if (size > kMaxPayload) return false;
     uint8_t frame[kMaxPayload + 6];
     frame[0] = kStx;
@@ -61,24 +84,6 @@ class StxEtxSender {
     return sink_(static_cast<const uint8_t*>(frame), size + 6);
   }
 
-  // A custom message: any packed struct. False also where the type (any but 0x01, 0x10 and 0xFF) is not that of a
-  // custom message.
-  template <class T>
-  bool send(uint8_t type, const T& value) {
-    check_can_cross_the_wire<T>();
-    static_assert(sizeof(T) <= kMaxPayload, "a frame of this sender holds no more");
-    if (type == kTypeAdcStatus || type == kTypeSensorStatus || type == kTypeAnnouncement) return false;
-    return send(type, reinterpret_cast<const uint8_t*>(&value), sizeof value);
-  }
-
-  bool send_sensor_status(const SensorStatus& status) {
-    const uint16_t fields[5] = {status.range_mm[0], status.range_mm[1], static_cast<uint16_t>(status.yaw),
-                                static_cast<uint16_t>(status.pitch), static_cast<uint16_t>(status.roll)};
-    return send_uint16(kTypeSensorStatus, fields, 5);
-  }
-
-  bool send_adc_status(const uint16_t channels[6]) { return send_uint16(kTypeAdcStatus, channels, 6); }
-
  private:
   bool send_uint16(uint8_t type, const uint16_t* fields, uint8_t count) {
     uint8_t payload[12];
@@ -86,7 +91,7 @@ class StxEtxSender {
       payload[2 * i] = static_cast<uint8_t>(fields[i]);
       payload[2 * i + 1] = static_cast<uint8_t>(fields[i] >> 8);
     }
-    return send(type, payload, 2 * count);
+    return send_frame(type, payload, 2 * count);
   }
 
   Sink sink_;

@@ -133,8 +133,10 @@ def _struct(where: str, name: str, key: str, number: int, layout: Layout) -> str
     size, instance = layout.size, name
     lines = [where]
     last = layout.values[-1] if layout.values else None
+    enums = [f'  enum : uint8_t {{ {key} = {number} }};']
     if last and last.end < 0:
-        lines = [f'{where}; Count: the length of {_member(last.name)}',
+        enums.append(f'  enum : uint16_t {{ LEAST = {size} }};  // bytes, without {_member(last.name)}')
+        lines = [f'{where}; Count: the most that {_member(last.name)} may have',
                  'template <uint16_t Count>']
         size += 1 if last.code == 's' else Layout(layout.layout[0] + last.code, [last]).size
         instance = f'{name}<1>'
@@ -143,7 +145,7 @@ def _struct(where: str, name: str, key: str, number: int, layout: Layout) -> str
         why += ', and a double has 8: on an AVR use f in the layout'
     return '\n'.join([
         *lines, f'struct __attribute__((packed)) {name} {{',
-        f'  enum : uint8_t {{ {key} = {number} }};', *fields, *constants, '};',
+        *enums, *fields, *constants, '};',
         f'static_assert(sizeof({instance}) == {size}, "{why}");', ''])
 
 

@@ -1,21 +1,24 @@
-// A model car on an AVR: the built-in commands and measurements, and a motor that stops when the bridge
-// ends. No rows are needed. On the computer: ~speed, ~steering, ~led, ~ticks, ~voltage, ~steering_angle.
+// A model car on an ATmega328P: the built-in commands and measurements, and a motor that stops when the bridge ends,
+// the cable breaks, or the program hangs. No rows are needed. On the computer: ~speed, ~steering, ~led, ~ticks,
+// ~voltage, ~steering_angle.
 //
 // firmware/nano_car is a whole car. Use bridge.log("text"), not Serial.print, which breaks the packet that follows.
 
 #include <PacketLink.h>
+#include <rate_limit.h>
+#include <safe_board.h>
 #include <util/atomic.h>
 
 const uint8_t kEncoderPin = 2;   // rising edges
-const uint8_t kMotorPin = 3;     // PWM of an H-bridge; 10 kOhm to ground on all three of its pins
+const uint8_t kMotorPin = 3;     // PWM of an H-bridge
 const uint8_t kForwardPin = 7;   // its inputs
 const uint8_t kBackwardPin = 8;
+const uint8_t kOutputs[] = {kMotorPin, kForwardPin, kBackwardPin};  // 10 kOhm to ground on each: see safe_board.h
 const uint8_t kBrakeLampPin = 12;
 const uint8_t kFeedbackPin = A0;  // of the steering servo
 const uint8_t kBatteryPin = A1;   // through a divider: 20 V at full scale
 
 PacketLink bridge(Serial);
-HeartbeatWatch heartbeats;  // 30 ms; HeartbeatWatch(51) waits 50 ms
 volatile uint8_t encoder_ticks = 0;
 
 void motor(int16_t speed) {
@@ -24,11 +27,11 @@ void motor(int16_t speed) {
   analogWrite(kMotorPin, abs(speed) * 51L / 200);  // 0 … 1000 to 0 … 255
 }
 
-// Every 1.024 ms, even if loop() is delayed: without heartbeats the motor stops.
-ISR(TIMER0_COMPA_vect) {
-  heartbeats.tick(Serial.available());
-  if (!heartbeats.alive()) motor(0);
+void motor_off() {
+  motor(0);
 }
+
+STOP_WITHOUT_HEARTBEATS(motor_off)
 
 void handle_speed(int16_t speed) {
   static bool backward = false;
@@ -50,8 +53,10 @@ void handle_led(const char* text) {
   digitalWrite(kBrakeLampPin, strcmp(text, "brake") == 0);
 }
 
+// A car that has an IMU calibrates it here, and sends bridge.send_imu(data), an ImuData.
 void handle_calibration() {
-  bridge.warn(F("this car has no IMU"));  // one that has sends bridge.send_imu(data), an ImuData
+  static RateLimit limit;  // one answer a second, however often it is called
+  if (limit.passes(millis())) bridge.warn(F("this car has no IMU"));
 }
 
 void count_tick() {
@@ -59,8 +64,9 @@ void count_tick() {
 }
 
 void setup() {
-  const uint8_t outputs[] = {kMotorPin, kForwardPin, kBackwardPin, kBrakeLampPin, 9};
-  for (uint8_t pin : outputs) pinMode(pin, OUTPUT);
+  safe_begin(kOutputs, bridge, heartbeats);
+  pinMode(kBrakeLampPin, OUTPUT);
+  pinMode(9, OUTPUT);
   pinMode(kEncoderPin, INPUT_PULLUP);
   attachInterrupt(digitalPinToInterrupt(kEncoderPin), count_tick, RISING);
   TCCR1A = _BV(COM1A1) | _BV(WGM11);  // Timer1: a pulse every 20 ms
@@ -73,8 +79,6 @@ void setup() {
   bridge.on_steering(handle_steering);
   bridge.on_led(handle_led);
   bridge.on_calibration(handle_calibration);
-  bridge.watch(heartbeats);
-  TIMSK0 |= _BV(OCIE0A);  // Timer0 counts millis(); this is its other interrupt
   bridge.info(F("car ready"));
 }
 
@@ -84,6 +88,7 @@ void loop() {
   bridge.update();
   if (millis() - beat_ms < 10) return;
   beat_ms += 10;
+  safe_update();
   uint8_t ticks;
   ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
     ticks = encoder_ticks;

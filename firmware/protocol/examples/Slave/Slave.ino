@@ -1,5 +1,5 @@
 // A board on the bus with three functions: one with data, one with a reply, and a slow one that can be
-// stopped. For an AVR. It announces them: the bridge asks for the rows with `bus/announcements: true`.
+// stopped. For an ATmega328P. It announces them: the bridge asks for the rows with `bus/announcements: true`.
 //
 // The port belongs to the bridge: do not Serial.print to it.
 //
@@ -7,6 +7,7 @@
 // kFunctionEnvironment; firmware/ctrl_board has them.
 
 #include <BusSlave.h>
+#include <safe_board.h>
 #include <avr_i2c.h>  // unlike Wire, its waits are bounded, and it frees a blocked bus
 
 const char kRows[] PROGMEM =
@@ -20,6 +21,7 @@ const char kRows[] PROGMEM =
 const uint8_t kPumpPin = 11;
 const uint8_t kDoorPin = 5;       // its motor
 const uint8_t kDirectionPin = 6;  // high: opens
+const uint8_t kOutputs[] = {kPumpPin, kDoorPin, kDirectionPin};  // 10 kOhm to ground on each: see safe_board.h
 const uint32_t kDoorMs = 4000;
 const uint8_t kThermometer = 0x48;  // an LM75, on A4 and A5
 
@@ -72,8 +74,7 @@ void stop() {
 }
 
 void setup() {
-  const uint8_t outputs[] = {kPumpPin, kDoorPin, kDirectionPin};
-  for (uint8_t pin : outputs) pinMode(pin, OUTPUT);
+  safe_begin(kOutputs);  // the pump and the door stop when the program hangs
   i2c_begin();
   i2c_write_register(kThermometer, 1, 0);  // it measures; i2c_transfer() writes and reads any bytes
   Serial.begin(115200);
@@ -86,5 +87,6 @@ void setup() {
 }
 
 void loop() {
+  safe_update();
   bus.update();
 }

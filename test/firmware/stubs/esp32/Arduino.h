@@ -23,6 +23,7 @@ void delay(uint32_t ms);
 void delayMicroseconds(uint32_t us);
 int digitalRead(uint8_t pin);
 void enableLoopWDT();
+void feedLoopWDT();
 void pinMode(uint8_t pin, uint8_t mode);
 void digitalWrite(uint8_t pin, uint8_t level);
 uint16_t analogRead(uint8_t pin);

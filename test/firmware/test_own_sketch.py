@@ -1,0 +1,151 @@
+"""A sketch of one's own: built without the IDE, run in the emulator, with its pins free."""
+import os
+import signal
+import socket
+import subprocess
+import time
+
+import pytest
+
+from emulated_board import FIRMWARE, EmulatedBoard
+
+AVR_BOARD = os.path.join(FIRMWARE, os.pardir, 'scripts', 'avr_board')
+SKETCH = {
+    # Functions are used before they are defined, also across files, as the IDE allows it.
+    'own.ino': '''
+#include <PacketLink.h>
+#include <Wire.h>
+#include "part.h"
+
+struct PACKED Light { uint16_t raw; };
+PacketLink bridge(Serial);
+
+void setup() {
+  Serial.begin(115200);
+  Wire.begin();
+  pinMode(5, OUTPUT);
+  pinMode(6, INPUT_PULLUP);
+  bridge.log("started");
+}
+
+void loop() {
+  bridge.update();
+  copy_pins();
+  if (every(20)) report(twice(analogRead(A0)));
+}
+
+void report(uint16_t raw)
+{
+  Light light = {raw};
+  bridge.send(32, light);
+}
+''',
+    'second.ino': '''
+void copy_pins() {
+  digitalWrite(5, digitalRead(4));
+  analogWrite(9, digitalRead(6) ? 100 : 0);
+}
+bool every(unsigned long ms) {
+  static unsigned long last = 0;
+  if (millis() - last < ms) return false;
+  last = millis();
+  return true;
+}
+''',
+    'part.h': 'int twice(int number);\n',
+    'part.cpp': '#include "part.h"\nint twice(int number) { return 2 * number; }\n'}
+
+
+@pytest.fixture(scope='module')
+def image(firmware_build, tmp_path_factory):
+    folder = tmp_path_factory.mktemp('sketches') / 'own'
+    folder.mkdir()
+    for name, text in SKETCH.items():
+        (folder / name).write_text(text)
+    # A relative path is the caller's, whatever folder make works in.
+    done = make(folder.parent, 'SKETCH=own', 'BUILD=' + firmware_build)
+    assert done.returncode == 0, done.stdout
+    image = os.path.join(firmware_build, 'sketches', 'own.elf')
+    assert image[:-4] + '.elf' in done.stdout and os.path.exists(image[:-4] + '.hex')
+    return image
+
+
+def make(folder, *arguments):
+    return subprocess.run(
+        ['make', '-C', FIRMWARE, *arguments], cwd=str(folder), stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT, universal_newlines=True, env=dict(os.environ, PWD=str(folder)))
+
+
+def test_its_pins_are_driven_and_read(firmware_build, image):
+    with EmulatedBoard(firmware_build, 'pins', image=image) as board:
+        board.wait_until(lambda: board.get('pwm9') == 100, 3)    # the pull-up of pin 6
+        for level in 1, 0, 1:
+            board.set('d4', level)
+            board.wait_until(lambda level=level: board.get('d5') == level, 1)
+            assert board.get('d4') == level
+        board.set('d6', 0)
+        board.wait_until(lambda: board.get('pwm9') == 0, 1)
+        board.set('d6', -1)
+        board.wait_until(lambda: board.get('pwm9') == 100 and board.get('d6') == 1, 1)
+        with open(board.port, 'rb', buffering=0) as port:
+            for raw in 512, 7, 0, 511:
+                board.set('a0', raw)
+                wanted = b'\x20' + (2 * raw).to_bytes(2, 'little')
+                seen = []
+                board.wait_until(lambda: seen.append(port.read(64)) or
+                                 wanted in decoded(b''.join(seen)), 2)
+
+
+def decoded(data):
+    """The packets in a stream, decoded by the definition of COBS."""
+    packets = []
+    for packet in data.split(b'\0'):
+        out, at = b'', 0
+        while at < len(packet):
+            out += packet[at + 1:at + packet[at]] + b'\0' * (packet[at] < 255)
+            at += packet[at]
+        packets.append(out[:-1])
+    return packets
+
+
+def test_avr_board_runs_any_image(image, firmware_build, tmp_path):
+    link, control = str(tmp_path / 'folder' / 'port'), str(tmp_path / 'control')
+    with subprocess.Popen([AVR_BOARD, '--elf', image, '--link', link, '--control', control],
+                          stdout=subprocess.PIPE, universal_newlines=True,
+                          env=dict(os.environ, FIRMWARE_BUILD=firmware_build)) as board:
+        try:
+            assert image in board.stdout.readline()
+            with socket.socket(socket.AF_UNIX) as channel:
+                channel.connect(control)
+                channel.settimeout(10)
+
+                def ask(line):
+                    channel.sendall(line.encode() + b'\n')
+                    return channel.recv(4096).decode().strip()
+
+                assert ask('set d4 1') == 'ok' and ask('set pwm9 3').startswith('error')
+                deadline = time.monotonic() + 10
+                while ask('get d5') != '1':
+                    assert time.monotonic() < deadline
+            assert os.path.islink(link)
+        finally:
+            board.send_signal(signal.SIGTERM)
+        assert board.wait(10) == 0
+
+
+@pytest.mark.parametrize('arguments, words', [
+    (['SKETCH=missing'], 'SKETCH=missing: there is no folder of that name with an .ino file'),
+    (['SKETCH=empty'], 'SKETCH=empty: there is no folder of that name with an .ino file')])
+def test_a_sketch_that_is_none_is_said(tmp_path, arguments, words):
+    (tmp_path / 'empty').mkdir()
+    done = make(tmp_path, *arguments)
+    assert done.returncode == 2 and words in done.stdout
+
+
+@pytest.mark.parametrize('arguments, status, words', [
+    (['--elf'], 2, '--elf needs a value'), (['--link', 'x'], 2, 'name a board, or an image'),
+    (['--elf', '/no/such.elf'], 1, 'there is no file /no/such.elf')])
+def test_mistakes_in_the_arguments_of_avr_board(arguments, status, words):
+    done = subprocess.run([AVR_BOARD, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                          universal_newlines=True)
+    assert done.returncode == status and words in done.stderr
