@@ -381,7 +381,7 @@ def test_update_takes_at_most_64_bytes_a_call(tmp_path):
   CHECK(commands == 100)
   for (int i = 0; i < 100; ++i) received.append("\\xa5\\0\\0\\0\\xa5", 5);
   bus.update();
-  CHECK(received.size() == 500 - 64 && sent.size() == 12 * 4)
+  CHECK(received.size() == 500 - 8 * 5 && sent.size() == 8 * 4)
   while (!received.empty()) bus.update();
   CHECK(sent.size() == 100 * 4)
 """)
@@ -400,6 +400,28 @@ def test_a_bus_request_in_two_pieces_of_64_bytes_is_not_called_invalid(tmp_path)
   now_ms += 100;
   bus.update();
   CHECK(sent == std::string("\\xa5\\0\\0\\xa5\\xa5\\0\\0\\xa5", 8))
+""")
+
+
+def test_requests_that_waited_are_answered_a_few_a_call(tmp_path):
+    """Each reply may wait for room in the send buffer, and the watchdog must not bite meanwhile."""
+    run_on_the_pc(tmp_path, """
+  static bool moving = true;
+  bus.on(49, []() { return BusResult::pending(); });
+  bus.on_pending([]() { return moving ? BusResult::pending() : BusResult::ok(); });
+  received.assign("\\xa5\\0\\0\\0\\xa5" "\\xa5\\0\\x55\\x31\\xc1", 10);
+  for (int i = 0; i < 40; ++i) received.append("\\xa5\\0\\0\\0\\xa5", 5);
+  while (!received.empty()) bus.update();
+  CHECK(sent.size() == 4)
+  moving = false;
+  now_ms = 1000;
+  size_t calls = 0;
+  for (size_t before = 0; sent.size() != before; ++calls) {
+    before = sent.size();
+    bus.update();
+    CHECK(sent.size() - before <= 9 * 4)
+  }
+  CHECK(sent.size() == 4 + 4 + 40 * 4 && calls >= 5)
 """)
 
 
