@@ -43,10 +43,10 @@ def as_the_ide_makes_it(sketch):
     return '#include <Arduino.h>\n' + sketch[:first] + prototypes + sketch[first:]
 
 
-@pytest.mark.parametrize('path', EXAMPLES, ids=name_of)
-def test_example_builds_as_in_the_ide(path, firmware_build, tmp_path):
+def size_in_the_ide(sketch, firmware_build, tmp_path):
+    """Bytes of flash and of RAM of the sketch with this text."""
     source, image = tmp_path / 'sketch.cpp', str(tmp_path / 'sketch.elf')
-    source.write_text(as_the_ide_makes_it(read(path)), encoding='utf-8')
+    source.write_text(as_the_ide_makes_it(sketch), encoding='utf-8')
     subprocess.run(ON_THE_AVR + IDE + [str(source), '-Wl,--gc-sections', '-fuse-linker-plugin',
                                        os.path.join(firmware_build, 'arduino.a'), '-lm',
                                        '-o', image], check=True)
@@ -54,8 +54,27 @@ def test_example_builds_as_in_the_ide(path, firmware_build, tmp_path):
                            universal_newlines=True).stdout
     text, data, bss = (int(re.search(r'^\.%s +(\d+)' % part, sizes, re.M).group(1))
                        for part in ('text', 'data', 'bss'))
-    print('%s: %d bytes of flash, %d of RAM' % (name_of(path), text + data, data + bss))
-    assert text + data < 8000 and data + bss < 700
+    return text + data, data + bss
+
+
+@pytest.mark.parametrize('path', EXAMPLES, ids=name_of)
+def test_example_builds_as_in_the_ide(path, firmware_build, tmp_path):
+    flash, ram = size_in_the_ide(read(path), firmware_build, tmp_path)
+    print('%s: %d bytes of flash, %d of RAM' % (name_of(path), flash, ram))
+    assert flash < 8000 and ram < 700
+
+
+@pytest.mark.parametrize('example, bytes_of_code', [('Hello', 400), ('Sensor', 400), ('Slave', 150)])
+def test_a_sketch_that_announces_nothing_has_no_code_for_it(
+        example, bytes_of_code, firmware_build, tmp_path):
+    sketch = read('%s/examples/%s/%s.ino' % (LIBRARY, example, example))
+    rows = re.search(r'const char kRows.*?;\n\n', sketch, re.S).group(0)
+    silent = re.sub(r'.*announce\(kRows\);\n', '', sketch.replace(rows, ''))
+    text = ''.join(re.findall(r'"(.*)"', rows)).replace('\\n', '\n')
+    flash, silent_flash = (size_in_the_ide(each, firmware_build, tmp_path)[0]
+                           for each in (sketch, silent))
+    print('%s: %d bytes for announcing' % (example, flash - silent_flash - len(text)))
+    assert flash - silent_flash - len(text) > bytes_of_code
 
 
 @pytest.mark.parametrize('chip', sorted(OTHER_AVRS))
