@@ -162,6 +162,7 @@ class Board {
     world_->values.reading("tx_flushes", [this] { return double(serial_.flushes()); });
     world_->values.reading("last_tx_time", [this] { return last_sent_; });
     world_->values.reading("tx_bytes", [this] { return double(sent_bytes_); });
+    world_->values.reading("crash_time", [this] { return mcu_.crash_seconds(); });
     world_->values.reading("watchdog_resets", [this] { return double(mcu_.watchdog_resets()); });
     world_->values.variable("sda_stuck", [this] { return double(mcu_.sda_clocks()); },
                             [this](double clocks) { mcu_.hold_sda(unsigned(std::fmax(clocks, 0))); });

@@ -232,6 +232,7 @@ void Mcu::crash() {
   avr_->flash[loop] = 0xFF;
   avr_->flash[loop + 1] = 0xCF;
   avr_->pc = loop;
+  crash_seconds_ = seconds();
   avr_->sreg[S_I] = 0;
   avr_->state = cpu_Running;
 }

@@ -52,6 +52,7 @@ class Mcu {
   void dtr_in_read() { dtr_in_read_ = true; }
   // The program enters an endless loop with its interrupts disabled.
   void crash();
+  double crash_seconds() const { return crash_seconds_; }  // when it did
   // Stalls the program for this time in seconds, but not its interrupts.
   void stall(double seconds);
   unsigned watchdog_resets() const { return watchdog_resets_; }
@@ -138,6 +139,7 @@ class Mcu {
   bool dtr_in_read_ = false;
   bool dtr_due_ = false;
   unsigned watchdog_resets_ = 0;
+  double crash_seconds_ = 0;
 
   avr_uart_t* uart_;
   avr_irq_t* uart_input_;

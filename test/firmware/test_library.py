@@ -44,10 +44,10 @@ def as_the_ide_makes_it(sketch):
     return '#include <Arduino.h>\n' + sketch[:first] + prototypes + sketch[first:]
 
 
-@pytest.mark.parametrize('path', EXAMPLES, ids=name_of)
-def test_example_builds_as_in_the_ide(path, firmware_build, tmp_path):
+def size_in_the_ide(sketch, firmware_build, tmp_path):
+    """Bytes of flash and of RAM of the sketch with this text."""
     source, image = tmp_path / 'sketch.cpp', str(tmp_path / 'sketch.elf')
-    source.write_text(as_the_ide_makes_it(read(path)), encoding='utf-8')
+    source.write_text(as_the_ide_makes_it(sketch), encoding='utf-8')
     subprocess.run(ON_THE_AVR + IDE + [str(source), '-Wl,--gc-sections', '-fuse-linker-plugin',
                                        os.path.join(firmware_build, 'arduino.a'), '-lm',
                                        '-o', image], check=True)
@@ -55,8 +55,27 @@ def test_example_builds_as_in_the_ide(path, firmware_build, tmp_path):
                            universal_newlines=True).stdout
     text, data, bss = (int(re.search(r'^\.%s +(\d+)' % part, sizes, re.M).group(1))
                        for part in ('text', 'data', 'bss'))
-    print('%s: %d bytes of flash, %d of RAM' % (name_of(path), text + data, data + bss))
-    assert text + data < 8000 and data + bss < 700
+    return text + data, data + bss
+
+
+@pytest.mark.parametrize('path', EXAMPLES, ids=name_of)
+def test_example_builds_as_in_the_ide(path, firmware_build, tmp_path):
+    flash, ram = size_in_the_ide(read(path), firmware_build, tmp_path)
+    print('%s: %d bytes of flash, %d of RAM' % (name_of(path), flash, ram))
+    assert flash < 8000 and ram < 700
+
+
+@pytest.mark.parametrize('example, bytes_of_code', [('Hello', 400), ('Sensor', 400), ('Slave', 150)])
+def test_a_sketch_that_announces_nothing_has_no_code_for_it(
+        example, bytes_of_code, firmware_build, tmp_path):
+    sketch = read('%s/examples/%s/%s.ino' % (LIBRARY, example, example))
+    rows = re.search(r'const char kRows.*?;\n\n', sketch, re.S).group(0)
+    silent = re.sub(r'.*announce\(kRows\);\n', '', sketch.replace(rows, ''))
+    text = ''.join(re.findall(r'"(.*)"', rows)).replace('\\n', '\n')
+    flash, silent_flash = (size_in_the_ide(each, firmware_build, tmp_path)[0]
+                           for each in (sketch, silent))
+    print('%s: %d bytes for announcing' % (example, flash - silent_flash - len(text)))
+    assert flash - silent_flash - len(text) > bytes_of_code
 
 
 @pytest.mark.parametrize('chip', sorted(OTHER_AVRS))
@@ -441,7 +460,7 @@ def test_update_takes_at_most_64_bytes_a_call(tmp_path):
   CHECK(commands == 100)
   for (int i = 0; i < 100; ++i) received.append("\\xa5\\0\\0\\0\\xa5", 5);
   bus.update();
-  CHECK(received.size() == 500 - 64 && sent.size() == 12 * 4)
+  CHECK(received.size() == 500 - 8 * 5 && sent.size() == 8 * 4)
   while (!received.empty()) bus.update();
   CHECK(sent.size() == 100 * 4)
 """)
@@ -460,6 +479,28 @@ def test_a_bus_request_in_two_pieces_of_64_bytes_is_not_called_invalid(tmp_path)
   now_ms += 100;
   bus.update();
   CHECK(sent == std::string("\\xa5\\0\\0\\xa5\\xa5\\0\\0\\xa5", 8))
+""")
+
+
+def test_requests_that_waited_are_answered_a_few_a_call(tmp_path):
+    """Each reply may wait for room in the send buffer, and the watchdog must not bite meanwhile."""
+    run_on_the_pc(tmp_path, """
+  static bool moving = true;
+  bus.on(49, []() { return BusResult::pending(); });
+  bus.on_pending([]() { return moving ? BusResult::pending() : BusResult::ok(); });
+  received.assign("\\xa5\\0\\0\\0\\xa5" "\\xa5\\0\\x55\\x31\\xc1", 10);
+  for (int i = 0; i < 40; ++i) received.append("\\xa5\\0\\0\\0\\xa5", 5);
+  while (!received.empty()) bus.update();
+  CHECK(sent.size() == 4)
+  moving = false;
+  now_ms = 1000;
+  size_t calls = 0;
+  for (size_t before = 0; sent.size() != before; ++calls) {
+    before = sent.size();
+    bus.update();
+    CHECK(sent.size() - before <= 9 * 4)
+  }
+  CHECK(sent.size() == 4 + 4 + 40 * 4 && calls >= 5)
 """)
 
 

@@ -113,10 +113,9 @@ def test_watchdog_ends_a_crash_with_interrupts_off(car):
     board = car.board
     drive(car)
     car.forget()
-    crashed = board.time
     board.ask('crash')
     board.wait_until(lambda: board.get('motor_pwm') == 0, 1)
-    assert board.history('motor_pwm')[-1][0] - crashed < 0.16
+    assert board.history('motor_pwm')[-1][0] - board.get('crash_time') < 0.16
     assert board.get('watchdog_resets') == 1
     car.wait_for_text('IMU ready')
     drive(car)    # and the watchdog does not bite again

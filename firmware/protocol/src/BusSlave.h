@@ -66,12 +66,12 @@ class BusSlave : private BusHandler {
     get_chunk_ = &Chunks::get_from;
   }
 
-  // Calls the functions for what was received: at most 64 bytes a call, so that loop() goes on whatever the line
-  // brings.
+  // Calls the functions for what was received: at most 64 bytes and some requests a call, so that loop() goes on
+  // whatever the line brings.
   void update() {
     const uint32_t now = millis();
     // poll() has to see the silence behind everything that arrived before `now`. Where more waits, there is none.
-    for (uint8_t left = kMaxReadAtOnce; left > 0 && port_.available() > 0; --left) {
+    for (uint8_t left = kMaxReadAtOnce; left > 0 && !slave_.busy() && port_.available() > 0; --left) {
       slave_.feed(static_cast<uint8_t>(port_.read()), now);
     }
     slave_.poll(now);

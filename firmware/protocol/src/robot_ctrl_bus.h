@@ -36,6 +36,10 @@ namespace serial_communication {
 const uint8_t kFlagStandard = 0xA5;
 const uint8_t kFlagLong = 0x5A;
 
+// The requests that are executed between two calls of poll(). Each reply may have to wait for room in the send buffer,
+// and the program must not stand still for long.
+const uint8_t kRequestsAtOnce = 8;
+
 // An INVALID is sent when the line has been silent for this time.
 const uint8_t kInvalidSilenceMs = 5;
 
@@ -131,12 +135,15 @@ class RobotCtrlBusSlave {
 
   bool synchronised() const { return synchronised_; }
 
+  // Whether requests wait for the next poll(): what is fed now may be dropped.
+  bool busy() const { return requests_left_ == 0; }
+
   // Has to be called for each byte, whether a function is pending or not.
   void feed(uint8_t byte, uint32_t now_ms) {
     last_byte_ms_ = now_ms;
-    if (size_ == kBufferSize) {  // only while a function is pending
+    if (size_ == kBufferSize) {  // only while a function is pending, or busy()
       ++counters.overruns;
-      drop(whole_);
+      drop(pending_ ? whole_ : size_);
       whole_ = 0;
     }
     buffer_[size_++] = byte;
@@ -150,6 +157,8 @@ class RobotCtrlBusSlave {
   // Has to be called often, after feed(): ends a pending function, and gives up incomplete frames.
   void poll(uint32_t now_ms) {
     const uint32_t silence = now_ms - last_byte_ms_;
+    requests_left_ = kRequestsAtOnce;
+    scan();
     if (pending_) {
       while (whole_ < size_ && silence >= frame_timeout_ms_) {
         ++whole_;
@@ -161,7 +170,7 @@ class RobotCtrlBusSlave {
       reply(result);
       scan();
     }
-    while (size_ > 0 && !pending_ && silence >= frame_timeout_ms_) {
+    while (size_ > 0 && !pending_ && !busy() && silence >= frame_timeout_ms_) {
       ++counters.timeouts;
       drop(1);
       scan();
@@ -178,9 +187,9 @@ class RobotCtrlBusSlave {
   static const uint16_t kBufferSize = MaxData + 6;  // a long frame's five bytes of header, and the checksum
   enum class Check : uint8_t { Incomplete, Complete, ChecksumError, TooLong, NoFrame };
 
-  // Handles every frame in the buffer; leaves at most the beginning of one.
+  // Handles every frame in the buffer, and leaves at most the beginning of one, unless it becomes busy.
   void scan() {
-    while (size_ > 0 && !pending_) {
+    while (size_ > 0 && !pending_ && !busy()) {
       if (buffer_[0] != kFlagStandard && buffer_[0] != kFlagLong) {
         drop_to_flag();
         continue;
@@ -191,6 +200,7 @@ class RobotCtrlBusSlave {
         case Check::Complete:
           invalid_ = 0;
           ++counters.requests;
+          --requests_left_;
           execute();
           drop(frame_size_);
           if (pending_) {
@@ -340,6 +350,7 @@ class RobotCtrlBusSlave {
   uint16_t frame_size_ = 0;
   bool synchronised_ = false;
   bool pending_ = false;
+  uint8_t requests_left_ = kRequestsAtOnce;  // that may be executed before the next poll()
   uint8_t invalid_ = 0;  // the INVALID code that has still to be sent
 };
 

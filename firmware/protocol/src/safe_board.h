@@ -24,7 +24,6 @@
 
 #if defined(__AVR__)
 #include <avr/wdt.h>
-#include <util/atomic.h>
 
 #include "heartbeat_watch.h"
 
