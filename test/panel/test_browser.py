@@ -693,6 +693,9 @@ def test_calibration_needs_a_confirmation(control_page, robot):
     control_page.click('[data-service="~calibrate_imu"] button')
     control_page.wait(lambda page: page.script("return document.querySelector('dialog').open"),
                       'the dialog is open')
+    control_page.click('#stop')
+    control_page.wait(lambda page: any(each.startswith('STOP sent') for each in page.texts(
+        '.answers li')), 'STOP works beside it')
     control_page.click('dialog button:last-of-type')
     assert packet not in robot.car.commands
     control_page.click('[data-service="~calibrate_imu"] button')
