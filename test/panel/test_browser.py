@@ -128,6 +128,8 @@ def test_ranges_are_bars_with_their_limits(page, robot):
         robot.ranges = ranges(millimetres)
         page.wait_for_text(card + ' .number', words)
         assert page.attribute(card, 'data-beyond') == mark
+        page.wait_for_text('[data-reading="mcu/status:range 1"] .number',
+                           '\u2013' if mark == 'none' else str(millimetres))
     robot.ranges = ranges()
     received.close()
 
