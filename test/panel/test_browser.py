@@ -128,6 +128,8 @@ def test_ranges_are_bars_with_their_limits(page, robot):
         robot.ranges = ranges(millimetres)
         page.wait_for_text(card + ' .number', words)
         assert page.attribute(card, 'data-beyond') == mark
+        page.wait_for_text('[data-reading="mcu/status:range 1"] .number',
+                           '\u2013' if mark == 'none' else str(millimetres))
     robot.ranges = ranges()
     received.close()
 
@@ -693,6 +695,9 @@ def test_calibration_needs_a_confirmation(control_page, robot):
     control_page.click('[data-service="~calibrate_imu"] button')
     control_page.wait(lambda page: page.script("return document.querySelector('dialog').open"),
                       'the dialog is open')
+    control_page.click('#stop')
+    control_page.wait(lambda page: any(each.startswith('STOP sent') for each in page.texts(
+        '.answers li')), 'STOP works beside it')
     control_page.click('dialog button:last-of-type')
     assert packet not in robot.car.commands
     control_page.click('[data-service="~calibrate_imu"] button')

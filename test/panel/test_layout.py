@@ -131,6 +131,6 @@ def test_no_other_control_comes_under_the_pointer(shaky, browsers):
     samples += desktop.script('return samples')
     healths |= set(desktop.script('return [...healths]'))
     print(f'{len(moved)} of {20 * samples}: another control')
-    assert {'ok', 'warn', 'error'} <= healths, 'the faults were not shown'
+    assert {'warn', 'none'} <= healths, 'neither faults nor the silence were shown'
     assert samples > 100
     assert len(moved) == 0, (20 * samples, sorted(set(moved)))

@@ -273,6 +273,13 @@ def _status_words(message: Any, measured: str) -> str:
     return f'{measured}, {valid}, {message.crc_error_count} CRC errors, seq {message.seq}'
 
 
+_NO_READING = 65535     # mm, of a range in McuStatus2
+
+
+def _millimetres(value: int) -> float:
+    return math.nan if value == _NO_READING else value
+
+
 _ADC_FULL = 4095     # of an ADC channel
 
 
@@ -296,7 +303,8 @@ _VALUES = {
         FieldValue('humidity', m.humidity, '%', 2)],
     'serial_communication/McuStatus': _channels,
     'serial_communication/McuStatus2': lambda m: [
-        FieldValue('range 1', m.vl53_1, 'mm', 0), FieldValue('range 2', m.vl53_2, 'mm', 0),
+        FieldValue('range 1', _millimetres(m.vl53_1), 'mm', 0),
+        FieldValue('range 2', _millimetres(m.vl53_2), 'mm', 0),
         FieldValue('yaw', m.yaw, 'deg', 1), FieldValue('pitch', m.pitch, 'deg', 1),
         FieldValue('roll', m.roll, 'deg', 1)],
     'serial_communication/SteeringFeedback': lambda m: [

@@ -212,11 +212,12 @@ export class Commands {
       this._request(event, name, {call: {name, arguments: {}}}, title);
     });
     const id = `confirm-${name.replace(/\W/g, '-')}`;
+    // Not modal: STOP must work beside it.
     const dialog = h('dialog', {'aria-labelledby': id},
       h('h2', {id}, `${title[0].toUpperCase()}${title.slice(1)}?`), h('p', {}, confirm),
       h('div', {class: 'controls'}, yes, h('button', {type: 'button', onclick: () => dialog.close()}, 'Cancel')));
     return this._fieldset(title, [name], link, true, h('div', {class: 'controls'},
-      this._button(name, 'start …', () => dialog.showModal()),
+      this._button(name, 'start …', () => dialog.show()),
       ...name === CALIBRATE ? [this._calibrateNote] : []), dialog);
   }
 
