@@ -129,7 +129,8 @@ def _struct(where: str, name: str, key: str, number: int, layout: Layout) -> str
     last = layout.values[-1] if layout.values else None
     enums = [f'  enum : uint8_t {{ {key} = {number} }};']
     if last and last.end < 0:
-        enums.append(f'  enum : uint16_t {{ LEAST = {size} }};  // bytes, without {_member(last.name)}')
+        enums.append(f'  enum : uint16_t {{ LEAST = {size} }};  // bytes, without '
+                     f'{_member(last.name)}')
         lines = [f'{where}; Count: the most that {_member(last.name)} may have',
                  'template <uint16_t Count>']
         size += 1 if last.code == 's' else Layout(layout.layout[0] + last.code, [last]).size
