@@ -303,6 +303,7 @@ def run_on_the_pc(tmp_path, body):
 
 def test_send_returns_whether_all_of_it_was_sent(tmp_path):
     run_on_the_pc(tmp_path, """
+  using serial_communication::MessageType;
   CHECK(packets.send(32, force) && sent.size() == 5)
   CHECK(frames.send(32, force))
   room = 4;
@@ -311,11 +312,11 @@ def test_send_returns_whether_all_of_it_was_sent(tmp_path):
   sent.clear();
   CHECK(!packets.send(4, force) && !packets.send(255, force))        // types of the bridge itself
   CHECK(!frames.send(0x10, force) && !frames.send(0x01, force) && !frames.send(0xFF, force))
-  CHECK(!packets.send(serial_communication::MessageType::Imu, bytes, 64))
+  CHECK(!packets.send(MessageType::Imu, bytes, 64))
   CHECK(!frames.send(40, bytes, 33))
   CHECK(sent.empty())
-  CHECK(packets.send(serial_communication::MessageType::Imu, bytes, 63) && frames.send(40, bytes, 32))
-  CHECK(packets.send(serial_communication::MessageType::Info, bytes, 64))                  // text is cut
+  CHECK(packets.send(MessageType::Imu, bytes, 63) && frames.send(40, bytes, 32))
+  CHECK(packets.send(MessageType::Info, bytes, 64))                  // text is cut
 """)
 
 
