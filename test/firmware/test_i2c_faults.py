@@ -145,11 +145,9 @@ int main() {
   present = false;
   for (uint32_t ms = 0; ms < 5000; ++ms) sensor.poll(++now);
   std::printf("%d", sensor.valid());
-  for (uint64_t days = 0; days < 4300000000ull / 997; ++days) sensor.poll(now += 997);
-  for (uint32_t ms = 0; ms < 10000; ++ms) {
-    sensor.poll(++now);
+  for (uint32_t polls = 0; polls < 4300000; ++polls) {
+    sensor.poll(now += 1000);
     if (sensor.valid()) std::printf(" valid after 49.7 days");
-    now += 100000;
   }
 }
 '''
