@@ -115,8 +115,9 @@ def test_a_full_disk_is_one_line(folder, fills):
     with started(folder, full, free_address()) as demo:
         errors = demo.communicate(timeout=PATIENCE)[1]
     assert demo.returncode == 1
-    assert errors == f'demo: no space left on the disk of {logs}/log: make room ' \
-        '(df -h, df -i), then try again.\n'
+    # The nodes of roslaunch that are ended may warn of each other.
+    assert [line for line in errors.splitlines() if not line.startswith('[WARN]')] == [
+        f'demo: no space left on the disk of {logs}/log: make room (df -h, df -i), then try again.']
 
 
 @pytest.mark.skipif(not shutil.which('avr-g++'), reason='gcc-avr is not installed')
