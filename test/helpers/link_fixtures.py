@@ -10,9 +10,12 @@ import pytest
 
 from fake_boards import Line
 
+from serial_communication.boards.arduino import motor
+from serial_communication.link import link as links
 from serial_communication.transport.port import Port
 
 _LIMIT = 20.0      # s for one test
+_NEVER = 1e9       # s
 
 
 @pytest.fixture(autouse=True)
@@ -42,6 +45,17 @@ def every_thread_ends():
     assert not left, 'threads still run: %s' % left
     unnamed = [thread.name for thread in started if thread.name.startswith('Thread-')]
     assert not unnamed
+
+
+@pytest.fixture(autouse=True)
+def this_machine_stalls_no_link(request, monkeypatch):
+    """Links do not drop what waited while this machine gave them no processor time.
+
+    Tests of stalls are marked with `stalls`.
+    """
+    if not request.node.get_closest_marker('stalls'):
+        monkeypatch.setattr(links, 'STALL', _NEVER)
+        monkeypatch.setattr(motor, '_STALL', _NEVER)
 
 
 @pytest.fixture

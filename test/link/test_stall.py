@@ -24,7 +24,7 @@ from serial_communication.boards.bus import wire as bus
 from serial_communication.transport import pace
 from serial_communication.transport.port import Port
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.stalls]
 PROGRAM = Path(__file__).with_name('one_link.py')
 
 

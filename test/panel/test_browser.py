@@ -647,21 +647,25 @@ def test_stop_on_the_page_of_a_second_panel_stops_the_car(control_page, robot):
         browser.open(second.url)
         browser.wait_for_text('#connection', 'live')
         wait_until_settled(browser)
-        hold(control_page, robot)
-        browser.click('#stop')
-        wait_until_stopped(robot, control_page)         # and its pad is still pressed
-        control_page.wait(lambda page: '/panel_second commands the car' in page.text('#pad-words'),
-                          'the page says why')
+        # A stall of this machine also ends a hold. Then all begins again.
+        def stopped_by_the_second():
+            hold(control_page, robot)
+            browser.click('#stop')
+            wait_until_stopped(robot, control_page)         # and its pad is still pressed
+            return '/panel_second commands the car' in control_page.text('#pad-words')
+        assert any(stopped_by_the_second() for _ in range(5)), control_page.text('#pad-words')
         control_page.release()
-        # While the first drives, the second does not.
-        hold(control_page, robot)
-        robot.car.forget()
 
-        def press():        # again, if the page took the press for one of the second before
+        # While the first drives, the second does not.
+        def refused_beside_the_first():
+            hold(control_page, robot)
+            robot.car.forget()
             browser.release()
             browser.press_at('#pad', 0, 60)
-        browser.wait(lambda page: '/panel_control commands the car' in page.text('#pad-words'),
-                     'the second is refused', doing=press, every=1.0)
+            browser.wait_for_updates(15)
+            return '/panel_control commands the car' in browser.text('#pad-words') \
+                and control_page.attribute('#pad', 'data-held') is not None
+        assert any(refused_beside_the_first() for _ in range(5)), browser.text('#pad-words')
         assert min(robot.car.speeds, default=0) >= 0
         browser.release()
         control_page.release()

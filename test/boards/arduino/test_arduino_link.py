@@ -476,6 +476,7 @@ class RecordingPort(Port):
         self.written.append(frame)
 
 
+@pytest.mark.stalls
 def test_after_a_stall_speed_0_is_sent_first_whichever_thread_runs(
         board, open_link, stall, lines):
     link = open_link(ArduinoSettings(speed_timeout=0.5), port=RecordingPort)
@@ -500,6 +501,7 @@ def accepts_speed(link, value):
         return False
 
 
+@pytest.mark.stalls
 def test_commands_are_refused_just_after_a_stall_and_accepted_later(board, open_link, stall):
     link = open_link(ArduinoSettings(speed_timeout=0.5), port=RecordingPort)
     stall(link, 5.0)
@@ -514,6 +516,7 @@ def test_commands_are_refused_just_after_a_stall_and_accepted_later(board, open_
     assert board.commands()[0] == SpeedCommand(2)
 
 
+@pytest.mark.stalls
 def test_a_call_to_calibrate_is_refused_after_a_stall_of_over_300_ms(board, open_link, stall):
     """A topic's command only after one of over 500 ms."""
     link = open_link(port=RecordingPort)
@@ -532,6 +535,7 @@ def test_a_call_to_calibrate_is_refused_after_a_stall_of_over_300_ms(board, open
     until(calibrates)
 
 
+@pytest.mark.stalls
 def test_commands_are_refused_after_a_stall_while_the_port_is_closed(board, open_link, stall):
     link = open_link(ArduinoSettings(speed_timeout=0.5), port=RecordingPort)
     with board.unplugged():
@@ -561,6 +565,7 @@ STOPPED = ("import logging, sys\n"
            "link.join()\n")
 
 
+@pytest.mark.stalls
 def test_if_only_receiving_stalls_heartbeats_go_on_and_the_motor_stops(
         board, line, open_link, lines):
     entered, free = threading.Event(), threading.Event()
