@@ -12,7 +12,8 @@ from typing import Callable, List, NamedTuple, Tuple
 import by_definition as codec
 from .boards import MEMORY, PRESS, Reaction, Request, reply_frame
 from .requirements import MAX_WAIT
-from .rig import MOTION_TIMEOUT, PORT_RETURN, PORT_RETURNS, REPLY_TIMEOUT, Rig
+from .rig import (MOTION_TIMEOUT, PORT_RETURN, PORT_RETURNS, REPLY_TIMEOUT, MachineTooBusy,
+                  Rig)
 from .robot import NOT_SENT, TIMEOUT, Outcome
 
 Key = Tuple[int, bytes]     # CMD2 and DATE of a request
@@ -109,6 +110,8 @@ class Calls:
         self.in_time.at_most(outcome.seconds, limit + QUEUE_TIME + _ROS_TIME, 's', what)
         name = 'done' if outcome.success else {
             TIMEOUT: 'not known', NOT_SENT: 'not sent'}.get(outcome.status, 'refused')
+        if name == 'not sent' != wanted and 'while the bridge stalled' in outcome.message:
+            raise MachineTooBusy
         self.matches.check(name == wanted, f'{text}, expected "{wanted}"')
         if outcome.success:
             self.done.check(executed == 1, text)

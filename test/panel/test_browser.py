@@ -648,6 +648,7 @@ def test_stop_on_the_page_of_a_second_panel_stops_the_car(control_page, robot):
         browser.wait_for_text('#connection', 'live')
         wait_until_settled(browser)
         # A stall of this machine also ends a hold. Then all begins again.
+
         def stopped_by_the_second():
             hold(control_page, robot)
             browser.click('#stop')

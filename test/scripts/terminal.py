@@ -25,6 +25,7 @@ class Terminal:
         self._output = bytearray()
         self._ended = threading.Event()
         self.status = None
+        begun, begins = os.pipe()       # closed by the kernel when the program begins
         self.pid, self._far = pty.fork()
         if self.pid == 0:
             try:
@@ -33,6 +34,9 @@ class Terminal:
                 os.execv(str(command[0]), [str(each) for each in command])
             finally:
                 os._exit(127)
+        os.close(begins)
+        os.read(begun, 1)       # before that a Ctrl-C would be lost in the forked Python
+        os.close(begun)
         threading.Thread(target=self._read, daemon=True).start()
 
     @staticmethod
