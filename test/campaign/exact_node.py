@@ -244,6 +244,7 @@ def network_stall(rig: Rig) -> None:
     for seconds in (0.7, 1.5):
         drive.command_until_accepted()
         rig.settle()
+        connection = rig.car.connection
         with rig.suspended():
             for _ in range(10):
                 rig.car.measure()
@@ -252,6 +253,7 @@ def network_stall(rig: Rig) -> None:
         keys = [each.key for each in rig.robot.published['~counter']]
         stale.check(not keys, f'~counter: {keys[:3]} were published')
         rig.wait_for_data('~counter', rig.car.measure, stale)
+        stale.check(rig.car.connection > connection, 'the port was not opened anew')
 
 
 def announcements(rig: Rig) -> None:

@@ -184,10 +184,18 @@ class NetworkLine(SerialLine):
     _is_network = True
 
     def plug(self, another_name: bool = False) -> None:
+        if self._listener >= 0:
+            return
         self._server = socket.create_server(('127.0.0.1', 0))
         self._server.setblocking(False)
         self._listener = self._server.fileno()
         self.port = f'socket://127.0.0.1:{self._server.getsockname()[1]}'
+
+    def unplug(self) -> None:
+        """Close the connection; the server accepts another one."""
+        with self._lock:
+            self.frozen = False
+            self._end()
 
     def hang(self) -> None:
         self.frozen = True

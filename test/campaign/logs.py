@@ -55,8 +55,8 @@ class NewLines:
 
 
 class Witness(threading.Thread):
-    """Reads a byte each 10 ms from a process that has the bridge's policy and priority, stays on one
-    processor, and does nothing but sleep and write to a pseudo terminal of its own.
+    """Reads a byte each 10 ms from a process that has the bridge's policy and priority, stays on
+    one processor, and does nothing but sleep and write to a pseudo terminal of its own.
 
     It excuses the bridge: if its byte is late, the machine gave it no time either. The kernel moves
     the bytes of pseudo terminals in a thread of ordinary priority, so on a busy machine they are

@@ -166,8 +166,11 @@ class Robot:
         wall, (topic, to_key) = time.time(), topic_and_key
         stamp = (message.stamp if hasattr(message, 'stamp') else message.header.stamp
                  if hasattr(message, 'header') else None)
-        self.on_message(topic, Published(wall, stamp.to_sec() if stamp else 0.0, to_key(message),
-                                         message))
+        try:
+            key = to_key(message)
+        except ValueError as error:     # of NaN where there may be none
+            key = str(error)
+        self.on_message(topic, Published(wall, stamp.to_sec() if stamp else 0.0, key, message))
 
     def _receive_transforms(self, message: TFMessage) -> None:
         for each in message.transforms:

@@ -86,7 +86,7 @@ announcements
 network
      8 no SPEED older than 1.5 s reaches a board behind socket://
      8 heartbeats within 3 s of the network's return
-     4 no data from the time of a stall is published over a network
+     6 no data from the time of a stall is published over a network
 storm
    146 writes that were damaged, in both directions
 storm: motor
