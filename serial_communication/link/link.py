@@ -495,6 +495,7 @@ class Link:
         self.decoder.errors.update(errors)
 
     def _end_drop(self) -> None:
+        """What is read from now on is new; log what was dropped."""
         if self._dropped:
             self.log.warn('stalled', f'the bridge stalled for {self._stall:.3g} s: {self._dropped} '
                           'bytes that waited in the port are old and were dropped')

@@ -24,6 +24,12 @@ def is_move(request):
     return request.cmd1 == bus.FUNCTION and request != bus.ENVIRONMENT_REQUEST
 
 
+@pytest.fixture(autouse=True)
+def never_stalls(monkeypatch):
+    """No call is refused because this machine stalls; test/link/test_stall.py tests that."""
+    monkeypatch.setattr(BusLink, 'may_be_from_a_stall', lambda self: False)
+
+
 @pytest.fixture
 def board(line, running):
     return running(BusBoard(line))
@@ -460,7 +466,7 @@ def test_the_link_continues_after_a_fault_in_a_callback(board, open_link, lines)
     assert lines('a fault of the callback')
 
 
-# -- what a request waits for ------------------------------------------------------------------------
+# -- what a request waits for ---------------------------------------------------------------------
 
 STOP = bus.Request(bus.FUNCTION, 0x2F)
 
@@ -496,7 +502,7 @@ def test_the_state_says_what_a_call_waits_for(line, board, open_link):
     assert board.moves() == []
 
 
-# -- a move never comes late -------------------------------------------------------------------------
+# -- a move never comes late ----------------------------------------------------------------------
 
 def test_a_move_that_timed_out_is_dropped_where_it_waits(line, board, open_link):
     """The other side of a pseudo terminal takes nothing, from the reply to the fence on."""

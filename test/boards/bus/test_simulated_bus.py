@@ -24,6 +24,12 @@ STOPS = read_functions({'stop': {'cmd2': 0x2F, 'srv_type': 'std_srvs/Trigger', '
                                  'interrupts': True}})
 
 
+@pytest.fixture(autouse=True)
+def never_stalls(monkeypatch):
+    """No call is refused because this machine stalls; test/link/test_stall.py tests that."""
+    monkeypatch.setattr(BusLink, 'may_be_from_a_stall', lambda self: False)
+
+
 def make(synchronised=True, **arguments):
     bench = Bench(ControlBoard(**arguments),
                   bus.ReplyDecoder(arguments.get('reply_has_cmd2', False)))
