@@ -202,8 +202,9 @@ class BusLink(Link):
         return Call(request, timeout, repeatable, 1 + settings.retries, time.monotonic(), poll,
                     reply_layout, on_success, interrupts, announced)
 
-    def _drop_output(self) -> None:
-        self.port.discard_output('nothing received since a request, which may still wait')
+    def _drop_output(self, sent: float) -> None:
+        if self.last_byte_at <= sent:
+            self.port.discard_output('nothing received since a request, which may still wait')
 
     def _board_begun_anew(self, now: float) -> None:
         self.announcement.reset()

@@ -206,14 +206,15 @@ class Master:
         motion_timeout: s; the longest timeout of a call, and so the longest wait for a turn.
         log: for warnings.
         nonce: returns new bytes for an ECHO.
-        drop_output: drops what was sent but may still wait on its way; see rule 10.
+        drop_output: called with the time when a request was sent that was not answered: drops what
+            may still wait on its way; see rule 10.
         begun_anew: called with the time when the board may have begun anew, or be another one.
         still_announces: whether the board has announced the announced functions since then.
     """
 
     def __init__(self, reply_timeout: float, motion_timeout: float, log: SparingLog,
                  nonce: Callable[[], bytes] = lambda: os.urandom(4),
-                 drop_output: Callable[[], None] = lambda: None,
+                 drop_output: Callable[[float], None] = lambda sent: None,
                  begun_anew: Callable[[float], None] = lambda now: None,
                  still_announces: Callable[[], bool] = lambda: True) -> None:
         self.state = SessionState.CLOSED
@@ -624,9 +625,9 @@ class Master:
             within += f' but {exchange.other_reply}, perhaps the reply to another request'
         self._log.warn('timeout', f'no reply to "{exchange.request}" {within}')
         self._out_of_step('no reply')
+        if not exchange.call.repeatable:
+            self._drop_output(exchange.sent)      # before the caller is told
         self._repeat_or_finish(exchange, now, Outcome(TIMEOUT, f'no reply {within}: {_UNKNOWN}'))
-        if not exchange.call.repeatable and self._last_received <= exchange.sent:
-            self._drop_output()
 
     # -- the end of an exchange -----------------------------------------------------------
 

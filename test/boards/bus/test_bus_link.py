@@ -536,6 +536,10 @@ def test_a_move_that_timed_out_closes_a_network_connection(logger, running):
             board.script.append(b'')
             assert link.environment()[0].status == TIMEOUT
             assert link.lift(0, 1).success and link.connections == 1, 'a reading closes nothing'
+            board.script.append(b'\xa5')
+            assert link.lift(0, 2).status == TIMEOUT
+            until(lambda: link.lift(0, 3).success)
+            assert link.connections == 1, 'the board was heard'
             board.script.append(b'')
             assert link.lift(0, 100).status == TIMEOUT
             server.accept()[0].close()
