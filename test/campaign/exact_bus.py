@@ -321,12 +321,14 @@ def interrupted(rig: Rig) -> None:
         behind = rig.robot.start_call('lift', *arguments)
         rig.sleep(0.1)
         with _dribble(rig) if dribble else contextlib.nullcontext():
+            # The board answers ECHO only after the motion.
+            rig.bus.probe = lambda request, reply: Reaction([(0.2, reply)])
             began = time.monotonic()
             stop = rig.robot.start_call('halt')
             sent = at_once.wait(lambda: [each for each in rig.bus.requests if each.cmd2 == HALT],
                                 'the stop arrives', 5.0)[0]
             rig.in_time(at_once, began, sent.t, 0.05, f'noise: {dribble}')
-            rig.bus.react = None
+            rig.bus.react = rig.bus.probe = None
             calls.check(outstanding, future.result(MAX_WAIT), 'interrupted', 'not known', 1.0)
             calls.check(key, behind.result(MAX_WAIT), 'behind a stop', 'not sent', 1.0)
         at_once.check(stop.result(MAX_WAIT).success or dribble, 'the stop failed')

@@ -87,6 +87,11 @@ class Witness(threading.Thread):
                 if end > since - MARGIN and begin < until + MARGIN]
         return bool(late) and sum(late) >= seconds
 
+    def longest(self, since: float, until: float) -> float:
+        """The longest time in s without a byte of it, if that was too long."""
+        return max((end - begin for begin, end in list(self._late)
+                    if end > since and begin < until), default=0.0)
+
 
 class LogCheck:
     """Checks the log files and the terminal output of all bridges in `folder`."""

@@ -110,6 +110,10 @@ class Rig(Stage):
         """Whether a witness was late in this time, or just before or after it, by so much."""
         return any([each.excuses(since, until, seconds) for each in self._witnesses])
 
+    def longest_delay(self, since: float, until: float) -> float:
+        """The longest time in s by which a witness was late: only then may data be lost."""
+        return max(each.longest(since, until) for each in self._witnesses)
+
     def in_time(self, required: Requirement, since: float, until: float, limit: float, text: str,
                 least: float = 0.0) -> None:
         """Check the time between two reads, in s; it is not decided if the witness was late."""
@@ -294,8 +298,8 @@ class Rig(Stage):
                 return [each for each in messages if each.key is not None]
             with contextlib.suppress(StageError):
                 self.wait(lambda: len(published()) >= len(wanted), '', UNTIL_PUBLISHED)
-            if len(wanted) != len(published()) and \
-                    self.excuses(self._settled_at, time.monotonic() - 0.1, _STALL):
+            if len(wanted) > len(published()) and \
+                    self.longest_delay(self._settled_at, time.monotonic()) > _STALL:
                 required.undecided += 1
                 continue
             required.check(len(wanted) == len(published()),

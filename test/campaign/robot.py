@@ -76,6 +76,8 @@ def _adc(message: McuStatus) -> Any:
 
 def _attitude(q: Any) -> Tuple:
     """Heading, pitch and roll in hundredths of a degree."""
+    if math.isnan(q.w + q.x + q.y + q.z):
+        return ('not known',)
     roll = math.atan2(2 * (q.w * q.x + q.y * q.z), 1 - 2 * (q.x * q.x + q.y * q.y))
     yaw = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
     pitch = math.asin(max(-1.0, min(1.0, 2 * (q.w * q.y - q.z * q.x))))
@@ -166,11 +168,8 @@ class Robot:
         wall, (topic, to_key) = time.time(), topic_and_key
         stamp = (message.stamp if hasattr(message, 'stamp') else message.header.stamp
                  if hasattr(message, 'header') else None)
-        try:
-            key = to_key(message)
-        except ValueError as error:     # of NaN where there may be none
-            key = str(error)
-        self.on_message(topic, Published(wall, stamp.to_sec() if stamp else 0.0, key, message))
+        self.on_message(topic, Published(wall, stamp.to_sec() if stamp else 0.0, to_key(message),
+                                         message))
 
     def _receive_transforms(self, message: TFMessage) -> None:
         for each in message.transforms:

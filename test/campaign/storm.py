@@ -487,7 +487,7 @@ class ValueCheck:
         for key, at in lost:
             beside = any(which in ('', link) and since - _BESIDE[0] < at < until + _BESIDE[1]
                          for which, since, until in list(self._storm.disturbed))
-            if not beside and self._storm.rig.excuses(at - 1.0, at + 0.3, _LATE):
+            if not beside and self._storm.rig.longest_delay(at - 1.0, at + 0.3) > _LATE:
                 self._lost.undecided += 1
             else:
                 self._storm.check(self._lost, beside, f'{topic} {key}, sent at {at:.3f}')

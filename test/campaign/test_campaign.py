@@ -254,6 +254,7 @@ def test_witness():
     assert witness.excuses(since - 0.05, since, 0.07)
     assert witness.excuses(until - 9.0, later, 0.15) and not witness.excuses(since, since, 9.0)
     assert not witness.excuses(since - 9.0, since - 8.0, 0.0)
+    assert witness.longest(since - 9.0, later) >= 0.1
 
 
 def test_every_broken_bridge_applies():

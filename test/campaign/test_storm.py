@@ -64,6 +64,7 @@ class FakeStorm:
         self.rig = SimpleNamespace(
             row=self.table.row, bus=SimpleNamespace(connection=1),
             excuses=lambda since, until, seconds: self.late > seconds,
+            longest_delay=lambda since, until: self.late,
             robot=SimpleNamespace(command=lambda name, value, stamp: None))
         self.violated = []
 
