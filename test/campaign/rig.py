@@ -31,6 +31,7 @@ PORT_RETURN = 1.5        # s
 STOP_FIRST = 'SPEED 0 is the first packet whenever the port opens'
 LATCHED = 'an old latched command is refused, a new one is sent'
 ERRORS_COUNTED = 'every error is counted by cause and costs no valid frame'
+PUBLISHED = 'every valid frame is published once, in order, unchanged'
 GAPS = 'no gap of 30 ms between heartbeats, whatever else happens'
 
 UNTIL_PUBLISHED = 5.0    # s
@@ -107,7 +108,7 @@ class Rig(Stage):
             fences.check(False, self.bus.faults.popleft())
 
     def excuses(self, since: float, until: float, seconds: float) -> bool:
-        """Whether a witness was late in this time, or just before or after it, by so much."""
+        """Whether a witness was late in this time; see `Witness.excuses`."""
         return any([each.excuses(since, until, seconds) for each in self._witnesses])
 
     def longest_delay(self, since: float, until: float) -> float:
@@ -210,7 +211,7 @@ class Rig(Stage):
         self.wait(lambda: self.robot.call('bus/echo').success, 'the bus board is in step')
         self.wait(lambda: not car.packets or time.monotonic() > car.packets[-1].t + _QUIET,
                   "the car's line is quiet")
-        self.wait(published, 'measurements are published')
+        self.row(PUBLISHED).wait(published, 'measurements are published')
         self.clear_records()
         self._settled_at = time.monotonic()
 
@@ -290,7 +291,7 @@ class Rig(Stage):
 
     def compare(self, *boards: Board) -> None:
         """Compare what these boards sent since `settle` with what was published, and its stamps."""
-        required = self.row('every valid frame is published once, in order, unchanged')
+        required = self.row(PUBLISHED)
         for topic, messages in self.robot.published.items():
             wanted = [each for board in boards for each in board.sent if each.topic == topic]
 

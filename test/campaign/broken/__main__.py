@@ -60,7 +60,8 @@ def _run(broken: Broken, folder: Path) -> Optional[str]:
     violated = [row for row in rows if row['violations']]
     if not violated:
         return None
-    first = min(violated, key=lambda row: row['violated after'])
+    # That a scenario failed is only the consequence.
+    first = min(violated, key=lambda row: (row['group'] == 'campaign', row['violated after']))
     others = f' (and {len(violated) - 1} more)' if violated[1:] else ''
     return f'{first["violated after"]:6.1f} s  {first["requirement"]}{others}'
 
