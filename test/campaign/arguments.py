@@ -3,7 +3,9 @@
 The exact part has one fault at a time on quiet lines, so every comparison is exact. Then the
 statistical part has all faults at once, and damage on every line, for --duration or --hours. Every
 half hour the exact part is repeated. After Ctrl-C it prints the table of the results so far. The
-exit status is 0 only if no requirement was violated.
+exit status is 0 only if no requirement was violated, and each was tried as often as it has to be.
+
+soak --broken [NAME...] runs it on the broken bridges of test/campaign/broken instead.
 """
 # `--help` needs nothing that is installed or built, so this imports only the standard library.
 import argparse
@@ -28,7 +30,7 @@ def parse(arguments: Optional[List[str]] = None) -> argparse.Namespace:
                         help='keep all records here, not only those of a violation')
     parser.add_argument('--json', metavar='FILE', help='write the table to this file as JSON')
     parser.add_argument('--part', default='all', metavar='NAME',
-                        help='run only the statistical part (storm), or only the scenarios of the '
+                        help='run only this part (exact or storm), or only the scenarios of the '
                              'exact part with NAME in their name (exact_car, openings)')
     parser.add_argument('--bridge', default='', metavar='COMMAND',
                         help='run this command instead of the node, to test the campaign')

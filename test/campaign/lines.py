@@ -99,15 +99,21 @@ class SerialLine(threading.Thread):
         while self.fill():      # until no more bytes leave the line
             time.sleep(_PTY_DELAY)
 
-    def fill(self) -> int:
+    def fill(self, most: int = 1 << 20) -> int:
         """Write 0x00, which has no effect, until the line is full; return how many bytes fitted."""
         fd, size = os.open(self.port, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK), 0
         for piece in 4096, 256, 1:      # a smaller piece may fit where a larger one does not
             with contextlib.suppress(BlockingIOError):
-                while True:
+                while size < most:
                     size += os.write(fd, bytes(piece))
         os.close(fd)
         return size
+
+    def hang(self) -> None:
+        """Read nothing any more, but let the line take bytes, behind those that can be read: only
+        what waits behind them can be dropped."""
+        self.frozen = True
+        self.fill(2 * 4096)
 
     def set_flow(self, flows: bool) -> None:
         """Flow control: whether the bridge's end sends anything."""
@@ -152,7 +158,7 @@ class SerialLine(threading.Thread):
             fd = self._master if self.plugged else self._listener
             if fd < 0 or self.frozen:
                 time.sleep(_POLL / 1000)
-            elif _ready(fd, select.POLLIN, _POLL):
+            elif _events(fd, _POLL):
                 self.read_all()
 
     def _end(self) -> None:
@@ -162,10 +168,11 @@ class SerialLine(threading.Thread):
             self.on_unplugged()
 
 
-def _ready(fd: int, events: int, milliseconds: int) -> bool:
+def _events(fd: int, milliseconds: int) -> int:
+    """What poll() reports for this descriptor; it waits for bytes to read."""
     poll = select.poll()
-    poll.register(fd, events)
-    return bool(poll.poll(milliseconds))
+    poll.register(fd, select.POLLIN | select.POLLRDHUP)
+    return sum(event for _fd, event in poll.poll(milliseconds))
 
 
 class NetworkLine(SerialLine):
@@ -177,10 +184,21 @@ class NetworkLine(SerialLine):
     _is_network = True
 
     def plug(self, another_name: bool = False) -> None:
+        if self._listener >= 0:
+            return
         self._server = socket.create_server(('127.0.0.1', 0))
         self._server.setblocking(False)
         self._listener = self._server.fileno()
         self.port = f'socket://127.0.0.1:{self._server.getsockname()[1]}'
+
+    def unplug(self) -> None:
+        """Close the connection; the server accepts another one."""
+        with self._lock:
+            self.frozen = False
+            self._end()
+
+    def hang(self) -> None:
+        self.frozen = True
 
     def lose_connection(self) -> None:
         """Forget the connection without closing it, so the bridge is not notified."""
@@ -197,7 +215,7 @@ class NetworkLine(SerialLine):
             self._end_if_closed()
 
     def _end_if_closed(self) -> None:
-        if self.plugged and _ready(self._master, select.POLLRDHUP, 0):
+        if self.plugged and _events(self._master, 0) & select.POLLRDHUP:
             self._end()
 
     def read_all(self) -> None:
@@ -210,5 +228,5 @@ class NetworkLine(SerialLine):
                 connection.setblocking(False)
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 self._master = connection.detach()
-                self._end_if_closed()       # it was closed while the network was frozen
+                self._end_if_closed()       # while the network was frozen
             super().read_all()

@@ -340,14 +340,14 @@ def _free_port() -> int:
 
 
 def _before_exec(priority: int) -> None:
-    """In the child: end with the parent; real-time priority if asked for and allowed."""
+    """In the child: end with the parent; its own priority, as far as the system allows it."""
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDS)
     try:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
     except (OSError, AttributeError):
         pass
-    if priority:
-        try:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-        except OSError:
-            pass
+    policy = os.SCHED_FIFO if priority else os.SCHED_OTHER     # not that of the parent
+    try:
+        os.sched_setscheduler(0, policy, os.sched_param(priority))
+    except OSError:
+        pass

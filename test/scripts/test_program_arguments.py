@@ -26,6 +26,7 @@ WRONG = (
     ('serial_communication_node', ('--wrong',)),
     ('serial_communication_node', ('/dev/ttyS0',)), ('simulator', ()),
     ('simulator', ('wheel',)), ('simulator', ('bus', '--wrong')), ('soak', ('--wrong',)),
+    ('soak', ('--broken', 'nothing')),
     ('socat_pair', ()), ('socat_pair', ('a',)), ('socat_pair', ('--wrong', 'a')),
     ('test', ('--wrong',)), ('wire', ()), ('wire', ('wheel',)), ('wire', ('listen', 'wheel')),
 )
