@@ -9,7 +9,8 @@ import signal
 import struct
 import termios
 import time
-from typing import Any, Iterable, List, Tuple
+from collections import defaultdict
+from typing import Any, Dict, Iterable, List, Tuple
 
 import by_definition as codec
 from processes import StageError
@@ -114,44 +115,44 @@ def traffic(rig: Rig) -> None:
     required = rig.row('serial_msg has every received and sent frame once, in order')
     counters = rig.row('the counters in /diagnostics are exact')
     drive = Drive(rig)
-    alive = codec.arduino_packet(ALIVE)     # which are all the same
-    boards = {'arduino': rig.car, 'mcu': rig.sensors, 'bus': rig.bus}
-    with rig.traffic() as shown:
-        rig.settle()
-        wanted = dict.fromkeys(('frames received', 'framing errors', 'checksum errors',
-                                'bytes received'), 0)
-        with rig.counted(counters, 'mcu', wanted):
-            rig.clear_records()
-            for number in range(1, 21):
-                rig.car.measure()
-                rig.sensors.measure()
-                rig.sensors.write(codec.mcu_frame(0x55, number, b'damaged')[:-1] + b'!')
-                drive.command('steering')
-                rig.robot.call('bus/echo')
-            rig.sleep(0.1)      # a damaged frame is given up
-            wanted.update({'frames received': 40, 'framing errors': 20,
-                           'bytes received': len(b''.join(rig.sensors.written))})
-        to_car = [codec.arduino_packet(each.type, each.data) for each in rig.car.packets]
+    shown: Dict[Tuple[str, int], List[SerialMsg]] = defaultdict(list)   # by link and direction
+    subscriber = rig.robot.subscribe_to_traffic(
+        lambda message: shown[message.link, message.direction].append(message))
+    # Until each link has shown frames.
+    rig.wait(lambda: not rig.measure() and rig.robot.call('bus/echo').success and len(shown) >= 5,
+             'serial_msg')
+    rig.settle()
+    wanted = {'frames received': 40, 'framing errors': 20, 'checksum errors': 0,
+              'bytes received': 0}
+    with rig.counted(counters, 'mcu', wanted):
+        rig.clear_records()
+        for number in range(1, 21):
+            rig.measure()
+            rig.sensors.write(codec.mcu_frame(0x55, number, b'damaged')[:-1] + b'!')
+            drive.command('steering')
+            rig.robot.call('bus/echo')
+        rig.sleep(0.1)      # a damaged frame is given up
+        wanted['bytes received'] = len(b''.join(rig.sensors.written))
+    for link, direction, frames, frame_at in (
+            ('arduino', 1, [codec.arduino_packet(each.type, each.data) for each in rig.car.packets],
+             codec.arduino_at), *((board.line.name, 0, board.written, board.sent_frame_at)
+                                  for board in (rig.car, rig.sensors, rig.bus))):
+        frames = [frame for frame in frames         # signs of life are all the same
+                  if b'damaged' not in frame and frame != codec.arduino_packet(ALIVE)]
 
-        def matching(way: Tuple[str, int], frames: List[bytes]) -> List[SerialMsg]:
-            return [each for each in list(shown[way]) if bytes(each.frame) in frames]
-
-        for way, frames in ((('arduino', 1), to_car), *(
-                ((link, 0), board.written) for link, board in boards.items())):
-            frames = [frame for frame in frames if b'damaged' not in frame and frame != alive]
-            with contextlib.suppress(StageError):
-                rig.wait(lambda: len(matching(way, frames)) >= len(frames), '', UNTIL_PUBLISHED)
-            found = matching(way, frames)
-            required.check([bytes(each.frame) for each in found] == frames,
-                           f'{way}: {len(frames)} frames, {len(found)} of them in serial_msg')
-            frame_at = boards[way[0]].sent_frame_at
-            for each in found:
-                content = codec.decode(bytes(each.frame), frame_at)[0][0].content
-                required.check(content == (each.type, each.command, bytes(each.data))
-                               and each.text and not each.error, f'{each}')
-        errors = [each for each in shown['mcu', 0] if each.error]
-        required.check(b''.join(bytes(each.frame) for each in errors).count(b'damaged') == 20,
-                       f'{len(errors)} damaged frames are shown')
+        def found() -> List[SerialMsg]:
+            return [each for each in list(shown[link, direction]) if bytes(each.frame) in frames]
+        with contextlib.suppress(StageError):
+            rig.wait(lambda: len(found()) >= len(frames), '', UNTIL_PUBLISHED)
+        required.check([bytes(each.frame) for each in found()] == frames,
+                       f'{link} {direction}: {len(frames)} frames, {len(found())} in serial_msg')
+        for each in found():
+            content = codec.decode(bytes(each.frame), frame_at)[0][0].content
+            required.check(content == (each.type, each.command, bytes(each.data))
+                           and each.text and not each.error, f'{each}')
+    errors = b''.join(bytes(each.frame) for each in shown['mcu', 0] if each.error)
+    required.check(errors.count(b'damaged') == 20, 'not all damaged frames are shown')
+    subscriber.unregister()
     for link, line in rig.lines.items():
         counters.check(rig.next_report(link)[2]['hardware id'] == line.port, f'port of {link}')
 

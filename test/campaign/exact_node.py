@@ -16,8 +16,7 @@ from processes import StageError
 from .boards import CUSTOM, POLLED, Reaction
 from .exact_bus import Calls
 from .exact_car import Drive, measurements
-from .requirements import MAX_WAIT
-from .rig import LATCHED, MOTION_TIMEOUT, STOP_FIRST, Rig
+from .rig import LATCHED, STOP_FIRST, Rig
 from .robot import NODE
 
 _END = 2.0               # s
@@ -101,9 +100,9 @@ def resets(rig: Rig) -> None:
         for _ in range(5):
             board.measure()
         board.line.write(incomplete)
-    key, future = calls.start_unanswered()
+    call = calls.start_unanswered()
     rig.bus.in_step, rig.bus.react = False, None
-    calls.check(key, future.result(MAX_WAIT), 'reset', 'not known', MOTION_TIMEOUT)
+    calls.check(call, 'reset', 'not known')
     rig.sleep(0.9)
     rig.sensors.seq = 0
     for _ in range(5):

@@ -66,9 +66,10 @@ def silent(rig: Rig) -> None:
     reported = rig.row('a silent sensor board: reports each second, no old values')
     rig.settle()
     rig.car.talks = False
-    with rig.measuring():
+    with rig.clock.each(0.05, rig.measure):
         for link in ('mcu', 'arduino'):
             rig.diagnosed(link, 0, 'open')
+    rig.sleep(0.05)         # until the last call has returned
     rig.compare(rig.car, rig.sensors)
     statuses, adc = rig.robot.published['mcu/status'], rig.robot.published['mcu/adc_status']
     last = [each for each in statuses if each.key][-1]

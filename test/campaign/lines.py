@@ -10,7 +10,7 @@ import termios
 import threading
 import time
 import tty
-from typing import Callable
+from typing import Any, Callable, Iterator
 
 _POLL = 20               # ms that a reader waits at most until it checks the line's state
 _TICK = 0.002            # s
@@ -32,6 +32,21 @@ class Clock(threading.Thread):
 
     def at(self, when: float, action: Callable[[], None]) -> None:
         self._due.enterabs(when, next(self._numbers), action)
+
+    @contextlib.contextmanager
+    def each(self, period: float, action: Callable[[], Any]) -> Iterator[None]:
+        """Call this now and then each `period` s, until the end of the block."""
+        active = [True]
+
+        def act() -> None:
+            if active:
+                action()
+                self.after(period, act)
+        act()
+        try:
+            yield
+        finally:
+            active.clear()
 
     def run(self) -> None:
         while True:

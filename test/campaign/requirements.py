@@ -4,10 +4,10 @@ import math
 import threading
 import time
 from collections import Counter
+from pathlib import Path
 from typing import Any, Callable, Dict, List
 
 from processes import Stage, StageError
-from .rows import ROWS
 
 MAX_WAIT = 30.0      # s for an event without a limit of its own; only a failure takes so long
 _EXAMPLES = 4        # violations of a requirement that are kept and printed
@@ -67,12 +67,16 @@ class Requirement:
 
 
 class Table:
-    """All requirements of rows.py."""
+    """All requirements of rows.txt: by group, with how often each has to be checked at least.
+
+    That is in each run of the exact part; in the groups of the storm, in each minute of it. A
+    requirement that was checked less often is not fulfilled, whatever the reason is.
+    """
 
     def __init__(self) -> None:
         self.rows: Dict[str, Requirement] = {}
         group = ''
-        for line in filter(None, ROWS.splitlines()):
+        for line in Path(__file__).with_name('rows.txt').read_text().splitlines():
             if line.startswith(' '):
                 least, text = line.split(None, 1)
                 part = 'storm' if group.startswith('storm') else 'exact'

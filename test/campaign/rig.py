@@ -1,5 +1,4 @@
 """What the scenarios use: a roscore, the bridge, the lines, the boards and the robot."""
-import collections
 import contextlib
 import json
 import os
@@ -9,7 +8,6 @@ import time
 from typing import Any, Callable, Dict, Iterator, List, Set, Tuple
 
 from processes import Child, Stage, StageError
-from serial_communication.msg import SerialMsg
 from .boards import BEAT_MISSED, CUSTOM, Board, BusBoard, Car, Sensors
 from .lines import Clock, SerialLine
 from .logs import LogCheck, Witness
@@ -201,8 +199,7 @@ class Rig(Stage):
         def published() -> Any:
             """Publish one value on each topic: earlier values cannot arrive after it."""
             self.clear_records()
-            car.measure()
-            sensors.measure()
+            self.measure()
             sensors.cliff()
             with contextlib.suppress(StageError):
                 return self.wait(lambda: all(map(self.robot.has, car.sent + sensors.sent)), '', 1.0)
@@ -228,22 +225,10 @@ class Rig(Stage):
             return len(self.robot.published[topic]) > count
         required.wait(is_published, f'{topic} is published')
 
-    @contextlib.contextmanager
-    def measuring(self) -> Iterator[None]:
-        """The car and the sensor board send measurements meanwhile."""
-        active = [True]
-
-        def measure() -> None:
-            if active:
-                self.car.measure()
-                self.sensors.measure()
-                self.clock.after(0.05, measure)
-        measure()
-        try:
-            yield
-        finally:
-            active.clear()
-            self.sleep(0.05)        # until the last call of `measure` has returned
+    def measure(self) -> None:
+        """Let the car and the sensor board send their measurements."""
+        self.car.measure()
+        self.sensors.measure()
 
     def next_report(self, link: str) -> Tuple[int, str, Dict[str, str]]:
         """Level, message and values of the next status of a link in /diagnostics."""
@@ -273,21 +258,6 @@ class Rig(Stage):
             if grown == wanted:
                 break
         required.check(grown == wanted, f'{link}: counted {grown}, expected {wanted}')
-
-    @contextlib.contextmanager
-    def traffic(self) -> Iterator[Dict[Tuple[str, int], List[SerialMsg]]]:
-        """What serial_msg shows, by link and direction; yields when each link has shown frames."""
-        frames: Dict[Tuple[str, int], List[SerialMsg]] = collections.defaultdict(list)
-        subscriber = self.robot.subscribe_to_traffic(
-            lambda message: frames[message.link, message.direction].append(message))
-
-        def complete() -> bool:
-            self.car.measure()
-            self.sensors.measure()
-            return self.robot.call('bus/echo').success and len(frames) >= 5
-        self.wait(complete, 'serial_msg')
-        yield frames
-        subscriber.unregister()
 
     def compare(self, *boards: Board) -> None:
         """Compare what these boards sent since `settle` with what was published, and its stamps."""
