@@ -49,6 +49,9 @@ class Sent(NamedTuple):
 
 
 _COMMANDS = {codec.SPEED: '<h', codec.STEERING: '<H', WINCH: '>H', HEATER: '>H'}
+_MEASUREMENTS = {codec.TICKS: ('~ticks', '<B'), codec.STEERING_ANGLE: ('~steering_angle', '<H'),
+                 COUNTER: ('~counter', '<I'), codec.VOLTAGE: ('~voltage', '<f'),
+                 codec.IMU: ('~imu', '>11h')}
 
 
 class Packet(NamedTuple):
@@ -80,18 +83,15 @@ def car_keys(frame: codec.Frame) -> List[Key]:
     """The topics and values that a packet of the car is published as."""
     if frame.type == BLOB:
         return [('~blob', frame.data)]
-    topic, layout = {
-        codec.TICKS: ('~ticks', '<B'), codec.STEERING_ANGLE: ('~steering_angle', '<H'),
-        COUNTER: ('~counter', '<I'), codec.VOLTAGE: ('~voltage', '<f'),
-        codec.IMU: ('~imu', '>11h')}.get(frame.type, ('', ''))
+    topic, layout = _MEASUREMENTS.get(frame.type, ('', ''))
     if not topic or len(frame.data) != struct.calcsize(layout):
         return []
     values = struct.unpack(layout, frame.data)
     if frame.type == codec.IMU:
-        return [('~imu', values[:10]), ('~imu/temperature', values[10]),
+        return [(topic, values[:10]), ('~imu/temperature', values[10]),
                 ('tf/imu_orientation', unit_key(values[:4]))]
     if frame.type == codec.VOLTAGE:
-        return [('~voltage', wire_number(values[0] * 1000))] if 0 <= values[0] <= 100 else []
+        return [(topic, wire_number(values[0] * 1000))] if 0 <= values[0] <= 100 else []
     return [(topic, values[0])]
 
 
@@ -104,18 +104,16 @@ def sensor_keys(frame: codec.Frame) -> List[Key]:
     if frame.type != codec.SENSORS:
         return []
     one, two, *angles = struct.unpack('<HHhhh', frame.data)
+    attitude: List[Key] = []
     if angles[1] == angles[2] == -32768:        # the angles are not known
-        return _status_keys(frame.command, one, two, (None,) * 3)
-    angles[0] += 0 if angles[0] >= -18000 else 65536
-    attitude = angles[0] % 36000, *angles[1:]
-    return [*_status_keys(frame.command, one, two, tuple(angles)), ('mcu/imu', attitude),
-            ('tf/mcu_imu_orientation', attitude)]
-
-
-def _status_keys(seq: int, one: int, two: int, angles: Tuple) -> List[Key]:
+        angles = [None] * 3
+    else:
+        angles[0] += 0 if angles[0] >= -18000 else 65536
+        attitude = [(topic, (angles[0] % 36000, *angles[1:]))
+                    for topic in ('mcu/imu', 'tf/mcu_imu_orientation')]
     valid = 0xFFFF not in (one, two) and None not in angles
-    return [('mcu/status', (seq, valid, one, two, angles)), ('mcu/range_1', range_key(one)),
-            ('mcu/range_2', range_key(two))]
+    return [('mcu/status', (frame.command, valid, one, two, tuple(angles))),
+            ('mcu/range_1', range_key(one)), ('mcu/range_2', range_key(two)), *attitude]
 
 
 def reply_keys(frame: codec.Frame) -> List[Key]:
@@ -161,10 +159,8 @@ class Board:
         self.sent: List[Sent] = []
         self.written: List[bytes] = []      # valid and invalid frames
         self._reader = codec.Reader(self.received_frame_at)
-        self.attach()
-
-    def attach(self) -> None:
-        self.line.on_bytes, self.line.on_unplugged = self.read, self.start_connection
+        line.on_bytes, line.on_unplugged = self.read, self.start_connection
+        line.damage = lambda data: data
 
     def read(self, data: bytes, now: float) -> None:
         for frame in self._reader.feed(data, now):
@@ -174,12 +170,9 @@ class Board:
         self._reader.reset()
         self.connection += 1
 
-    def clear_sent(self) -> None:
+    def clear_records(self) -> None:
         self.sent.clear()
         self.written.clear()
-
-    def clear_records(self) -> None:
-        self.clear_sent()
 
     def received(self, frame: codec.Frame, now: float) -> None:
         """Called for each frame from the bridge."""

@@ -15,7 +15,7 @@ import by_definition as codec
 from .boards import HALT, MEMORY, PRESS, PROBE, PUMP, PUMP_ROW, Reaction, Request, reply_frame
 from .requirements import MAX_WAIT
 from .rig import (MOTION_TIMEOUT, POLLED_TOPICS, PORT_RETURN, PORT_RETURNS, REPLY_TIMEOUT, Rig)
-from .robot import NOT_SENT, TIMEOUT, Outcome
+from .robot import NOT_SENT, Outcome
 
 Key = Tuple[int, bytes]     # CMD2 and DATE of a request
 QUEUE_TIME = 0.8         # s that a call may wait for its turn, in addition to its timeout
@@ -133,9 +133,10 @@ class Calls:
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
-        self.done = rig.row('outcome done: executed exactly once')
-        self.refused = rig.row('outcome refused or not sent: not executed')
-        self.not_known = rig.row('outcome not known: executed at most once')
+        refused = rig.row('outcome refused or not sent: not executed')
+        self.outcomes = {'done': rig.row('outcome done: executed exactly once'),
+                         'refused': refused, 'not sent': refused,
+                         'not known': rig.row('outcome not known: executed at most once')}
         self.sent_again = rig.row('a motion is sent again only if it was not executed')
         self.matches = rig.row('the outcome of a call matches what the board replied')
         self.in_time = rig.row('a call returns within timeout + 0.8 s + 0.2 s for ROS')
@@ -158,7 +159,7 @@ class Calls:
         """Start a call of the lift, which is executed without a reply."""
         self.rig.bus.react = lambda request: Reaction([], True)
         call = self.start('lift')
-        self.not_known.wait(lambda: self.rig.bus.executed[call.key], 'the request arrives')
+        self.matches.wait(lambda: self.rig.bus.executed[call.key], 'the request arrives')
         return call
 
     def call(self, service: str, what: str, wanted: str, limit: float = MOTION_TIMEOUT) -> Outcome:
@@ -172,17 +173,12 @@ class Calls:
         what = f'{call.service} {what}'
         text = f'{what}: {outcome.status} "{outcome.message[:90]}", executed {executed} times'
         self.in_time.at_most(outcome.seconds, limit + QUEUE_TIME + _ROS_TIME, 's', what)
-        name = 'done' if outcome.success else {
-            TIMEOUT: 'not known', NOT_SENT: 'not sent'}.get(outcome.status, 'refused')
-        self.matches.check(name in wanted, f'{text}, expected "{wanted}"')
+        self.matches.check(outcome.name in wanted, f'{text}, expected "{wanted}"')
+        self.outcomes[outcome.name].check(outcome.is_true(executed), text)
         if outcome.success:
-            self.done.check(executed == 1, text)
             self.own_reply.check(key[0] != MEMORY or outcome.data == key[1], f'{what}: other data')
-        elif name == 'not known':
-            self.not_known.check(executed <= 1, text)
-        else:
-            self.refused.check(executed == 0, text)
-            codes = (codec.FAILED, 0x20, codec.BAD_CHECKSUM) if name == 'refused' else (0,)
+        elif outcome.name != 'not known':
+            codes = (codec.FAILED, 0x20, codec.BAD_CHECKSUM) if outcome.name == 'refused' else (0,)
             self.matches.check(outcome.error_code in codes, f'{text}: code {outcome.error_code}')
         return outcome
 
@@ -208,7 +204,8 @@ def _try_case(calls: Calls, case: Case, service: str) -> None:
     def react(request: Request) -> Reaction:
         if request.cmd2 == PROBE:
             return _refusal(codec.FAILED, codec.ERROR)
-        return case.react(rig, request, [each.key for each in rig.bus.requests].count(request.key))
+        times = [each.key for each in rig.bus.requests].count(request.key)
+        return case.react(rig, request, times)
 
     def probe(request: Request, reply: bytes) -> Optional[Reaction]:
         if request.cmd1 != case.probe_cmd:

@@ -3,6 +3,7 @@ import contextlib
 import glob
 import json
 import signal
+import termios
 import time
 import xmlrpc.client
 from typing import Any, Dict, FrozenSet, List, Set, Tuple
@@ -15,7 +16,7 @@ import by_definition as codec
 from processes import StageError
 from .boards import CUSTOM, POLLED, Reaction
 from .exact_bus import Calls
-from .exact_car import Drive, measurements
+from .exact_car import Drive, check_first, measurements
 from .rig import LATCHED, STOP_FIRST, Rig
 from .robot import NODE
 
@@ -116,7 +117,7 @@ def resets(rig: Rig) -> None:
 
 def killed(rig: Rig) -> None:
     """SIGKILL while the car drives; then another bridge, an absent port, an old latched speed."""
-    first, latched = rig.row(STOP_FIRST), rig.row(LATCHED)
+    latched = rig.row(LATCHED)
     absent = rig.row('a port that is absent at the start is opened when it appears')
     rig.settle()
     drive = Drive(rig)
@@ -127,8 +128,7 @@ def killed(rig: Rig) -> None:
     rig.mcu_line.unplug()
     since = len(rig.car.packets)
     rig.start(POLLING)
-    packet = rig.car.first[rig.car.connection]
-    first.check(packet.is_stop, f'the first packet was {packet}')
+    check_first(rig)
     child.order('next')
     latched.wait(lambda: rig.car.packet(codec.SPEED, 302), 'the new speed arrives')
     latched.check(not rig.car.packet(codec.SPEED, 301, since), 'the latched speed 301 arrived')
@@ -155,11 +155,11 @@ def end(rig: Rig, number: int, hang: bool) -> None:
     drive, lines = Drive(rig), (rig.bus_line, rig.mcu_line)
     rig.robot.command('speed', 0)
     rig.bus.clear_records()
-    if hang and rig.bus_line.port.startswith('/'):
+    if hang:
         for line in lines:
             line.frozen = True
             line.fill()
-            line.set_flow(False)
+            termios.tcflow(line.slave, termios.TCOOFF)
     else:
         rig.bus.react = lambda request: Reaction([], True)
         rig.robot.start_call('lift', 1, 1)
@@ -181,9 +181,14 @@ def end(rig: Rig, number: int, hang: bool) -> None:
     required.check(status == 0, f'{what}: its exit status is {status}')
     rig.check_always()
     for line in lines if hang else ():
-        line.set_flow(True)
+        termios.tcflow(line.slave, termios.TCOON)
         line.frozen = False
         line.drain()
+
+
+def network_end(rig: Rig) -> None:
+    """SIGTERM of a bridge behind networks."""
+    end(rig, signal.SIGTERM, hang=False)
 
 
 class WaitForProcessor:

@@ -6,7 +6,6 @@ import pty
 import sched
 import select
 import socket
-import termios
 import threading
 import time
 import tty
@@ -63,8 +62,6 @@ class SerialLine(threading.Thread):
         damage: returns what the bridge receives for bytes that the board sends.
     """
 
-    _is_network = False
-
     def __init__(self, path: str) -> None:
         super().__init__(name=os.path.basename(path), daemon=True)
         self.port = path
@@ -73,7 +70,7 @@ class SerialLine(threading.Thread):
         self.damage: Callable[[bytes], bytes] = lambda data: data
         self.frozen = False
         self._master = self._listener = -1
-        self._device = ''        # name of `_slave`, which is the bridge's end
+        self._device = ''        # name of `slave`, which is the bridge's end
         self._lock = threading.RLock()
         self._bytes_read = 0
         self.plug()
@@ -82,14 +79,14 @@ class SerialLine(threading.Thread):
     def plug(self, another_name: bool = False) -> None:
         """Make the port appear; with `another_name` it is another device than before."""
         with self._lock:
-            self._master, self._slave = pty.openpty()
-            if another_name and os.ttyname(self._slave) == self._device:
-                spare = self._master, self._slave
-                self._master, self._slave = pty.openpty()
+            self._master, self.slave = pty.openpty()
+            if another_name and os.ttyname(self.slave) == self._device:
+                spare = self._master, self.slave
+                self._master, self.slave = pty.openpty()
                 for fd in spare:
                     os.close(fd)
-            self._device = os.ttyname(self._slave)
-            tty.setraw(self._slave)
+            self._device = os.ttyname(self.slave)
+            tty.setraw(self.slave)
             os.set_blocking(self._master, False)
             os.symlink(self._device, self.port + '~')
             os.replace(self.port + '~', self.port)
@@ -98,7 +95,7 @@ class SerialLine(threading.Thread):
         """Make the port disappear, with all bytes on their way."""
         with self._lock:
             os.unlink(self.port)
-            os.close(self._slave)
+            os.close(self.slave)
             self.frozen = False
             self._end()
 
@@ -130,10 +127,6 @@ class SerialLine(threading.Thread):
         self.frozen = True
         self.fill(2 * 4096)
 
-    def set_flow(self, flows: bool) -> None:
-        """Flow control: whether the bridge's end sends anything."""
-        termios.tcflow(self._slave, termios.TCOON if flows else termios.TCOOFF)
-
     def thaw(self) -> None:
         self.frozen = False
 
@@ -150,8 +143,7 @@ class SerialLine(threading.Thread):
         with self._lock:
             data = self.damage(data)
             try:
-                is_up = self.plugged and not (self._is_network and self.frozen)
-                return is_up and os.write(self._master, data) == len(data)
+                return os.write(self._master, data) == len(data)
             except OSError:
                 return False
 
@@ -196,8 +188,6 @@ class NetworkLine(SerialLine):
     If a connection ends while the network is frozen, its unread bytes are lost.
     """
 
-    _is_network = True
-
     def plug(self, another_name: bool = False) -> None:
         if self._listener >= 0:
             return
@@ -212,8 +202,8 @@ class NetworkLine(SerialLine):
             self.frozen = False
             self._end()
 
-    def hang(self) -> None:
-        self.frozen = True
+    def write(self, data: bytes) -> bool:
+        return not self.frozen and super().write(data)
 
     def lose_connection(self) -> None:
         """Forget the connection without closing it, so the bridge is not notified."""
@@ -223,6 +213,8 @@ class NetworkLine(SerialLine):
 
     def freeze(self) -> None:
         self.frozen = True
+
+    hang = freeze
 
     def thaw(self) -> None:
         with self._lock:

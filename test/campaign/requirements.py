@@ -14,22 +14,16 @@ _EXAMPLES = 4        # violations of a requirement that are kept and printed
 
 
 class Requirement:
-    """One requirement and the results of its checks.
+    """One requirement and the results of its checks."""
 
-    Args:
-        part: 'exact' or 'storm'.
-        least: how often it has to be checked in each run of its part; in the storm, each minute.
-    """
-
-    def __init__(self, part: str, group: str, text: str, least: int) -> None:
+    def __init__(self, table: 'Table', part: str, group: str, text: str, least: int) -> None:
+        self._table = table
         self.part, self.group, self.text, self.least = part, group, text, least
-        self.checks = 0
-        self.violations = 0
+        self.checks = self.violations = 0
         self.undecided = 0      # checks without a result, since the witness was late, too
         self.examples: List[str] = []       # descriptions of the first violations
         self.violated_at = 0.0
-        self.worst = float('-inf')
-        self._unit = ''
+        self.worst, self._unit = float('-inf'), ''
         self._lock = threading.Lock()
 
     def check(self, holds: Any, text: str) -> bool:
@@ -39,8 +33,9 @@ class Requirement:
             if not holds:
                 self.violated_at = self.violated_at or time.monotonic()
                 self.violations += 1
-                if len(self.examples) < _EXAMPLES:
-                    self.examples.append(text[:300])
+                self.examples += [text[:300]] if len(self.examples) < _EXAMPLES else []
+        if not holds:
+            self._table.on_violation(self.text, text)
         return bool(holds)
 
     def at_most(self, value: float, limit: float, unit: str, text: str) -> bool:
@@ -74,6 +69,7 @@ class Table:
     """
 
     def __init__(self) -> None:
+        self.on_violation: Callable[[str, str], None] = lambda requirement, text: None
         self.rows: Dict[str, Requirement] = {}
         group = ''
         for line in Path(__file__).with_name('rows.txt').read_text().splitlines():
@@ -81,7 +77,7 @@ class Table:
                 least, text = line.split(None, 1)
                 part = 'storm' if group.startswith('storm') else 'exact'
                 assert text not in self.rows, text
-                self.rows[text] = Requirement(part, group, text, int(least))
+                self.rows[text] = Requirement(self, part, group, text, int(least))
             else:
                 group = line
         self._runs: 'Counter[str]' = Counter()
@@ -116,8 +112,8 @@ class Table:
     def is_green(self) -> bool:
         return not self.violated and not self.too_few
 
-    def render(self) -> str:
-        """As text: all requirements, then the first violations of each."""
+    def __str__(self) -> str:
+        """All requirements, the first violations of each, and whether all was tried enough."""
         lines = [f'{"":14} {"requirement":76} {"least":>7} {"checks":>8} {"violations":>10} '
                  f'{"not decided":>11}  worst case']
         group = ''
@@ -132,15 +128,12 @@ class Table:
                 lines.append(f'  and {each.violations - len(each.examples)} more')
         lines += [f'\nNOT TRIED ENOUGH  {each.group}: {each.text}: '
                   f'{each.checks} of {self.least(each)}' for each in self.too_few]
-        return '\n'.join(lines)
-
-    def summary(self) -> str:
-        """The last line: whether all was tried often enough, and what was violated."""
         tried = (f'{len(self.too_few)} not tried as often as they have to be' if self.too_few
                  else 'each tried as often as it has to be' if self._runs else
                  'only a part of the scenarios was run')
-        return (f'{len(self.used)} requirements, {tried}; {len(self.violated)} violated, '
-                f'{sum(each.undecided for each in self.used)} checks not decided')
+        return '\n'.join([*lines, f'{len(self.used)} requirements, {tried}; {len(self.violated)} '
+                          f'violated, {sum(each.undecided for each in self.used)} checks not '
+                          'decided'])
 
     def as_json(self) -> str:
         return json.dumps([{

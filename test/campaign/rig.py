@@ -5,7 +5,7 @@ import os
 import signal
 import sys
 import time
-from typing import Any, Callable, Dict, Iterator, List, Set, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Tuple
 
 from processes import Child, Stage, StageError
 from .boards import BEAT_MISSED, CUSTOM, Board, BusBoard, Car, Sensors
@@ -15,8 +15,7 @@ from .requirements import Requirement, Table
 from .robot import FRAMES, TOPICS, Published, Robot
 
 REPLY_TIMEOUT = 0.3      # s: parameters of the bridge
-MOTION_TIMEOUT = 0.5
-SPEED_TIMEOUT = 0.5
+MOTION_TIMEOUT = SPEED_TIMEOUT = 0.5
 PARAMETERS: Dict[str, Any] = {
     'bus/motion_timeout': MOTION_TIMEOUT, 'bus/reply_timeout': REPLY_TIMEOUT,
     'bus/environment_period': 0.0, 'publish_tf': True,
@@ -30,7 +29,6 @@ STOP_FIRST = 'SPEED 0 is the first packet whenever the port opens'
 LATCHED = 'an old latched command is refused, a new one is sent'
 ERRORS_COUNTED = 'every error is counted by cause and costs no valid frame'
 PUBLISHED = 'every valid frame is published once, in order, unchanged'
-GAPS = 'no gap of 30 ms between heartbeats, whatever else happens'
 
 UNTIL_PUBLISHED = 5.0    # s
 _QUIET = 0.2             # s without a packet to the car after which its line is quiet
@@ -53,14 +51,12 @@ class Rig(Stage):
     def __enter__(self) -> 'Rig':
         super().__enter__()
         self.robot = Robot()
-        self.bus_line, self.car_line, self.mcu_line = (
-            SerialLine(self.path(name)) for name in ('bus', 'arduino', 'mcu'))
-        self.use_lines(self.bus_line, self.car_line)
-        self.sensors = Sensors(self.mcu_line)
-        self._permanent: Set[Child] = set()
-        self._witnesses = [Witness(lambda fd: self._permanent.add(self.user(
+        self.mcu_line = SerialLine(self.path('mcu'))
+        self.use_lines(SerialLine(self.path('bus')), SerialLine(self.path('arduino')))
+        self._witnesses = [Witness(lambda fd: self.user(
             'witness', f'witness_{processor}', fd, processor, ready=False,
-            priority=_BRIDGE_PRIORITY, fds=(fd,)))) for processor in os.sched_getaffinity(0)]
+            priority=_BRIDGE_PRIORITY, fds=(fd,))) for processor in os.sched_getaffinity(0)]
+        self._permanent = {*self.children}
         return self
 
     def use_lines(self, bus_line: SerialLine, car_line: SerialLine) -> None:
@@ -70,6 +66,7 @@ class Rig(Stage):
         self.bus_line, self.car_line = bus_line, car_line
         self.lines = {'bus': bus_line, 'arduino': car_line, 'mcu': self.mcu_line}
         self.car, self.bus = Car(car_line, self.clock), BusBoard(bus_line, self.clock)
+        self.sensors = Sensors(self.mcu_line)
 
     def start(self, parameters: Dict[str, Any] = {}) -> None:
         """Start a bridge with these parameters besides `PARAMETERS`; wait until it works."""
@@ -91,10 +88,10 @@ class Rig(Stage):
     def check_always(self) -> None:
         """Check what holds at any time: the logs, the heartbeats, the fences on the bus."""
         self.logs.check_new_lines()
-        gaps, beats, self.car.gaps = self.car.gaps, self.car.all_beats, []
-        required, self.car.all_beats = self.row(GAPS), 0
+        required = self.row('no gap of 30 ms between heartbeats, whatever else happens')
         required.keep_worst(self.car.longest_gap * 1e3, 'ms')
-        required.checks += beats
+        required.checks += self.car.all_beats
+        gaps, self.car.gaps, self.car.all_beats = self.car.gaps, [], 0
         for since, until in gaps:
             if self.excuses(since, until, until - since - BEAT_MISSED):
                 required.undecided += 1
@@ -116,28 +113,29 @@ class Rig(Stage):
     def in_time(self, required: Requirement, since: float, until: float, limit: float, text: str,
                 least: float = 0.0) -> None:
         """Check the time between two reads, in s; it is not decided if the witness was late."""
-        if not least <= until - since <= limit and \
-                self.excuses(since, until, until - since - limit):
+        seconds = until - since
+        if not least <= seconds <= limit and self.excuses(since, until, seconds - limit):
             required.undecided += 1
             return
-        required.at_most((until - since) * 1e3, limit * 1e3, 'ms', text)
-        required.check(until - since >= least,
-                       f'{text}: {until - since:.3f} s, at least {least:g}')
+        required.at_most(seconds * 1e3, limit * 1e3, 'ms', text)
+        required.check(seconds >= least, f'{text}: {seconds:.3f} s, at least {least:g}')
 
     def wait_for_bridge(self) -> None:
         """Until it serves every link that is plugged in, and is connected to the robot."""
-        child = self.child_bridge
-        topics = set(TOPICS) - set(POLLED_TOPICS[:2])
+        child, topics = self.child_bridge, set(TOPICS) - set(POLLED_TOPICS[:2])
         self.wait(lambda: not child.alive or self.robot.connected(topics)
                   and (not self.car_line.plugged or self.car.beats > 20), 'the bridge is up')
         self.check(child)
+        self.wait_in_step()
+
+    def wait_in_step(self) -> None:
         self.wait(lambda: self.robot.call('bus/echo').success, 'the bus board is in step')
 
     def restore(self) -> None:
-        """After a scenario that failed: no children, all lines as before, a working bridge."""
-        for child in set(self.children) - self._permanent - {self.child_bridge}:
+        """After a scenario that failed: no children, all lines as before, another bridge."""
+        self.child_bridge.send(signal.SIGKILL)
+        for child in set(self.children) - self._permanent:
             self.end(child)
-        self.child_bridge.send(signal.SIGCONT)
         self.bus.usual()
         self.car.talks = True
         for line in self.lines.values():
@@ -145,11 +143,7 @@ class Rig(Stage):
             if line.plugged:
                 line.unplug()
             line.plug()
-        try:
-            self.wait_for_bridge()
-        except StageError:
-            self.end(self.child_bridge, signal.SIGKILL)
-            self.start(self._parameters)
+        self.start(self._parameters)
 
     def user(self, role: str, name: str, *arguments: Any, ready: bool = True,
              **options: Any) -> Child:
@@ -194,18 +188,19 @@ class Rig(Stage):
     def settle(self) -> None:
         """Wait until nothing is in progress on any line or topic, and clear all records. So all
         that is recorded afterwards is caused by the next event."""
-        car, sensors = self.car, self.sensors
+        car = self.car
 
         def published() -> Any:
             """Publish one value on each topic: earlier values cannot arrive after it."""
             self.clear_records()
             self.measure()
-            sensors.cliff()
+            self.sensors.cliff()
             with contextlib.suppress(StageError):
-                return self.wait(lambda: all(map(self.robot.has, car.sent + sensors.sent)), '', 1.0)
+                return self.wait(
+                    lambda: all(map(self.robot.has, car.sent + self.sensors.sent)), '', 1.0)
 
         self.bus.usual()
-        self.wait(lambda: self.robot.call('bus/echo').success, 'the bus board is in step')
+        self.wait_in_step()
         self.wait(lambda: not car.packets or time.monotonic() > car.packets[-1].t + _QUIET,
                   "the car's line is quiet")
         self.row(PUBLISHED).wait(published, 'measurements are published')
@@ -216,6 +211,11 @@ class Rig(Stage):
         for each in (self.car, self.bus, self.sensors, self.robot):
             each.clear_records()
 
+    def measure(self) -> None:
+        """Let the car and the sensor board send their measurements."""
+        self.car.measure()
+        self.sensors.measure()
+
     def wait_for_data(self, topic: str, measure: Callable[[], None], required: Requirement) -> None:
         count = len(self.robot.published[topic])
 
@@ -224,11 +224,6 @@ class Rig(Stage):
             self.wait_beats(0.02)
             return len(self.robot.published[topic]) > count
         required.wait(is_published, f'{topic} is published')
-
-    def measure(self) -> None:
-        """Let the car and the sensor board send their measurements."""
-        self.car.measure()
-        self.sensors.measure()
 
     def next_report(self, link: str) -> Tuple[int, str, Dict[str, str]]:
         """Level, message and values of the next status of a link in /diagnostics."""
@@ -269,13 +264,14 @@ class Rig(Stage):
                 return [each for each in messages if each.key is not None]
             with contextlib.suppress(StageError):
                 self.wait(lambda: len(published()) >= len(wanted), '', UNTIL_PUBLISHED)
-            if len(wanted) > len(published()) and \
+            found = published()
+            if len(wanted) > len(found) and \
                     self.longest_delay(self._settled_at, time.monotonic()) > _STALL:
                 required.undecided += 1
                 continue
-            required.check(len(wanted) == len(published()),
-                           f'{topic}: {len(wanted)} sent, {len(published())} published')
-            for sent, message in zip(wanted, published()):
+            required.check(len(wanted) == len(found),
+                           f'{topic}: {len(wanted)} sent, {len(found)} published')
+            for sent, message in zip(wanted, found):
                 if not required.check(sent.key == message.key,
                                       f'{topic}: {sent.key} sent, {message.key} published'):
                     break

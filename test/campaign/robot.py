@@ -48,6 +48,15 @@ class Outcome(NamedTuple):
     error_code: int = 0
     reading: Any = None      # of get_environment, as it is published
 
+    @property
+    def name(self) -> str:
+        return 'done' if self.success else {
+            TIMEOUT: 'not known', NOT_SENT: 'not sent'}.get(self.status, 'refused')
+
+    def is_true(self, executed: int) -> bool:
+        """Whether the board may have executed the request so often."""
+        return {'done': executed == 1, 'not known': executed <= 1}.get(self.name, not executed)
+
 
 # -- published values as the numbers on the wire -------------------------------------------------
 

@@ -23,12 +23,11 @@ from typing import Any, Callable, Deque, Dict, List, Optional, Tuple
 from processes import usage_of
 import by_definition as codec
 from .boards import (ALIVE, ANNOUNCE, BLOB, COUNTER, DEPTH, HEIGHT, MEMORY, Packet, Reaction,
-                     Request, Sensors, reply_frame)
+                     Request, reply_frame)
 from .exact_bus import QUEUE_TIME
 from .exact_node import POLLING
-from .requirements import Requirement
 from .rig import MOTION_TIMEOUT, POLLED_TOPICS, REPLY_TIMEOUT, SPEED_TIMEOUT, Rig
-from .robot import TIMEOUT, Outcome, Published
+from .robot import Outcome, Published
 
 _DAMAGE_RATE = 0.03      # share of writes that are damaged
 _KEPT = 15.0             # s for which a value is expected
@@ -37,8 +36,8 @@ _LATE = 0.2              # s that the witness has to be late to excuse a lost va
 _AGE = 0.7               # s; no older speed reaches the board
 _STOP_TIME = SPEED_TIMEOUT + 0.05      # s
 _MEASURE_PERIOD = 0.02   # s
-_PER_HOUR = {'memory': (4.0, 'MB'), 'threads': (4.0, ''), 'files': (6.0, '')}   # growth at most
-_NOISE = {'memory': 1.0, 'threads': 3.0, 'files': 5.0}      # in a run of any length
+# Growth at most, in a run of any length and in each hour.
+_GROWTH = {'memory': (1.0, 4.0, 'MB'), 'threads': (3.0, 4.0, ''), 'files': (5.0, 6.0, '')}
 _SETTLING = 60.0         # s, or a third of a shorter part
 _RECORDS = 20000         # records that are kept to be written at a violation
 _RECORD_FILES = 10       # violations at which they are written
@@ -142,19 +141,17 @@ class Storm:
     def record(self, *what: Any) -> None:
         self._records.append((round(time.monotonic(), 4), *what))
 
-    def check(self, required: Requirement, holds: Any, text: str) -> bool:
-        """Check a requirement; write the latest records to a file if it is violated."""
-        if required.check(holds, text):
-            return True
-        self.record('VIOLATED', required.text, text)
+    def _on_violation(self, requirement: str, text: str) -> None:
+        """Write the latest records to a file."""
+        self.record('VIOLATED', requirement, text)
         if self._record_files < _RECORD_FILES:
             self._record_files += 1
             with open(self.rig.path(f'violation_{self._record_files}.txt'), 'w') as file:
                 file.writelines(f'{record}\n' for record in list(self._records))
-        return False
 
     def __call__(self, rig: Rig) -> None:
         rig.use_lines(rig.bus_line, rig.car_line)       # boards without records of before
+        rig.table.on_violation = self._on_violation
         self._connect_lines()
         rig.start(POLLING)
         traffic = rig.robot.subscribe_to_traffic(lambda message: None)
@@ -182,10 +179,7 @@ class Storm:
             self._damaged.checks += sum(stream.damaged for stream in (
                 *self._to_bridge.values(), self._to_bus))
             rig.robot.on_message = rig.robot.keep
-            for line in rig.lines.values():
-                line.damage = lambda data: data
             rig.use_lines(rig.bus_line, rig.car_line)
-            rig.sensors = Sensors(rig.mcu_line)
             traffic.unregister()
             for child in (subscriber, *busy):
                 rig.end(child)
@@ -195,8 +189,7 @@ class Storm:
         try:
             loop()
         except Exception as error:  # pylint: disable=broad-except
-            required = self.rig.row('every scenario runs to its end')
-            self.check(required, False, f'{loop}: {type(error).__name__}: {error}')
+            self.rig.row('every scenario runs to its end').check(False, f'{loop}: {error!r}')
             raise
 
     def wait(self, seconds: float) -> bool:
@@ -338,7 +331,7 @@ class MotorCheck:
     def received(self, packet: Packet) -> None:
         with self._lock:
             if self._is_first:
-                self._storm.check(self._first, packet.is_stop and not packet.beats,
+                self._first.check(packet.is_stop and not packet.beats,
                                   f'the first was {packet}')
                 self._is_first = False
             if packet.type != codec.SPEED:
@@ -347,10 +340,10 @@ class MotorCheck:
             self._speed_at = packet.t if packet.number else None
             if packet.number:
                 at = self._commands.pop(packet.number, 0.0)
-                if self._storm.check(self._commanded, at, f'SPEED {packet.number}'):
+                if self._commanded.check(at, f'SPEED {packet.number}'):
                     age = packet.t - at
                     self._age.keep_worst(age, 's')
-                    self._storm.check(self._age, age < _AGE, f'SPEED {packet.number}: {age:.3f} s')
+                    self._age.check(age < _AGE, f'SPEED {packet.number}: {age:.3f} s')
 
     def beat(self, now: float) -> None:
         with self._lock:
@@ -365,7 +358,7 @@ class MotorCheck:
             self._stop.undecided += 1
             return
         self._stop.keep_worst(seconds * 1e3, 'ms')
-        self._storm.check(self._stop, seconds <= _STOP_TIME, f'{seconds:.3f} s')
+        self._stop.check(seconds <= _STOP_TIME, f'{seconds:.3f} s')
 
 
 class CallCheck:
@@ -374,10 +367,11 @@ class CallCheck:
     def __init__(self, storm: Storm) -> None:
         row = storm.rig.row
         self._storm = storm
+        refused = row('storm: outcome refused or not sent: not executed')
         self._outcomes = {
             'done': row('storm: outcome done: executed exactly once'),
-            'refused': row('storm: outcome refused or not sent: not executed'),
-            'not known': row('storm: outcome not known: executed at most once')}
+            'not known': row('storm: outcome not known: executed at most once'),
+            'refused': refused, 'not sent': refused}
         self._own_data = row('a raw call returns the data of its own reply')
         self._returns = row('every call returns (worst: over timeout + 0.8 s)')
         self._belongs = row('every request belongs to a call that waits, or to a poll')
@@ -422,22 +416,20 @@ class CallCheck:
                                  (ANNOUNCE, b'\0'))
         with self._lock:
             times = self._waiting[request.key]
-            self._storm.check(self._belongs, polled or times, f'{request}')
+            self._belongs.check(polled or times, f'{request}')
             if times:
-                self._storm.check(self._again, times == 1 or self._invalid, f'{request}')
+                self._again.check(times == 1 or self._invalid, f'{request}')
                 self._waiting[request.key] += 1
                 self._invalid = 0
 
     def check(self, key: Tuple[int, bytes], outcome: Outcome) -> None:
         executed = self.executed.pop(key, 0)
-        if not self._storm.check(self._returns, outcome.status is not None, outcome.message):
+        if not self._returns.check(outcome.status is not None, outcome.message):
             return
-        name = 'done' if outcome.success else {TIMEOUT: 'not known'}.get(outcome.status, 'refused')
         text = f'{key[1].hex()}: {outcome}, executed {executed} times'
-        holds = {'done': executed == 1, 'refused': not executed, 'not known': executed <= 1}[name]
-        self._storm.check(self._outcomes[name], holds, text)
+        self._outcomes[outcome.name].check(outcome.is_true(executed), text)
         if outcome.success:
-            self._storm.check(self._own_data, outcome.data == key[1], text)
+            self._own_data.check(outcome.data == key[1], text)
 
 
 class ValueCheck:
@@ -467,7 +459,7 @@ class ValueCheck:
             skipped = [waiting.popleft() for _ in range(keys.index(message.key) if found else 0)]
             if found:
                 waiting.popleft()
-        self._storm.check(self._sent, found, f'{topic} {message.key}')
+        self._sent.check(found, f'{topic} {message.key}')
         self._check_lost(topic, skipped)
 
     def check_old(self) -> None:
@@ -490,7 +482,7 @@ class ValueCheck:
             if not beside and self._storm.rig.longest_delay(at - 1.0, at + 0.3) > _LATE:
                 self._lost.undecided += 1
             else:
-                self._storm.check(self._lost, beside, f'{topic} {key}, sent at {at:.3f}')
+                self._lost.check(beside, f'{topic} {key}, sent at {at:.3f}')
 
 
 class ProcessCheck:
@@ -498,12 +490,9 @@ class ProcessCheck:
 
     def __init__(self, storm: Storm) -> None:
         self._rig = storm.rig
-        self._most: Dict[str, List[float]] = {name: [0.0, 0.0] for name in _PER_HOUR}
+        self._most: Dict[str, List[float]] = {name: [0.0, 0.0] for name in _GROWTH}
         self._settled = min(_SETTLING / storm.duration, 1 / 3)
-        hours = storm.duration * (1 - self._settled) / 2 / 3600
-        self._limits = {name: _NOISE[name] + most * hours
-                        for name, (most, _unit) in _PER_HOUR.items()}
-        self._levels = {name: storm.rig.row(f'no growth: {name}') for name in _PER_HOUR}
+        self._hours = storm.duration * (1 - self._settled) / 2 / 3600
 
     def check(self, share: float) -> None:
         """To be called every few seconds; `share` of the duration has passed."""
@@ -511,8 +500,8 @@ class ProcessCheck:
             return
         half = int(share > (1 + self._settled) / 2)
         for name, value in usage_of(self._rig.child_bridge.pid).items():
-            most = self._most[name]
+            most, (noise, per_hour, unit) = self._most[name], _GROWTH[name]
             most[half] = max(most[half], value)
             if half:
-                self._levels[name].at_most(most[1] - most[0], self._limits[name],
-                                           _PER_HOUR[name][1], f'from {most[0]:.1f}')
+                self._rig.row(f'no growth: {name}').at_most(
+                    most[1] - most[0], noise + per_hour * self._hours, unit, f'from {most[0]:.1f}')
