@@ -184,8 +184,11 @@ class Board:
         """Send a frame whose values have to be published."""
         wall = time.time()
         if self.write(data):
-            self.sent += [Sent(*key, wall) for frame in codec.decode(data, self.sent_frame_at)[0]
-                          for key in self.keys(frame)]
+            self._remember(data, wall)
+
+    def _remember(self, data: bytes, wall: float) -> None:
+        self.sent += [Sent(*key, wall) for frame in codec.decode(data, self.sent_frame_at)[0]
+                      for key in self.keys(frame)]
 
 
 class Car(Board):
@@ -264,11 +267,11 @@ class Car(Board):
     def measure(self) -> None:
         """Send one packet of each type, with the next number."""
         self._number = n = self._number + 1
-        self.send(codec.arduino_packet(codec.TICKS, bytes((n % 256,))))
-        self.send(codec.arduino_packet(codec.STEERING_ANGLE, struct.pack('<H', n % 1025)))
-        self.send(codec.arduino_packet(codec.VOLTAGE, struct.pack('<f', n % 90000 / 1000)))
-        self.send(codec.arduino_packet(COUNTER, struct.pack('<I', n)))
-        self.send(codec.arduino_packet(codec.IMU, struct.pack('>11h', *imu_values(n))))
+        for type_, *values in ((codec.TICKS, n % 256), (codec.STEERING_ANGLE, n % 1025),
+                               (codec.VOLTAGE, n % 90000 / 1000), (COUNTER, n),
+                               (codec.IMU, *imu_values(n))):
+            layout = _MEASUREMENTS[type_][1]
+            self.send(codec.arduino_packet(type_, struct.pack(layout, *values)))
 
 
 def imu_values(n: int) -> Tuple[int, ...]:
@@ -425,15 +428,15 @@ class BusBoard(Board):
         self.react, self.probe, self.in_step = None, None, True
 
     def _reaction(self, request: Request) -> Reaction:
-        if request.cmd1 in (codec.SYNC, codec.ECHO):
-            self.in_step = self.in_step or request.cmd1 == codec.SYNC
-            reply = reply_frame(request.cmd1, request.data if request.cmd1 else b'')
-            other = self.probe(request, reply) if self.probe else None
-            if other is not None:
-                return other
+        is_probe = request.cmd1 in (codec.SYNC, codec.ECHO)
+        reply = reply_frame(request.cmd1, request.data if request.cmd1 else b'')
+        self.in_step = self.in_step or request.cmd1 == codec.SYNC
+        other = self.probe(request, reply) if is_probe and self.probe else None
+        if other is not None:
+            return other
         if not self.in_step:
-            return Reaction([(0, reply_frame(codec.INVALID, bytes((codec.NOT_SYNCHRONISED,))))])
-        if request.cmd1 in (codec.SYNC, codec.ECHO):
+            reply = reply_frame(codec.INVALID, bytes((codec.NOT_SYNCHRONISED,)))
+        if is_probe or not self.in_step:
             return Reaction([(0, reply)])
         if request.cmd2 == ANNOUNCE:
             return self._chunk(request.data[0])
@@ -442,20 +445,18 @@ class BusBoard(Board):
 
     def _chunk(self, index: int) -> Reaction:
         chunks = codec.announcement(self.announces, 30)
-        reply = reply_frame(codec.OK, chunks[index]) if index < len(chunks) else \
-            reply_frame(codec.ERROR, struct.pack('<H', 0x8000))
-        return Reaction([(0, reply)])
+        end = reply_frame(codec.ERROR, struct.pack('<H', 0x8000))
+        return Reaction([(0, reply_frame(codec.OK, chunks[index]) if index < len(chunks) else end)])
 
     def ok_reply(self, request: Request) -> bytes:
         if request.cmd2 not in (codec.ENVIRONMENT, DEPTH, HEIGHT):
             return reply_frame(codec.OK, request.data if request.cmd2 == MEMORY else b'')
         self.readings = n = self.readings + 1
-        data = struct.pack('<HhH', n % 65536, n % 20000 - 4000, n % 10001) \
-            if request.cmd2 == codec.ENVIRONMENT else \
-            struct.pack('<I', 2 * n + (request.cmd2 == HEIGHT))     # the depth is always even
+        data = struct.pack('<I', 2 * n + (request.cmd2 == HEIGHT))      # the depth is always even
+        if request.cmd2 == codec.ENVIRONMENT:
+            data = struct.pack('<HhH', n % 65536, n % 20000 - 4000, n % 10001)
         reply = reply_frame(codec.OK, data)
-        self.sent += [Sent(*key, time.time()) for key in
-                      reply_keys(codec.decode(reply, codec.reply_at)[0][0])]
+        self._remember(reply, time.time())
         return reply
 
 

@@ -117,6 +117,7 @@ def name_of(scenario: Scenario) -> str:
 
 def carry_out(rig: Rig, scenarios: Iterable[Scenario]) -> None:
     """Run them one after the other. After an exception, a violation, the next has a new bridge."""
+    required = rig.row('every scenario runs to its end')
     for scenario in scenarios:
         print(f'{name_of(scenario)} ...', file=sys.stderr)
         began, error_text = time.monotonic(), ''
@@ -124,8 +125,7 @@ def carry_out(rig: Rig, scenarios: Iterable[Scenario]) -> None:
             scenario(rig)
         except Exception as error:  # pylint: disable=broad-except
             error_text = f'{type(error).__name__}: {error}'
-        rig.row('every scenario runs to its end').check(
-            not error_text, f'{name_of(scenario)}: {error_text}')
+        required.check(not error_text, f'{name_of(scenario)}: {error_text}')
         print(f'    {time.monotonic() - began:.1f} s {error_text}', file=sys.stderr)
         if error_text:
             rig.restore()

@@ -1,8 +1,4 @@
-"""The bus, exactly: compares what each call returned with what the board did.
-
-Each call has a unique number, so it is compared with exactly one request. One call is made at a
-time, and the line is quiet before it, unless the scenario says otherwise.
-"""
+"""The bus, exactly: compares what each call returned with what the board did."""
 import contextlib
 import itertools
 import signal
@@ -43,6 +39,9 @@ def _refusal(code: int, kind: int = codec.INVALID) -> Reaction:
     return Reaction([(0, reply_frame(kind, struct.pack('<H' if code > 255 else '<B', code)))])
 
 
+_FAILED = _refusal(codec.FAILED, codec.ERROR)
+
+
 def _damaged(rig: Rig, request: Request) -> Reaction:
     frame = bytearray(rig.bus.ok_reply(request))
     frame[2] ^= 0x10
@@ -78,7 +77,7 @@ CASES = (
     Case('with a reply', _executed, 'done', 1),
     Case('with a reply after 200 bytes of noise', lambda rig, r, n: Reaction(
         [(0, NOISE + rig.bus.ok_reply(r))], True), 'done', 1),
-    Case('failed', lambda rig, r, n: _refusal(codec.FAILED, codec.ERROR), 'refused', 1),
+    Case('failed', lambda rig, r, n: _FAILED, 'refused', 1),
     Case('bad checksum, then a reply', lambda rig, r, n: _refusal(codec.BAD_CHECKSUM)
          if n == 1 else _ok(rig, r, 0), 'done', 2),
     Case('not synchronised, then a reply', _lost_synchronism, 'done', 2),
@@ -184,8 +183,8 @@ class Calls:
 
     def check_received(self, key: Key, times: int, what: str, connection: int = 0) -> None:
         """Check how often the board has received this request since that connection."""
-        received = sum(request.key == key and request.connection >= connection
-                       for request in self.rig.bus.requests)
+        received = sum(each.key == key and each.connection >= connection
+                       for each in self.rig.bus.requests)
         self.sent_again.check(received == times, f'{what}: received {received} times, not {times}')
 
 
@@ -252,16 +251,14 @@ def never_echoes(rig: Rig) -> None:
     rig.bus_line.unplug()
     rig.bus.probe = lambda request, reply: Reaction() if request.cmd1 == codec.ECHO else None
     rig.bus_line.plug()
-    quiet.wait(lambda: rig.robot.call('bus/request', codec.FUNCTION, MEMORY, b'first').success,
-               'calls are possible')
+    quiet.wait(lambda: rig.robot.call('probe').success, 'calls are possible')
     for index in range(8):
         written = [0.0]
 
         def react(request: Request) -> Reaction:
             quiet.check(request.t - written[0] >= 0.019 or request.cmd2 == PROBE,
                         f'{request} came {request.t - written[0]:.4f} s behind the last bytes')
-            return _refusal(codec.FAILED, codec.ERROR) if request.cmd2 == PROBE else \
-                _ok(rig, request, 0, 0.005)
+            return _FAILED if request.cmd2 == PROBE else _ok(rig, request, 0, 0.005)
         written[0] = rig.bus.written_at
         rig.bus.react = react
         calls.call(('lift', 'bus/request')[index % 2], 'without ECHO', 'done')
@@ -288,7 +285,7 @@ def unanswered_sync(rig: Rig) -> None:
     for request in list(rig.bus.requests):
         only.check(request.cmd1 == codec.SYNC, f'{request} was sent')
     rig.bus.probe = None
-    rig.wait(lambda: rig.robot.call('bus/echo').success, 'in step')
+    rig.wait_in_step()
     calls.call('lift', 'after SYNC', 'done')
     rig.diagnosed('bus', 0, 'ready')
 
@@ -377,7 +374,7 @@ def frozen(rig: Rig) -> None:
         rig.bus.probe = None
         rig.sleep(0.5)
         rig.bus_line.thaw()
-        rig.wait(lambda: rig.robot.call('bus/echo').success, 'in step again')
+        rig.wait_in_step()
         calls.check(call, 'frozen', 'not known')
         required.check(not rig.bus.executed[call.key], 'the lift moved after its call had returned')
         rig.bus.faults.clear()      # the fence was answered in another order than it was read
@@ -467,7 +464,7 @@ def announced(rig: Rig) -> None:
         else:
             rig.bus.in_step = False
             rig.robot.call('lift', 0, 3)
-        rig.wait(lambda: rig.robot.call('bus/echo').success, 'in step')
+        rig.wait_in_step()
         executed = rig.bus.executed[PUMP, b'']
         outcome = rig.robot.call('pump')
         required.check(rig.bus.executed[PUMP, b''] == executed and not outcome.success,

@@ -165,19 +165,23 @@ def end(rig: Rig, number: int, hang: bool) -> None:
         rig.robot.start_call('lift', 1, 1)
         rig.wait(lambda: rig.bus.executed, 'the request arrives')
     drive.command_until_accepted()
-    began, waits = time.monotonic(), WaitForProcessor(rig.child_bridge.pid)
+    began, before, waited = time.monotonic(), _waits(rig.child_bridge.pid), [0.0]
     rig.child_bridge.send(number)
+
+    def has_ended() -> bool:
+        waited.extend(seconds - before.get(thread, 0.0)
+                      for thread, seconds in _waits(rig.child_bridge.pid).items())
+        return not rig.child_bridge.alive
     with contextlib.suppress(StageError):
-        rig.wait(lambda: waits.update() or not rig.child_bridge.alive, '', 3 * _END)
-    seconds = time.monotonic() - began
+        rig.wait(has_ended, '', 3 * _END)
+    seconds = time.monotonic() - began - max(waited)
     rig.end(rig.child_bridge)
-    required.at_most(seconds - waits.seconds, _END, 's',
-                     f'{what}, not counting {waits.seconds:.2f} s in which it got no processor')
+    required.at_most(seconds, _END, 's', f'{what}, not counting {max(waited):.2f} s in which it '
+                     'got no processor')
     rig.car_line.drain()
     last, status = rig.car.packets[-1], rig.child_bridge.process.returncode
-    beats = [*rig.car.ended, rig.car.beats][last.connection]
-    required.check(last.is_stop and last.beats == beats, f'{what}: {beats - last.beats} heartbeats '
-                   f'after {last}')
+    beats = [*rig.car.ended, rig.car.beats][last.connection] - last.beats
+    required.check(last.is_stop and not beats, f'{what}: {beats} heartbeats after {last}')
     required.check(status == 0, f'{what}: its exit status is {status}')
     rig.check_always()
     for line in lines if hang else ():
@@ -191,25 +195,14 @@ def network_end(rig: Rig) -> None:
     end(rig, signal.SIGTERM, hang=False)
 
 
-class WaitForProcessor:
-    """How long that thread of a process that waited longest was ready to run, but got no processor
-    time, in s, since this was created. The kernel counts it."""
-
-    def __init__(self, pid: int) -> None:
-        self._pid, self.seconds = pid, 0.0
-        self._before = self._read()
-
-    def update(self) -> None:
-        self.seconds = max([self.seconds, *(waited - self._before.get(thread, 0.0)
-                                            for thread, waited in self._read().items())])
-
-    def _read(self) -> Dict[str, float]:
-        waited = {}
-        for path in glob.glob(f'/proc/{self._pid}/task/*/schedstat'):
-            with contextlib.suppress(OSError, IndexError):      # the thread has ended
-                with open(path) as file:
-                    waited[path] = int(file.read().split()[1]) / 1e9
-        return waited
+def _waits(pid: int) -> Dict[str, float]:
+    """How long each thread of a process was ready to run but got no processor, in s."""
+    waited = {}
+    for path in glob.glob(f'/proc/{pid}/task/*/schedstat'):
+        with contextlib.suppress(OSError, IndexError):      # the thread has ended
+            with open(path) as file:
+                waited[path] = int(file.read().split()[1]) / 1e9
+    return waited
 
 
 def network(rig: Rig) -> None:
@@ -223,8 +216,8 @@ def network(rig: Rig) -> None:
         since, connection = len(car.packets), car.connection
         rig.car.forget_beat()
         event()
-        commanded: Dict[int, float] = {}
-        while time.monotonic() < min(commanded.values(), default=1e9) + seconds:
+        commanded, began = {}, time.monotonic()     # when each was published
+        while time.monotonic() < began + seconds:
             now = time.monotonic()
             commanded[drive.publish(1, ['speed'])[0]] = now
         rig.car.forget_beat()
@@ -235,10 +228,9 @@ def network(rig: Rig) -> None:
         drive.command_until_accepted()
         for packet in car.packets[since:]:
             if packet.type == codec.SPEED and packet.number in commanded:
-                fresh.at_most(packet.t - commanded[packet.number], _NETWORK_AGE, 's',
-                              f'{event.__name__}: SPEED {packet.number}')
-        for packet in [car.first[number] for number in car.first if number > connection]:
-            first.check(packet.is_stop, f'the first packet was {packet}')
+                fresh.at_most(packet.t - commanded[packet.number], _NETWORK_AGE, 's', f'{packet}')
+        for number, packet in car.first.items():
+            first.check(number <= connection or packet.is_stop, f'the first was {packet}')
 
 
 def network_stall(rig: Rig) -> None:

@@ -82,8 +82,8 @@ def silent(rig: Rig) -> None:
                        and m.seq == last.message.seq, f'{m}')
     for before, after in zip(reports, reports[1:]):
         reported.at_most(after.stamp - before.stamp, _REPORT_PERIOD, 's', 'between two reports')
-        reported.check(after.message.last_frame_age_sec > before.message.last_frame_age_sec,
-                       'the age does not grow')
+        ages = before.message.last_frame_age_sec, after.message.last_frame_age_sec
+        reported.check(ages[0] < ages[1], f'ages {ages}')
     m = adc[-1].message
     reported.check(adc[-1].key is None and {getattr(m, f'adc{n}') for n in range(6)} == {65535}
                    and not m.connected and not m.valid, f'{m}')

@@ -7,6 +7,7 @@ import threading
 import time
 import tty
 from collections import deque
+from pathlib import Path
 from typing import Any, Callable, Deque, Dict, Iterable, List, Tuple
 
 from processes import Stage
@@ -48,9 +49,8 @@ class NewLines:
     def read(self) -> List[str]:
         with open(self._path, 'rb') as file:
             file.seek(self._position)
-            data = file.read()
-        complete = data[:data.rfind(b'\n') + 1]
-        self._position += len(complete)
+            complete = file.read().rpartition(b'\n')[0]
+        self._position += len(complete) + bool(complete)
         return complete.decode(errors='replace').splitlines()
 
 
@@ -118,8 +118,7 @@ class LogCheck:
 
     def check_events(self, bridge: str, patterns: Iterable[str]) -> None:
         """Check that the log of this bridge has a line for each of these patterns."""
-        with open(os.path.join(self.folder, bridge + '.log'), errors='replace') as file:
-            text = file.read()
+        text = Path(self.folder, bridge + '.log').read_text(errors='replace')
         for pattern in patterns:
             self._events.check(re.search(pattern, text), f'{bridge}: no line matches {pattern}')
 
@@ -131,9 +130,8 @@ class LogCheck:
         link, cause = cause_of(match.group(4)) if match else ('', '')
         if not link:
             return
-        now = time.mktime(time.strptime(match.group(2), '%Y-%m-%d %H:%M:%S')) \
-            + int(match.group(3)) / 1000
+        now = time.mktime(time.strptime(match.group(2), '%Y-%m-%d %H:%M:%S'))
+        now += int(match.group(3)) / 1000
         before = self._last.get((path, link, cause), float('-inf'))
         self._last[path, link, cause] = now
-        self._rate.check(now - before >= _PERIOD - _JITTER,
-                         f'{now - before:.2f} s after the previous one: {line}')
+        self._rate.check(now - before >= _PERIOD - _JITTER, f'{now - before:.2f} s later: {line}')

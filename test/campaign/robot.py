@@ -50,8 +50,8 @@ class Outcome(NamedTuple):
 
     @property
     def name(self) -> str:
-        return 'done' if self.success else {
-            TIMEOUT: 'not known', NOT_SENT: 'not sent'}.get(self.status, 'refused')
+        status = {TIMEOUT: 'not known', NOT_SENT: 'not sent'}.get(self.status, 'refused')
+        return 'done' if self.success else status
 
     def is_true(self, executed: int) -> bool:
         """Whether the board may have executed the request so often."""
@@ -73,8 +73,8 @@ def _hundredths(value: float) -> Any:
 
 
 def _status(message: McuStatus2) -> Any:
-    return (message.seq, message.valid, message.vl53_1, message.vl53_2,
-            tuple(map(_hundredths, (message.yaw, message.pitch, message.roll)))) \
+    angles = tuple(map(_hundredths, (message.yaw, message.pitch, message.roll)))
+    return (message.seq, message.valid, message.vl53_1, message.vl53_2, angles) \
         if message.connected else None
 
 
@@ -177,8 +177,8 @@ class Robot:
         wall, (topic, to_key) = time.time(), topic_and_key
         stamp = (message.stamp if hasattr(message, 'stamp') else message.header.stamp
                  if hasattr(message, 'header') else None)
-        self.on_message(topic, Published(wall, stamp.to_sec() if stamp else 0.0, to_key(message),
-                                         message))
+        seconds = stamp.to_sec() if stamp else 0.0
+        self.on_message(topic, Published(wall, seconds, to_key(message), message))
 
     def _receive_transforms(self, message: TFMessage) -> None:
         for each in message.transforms:
@@ -202,9 +202,8 @@ class Robot:
 
     def connected(self, topics: Iterable[str]) -> bool:
         """Whether the bridge receives all commands, and this node receives these topics."""
-        return all(each.get_num_connections() for each in (
-            *self._publishers.values(),
-            *(self._subscribers[topic] for topic in topics if topic in self._subscribers)))
+        used = [self._subscribers[topic] for topic in topics if topic in self._subscribers]
+        return all(each.get_num_connections() for each in (*self._publishers.values(), *used))
 
     def register_again(self) -> None:
         """Register with a new master; rospy itself registers only once."""

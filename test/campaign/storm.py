@@ -54,8 +54,7 @@ class Stream:
 
     def __init__(self, frame_at: codec.FrameAt, rand: random.Random, share: float) -> None:
         self._frame_at, self._random, self._share = frame_at, rand, share
-        self._begins = {codec.arduino_at: b'\0', codec.mcu_at: b'\x02'}.get(
-            frame_at, b'[\xA5\x5A]')
+        self._begins = b'\x02' if frame_at is codec.mcu_at else b'[\xA5\x5A]'
         self._received = b''
         self._writes: List[int] = []        # where each write begins
         self.damaged = 0
@@ -73,8 +72,8 @@ class Stream:
             received, damages = damage(data, self._random), False
         self.damaged += received != data
         # After a packet without its 0x00 the next one is lost, too, unless the bridge began anew.
-        self.delimited = self._frame_at is not codec.arduino_at or \
-            self._received[-1:] in (b'', b'\0')
+        ended = self._received[-1:] in (b'', b'\0')
+        self.delimited = ended or self._frame_at is not codec.arduino_at
         self._writes = [at for at in (*self._writes, len(self._received))
                         if at > len(self._received) - self._LONGEST]
         cut = self._writes[0]
@@ -88,7 +87,7 @@ class Stream:
         stream = self._received + received
         if self._frame_at is codec.arduino_at:      # also a packet whose beginning was given up
             starts = [*self._writes, before, *(match.end() for match in re.finditer(
-                self._begins, stream) if match.end() < len(stream))]
+                b'\0', stream) if match.end() < len(stream))]
         else:
             starts = [match.start() for match in re.finditer(self._begins, stream)]
         own = range(before, len(stream)) if is_frame else range(0)
@@ -176,8 +175,8 @@ class Storm:
             self._stopping.set()
             for thread in threads:
                 thread.join(5.0)
-            self._damaged.checks += sum(stream.damaged for stream in (
-                *self._to_bridge.values(), self._to_bus))
+            streams = *self._to_bridge.values(), self._to_bus
+            self._damaged.checks += sum(stream.damaged for stream in streams)
             rig.robot.on_message = rig.robot.keep
             rig.use_lines(rig.bus_line, rig.car_line)
             traffic.unregister()
@@ -331,8 +330,7 @@ class MotorCheck:
     def received(self, packet: Packet) -> None:
         with self._lock:
             if self._is_first:
-                self._first.check(packet.is_stop and not packet.beats,
-                                  f'the first was {packet}')
+                self._first.check(packet.is_stop and not packet.beats, f'the first was {packet}')
                 self._is_first = False
             if packet.type != codec.SPEED:
                 return
@@ -441,8 +439,7 @@ class ValueCheck:
         self._lost = storm.rig.row('values are lost only beside a stall or a reconnect')
         # By topic: the values that may be published next, when they were sent, and whether they
         # have to be published.
-        self._waiting: Dict[str, Deque[Tuple[Any, float, bool]]] = collections.defaultdict(
-            collections.deque)
+        self._waiting: Dict[str, Deque[Tuple]] = collections.defaultdict(collections.deque)
 
     def sent(self, frame: codec.Frame, keys: Callable[[codec.Frame], List], must: bool) -> None:
         for topic, key in keys(frame):      # the Master drops replies while it is out of step

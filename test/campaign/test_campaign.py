@@ -36,8 +36,8 @@ def test_table():
     required.at_most(3.0, 2.0, 's', 'too late')
     required.undecided += 1
     assert table.violated == [required] and required.worst_case == '3 s'
-    assert str(table).endswith('\n1 requirements, only a part of the scenarios was run; 1 violated, '
-                               '1 checks not decided')
+    assert str(table).endswith('\n1 requirements, only a part of the scenarios was run; '
+                               '1 violated, 1 checks not decided')
     text = str(table)
     assert 'too late: 3 s, limit 2 s' in text and 'no growth: memory' not in text
     assert [line.split() for line in text.splitlines() if required.text in line][0][-6:] == [
