@@ -1,14 +1,8 @@
 """The statistical part: all faults at once, and damage on every line, for any duration.
 
-Damage is redrawn until no valid frame that was not sent is on a line. So every comparison is exact:
-
-- Every request that the board receives belongs to a call that waits for its outcome, or to a poll.
-- Every published value is that of a valid frame, by its number; in order, and once. Values are lost
-  only beside a stall or a reconnect.
-- Every outcome of a call is true.
-
-No line freezes here. Every check is made immediately and uses only the last seconds, so the memory
-that a run needs does not grow.
+Damage is redrawn until no valid frame that was not sent is on a line. So every comparison is exact.
+Every check is made immediately and uses only the last seconds, so the memory that a run needs does
+not grow.
 """
 import collections
 import functools
@@ -44,11 +38,7 @@ _RECORD_FILES = 10       # violations at which they are written
 
 
 class Stream:
-    """What one end of a line receives: frames of the other end, and damage.
-
-    Args:
-        share: of the writes that are damaged.
-    """
+    """What one end of a line receives: frames of the other end, of which a `share` is damaged."""
 
     _LONGEST = 2200      # bytes: no valid frame spans more
 
@@ -198,7 +188,7 @@ class Storm:
     def _connect_lines(self) -> None:
         """Boards without records, and lines that damage what they transfer."""
         car, bus, sensors = self.rig.car, self.rig.bus, self.rig.sensors
-        car.on_packet, car.on_beat = self.motor.received, self.motor.beat
+        car.on_packet, car.on_beat = self.motor.received, self.motor.check_stop
         bus.on_request, bus.executed, bus.react = self.calls.received, self.calls.executed, \
             self._react
         for link, board in (('arduino', car), ('bus', bus), ('mcu', sensors)):
@@ -313,8 +303,7 @@ class MotorCheck:
 
     def command(self, value: int) -> None:
         with self._lock:
-            if value:
-                self._commands[value] = time.monotonic()
+            self._commands[value] = time.monotonic()
         self._storm.record('speed', value)
         self._storm.rig.robot.command('speed', value, time.time())
 
@@ -334,7 +323,7 @@ class MotorCheck:
                 self._is_first = False
             if packet.type != codec.SPEED:
                 return
-            self._check_stop(packet.t)
+            self.check_stop(packet.t)
             self._speed_at = packet.t if packet.number else None
             if packet.number:
                 at = self._commands.pop(packet.number, 0.0)
@@ -343,20 +332,17 @@ class MotorCheck:
                     self._age.keep_worst(age, 's')
                     self._age.check(age < _AGE, f'SPEED {packet.number}: {age:.3f} s')
 
-    def beat(self, now: float) -> None:
+    def check_stop(self, now: float) -> None:
+        """To be called for each heartbeat, too."""
         with self._lock:
-            self._check_stop(now)
-
-    def _check_stop(self, now: float) -> None:
-        if self._speed_at is None:
-            return
-        seconds = now - self._speed_at
-        if seconds > _STOP_TIME and self._storm.rig.excuses(
-                self._speed_at, now - 0.06, seconds - _STOP_TIME):
-            self._stop.undecided += 1
-            return
-        self._stop.keep_worst(seconds * 1e3, 'ms')
-        self._stop.check(seconds <= _STOP_TIME, f'{seconds:.3f} s')
+            if self._speed_at is None:
+                return
+            seconds, excess = now - self._speed_at, now - self._speed_at - _STOP_TIME
+            if excess > 0 and self._storm.rig.excuses(self._speed_at, now - 0.06, excess):
+                self._stop.undecided += 1
+                return
+            self._stop.keep_worst(seconds * 1e3, 'ms')
+            self._stop.check(excess <= 0, f'{seconds:.3f} s')
 
 
 class CallCheck:
@@ -453,9 +439,8 @@ class ValueCheck:
             waiting = self._waiting[topic]
             keys = [each[0] for each in waiting]
             found = message.key in keys
-            skipped = [waiting.popleft() for _ in range(keys.index(message.key) if found else 0)]
-            if found:
-                waiting.popleft()
+            passed = keys.index(message.key) + 1 if found else 0
+            skipped = [waiting.popleft() for _ in range(passed)][:-1]
         self._sent.check(found, f'{topic} {message.key}')
         self._check_lost(topic, skipped)
 

@@ -93,9 +93,9 @@ def test_stop_in_time(fake, motor):
     motor._commands[300] = 100.0
     motor.received(speed(300, 100.0))
     for index in range(54):
-        motor.beat(100.0 + index / 100)
+        motor.check_stop(100.0 + index / 100)
     motor.received(speed(0, 100.545))
-    motor.beat(102.0)
+    motor.check_stop(102.0)
     assert fake.violated == []
 
 
@@ -104,10 +104,10 @@ def test_no_stop(fake, motor):
     motor._commands[300] = 100.0
     motor.received(speed(300, 100.0))
     fake.late = 0.1
-    motor.beat(100.56)
+    motor.check_stop(100.56)
     assert fake.violated == []
     fake.late = 0.0
-    motor.beat(100.57)
+    motor.check_stop(100.57)
     assert fake.violated == ['storm: SPEED 0 within speed_timeout + 50 ms']
 
 

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from typing import List, Optional
+from typing import Optional
 
 from serial_communication.output import prepare_output
 from . import PACKAGE, Broken, all_broken
@@ -56,14 +56,11 @@ def _run(broken: Broken, folder: Path) -> Optional[str]:
         if not result.exists():
             print(f'{broken.name}: the campaign does not run:', output.read()[-500:])
             return None
-    rows: List[dict] = json.loads(result.read_text())
-    violated = [row for row in rows if row['violations']]
-    if not violated:
-        return None
     # That a scenario failed is only the consequence.
-    first = min(violated, key=lambda row: (row['group'] == 'campaign', row['violated after']))
+    violated = sorted((row['group'] == 'campaign', row['violated after'], row['requirement'])
+                      for row in json.loads(result.read_text()) if row['violations'])
     others = f' (and {len(violated) - 1} more)' if violated[1:] else ''
-    return f'{first["violated after"]:6.1f} s  {first["requirement"]}{others}'
+    return f'{violated[0][1]:6.1f} s  {violated[0][2]}{others}' if violated else None
 
 
 sys.exit(main())
