@@ -8,6 +8,7 @@ from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional, Tuple
 import by_definition as codec
 from .lines import Clock, SerialLine
 
+_SILENCE = 0.29          # s; after three lost ECHOs, SYNC and so much silence are the fence
 BEAT_MISSED = 0.03       # s without a heartbeat after which the board stops its motor
 # Custom messages of the car: a number, bytes and a sign of life that it sends, and two commands.
 COUNTER, BLOB, ALIVE, HEATER, WINCH = range(60, 65)
@@ -388,7 +389,9 @@ class BusBoard(Board):
         elif request.cmd1 != codec.SYNC:
             self.checked += 1
             polled = request.cmd2 in (codec.ENVIRONMENT, DEPTH, HEIGHT)
+            silence = request.t - self.written_at
             if not (before and (before.cmd1 == codec.ECHO and before.data in self._echoed
+                                or before.cmd1 == codec.SYNC and silence >= _SILENCE
                                 or polled and before.key == request.key)):
                 self.faults.append(f'{request} came behind {before}')
 

@@ -158,7 +158,7 @@ class Calls:
         """Start a call of the lift, which is executed without a reply."""
         self.rig.bus.react = lambda request: Reaction([], True)
         call = self.start('lift')
-        self.matches.wait(lambda: self.rig.bus.executed[call.key], 'the request arrives')
+        self.outcomes['not known'].wait(lambda: self.rig.bus.executed[call.key], 'it arrives')
         return call
 
     def call(self, service: str, what: str, wanted: str, limit: float = MOTION_TIMEOUT) -> Outcome:

@@ -229,8 +229,8 @@ def network(rig: Rig) -> None:
         for packet in car.packets[since:]:
             if packet.type == codec.SPEED and packet.number in commanded:
                 fresh.at_most(packet.t - commanded[packet.number], _NETWORK_AGE, 's', f'{packet}')
-        for number, packet in car.first.items():
-            first.check(number <= connection or packet.is_stop, f'the first was {packet}')
+        for packet in [car.first[number] for number in car.first if number > connection]:
+            first.check(packet.is_stop, f'the first packet was {packet}')
 
 
 def network_stall(rig: Rig) -> None:

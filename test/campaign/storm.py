@@ -167,12 +167,12 @@ class Storm:
                 thread.join(5.0)
             streams = *self._to_bridge.values(), self._to_bus
             self._damaged.checks += sum(stream.damaged for stream in streams)
-            rig.robot.on_message = rig.robot.keep
-            rig.use_lines(rig.bus_line, rig.car_line)
             traffic.unregister()
             for child in (subscriber, *busy):
                 rig.end(child)
             rig.end_bridge()
+            rig.robot.on_message = rig.robot.keep
+            rig.use_lines(rig.bus_line, rig.car_line)
 
     def _guarded(self, loop: Callable[[], None]) -> None:
         try:

@@ -248,7 +248,7 @@ def test_witness():
     write(0)
     since = write(0.1)
     until = write(0.0)
-    later = write(0.1)
+    later = write(0.2)      # its reads may be a little less apart
     for _ in range(20):
         write(0.01)
     assert witness.excuses(since - 0.05, since, 0.07)
@@ -267,3 +267,12 @@ def test_a_broken_bridge_that_no_longer_applies_is_an_error():
         each = broken.Broken('it', '', 'storm', [('link/link.py', old, '')])
         with pytest.raises(ValueError, match='times in link/link.py'):
             each.files()
+
+
+@pytest.mark.parametrize('silence, faults', [(0.3, 0), (0.1, 1)])
+def test_fence_after_lost_echoes(line, silence, faults):
+    """After three lost ECHOs, SYNC and a silence are the fence of a call."""
+    bus = BusBoard(line, Clock())
+    bus.read(codec.bus_frame(bytes((codec.SYNC, 0)), b''), time.monotonic())
+    bus.read(codec.bus_frame(b'\x55\x60', b''), bus.written_at + silence)
+    assert bus.checked == 1 and len(bus.faults) == faults
