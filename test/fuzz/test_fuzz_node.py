@@ -100,9 +100,9 @@ class Scene:
             values.clear()
 
         def talk():
-            if not self.seen['ticks']:
+            if ticks not in self.seen['ticks']:
                 self.ports['arduino'].write(b'\0' + arduino.encode(arduino.Ticks(ticks)))
-            if not self.seen['ranges']:
+            if status.range_1 not in self.seen['ranges']:
                 self.seq = (self.seq + 1) % 256
                 self.ports['mcu'].write(mcu.encode(status, self.seq))
 
