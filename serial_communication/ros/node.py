@@ -29,6 +29,7 @@ from .parameter import ParameterError
 from .rospy_mends import (background_logging, direct, handshake, log_file, master_calls, own_names,
                           shortage)
 from .rospy_mends.master_watch import MasterWatch, merged
+from .rospy_mends.shutdown import is_shutdown_requested
 from .traffic import Traffic
 
 _SWITCH_INTERVAL = 0.0005   # s; so that a busy thread does not delay the heartbeat
@@ -79,14 +80,14 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
     try:
         log_file.init_node(_NAME)
     except (rospy.ROSInitException, rospy.ROSInterruptException) as error:
-        if rospy.core.is_shutdown_requested():
+        if is_shutdown_requested():
             return 0
         rospy.logfatal(error)
         return 1
     finally:
         start.registered()
-    direct.install(_LOGGER)
-    own_names.install()
+    direct.install(_LOGGER.warning)
+    own_names.install(_LOGGER.warning)
     if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:    # nohup ignores it
         signal.signal(signal.SIGHUP, lambda *_: _hang_up(start))
     bridge = None
@@ -97,7 +98,7 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
             rospy.logwarn(warning)
         bridge = Bridge(values, given)
         rospy.on_shutdown(bridge.stop)
-        if not rospy.core.is_shutdown_requested():      # otherwise nothing may call `stop` later
+        if not is_shutdown_requested():      # otherwise nothing may call `stop` later
             bridge.start()
             watch.start(given)
     except rospy.ROSInterruptException:
@@ -118,7 +119,7 @@ def _given() -> Any:
         rospy.set_param(f'~{name}/port', '')
     given = without_announced(rospy.get_param('~', {}))
     # rospy has set those of the command line, but perhaps at a master that has ended since.
-    return merged(starting.parameters_of(sys.argv), given) if isinstance(given, dict) else given
+    return merged(master_calls.parameters_of(sys.argv, _LOGGER.warning), given) if isinstance(given, dict) else given
 
 
 def _hang_up(start: starting.Start) -> None:

@@ -14,8 +14,8 @@ def publisher(name: str, message_class: Any, **options: Any) -> rospy.Publisher:
 
 
 def wanted(topic: rospy.Publisher) -> bool:
-    """Return whether the topic has subscribers; lock-free, since it is called for every message."""
-    return bool(topic.impl.connections)
+    """Return whether the topic has subscribers."""
+    return topic.get_num_connections() > 0
 
 
 def diagonal(x: float, y: float, z: float) -> list:

@@ -12,6 +12,14 @@ import rosgraph
 import rospy
 from rospy.impl import registration
 
+from .private_parts import are_known
+from .shutdown import is_shutdown_requested
+
+_PARTS = ('rospy.topics:_TopicManager.get_subscriptions',
+          'rospy.topics:_TopicManager.get_publications',
+          'rospy.service:ServiceManager.get_services',
+          'rospy.impl.registration:RegistrationListeners.add_listener',
+          'rospy.impl.registration:RegManager.publisher_update')
 _PERIOD = 3.0     # s between checks of the master
 
 
@@ -39,13 +47,15 @@ class MasterWatch:
             pass        # see _run
 
     def start(self, parameters: Dict[str, Any]) -> None:
-        """Watch until the process ends.
+        """Watch until the process ends, if the source of rospy is known.
 
         Args:
             parameters: the node's private parameters, which are set at a new master, too.
         """
         self._parameters = parameters
-        threading.Thread(target=self._run, name='master watch', daemon=True).start()
+        if are_known(_PARTS, 'registers', 'after a restart of roscore the node has to be started '
+                     'again', self._logger.warning):
+            threading.Thread(target=self._run, name='master watch', daemon=True).start()
 
     def _run(self) -> None:
         gone = False
@@ -56,7 +66,7 @@ class MasterWatch:
                 gone = False
             except Exception as error:  # pylint: disable=broad-except
                 # A master that is starting or ending, or another server, may answer anything.
-                if not gone and not rospy.core.is_shutdown_requested():
+                if not gone and not is_shutdown_requested():
                     gone = True
                     self._logger.warning('no answer from the ROS master %s (%s); connected nodes '
                                          'stay connected; start roscore again', self._uri, error)
@@ -80,7 +90,7 @@ class MasterWatch:
             # A roscore that has just started sets its run_id a little later.
             if found and self._known in (seen, (seen[0], '')):
                 self._known = seen
-            elif not rospy.core.is_shutdown_requested():
+            elif not is_shutdown_requested():
                 self._register(master, self._name)
                 self._known = seen
                 self._logger.info('%s is a new ROS master: registered topics, services and '

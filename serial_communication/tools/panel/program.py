@@ -26,7 +26,7 @@ from ...ros.master import full_name, running_node, wait_for_master
 from ...ros.rospy_mends import background_logging, master_calls
 from ...ros.rospy_mends.log_file import init_node
 from ...ros.rospy_mends.master_watch import MasterWatch
-from ..watch.watcher import leave_ros
+from ...ros.rospy_mends.shutdown import is_shutdown_requested, leave_ros
 from .addresses import free_port, listen, listener, listen_near, page_address, qr_code
 from .cli import DEFAULT_PORT, print_error
 from .commands import Commands
@@ -73,7 +73,7 @@ class _Ros:
                 self._ended()
                 return
         rospy.on_shutdown(self._ended)
-        if rospy.core.is_shutdown_requested():      # before the hook was set
+        if is_shutdown_requested():      # before the hook was set
             self._ended()
             return
         watch.start({})
@@ -156,7 +156,7 @@ def _serve(options: argparse.Namespace) -> int:
 
     loop = tornado.ioloop.IOLoop.current()
     log = SparingLog('panel', logging.getLogger('rosout'))
-    node = rospy.names.resolve_name(options.node)
+    node = rospy.resolve_name(options.node)
     registrar = Registrar(log)
     commands = Commands(node, registrar, loop.add_callback, loop.call_later) \
         if options.control else None
