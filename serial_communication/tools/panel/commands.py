@@ -21,12 +21,12 @@ from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 from ...boards.arduino.wire import LED_LIMIT, SPEED_LIMIT
 from ...link.outcome import LOOK, Verdict
 from ...ros.answers import outcome_fields, read_error, read_response
+from ...ros.latest_worker import LatestWorker
 from ...ros.rospy_mends.connections import connected_service, header_of, reaches
 from ..watch.state import BridgeState
 from ..watch.topics import leaves, one_line, resolve
 from .dead_man import SILENCE, CommandRefused, DeadManSwitch
 from .forms import Message, Service, board_services, custom_messages, custom_services
-from .registrar import Registrar
 
 STEERING = (500, 2500)      # µs, the range of a servo
 _DOUBLE_CLICK = 0.5         # s after a call in which another one of its service is refused
@@ -61,7 +61,7 @@ class Commands:
         call_later: runs a function on the IO loop after a delay in seconds.
     """
 
-    def __init__(self, node: str, registrar: Registrar, add_callback: Callable,
+    def __init__(self, node: str, registrar: LatestWorker, add_callback: Callable,
                  call_later: Callable) -> None:
         self._node = node
         self._registrar = registrar

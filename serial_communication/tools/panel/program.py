@@ -13,6 +13,7 @@ import socket
 import sys
 import threading
 import time
+import traceback
 from typing import Callable, Iterator, List
 
 import rosgraph
@@ -22,6 +23,7 @@ import tornado.ioloop
 
 from ...link.sparing_log import SparingLog
 from ...ros.last_resort import LastResort
+from ...ros.latest_worker import LatestWorker
 from ...ros.master import full_name, running_node, wait_for_master
 from ...ros.rospy_mends import background_logging, master_calls
 from ...ros.rospy_mends.log_file import init_node
@@ -32,7 +34,6 @@ from .cli import DEFAULT_PORT, print_error
 from .commands import Commands
 from .feed import Feed
 from .guard import Entrance, Guard, is_loopback
-from .registrar import Registrar
 from .server import Hub, host_names, serve
 
 _STOP_TIME = 0.2          # s for the last SPEED 0 to be sent
@@ -157,7 +158,10 @@ def _serve(options: argparse.Namespace) -> int:
     loop = tornado.ioloop.IOLoop.current()
     log = SparingLog('panel', logging.getLogger('rosout'))
     node = rospy.resolve_name(options.node)
-    registrar = Registrar(log)
+    # The pause: a page may change what it shows 100 times a second.
+    registrar = LatestWorker('registrar', 0.1, lambda _error: log.error(
+        'registering', traceback.format_exc()))
+    registrar.start()
     commands = Commands(node, registrar, loop.add_callback, loop.call_later) \
         if options.control else None
     hub = Hub(Feed(node, rosgraph.get_master_uri(), registrar), commands, log)
