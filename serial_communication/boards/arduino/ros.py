@@ -20,7 +20,7 @@ from ...ros.custom_topics import (add_announced, built_in_topic, custom_topics, 
                                   names_of, resolve, take_commands)
 from ...ros.geometry import OrientationBroadcaster
 from ...ros.interface import LinkOptions, Interface
-from ...ros.parameter import BAUD, MOUNT, PORT, Parameter, frame_id, seconds
+from ...ros.parameter import MOUNT, PORT, Parameter, baud, frame_id, seconds
 from ...ros.publishing import diagonal, publisher, wanted
 from ...transport.port import Port
 from . import DESCRIPTION, wire
@@ -36,7 +36,7 @@ class ArduinoInterface(Interface):
     NAME = DESCRIPTION.name
     PARAMETERS = {
         'port': PORT,
-        'baud': BAUD,
+        'baud': baud(DESCRIPTION),
         'reset_on_open': Parameter(False),
         # At 34 Hz a heartbeat is sent every 29 ms; the board stops its motor after 30 ms without.
         'heartbeat_rate': Parameter(_DEFAULTS.heartbeat_rate, 34.0, 1000.0, unit='Hz'),
