@@ -85,7 +85,7 @@ def _candidates(config: str) -> List[Candidate]:
     boards = map(find, (*BOARDS, *board_packages(parameters)))
     candidates = [Candidate(board, board_parameters(parameters, board.name)) for board in boards]
     for candidate in candidates:
-        candidate.decoder()     # raises ValueError for a mistake in a custom message
+        candidate.decoder(), candidate.baud     # raise ValueError for a mistake in a parameter
     return candidates
 
 
@@ -95,7 +95,7 @@ def _run(options: argparse.Namespace) -> int:
         print('[]' if options.json else 'This computer has no serial port. Does the USB cable '
               'carry data? `dmesg | tail` shows what was plugged in.')
     ports = _listened(chosen, Listener(options.candidates, options.seconds, options.ask))
-    boards = {candidate.board.name: candidate.board for candidate in options.candidates}
+    boards = {candidate.board.name: candidate for candidate in options.candidates}
     if ports:
         print(as_json(ports) if options.json else
               as_text(ports, boards, options.seconds, options.ask, options.config))
