@@ -28,6 +28,7 @@ class Topic(NamedTuple):
     # The title of its card on the page; '': a card of its own, with plots; None: the page shows it
     # in a card made for it, or not at all.
     card: Optional[str] = ''
+    message: Any = None               # the message class whose values are the fields of the type
 
 
 class Field(NamedTuple):

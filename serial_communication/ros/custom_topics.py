@@ -9,7 +9,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Sequence, Set, Tuple, 
 import rospy
 
 from ..boards import BOARDS, description
-from ..boards.description import Description
+from ..boards.description import Description, Topic
 from ..framing.custom_messages import CustomMessage, RowError
 from ..framing.layout import LayoutMessage
 from ..link.sparing_log import SparingLog
@@ -118,9 +118,14 @@ class ValuePublisher:
         topic.unregister()
 
 
-def built_in_topic(name: str, ros_class: Any, kind: Type[LayoutMessage]) -> ValuePublisher:
-    """Return the topic of a built-in message whose values have the names of the ROS fields."""
-    return ValuePublisher(name, ros_class, RosFields(ros_class, kind.LAYOUT, name))
+def built_in_topics(board: Description) -> Dict[Type[LayoutMessage], ValuePublisher]:
+    """Return the topics of a board that need no code of its own, by their message classes."""
+    def made(topic: Topic) -> ValuePublisher:
+        ros_class = find_type(topic.name, topic.type)
+        return ValuePublisher(topic.name, ros_class,
+                              RosFields(ros_class, topic.message.LAYOUT, topic.name))
+
+    return {topic.message: made(topic) for topic in board.topics if topic.message}
 
 
 def custom_topics(rows: List[RosMessage], prefix: str,

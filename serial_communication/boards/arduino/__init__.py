@@ -30,9 +30,10 @@ DESCRIPTION = Description(
         Topic('~imu', 'sensor_msgs/Imu', 0.01, card=None),
         Topic('~imu/temperature', 'sensor_msgs/Temperature', 0.01, card=None),
         Topic('~imu/calibrating', 'std_msgs/Bool', ages=False, card=None),
-        Topic('~voltage', 'serial_communication/Voltage', 1.0, card=None),
-        Topic('~ticks', 'serial_communication/Ticks', 0.01, card=None),
-        Topic('~steering_angle', 'serial_communication/SteeringFeedback', 0.01, card=None)),
+        Topic('~voltage', 'serial_communication/Voltage', 1.0, card=None, message=wire.Voltage),
+        Topic('~ticks', 'serial_communication/Ticks', 0.01, card=None, message=wire.Ticks),
+        Topic('~steering_angle', 'serial_communication/SteeringFeedback', 0.01, card=None,
+              message=wire.SteeringAngle)),
     services=(Service('~calibrate_imu', 'std_srvs/Empty', 'calibrate the IMU', confirm=(
         'The car must not move for over five minutes. During that time it takes no commands and '
         'sends no IMU data.')),),
