@@ -7,7 +7,7 @@ import enum
 import importlib
 import math
 from dataclasses import dataclass, field
-from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple
+from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 from ..framing.custom_messages import RowError
 from ..framing.stream import Decoder
@@ -110,11 +110,14 @@ class Description:
     question: bytes = b''
 
     def __post_init__(self) -> None:
-        names = [*(each.name for each in (*self.topics, *self.services)), *self.other_names]
-        twice = {name for name in names if names.count(name) > 1}
+        twice = named_twice(self.names)
         if twice:
-            raise ValueError(f'{self.name}: two topics or services are named '
-                             f'{" and ".join(sorted(twice))}')
+            raise ValueError(f'the board {self.name} names two topics or services {twice}')
+
+    @property
+    def names(self) -> List[str]:
+        """The names of its topics and services, relative to the node."""
+        return [*(each.name for each in (*self.topics, *self.services)), *self.other_names]
 
     def baud_of(self, parameters: Mapping[str, Any]) -> int:
         """The rate of the port: `baud` of the board's parameters, else the description's.
@@ -137,3 +140,8 @@ class Description:
     def simulator(self) -> Any:
         """The class of the simulated board: see `simulation.board.Board`."""
         return importlib.import_module(self.package + '.simulator').BOARD
+
+
+def named_twice(names: Sequence[str]) -> str:
+    """The names that are there more than once, as text."""
+    return ' and '.join(sorted({name for name in names if names.count(name) > 1}))

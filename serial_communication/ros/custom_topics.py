@@ -8,7 +8,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Sequence, Set, Tuple, 
 
 import rospy
 
-from ..boards import BOARDS, description
+from ..boards import descriptions
 from ..boards.description import Description, Topic
 from ..framing.custom_messages import CustomMessage, RowError
 from ..framing.layout import LayoutMessage
@@ -71,11 +71,8 @@ def refuse_taken(custom: Any, prefix: str) -> None:
 def taken_names(prefix: str) -> Set[str]:
     """Return the names, without this prefix, that the built-in boards and every node use."""
     names = set(_NODE_SERVICES) if prefix == '~' else set()
-    for board in map(description, BOARDS):
-        names.update(name[len(prefix):].split('/')[0]
-                     for name in (*(topic.name for topic in board.topics),
-                                  *(service.name for service in board.services),
-                                  *board.other_names)
+    for board in descriptions():
+        names.update(name[len(prefix):].split('/')[0] for name in board.names
                      if name.startswith(prefix))
     return names
 

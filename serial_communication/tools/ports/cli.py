@@ -11,7 +11,7 @@ import sys
 import threading
 from typing import Any, Dict, List, Optional
 
-from ...boards import BOARDS, BoardError, find
+from ...boards import BoardError, descriptions
 from ...boards.config_file import board_packages, board_parameters, read_parameters
 from ...output import no_more_output, prepare_output
 from ...transport import devices
@@ -82,8 +82,8 @@ def _seconds(text: str) -> float:
 
 def _candidates(config: str) -> List[Candidate]:
     parameters: Dict[str, Any] = read_parameters(config) if config else {}
-    boards = map(find, (*BOARDS, *board_packages(parameters)))
-    candidates = [Candidate(board, board_parameters(parameters, board.name)) for board in boards]
+    candidates = [Candidate(board, board_parameters(parameters, board.name))
+                  for board in descriptions(board_packages(parameters))]
     for candidate in candidates:
         candidate.decoder(), candidate.baud     # raise ValueError for a mistake in a parameter
     return candidates

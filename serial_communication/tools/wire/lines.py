@@ -2,7 +2,7 @@
 import argparse
 from typing import Any, Callable, List, Mapping, NamedTuple, Optional
 
-from ...boards import BOARDS, BoardError, find
+from ...boards import BOARDS, BoardError, descriptions, find
 from ...boards.config_file import board_packages, board_parameters, read_parameters
 from ...boards.description import Description
 from ...framing.frame_timer import FrameTimer
@@ -58,7 +58,7 @@ def add_link_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('link', metavar='LINK',
                         help='the protocol: ' + ', '.join(BOARDS) + ', a link of a board in '
                              '--config, or a package with a board')
-    for board in map(find, BOARDS):
+    for board in descriptions():
         for flag, meaning in board.wire_flags.items():
             parser.add_argument('--' + flag.replace('_', '-'), action='append_const',
                                 dest='flags', const=flag, default=[],
