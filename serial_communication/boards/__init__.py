@@ -1,21 +1,15 @@
 """The boards: one folder each, the list of them, and functions that find one by its name.
 
-    boards/NAME/__init__.py     `DESCRIPTION`, which programs read: see description.py
-                wire.py         bytes <-> typed messages; pure
-                link.py         the open port: session rules, counters; no rospy
-                ros.py          `INTERFACE`, topics and services: see ros/interface.py
-                simulator.py    `BOARD`, the simulated board: see simulation/board.py
-
-Other files there belong to one board only. A board of another package has the same folder
+doc/developing.md lists the files of a board's folder. The folder of a board of another package is
 elsewhere; its name is the package's import name. A board is imported only when it is asked for, so
 the simulators need no ROS.
 """
 import importlib
 import traceback
 from types import ModuleType
-from typing import Iterable, Tuple
+from typing import Iterable, List, Tuple
 
-from .description import Description
+from .description import Description, named_twice
 
 BOARDS: Tuple[str, ...] = ('bus', 'arduino', 'mcu')
 
@@ -39,23 +33,31 @@ def description(name: str) -> Description:
     return found
 
 
+def descriptions(packages: Iterable[str] = ()) -> List[Description]:
+    """The boards of this package, in order, and those of other packages.
+
+    Raises:
+        BoardError: one cannot be imported, or two of this package have a topic or a service of the
+            same name.
+    """
+    found = [description(name) for name in BOARDS]
+    twice = named_twice([name for board in found for name in board.names])
+    if twice:
+        raise BoardError(f'two boards name a topic or service {twice}')
+    return found + [description(package) for package in packages]
+
+
 def find(name: str, packages: Iterable[str] = ()) -> Description:
-    """The board whose link has this name.
+    """The board whose link, or whose package, has this name.
 
     Args:
-        name: name of a link, or import name of a package with a board.
         packages: import names of packages with boards, as in the bridge's parameter `boards`.
 
     Raises:
         BoardError: there is no such board.
     """
-    if name in BOARDS:
-        return description(name)
-    for package in packages:
-        other = description(package)
-        if other.name == name:
-            return other
-    return description(name)
+    others = () if name in BOARDS else map(description, packages)
+    return next((each for each in others if each.name == name), None) or description(name)
 
 
 def load(name: str) -> ModuleType:

@@ -7,11 +7,12 @@ import enum
 import importlib
 import math
 from dataclasses import dataclass, field
-from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple
+from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
+from ..framing.custom_messages import RowError
 from ..framing.stream import Decoder
 
-
+BAUD_RANGE = 50, 4000000    # of a port
 ANNOUNCED = 'announced'     # parameter of a board: the announced rows that the bridge uses
 
 
@@ -27,6 +28,7 @@ class Topic(NamedTuple):
     # The title of its card on the page; '': a card of its own, with plots; None: the page shows it
     # in a card made for it, or not at all.
     card: Optional[str] = ''
+    message: Any = None               # the message class whose values are the fields of the type
 
 
 class Field(NamedTuple):
@@ -96,17 +98,38 @@ class Description:
     wire_flags: Mapping[str, str] = field(default_factory=dict)
     command: Command = Command.NOTHING
     heartbeat: Optional[Heartbeat] = None
-    baud: int = 115200               # default of the port's rate
+    baud: int = 115200               # of the port, if its parameters have none: see `baud_of`
     # Bytes that end a frame, are never inside one, and may also separate two frames.
     between: bytes = b''
     first_after_loss: bytes = b''    # has to be sent first after some output was dropped
     # s. If the board is silent for so long after something was sent, a network port is closed and
     # opened again, since the data may still wait in the network. 0: never.
     network_silence: float = 0.0
-    silent_after: bytes = b''        # a frame after which the board is silent for minutes
     # A frame that the board answers and that changes nothing; only for one that is silent until it
     # is asked.
     question: bytes = b''
+
+    def __post_init__(self) -> None:
+        twice = named_twice(self.names)
+        if twice:
+            raise ValueError(f'the board {self.name} names two topics or services {twice}')
+
+    @property
+    def names(self) -> List[str]:
+        """The names of its topics and services, relative to the node."""
+        return [*(each.name for each in (*self.topics, *self.services)), *self.other_names]
+
+    def baud_of(self, parameters: Mapping[str, Any]) -> int:
+        """The rate of the port: `baud` of the board's parameters, else the description's.
+
+        Raises:
+            RowError: the parameter is not a rate that the bridge accepts.
+        """
+        given = parameters.get('baud', self.baud)
+        if type(given) is not int or not BAUD_RANGE[0] <= given <= BAUD_RANGE[1]:
+            raise RowError(f'{self.name}/baud', given, 'may be a whole number from {} to {} '
+                           '(baud)'.format(*BAUD_RANGE))
+        return given
 
     @property
     def interface(self) -> Any:
@@ -117,3 +140,8 @@ class Description:
     def simulator(self) -> Any:
         """The class of the simulated board: see `simulation.board.Board`."""
         return importlib.import_module(self.package + '.simulator').BOARD
+
+
+def named_twice(names: Sequence[str]) -> str:
+    """The names that are there more than once, as text."""
+    return ' and '.join(sorted({name for name in names if names.count(name) > 1}))

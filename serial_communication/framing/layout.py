@@ -8,7 +8,7 @@ import re
 import struct
 from collections import namedtuple
 from math import inf, isfinite
-from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 from unicodedata import category
 
 from .parts import Part
@@ -434,6 +434,22 @@ def message_class(name: str, type_: int, layout: str, values: Sequence[Value] = 
     return type(name, (LayoutMessage, fields), {
         '__slots__': (), '__doc__': doc, 'TYPE': type_, 'LABEL': label or name,
         'LAYOUT': Layout(layout, values)})
+
+
+def by_type(*kinds: Any) -> Dict[int, Any]:
+    """Message classes by their types: `TYPE`, or `TYPES` of a class with several.
+
+    Raises:
+        ValueError: two classes have the same type.
+    """
+    found: Dict[int, Any] = {}
+    for kind in kinds:
+        for type_ in getattr(kind, 'TYPES', None) or (kind.TYPE,):
+            if type_ in found:
+                raise ValueError(f'{found[type_].__name__} and {kind.__name__} have the same type, '
+                                 f'{type_}')
+            found[type_] = kind
+    return found
 
 
 def readable(text: str) -> str:

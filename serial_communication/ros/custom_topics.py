@@ -8,8 +8,8 @@ from typing import Any, Callable, Dict, List, NamedTuple, Sequence, Set, Tuple, 
 
 import rospy
 
-from ..boards import BOARDS, description
-from ..boards.description import Description
+from ..boards import descriptions
+from ..boards.description import Description, Topic
 from ..framing.custom_messages import CustomMessage, RowError
 from ..framing.layout import LayoutMessage
 from ..link.sparing_log import SparingLog
@@ -71,11 +71,8 @@ def refuse_taken(custom: Any, prefix: str) -> None:
 def taken_names(prefix: str) -> Set[str]:
     """Return the names, without this prefix, that the built-in boards and every node use."""
     names = set(_NODE_SERVICES) if prefix == '~' else set()
-    for board in map(description, BOARDS):
-        names.update(name[len(prefix):].split('/')[0]
-                     for name in (*(topic.name for topic in board.topics),
-                                  *(service.name for service in board.services),
-                                  *board.other_names)
+    for board in descriptions():
+        names.update(name[len(prefix):].split('/')[0] for name in board.names
                      if name.startswith(prefix))
     return names
 
@@ -118,9 +115,14 @@ class ValuePublisher:
         topic.unregister()
 
 
-def built_in_topic(name: str, ros_class: Any, kind: Type[LayoutMessage]) -> ValuePublisher:
-    """Return the topic of a built-in message whose values have the names of the ROS fields."""
-    return ValuePublisher(name, ros_class, RosFields(ros_class, kind.LAYOUT, name))
+def built_in_topics(board: Description) -> Dict[Type[LayoutMessage], ValuePublisher]:
+    """Return the topics of a board that need no code of its own, by their message classes."""
+    def made(topic: Topic) -> ValuePublisher:
+        ros_class = find_type(topic.name, topic.type)
+        return ValuePublisher(topic.name, ros_class,
+                              RosFields(ros_class, topic.message.LAYOUT, topic.name))
+
+    return {topic.message: made(topic) for topic in board.topics if topic.message}
 
 
 def custom_topics(rows: List[RosMessage], prefix: str,

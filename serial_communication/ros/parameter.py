@@ -2,6 +2,7 @@
 from math import inf, isfinite
 from typing import Any, Callable, Dict, NamedTuple, Optional, Tuple
 
+from ..boards.description import BAUD_RANGE, Description
 from ..framing.layout import readable
 from ..transport.port import check_url
 
@@ -96,5 +97,12 @@ def _port(url: str) -> str:
 
 
 PORT = Parameter('', parse=_port)     # empty: the link is off
-BAUD = Parameter(115200, 50, 4000000, unit='baud')
+BAUD = Parameter(115200, *BAUD_RANGE, unit='baud')     # of a board whose description has no rate
+
+
+def baud(board: Description) -> Parameter:
+    """Return the parameter `baud` of a board: its default is the description's."""
+    return Parameter(board.baud, *BAUD_RANGE, unit='baud')
+
+
 MOUNT = Parameter([0.0] * 6, unit='x y z in m, roll pitch yaw in rad, in base_frame_id')

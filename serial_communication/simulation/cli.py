@@ -162,6 +162,8 @@ def _parse(arguments: List[str]) -> argparse.Namespace:
             options.board_class)
     except ValueError as error:
         parser.error(str(error))
+    if options.baud is None:
+        options.baud = options.config.baud
     if options.seed is None:
         options.seed = SystemRandom().randrange(1 << 31)
     return options
@@ -184,7 +186,7 @@ def _add(boards: Any, name: str, described: Description) -> None:
     parser.set_defaults(board_class=board)
     parser.add_argument('--port', required=True, type=_port,
                         help='a device or a URL that pyserial opens')
-    parser.add_argument('--baud', type=int, default=115200, help='(%(default)d)')
+    parser.add_argument('--baud', type=int, help=f'(that of --config, or {described.baud})')
     parser.add_argument('--baud-pace', action='store_true',
                         help='send no faster than --baud; a pseudo terminal has no speed itself')
     parser.add_argument('--fault', action='append', default=[], metavar='KIND=RATE[:S]',

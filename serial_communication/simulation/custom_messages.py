@@ -5,12 +5,11 @@ that may be "no value" is that for one second in ten.
 """
 import argparse
 import math
-from typing import Any, Dict, Iterable, List, Optional, Tuple
+from typing import Any, Iterable, List, Mapping, Optional, Tuple
 
 from ..boards.config_file import board_parameters, read_parameters
 from ..boards.description import Description
-from ..framing.announced_text import announcement_text
-from ..framing.announcement import chunks_of
+from ..framing.announcement import chunks_of, write_announcement
 from ..framing.custom_messages import CustomMessage
 from ..framing.layout import NO_VALUE, Layout, Value
 from ..transport.pace import Every
@@ -24,48 +23,46 @@ _OSCILLATION = 10.0    # s; period of a value
 _NO_VALUE_FOR = 1.0    # s of each period
 
 
-class ConfiguredRows(list):
-    """The custom messages of a configuration; `rows` are the rows that they were read from."""
+class Configured(list):
+    """The custom messages of a board in a configuration.
 
-    rows: Dict[str, Any] = {}
+    Args:
+        parameters: the board's.
+
+    Raises:
+        RowError: the rate of the port, or a row, is wrong.
+    """
+
+    def __init__(self, board: Description, parameters: Mapping[str, Any]) -> None:
+        self.baud = board.baud_of(parameters)
+        self.rows = board.custom and parameters.get(board.custom.parameter) or {}
+        super().__init__(board.custom.read(self.rows) if board.custom else ())
 
 
 def add_options(parser: argparse.ArgumentParser, board: Description) -> None:
-    """Add the options --config FILE, whose value is the list of the board's custom messages, and
-    --announce."""
-    if board.custom is None:
-        # Accepted, since a launch file passes it to all boards.
-        parser.add_argument('--config', metavar='FILE',
-                            help='parameters of the bridge; not used by this board')
-        return
-    parameter, read_rows, _ = board.custom
-
-    def read(path: str) -> ConfiguredRows:
+    """Add the options --config FILE, whose value is a `Configured`, and --announce."""
+    def read(path: str) -> Configured:
         try:
-            given = board_parameters(read_parameters(path), board.name)
-            found = ConfiguredRows(read_rows(given.get(parameter) or {}))
-            found.rows = given.get(parameter) or {}
-            return found
+            return Configured(board, board_parameters(read_parameters(path), board.name))
         except (OSError, ValueError) as error:
             raise argparse.ArgumentTypeError(f'{path}: {error}') from None
 
-    parser.add_argument('--config', type=read, default=[], metavar='FILE',
-                        help='parameters of the bridge; the board has the custom messages in '
-                             f'{board.name}/{parameter}')
-    parser.add_argument('--announce', action='store_true',
-                        help='announce them to the bridge, which then needs no such file')
+    rows = f'; the board has the custom messages in {board.name}/{board.custom.parameter}' \
+        if board.custom else ''
+    parser.add_argument('--config', type=read, default=Configured(board, {}), metavar='FILE',
+                        help=f"parameters of the bridge, for the port's rate{rows}")
+    if board.custom:
+        parser.add_argument('--announce', action='store_true',
+                            help='announce them to the bridge, which then needs no such file')
 
 
-def announced_text(board: str, config: Any) -> bytes:
+def announced_text(board: str, config: Configured) -> bytes:
     """The text with which a simulated board announces the rows of its configuration.
-
-    Args:
-        config: the value of --config; an empty list without a file.
 
     Raises:
         ValueError: the rows cannot be announced.
     """
-    return announcement_text(getattr(config, 'rows', {}), f'simulated_{board} 1.0')
+    return write_announcement(config.rows, f'simulated_{board} 1.0')
 
 
 class CustomMessagePlayer:

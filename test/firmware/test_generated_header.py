@@ -10,8 +10,7 @@ import emulated_board
 from serial_communication.boards.arduino import custom_messages
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.config_file import read_parameters
-from serial_communication.framing.announced_text import read_announcement
-from serial_communication.framing.announcement import TYPE, Assembly
+from serial_communication.framing.announcement import TYPE, Assembly, read_announcement
 from test_compilers import ON_THE_AVR, ON_THE_ESP, PROTOCOL, STUBS, check
 
 ROOT = os.path.dirname(emulated_board.FIRMWARE)

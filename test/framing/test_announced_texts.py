@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 pytest.importorskip('yaml')
-from serial_communication.framing.announced_text import (announcement_text,  # noqa: E402
-                                                         read_announcement)
+from serial_communication.framing.announcement import (read_announcement,  # noqa: E402
+                                                       write_announcement)
 
 ROW = b'force: {type: 32, ros_type: std_msgs/Float32, layout: "<h", fields: [data], scale: 0.01}\n'
 FORCE = {'type': 32, 'ros_type': 'std_msgs/Float32', 'layout': '<h', 'fields': ['data'],
@@ -100,5 +100,5 @@ SCALARS = st.one_of(st.integers(-10 ** 6, 10 ** 6), st.floats(allow_nan=False), 
     st.sampled_from(('type', 'layout', 'fields', 'scale', 'frame_id')),
     st.one_of(SCALARS, st.lists(SCALARS, max_size=3)), max_size=4), max_size=4))
 def test_rows_are_announced_and_read_unchanged(rows):
-    found = read_announcement(announcement_text(rows, 'nano_car 1.1.0'))
+    found = read_announcement(write_announcement(rows, 'nano_car 1.1.0'))
     assert found == ('nano_car 1.1.0', rows, [])

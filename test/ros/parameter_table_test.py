@@ -1,15 +1,13 @@
 #!/usr/bin/python3
-"""The table of parameters agrees with config/bridge.yaml, and each message of the car has a topic.
+"""The table of parameters agrees with config/bridge.yaml.
 
 This needs no ROS master: run it alone, or with unittest or pytest.
 """
 import itertools
-import logging
 import os
 import re
 import sys
 import tempfile
-import time
 import unittest
 from pathlib import Path
 from unittest import mock
@@ -17,9 +15,6 @@ from unittest import mock
 import rosunit
 import yaml
 
-from serial_communication.boards.arduino import wire as arduino
-from serial_communication.boards.arduino import ros as interface
-from serial_communication.ros.interface import LinkOptions
 from serial_communication.ros.parameters import PARAMETERS, ParameterError, check
 
 CONFIG = os.path.join(os.path.dirname(os.path.abspath(__file__)), '..', '..', 'config',
@@ -308,35 +303,6 @@ class Lines(unittest.TestCase):
                                  'needs its own port')
         check({'bus': {'port': 'loop://'}, 'mcu': {'port': 'loop://'}, 'arduino': {'port': ''}},
               '/node')
-
-
-class Sonar(arduino.Ticks):
-    """A message from the car without a topic."""
-
-    TYPE = 99
-
-
-class Topics(unittest.TestCase):
-    """Each message that the car sends has a topic, or the node does not start."""
-
-    @staticmethod
-    def interface():
-        """An interface with the default parameters, which needs neither a port nor a master."""
-        values = {name: each.default
-                  for name, each in interface.ArduinoInterface.PARAMETERS.items()}
-        values.update(publish_tf=False, frame_prefix='', base_frame_id='base_link')
-        with mock.patch.object(interface, 'publisher'), \
-                mock.patch.object(interface, 'built_in_topic'):
-            return interface.ArduinoInterface(
-                values, LinkOptions(0.05, time.time, logging.getLogger('table')))
-
-    def test_every_message_of_the_car_has_a_topic(self):
-        self.assertEqual(self.interface().link.name, 'arduino')
-
-    def test_a_message_without_a_topic_is_named_before_a_port_is_opened(self):
-        with mock.patch.object(arduino, 'FROM_BOARD', (*arduino.FROM_BOARD, Sonar)), \
-                self.assertRaisesRegex(TypeError, 'messages without a topic: .*Sonar'):
-            self.interface()
 
 
 if __name__ == '__main__':

@@ -1,7 +1,6 @@
 """The model car's Arduino Nano: COBS packets, and a heartbeat that keeps the motor running."""
 from typing import Any, List, Mapping
 
-from ...framing import announcement
 from ...framing.custom_messages import FROM_BOARD, TO_BOARD, CustomMessage, read_messages
 from ...framing.stream import Decoder
 from ..description import CustomRows, Description, Heartbeat, Service, Topic
@@ -14,8 +13,8 @@ def custom_messages(entries: Any, key: str = 'arduino/messages') -> List[CustomM
     Raises:
         RowError: for the first mistake in them.
     """
-    return read_messages(entries, key, range(13, announcement.TYPE), wire.MAX_PACKET - 1,
-                         (FROM_BOARD, TO_BOARD))
+    free = [type_ for type_ in range(256) if type_ not in wire.BUILT_IN]
+    return read_messages(entries, key, free, wire.MAX_PACKET - 1, (FROM_BOARD, TO_BOARD))
 
 
 def _decoder(sent: bool, parameters: Mapping[str, Any]) -> Decoder:
@@ -31,9 +30,10 @@ DESCRIPTION = Description(
         Topic('~imu', 'sensor_msgs/Imu', 0.01, card=None),
         Topic('~imu/temperature', 'sensor_msgs/Temperature', 0.01, card=None),
         Topic('~imu/calibrating', 'std_msgs/Bool', ages=False, card=None),
-        Topic('~voltage', 'serial_communication/Voltage', 1.0, card=None),
-        Topic('~ticks', 'serial_communication/Ticks', 0.01, card=None),
-        Topic('~steering_angle', 'serial_communication/SteeringFeedback', 0.01, card=None)),
+        Topic('~voltage', 'serial_communication/Voltage', 1.0, card=None, message=wire.Voltage),
+        Topic('~ticks', 'serial_communication/Ticks', 0.01, card=None, message=wire.Ticks),
+        Topic('~steering_angle', 'serial_communication/SteeringFeedback', 0.01, card=None,
+              message=wire.SteeringAngle)),
     services=(Service('~calibrate_imu', 'std_srvs/Empty', 'calibrate the IMU', confirm=(
         'The car must not move for over five minutes. During that time it takes no commands and '
         'sends no IMU data.')),),
@@ -42,5 +42,4 @@ DESCRIPTION = Description(
     heartbeat=Heartbeat(wire.Heartbeat.TYPE, LONGEST_GAP),
     between=b'\0',
     first_after_loss=b'\0' + wire.encode(wire.SpeedCommand(0)),
-    network_silence=1.0,
-    silent_after=wire.encode(wire.ImuCalibration()))
+    network_silence=1.0)

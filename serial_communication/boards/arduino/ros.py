@@ -8,19 +8,18 @@ from sensor_msgs.msg import Imu, Temperature
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Empty, EmptyResponse
 
-from serial_communication.msg import (SpeedPWMCommand, SteeringFeedback, SteeringPWMCommand,
-                                      Ticks, Voltage)
+from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 
 from ...link.link import Refused
 from ...link.outcome import NOT_SENT, Outcome
 from ...ros.announced import AnnouncedRows
 from ...ros.answers import service_error
 from ...ros.commands import CommandTopic
-from ...ros.custom_topics import (add_announced, built_in_topic, custom_topics, message_rows,
+from ...ros.custom_topics import (add_announced, built_in_topics, custom_topics, message_rows,
                                   names_of, resolve, take_commands)
 from ...ros.geometry import OrientationBroadcaster
 from ...ros.interface import LinkOptions, Interface
-from ...ros.parameter import BAUD, MOUNT, PORT, Parameter, frame_id, seconds
+from ...ros.parameter import MOUNT, PORT, Parameter, baud, frame_id, seconds
 from ...ros.publishing import diagonal, publisher, wanted
 from ...transport.port import Port
 from . import DESCRIPTION, wire
@@ -36,7 +35,7 @@ class ArduinoInterface(Interface):
     NAME = DESCRIPTION.name
     PARAMETERS = {
         'port': PORT,
-        'baud': BAUD,
+        'baud': baud(DESCRIPTION),
         'reset_on_open': Parameter(False),
         # At 34 Hz a heartbeat is sent every 29 ms; the board stops its motor after 30 ms without.
         'heartbeat_rate': Parameter(_DEFAULTS.heartbeat_rate, 34.0, 1000.0, unit='Hz'),
@@ -74,13 +73,7 @@ class ArduinoInterface(Interface):
         self._temperature = publisher('~imu/temperature', Temperature)
         self._calibrating = publisher('~imu/calibrating', Bool, latch=True)
         self._calibrating.publish(False)
-        # A message with a single value on a topic of its own needs one line here.
-        self._topics = {kind: built_in_topic(name, ros_class, kind) for kind, name, ros_class in (
-            (wire.Voltage, '~voltage', Voltage), (wire.Ticks, '~ticks', Ticks),
-            (wire.SteeringAngle, '~steering_angle', SteeringFeedback))}
-        without_topic = set(wire.FROM_BOARD) - set(self._topics) - {wire.Imu}
-        if without_topic:
-            raise TypeError(f'messages without a topic: {without_topic}')
+        self._topics = built_in_topics(DESCRIPTION)
         self._custom_messages = p['messages']
         self._topics.update(custom_topics(self._custom_messages, '~', p['frame_prefix']))
         self.link = ArduinoLink(

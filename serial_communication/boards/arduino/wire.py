@@ -13,7 +13,7 @@ from math import pi
 from typing import Any, Dict, Iterable, List, NamedTuple, Tuple, Type
 
 from ...framing import announcement, cobs
-from ...framing.layout import Layout, LayoutMessage, Value, message_class, readable
+from ...framing.layout import Layout, LayoutMessage, Value, by_type, message_class, readable
 from ...framing.parts import Part, Parts
 from ...framing.stream import (FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN, Frame, frame_of,
                                invalid_frame)
@@ -227,6 +227,8 @@ class Imu(LayoutMessage, _ImuValues):
 
 FROM_BOARD = (SteeringAngle, Ticks, Imu, Voltage)
 TO_BOARD = (SpeedCommand, SteeringCommand, LedCommand, Heartbeat, ImuCalibration)
+# A custom message has none of these types.
+BUILT_IN = by_type(*FROM_BOARD, *TO_BOARD, Log, announcement.Chunk)
 
 
 def encode(message: Any) -> bytes:
@@ -406,11 +408,10 @@ class _Decoder:
 class Decoder(_Decoder):
     """Decodes what the board sends."""
 
-    _messages = {**{message.TYPE: message for message in (*FROM_BOARD, announcement.Chunk)},
-                 **dict.fromkeys(Log.TYPES, Log)}
+    _messages = by_type(*FROM_BOARD, Log, announcement.Chunk)
 
 
 class BoardDecoder(_Decoder):
     """Decodes what is sent to the board; for simulated boards and for displays."""
 
-    _messages = {message.TYPE: message for message in TO_BOARD}
+    _messages = by_type(*TO_BOARD)

@@ -18,7 +18,7 @@ from ...ros.answers import fill_response
 from ...ros.custom_topics import ValuePublisher, check_frame_id, names_of, refuse_taken
 from ...ros.fields import RosFields, find_type
 from ...ros.interface import LinkOptions, Interface
-from ...ros.parameter import BAUD, PORT, Parameter, seconds
+from ...ros.parameter import PORT, Parameter, baud, seconds
 from ...ros.publishing import publisher, wanted
 from ...transport.port import Port
 from . import DESCRIPTION, wire
@@ -34,7 +34,7 @@ class BusInterface(Interface):
     NAME = DESCRIPTION.name
     PARAMETERS = {
         'port': PORT,
-        'baud': BAUD,
+        'baud': baud(DESCRIPTION),
         'reply_timeout': seconds(_DEFAULTS.reply_timeout, 0.01, 60.0),
         'motion_timeout': seconds(_DEFAULTS.motion_timeout, 0.01, 600.0),
         'retries': Parameter(_DEFAULTS.retries, 0, 100),

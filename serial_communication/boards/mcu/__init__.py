@@ -1,7 +1,6 @@
 """The ESP32 with two range sensors and an IMU, or with ADC channels."""
 from typing import Any, List, Mapping
 
-from ...framing import announcement
 from ...framing.custom_messages import CustomMessage, read_messages
 from ...framing.stream import Decoder
 from ..description import Command, CustomRows, Description, Topic
@@ -16,8 +15,8 @@ def custom_messages(entries: Any, key: str = 'mcu/messages') -> List[CustomMessa
     Raises:
         RowError: for the first mistake in them.
     """
-    types = [type_ for type_ in range(announcement.TYPE) if type_ not in wire.MESSAGES]
-    return read_messages(entries, key, types, wire.MAX_PAYLOAD)
+    free = [type_ for type_ in range(256) if type_ not in wire.BUILT_IN]
+    return read_messages(entries, key, free, wire.MAX_PAYLOAD)
 
 
 def _decoder(_sent: bool, parameters: Mapping[str, Any]) -> Decoder:

@@ -14,7 +14,7 @@ from ...ros.announced import AnnouncedRows
 from ...ros.custom_topics import add_announced, custom_topics, message_rows, names_of, resolve
 from ...ros.geometry import OrientationBroadcaster, quaternion
 from ...ros.interface import LinkOptions, Interface
-from ...ros.parameter import BAUD, MOUNT, PORT, Parameter, frame_id, seconds
+from ...ros.parameter import MOUNT, PORT, Parameter, baud, frame_id, seconds
 from ...ros.publishing import diagonal, publisher, wanted
 from ...transport.port import Port
 from . import DESCRIPTION, wire
@@ -30,7 +30,7 @@ class McuInterface(Interface):
     NAME = DESCRIPTION.name
     PARAMETERS = {
         'port': PORT,
-        'baud': BAUD,
+        'baud': baud(DESCRIPTION),
         'timeout': seconds(1.0, 0.01, 3600.0),
         'network_silence': seconds(5.0, 0.0, 3600.0),
         'yaw_clockwise': Parameter(True),

@@ -13,7 +13,7 @@ from math import isnan, nan
 from typing import Dict, Iterable, List, NamedTuple, Type, Union
 
 from ...framing.announcement import Chunk
-from ...framing.layout import Layout, LayoutMessage, Value, message_class
+from ...framing.layout import Layout, LayoutMessage, Value, by_type, message_class
 from ...framing.parts import Part, Parts
 from ...framing.stream import (CHECKSUM, IMPLAUSIBLE, LENGTH, NO_FRAME, UNKNOWN, Bad, Good, Need,
                                StreamDecoder, running_xor)
@@ -111,8 +111,10 @@ AdcStatus = message_class(
     'AdcStatus', 0x01, '<6H', [Value(f'adc{channel}') for channel in range(6)], 'ADC status',
     'TYPE 0x01: six ADC channels, raw.')
 
-MESSAGES = {message.TYPE: message for message in (SensorStatus, AdcStatus)}
-_LENS = {type_: MIN_LEN + message.LAYOUT.size for type_, message in MESSAGES.items()}
+FROM_BOARD = (SensorStatus, AdcStatus)
+MESSAGES = by_type(*FROM_BOARD)
+BUILT_IN = by_type(*FROM_BOARD, Chunk)      # a custom message has none of these types
+_LENS = {message.TYPE: MIN_LEN + message.LAYOUT.size for message in FROM_BOARD}
 
 
 def encode(message: LayoutMessage, seq: int) -> bytes:
@@ -138,8 +140,7 @@ class Decoder(StreamDecoder):
     def __init__(self, messages: Iterable[Type[LayoutMessage]] = ()) -> None:
         super().__init__()
         self.errors.update({UNKNOWN: 0, LENGTH: 0, IMPLAUSIBLE: 0})
-        self._messages: Dict[int, Type[LayoutMessage]] = {**MESSAGES, Chunk.TYPE: Chunk}
-        self._messages.update((message.TYPE, message) for message in messages)
+        self._messages: Dict[int, Type[LayoutMessage]] = {**BUILT_IN, **by_type(*messages)}
 
     def add_message(self, kind: Type[LayoutMessage]) -> None:
         """Decode custom messages of this class from now on; from any thread."""

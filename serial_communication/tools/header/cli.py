@@ -10,7 +10,7 @@ import signal
 import sys
 from typing import Any, Dict, List, Optional, Tuple
 
-from ...boards import BOARDS, BoardError, find
+from ...boards import BOARDS, BoardError, descriptions, find
 from ...boards.config_file import board_packages, board_parameters, read_parameters
 from ...boards.description import CustomRows, Description
 from ...output import prepare_output
@@ -83,12 +83,12 @@ def _board(parameters: Dict[str, Any], link: str) -> Tuple[Description, CustomRo
         if not board.custom:
             raise _WrongLink(f'the board {link} has no custom messages')
         return board, board.custom
-    boards = [(board, board.custom) for board in map(find, (*BOARDS, *packages))
+    boards = [(board, board.custom) for board in descriptions(packages)
               if board.custom and _rows(parameters, board)]
     names = [board.name for board, _ in boards]
     if not boards:
         raise _Mistake('has no custom messages: no rows in ' + ', '.join(
-            f'{board.name}/{board.custom.parameter}' for board in map(find, BOARDS)
+            f'{board.name}/{board.custom.parameter}' for board in descriptions()
             if board.custom))
     if len(boards) > 1:
         raise _WrongLink(f'has rows of {" and ".join(names)}; a header is for one board: name it '

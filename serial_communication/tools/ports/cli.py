@@ -11,7 +11,7 @@ import sys
 import threading
 from typing import Any, Dict, List, Optional
 
-from ...boards import BOARDS, BoardError, find
+from ...boards import BoardError, descriptions
 from ...boards.config_file import board_packages, board_parameters, read_parameters
 from ...output import no_more_output, prepare_output
 from ...transport import devices
@@ -82,10 +82,10 @@ def _seconds(text: str) -> float:
 
 def _candidates(config: str) -> List[Candidate]:
     parameters: Dict[str, Any] = read_parameters(config) if config else {}
-    boards = map(find, (*BOARDS, *board_packages(parameters)))
-    candidates = [Candidate(board, board_parameters(parameters, board.name)) for board in boards]
+    candidates = [Candidate(board, board_parameters(parameters, board.name))
+                  for board in descriptions(board_packages(parameters))]
     for candidate in candidates:
-        candidate.decoder()     # raises ValueError for a mistake in a custom message
+        candidate.decoder(), candidate.baud     # raise ValueError for a mistake in a parameter
     return candidates
 
 
@@ -95,7 +95,7 @@ def _run(options: argparse.Namespace) -> int:
         print('[]' if options.json else 'This computer has no serial port. Does the USB cable '
               'carry data? `dmesg | tail` shows what was plugged in.')
     ports = _listened(chosen, Listener(options.candidates, options.seconds, options.ask))
-    boards = {candidate.board.name: candidate.board for candidate in options.candidates}
+    boards = {candidate.board.name: candidate for candidate in options.candidates}
     if ports:
         print(as_json(ports) if options.json else
               as_text(ports, boards, options.seconds, options.ask, options.config))

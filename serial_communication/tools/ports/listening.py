@@ -1,10 +1,9 @@
 """Listens to a port and finds out which board is on it."""
 import time
-from typing import Any, Callable, Dict, Iterable, List, Mapping, NamedTuple, Optional
+from typing import Any, Callable, Iterable, Mapping, NamedTuple, Optional
 
 from ...boards.description import Description
-from ...framing.announced_text import read_announcement
-from ...framing.announcement import Assembly, Chunk
+from ...framing.announcement import Assembly, Chunk, read_announcement
 from ...framing.recognition import Recognition
 from ...framing.stream import Decoder
 from ...transport.port import Port, PortBusy, PortError
@@ -28,6 +27,11 @@ class Candidate(NamedTuple):
     def decoder(self) -> Decoder:
         """A decoder of what the board sends."""
         return self.board.decoder(False, self.parameters)
+
+    @property
+    def baud(self) -> int:
+        """The rate at which the bridge opens its port."""
+        return self.board.baud_of(self.parameters)
 
 
 class Heard(NamedTuple):
@@ -68,16 +72,17 @@ class Listener:
             return Heard(trouble=str(error).replace('; waiting for it', ''))
 
     def _listen(self, url: str) -> Heard:
-        rates = _each_once(each.board.baud for each in self._candidates)
+        rates = list(dict.fromkeys(each.baud for each in self._candidates))
+        usual = [*(each.board.baud for each in self._candidates), *USUAL]
         first = Heard()
-        for index, baud in enumerate(_each_once([*rates, *USUAL])):
+        for index, baud in enumerate(dict.fromkeys([*rates, *usual])):
             seconds = self._seconds if baud in rates else min(self._seconds, _OTHER)
             heard = self._at(url, baud, seconds, wait=not index)
             first = first if index else heard
             if heard.board:
                 return heard._replace(size=first.size or heard.size)
             if not first.size and baud == rates[-1]:
-                break     # silent at every rate that a board has
+                break     # silent at every rate that a bridge would use
         return first if first.size or not self._ask else self._asked(url) or first
 
     def _at(self, url: str, baud: int, seconds: float, wait: bool) -> Heard:
@@ -137,7 +142,7 @@ class Listener:
             if each.board.question:
                 answer = _answer(url, each)
                 if answer:
-                    return Heard(each.board.name, each.board.baud, len(answer), answer[:_SAMPLE])
+                    return Heard(each.board.name, each.baud, len(answer), answer[:_SAMPLE])
         return None
 
 
@@ -151,7 +156,7 @@ def _answer(url: str, candidate: Candidate) -> bytes:
         data += more
         return any(frame.message is not None for frame in decoder.feed(more))
 
-    port = Port(url, candidate.board.baud)
+    port = Port(url, candidate.baud)
     try:
         port.open()
         for _ in range(_QUESTIONS):
@@ -176,8 +181,3 @@ def _read(port: Port, seconds: float, received: Callable[[bytes], bool]) -> bool
         data = port.read(left)
         if data and received(data):
             return True
-
-
-def _each_once(rates: Iterable[int]) -> List[int]:
-    found: Dict[int, None] = dict.fromkeys(rates)
-    return list(found)

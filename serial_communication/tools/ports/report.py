@@ -4,13 +4,12 @@ import os
 from typing import Dict, Iterable, List, Mapping, NamedTuple
 
 from ...boards import BOARDS
-from ...boards.description import Description
 from ...framing.layout import readable
 from ...transport.devices import Device
 from ...transport.holders import Holder
 from . import advice
 from .configuration import Connection
-from .listening import Heard
+from .listening import Candidate, Heard
 
 
 class Found(NamedTuple):
@@ -49,7 +48,7 @@ def as_json(ports: Iterable[Found]) -> str:
     } for port in ports], indent=2)
 
 
-def as_text(ports: List[Found], boards: Mapping[str, Description], seconds: float,
+def as_text(ports: List[Found], boards: Mapping[str, Candidate], seconds: float,
             asked: bool, config: str) -> str:
     """A paragraph for each port, and lines to paste; with the configuration if one was given."""
     parts = [_port(port, boards, seconds) for port in ports]
@@ -60,7 +59,7 @@ def as_text(ports: List[Found], boards: Mapping[str, Description], seconds: floa
     return '\n\n'.join(parts)
 
 
-def _port(port: Found, boards: Mapping[str, Description], seconds: float) -> str:
+def _port(port: Found, boards: Mapping[str, Candidate], seconds: float) -> str:
     device, heard = port.device, port.heard
     lines = [f'{device.path}  {_meaning(heard, boards)}']
     by_id = device.by_id if device.serial or not device.by_id else \
@@ -73,9 +72,9 @@ def _port(port: Found, boards: Mapping[str, Description], seconds: float) -> str
     return '\n'.join(lines + [f'    {remedy}' for remedy in advice.of_port(device.path)])
 
 
-def _meaning(heard: Heard, boards: Mapping[str, Description]) -> str:
+def _meaning(heard: Heard, boards: Mapping[str, Candidate]) -> str:
     if heard.board:
-        board = boards[heard.board]
+        board = boards[heard.board].board
         other = f', at {heard.baud} baud' if heard.baud != board.baud else ''
         title = f' ({board.title})' if board.title else ''
         firmware = f', firmware {heard.firmware}' if heard.firmware else ''
@@ -94,15 +93,15 @@ def _received(heard: Heard, seconds: float) -> str:
         f' (text: {words!r})' if words else '')
 
 
-def _to_paste(ports: List[Found], boards: Mapping[str, Description], asked: bool,
+def _to_paste(ports: List[Found], boards: Mapping[str, Candidate], asked: bool,
               config: str) -> List[str]:
     found = connections(ports)
     lines = [f'note: {name} is on several ports; the first is taken: {connection.port}'
              for name, connection in found.items()
              if sum(port.heard.board == name for port in ports) > 1]
     is_silent = any(port.heard.kind == 'nothing' and not port.heard.trouble for port in ports)
-    questions = [board.name for board in boards.values()
-                 if board.question and board.name not in found]
+    questions = [name for name, each in boards.items()
+                 if each.board.question and name not in found]
     if is_silent and questions and not asked:
         lines.append(f'note: the {" and the ".join(questions)} board is silent until it is asked: '
                      'run this again with --ask')

@@ -8,7 +8,7 @@ import math
 import re
 from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Tuple, Union
 
-from ...boards import BOARDS, BoardError, description
+from ...boards import BOARDS, BoardError, description, descriptions
 from ...boards.config_file import board_packages, board_parameters
 from ...boards.description import ANNOUNCED, Description
 
@@ -89,7 +89,7 @@ _SHARED_TOPICS = (BridgeTopic(SERIAL_MSG, 'serial_communication/SerialMsg', LINK
                   BridgeTopic(DIAGNOSTICS, 'diagnostic_msgs/DiagnosticArray', LINKS, 1.0,
                               card=None))
 TOPICS = (_SHARED_TOPICS[0],
-          *(topic for name in BOARDS for topic in board_topics(description(name))),
+          *(topic for board in descriptions() for topic in board_topics(board)),
           *_SHARED_TOPICS[1:])
 TABLE = {topic.name: topic for topic in TOPICS}
 
@@ -128,7 +128,7 @@ def boards_of(parameters: Any) -> List[Description]:
 
     A board that cannot be imported here is left out. Its topics and frames are still shown.
     """
-    found = [description(name) for name in BOARDS]
+    found = descriptions()
     for package in board_packages(parameters):
         try:
             found.append(description(str(package)))

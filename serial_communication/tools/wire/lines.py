@@ -2,7 +2,7 @@
 import argparse
 from typing import Any, Callable, List, Mapping, NamedTuple, Optional
 
-from ...boards import BOARDS, BoardError, find
+from ...boards import BOARDS, BoardError, descriptions, find
 from ...boards.config_file import board_packages, board_parameters, read_parameters
 from ...boards.description import Description
 from ...framing.frame_timer import FrameTimer
@@ -58,7 +58,7 @@ def add_link_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('link', metavar='LINK',
                         help='the protocol: ' + ', '.join(BOARDS) + ', a link of a board in '
                              '--config, or a package with a board')
-    for board in map(find, BOARDS):
+    for board in descriptions():
         for flag, meaning in board.wire_flags.items():
             parser.add_argument('--' + flag.replace('_', '-'), action='append_const',
                                 dest='flags', const=flag, default=[],
@@ -70,14 +70,14 @@ def add_link_options(parser: argparse.ArgumentParser) -> None:
 def add_config_option(parser: argparse.ArgumentParser) -> None:
     """Add the option for the file that `known_lines` reads."""
     parser.add_argument('--config', default='', metavar='FILE',
-                        help="the bridge's parameters, for its custom messages and functions and "
-                             'its boards of other packages')
+                        help="the bridge's parameters, for its baud rates, its custom messages and "
+                             'functions, and its boards of other packages')
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that `settings` reads, including LINK."""
     add_link_options(parser)
-    parser.add_argument('--baud', type=baud, default=0, metavar='N', help="(the board's default)")
+    parser.add_argument('--baud', type=baud, default=0, metavar='N', help="(that of --config, or the board's default)")
     parser.add_argument('--frame-timeout', type=positive, default=FRAME_TIMEOUT, metavar='S',
                         help='an incomplete frame is dropped after this time without a byte, as '
                              "by the bridge's parameter of that name (%(default)g)")
@@ -96,14 +96,14 @@ def settings(options: argparse.Namespace) -> Settings:
 
 
 def known_lines(config: str) -> Callable[[str, int], Settings]:
-    """Return a function of a link's name and baud rate (0: the default) that returns its settings.
+    """Return a function of a link's name and baud rate (0: as in `config`) that returns its settings.
 
     Args:
         config: a file with the bridge's parameters, or ''.
 
     Raises:
         UsageError: the file cannot be used. The returned function raises it for a mistake in a
-            custom message, and `UnknownBoard` for an unknown name.
+            board's parameters, and `UnknownBoard` for an unknown name.
     """
     try:
         parameters = read_parameters(config) if config else {}
@@ -118,11 +118,11 @@ def known_lines(config: str) -> Callable[[str, int], Settings]:
                 f'there is no board {link}, only {", ".join(BOARDS)}; for a board of another '
                 'package give its package, or --config with the parameter `boards`: '
                 f'{error}') from None
-        line = Settings(board, baud_rate or board.baud,
-                        parameters=board_parameters(parameters, board.name))
+        own = board_parameters(parameters, board.name)
         try:
+            line = Settings(board, baud_rate or board.baud_of(own), parameters=own)
             decoder(line, False)
-        except ValueError as error:      # a mistake in a custom message
+        except ValueError as error:      # a mistake in the rate or in a custom message
             raise UsageError(f'{config}: {error}') from None
         return line
 

@@ -32,8 +32,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('recording', metavar='RECORDING', help='a bag, or a file of --raw')
     parser.add_argument('--topic', default='', help='the topic of a bag with several')
     parser.add_argument('--baud', type=lines.baud, default=0, metavar='N',
-                        help="baud rate of the lines (default: that of a file of --raw, or each "
-                             "board's default)")
+                        help='baud rate of the lines (default: that of a file of --raw, or that of '
+                             "--config, or each board's default)")
     lines.add_config_option(parser)
     parser.add_argument('--json', action='store_true', help='the same as JSON; times in s')
 
