@@ -16,8 +16,3 @@ def publisher(name: str, message_class: Any, **options: Any) -> rospy.Publisher:
 def wanted(topic: rospy.Publisher) -> bool:
     """Return whether the topic has subscribers."""
     return topic.get_num_connections() > 0
-
-
-def diagonal(x: float, y: float, z: float) -> list:
-    """Return a diagonal covariance matrix, in row-major order."""
-    return [x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, z]

@@ -1,5 +1,6 @@
 """Private parts of rospy: used in one package only, and only if their source is known."""
 import ast
+import importlib
 import inspect
 import logging
 import textwrap
@@ -16,46 +17,61 @@ from rospy.impl import registration, tcpros_base, tcpros_pubsub
 
 from serial_communication.link.sparing_log import SparingLog
 from serial_communication.ros.rospy_mends import (connections, direct, handshake, log_file,
-                                                  master_calls, own_names, private_parts, shortage,
-                                                  shutdown)
-from serial_communication.ros.rospy_mends.master_watch import MasterWatch
+                                                  master_calls, master_watch, own_names,
+                                                  private_parts, shortage, shutdown)
 from sources import PACKAGE
 
 MENDS = PACKAGE / 'ros' / 'rospy_mends'
-PARTS = sorted(private_parts.SOURCES)
 LOGGER = logging.getLogger('rosout')
+MODULES = (connections, direct, handshake, log_file, master_calls, master_watch, own_names,
+           shortage, shutdown)
+GUARDS = [(f'{module.__name__.rpartition(".")[2]}.{name}', guard) for module in MODULES
+          for name, guard in vars(module).items() if isinstance(guard, private_parts.Guard)]
 
 
-# -- the guard --------------------------------------------------------------------------------
+# -- the guards -------------------------------------------------------------------------------
 
 
-def known(*parts):
-    """Whether the guard accepts these parts, and the warnings."""
+@pytest.fixture(autouse=True)
+def fresh_guards():
+    """Each test has guards that have not been asked yet."""
+    for _name, guard in GUARDS:
+        guard._passed = None
+    yield
+    for _name, guard in GUARDS:
+        guard._passed = None
+
+
+def test_every_module_of_the_package_is_here():
+    with_guard = {path.stem for path in MENDS.glob('*.py') if 'Guard(' in path.read_text()}
+    assert with_guard - {'private_parts'} == {name.partition('.')[0] for name, _guard in GUARDS}
+
+
+@pytest.mark.parametrize('guard', [guard for _name, guard in GUARDS], ids=dict(GUARDS))
+def test_the_installed_rospy_is_known(guard):
     warnings = []
-    return private_parts.are_known(parts, 'acts', 'something is missing',
-                                   warnings.append), warnings
+    assert guard.passes(warnings.append) is True and warnings == []
 
 
-def test_the_installed_rospy_is_known():
-    assert known(*PARTS) == (True, [])
-
-
-@pytest.mark.parametrize('part', PARTS)
-def test_another_body_with_the_same_names_is_refused(part, tmp_path):
-    module, path = part.split(':')
-    *owners, name = path.split('.')
-    owner = vars(__import__(module, fromlist=['*']))[owners[0]] if owners else \
-        __import__(module, fromlist=['*'])
+@pytest.mark.parametrize('guard, part', [
+    pytest.param(guard, part, id=f'{name} {part}') for name, guard in GUARDS
+    for part in guard.parts])
+def test_another_body_with_the_same_names_is_refused(guard, part, tmp_path):
+    module, _, path = part.partition(':')
+    owner_path, _, name = path.rpartition('.')
+    owner = importlib.import_module(module)
+    owner = getattr(owner, owner_path) if owner_path else owner
     function = getattr(owner, name)
     if inspect.isclass(function):       # its first method
         owner = function
         name, function = next(item for item in vars(owner).items() if inspect.isfunction(item[1]))
     other = with_another_body(function, tmp_path / 'other.py')
     assert other.__code__.co_names == function.__code__.co_names
+    warnings = []
     with mock.patch.object(owner, name, other):
-        assert known(part) == (False, ['this rospy acts differently from 1.15.15 and 1.16.0: '
-                                       'something is missing'])
-    assert known(part) == (True, [])
+        assert guard.passes(warnings.append) is False
+        assert guard.passes(warnings.append) is False
+    assert len(warnings) == 1 and 'differently from 1.15.15 and 1.16.0: ' in warnings[0]
 
 
 def with_another_body(function, path):
@@ -71,20 +87,9 @@ def with_another_body(function, path):
 
 @pytest.mark.parametrize('problem', [AttributeError, ImportError, OSError])
 def test_a_part_that_is_missing_or_has_no_source_is_refused(problem):
-    with mock.patch.object(private_parts, 'source_hash', side_effect=problem):
-        assert known(PARTS[0])[0] is False
-
-
-def use(function, *arguments):
-    """Install a patch that is needed on first use."""
-    for guard in shutdown._is_known, connections._topics_are_known, connections._services_are_known:
-        guard.cache_clear()
-    try:
-        return function(*arguments)
-    finally:
-        for guard in (shutdown._is_known, connections._topics_are_known,
-                      connections._services_are_known):
-            guard.cache_clear()
+    guard = private_parts.Guard('rospy:spin', set(), 'acts', 'something is missing')
+    with mock.patch.object(guard, 'source_hash', side_effect=problem):
+        assert guard.passes(lambda _warning: None) is False
 
 
 def begin_node():
@@ -115,15 +120,15 @@ PATCHES = {
     'own_names': (lambda: own_names.install(LOGGER.warning),
                   lambda: (sorted(vars(registration.get_topic_manager())),
                            sorted(vars(registration.get_service_manager())))),
-    'master_watch': (lambda: MasterWatch('/any', LOGGER).start({}),
+    'master_watch': (lambda: master_watch.MasterWatch('/any', LOGGER).start({}),
                      lambda: [each.name for each in threading.enumerate()]),
-    'shutdown_hook': (lambda: use(shutdown.on_shutdown, print),
+    'shutdown_hook': (lambda: shutdown.on_shutdown(print),
                       lambda: list(rospy.core._preshutdown_hooks)),
-    'shutdown': (lambda: use(shutdown.is_shutdown_requested), rospy.is_shutdown),
-    'old connections': (lambda: use(connections.NewestConnections(ONE_SUBSCRIBER).is_replaced, {}),
+    'shutdown': (lambda: shutdown.is_shutdown_requested(), rospy.is_shutdown),
+    'old connections': (lambda: connections.NewestConnections(ONE_SUBSCRIBER).is_replaced({}),
                         lambda: False),
-    'subscribers': (lambda: use(connections.reaches, ONE_SUBSCRIBER, '/any'), lambda: True),
-    'service': (lambda: use(call_service), lambda: None),
+    'subscribers': (lambda: connections.reaches(ONE_SUBSCRIBER, '/any'), lambda: True),
+    'service': (call_service, lambda: None),
 }
 RESULTS = {'command_line': {}, 'shutdown': False, 'old connections': False, 'subscribers': True}
 
@@ -133,7 +138,7 @@ def test_an_unknown_rospy_works_as_it_is_and_one_warning_is_logged(name, caplog,
     install, state = PATCHES[name]
     before = state()
     monkeypatch.setenv('ROS_MASTER_URI', 'http://localhost:1')
-    with mock.patch.dict(private_parts.SOURCES, {part: set() for part in PARTS}):
+    with mock.patch.object(private_parts, '_source', return_value='unknown'):
         assert install() == RESULTS.get(name)
     assert state() == before
     warning, = [each.getMessage() for each in caplog.records]

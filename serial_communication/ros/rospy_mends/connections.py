@@ -1,36 +1,24 @@
 """Connections of topics and services: which one a message came on, and whom a topic reaches."""
-import functools
-import logging
 from typing import Any, Dict
 
 import rosgraph
 import rospy
 from rospy.impl.tcpros_base import TCPROSTransport
 
-from .private_parts import are_known
+from .private_parts import Guard
 
-_PARTS = ('rospy.topics:_TopicImpl.add_connection', 'rospy.topics:_TopicImpl._remove_connection',
-          'rospy.topics:_TopicImpl.has_connection',
-          'rospy.impl.tcpros_base:TCPROSTransport.receive_once',
-          'rospy.impl.tcpros_base:TCPROSTransport.read_header')
-_SERVICE_PARTS = ('rospy.impl.tcpros_service:ServiceProxy.__init__',
-                  'rospy.impl.tcpros_service:ServiceProxy.call',
-                  'rospy.impl.tcpros_base:TCPROSTransport.__init__',
-                  'rospy.impl.tcpros_base:TCPROSTransport.connect')
-_LOGGER = logging.getLogger('rosout')
-
-
-@functools.lru_cache(maxsize=None)
-def _topics_are_known() -> bool:
-    return are_known(_PARTS, 'keeps connections', 'commands on an old connection are not refused, '
-                     'and the page does not see whether the bridge receives its commands',
-                     _LOGGER.warning)
-
-
-@functools.lru_cache(maxsize=None)
-def _services_are_known() -> bool:
-    return are_known(_SERVICE_PARTS, 'calls services', 'a call from the page may wait for the '
-                     'master, and is then sent late', _LOGGER.warning)
+_TOPICS = Guard('rospy.topics:_TopicImpl.add_connection rospy.topics:_TopicImpl._remove_connection '
+                'rospy.topics:_TopicImpl.has_connection '
+                'rospy.impl.tcpros_base:TCPROSTransport.receive_once '
+                'rospy.impl.tcpros_base:TCPROSTransport.read_header', {'172d8dd7f6354a16'},
+                'keeps connections', 'commands on an old connection are not refused, and the page '
+                'does not see whether the bridge receives its commands')
+_SERVICES = Guard('rospy.impl.tcpros_service:ServiceProxy.__init__ '
+                  'rospy.impl.tcpros_service:ServiceProxy.call '
+                  'rospy.impl.tcpros_base:TCPROSTransport.__init__ '
+                  'rospy.impl.tcpros_base:TCPROSTransport.connect', {'e711404151b98217'},
+                  'calls services', 'a call from the page may wait for the master, and is then '
+                  'sent late')
 
 
 def header_of(message: Any) -> Dict[str, str]:
@@ -52,7 +40,7 @@ class NewestConnections:
 
     def is_replaced(self, header: Dict[str, str]) -> bool:
         """Return whether the publisher has made a newer connection, even if that has closed."""
-        if not _topics_are_known():
+        if not _TOPICS.passes():
             return False
         # rospy keeps them in the order in which it made them. One without a header is not ready.
         alive = [each.header for each in self._impl.connections if each.header]
@@ -66,7 +54,7 @@ class NewestConnections:
 
 def reaches(publisher: rospy.Publisher, node: str) -> bool:
     """Return whether a node, by its full name, subscribes to the topic."""
-    if not _topics_are_known():
+    if not _TOPICS.passes():
         return publisher.get_num_connections() > 0
     return publisher.impl.has_connection(node)
 
@@ -87,7 +75,7 @@ def connected_service(name: str, service_class: Any, patience: float) -> rospy.S
     """
     uri = rosgraph.Master(rospy.get_name()).lookupService(name)
     proxy = rospy.ServiceProxy(name, service_class)
-    if _services_are_known():
+    if _SERVICES.passes():
         proxy.transport = TCPROSTransport(proxy.protocol, proxy.resolved_name)
         try:
             proxy.transport.connect(*rospy.parse_rosrpc_uri(uri), uri, timeout=patience)

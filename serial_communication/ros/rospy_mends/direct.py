@@ -20,12 +20,15 @@ import rospy.topics
 from rospy.exceptions import TransportTerminated
 from rospy.impl.transport import Transport
 
-from .private_parts import are_known
+from .private_parts import Guard
 
-_PARTS = ('rospy.topics:QueuedConnection', 'rospy.topics:_PublisherImpl.add_connection',
-          'rospy.topics:_PublisherImpl.publish', 'rospy.impl.transport:Transport.__init__',
-          'rospy.impl.transport:Transport.close', 'rospy.impl.tcpros_base:TCPROSTransport.__init__',
-          'rospy.impl.tcpros_base:TCPROSTransport.close')
+_GUARD = Guard('rospy.topics:QueuedConnection rospy.topics:_PublisherImpl.add_connection '
+               'rospy.topics:_PublisherImpl.publish rospy.impl.transport:Transport.__init__ '
+               'rospy.impl.transport:Transport.close '
+               'rospy.impl.tcpros_base:TCPROSTransport.__init__ '
+               'rospy.impl.tcpros_base:TCPROSTransport.close', {'0aa81531da14a21d'},
+               'sends messages',
+               "messages go through rospy's threads, which costs more processor time")
 _AGAIN = 0.1       # s until the thread continues after an error
 
 
@@ -143,7 +146,6 @@ _sender = _Sender()
 
 def install(warn: Callable[[str], None]) -> None:
     """Patch rospy, if its source is known; affects later subscribers."""
-    if are_known(_PARTS, 'sends messages',
-                 "messages go through rospy's threads, which costs more processor time", warn):
+    if _GUARD.passes(warn):
         _sender.start()
         rospy.topics.QueuedConnection = DirectConnection

@@ -18,16 +18,19 @@ from rosgraph.network import decode_ros_handshake_header
 from rospy.impl import tcpros_base
 
 from ...link.sparing_log import SparingLog
-from .private_parts import are_known
+from .private_parts import Guard
 from .shortage import PAUSE, advice
 
 _PATIENCE = 3.0         # s for a complete header
 _LONGEST = 64 << 10     # bytes of a header
 _MOST_PENDING = 64      # connections without a complete header
 _READ = 'read_ros_handshake_header'
-_PARTS = ('rospy.impl.tcpros_base:TCPServer.run', 'rospy.impl.tcpros_base:TCPServer.shutdown',
-          'rospy.impl.tcpros_base:TCPROSServer._tcp_server_callback',
-          'rospy.impl.tcpros_base:' + _READ, 'rosgraph.network:decode_ros_handshake_header')
+_GUARD = Guard('rospy.impl.tcpros_base:TCPServer.run rospy.impl.tcpros_base:TCPServer.shutdown '
+               'rospy.impl.tcpros_base:TCPROSServer._tcp_server_callback '
+               'rospy.impl.tcpros_base:read_ros_handshake_header '
+               'rosgraph.network:decode_ros_handshake_header', {'629e4c145bc4b9b0'},
+               'accepts connections',
+               'one that sends nothing may block the others')
 
 
 class _PendingConnection:
@@ -158,8 +161,7 @@ class _Acceptor:
 
 def install(log: SparingLog) -> None:
     """Patch rospy, if its source is known; call this before anybody can connect."""
-    if not are_known(_PARTS, 'accepts connections', 'one that sends nothing may block the others',
-                     log.always_warn):
+    if not _GUARD.passes(log.always_warn):
         return
     read = getattr(tcpros_base, _READ)
     headers: Dict[socket.socket, bytes] = {}

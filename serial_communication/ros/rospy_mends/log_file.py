@@ -13,19 +13,20 @@ import rosgraph.roslogging
 import rospkg
 import rospy
 
-from .private_parts import are_known
+from .private_parts import Guard
 
 _configure = rosgraph.roslogging.configure_logging
-_PARTS = ('rospy.core:configure_logging', 'rosgraph.roslogging:configure_logging',
-          'rosgraph.roslogging:makedirs_with_parent_perms', 'rosgraph.roslogging:RosStreamHandler')
+_GUARD = Guard('rospy.core:configure_logging rosgraph.roslogging:configure_logging '
+               'rosgraph.roslogging:makedirs_with_parent_perms '
+               'rosgraph.roslogging:RosStreamHandler', {'bca159f3f2171870'}, 'sets up logging',
+               'programs do not start if the log file cannot be written')
 _LOGGER = logging.getLogger('rosout')
 
 
 def init_node(name: str, **arguments: Any) -> None:
     """Call `rospy.init_node`, and succeed even if the log file cannot be written."""
     warnings: List[str] = []    # logged below, once there is a log
-    if are_known(_PARTS, 'sets up logging', 'programs do not start if the log file cannot be '
-                 'written', warnings.append):
+    if _GUARD.passes(warnings.append):
         rosgraph.roslogging.configure_logging = _configure_with_fallback
     rospy.init_node(name, **arguments)
     for warning in warnings:

@@ -13,11 +13,16 @@ from typing import Any, Callable, Dict, List
 import rosgraph
 import rospy
 
-from .private_parts import are_known
+from .private_parts import Guard
 from .shutdown import is_shutdown_requested
 
-_PARTS = 'rospy.core:xmlrpcapi', 'rospy.core:_LockedServerProxy'
-_COMMAND_LINE_PARTS = ('rospy.client:load_command_line_node_params',)
+_GUARD = Guard('rospy.core:xmlrpcapi rospy.core:_LockedServerProxy', {'ffa0c7410e6c6cd9'},
+               'calls the master',
+               'a master that ends while the node starts may end the node')
+_COMMAND_LINE = Guard('rospy.client:load_command_line_node_params', {'fe36385572c50e51'},
+                      'reads its command line',
+                      'a master that ends while the node starts may lose the parameters of the '
+                      'command line')
 TIME_LIMIT = 3.0        # s for each answer
 _AGAIN = 0.2            # s until the next try
 _FIRST_REPORT, _REPORT_EVERY = 1.0, 10.0    # s of waiting
@@ -46,8 +51,7 @@ def install(say: Callable[[str], None], warn: Callable[[str], None]) -> None:
         say: called with a line of text if that takes long.
         warn: called if the source is not known.
     """
-    if not are_known(_PARTS, 'calls the master', 'a master that ends while the '
-                     'node starts may end the node', warn):
+    if not _GUARD.passes(warn):
         return
     locked_proxy = rospy.core._LockedServerProxy
 
@@ -82,8 +86,7 @@ def parameters_of(arguments: List[str], warn: Callable[[str], None]) -> Dict[str
     rospy sets them once, perhaps at a master that has ended since.
     """
     tree: Dict[str, Any] = {}
-    if not are_known(_COMMAND_LINE_PARTS, 'reads its command line', 'a master that ends while the '
-                     'node starts may lose the parameters of the command line', warn):
+    if not _COMMAND_LINE.passes(warn):
         return tree
     for path, value in rospy.client.load_command_line_node_params(arguments).items():
         *groups, name = path.strip('/').split('/')

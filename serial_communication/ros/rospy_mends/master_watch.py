@@ -12,14 +12,16 @@ import rosgraph
 import rospy
 from rospy.impl import registration
 
-from .private_parts import are_known
+from .private_parts import Guard
 from .shutdown import is_shutdown_requested
 
-_PARTS = ('rospy.topics:_TopicManager.get_subscriptions',
-          'rospy.topics:_TopicManager.get_publications',
-          'rospy.service:ServiceManager.get_services',
-          'rospy.impl.registration:RegistrationListeners.add_listener',
-          'rospy.impl.registration:RegManager.publisher_update')
+_GUARD = Guard('rospy.topics:_TopicManager.get_subscriptions '
+               'rospy.topics:_TopicManager.get_publications '
+               'rospy.service:ServiceManager.get_services '
+               'rospy.impl.registration:RegistrationListeners.add_listener '
+               'rospy.impl.registration:RegManager.publisher_update', {'0e903c5e99440f24'},
+               'registers',
+               'after a restart of roscore the node has to be started again')
 _PERIOD = 3.0     # s between checks of the master
 
 
@@ -53,8 +55,7 @@ class MasterWatch:
             parameters: the node's private parameters, which are set at a new master, too.
         """
         self._parameters = parameters
-        if are_known(_PARTS, 'registers', 'after a restart of roscore the node has to be started '
-                     'again', self._logger.warning):
+        if _GUARD.passes(self._logger.warning):
             threading.Thread(target=self._run, name='master watch', daemon=True).start()
 
     def _run(self) -> None:

@@ -18,10 +18,12 @@ import rospy
 from rospy.impl import registration, tcpros_pubsub
 
 from ...link.sparing_log import SparingLog
-from .private_parts import are_known
+from .private_parts import Guard
 
-_PARTS = ('rosgraph.xmlrpc:ThreadingXMLRPCServer', 'rospy.impl.registration:RegManager.run',
-          'rospy.impl.tcpros_pubsub:TCPROSHandler.create_transport')
+_GUARD = Guard('rosgraph.xmlrpc:ThreadingXMLRPCServer rospy.impl.registration:RegManager.run '
+               'rospy.impl.tcpros_pubsub:TCPROSHandler.create_transport', {'9232fdb1a6aeec60'},
+               'accepts calls and connects', 'after a shortage of file descriptors or memory the '
+               'node may need a restart')
 PAUSE = 0.1     # s until the next try
 _MODULES = registration, tcpros_pubsub      # start the threads of connections to publishers
 
@@ -41,9 +43,7 @@ def advice(error: OSError) -> str:
 
 def install(log: SparingLog) -> None:
     """Patch rospy, if its source is known; call this before rospy.init_node."""
-    if not are_known(_PARTS, 'accepts calls and connects',
-                     'after a shortage of file descriptors or memory the node may need a restart',
-                     log.always_warn):
+    if not _GUARD.passes(log.always_warn):
         return
 
     def get_request(self: socketserver.TCPServer) -> Tuple[Any, Any]:
