@@ -1,27 +1,24 @@
 """Announced rows: their topics, services and polls are made and taken down while the bridge runs.
 
-A link passes on each new text of its board. Everything else happens in one thread for all links,
-since rospy and the master may take any time.
+A link passes on each new text of its board. Everything else happens in the thread of one
+LatestWorker for all links, since rospy and the master may take any time.
 """
-import logging
-import threading
 import time
-from collections import deque
 from contextlib import suppress
-from typing import Any, Callable, Deque, Dict, Iterable, List, NamedTuple
+from functools import partial
+from typing import Any, Callable, Dict, Iterable, NamedTuple
 
 import rospy
 
-from ..boards import BOARDS
 from ..boards.description import ANNOUNCED, Description
 from ..framing.announcement import read_announcement
 from ..framing.custom_messages import RowError, meaning
-from ..link.link import Announced, Link
+from ..link.link import Link
 from ..link.sparing_log import SparingLog
 from ..transport.pace import Allowance
+from .latest_worker import LatestWorker
 from .rospy_mends.own_names import explained
 
-_PAUSE = 1.0                # s between two announcements: a board may change its own all the time
 _LINES = 60, 2.0            # log lines: at most in a burst, and then per second
 _XML_RPC = 2 ** 31          # the parameter server takes no greater integer
 
@@ -59,6 +56,21 @@ class AnnouncedRows:
         self._made: Dict[str, _Made] = {}     # by name
         self._allowance = Allowance(*_LINES)
 
+    def serve(self, worker: LatestWorker, names: Dict[str, str], parameters: Dict[str, Any],
+              log: SparingLog) -> None:
+        """Use each new announcement of the link, in the worker's thread.
+
+        Args:
+            names: see `update`.
+            parameters: the node's private parameters, which are set at a new master: the announced
+                rows are kept there, too.
+            log: for what is no matter of the link.
+        """
+        def use(text: bytes) -> None:
+            self._set_parameter(self.update(text, names), parameters, log)
+
+        self.link.announcement.on_text = partial(worker.submit, use)
+
     def update(self, text: bytes, names: Dict[str, str]) -> Dict[str, Any]:
         """Make and take down what changed; return the rows that are in use now, by name.
 
@@ -73,12 +85,12 @@ class AnnouncedRows:
         for name in list(self._made):
             if name not in rows or meaning(rows[name].custom) != meaning(self._made[name].custom):
                 self._take_down(name, names)
-        self.link.text_in_use = text
+        self.link.announcement.use(text, announcement.firmware, list(self._made))
         for name, row in rows.items():
             if name not in self._made:
                 self._make(row, announcement.rows[name], names)
         in_use = [name for name in rows if name in self._made]
-        self.link.announced = Announced(announcement.firmware, in_use)
+        self.link.announcement.use(text, announcement.firmware, in_use)
         firmware = f' (firmware {announcement.firmware})' if announcement.firmware else ''
         if self._allowance.take(time.monotonic()):
             self.link.log.always_info(f'announces {", ".join(in_use) or "nothing"}{firmware}')
@@ -134,71 +146,21 @@ class AnnouncedRows:
         except Exception as error:  # pylint: disable=broad-except
             self._warn(f'{name} is announced no longer, but cannot be taken down: {error}')
 
-    def _warn(self, text: str) -> None:
-        if self._allowance.take(time.monotonic()) and not rospy.is_shutdown():
-            self.link.log.always_warn(text)
-
-
-class Announcements:
-    """The announced rows of all links, and the thread that makes and takes them down.
-
-    Args:
-        boards: those whose announcements are used.
-        names: of topics and services of the custom rows of all parameters, with their parameters.
-        parameters: the node's private parameters, which are set at a new master: the announced rows
-            are kept there, too.
-    """
-
-    def __init__(self, boards: Iterable[AnnouncedRows], names: Dict[str, str],
-                 parameters: Dict[str, Any], logger: logging.Logger) -> None:
-        self._names = names
-        self._parameters = parameters
-        self._log = SparingLog('announcements', logger)
-        self._arrived = threading.Event()
-        self._texts: List[Any] = []     # each board and its latest text, if that is new
-        for board in boards:
-            latest: Deque[bytes] = deque(maxlen=1)
-            self._texts.append((board, latest))
-            board.link.on_announcement = self._arrival(latest)
-
-    def _arrival(self, latest: Deque[bytes]) -> Callable[[bytes], None]:
-        def arrived(text: bytes) -> None:      # in the link's thread
-            latest.append(text)
-            self._arrived.set()
-        return arrived
-
-    def start(self) -> None:
-        """Serve the links from now on; texts that have arrived before are served, too."""
-        if self._texts:
-            threading.Thread(target=self._run, name='announcements', daemon=True).start()
-
-    def _run(self) -> None:
-        while True:
-            self._arrived.wait()
-            self._arrived.clear()
-            for board, latest in self._texts:
-                if latest:
-                    self._update(board, latest.pop())
-            time.sleep(_PAUSE)
-
-    def _update(self, board: AnnouncedRows, text: bytes) -> None:
-        try:
-            rows = board.update(text, self._names)
-            self._set_parameter(board.link.name, rows)
-        except Exception as error:  # pylint: disable=broad-except
-            if not rospy.is_shutdown():
-                self._log.error('fault', f'fault in the bridge: {error!r}')
-
-    def _set_parameter(self, board: str, rows: Dict[str, Any]) -> None:
-        rows = _for_xml_rpc(rows)
-        self._parameters[board] = {**self._parameters.get(board, {}), ANNOUNCED: rows}
+    def _set_parameter(self, rows: Dict[str, Any], parameters: Dict[str, Any],
+                       log: SparingLog) -> None:
+        board, rows = self.link.name, _for_xml_rpc(rows)
+        parameters[board] = {**parameters.get(board, {}), ANNOUNCED: rows}
         name = f'~{board}/{ANNOUNCED}'
         try:
             rospy.set_param(name, rows)
         except Exception as error:  # pylint: disable=broad-except
             # rospy passes on what its master, or another server at its address, answers.
-            self._log.warn('parameter', f'the parameter {rospy.resolve_name(name)} cannot be set '
-                           f'now ({error}); a new roscore gets it')
+            log.warn('parameter', f'the parameter {rospy.resolve_name(name)} cannot be set now '
+                     f'({error}); a new roscore gets it')
+
+    def _warn(self, text: str) -> None:
+        if self._allowance.take(time.monotonic()) and not rospy.is_shutdown():
+            self.link.log.always_warn(text)
 
 
 def _for_xml_rpc(value: Any) -> Any:
@@ -210,15 +172,13 @@ def _for_xml_rpc(value: Any) -> Any:
     return float(value) if type(value) is int and not -_XML_RPC <= value < _XML_RPC else value
 
 
-def without_announced(given: Any) -> Any:
-    """Return the node's parameters without the rows that boards announced before it started."""
-    if not isinstance(given, dict):
-        return given
-    found = {}
-    for name, group in given.items():
-        if name in BOARDS and isinstance(group, dict) and ANNOUNCED in group:
-            group = {key: value for key, value in group.items() if key != ANNOUNCED}
+def forget_announced(given: Dict[str, Any], boards: Iterable[str]) -> None:
+    """Delete the rows that these boards announced before the node started.
+
+    Args:
+        given: the node's parameters.
+    """
+    for board in boards:
+        if given.get(board, {}).pop(ANNOUNCED, None) is not None:
             with suppress(KeyError):    # deleted by a call whose answer was lost
-                rospy.delete_param(f'~{name}/{ANNOUNCED}')
-        found[name] = group
-    return found
+                rospy.delete_param(f'~{board}/{ANNOUNCED}')

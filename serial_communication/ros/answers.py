@@ -8,7 +8,6 @@ import ast
 from typing import Any, List, Optional, Tuple
 
 import rospy
-from rospy.exceptions import TransportInitError
 
 from ..link.outcome import LOOK, TIMEOUT, Outcome, Verdict, read_text, verdict_of_failure
 
@@ -55,7 +54,7 @@ def read_response(response: Any) -> Tuple[Verdict, str]:
 
 def read_error(error: rospy.ServiceException) -> Tuple[Verdict, str]:
     """Return the verdict and the text of a service error; for callers."""
-    if isinstance(error.__context__, TransportInitError):      # rospy had not connected yet
+    if isinstance(error.__context__, rospy.TransportInitError):      # rospy had not connected yet
         return Verdict.REFUSED, 'nothing was sent: the bridge does not answer'
     return _failure(*read_text(_text_of(error)))
 

@@ -12,6 +12,7 @@ import rospy
 
 from ..link.link import Refused
 from ..link.sparing_log import SparingLog
+from .rospy_mends.connections import NewestConnections, header_of
 
 _MOST_PUBLISHERS = 1000     # names to remember; each call of rostopic has a new one
 
@@ -49,37 +50,37 @@ class CommandTopic:
         self._age_limit = age_limit if message_class._has_header else 0.0
         self._stops = stops
         self._latest: Dict[str, Any] = {}   # connection by publisher; the last to send comes last
-        self._replaced: Dict[int, Any] = {}     # connections that have newer ones, by their ids
         self._older_publishers = _publishers(self._topic)
-        self._impl: Any = None              # None: not subscribed yet, or closed
-        self._lock = threading.RLock()      # each connection has a thread; they wait for `_impl`
+        # None: not subscribed yet, or closed
+        self._connections: Optional[NewestConnections] = None
+        self._lock = threading.RLock()      # each connection has a thread; they wait for that
         with self._lock:
             self._subscriber = rospy.Subscriber(name, message_class, self._received,
                                                 queue_size=queue_size, tcp_nodelay=True)
-            self._impl = self._subscriber.impl
+            self._connections = NewestConnections(self._subscriber)
 
     def close(self) -> None:
         """Unsubscribe; messages that are received later are ignored."""
         with self._lock:
-            self._impl = None
+            self._connections = None
         self._subscriber.unregister()
 
     def _received(self, message: Any) -> None:
         try:
             with self._lock:
-                if self._impl is None:
-                    return      # in the subscribing thread: the connection's has this message, too
-                self._refuse_if_old(message)
+                if self._connections is None:
+                    return      # while subscribing: the connection's thread handles it, too
+                self._refuse_if_old(message, self._connections)
             self._send(message)
         except Refused as refused:
             self._log.warn(f'{self._name} refused: {refused.cause}', str(refused))
         except ValueError as error:
             self._log.warn(f'{self._name} refused', f'{self._name} refused: {error}')
 
-    def _refuse_if_old(self, message: Any) -> None:
-        connection = message._connection_header     # one object for each connection
+    def _refuse_if_old(self, message: Any, connections: NewestConnections) -> None:
+        connection = header_of(message)
         sender = connection.get('callerid', '')
-        if self._is_replaced(connection, sender):
+        if connections.is_replaced(connection):
             raise Refused(f'{self._label(message)} refused: it was received on an old connection '
                           f'of {sender}; only the newest connection to {self._topic} is used',
                           'old connection')
@@ -91,26 +92,14 @@ class CommandTopic:
         if self._stops(message):
             return
         if is_first and connection.get('latching') == '1' \
-                and (known or self._is_older(sender)):
+                and (known or self._older_publishers is None
+                     or sender in self._older_publishers):
             raise Refused(
                 f'{self._label(message)} refused: {sender} latches {self._topic} and '
                 f'{"has connected again" if known else "is older than the subscription"}, so the '
                 'message may be old; publish it again with "rostopic pub -1", or at a rate with '
                 '"rostopic pub -r 10"', 'latched')
         self._refuse_by_stamp(message, sender)
-
-    def _is_replaced(self, connection: Any, sender: str) -> bool:
-        """Return whether the publisher has made a newer connection, even if that has closed."""
-        # rospy keeps them in the order in which it made them. One without a header is not ready.
-        alive = [each.header for each in self._impl.connections if each.header]
-        older = [each for each in alive if each.get('callerid', '') == sender][:-1]
-        ids = {id(each) for each in alive}
-        self._replaced = {id(each): each for each in (*self._replaced.values(), *older)
-                          if id(each) in ids}
-        return id(connection) in self._replaced or id(connection) not in ids
-
-    def _is_older(self, sender: str) -> bool:
-        return self._older_publishers is None or sender in self._older_publishers
 
     def _refuse_by_stamp(self, message: Any, sender: str) -> None:
         stamp = message.header.stamp.to_sec() if self._age_limit else 0.0

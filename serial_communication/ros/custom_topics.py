@@ -4,15 +4,15 @@ The ROS types and fields in the rows are resolved while the parameters are check
 a row ends the node before it has registered anything or opened a port.
 """
 import threading
-from typing import Any, Callable, Dict, List, NamedTuple, Sequence, Set, Tuple, Type
+from typing import Any, Callable, List, NamedTuple, Sequence, Set, Tuple, Type
 
 import rospy
 
 from ..boards import descriptions
-from ..boards.description import Description, Topic
+from ..boards.description import Description
 from ..framing.custom_messages import CustomMessage, RowError
 from ..framing.layout import LayoutMessage
-from ..link.sparing_log import SparingLog
+from .announced import AnnouncedRows
 from .commands import CommandTopic
 from .fields import RosFields, find_type
 from .publishing import publisher, wanted
@@ -115,63 +115,68 @@ class ValuePublisher:
         topic.unregister()
 
 
-def built_in_topics(board: Description) -> Dict[Type[LayoutMessage], ValuePublisher]:
-    """Return the topics of a board that need no code of its own, by their message classes."""
-    def made(topic: Topic) -> ValuePublisher:
-        ros_class = find_type(topic.name, topic.type)
-        return ValuePublisher(topic.name, ros_class,
-                              RosFields(ros_class, topic.message.LAYOUT, topic.name))
+class MessageTopics:
+    """The topics of a board whose messages need no code of their own.
 
-    return {topic.message: made(topic) for topic in board.topics if topic.message}
-
-
-def custom_topics(rows: List[RosMessage], prefix: str,
-                  frame_prefix: str) -> Dict[Type[LayoutMessage], ValuePublisher]:
-    """Return the topics of the custom messages from the board, by the messages' classes."""
-    return {row.kind: _custom_topic(row, prefix, frame_prefix)
-            for row in rows if not row.custom.is_command}
-
-
-def _custom_topic(row: RosMessage, prefix: str, frame_prefix: str) -> ValuePublisher:
-    return ValuePublisher(prefix + row.custom.name, row.message_class, row.fields,
-                          row.custom.frame_id and frame_prefix + row.custom.frame_id)
-
-
-def take_commands(rows: List[RosMessage], prefix: str, link: Any, age_limit: float) -> None:
-    """Subscribe to the custom commands; one that cannot be sent is refused with a warning."""
-    for row in rows:
-        if row.custom.is_command:
-            _take_command(row, prefix, link.command, link.log, age_limit)
-
-
-def _take_command(row: RosMessage, prefix: str, send: Callable[[Any], None], log: SparingLog,
-                  age_limit: float) -> CommandTopic:
-    def read(message: Any) -> Any:
-        return row.kind(*row.fields.read(message))
-
-    return CommandTopic(prefix + row.custom.name, row.message_class,
-                        lambda message: send(read(message)),
-                        lambda message: str(read(message))[:_LABEL], log, age_limit)
-
-
-def add_announced(row: RosMessage, prefix: str, frame_prefix: str, link: Any,
-                  topics: Dict[type, ValuePublisher], age_limit: float) -> Callable[[], None]:
-    """Make the topic or the subscription of an announced row while the link runs.
-
-    Args:
-        topics: the link's, by the classes of messages.
-
-    Returns:
-        a function that takes it down.
+    They are those of the description that have a message class, of custom messages, and of
+    announced ones.
     """
-    row.kind.ANNOUNCED = True
-    if row.custom.is_command:
-        return _take_command(row, prefix, link.command, link.log, age_limit).close
 
-    def take_down() -> None:
-        link.decoder.remove_message(row.kind)
-        topics.pop(row.kind).close()
+    def __init__(self, board: Description, rows: List[RosMessage], frame_prefix: str) -> None:
+        assert board.custom, f'{board.name} has no custom rows'
+        self._board = board
+        self._prefix = board.custom.prefix
+        self._rows = rows
+        self._frame_prefix = frame_prefix
+        # Row by row, by the classes of their messages.
+        self._topics = {row.kind: self._topic(row) for row in rows if not row.custom.is_command}
+        self.custom_kinds = list(self._topics)
+        for topic in board.topics:
+            if topic.message:
+                ros_class = find_type(topic.name, topic.type)
+                self._topics[topic.message] = ValuePublisher(
+                    topic.name, ros_class, RosFields(ros_class, topic.message.LAYOUT, topic.name))
 
-    topics[row.kind] = _custom_topic(row, prefix, frame_prefix)
-    link.decoder.add_message(row.kind)
-    return take_down
+    def publish(self, message: Any, stamp: rospy.Time) -> None:
+        """Publish a message; do nothing if its topic was just taken down."""
+        topic = self._topics.get(type(message))
+        if topic:
+            topic.publish(message, stamp)
+
+    def take_commands(self, link: Any, age_limit: float) -> None:
+        """Subscribe to the custom commands; one that cannot be sent is refused with a warning."""
+        for row in self._rows:
+            if row.custom.is_command:
+                self._take_command(row, link, age_limit)
+
+    def announced(self, link: Any, age_limit: float = 0.0) -> AnnouncedRows:
+        """Return the rows that the link's board announces."""
+        return AnnouncedRows(self._board, link, [row.custom for row in self._rows],
+                             lambda custom: resolve(custom, self._prefix),
+                             lambda row: self._add(row, link, age_limit))
+
+    def _topic(self, row: RosMessage) -> ValuePublisher:
+        return ValuePublisher(self._prefix + row.custom.name, row.message_class, row.fields,
+                              row.custom.frame_id and self._frame_prefix + row.custom.frame_id)
+
+    def _take_command(self, row: RosMessage, link: Any, age_limit: float) -> CommandTopic:
+        def read(message: Any) -> Any:
+            return row.kind(*row.fields.read(message))
+
+        return CommandTopic(self._prefix + row.custom.name, row.message_class,
+                            lambda message: link.command(read(message)),
+                            lambda message: str(read(message))[:_LABEL], link.log, age_limit)
+
+    def _add(self, row: RosMessage, link: Any, age_limit: float) -> Callable[[], None]:
+        """Make the topic or the subscription of an announced row; return what takes it down."""
+        row.kind.ANNOUNCED = True
+        if row.custom.is_command:
+            return self._take_command(row, link, age_limit).close
+
+        def take_down() -> None:
+            link.decoder.remove_message(row.kind)
+            self._topics.pop(row.kind).close()
+
+        self._topics[row.kind] = self._topic(row)
+        link.decoder.add_message(row.kind)
+        return take_down

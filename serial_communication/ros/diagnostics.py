@@ -47,9 +47,13 @@ class Diagnostics:
                     # update() would count in ROS time, which may stop.
                     updater.force_update()
                 except Exception as error:  # pylint: disable=broad-except
-                    if rospy.is_shutdown():
-                        return
-                    self._log.error('fault', f'fault in the bridge: {error!r}')
+                    log_fault(self._log, error)
+
+
+def log_fault(log: SparingLog, error: Exception) -> None:
+    """Log an unexpected error of a thread that continues, unless rospy has shut down."""
+    if not rospy.is_shutdown():
+        log.error('fault', f'fault in the bridge: {error!r}')
 
 
 def _task(link: Link) -> Callable[[Any], Any]:

@@ -10,31 +10,33 @@ from typing import Any, Iterator, List, Type
 
 import rospy
 
-from ..boards import BOARDS, reason
+from ..boards import BOARDS, description, reason
 from ..link.link import Link
 from ..link.sparing_log import SparingLog
 from ..link.unknown_bytes import OtherBoard
 from ..output import prepare_output
 from ..transport.pace import set_priority_of_all
 from . import parameters, starting
-from .announced import Announcements, without_announced
-from .diagnostics import Diagnostics
+from .announced import forget_announced
+from .diagnostics import Diagnostics, log_fault
 from .geometry import publish_mounts
 from .interface import Interface, LinkOptions
 from .last_resort import LastResort
+from .latest_worker import LatestWorker
 from .launch_arguments import empty_ports, unknown_arguments
 from .master import full_name
-from .other_boards import description_of
 from .parameter import ParameterError
 from .rospy_mends import (background_logging, direct, handshake, log_file, master_calls, own_names,
                           shortage)
 from .rospy_mends.master_watch import MasterWatch, merged
+from .rospy_mends.shutdown import is_shutdown_requested
 from .traffic import Traffic
 
 _SWITCH_INTERVAL = 0.0005   # s; so that a busy thread does not delay the heartbeat
 _NAME = 'serial_communication'    # the default
 _PRIORITY = 1               # real-time priority of all threads, if the system allows it
 _SHUTDOWN = 1.0             # s for all links to end
+_ANNOUNCEMENT_PAUSE = 1.0   # s: a board may change its announcement all the time
 _LAST_RESORT = 1.5          # s from a signal until the process ends, even if something hangs
 _LOGGER = logging.getLogger('rosout')    # rospy's, for terminal, file and /rosout
 
@@ -79,25 +81,26 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
     try:
         log_file.init_node(_NAME)
     except (rospy.ROSInitException, rospy.ROSInterruptException) as error:
-        if rospy.core.is_shutdown_requested():
+        if is_shutdown_requested():
             return 0
         rospy.logfatal(error)
         return 1
     finally:
         start.registered()
-    direct.install(_LOGGER)
-    own_names.install()
+    direct.install(_LOGGER.warning)
+    own_names.install(_LOGGER.warning)
     if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:    # nohup ignores it
         signal.signal(signal.SIGHUP, lambda *_: _hang_up(start))
     bridge = None
     try:
         given = _given()
         values, warnings = parameters.check(given, rospy.get_name())
+        forget_announced(given, [board.NAME for board in parameters.announcing(values['boards'])])
         for warning in [*warnings, *unknown_arguments()]:
             rospy.logwarn(warning)
         bridge = Bridge(values, given)
         rospy.on_shutdown(bridge.stop)
-        if not rospy.core.is_shutdown_requested():      # otherwise nothing may call `stop` later
+        if not is_shutdown_requested():      # otherwise nothing may call `stop` later
             bridge.start()
             watch.start(given)
     except rospy.ROSInterruptException:
@@ -116,9 +119,10 @@ def _given() -> Any:
     """Return the node's private parameters, as they are given."""
     for name in set(empty_ports()) & set(BOARDS):
         rospy.set_param(f'~{name}/port', '')
-    given = without_announced(rospy.get_param('~', {}))
-    # rospy has set those of the command line, but perhaps at a master that has ended since.
-    return merged(starting.parameters_of(sys.argv), given) if isinstance(given, dict) else given
+    given = rospy.get_param('~', {})
+    if not isinstance(given, dict):
+        return given
+    return merged(master_calls.parameters_of(sys.argv, _LOGGER.warning), given)
 
 
 def _hang_up(start: starting.Start) -> None:
@@ -141,15 +145,10 @@ def _errors_naming(board: Type[Interface]) -> Iterator[None]:
 
 
 def _recognisable(p: dict, given: dict) -> List[OtherBoard]:
-    """The boards whose frames a link recognises on the wrong port: those with a description."""
-    found = []
-    for interface in p['boards']:
-        board = description_of(interface)
-        if board:
-            decoder = partial(board.decoder, False, given.get(board.name) or {})
-            found.append(OtherBoard(board.name, decoder,
-                                    bool(parameters.of_board(interface, p)['port'])))
-    return found
+    """The boards whose frames a link recognises on the wrong port."""
+    return [OtherBoard(board.name, partial(board.decoder, False, given.get(board.name) or {}),
+                       bool(p[f'{board.name}/port']))
+            for board in map(description, (*BOARDS, *given.get('boards', ())))]
 
 
 class Bridge:
@@ -185,10 +184,14 @@ class Bridge:
             for board, values in boards for name in board.MOUNTS})
         self._traffic = Traffic(self._links, _LOGGER)
         self._diagnostics = Diagnostics(self._links, _LOGGER)
-        self._announcements = Announcements(
-            [interface.announced for interface in self._interfaces if interface.announced],
-            {name: key for board in p['boards']
-             for name, key in board.custom_names(parameters.of_board(board, p))}, given, _LOGGER)
+        log = SparingLog('announcements', _LOGGER)
+        self._announcements = LatestWorker('announcements', _ANNOUNCEMENT_PAUSE,
+                                           partial(log_fault, log))
+        custom_names = {name: key for board in p['boards']
+                        for name, key in board.custom_names(parameters.of_board(board, p))}
+        for interface in self._interfaces:
+            if interface.announced:
+                interface.announced.serve(self._announcements, custom_names, given, log)
 
     def start(self) -> None:
         """Open the ports, subscribe to commands and offer services."""

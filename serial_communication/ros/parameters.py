@@ -8,21 +8,22 @@ from typing import Any, Dict, List, Tuple, Type
 import rospy
 
 from ..boards import BOARDS, description, reason
+from ..boards.description import ANNOUNCED
 from ..framing.custom_messages import RowError
 from ..framing.layout import brief, readable
 from ..transport.same_port import identity
+from .external_boards import board_interfaces
 from .interface import Interface
-from .other_boards import board_interfaces
 from .parameter import Parameter, ParameterError, Parameters, frame_id, not_empty, seconds
 
 
-def _other_boards(names: Any) -> List[Type[Interface]]:
-    """Return the interfaces of boards of other packages, from the names of their modules."""
+def _external_boards(names: Any) -> List[Type[Interface]]:
+    """Return the interfaces of the boards in these packages."""
     return board_interfaces(names, {*BOARDS, *NODE_PARAMETERS})
 
 
 NODE_PARAMETERS: Parameters = {
-    'boards': Parameter([], unit='names of Python packages with a board', parse=_other_boards),
+    'boards': Parameter([], unit='names of Python packages with a board', parse=_external_boards),
     'frame_timeout': seconds(0.05, 0.001, 10.0),
     'publish_tf': Parameter(False),
     'base_frame_id': frame_id('base_link'),
@@ -60,6 +61,8 @@ def check(given: Dict[str, Any], namespace: str) -> Tuple[Dict[str, Any], List[s
                                    namespace)
     parameters = table(interfaces)
     flat = _flatten(given, {interface.NAME for interface in interfaces}, namespace)
+    for interface in announcing(interfaces):
+        flat.pop(f'{interface.NAME}/{ANNOUNCED}', None)     # set by an earlier run
     values = {name: _value(name, parameter, flat.pop(name, parameter.default), namespace)
               for name, parameter in parameters.items() if name != 'boards'}
     values['boards'] = interfaces
@@ -69,6 +72,11 @@ def check(given: Dict[str, Any], namespace: str) -> Tuple[Dict[str, Any], List[s
     _check_together(interfaces, values, namespace)
     return values, [_unknown(namespace, name, flat[name], parameters)
                     for name in sorted(flat)]
+
+
+def announcing(interfaces: List[Type[Interface]]) -> List[Type[Interface]]:
+    """Return the boards whose parameter ANNOUNCED may have been set by the bridge."""
+    return [each for each in interfaces if ANNOUNCED not in each.PARAMETERS]
 
 
 def of_board(interface: Type[Interface], values: Dict[str, Any]) -> Dict[str, Any]:

@@ -14,10 +14,5 @@ def publisher(name: str, message_class: Any, **options: Any) -> rospy.Publisher:
 
 
 def wanted(topic: rospy.Publisher) -> bool:
-    """Return whether the topic has subscribers; lock-free, since it is called for every message."""
-    return bool(topic.impl.connections)
-
-
-def diagonal(x: float, y: float, z: float) -> list:
-    """Return a diagonal covariance matrix, in row-major order."""
-    return [x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, z]
+    """Return whether the topic has subscribers."""
+    return topic.get_num_connections() > 0

@@ -11,12 +11,13 @@ import socket
 import sys
 import threading
 import time
-from typing import Any, Dict, List, Optional
+from typing import List, Optional
 
 import rosgraph
 import rospy
 
 from .master import full_name, running_node, started_by_roslaunch, wait_for_master
+from .rospy_mends.shutdown import is_shutdown_requested, on_shutdown
 
 NAME_TAKEN = 3            # exit status if a node of the same name is running
 WRONG_ARGUMENTS = 2       # exit status
@@ -89,7 +90,7 @@ class Start:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _STOP_SIGNALS)
         if not wait_for_master(self.stopping, say):
             return 0
-        rospy.core.add_preshutdown_hook(self._on_shutdown)
+        on_shutdown(self._on_shutdown)
         status = self._after_displacements() or self._wait_for_name()
         return 0 if self.stopping.is_set() else status
 
@@ -99,7 +100,7 @@ class Start:
 
     def restart_if_displaced(self) -> None:
         """If another node took the name, start again in this process, and do not return."""
-        if rospy.core.is_shutdown_requested():
+        if is_shutdown_requested():
             self._reason_known.wait(_REASON)
         if not self._displaced or self.stopping.is_set():
             return
@@ -211,20 +212,6 @@ class _NameLock:
 def _displacements() -> int:
     """Return how often in a row this process was displaced."""
     return int(os.environ.get(_DISPLACEMENTS, '0'))
-
-
-def parameters_of(arguments: List[str]) -> Dict[str, Any]:
-    """Return the tree of the parameters on a command line, such as ``_bus/port:=/dev/ttyS0``."""
-    tree: Dict[str, Any] = {}
-    for path, value in rospy.client.load_command_line_node_params(arguments).items():
-        *groups, name = path.strip('/').split('/')
-        group = tree
-        for each in groups:
-            if not isinstance(group.get(each), dict):
-                group[each] = {}
-            group = group[each]
-        group[name] = value
-    return tree
 
 
 def wait_under_roslaunch() -> None:

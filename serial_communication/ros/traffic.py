@@ -11,6 +11,7 @@ from serial_communication.msg import SerialMsg
 from ..framing.stream import Frame
 from ..link.link import Link
 from ..link.sparing_log import SparingLog
+from .diagnostics import log_fault
 from .publishing import publisher
 
 _QUEUED = 2000   # frames that may wait for the thread; newer ones are dropped
@@ -52,9 +53,7 @@ class Traffic(rospy.SubscribeListener):
             try:
                 self._publish(*self._queue.get())
             except Exception as error:  # pylint: disable=broad-except
-                if rospy.is_shutdown():
-                    return
-                self._log.error('fault', f'fault in the bridge: {error!r}')
+                log_fault(self._log, error)
 
     def _publish(self, link: str, direction: int, frame: Frame, connection: int) -> None:
         message = SerialMsg(link=link, direction=direction, type=frame.type,

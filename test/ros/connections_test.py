@@ -19,7 +19,7 @@ import rospy
 import rostest
 from rosgraph.network import encode_ros_handshake_header, read_ros_handshake_header
 from roscpp.srv import GetLoggers
-from rospy.impl import registration, tcpros_base, tcpros_pubsub
+from rospy.impl import registration, tcpros_base
 
 from boards import (PACKAGE, PATIENCE, Bridge, CarBoard, Line, command_topic, own_folder, service,
                     until)
@@ -251,40 +251,12 @@ class Handshakes(unittest.TestCase):
         self.call()
 
 
-class AnotherRospy(unittest.TestCase):
-    """An unknown rospy is not patched, and a warning is logged."""
-
-    def assert_not_patched(self, install, holder, name):
-        before = getattr(holder, name)
-        log = mock.Mock()
-        install(SparingLog('ROS', log))
-        self.assertIs(getattr(holder, name), before)
-        (_level, form, *values), = [call[0] for call in log.log.call_args_list]
-        self.assertIn('differently from 1.15.15 and 1.16.0', form % tuple(values))
-
-    def test_an_unknown_server_loop_is_not_patched(self):
-        def run(server):
-            """An unknown loop."""
-            server.serve()
-        with mock.patch.object(tcpros_base.TCPServer, 'run', run):
-            self.assert_not_patched(handshake.install, tcpros_base.TCPServer, 'run')
-
-    def test_an_unknown_reader_of_headers_is_not_patched(self):
-        with mock.patch.object(tcpros_base.TCPServer, 'run', RUN), \
-                mock.patch.object(tcpros_base.TCPROSServer, '_tcp_server_callback', RUN):
-            self.assert_not_patched(handshake.install, tcpros_base.TCPServer, 'run')
-
-    def test_modules_that_do_not_start_threads_are_not_patched(self):
-        with mock.patch.object(tcpros_pubsub, 'threading', None):
-            self.assert_not_patched(shortage.install, registration, 'threading')
+class PatientThread(unittest.TestCase):
+    """The threads of connections to publishers."""
 
     def test_the_installed_rospy_is_patched(self):
         self.assertIsNot(tcpros_base.TCPServer.run, RUN)
         self.assertIsNot(registration.threading, threading)
-
-
-class PatientThread(unittest.TestCase):
-    """The threads of connections to publishers."""
 
     def test_a_thread_that_has_been_started_cannot_be_started_again(self):
         thread = registration.threading.Thread(target=lambda: None)

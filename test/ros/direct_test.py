@@ -22,11 +22,8 @@ _BIG = 'x' * (32 << 20)      # bytes; more than the kernel buffers for one conne
 
 
 def setUpModule():
-    """Keep rospy's connection class, and install ours."""
-    global QUEUED, INSTALLED
-    QUEUED = rospy.topics.QueuedConnection
-    direct.install(logging.getLogger('rosout'))
-    INSTALLED = rospy.topics.QueuedConnection
+    """Install our connection class."""
+    direct.install(logging.getLogger('rosout').warning)
 
 
 class RawSubscriber:
@@ -155,33 +152,11 @@ class SlowSubscriber(unittest.TestCase):
         until(lambda: not direct._sender._slow, 'nothing is kept')
 
 
-class Another:
-    """A QueuedConnection of an unknown rospy."""
-
-    def __init__(self, connection, queue_size):
-        self._connection = connection
-        self._limit = queue_size
-
-
-class AnotherRospy(unittest.TestCase):
-    """An unknown rospy is not patched, and a warning is logged."""
-
-    def test_an_unknown_connection_class_is_not_patched(self):
-        with mock.patch('rospy.topics.QueuedConnection', Another), \
-                self.assertLogs('another', logging.WARNING) as log:
-            direct.install(logging.getLogger('another'))
-            self.assertIs(rospy.topics.QueuedConnection, Another)
-        self.assertEqual(len(log.output), 1)
-
-    def test_a_transport_without_a_socket_is_not_patched(self):
-        with mock.patch('rospy.topics.QueuedConnection', QUEUED), \
-                mock.patch.object(direct, 'TCPROSTransport', Another), \
-                self.assertLogs('another', logging.WARNING):
-            direct.install(logging.getLogger('another'))
-            self.assertIs(rospy.topics.QueuedConnection, QUEUED)
+class Installed(unittest.TestCase):
+    """The connections of this process."""
 
     def test_the_installed_rospy_is_patched(self):
-        self.assertIs(INSTALLED, direct.DirectConnection)
+        self.assertIs(rospy.topics.QueuedConnection, direct.DirectConnection)
 
 
 if __name__ == '__main__':

@@ -1,10 +1,10 @@
 """The arduino link in ROS: its parameters, its topics and its service."""
 from functools import partial
 from math import pi, radians
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Any, Dict, List, Tuple
 
 import rospy
-from sensor_msgs.msg import Imu, Temperature
+from sensor_msgs.msg import Temperature
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Empty, EmptyResponse
 
@@ -12,15 +12,13 @@ from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 
 from ...link.link import Refused
 from ...link.outcome import NOT_SENT, Outcome
-from ...ros.announced import AnnouncedRows
 from ...ros.answers import service_error
 from ...ros.commands import CommandTopic
-from ...ros.custom_topics import (add_announced, built_in_topics, custom_topics, message_rows,
-                                  names_of, resolve, take_commands)
-from ...ros.geometry import OrientationBroadcaster
+from ...ros.custom_topics import MessageTopics, message_rows, names_of
+from ...ros.imu import ImuTopic
 from ...ros.interface import LinkOptions, Interface
 from ...ros.parameter import MOUNT, PORT, Parameter, baud, frame_id, seconds
-from ...ros.publishing import diagonal, publisher, wanted
+from ...ros.publishing import publisher, wanted
 from ...transport.port import Port
 from . import DESCRIPTION, wire
 from .link import ArduinoLink, ArduinoSettings
@@ -62,32 +60,21 @@ class ArduinoInterface(Interface):
         p = parameters
         self._gyro_scale = p['gyro_scale']
         self._command_age = p['command_age']
-        self._imu_message = _imu(p)
+        self._imu = ImuTopic('~imu', p, p['angular_velocity_stdev'],
+                             p['linear_acceleration_stdev'])
+        self._temperature = publisher('~imu/temperature', Temperature)
         self._temperature_message = Temperature()
         self._temperature_message.header.frame_id = p['imu_frame_id']
-        self._orientation: Optional[OrientationBroadcaster] = None
-        if p['publish_tf']:
-            self._orientation = OrientationBroadcaster(p['imu_frame_id'],
-                                                       p['imu_orientation_frame_id'])
-        self._imu = publisher('~imu', Imu)
-        self._temperature = publisher('~imu/temperature', Temperature)
         self._calibrating = publisher('~imu/calibrating', Bool, latch=True)
         self._calibrating.publish(False)
-        self._topics = built_in_topics(DESCRIPTION)
-        self._custom_messages = p['messages']
-        self._topics.update(custom_topics(self._custom_messages, '~', p['frame_prefix']))
+        self._topics = MessageTopics(DESCRIPTION, p['messages'], p['frame_prefix'])
         self.link = ArduinoLink(
             Port(p['port'], p['baud'], p['reset_on_open']),
             ArduinoSettings(**{name: p[name] for name in ArduinoSettings._fields}),
-            messages=[kind for kind in self._topics if kind not in wire.FROM_BOARD],
-            on_message=self._received, on_log=self._log,
+            messages=self._topics.custom_kinds, on_message=self._received, on_log=self._log,
             on_calibrating=lambda on: self._calibrating.publish(on), **link_options._asdict())
         if p['announcements']:
-            self.announced = AnnouncedRows(
-                DESCRIPTION, self.link, [row.custom for row in self._custom_messages],
-                lambda custom: resolve(custom, '~'),
-                lambda row: add_announced(row, '~', p['frame_prefix'], self.link, self._topics,
-                                          self._command_age))
+            self.announced = self._topics.announced(self.link, self._command_age)
 
     @staticmethod
     def custom_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
@@ -105,7 +92,7 @@ class ArduinoInterface(Interface):
                      lambda message: f'steering {message.value}', link.log, age, queue_size=1)
         CommandTopic('~led', String, lambda message: link.set_led(message.data),
                      lambda message: f'LED {message.data[:wire.LED_LIMIT]!r}', link.log, age)
-        take_commands(self._custom_messages, '~', link, age)
+        self._topics.take_commands(link, age)
         rospy.Service('~calibrate_imu', Empty, self._calibrate)
 
     def _calibrate(self, _request: Any) -> EmptyResponse:
@@ -116,46 +103,21 @@ class ArduinoInterface(Interface):
         return EmptyResponse()
 
     def _received(self, message: Any, stamp: rospy.Time) -> None:
-        if type(message) is wire.Imu:
-            self._publish_imu(message, stamp)
+        if type(message) is not wire.Imu:
+            self._topics.publish(message, stamp)
             return
-        topic = self._topics.get(type(message))
-        if topic:       # None: an announced one that was just taken down
-            topic.publish(message, stamp)
-
-    def _publish_imu(self, message: wire.Imu, stamp: rospy.Time) -> None:
-        if wanted(self._imu):
-            out = self._imu_message
-            out.header.stamp = stamp
-            (out.orientation.x, out.orientation.y, out.orientation.z,
-             out.orientation.w) = message.orientation()
-            (out.angular_velocity.x, out.angular_velocity.y,
-             out.angular_velocity.z) = message.angular_velocity(self._gyro_scale)
-            (out.linear_acceleration.x, out.linear_acceleration.y,
-             out.linear_acceleration.z) = message.linear_acceleration()
-            self._imu.publish(out)
+        if self._imu.is_wanted:
+            self._imu.publish(stamp, message.orientation(),
+                              message.angular_velocity(self._gyro_scale),
+                              message.linear_acceleration())
         if wanted(self._temperature):
             self._temperature_message.header.stamp = stamp
             self._temperature_message.temperature = message.temperature()
             self._temperature.publish(self._temperature_message)
-        if self._orientation:
-            self._orientation.send(message.orientation(), stamp)
 
     @staticmethod
     def _log(severity: int, text: str) -> None:
         _LOG_FUNCTIONS[severity]('arduino says: %s', text)
-
-
-def _imu(p: Dict[str, Any]) -> Imu:
-    message = Imu()
-    message.header.frame_id = p['imu_frame_id']
-    level, yaw = p['roll_pitch_stdev'] ** 2, p['yaw_stdev'] ** 2
-    rate = p['angular_velocity_stdev'] ** 2
-    acceleration = p['linear_acceleration_stdev'] ** 2
-    message.orientation_covariance = diagonal(level, level, yaw)
-    message.angular_velocity_covariance = diagonal(rate, rate, rate)
-    message.linear_acceleration_covariance = diagonal(acceleration, acceleration, acceleration)
-    return message
 
 
 INTERFACE = ArduinoInterface

@@ -5,17 +5,17 @@ from math import inf, nan, pi, radians
 from typing import Any, Dict, List, Optional, Tuple, Type
 
 import rospy
-from sensor_msgs.msg import Imu, Range
+from sensor_msgs.msg import Range
 
 from serial_communication.msg import McuStatus, McuStatus2
 
 from ...framing.layout import LayoutMessage
-from ...ros.announced import AnnouncedRows
-from ...ros.custom_topics import add_announced, custom_topics, message_rows, names_of, resolve
-from ...ros.geometry import OrientationBroadcaster, quaternion
+from ...framing.rotation import quaternion
+from ...ros.custom_topics import MessageTopics, message_rows, names_of
+from ...ros.imu import ImuTopic
 from ...ros.interface import LinkOptions, Interface
 from ...ros.parameter import MOUNT, PORT, Parameter, baud, frame_id, seconds
-from ...ros.publishing import diagonal, publisher, wanted
+from ...ros.publishing import publisher, wanted
 from ...transport.port import Port
 from . import DESCRIPTION, wire
 from .link import McuLink
@@ -55,30 +55,21 @@ class McuInterface(Interface):
     def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
         p = parameters
         self._turn = -1.0 if p['yaw_clockwise'] else 1.0
-        self._imu_message = _imu(p)
         self._ranges = [(publisher(f'mcu/range_{number}', Range), _range(p, number))
                         for number in (1, 2)]
         self._status = publisher('mcu/status', McuStatus2)
         self._adc_status = publisher('mcu/adc_status', McuStatus)
-        self._imu = publisher('mcu/imu', Imu)
-        self._orientation: Optional[OrientationBroadcaster] = None
-        if p['publish_tf']:
-            self._orientation = OrientationBroadcaster(p['imu_frame_id'],
-                                                       p['imu_orientation_frame_id'])
+        self._imu = ImuTopic('mcu/imu', p)
         self._missing = self._logged = ''    # the sensors without a value, now and in the log
         self._missing_since = 0.0            # monotonic
-        self._custom_topics = custom_topics(p['messages'], 'mcu/', p['frame_prefix'])
+        self._topics = MessageTopics(DESCRIPTION, p['messages'], p['frame_prefix'])
         self.link = McuLink(Port(p['port'], p['baud']), p['timeout'],
                             on_status=self._received, on_silence=self._silent,
                             network_silence=p['network_silence'],
-                            messages=list(self._custom_topics),
+                            messages=self._topics.custom_kinds,
                             **link_options._asdict())
         if p['announcements']:
-            self.announced = AnnouncedRows(
-                DESCRIPTION, self.link, [row.custom for row in p['messages']],
-                lambda custom: resolve(custom, 'mcu/'),
-                lambda row: add_announced(row, 'mcu/', p['frame_prefix'], self.link,
-                                          self._custom_topics, 0.0))
+            self.announced = self._topics.announced(self.link)
 
     @staticmethod
     def problem(parameters: Dict[str, Any]) -> str:
@@ -92,9 +83,7 @@ class McuInterface(Interface):
 
     def _received(self, message: Any, seq: int, stamp: rospy.Time) -> None:
         if message.TYPE not in wire.MESSAGES:
-            custom_topic = self._custom_topics.get(type(message))
-            if custom_topic:        # None: an announced one that was just taken down
-                custom_topic.publish(message, stamp)
+            self._topics.publish(message, stamp)
             return
         now = time.monotonic()
         age = now - (self.link.last_frame_at or now)
@@ -112,15 +101,9 @@ class McuInterface(Interface):
                 out.header.stamp = stamp
                 out.range = _metres(millimetres, out.min_range, out.max_range)
                 topic.publish(out)
-        if message.angles_known and (self._orientation or wanted(self._imu)):
-            turned = quaternion(radians(message.roll), radians(message.pitch),
-                                radians(message.yaw) * self._turn)
-            out = self._imu_message
-            out.header.stamp = stamp
-            out.orientation.x, out.orientation.y, out.orientation.z, out.orientation.w = turned
-            self._imu.publish(out)
-            if self._orientation:
-                self._orientation.send(turned, stamp)
+        if message.angles_known and self._imu.is_wanted:
+            self._imu.publish(stamp, quaternion(radians(message.roll), radians(message.pitch),
+                                                radians(message.yaw) * self._turn))
 
     def _log_missing(self, missing: str, now: float) -> None:
         if missing != self._missing:
@@ -156,16 +139,6 @@ def _range(p: Dict[str, Any], number: int) -> Range:
     message = Range(radiation_type=Range.INFRARED, field_of_view=p['field_of_view'],
                     min_range=p['min_range'], max_range=p['max_range'])
     message.header.frame_id = p[f'range_{number}_frame_id']
-    return message
-
-
-def _imu(p: Dict[str, Any]) -> Imu:
-    message = Imu()
-    message.header.frame_id = p['imu_frame_id']
-    level, yaw = p['roll_pitch_stdev'] ** 2, p['yaw_stdev'] ** 2
-    message.orientation_covariance = diagonal(level, level, yaw)
-    message.angular_velocity_covariance = diagonal(-1.0, 0.0, 0.0)    # -1: not measured
-    message.linear_acceleration_covariance = diagonal(-1.0, 0.0, 0.0)
     return message
 
 

@@ -8,27 +8,28 @@ subscribers sends the queues as the sockets become writable.
 That thread starts at once. A link's thread, which publishes, must not start one, since starting a
 thread may never return when memory runs out.
 
-This patches private parts of rospy: see private_parts.py.
 """
-import logging
 import select
 import socket
 import threading
 import time
 from collections import deque
-from typing import Deque, Dict, Union
+from typing import Callable, Deque, Dict, Union
 
 import rospy.topics
 from rospy.exceptions import TransportTerminated
-from rospy.impl.tcpros_base import TCPROSTransport
 from rospy.impl.transport import Transport
 
-from .private_parts import are_known, names
+from .private_parts import Guard
 
-_PRIVATE = {'_closed_connection_callback', '_cond_data_available', '_connection', '_error',
-            '_lock', '_queue', '_queue_size', '_run', '_thread'}    # all of QueuedConnection
+_GUARD = Guard('rospy.topics:QueuedConnection rospy.topics:_PublisherImpl.add_connection '
+               'rospy.topics:_PublisherImpl.publish rospy.impl.transport:Transport.__init__ '
+               'rospy.impl.transport:Transport.close '
+               'rospy.impl.tcpros_base:TCPROSTransport.__init__ '
+               'rospy.impl.tcpros_base:TCPROSTransport.close', {'0aa81531da14a21d'},
+               'sends messages',
+               "messages go through rospy's threads, which costs more processor time")
 _AGAIN = 0.1       # s until the thread continues after an error
-_TRANSPORT_ATTRIBUTES = {'done', 'socket', 'stat_bytes', 'stat_num_msg'}
 
 
 class DirectConnection(rospy.topics.QueuedConnection):
@@ -143,17 +144,8 @@ class _Sender:
 _sender = _Sender()
 
 
-def install(logger: logging.Logger) -> None:
-    """Patch rospy, if its version is known; affects later subscribers."""
-    if are_known(_is_as_expected, 'sends messages',
-                 "messages go through rospy's threads, which costs more processor time",
-                 logger.warning):
+def install(warn: Callable[[str], None]) -> None:
+    """Patch rospy, if its source is known; affects later subscribers."""
+    if _GUARD.passes(warn):
         _sender.start()
         rospy.topics.QueuedConnection = DirectConnection
-
-
-def _is_as_expected() -> bool:
-    private = {name for name in names(vars(rospy.topics.QueuedConnection).values())
-               if name.startswith('_') and not name.startswith('__')}
-    return (private == _PRIVATE
-            and _TRANSPORT_ATTRIBUTES <= names([Transport.__init__, TCPROSTransport.__init__]))

@@ -8,8 +8,6 @@ after the node ran out of file descriptors.
 Here the accepting thread waits for all connections at the same time. Each has 3 s to send its
 header of up to 64 KB. There is no thread for each connection, since it might not start, and rospy's
 handlers still run in one thread, one after the other, as they require.
-
-This patches private parts of rospy: see private_parts.py.
 """
 import selectors
 import socket
@@ -20,17 +18,19 @@ from rosgraph.network import decode_ros_handshake_header
 from rospy.impl import tcpros_base
 
 from ...link.sparing_log import SparingLog
-from .private_parts import are_known, names
+from .private_parts import Guard
 from .shortage import PAUSE, advice
 
 _PATIENCE = 3.0         # s for a complete header
 _LONGEST = 64 << 10     # bytes of a header
 _MOST_PENDING = 64      # connections without a complete header
 _READ = 'read_ros_handshake_header'
-_RUN = {'is_shutdown', 'server_sock', 'accept', 'inbound_handler', 'ROSInternalException',
-        '__class__', '__name__', 'socket', 'timeout', 'ConnectionAbortedError', 'IOError', 'args',
-        'errno', 'EINTR', 'error', 'traceback', 'print_exc', 'logwarn', 'logdebug',
-        'port'}         # the names that TCPServer.run uses
+_GUARD = Guard('rospy.impl.tcpros_base:TCPServer.run rospy.impl.tcpros_base:TCPServer.shutdown '
+               'rospy.impl.tcpros_base:TCPROSServer._tcp_server_callback '
+               'rospy.impl.tcpros_base:read_ros_handshake_header '
+               'rosgraph.network:decode_ros_handshake_header', {'629e4c145bc4b9b0'},
+               'accepts connections',
+               'one that sends nothing may block the others')
 
 
 class _PendingConnection:
@@ -159,15 +159,9 @@ class _Acceptor:
         self._log.warn('refused', f'the connection from {pending.address[0]} was closed: {why}')
 
 
-def _is_as_expected() -> bool:
-    return (hasattr(tcpros_base, _READ) and names([tcpros_base.TCPServer.run]) == _RUN
-            and _READ in names([tcpros_base.TCPROSServer._tcp_server_callback]))
-
-
 def install(log: SparingLog) -> None:
-    """Patch rospy, if its version is known; call this before anybody can connect."""
-    if not are_known(_is_as_expected, 'accepts connections',
-                     'one that sends nothing may block the others', log.always_warn):
+    """Patch rospy, if its source is known; call this before anybody can connect."""
+    if not _GUARD.passes(log.always_warn):
         return
     read = getattr(tcpros_base, _READ)
     headers: Dict[socket.socket, bytes] = {}

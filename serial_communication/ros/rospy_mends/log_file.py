@@ -3,10 +3,7 @@
 rospy.init_node raises an error if the log file belongs to another user (after a `sudo`) or the disk
 has no free inode. If it cannot create the folder, it logs nothing at all, not even to the terminal.
 Here the log goes to another file, or to the terminal alone, and its first line says so.
-
-This patches private parts of rosgraph: see private_parts.py.
 """
-import inspect
 import logging
 import os
 import tempfile
@@ -16,19 +13,20 @@ import rosgraph.roslogging
 import rospkg
 import rospy
 
-from .private_parts import are_known
+from .private_parts import Guard
 
 _configure = rosgraph.roslogging.configure_logging
-_PARAMETERS = ['logname', 'level', 'filename', 'env']
+_GUARD = Guard('rospy.core:configure_logging rosgraph.roslogging:configure_logging '
+               'rosgraph.roslogging:makedirs_with_parent_perms '
+               'rosgraph.roslogging:RosStreamHandler', {'bca159f3f2171870'}, 'sets up logging',
+               'programs do not start if the log file cannot be written')
 _LOGGER = logging.getLogger('rosout')
 
 
 def init_node(name: str, **arguments: Any) -> None:
     """Call `rospy.init_node`, and succeed even if the log file cannot be written."""
     warnings: List[str] = []    # logged below, once there is a log
-    if are_known(lambda: list(inspect.signature(_configure).parameters) == _PARAMETERS,
-                 'sets up logging', 'programs do not start if the log file cannot be written',
-                 warnings.append):
+    if _GUARD.passes(warnings.append):
         rosgraph.roslogging.configure_logging = _configure_with_fallback
     rospy.init_node(name, **arguments)
     for warning in warnings:

@@ -3,20 +3,26 @@
 rospy waits for the master when it registers a topic or a service. Its other calls, such as those
 that read parameters, raise an error, so a master that ends while a node starts would end the node,
 too. And no call has a time limit: one to a master that has vanished from the network never returns.
-
-This patches private parts of rospy: see private_parts.py.
 """
 import http.client
 import threading
 import time
 import xmlrpc.client
-from typing import Any, Callable
+from typing import Any, Callable, Dict, List
 
 import rosgraph
 import rospy
 
-from .private_parts import are_known, names
+from .private_parts import Guard
+from .shutdown import is_shutdown_requested
 
+_GUARD = Guard('rospy.core:xmlrpcapi rospy.core:_LockedServerProxy', {'ffa0c7410e6c6cd9'},
+               'calls the master',
+               'a master that ends while the node starts may end the node')
+_COMMAND_LINE = Guard('rospy.client:load_command_line_node_params', {'fe36385572c50e51'},
+                      'reads its command line',
+                      'a master that ends while the node starts may lose the parameters of the '
+                      'command line')
 TIME_LIMIT = 3.0        # s for each answer
 _AGAIN = 0.2            # s until the next try
 _FIRST_REPORT, _REPORT_EVERY = 1.0, 10.0    # s of waiting
@@ -37,16 +43,15 @@ def limit_time() -> None:
 
 
 def install(say: Callable[[str], None], warn: Callable[[str], None]) -> None:
-    """Patch rospy, if its version is known; call this before rospy calls the master.
+    """Patch rospy, if its source is known; call this before rospy calls the master.
 
     Until the node is shut down, a call of the main thread is then repeated until it succeeds.
 
     Args:
         say: called with a line of text if that takes long.
-        warn: called if this rospy is not known.
+        warn: called if the source is not known.
     """
-    if not are_known(_is_as_expected, 'calls the master',
-                     'a master that ends while the node starts may end the node', warn):
+    if not _GUARD.passes(warn):
         return
     locked_proxy = rospy.core._LockedServerProxy
 
@@ -65,7 +70,7 @@ def install(say: Callable[[str], None], warn: Callable[[str], None]) -> None:
                     # A master that is starting or ending, or another server, may answer anything.
                     if threading.current_thread() is not threading.main_thread():
                         raise
-                if rospy.core.is_shutdown_requested():
+                if is_shutdown_requested():
                     raise rospy.ROSInterruptException('while the node waited for the ROS master')
                 if time.monotonic() >= due:
                     say(f'waiting for the ROS master at {rosgraph.get_master_uri()}')
@@ -75,7 +80,20 @@ def install(say: Callable[[str], None], warn: Callable[[str], None]) -> None:
     rospy.core._LockedServerProxy = PatientProxy
 
 
-def _is_as_expected() -> bool:
-    proxy = vars(rospy.core._LockedServerProxy)
-    return ('_LockedServerProxy' in names([rospy.core.xmlrpcapi])
-            and '_lock' in names([proxy['_ServerProxy__request']]))
+def parameters_of(arguments: List[str], warn: Callable[[str], None]) -> Dict[str, Any]:
+    """Return the tree of the parameters on a command line, such as ``_bus/port:=/dev/ttyS0``.
+
+    rospy sets them once, perhaps at a master that has ended since.
+    """
+    tree: Dict[str, Any] = {}
+    if not _COMMAND_LINE.passes(warn):
+        return tree
+    for path, value in rospy.client.load_command_line_node_params(arguments).items():
+        *groups, name = path.strip('/').split('/')
+        group = tree
+        for each in groups:
+            if not isinstance(group.get(each), dict):
+                group[each] = {}
+            group = group[each]
+        group[name] = value
+    return tree

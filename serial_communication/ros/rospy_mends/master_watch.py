@@ -12,6 +12,16 @@ import rosgraph
 import rospy
 from rospy.impl import registration
 
+from .private_parts import Guard
+from .shutdown import is_shutdown_requested
+
+_GUARD = Guard('rospy.topics:_TopicManager.get_subscriptions '
+               'rospy.topics:_TopicManager.get_publications '
+               'rospy.service:ServiceManager.get_services '
+               'rospy.impl.registration:RegistrationListeners.add_listener '
+               'rospy.impl.registration:RegManager.publisher_update', {'0e903c5e99440f24'},
+               'registers',
+               'after a restart of roscore the node has to be started again')
 _PERIOD = 3.0     # s between checks of the master
 
 
@@ -39,13 +49,14 @@ class MasterWatch:
             pass        # see _run
 
     def start(self, parameters: Dict[str, Any]) -> None:
-        """Watch until the process ends.
+        """Watch until the process ends, if the source of rospy is known.
 
         Args:
             parameters: the node's private parameters, which are set at a new master, too.
         """
         self._parameters = parameters
-        threading.Thread(target=self._run, name='master watch', daemon=True).start()
+        if _GUARD.passes(self._logger.warning):
+            threading.Thread(target=self._run, name='master watch', daemon=True).start()
 
     def _run(self) -> None:
         gone = False
@@ -56,7 +67,7 @@ class MasterWatch:
                 gone = False
             except Exception as error:  # pylint: disable=broad-except
                 # A master that is starting or ending, or another server, may answer anything.
-                if not gone and not rospy.core.is_shutdown_requested():
+                if not gone and not is_shutdown_requested():
                     gone = True
                     self._logger.warning('no answer from the ROS master %s (%s); connected nodes '
                                          'stay connected; start roscore again', self._uri, error)
@@ -80,7 +91,7 @@ class MasterWatch:
             # A roscore that has just started sets its run_id a little later.
             if found and self._known in (seen, (seen[0], '')):
                 self._known = seen
-            elif not rospy.core.is_shutdown_requested():
+            elif not is_shutdown_requested():
                 self._register(master, self._name)
                 self._known = seen
                 self._logger.info('%s is a new ROS master: registered topics, services and '

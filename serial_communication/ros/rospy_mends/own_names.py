@@ -3,18 +3,26 @@
 A node named `mcu`, for example, would publish ~imu and mcu/imu on one topic. rospy mixes two
 topics of one name silently. If their types differ, messages of one fail on the topic of the other.
 """
-from typing import Any
+from typing import Any, Callable
 
 import rospy
 from rospy.impl import registration
 
+from .private_parts import Guard
+
+_GUARD = Guard('rospy.topics:_TopicManager.acquire_impl rospy.service:ServiceManager.register '
+               'rospy.service:ServiceManager.get_service', {'08078a8400177e28'},
+               'keeps topics and services',
+               'two of one name are mixed in silence')
 NAME_ERRORS = rospy.ROSException, rospy.ServiceException    # what rospy raises for a name
 # Types of topics that are made to be shared: /tf, /tf_static and /diagnostics.
 _SHARED = {'tf2_msgs/TFMessage', 'diagnostic_msgs/DiagnosticArray'}
 
 
-def install() -> None:
-    """Patch rospy: a second topic or service of one name raises one of NAME_ERRORS."""
+def install(warn: Callable[[str], None]) -> None:
+    """Patch rospy, if its source is known: a second use of a name raises one of NAME_ERRORS."""
+    if not _GUARD.passes(warn):
+        return
     topics, services = registration.get_topic_manager(), registration.get_service_manager()
     acquire, register = topics.acquire_impl, services.register
 

@@ -4,8 +4,6 @@ Without a free descriptor, rospy's loop for XML-RPC calls uses a whole processor
 not start, rospy's loop that connects to new publishers ends, and a publisher whose thread did not
 start counts as connected. Here the first loop pauses before it tries again, and the threads are
 started again and again until one starts.
-
-This patches private parts of rospy and rosgraph: see private_parts.py.
 """
 import errno
 import resource
@@ -20,8 +18,12 @@ import rospy
 from rospy.impl import registration, tcpros_pubsub
 
 from ...link.sparing_log import SparingLog
-from .private_parts import are_known
+from .private_parts import Guard
 
+_GUARD = Guard('rosgraph.xmlrpc:ThreadingXMLRPCServer rospy.impl.registration:RegManager.run '
+               'rospy.impl.tcpros_pubsub:TCPROSHandler.create_transport', {'9232fdb1a6aeec60'},
+               'accepts calls and connects', 'after a shortage of file descriptors or memory the '
+               'node may need a restart')
 PAUSE = 0.1     # s until the next try
 _MODULES = registration, tcpros_pubsub      # start the threads of connections to publishers
 
@@ -39,17 +41,9 @@ def advice(error: OSError) -> str:
     return f'cannot accept a connection ({error}); trying again'
 
 
-def _is_as_expected() -> bool:
-    server = rosgraph.xmlrpc.ThreadingXMLRPCServer
-    return (issubclass(server, socketserver.TCPServer) and 'get_request' not in vars(server)
-            and all(module.threading is threading for module in _MODULES))
-
-
 def install(log: SparingLog) -> None:
-    """Patch rospy, if its version is known; call this before rospy.init_node."""
-    if not are_known(_is_as_expected, 'accepts calls and connects',
-                     'after a shortage of file descriptors or memory the node may need a restart',
-                     log.always_warn):
+    """Patch rospy, if its source is known; call this before rospy.init_node."""
+    if not _GUARD.passes(log.always_warn):
         return
 
     def get_request(self: socketserver.TCPServer) -> Tuple[Any, Any]:

@@ -21,9 +21,9 @@ from ...link.outcome import LOOK, Verdict
 from ...output import end_with_output, prepare_output
 from ...ros.answers import read_error, read_response
 from ...ros.master import wait_for_master
+from ...ros.rospy_mends.shutdown import leave_ros
 from ..watch.live import LiveTable, stopped_by_signals
 from ..watch.topics import LINKS, NODE
-from ..watch.watcher import leave_ros
 from .state import Demo, PageAddress
 
 _START = 60.0           # s for the bridge to start

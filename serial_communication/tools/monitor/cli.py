@@ -15,11 +15,12 @@ import rospy
 
 from ...output import end_with_output, prepare_output
 from ...ros.master import wait_for_master
+from ...ros.rospy_mends.shutdown import leave_ros
 from ..watch.live import LiveTable, stopped_by_signals
 from ..watch.state import BridgeState
 from ..watch.table import Heading, TextLine, plain
 from ..watch.topics import NODE, SERIAL_MSG
-from ..watch.watcher import Watcher, leave_ros
+from ..watch.watcher import Watcher
 
 _PATIENCE = 5.0     # s that --once waits for the master's answer and the bridge's first report
 _COLLECT = 3.0      # s that --once then counts messages: enough for topics at 1 Hz

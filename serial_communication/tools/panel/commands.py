@@ -14,8 +14,6 @@ from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional, Tuple
 import genpy
 import rosgraph
 import rospy
-from rospy.exceptions import TransportInitError
-from rospy.impl.tcpros_base import TCPROSTransport
 from std_msgs.msg import String
 
 from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
@@ -23,11 +21,12 @@ from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 from ...boards.arduino.wire import LED_LIMIT, SPEED_LIMIT
 from ...link.outcome import LOOK, Verdict
 from ...ros.answers import outcome_fields, read_error, read_response
+from ...ros.latest_worker import LatestWorker
+from ...ros.rospy_mends.connections import connected_service, header_of, reaches
 from ..watch.state import BridgeState
 from ..watch.topics import leaves, one_line, resolve
 from .dead_man import SILENCE, CommandRefused, DeadManSwitch
 from .forms import Message, Service, board_services, custom_messages, custom_services
-from .registrar import Registrar
 
 STEERING = (500, 2500)      # µs, the range of a servo
 _DOUBLE_CLICK = 0.5         # s after a call in which another one of its service is refused
@@ -62,7 +61,7 @@ class Commands:
         call_later: runs a function on the IO loop after a delay in seconds.
     """
 
-    def __init__(self, node: str, registrar: Registrar, add_callback: Callable,
+    def __init__(self, node: str, registrar: LatestWorker, add_callback: Callable,
                  call_later: Callable) -> None:
         self._node = node
         self._registrar = registrar
@@ -279,7 +278,7 @@ class Commands:
 
     def _on_speed(self, command: Any) -> None:
         """Receive a speed, also one of this panel. Runs in rospy's thread."""
-        name = command._connection_header['callerid']
+        name = header_of(command)['callerid']
         if name != rospy.get_name():
             self._add_callback(self._foreign_speed, name, command.value)
 
@@ -353,7 +352,7 @@ class Commands:
     def _publisher(self, name: str) -> rospy.Publisher:
         publisher = self._publishers.get(name) if self._wanted else None
         # Of all subscribers only the bridge counts; this panel itself is one of ~speed.
-        if publisher is None or not publisher.impl.has_connection(self._node):
+        if publisher is None or not reaches(publisher, self._node):
             raise CommandRefused(f'the bridge does not subscribe to {name}: it does not run, '
                                  'or that link is off')
         return publisher
@@ -383,21 +382,14 @@ def _request(name: str, service_class: Any, arguments: Dict[str, Any]) -> Any:
 def _connected(name: str, service_class: Any, deadline: float) -> rospy.ServiceProxy:
     """A proxy that is connected, so that its request is sent at once.
 
-    rospy's proxy asks the master and connects when it is called. If they hang, it sends the request
-    as soon as they answer, and the robot would move when nobody expects it any more.
-
     Raises:
         rosgraph.MasterError: the service does not exist.
         OSError: the master does not answer.
         rospy.ROSException: the bridge does not answer, or the deadline has passed.
     """
-    uri = rosgraph.Master(rospy.get_name()).lookupService(name)
-    proxy = rospy.ServiceProxy(name, service_class)
-    proxy.transport = TCPROSTransport(proxy.protocol, proxy.resolved_name)
     try:
-        proxy.transport.connect(*rospy.core.parse_rosrpc_uri(uri), uri, timeout=_MAX_AGE)
-    except TransportInitError:
-        proxy.close()
+        proxy = connected_service(name, service_class, _MAX_AGE)
+    except rospy.TransportInitError:
         raise rospy.ROSException('the bridge does not answer') from None
     if time.monotonic() > deadline:
         proxy.close()

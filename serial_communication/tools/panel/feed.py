@@ -13,10 +13,10 @@ from typing import Any, Deque, Dict, Iterable, List, Optional, Set, Tuple
 import rospy
 from rosgraph_msgs.msg import Log
 
+from ...ros.latest_worker import LatestWorker
 from ..watch.state import BridgeState, LinkState, TopicState
 from ..watch.topics import DIAGNOSTICS, SERIAL_MSG, BridgeTopic, FieldValue
 from ..watch.watcher import Watcher
-from .registrar import Registrar
 from .wire import FrameExplainer
 
 HISTORY = 600.0         # s for which samples and errors are kept
@@ -117,7 +117,7 @@ def _unreadable(error: Exception) -> str:
 class Feed:
     """Observes one bridge while a page is open."""
 
-    def __init__(self, node: str, master: str, registrar: Registrar) -> None:
+    def __init__(self, node: str, master: str, registrar: LatestWorker) -> None:
         self.state = BridgeState(node, master=master)
         self._registrar = registrar
         self._active = False

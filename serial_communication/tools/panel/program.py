@@ -13,6 +13,7 @@ import socket
 import sys
 import threading
 import time
+import traceback
 from typing import Callable, Iterator, List
 
 import rosgraph
@@ -22,17 +23,17 @@ import tornado.ioloop
 
 from ...link.sparing_log import SparingLog
 from ...ros.last_resort import LastResort
+from ...ros.latest_worker import LatestWorker
 from ...ros.master import full_name, running_node, wait_for_master
 from ...ros.rospy_mends import background_logging, master_calls
 from ...ros.rospy_mends.log_file import init_node
 from ...ros.rospy_mends.master_watch import MasterWatch
-from ..watch.watcher import leave_ros
+from ...ros.rospy_mends.shutdown import is_shutdown_requested, leave_ros
 from .addresses import free_port, listen, listener, listen_near, page_address, qr_code
 from .cli import DEFAULT_PORT, print_error
 from .commands import Commands
 from .feed import Feed
 from .guard import Entrance, Guard, is_loopback
-from .registrar import Registrar
 from .server import Hub, host_names, serve
 
 _STOP_TIME = 0.2          # s for the last SPEED 0 to be sent
@@ -73,7 +74,7 @@ class _Ros:
                 self._ended()
                 return
         rospy.on_shutdown(self._ended)
-        if rospy.core.is_shutdown_requested():      # before the hook was set
+        if is_shutdown_requested():      # before the hook was set
             self._ended()
             return
         watch.start({})
@@ -156,8 +157,11 @@ def _serve(options: argparse.Namespace) -> int:
 
     loop = tornado.ioloop.IOLoop.current()
     log = SparingLog('panel', logging.getLogger('rosout'))
-    node = rospy.names.resolve_name(options.node)
-    registrar = Registrar(log)
+    node = rospy.resolve_name(options.node)
+    # The pause: a page may change what it shows 100 times a second.
+    registrar = LatestWorker('registrar', 0.1, lambda _error: log.error(
+        'registering', traceback.format_exc()))
+    registrar.start()
     commands = Commands(node, registrar, loop.add_callback, loop.call_later) \
         if options.control else None
     hub = Hub(Feed(node, rosgraph.get_master_uri(), registrar), commands, log)

@@ -4,7 +4,6 @@ Every message is counted, but only the latest of each topic is deserialized, in 
 master is asked which topics the bridge has, so that custom messages and boards of other packages
 appear by themselves.
 """
-import atexit
 import threading
 import time
 from typing import Any, Callable, Dict, Iterable, Optional
@@ -13,21 +12,12 @@ import roslib.message
 import rosgraph
 import rospy
 
+from ...ros.rospy_mends.connections import header_of, packed
 from .state import BridgeState, LinkState
 from .topics import DIAGNOSTICS, BridgeTopic, expected_links, published_topics, resolve
 
 _ASK_EVERY = 1.0      # s between two requests to the master
-_LEAVE_TIMEOUT = 2.0  # s
 _BUFFER = 1 << 18     # bytes; with rospy's 64 KiB the latest message waits behind older ones
-
-
-def leave_ros(patience: float = _LEAVE_TIMEOUT) -> None:
-    """Shut this process's node down, in `patience` s at most even if the master hangs."""
-    ending = threading.Thread(target=rospy.signal_shutdown, args=('it ends',), daemon=True)
-    ending.start()
-    ending.join(patience)
-    if ending.is_alive():
-        atexit.unregister(rospy.core._ros_atexit)    # it would wait for the master
 
 
 class Watcher:
@@ -71,40 +61,40 @@ class Watcher:
         """Update the rate of each topic, its latest message and its text."""
         for each in self._state.topics:
             each.measure(now)
-            packed = self._latest.pop(each.topic.name, None)
-            if packed is None:
+            latest = self._latest.pop(each.topic.name, None)
+            if latest is None:
                 continue
             try:
-                each.message = self.unpack(each.topic, packed)
+                each.message = self.unpack(each.topic, latest)
                 each.words = each.topic.words(each.message)
             except Exception as error:  # pylint: disable=broad-except
                 # The message may be of another version of the type.
                 each.message, each.words = None, f'not as expected: {error}'
 
-    def unpack(self, topic: BridgeTopic, packed: bytes) -> Any:
+    def unpack(self, topic: BridgeTopic, data: bytes) -> Any:
         """Deserialize a message of a topic.
 
         Raises:
             ValueError: the type is not installed here.
             Exception: whatever genpy raises where it is not of the topic's type.
         """
-        return self._class(topic.type)().deserialize(packed)
+        return self._class(topic.type)().deserialize(data)
 
     # -- messages --------------------------------------------------------------------------
 
     def _receive(self, message: Any, name: str) -> None:
-        header = message._connection_header    # AnyMsg names its sender nowhere else
+        header = header_of(message)    # AnyMsg names its sender nowhere else
         if header.get('callerid') != self._state.node:
             return
         each = self._state.topic(name)
         if each is not None:
             now = time.monotonic()
-            self._latest[name] = message._buff
+            self._latest[name] = packed(message)
             each.received(now)
             if self._on_message:
-                self._on_message(each.topic, message._buff, now)
+                self._on_message(each.topic, packed(message), now)
         if name == DIAGNOSTICS:                # each message is about one link
-            self._receive_links(self._class(header['type'])().deserialize(message._buff))
+            self._receive_links(self._class(header['type'])().deserialize(packed(message)))
 
     def _receive_links(self, message: Any) -> None:
         now = time.monotonic()

@@ -5,12 +5,11 @@ Every mistake there is reported in one line, since a traceback would not name th
 import re
 import threading
 import time
-from typing import Any, Iterable, List, Optional, Tuple, Type
+from typing import Any, Iterable, List, Tuple, Type
 
 import rospy
 
-from ..boards import BOARDS, BoardError, description, load
-from ..boards.description import Description
+from ..boards import BoardError, description, load
 from ..framing.layout import brief
 from .interface import Interface
 from .parameter import Parameter
@@ -24,7 +23,7 @@ def board_interfaces(names: Any, taken: Iterable[str]) -> List[Type[Interface]]:
     """Return the interfaces of the boards in these packages.
 
     Args:
-        names: packages with a DESCRIPTION, or modules with an INTERFACE (up to version 1.1).
+        names: import names of the packages.
         taken: names that no board may have.
 
     Raises:
@@ -43,18 +42,8 @@ def board_interfaces(names: Any, taken: Iterable[str]) -> List[Type[Interface]]:
     return interfaces
 
 
-def description_of(interface: Type[Interface]) -> Optional[Description]:
-    """Return the description of an interface's board; None for a module with an INTERFACE only."""
-    package = interface.__module__.rpartition('.')[0]
-    try:
-        board = description(interface.NAME if interface.NAME in BOARDS else package)
-    except (BoardError, ValueError):
-        return None
-    return board if board.name == interface.NAME else None
-
-
 def _load(name: str) -> Tuple[str, Any]:
-    """Return the name in its DESCRIPTION ('' without one) and its INTERFACE (None without one).
+    """Return the name in its DESCRIPTION, and its INTERFACE (None without one).
 
     The import runs in a thread, so that a signal ends the node even if the import hangs.
     """
@@ -78,11 +67,8 @@ def _load(name: str) -> Tuple[str, Any]:
 
 def _import(name: str, outcome: List[Any]) -> None:
     try:
-        module, described = load(name), ''
-        if hasattr(module, 'DESCRIPTION'):
-            board = description(name)
-            module, described = load(board.package + '.ros'), board.name
-        outcome.append((described, getattr(module, 'INTERFACE', None)))
+        board = description(name)
+        outcome.append((board.name, getattr(load(board.package + '.ros'), 'INTERFACE', None)))
     except BoardError as error:
         outcome.append(error)
 
@@ -90,8 +76,7 @@ def _import(name: str, outcome: List[Any]) -> None:
 def _wrong(described: str, interface: Any, taken: Iterable[str]) -> str:
     """Return what is wrong with an INTERFACE, or ''."""
     if interface is None:
-        return 'its ros.py has no INTERFACE' if described else \
-            'it has neither a DESCRIPTION of a board nor an INTERFACE'
+        return 'its ros.py has no INTERFACE'
     if not isinstance(interface, type) or Interface not in interface.__mro__:
         return _other('', interface, 'a class derived from '
                       'serial_communication.ros.interface.Interface')
@@ -100,7 +85,7 @@ def _wrong(described: str, interface: Any, taken: Iterable[str]) -> str:
         return _other('.NAME', name, 'letters, digits and _, a letter first')
     if name in taken:
         return _other('.NAME', name, 'a name that no other board or parameter has')
-    if described and described != name:
+    if described != name:
         return _other('.NAME', name, f'{described!r}, the name in its DESCRIPTION')
     parameters = getattr(interface, 'PARAMETERS', None)
     if not isinstance(parameters, dict):
