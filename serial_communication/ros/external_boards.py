@@ -5,7 +5,7 @@ Every mistake there is reported in one line, since a traceback would not name th
 import re
 import threading
 import time
-from typing import Any, Iterable, List, Tuple, Type
+from typing import Any, Iterable, Iterator, List, Tuple, Type
 
 import rospy
 
@@ -35,9 +35,12 @@ def board_interfaces(names: Any, taken: Iterable[str]) -> List[Type[Interface]]:
     interfaces: List[Type[Interface]] = []
     for name in names:
         described, interface = _load(name)
-        wrong = _wrong(described, interface, {*taken, *(each.NAME for each in interfaces)})
-        if wrong:
-            raise ValueError(f'the module {name!r}: {wrong}')
+        if interface is None:
+            raise ValueError(f'the module {name!r}: its ros.py has no INTERFACE')
+        mistakes = _mistakes(described, interface, {*taken, *(each.NAME for each in interfaces)})
+        for what, given, allowed in mistakes:
+            raise ValueError(f'the module {name!r}: INTERFACE{what} is {brief(given, 60)}, '
+                             f'may be {allowed}')
         interfaces.append(interface)
     return interfaces
 
@@ -73,56 +76,43 @@ def _import(name: str, outcome: List[Any]) -> None:
         outcome.append(error)
 
 
-def _wrong(described: str, interface: Any, taken: Iterable[str]) -> str:
-    """Return what is wrong with an INTERFACE, or ''."""
-    if interface is None:
-        return 'its ros.py has no INTERFACE'
+def _mistakes(described: str, interface: Any,
+              taken: Iterable[str]) -> Iterator[Tuple[str, Any, str]]:
+    """Yield what is wrong with an INTERFACE: which part, its value, and what it may be.
+
+    Only the first one counts: what follows it may raise anything.
+    """
     if not isinstance(interface, type) or Interface not in interface.__mro__:
-        return _other('', interface, 'a class derived from '
-                      'serial_communication.ros.interface.Interface')
+        yield '', interface, 'a class derived from serial_communication.ros.interface.Interface'
     name = getattr(interface, 'NAME', None)
     if not isinstance(name, str) or not _NAME.fullmatch(name):
-        return _other('.NAME', name, 'letters, digits and _, a letter first')
+        yield '.NAME', name, 'letters, digits and _, a letter first'
     if name in taken:
-        return _other('.NAME', name, 'a name that no other board or parameter has')
+        yield '.NAME', name, 'a name that no other board or parameter has'
     if described != name:
-        return _other('.NAME', name, f'{described!r}, the name in its DESCRIPTION')
-    parameters = getattr(interface, 'PARAMETERS', None)
+        yield '.NAME', name, f'{described!r}, the name in its DESCRIPTION'
+    parameters: Any = getattr(interface, 'PARAMETERS', None)
     if not isinstance(parameters, dict):
-        return _other('.PARAMETERS', parameters, 'a dict from name to Parameter')
+        yield '.PARAMETERS', parameters, 'a dict from name to Parameter'
     for key, parameter in parameters.items():
-        wrong = _wrong_parameter(key, parameter)
-        if wrong:
-            return wrong
+        if not isinstance(key, str) or not _NAME.fullmatch(key):
+            yield ('.PARAMETERS', key,
+                   'a dict from name (letters, digits and _) to Parameter')
+        where = f'.PARAMETERS[{key!r}]'
+        if not isinstance(parameter, Parameter):
+            yield where, parameter, 'a Parameter'
+        default = parameter.default
+        if type(default) not in (bool, str, int, float, list, dict):
+            yield (where + '.default', default,
+                   'true or false, text, a number, a list or a group')
+        if parameter.parse is None and (default == [] or isinstance(default, dict)):
+            yield where + '.parse', None, 'a function if the default is empty or a group'
     if 'port' not in parameters or not isinstance(parameters['port'].default, str):
-        return _other(".PARAMETERS['port']", parameters.get('port'), 'PORT, which is required')
-    return _wrong_mounts(getattr(interface, 'MOUNTS', None), parameters)
-
-
-def _wrong_parameter(key: Any, parameter: Any) -> str:
-    if not isinstance(key, str) or not _NAME.fullmatch(key):
-        return _other('.PARAMETERS', key, 'a dict from name (letters, digits and _) to Parameter')
-    where = f'.PARAMETERS[{key!r}]'
-    if not isinstance(parameter, Parameter):
-        return _other(where, parameter, 'a Parameter')
-    default = parameter.default
-    if type(default) not in (bool, str, int, float, list, dict):
-        return _other(where + '.default', default, 'true or false, text, a number, a list or a '
-                      'group')
-    if parameter.parse is None and (default == [] or isinstance(default, dict)):
-        return _other(where + '.parse', None, 'a function if the default is empty or a group')
-    return ''
-
-
-def _wrong_mounts(mounts: Any, parameters: dict) -> str:
+        yield ".PARAMETERS['port']", parameters.get('port'), 'PORT, which is required'
+    mounts: Any = getattr(interface, 'MOUNTS', None)
     if not isinstance(mounts, (tuple, list)) or not all(isinstance(each, str) for each in mounts):
-        return _other('.MOUNTS', mounts, 'a tuple of sensor names')
+        yield '.MOUNTS', mounts, 'a tuple of sensor names'
     for each in mounts:
         for key in f'{each}_frame_id', f'{each}_mount':
             if key not in parameters:
-                return _other('.MOUNTS', mounts, f'sensor names; PARAMETERS has no {key}')
-    return ''
-
-
-def _other(what: str, given: Any, allowed: str) -> str:
-    return f'INTERFACE{what} is {brief(given, 60)}, may be {allowed}'
+                yield '.MOUNTS', mounts, f'sensor names; PARAMETERS has no {key}'

@@ -1,38 +1,19 @@
-"""Arguments of the roslaunch above this process that roslaunch itself ignores.
+"""Arguments of the roslaunch above this process that never reach its launch file.
 
-roslaunch takes any NAME:=VALUE after a launch file, and ignores what the file does not declare.
-After a typo such as arduino_prt:=… the bridge would open the ports of its configuration in silence.
-It also ignores NAME:= without a value, before the launch file can see it.
+`mcu_port:=`, which turns a link off, is dropped because it has no value. After a typo such as
+arduino_prt:=… the bridge would open the ports of its configuration in silence.
 """
 import difflib
 import os
 import xml.etree.ElementTree
 from pathlib import Path
-from typing import Iterable, List
+from typing import List
 
 _FILE = 'bridge.launch'
 _EMPTY_PORT = '_port:='
 
 
-def empty_ports() -> List[str]:
-    """Return the name of each link that was turned off by an argument such as ``mcu_port:=``."""
-    return [word[:-len(_EMPTY_PORT)] for word in _roslaunch() if word.endswith(_EMPTY_PORT)]
-
-
-def unknown_arguments() -> List[str]:
-    """Return a warning for each argument that bridge.launch does not have."""
-    words = _roslaunch()
-    try:
-        if not words:
-            return []
-        import rospkg       # not at the top: most starts need it not
-        launch = Path(rospkg.RosPack().get_path('serial_communication'), 'launch', _FILE)
-        return warnings_of(words, xml.etree.ElementTree.parse(launch).getroot())
-    except Exception:  # pylint: disable=broad-except
-        return []       # no warning is worth a start that fails
-
-
-def _roslaunch() -> List[str]:
+def roslaunch_words() -> List[str]:
     """Return the command line of the roslaunch above this process.
 
     Empty if that did not start bridge.launch itself: of an included file roslaunch checks them.
@@ -44,9 +25,22 @@ def _roslaunch() -> List[str]:
     return words if any(os.path.basename(word) == _FILE for word in words) else []
 
 
-def warnings_of(words: Iterable[str], launch: xml.etree.ElementTree.Element) -> List[str]:
-    """A warning for each NAME:=VALUE whose name is not an argument of the launch file."""
-    known = [arg.get('name', '') for arg in launch.findall('arg') if 'value' not in arg.keys()]
+def empty_ports(words: List[str]) -> List[str]:
+    """Return the name of each link that was turned off by an argument such as ``mcu_port:=``."""
+    return [word[:-len(_EMPTY_PORT)] for word in words if word.endswith(_EMPTY_PORT)]
+
+
+def unknown_arguments(words: List[str]) -> List[str]:
+    """Return a warning for each NAME:=VALUE whose name is no argument of bridge.launch."""
+    if not words:
+        return []
+    try:
+        import rospkg       # not at the top: most starts need it not
+        path = Path(rospkg.RosPack().get_path('serial_communication'), 'launch', _FILE)
+        arguments = xml.etree.ElementTree.parse(path).findall('arg')
+    except Exception:  # pylint: disable=broad-except
+        return []       # no warning is worth a start that fails
+    known = [arg.get('name', '') for arg in arguments if 'value' not in arg.keys()]
     found = []
     for word in words:
         name, assigned, _value = word.partition(':=')

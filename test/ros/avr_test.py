@@ -10,9 +10,7 @@ import signal
 import socket
 import subprocess
 import tempfile
-import time
 import unittest
-from math import inf
 from xmlrpc.client import ServerProxy
 
 import rosgraph
@@ -20,19 +18,17 @@ import rospy
 import rostest
 import tf2_ros
 from geometry_msgs.msg import Vector3
-from sensor_msgs.msg import FluidPressure, Imu, Range, RelativeHumidity, Temperature
-from std_msgs.msg import Bool, Float32, String, UInt16
-from std_srvs.srv import Empty, SetBool, Trigger
+from sensor_msgs.msg import Imu
+from std_msgs.msg import Bool, Float32, UInt16
+from std_srvs.srv import Trigger
 
 from avr_boards import LossyLine, OnBoard, apart, turn, upward
-from boards import (NOT_SENT, OK, PACKAGE, PATIENCE, RX, TIMEOUT, TX, Diagnostics, Rosout, Topic,
+from boards import (OK, PACKAGE, PATIENCE, RX, TIMEOUT, TX, Diagnostics, Rosout, Topic,
                     Waiter, command_topic, own_folder, service, until)
 from launch_test import SIMULATED_TOPICS
-from serial_communication.msg import (Environment, McuStatus2, SerialMsg, SpeedPWMCommand,
-                                      SteeringFeedback, SteeringPWMCommand, Ticks, Voltage)
+from serial_communication.msg import Environment, McuStatus2, SerialMsg, SpeedPWMCommand
 from serial_communication.boards.bus import wire as bus
-from serial_communication.srv import (BusRequest, GetEnvironment, Gimbal, GimbalRequest, Lift,
-                                      LiftRequest)
+from serial_communication.srv import Gimbal, Lift, LiftRequest
 
 LOG_WARN = 4     # levels of rosgraph_msgs/Log
 GRAVITY = 9.81
@@ -82,12 +78,6 @@ class CarBench(OnBoard):
     def imu(self):
         return self.collect(Topic(self.own('imu'), Imu))
 
-    def drift(self, imu):
-        """How many degrees the orientation drifts in one emulated second, i.e. 100 packets."""
-        imu.forget()
-        until(lambda: len(imu.messages) > 100, 'a hundred IMU messages')
-        return apart(orientation(imu.messages[0]), orientation(imu.messages[100]))
-
 
 class Car(CarBench):
     """Motor, servo, lamps, encoder, battery and IMU of the model car."""
@@ -97,17 +87,6 @@ class Car(CarBench):
         super().tearDown()
 
     # -- the motor ----------------------------------------------------------------------
-
-    def test_a_speed_sets_the_pwm_register_and_the_direction_and_the_wheel_ticks(self):
-        speed, ticks = self.speed(), self.collect(Topic(self.own('ticks'), Ticks))
-        for value, pwm, direction in ((400, 102, 1), (-3000, 255, -1), (0, 0, 0)):
-            self.until_is('motor_direction', direction,
-                          doing=lambda v=value: speed.publish(value=v))
-            self.drive_until_pwm(speed, value, pwm)
-            self.assertEqual(self.board.get('motor_direction'), direction)
-            if value:
-                ticks.next(lambda m: 0 < m.value <= 12,
-                           doing=lambda v=value: speed.publish(value=v))
 
     def test_the_motor_stops_after_the_speed_timeout_and_stays_off(self):
         speed, traffic = self.speed(), self.collect(Topic('/serial_msg', SerialMsg))
@@ -175,58 +154,6 @@ class Car(CarBench):
 
     # -- servo, lamps, battery, logs ------------------------------------------------------
 
-    def test_servo_and_lamps_follow_the_commands(self):
-        steering, led = self.command('steering', SteeringPWMCommand), self.command('led', String)
-        angle = self.collect(Topic(self.own('steering_angle'), SteeringFeedback))
-        for pulse, servo, feedback in ((1300, 1300, 392), (900, 1000, 212), (1500, 1500, 512)):
-            self.until_is('servo_us', servo, doing=lambda p=pulse: steering.publish(value=p))
-            angle.next(lambda m, f=feedback: m.value == f, what='says %d' % feedback)
-        for text, lit in ('right', 1), ('disable', 0):
-            led.publish(text)
-            self.until_is('led_right', lit)
-
-    def test_a_flood_of_commands_does_not_reset_the_car(self):
-        """Each topic at 2 kHz. The firmware's own test has the full line, and every heartbeat."""
-        floods = (self.command('led', String), {'data': 'foo'}), \
-            (self.command('led', String), {'data': 'left'}), \
-            (self.command('steering', SteeringPWMCommand), {'value': 1400}), \
-            (self.speed(), {'value': 700})
-        ticks = self.collect(Topic(self.own('ticks'), Ticks))
-        for publisher, message in floods:
-            with self.about(topic=publisher.name, **message):
-                began, sent = time.monotonic(), 0
-                while time.monotonic() < began + FLOOD:
-                    time.sleep(max(0, began + sent / 2000 - time.monotonic()))
-                    publisher.publish(**message)
-                    sent += 1
-                self.assertEqual(self.board.get('watchdog_resets'), 0)
-        ticks.next()
-        self.drive_until_pwm(self.speed(), 0, 0)
-        self.drive_until_pwm(self.speed(), 700, 179)
-
-    def test_battery_voltage_and_temperature_are_published_as_they_are_in_the_world(self):
-        voltage = self.collect(Topic(self.own('voltage'), Voltage))
-        temperature = self.collect(Topic(self.own('imu/temperature'), Temperature))
-        self.addCleanup(self.board.set, 'battery', 14.8)
-        self.addCleanup(self.board.set, 'imu_temperature', 32)
-        self.assertAlmostEqual(voltage.next().value, 14.8, delta=0.148)
-        self.board.set('imu_temperature', -11.5)
-        self.board.set('battery', 7.4)
-        temperature.first(lambda m: abs(m.temperature + 11.5) < 0.01, what='says -11.5')
-        voltage.next(lambda m: abs(m.value - 7.4) <= 0.074, what='falls to 7.4 V')
-
-    def test_what_the_board_logs_is_on_rosout_at_its_severity(self):
-        rosout = self.collect(Rosout())
-        self.until_emulated(0.2)
-        rosout.wait_for(PACKAGE, 'arduino says: IMU ready, not calibrated', LOG_WARN,
-                        doing=self.reset_now_and_then)
-
-    def reset_now_and_then(self):
-        """Reset the board every 0.5 s, until the subscription to /rosout is complete."""
-        if self.board.time - getattr(self, '_reset_at', 0) > 0.5:
-            self._reset_at = self.board.time
-            self.board.reset()
-
     # -- the IMU ------------------------------------------------------------------------
 
     def turn_to(self, imu, yaw, pitch, roll):
@@ -271,33 +198,6 @@ class Car(CarBench):
 
     # -- resets -------------------------------------------------------------------------
 
-    def test_the_link_recovers_from_a_reset_of_the_car_amid_traffic(self):
-        speed, imu, diagnostics = self.speed(), self.imu(), self.collect(Diagnostics())
-        traffic = self.collect(Topic('/serial_msg', SerialMsg))
-        traffic.next(lambda m: True)        # from now on it records every error
-        first = diagnostics.fresh('arduino', lambda s: s.level == OK, 'OK').keys
-
-        def cut():
-            return [m for m in list(traffic.messages) if m.error and m.direction == RX]
-        resets = 0
-        # At different moments of the board's 10 ms cycle; some are in the middle of a packet.
-        while resets < 3 or not cut():
-            self.assertLess(resets, 60, 'no reset has cut a packet')
-            self.drive_until_pwm(speed, 600, 153)
-            self.until_emulated(0.0007 * resets)
-            self.board.reset()
-            self.assertEqual(self.board.get('motor_pwm'), 0)
-            resets += 1
-            imu.next()
-        self.drive_until_pwm(speed, 600, 153)
-        self.assertLess(apart(orientation(imu.next()), (1, 0, 0, 0)), 2.0)
-        self.assertLessEqual(len(cut()), resets)
-        # An older status may still be on its way.
-        last = diagnostics.fresh('arduino', lambda s: s.level == OK and errors_between(
-            first, s.keys) == len(cut()), '%d errors' % len(cut())).keys
-        self.assertEqual(last['reconnects'], '0')
-        self.assertGreater(int(last['frames received']), int(first['frames received']))
-
 
 class LostStop(CarBench):
     """A car on a line that loses the packet that should stop it."""
@@ -324,64 +224,6 @@ class LostStop(CarBench):
             if not rosout.lines(PACKAGE, 'heartbeat lost') and off - begun < 0.15:
                 return      # otherwise this computer stalled, or the board stopped the motor
         self.fail('the motor ran on for 0.15 s, or heartbeats come too late, every time')
-
-
-class Calibration(CarBench):
-    """A car whose gyro has a bias."""
-
-    def test_a_calibration_removes_the_bias_permanently(self):
-        board, imu, rosout = self.board, self.imu(), self.collect(Rosout())
-        calibrating = self.collect(Topic(self.own('imu/calibrating'), Bool))
-        speed, steering = self.speed(), self.command('steering', SteeringPWMCommand)
-        calibrate = service(self.own('calibrate_imu'), Empty)
-        self.assertFalse(calibrating.first().data)
-        board.set('gyro_bias_z', 4)
-        board.set('gyro_bias_x', -1)
-        board.set('accel_bias_y', 0.05)
-        self.until_emulated(0.1)
-        self.assertGreater(self.drift(imu), 3.0)
-
-        # The car drives at first. It stops, and accepts no command until the calibration ends.
-        self.drive_until_pwm(speed, 500, 128)
-        calibrate()
-        calibrating.first(lambda m: m.data, what='turns true')
-        self.until_is('motor_pwm', 0)
-        rosout.wait_for(PACKAGE, 'arduino says: IMU calibration: do not move the car')
-        changes = board.history('motor_pwm')
-        imu.forget()
-        rosout.wait_for(PACKAGE, 'speed 500 refused: the board calibrates its IMU', LOG_WARN,
-                        doing=lambda: (speed.publish(value=500), steering.publish(value=1900)))
-        with self.assertRaises(rospy.ServiceException):
-            calibrate()
-        self.assertEqual([m.data for m in calibrating.messages], [False, True])
-        self.assertEqual(imu.messages, [])
-        # The state is latched, so a later subscriber gets it, too.
-        self.assertTrue(self.collect(Topic(self.own('imu/calibrating'), Bool)).first().data)
-
-        until(lambda: len(calibrating.messages) == 3, 'the calibration is over')
-        self.assertFalse(calibrating.messages[2].data)
-        rosout.wait_for(PACKAGE, 'arduino says: IMU calibrated')
-        self.assertEqual(board.history('motor_pwm'), changes)
-        self.assertEqual(board.get('servo_us'), 1500)
-        self.assert_level(imu)
-
-        # A reset clears the RAM; the EEPROM and the sensor's bias stay.
-        rosout.forget()
-        board.power_cycle()
-        rosout.wait_for(PACKAGE, 'arduino says: IMU ready')
-        self.assertEqual(rosout.lines(PACKAGE, 'not calibrated'), [])
-        self.assert_level(imu)
-        self.drive_until_pwm(speed, 500, 128)
-        speed.publish(value=0)
-        self.until_is('motor_pwm', 0)
-
-    def assert_level(self, imu):
-        imu.next()
-        self.assertLess(self.drift(imu), 0.2)
-        for value, wanted in zip((imu.messages[-1].linear_acceleration.x,
-                                  imu.messages[-1].linear_acceleration.y), (0, 0)):
-            self.assertAlmostEqual(value, wanted, delta=0.05)
-        self.assertLess(apart(orientation(imu.messages[-1]), (1, 0, 0, 0)), 1.0)
 
 
 class ControlBoard(OnBoard):
@@ -424,11 +266,6 @@ class ControlBoard(OnBoard):
         # The answer was sent at the end of the motion, and nothing moves afterwards.
         self.assertEqual(self.settled(), done)
 
-    def assert_refused(self, answer, status, code, before):
-        self.assertFalse(answer.success)
-        self.assertEqual((answer.status, answer.error_code), (status, code), answer.message)
-        self.assertEqual(self.settled(), before)
-
     def test_the_lift_moves_once_by_the_requested_distance(self):
         # Even the longest move ends within the default timeout.
         for direction, distance in ((LiftRequest.UP, 255), (LiftRequest.DOWN, 100),
@@ -439,14 +276,6 @@ class ControlBoard(OnBoard):
                                   lift=(signed, 25 * signed, 1))
         self.assert_moves(lambda: self.lift(0, 0))
 
-    def test_the_gimbal_turns_once_by_the_requested_angle(self):
-        for direction, angle, axis, sign in (
-                (GimbalRequest.LEFT, 30, 'pan', 1), (GimbalRequest.RIGHT, 45, 'pan', -1),
-                (GimbalRequest.UP, 20, 'tilt', 1), (GimbalRequest.DOWN, 31, 'tilt', -1)):
-            with self.about(direction=direction):
-                self.assert_moves(lambda d=direction, a=angle: self.gimbal(d, a),
-                                  **{axis: (sign * angle, sign * angle * 10, 1)})
-
     def test_concurrent_calls_are_each_executed_once(self):
         def all_at_once():
             # All in different directions: without a pause, two in one would look like one move.
@@ -455,21 +284,6 @@ class ControlBoard(OnBoard):
             answers = [call.result() for call in calls]
             return next((a for a in answers if not a.success), answers[0])
         self.assert_moves(all_at_once, lift=(-3, -75, 2), pan=(-1, -10, 2), tilt=(-5, -50, 1))
-
-    def test_a_refused_call_moves_nothing(self):
-        before = self.settled()
-        self.addCleanup(self.board.set, 'lift_top', 600)
-        self.board.set('lift_top', self.board.get('lift_position') - 0.01)
-        self.until_emulated(0.05)
-        self.assert_refused(self.lift(0, 10), bus.ERROR, bus.OPERATION_FAILED, before)
-        self.assert_refused(self.gimbal(2, 200), bus.ERROR, bus.OPERATION_FAILED, before)
-        self.assert_refused(self.lift(2, 10), NOT_SENT, 0, before)
-        self.assert_refused(self.gimbal(4, 10), NOT_SENT, 0, before)
-        request = service(self.own('bus/request'), BusRequest)
-        self.assert_refused(request(0x55, 0x20, b'\x02\x0a'), bus.ERROR, bus.MALFORMED, before)
-        self.assert_refused(request(0x55, 0x77, b''), bus.ERROR, bus.UNSUPPORTED, before)
-        # The other way it goes.
-        self.assert_moves(lambda: self.lift(1, 3), lift=(-3, -75, 1))
 
     def test_a_stop_ends_a_move_whose_outcome_is_then_unknown(self):
         stop = service(self.own('stop'), Trigger)
@@ -484,33 +298,6 @@ class ControlBoard(OnBoard):
         self.assertEqual(self.settled()['lift'][0], stopped)
         self.assert_moves(lambda: self.lift(0, 2), lift=(2, 50, 1))
         self.assertTrue(stop().success, 'nothing moves')
-
-    def test_readings_of_the_air_are_published_as_they_are_in_the_world(self):
-        get = service(self.own('get_environment'), GetEnvironment)
-        topics = [self.collect(Topic(self.own(name), message_class)) for name, message_class in (
-            ('environment', Environment), ('environment/temperature', Temperature),
-            ('environment/humidity', RelativeHumidity))]
-        for smoke, temperature, humidity in ((350, 25.63, 48.12), (1023, -12.5, 100)):
-            for name, value in (('smoke', smoke), ('temperature', temperature),
-                                ('humidity', humidity)):
-                self.board.set(name, value)
-            self.until_emulated(0.6)    # two measurements
-            answer = get()
-            self.assertTrue(answer.success, answer.message)
-            air = answer.environment
-            self.assertEqual(air.smoke, smoke)
-            self.assertAlmostEqual(air.temperature, temperature, delta=0.011)
-            self.assertAlmostEqual(air.humidity, humidity, delta=0.011)
-            topics[0].first(lambda m, a=air: (m.smoke, m.temperature, m.humidity)
-                            == (a.smoke, a.temperature, a.humidity))
-            topics[1].first(lambda m, t=air.temperature: abs(m.temperature - t) < 1e-4)
-            topics[2].first(lambda m, h=air.humidity: abs(m.relative_humidity - h / 100) < 1e-4)
-
-    def test_a_reset_between_two_calls_affects_neither(self):
-        for _ in range(2):
-            self.board.reset()
-            self.until_emulated(0.05)
-            self.assert_moves(lambda: self.gimbal(1, 2), pan=(-2, -20, 1))
 
     def test_a_reset_during_a_motion_is_a_timeout_and_the_link_recovers(self):
         diagnostics = self.collect(Diagnostics())
@@ -547,26 +334,10 @@ class SensorBoard(OnBoard):
         self.status = self.collect(Topic('/mcu/status', McuStatus2))
         self.status.first(lambda m: m.connected)
 
-    def range(self, number):
-        return self.collect(Topic('/mcu/range_%d' % number, Range))
-
     def restore(self, **values):
         """Restore the world at the end of the test."""
         for name, value in values.items():
             self.addCleanup(self.board.set, name, value)
-
-    def test_ranges_are_published_as_they_are_in_the_world(self):
-        first, second = self.range(1), self.range(2)
-        self.restore(range1=800, range2=800)
-        for left, right, metres, more_metres in ((470, 1234, 0.47, 1.234),
-                                                 (20, 8190, -inf, inf)):
-            self.board.set('range1', left)
-            self.board.set('range2', right)
-            self.status.next(lambda m, lr=(left, right): (m.vl53_1, m.vl53_2) == lr and m.valid
-                             and m.connected)
-            for topic, wanted in ((first, metres), (second, more_metres)):
-                got = topic.next(lambda m, w=wanted: m.range == w or abs(m.range - w) < 1e-6)
-                self.assertEqual(got.header.frame_id, topic.name.split('/')[-1])
 
     def test_heading_pitch_and_roll_are_published_as_they_are_in_the_world(self):
         imu = self.collect(Topic('/mcu/imu', Imu))
@@ -668,24 +439,6 @@ class AnnouncingCar(CarBench):
         self.until_is('gripper_pwm', (500 + 1000) * 255 // 2000,
                       doing=lambda: gripper.publish(x=50.0, z=0.5))
         self.assertEqual(set(rospy.get_param(self.own('arduino/announced'))), {'force', 'gripper'})
-
-
-class AnnouncingControlBoard(OnBoard):
-    """The control board with the example of custom functions, which is asked for their rows."""
-
-    WORLD, LINK, IMAGE = 'ctrl', 'bus', 'ctrl_board_custom.elf'
-    PARAMETERS = {'bus/announcements': True}
-
-    def test_its_functions_are_there(self):
-        pump = service(self.own('pump'), SetBool)
-        for on in True, False:
-            answer = pump(on)
-            self.assertTrue(answer.success, answer.message)
-            self.assertEqual(self.board.get('pump'), on)
-        tank = self.collect(Topic(self.own('tank'), FluidPressure))
-        self.board.set('tank', 300)
-        tank.first(lambda message: message.fluid_pressure == 30000, seconds=2 * PATIENCE)
-        self.assertTrue(service(self.own('stop'), Trigger)().success)
 
 
 class Launched(unittest.TestCase):

@@ -1,14 +1,9 @@
-"""Arguments of roslaunch that bridge.launch does not have are named; pure."""
-import xml.etree.ElementTree
-from pathlib import Path
-
+"""Arguments of roslaunch that do not reach bridge.launch."""
 import pytest
 
-from serial_communication.ros.launch_arguments import (empty_ports, unknown_arguments,
-                                                       warnings_of)
+from serial_communication.ros.launch_arguments import (empty_ports, roslaunch_words,
+                                                       unknown_arguments)
 
-LAUNCH = xml.etree.ElementTree.parse(
-    Path(__file__).resolve().parents[2] / 'launch' / 'bridge.launch').getroot()
 COMMAND = ['/usr/bin/python3', '/opt/ros/noetic/bin/roslaunch', 'serial_communication',
            'bridge.launch']
 
@@ -22,11 +17,14 @@ COMMAND = ['/usr/bin/python3', '/opt/ros/noetic/bin/roslaunch', 'serial_communic
                            'effect']),
     (['zzz:='], ['bridge.launch has no argument zzz, so zzz:= has no effect'])])
 def test_an_argument_that_the_launch_file_does_not_have_is_named(words, warnings):
-    found = warnings_of(COMMAND + words, LAUNCH)
+    found = unknown_arguments(COMMAND + words)
     assert len(found) == len(warnings)
     assert all(line.startswith(start) for line, start in zip(found, warnings))
 
 
 def test_a_process_that_roslaunch_did_not_start_has_none():
-    assert unknown_arguments() == []
-    assert empty_ports() == []
+    assert roslaunch_words() == []
+
+
+def test_an_argument_without_a_value_names_a_link():
+    assert empty_ports([*COMMAND, 'mcu_port:=', 'bus_port:=/dev/ttyS0']) == ['mcu']
