@@ -1,7 +1,6 @@
 """The bridge between a ROS 1 robot and its boards on serial lines.
 
-Imports run one way: ``ros`` -> ``links`` -> ``protocols`` and ``transport`` <- ``simulation``.
-Only ``ros`` and ``tools`` know rospy.
+doc/developing.md lists its layers, and which of them each may import.
 """
 from pkgutil import extend_path
 

@@ -57,7 +57,10 @@ def find(name: str, packages: Iterable[str] = ()) -> Description:
         BoardError: there is no such board.
     """
     others = () if name in BOARDS else map(description, packages)
-    return next((each for each in others if each.name == name), None) or description(name)
+    for board in others:
+        if board.name == name:
+            return board
+    return description(name)
 
 
 def load(name: str) -> ModuleType:

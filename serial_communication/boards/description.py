@@ -117,7 +117,8 @@ class Description:
     @property
     def names(self) -> List[str]:
         """The names of its topics and services, relative to the node."""
-        return [*(each.name for each in (*self.topics, *self.services)), *self.other_names]
+        return [*(topic.name for topic in self.topics),
+                *(service.name for service in self.services), *self.other_names]
 
     def baud_of(self, parameters: Mapping[str, Any]) -> int:
         """The rate of the port: `baud` of the board's parameters, else the description's.

@@ -4,7 +4,7 @@ from typing import Any, Callable, Dict, NamedTuple, Optional, Tuple
 
 from ..boards.description import BAUD_RANGE, Description
 from ..framing.layout import readable
-from ..transport.port import check_url
+from ..transport.urls import check_url
 
 
 class ParameterError(ValueError):

@@ -11,7 +11,7 @@ from ..boards import BOARDS, description, reason
 from ..boards.description import ANNOUNCED
 from ..framing.custom_messages import RowError
 from ..framing.layout import brief, readable
-from ..transport.same_port import identity
+from ..transport.urls import identity
 from .external_boards import board_interfaces
 from .interface import Interface
 from .parameter import Parameter, ParameterError, Parameters, frame_id, not_empty, seconds

@@ -14,7 +14,8 @@ from lines import Pty, Rfc2217Server
 from waiting import Waiter
 
 from serial_communication.transport.holders import Holder, holders_of
-from serial_communication.transport.port import Port, PortBusy, PortError, check_url, read_url
+from serial_communication.transport.port import Port, PortBusy, PortError
+from serial_communication.transport.urls import check_url, read_url
 
 
 class Reader:
@@ -52,7 +53,7 @@ def test_a_read_returns_all_bytes_received(port, line):
     assert port.read(PATIENCE) == b'one'
     line.write(b'two')
     line.write(b'three')
-    until(lambda: port._serial.in_waiting == 8)
+    until(lambda: port._open._serial.in_waiting == 8)
     assert port.read(0) == b'twothree'
     assert port.read(0) == b''
     assert port.bytes_received == 11
@@ -219,7 +220,7 @@ def test_the_program_that_has_a_port_open_is_named(line, tmp_path):
 
 def test_the_holder_is_looked_up_once_for_many_tries(line, monkeypatch):
     looked_up = []
-    monkeypatch.setattr('serial_communication.transport.port.holders_of',
+    monkeypatch.setattr('serial_communication.transport.port_errors.holders_of',
                         lambda path: looked_up.append(path) or [])
     port = Port(line.path, 115200)
     holder = Port(line.path, 115200)
@@ -236,7 +237,7 @@ def test_the_holder_is_looked_up_once_for_many_tries(line, monkeypatch):
 
 
 def test_a_holder_that_cannot_be_seen_is_found_with_a_command(line, port, monkeypatch):
-    monkeypatch.setattr('serial_communication.transport.port.holders_of', lambda path: [])
+    monkeypatch.setattr('serial_communication.transport.port_errors.holders_of', lambda path: [])
     assert refusal(line.path) == ('another program has it open, of another user: `sudo fuser -v '
                                   f'{line.path}` names it')
 
@@ -497,7 +498,7 @@ def test_rfc2217_passes_bytes_both_ways(rfc2217, line):
 
 def narrow(port):
     """Make its buffer small, since the server takes long for each byte."""
-    port._serial._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 16)
+    port._open._serial._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 16)
 
 
 def test_a_write_to_an_rfc2217_server_that_stops_reading_does_not_block(rfc2217, line):

@@ -8,7 +8,7 @@ import math
 import sys
 import threading
 import time
-from typing import List, Optional, Tuple
+from typing import List, Optional
 
 import rosgraph
 import rospy
@@ -17,11 +17,10 @@ from std_msgs.msg import String
 from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 from serial_communication.srv import Gimbal, Lift
 
-from ...link.outcome import LOOK, Verdict
 from ...output import end_with_output, prepare_output
-from ...ros.answers import read_error, read_response
 from ...ros.master import wait_for_master
 from ...ros.rospy_mends.shutdown import leave_ros
+from ..watch.calls import call
 from ..watch.live import LiveTable, stopped_by_signals
 from ..watch.topics import LINKS, NODE
 from .state import Demo, PageAddress
@@ -31,10 +30,10 @@ _CALL_EVERY = 3.0       # s between two lift or gimbal calls
 _COMMAND_RATE = 10.0    # Hz of speed and steering
 
 # Service, words, direction, amount, unit. Each move is undone, so that none runs into an end stop.
-_PLAN = (('lift', 'up', 0, 20, 'mm'), ('gimbal', 'left', 0, 15, 'degrees'),
-         ('lift', 'down', 1, 20, 'mm'), ('gimbal', 'right', 1, 15, 'degrees'),
-         ('lift', 'up', 0, 40, 'mm'), ('gimbal', 'up', 2, 10, 'degrees'),
-         ('lift', 'down', 1, 40, 'mm'), ('gimbal', 'down', 3, 10, 'degrees'))
+_PLAN = ((Lift, 'up', 0, 20, 'mm'), (Gimbal, 'left', 0, 15, 'degrees'),
+         (Lift, 'down', 1, 20, 'mm'), (Gimbal, 'right', 1, 15, 'degrees'),
+         (Lift, 'up', 0, 40, 'mm'), (Gimbal, 'up', 2, 10, 'degrees'),
+         (Lift, 'down', 1, 40, 'mm'), (Gimbal, 'down', 3, 10, 'degrees'))
 
 
 class Moves:
@@ -55,14 +54,13 @@ class Moves:
             thread.join(0.5)
 
     def _call(self) -> None:
-        proxies = {'lift': rospy.ServiceProxy(NODE + '/lift', Lift),
-                   'gimbal': rospy.ServiceProxy(NODE + '/gimbal', Gimbal)}
-        for name, words, direction, amount, unit in itertools.cycle(_PLAN):
-            calls, asked = self._demo.calls[name], time.monotonic()
-            what = f'{words} {amount} {unit}'
+        for service, words, direction, amount, unit in itertools.cycle(_PLAN):
+            name, asked = service.__name__.lower(), time.monotonic()
+            calls, what = self._demo.calls[name], f'{words} {amount} {unit}'
             calls.words = f'{what}: ...'
-            calls.answered(what, *_call(proxies[name], direction, amount),
-                           time.monotonic() - asked)
+            answer = call(f'{NODE}/{name}', service, service._request_class(direction, amount),
+                          asked + _CALL_EVERY)
+            calls.answered(what, answer.outcome, answer.words, time.monotonic() - asked)
             if self._stopping.wait(max(0.0, asked + _CALL_EVERY - time.monotonic())):
                 return
 
@@ -90,20 +88,6 @@ class Moves:
             speed.publish(value=0)
         except rospy.ROSException:
             pass
-
-
-def _call(proxy: rospy.ServiceProxy, direction: int, amount: int) -> Tuple[Verdict, str]:
-    """Call a service and return the outcome and its description."""
-    try:
-        proxy.wait_for_service(_CALL_EVERY)
-    except rospy.ROSException as error:
-        return Verdict.REFUSED, f'nothing was sent: {error}'
-    try:
-        return read_response(proxy(direction, amount))
-    except rospy.ServiceException as error:
-        return read_error(error)
-    except rospy.ROSException as error:
-        return Verdict.NOT_KNOWN, f'{error}; {LOOK}'
 
 
 def _arguments(argv: Optional[List[str]]) -> argparse.Namespace:

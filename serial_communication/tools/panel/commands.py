@@ -9,20 +9,20 @@ import threading
 import time
 from collections import deque
 from itertools import islice
-from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Deque, Dict, List, Optional, Tuple
 
 import genpy
-import rosgraph
 import rospy
 from std_msgs.msg import String
 
 from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 
 from ...boards.arduino.wire import LED_LIMIT, SPEED_LIMIT
-from ...link.outcome import LOOK, Verdict
-from ...ros.answers import outcome_fields, read_error, read_response
+from ...link.outcome import Verdict
+from ...ros.answers import outcome_fields
 from ...ros.latest_worker import LatestWorker
-from ...ros.rospy_mends.connections import connected_service, header_of, reaches
+from ...ros.rospy_mends.connections import header_of, reaches
+from ..watch.calls import MOST_WAIT, Answer, call
 from ..watch.state import BridgeState
 from ..watch.topics import leaves, one_line, resolve
 from .dead_man import SILENCE, CommandRefused, DeadManSwitch
@@ -30,7 +30,7 @@ from .forms import Message, Service, board_services, custom_messages, custom_ser
 
 STEERING = (500, 2500)      # µs, the range of a servo
 _DOUBLE_CLICK = 0.5         # s after a call in which another one of its service is refused
-_MAX_AGE = 2.0              # s from a click until its request is sent; later it is refused
+_MAX_AGE = MOST_WAIT        # s from a click until its request is sent; later it is refused
 _MAX_CALLS = 8              # under way at once
 _MAX_ANSWERS = 30           # kept for the pages
 _MAX_REPLY = 40             # fields of a response that are shown
@@ -42,14 +42,6 @@ _FOREIGN = 0.5              # s for which no page drives after another program h
 _SENT = 'sent'              # the outcome of what no board answers
 _TO_THE_BRIDGE = 'to the bridge; this command has no answer'
 _TOPICS = {'~speed': SpeedPWMCommand, '~led': String, '~steering': SteeringPWMCommand}
-
-
-class _Answer(NamedTuple):
-    """The answer to a service call."""
-
-    outcome: Verdict
-    words: str
-    reply: List[Tuple[str, str]] = []    # the response's own fields: name and value as text
 
 
 class Commands:
@@ -195,13 +187,14 @@ class Commands:
         self._ended = {key: at for key, at in self._ended.items() if key[0] is not page}
 
     def _run(self, page: Any, service_class: Any, request: Any, entry: Dict[str, Any]) -> None:
-        answer = _call(resolve(entry['name'], self._node), service_class, request,
-                       entry['began'] + _MAX_AGE)
+        answer = call(resolve(entry['name'], self._node), service_class, request,
+                      entry['began'] + _MAX_AGE)
         self._add_callback(self._answered, page, entry, answer)
 
-    def _answered(self, page: Any, entry: Dict[str, Any], answer: '_Answer') -> None:
+    def _answered(self, page: Any, entry: Dict[str, Any], answer: Answer) -> None:
         now = time.monotonic()
-        entry.update(outcome=answer.outcome.value, words=answer.words, reply=answer.reply,
+        reply = _reply(answer.response) if answer.outcome is Verdict.DONE else []
+        entry.update(outcome=answer.outcome.value, words=answer.words, reply=reply,
                      took=round(now - entry['began'], 3))
         self._under_way -= 1
         if (page, entry['name']) in self._ended:
@@ -379,46 +372,9 @@ def _request(name: str, service_class: Any, arguments: Dict[str, Any]) -> Any:
     return request
 
 
-def _connected(name: str, service_class: Any, deadline: float) -> rospy.ServiceProxy:
-    """A proxy that is connected, so that its request is sent at once.
-
-    Raises:
-        rosgraph.MasterError: the service does not exist.
-        OSError: the master does not answer.
-        rospy.ROSException: the bridge does not answer, or the deadline has passed.
-    """
-    try:
-        proxy = connected_service(name, service_class, _MAX_AGE)
-    except rospy.TransportInitError:
-        raise rospy.ROSException('the bridge does not answer') from None
-    if time.monotonic() > deadline:
-        proxy.close()
-        raise rospy.ROSException(f'master and bridge took more than {_MAX_AGE:g} s to answer; '
-                                 'call again')
-    return proxy
-
-
 def _reply(response: Any) -> List[Tuple[str, str]]:
     """The fields of a response that an outcome does not fill: name and value as text."""
     known = outcome_fields(type(response))
     return [(each.name, one_line(each.text())[:_MAX_REPLY_TEXT]) for each in islice(
         (leaf for name in response.__slots__ if name not in known
          for leaf in leaves(name, getattr(response, name))), _MAX_REPLY)]
-
-
-def _call(name: str, service_class: Any, request: Any, deadline: float) -> _Answer:
-    """Call the service and return its answer. Nothing is sent after the deadline."""
-    try:
-        proxy = _connected(name, service_class, deadline)
-    except Exception as error:  # pylint: disable=broad-except
-        why = 'no bridge offers this service now' if isinstance(error, rosgraph.MasterError) \
-            else 'the ROS master does not answer' if isinstance(error, OSError) else error
-        return _Answer(Verdict.REFUSED, f'nothing was sent: {why}')
-    try:
-        response = proxy(request)
-        outcome, words = read_response(response)
-        return _Answer(outcome, words, _reply(response) if outcome is Verdict.DONE else [])
-    except rospy.ServiceException as error:
-        return _Answer(*read_error(error))
-    except Exception as error:  # pylint: disable=broad-except
-        return _Answer(Verdict.NOT_KNOWN, f'the call failed: {error}; {LOOK}')

@@ -7,6 +7,7 @@ from ...framing.announcement import Assembly, Chunk, read_announcement
 from ...framing.recognition import Recognition
 from ...framing.stream import Decoder
 from ...transport.port import Port, PortBusy, PortError
+from ...transport.port_errors import WAITING
 
 USUAL = (9600, 57600, 38400, 19200, 230400, 460800, 921600, 500000, 250000, 1000000)    # baud
 _STARTUP = 2.0    # s more for a silent port: opening it may have reset its board
@@ -69,7 +70,7 @@ class Listener:
         try:
             return self._listen(url)
         except PortError as error:
-            return Heard(trouble=str(error).replace('; waiting for it', ''))
+            return Heard(trouble=str(error).replace(WAITING, ''))
 
     def _listen(self, url: str) -> Heard:
         rates = list(dict.fromkeys(each.baud for each in self._candidates))

@@ -77,7 +77,8 @@ def add_config_option(parser: argparse.ArgumentParser) -> None:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that `settings` reads, including LINK."""
     add_link_options(parser)
-    parser.add_argument('--baud', type=baud, default=0, metavar='N', help="(that of --config, or the board's default)")
+    parser.add_argument('--baud', type=baud, default=0, metavar='N',
+                        help="(that of --config, or the board's default)")
     parser.add_argument('--frame-timeout', type=positive, default=FRAME_TIMEOUT, metavar='S',
                         help='an incomplete frame is dropped after this time without a byte, as '
                              "by the bridge's parameter of that name (%(default)g)")
@@ -96,10 +97,10 @@ def settings(options: argparse.Namespace) -> Settings:
 
 
 def known_lines(config: str) -> Callable[[str, int], Settings]:
-    """Return a function of a link's name and baud rate (0: as in `config`) that returns its settings.
+    """Return a function of a link's name and baud rate that returns its settings.
 
     Args:
-        config: a file with the bridge's parameters, or ''.
+        config: a file with the bridge's parameters, or ''. A rate of 0 is that of its parameters.
 
     Raises:
         UsageError: the file cannot be used. The returned function raises it for a mistake in a

@@ -142,7 +142,7 @@ class PortReader:
         self._report('open')
         awake_at = pace.clock()
         if self._reverse:
-            self._reverse.start_silence_check(time.monotonic())
+            self._reverse.restart_silence_check()
         while not self._stopping.is_set():
             data = self._port.read(_TICK)
             stall = pace.clock() - awake_at
@@ -155,7 +155,7 @@ class PortReader:
             if data:
                 self._put(Read(now, self._sent, data))
             if self._reverse and stall > STALL:
-                self._reverse.start_silence_check(now)
+                self._reverse.restart_silence_check()
             elif self._reverse:
                 self._reverse.check_silence(bool(data), now)
 

@@ -12,12 +12,12 @@ terminal or a slow disk never delays the line. Nothing is kept for later, since 
 motor must not arrive seconds late: when an end takes no data, when an end is closed, and when this
 program was suspended, the bytes that waited are dropped and reported. Each direction then resumes
 with a whole frame. The board is first sent what makes it safe: for the arduino 0x00 and SPEED 0.
-An arduino behind a network port that is silent for 1 s is connected again. Either end may vanish
-and return.
+An arduino behind a network port that is silent for 1 s is connected again, once for each silence.
+Either end may vanish and return.
 """
 import argparse
 
-from ...transport.port import url_argument
+from ...transport.urls import url_argument
 from . import display, lines
 
 SUMMARY = 'sit between computer and board, forward and show both directions'

@@ -1,0 +1,51 @@
+"""Calls a service of the bridge, now or never."""
+import time
+from typing import Any, NamedTuple
+
+import rosgraph
+import rospy
+
+from ...link.outcome import LOOK, Verdict
+from ...ros.answers import read_error, read_response
+from ...ros.rospy_mends.connections import connected_service
+
+MOST_WAIT = 2.0     # s for the master, and again for the bridge, to answer
+
+
+class Answer(NamedTuple):
+    """The answer to a service call."""
+
+    outcome: Verdict
+    words: str              # describes the outcome
+    response: Any = None    # None: there is none
+
+
+def call(name: str, service_class: Any, request: Any, deadline: float) -> Answer:
+    """Call a service and return its answer; may take as long as the service.
+
+    Args:
+        name: full name.
+        deadline: a time of the monotonic clock, after which nothing is sent any more: the robot
+            would move when nobody expects it.
+    """
+    try:
+        proxy = connected_service(name, service_class, MOST_WAIT)
+    except rosgraph.MasterException:
+        return Answer(Verdict.REFUSED, 'nothing was sent: no bridge offers this service now')
+    except rospy.TransportInitError:
+        return Answer(Verdict.REFUSED, 'nothing was sent: the bridge does not answer')
+    except OSError:
+        return Answer(Verdict.REFUSED, 'nothing was sent: the ROS master does not answer')
+    except Exception as error:  # pylint: disable=broad-except
+        return Answer(Verdict.REFUSED, f'nothing was sent: {error}')
+    if time.monotonic() > deadline:
+        proxy.close()
+        return Answer(Verdict.REFUSED, 'nothing was sent: master and bridge took more than '
+                      f'{MOST_WAIT:g} s to answer; call again')
+    try:
+        response = proxy(request)
+        return Answer(*read_response(response), response)
+    except rospy.ServiceException as error:
+        return Answer(*read_error(error))
+    except Exception as error:  # pylint: disable=broad-except
+        return Answer(Verdict.NOT_KNOWN, f'the call failed: {error}; {LOOK}')

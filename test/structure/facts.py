@@ -1,0 +1,119 @@
+"""Compares the places that have to know of a board, of a packet, or of a function of the bus.
+
+Each line that it prints begins with the place where something is missing. doc/developing.md lists
+the places. It needs no ROS. For a copy of the package: PYTHONPATH=COPY python3 facts.py COPY
+"""
+import re
+import sys
+from pathlib import Path
+from typing import Any, Iterator, List, Set
+from xml.etree import ElementTree
+
+import yaml
+
+from serial_communication.boards import BOARDS, description, load
+from serial_communication.boards.description import Description
+from serial_communication.framing.layout import LayoutMessage
+
+FILES = ('wire.py', 'link.py', 'ros.py', 'simulator.py')    # besides __init__.py
+LINKS = {     # with packets of a type: the header of the firmware, and the start of its constants
+    'arduino': ('arduino_packets.h', r'enum class MessageType', r'\w+'),
+    'mcu': ('stx_etx.h', r'', r'kType\w+')}
+_PAGE = 'doc/protocols.md'
+_OWN = 'serial_communication/'      # the ROS types of this package
+
+
+def problems(root: Path) -> List[str]:
+    """Return a line for each thing that is missing somewhere."""
+    return [*_boards(root), *_packets(root)]
+
+
+# -- boards -----------------------------------------------------------------------------------
+
+
+def _boards(root: Path) -> Iterator[str]:
+    launch = root / 'launch' / 'bridge.launch'
+    given = {tag.get('name'): tag.get('value') for tag in ElementTree.parse(launch).iter('arg')}
+    configured = yaml.safe_load((root / 'config' / 'bridge.yaml').read_text())
+    folder = root / 'serial_communication' / 'boards'
+    for name in sorted(path.parent.name for path in folder.glob('*/__init__.py')):
+        if name not in BOARDS:
+            yield f'boards/__init__.py: BOARDS has no {name}'
+    for name in BOARDS:
+        yield from (f'boards/{name}/{file}: there is no such file' for file in FILES
+                    if not (folder / name / file).exists())
+        if f'{name}_port' not in given:
+            yield f'launch/bridge.launch: there is no argument {name}_port'
+        if name not in (given['boards'] or '').split():
+            yield f'launch/bridge.launch: the argument boards has no {name}'
+        if configured.get(name, {}).get('baud') != description(name).baud:
+            yield f'config/bridge.yaml: {name} has not the rate of its description'
+        yield from _types(root, description(name))
+
+
+def _types(root: Path, board: Description) -> Iterator[str]:
+    """The ROS types of a board that are not in this package, though they should be."""
+    for kind, entries in ('msg', board.topics), ('srv', board.services):
+        for each in entries:
+            name = each.type.partition(_OWN)[2]
+            if name and not (root / kind / f'{name}.{kind}').exists():
+                yield f'{kind}/{name}.{kind}: there is no such file'
+
+
+# -- packets ----------------------------------------------------------------------------------
+
+
+def _packets(root: Path) -> Iterator[str]:
+    for name, (header, after, constant) in LINKS.items():
+        wire = load(f'serial_communication.boards.{name}.wire')
+        from_board, to_board = set(wire.FROM_BOARD), set(getattr(wire, 'TO_BOARD', ()))
+        for each in _defined_in(wire) - from_board - to_board:
+            yield f'boards/{name}/wire.py: {each.__name__} is not in FROM_BOARD or TO_BOARD'
+        folder = root / 'serial_communication' / 'boards' / name
+        topics = {topic.message for topic in description(name).topics} - {None}
+        for each in from_board - topics if topics else ():     # else its ros.py makes them all
+            if f'wire.{each.__name__}' not in (folder / 'ros.py').read_text():
+                yield f'boards/{name}/__init__.py: no Topic has the message {each.__name__}'
+        for each in from_board | to_board:
+            if f'wire.{each.__name__}' not in (folder / 'simulator.py').read_text():
+                yield f'boards/{name}/simulator.py: {each.__name__} is not simulated'
+        numbers = _constants(root, header, after, constant)
+        rows = _rows(root, f'{name}: ')
+        for type_ in sorted(each.TYPE for each in from_board | to_board):
+            if type_ not in numbers:
+                yield f'firmware/protocol/src/{header}: the type {type_} is missing'
+            if type_ not in rows:
+                yield f'{_PAGE}: the type {type_} of the {name} is missing'
+        free = re.search(r'kMessageTypes = (\d+)', _header(root, header))
+        if free and int(free.group(1)) != 1 + max(wire.BUILT_IN.keys() - {255}):
+            yield f'firmware/protocol/src/{header}: kMessageTypes is {free.group(1)}, but not ' \
+                'the first free type'
+
+
+def _defined_in(wire: Any) -> Set[Any]:
+    """The message classes that a module defines."""
+    return {each for name, each in vars(wire).items() if isinstance(each, type)
+            and issubclass(each, LayoutMessage) and hasattr(each, 'TYPE')
+            and each.TYPE != 255 and name == each.__name__}
+
+
+def _header(root: Path, name: str) -> str:
+    return (root / 'firmware' / 'protocol' / 'src' / name).read_text()
+
+
+def _constants(root: Path, header: str, after: str, name: str) -> Set[int]:
+    """The numbers of the constants in a header of the firmware."""
+    text = re.split(after, _header(root, header), 1)[-1].partition('};')[0] if after else \
+        _header(root, header)
+    return {int(number, 0) for number in re.findall(rf'\b{name} = (0x\w+|\d+)[,;]', text)}
+
+
+def _rows(root: Path, chapter: str) -> Set[int]:
+    """The numbers with which rows of the tables in a chapter begin."""
+    page = re.split(r'^## ', (root / _PAGE).read_text(), 0, re.MULTILINE)
+    section = next((each for each in page if each.startswith(chapter)), '')
+    return {int(number, 0) for number in re.findall(r'^\| (0x\w+|\d+) ', section, re.MULTILINE)}
+
+
+if __name__ == '__main__':
+    print('\n'.join(problems(Path(sys.argv[1]))))
