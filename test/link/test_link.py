@@ -117,11 +117,11 @@ def test_a_port_that_flaps_is_opened_each_time_and_logged_sparingly(
         line, logger, running, lines, kind, names):
     link = running(kind(Port(line.path), logger=logger))
     for count in range(3):
-        until(lambda: link.port.is_open and link.reconnects == count)
+        until(lambda: link.port.is_open and link.connection.reconnects == count)
         line.unplug()
         until(lambda: not link.port.is_open)
         line.plug()
-    until(lambda: link.port.is_open and link.reconnects == 3)
+    until(lambda: link.port.is_open and link.connection.reconnects == 3)
     assert len(lines('the device has gone')) <= 1
     assert len(lines('permission')) == 0
 
@@ -168,7 +168,7 @@ def test_an_unexpected_error_of_opening_is_logged_and_opening_is_tried_again(
 def test_a_log_that_raises_does_not_end_a_link(line, running, kind, names):
     link = running(kind(Port(line.path), logger=_Broken('broken')))
     for count in range(2):
-        until(lambda: link.port.is_open and link.reconnects == count)
+        until(lambda: link.port.is_open and link.connection.reconnects == count)
         line.write(b'\x03\x55noise\x00')
         line.unplug()
         until(lambda: not link.port.is_open)
@@ -243,7 +243,7 @@ def test_a_tap_that_raises_does_not_disturb_the_link(line, logger, running, kind
     running(link)
     until(lambda: link.port.is_open)
     until(lambda: link.frames_received > 3 or line.write(VALID[kind]))
-    assert len(calls) > 3 and link.reconnects == 0 and link.port.is_open
+    assert len(calls) > 3 and link.connection.reconnects == 0 and link.port.is_open
 
 
 @every_link
@@ -257,7 +257,7 @@ def test_no_thread_is_started_after_start(line, logger, running, monkeypatch, ki
         line.unplug()
         until(lambda: not link.port.is_open)
         line.plug()
-        until(lambda: link.port.is_open and link.reconnects == count)
+        until(lambda: link.port.is_open and link.connection.reconnects == count)
     received = link.frames_received
     until(lambda: link.frames_received > received or line.write(VALID[kind]))
     forever.set()
@@ -300,7 +300,7 @@ def test_after_an_error_that_cannot_be_logged_the_port_is_closed_and_opened_agai
     running(link)
     until(lambda: link.port.is_open)
     until(lambda: closed or line.write(VALID[kind]))
-    until(lambda: link.port.is_open and link.reconnects)
+    until(lambda: link.port.is_open and link.connection.reconnects)
 
 
 def test_idle_is_called_while_opening_hangs(line, logger, running):
@@ -429,12 +429,12 @@ def test_a_slow_frame_is_received(line, logger, running):
         """Send it slowly; False where this machine stalled, and the link dropped a part of it."""
         until(lambda: not link.decoder.pending)
         taken.clear()
-        stale, errors = link.stale, link.error_count()
+        stale, errors = link.connection.stale, link.error_count()
         for start in range(0, len(wire), 2):
             threading.Event().wait(0.2)
             line.write(wire[start:start + 2])
-        until(lambda: taken or link.stale > stale)
-        if link.stale > stale:
+        until(lambda: taken or link.connection.stale > stale)
+        if link.connection.stale > stale:
             return False
         assert link.error_count() == errors
         return True

@@ -173,13 +173,13 @@ class ArduinoLink(Link):
         if self._stopped:
             raise Refused(f'{message} refused: the bridge is stopping', 'stopping')
         if message.ANNOUNCED:       # with the lock held, which `closed` takes before a next opening
-            self.refuse_unless_announced(f'{message}')
+            self.announcement.refuse_unless_current(f'{message}')
         if self.calibrating:
             raise Refused(f'{message} refused: the board calibrates its IMU, '
                           'which takes minutes', 'calibrating')
         # A call counts as from a stall sooner than a topic's command, as on the bus.
         if self._motor.ignores_commands(now) or (
-                isinstance(message, wire.ImuCalibration) and self.may_be_from_a_stall()):
+                isinstance(message, wire.ImuCalibration) and self.connection.may_be_from_a_stall()):
             raise Refused(f'{message} refused: it may have waited while the bridge stalled; '
                           'send it again', 'stall')
         if self._held:
@@ -216,7 +216,7 @@ class ArduinoLink(Link):
     def _check_for_stall(self, now: float) -> None:
         # If the link's thread stalls, so do the threads that receive commands: all have the same
         # priority.
-        stalled_for = self._motor.detect_stall(now, self.awake_at)
+        stalled_for = self._motor.detect_stall(now, self.connection.stalls.awake_at)
         if stalled_for is not None:
             self._log_later('stall', f'the bridge stalled for {stalled_for:.3g} s: SPEED 0 is sent '
                             'first, and commands from that time are dropped')
@@ -342,11 +342,11 @@ class ArduinoLink(Link):
             self._log_received(message, now)
             return
         if isinstance(message, Chunk):
-            self.take_chunk(message)
+            self.announcement.take(message)
             return
         if isinstance(message, wire.Imu) and self._calibration:
             self._end_calibration(self._calibration.imu_data(clock()))
-        if self._on_message and not self.holds_back(message):
+        if self._on_message and not self.announcement.holds_back(message):
             self._on_message(message, frame.stamp)
 
     def tick(self, now: float) -> Optional[float]:
@@ -356,7 +356,7 @@ class ArduinoLink(Link):
             return None     # the board may be silent; `tick` runs every 0.1 s in any case
         self._check_pty(now)
         try:
-            return self.check_silence(now, self.settings.network_silence)
+            return self.connection.check_silence(now, self.settings.network_silence)
         except PortError:
             self._append_speed_0()
             raise
@@ -369,7 +369,7 @@ class ArduinoLink(Link):
         on: the board may read.
         """
         limit = self.settings.network_silence
-        held = self.port.is_pty and 0 < limit <= self.silent_for(now)
+        held = self.port.is_pty and 0 < limit <= self.connection.silent_for(now)
         if held == self._held:
             return
         with self._send_lock:

@@ -74,14 +74,14 @@ class McuLink(Link):
         if frame.message is None:     # a valid frame of an unknown type
             return
         if isinstance(frame.message, Chunk):
-            self.take_chunk(frame.message)
+            self.announcement.take(frame.message)
             return
         if self.silent:
             self.silent = False
             self._latest.pop(None, None)
         self._latest[frame.type] = _Latest(type(frame.message), frame.command, now,
                                            now + self._timeout)
-        if self._on_status and not self.holds_back(frame.message):
+        if self._on_status and not self.announcement.holds_back(frame.message):
             self._on_status(frame.message, frame.command, frame.stamp)
 
     def damaged(self, frame: Frame, now: float) -> None:
@@ -89,7 +89,7 @@ class McuLink(Link):
 
     def tick(self, now: float) -> float:
         due = self.idle(now)
-        next_check = self.check_silence(now, self._network_silence)
+        next_check = self.connection.check_silence(now, self._network_silence)
         return due if next_check is None else min(due, next_check)
 
     def idle(self, now: float) -> float:
@@ -110,7 +110,7 @@ class McuLink(Link):
     def condition(self, now: float) -> Tuple[int, str]:
         if not self.port.is_open:
             return super().condition(now)
-        silence = self.unknown_bytes(now) or 'the board is silent'
+        silence = self.unknown_bytes.meaning(now) or 'the board is silent'
         return (WARN, f'open, {silence}') if self.silent else (OK, 'open')
 
     def talks(self, now: float) -> Optional[bool]:

@@ -725,7 +725,7 @@ def test_commands_to_a_closed_port_are_refused_and_not_sent_later(board, open_li
         assert not link.calibrating
     before = board.heartbeats()
     until(lambda: board.heartbeats() >= before + 20)
-    assert board.commands() == [] and link.reconnects == 1
+    assert board.commands() == [] and link.connection.reconnects == 1
 
 
 @pytest.mark.parametrize('speed', [500, 0])
@@ -845,7 +845,7 @@ def test_a_silent_network_port_is_opened_anew_and_delivers_no_old_speed(network,
     """The peer neither sends nor reads, while commands go on."""
     link = network(0.4)
     begun = time.monotonic()
-    while link.reconnects == 0:
+    while link.connection.reconnects == 0:
         assert time.monotonic() < begun + PATIENCE
         try:
             link.set_speed(500)
@@ -876,7 +876,7 @@ def test_a_network_port_is_not_opened_anew_during_a_calibration(network):
     limit_silence(link, 0.3)
     sent = link.heartbeats_sent
     until(lambda: link.heartbeats_sent > sent + 80)
-    assert link.calibrating and link.reconnects == 0
+    assert link.calibrating and link.connection.reconnects == 0
     link.peer.close()
 
 
@@ -885,7 +885,7 @@ def test_a_blocked_connection_is_closed_and_its_data_not_sent_later(network, lin
     link = network(0.0, window=1)
     peer = link.peer
     begun = time.monotonic()
-    while link.reconnects == 0:
+    while link.connection.reconnects == 0:
         assert time.monotonic() < begun + PATIENCE
         try:
             link.set_led('x' * 30)
@@ -985,7 +985,7 @@ def test_no_command_waits_in_a_pty_whose_other_side_stands(relayed, lines):
         return cause
     until(refuses, every=0.02)
     accepted = waiting[:-1]
-    assert link.silent_for(time.monotonic()) >= 0.4
+    assert link.connection.silent_for(time.monotonic()) >= 0.4
     # Long enough for heartbeats to fill what the other side can read.
     for speed in (-i for i in range(1, 150)):
         assert drive(link, speed) == 'silent'
@@ -1017,7 +1017,7 @@ def test_the_speeds_in_a_pty_are_dropped_that_its_other_side_cannot_read_yet(rel
     last = number
     while not drive(link, number + 1):
         number += 1
-        if link.silent_for(time.monotonic()) > 0.4:
+        if link.connection.silent_for(time.monotonic()) > 0.4:
             limit_silence(link, 0.4)
         threading.Event().wait(0.01)
     assert number > last
@@ -1123,7 +1123,7 @@ def test_a_calibration_ends_if_a_reconnect_reset_the_board(board, open_link, mon
     link.calibrate_imu()
     with board.unplugged():
         until(lambda: not link.port.is_open)
-    until(lambda: link.port.is_open and link.reconnects)
+    until(lambda: link.port.is_open and link.connection.reconnects)
     board.streaming = True
     until(lambda: not link.calibrating)
     board.streaming = False
@@ -1180,7 +1180,7 @@ def test_a_calibration_continues_after_a_reconnect(board, open_link):
     link.calibrate_imu()
     with board.unplugged():
         until(lambda: not link.port.is_open)
-    until(lambda: link.port.is_open and link.reconnects)
+    until(lambda: link.port.is_open and link.connection.reconnects)
     with pytest.raises(Refused):
         link.set_speed(100)
 
