@@ -223,8 +223,8 @@ def test_an_error_in_a_hook_does_not_end_a_link(
 
 def test_heartbeats_go_on_after_one_that_raises(line, logger, running, monkeypatch, lines):
     link = ArduinoLink(Port(line.path), logger=logger)
-    original, raise_once = link._heartbeat._work, raising(RuntimeError)
-    monkeypatch.setattr(link._heartbeat, '_work', lambda due: raise_once() or original(due))
+    original, raise_once = link.heartbeat._work, raising(RuntimeError)
+    monkeypatch.setattr(link.heartbeat, '_work', lambda due: raise_once() or original(due))
     running(link)
     until(lambda: link.heartbeats_sent > 20)
     assert lines('of a test')

@@ -87,7 +87,7 @@ def test_a_car_that_calibrates_does_not_count_as_silent(line, logger):
     link.last_frame_at = link.connection.opened_at = now
     later = now + 2 * SILENCE
     assert link.talks(later) is False
-    link._calibration = Calibration(900.0, later)
+    link.output.calibration = Calibration(900.0, later)
     assert link.talks(later) is None
 
 

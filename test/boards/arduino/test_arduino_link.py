@@ -12,6 +12,7 @@ import pytest
 
 from fake_boards import PATIENCE, CarBoard, Line, Rfc2217Server, until
 from serial_communication.boards.arduino import link as link_module
+from serial_communication.boards.arduino import output as output_module
 from serial_communication.boards.arduino import calibration as calibration_module
 from serial_communication.boards.arduino import heartbeat as heartbeat_module
 from serial_communication.boards.arduino.link import ArduinoLink, ArduinoSettings
@@ -177,7 +178,7 @@ def test_heartbeats_arrive_at_about_their_rate(board, open_link):
         return (len(times) - 1) / (times[-1] - times[0])
     # If this machine stalls the board as it begins to count, the rest comes faster.
     assert any(30 < rate() < 115 for _ in range(5))
-    assert link.heartbeats_sent >= board.heartbeats() and link._heartbeat.max_gap > 0.005
+    assert link.heartbeats_sent >= board.heartbeats() and link.heartbeat.max_gap > 0.005
 
 
 def test_the_heartbeat_rate_is_a_parameter(board, open_link):
@@ -439,8 +440,8 @@ def test_no_heartbeat_is_sent_before_a_pending_speed_0(line, open_link):
     link = open_link(port=Selective)
     link.set_speed(500)
     link.port.refuses = arduino.encode(SpeedCommand(0))
-    with link._send_lock:
-        link._drop_backlog()
+    with link.output.lock:
+        link.output._drop_backlog()
         link.port.written = []
     with pytest.raises(Refused):
         link.set_speed(400)
@@ -457,13 +458,13 @@ def test_no_heartbeat_is_sent_before_a_pending_speed_0(line, open_link):
 def stall(monkeypatch):
     """Move the link's clock forward, as if all its threads had stalled."""
     def stall_link(link, seconds):
-        with link._send_lock:
+        with link.output.lock:
             skipped[0] += seconds
             del link.port.written[:]
 
     skipped = [0.0]
     real = heartbeat_module.clock
-    for module in (pace, heartbeat_module, link_module):
+    for module in (pace, heartbeat_module, link_module, output_module):
         monkeypatch.setattr(module, 'clock', lambda: real() + skipped[0])
     return stall_link
 
@@ -765,7 +766,7 @@ def test_a_closed_port_is_no_heartbeat_gap(board, open_link, stall):
         stall(link, 1000.0)
     sent = link.heartbeats_sent
     until(lambda: link.heartbeats_sent > sent + 3)
-    assert link._heartbeat.max_gap < 1000.0
+    assert link.heartbeat.max_gap < 1000.0
 
 
 def test_a_heartbeat_gap_is_a_warning_until_a_report_without_a_gap(board, open_link):
@@ -776,7 +777,7 @@ def test_a_heartbeat_gap_is_a_warning_until_a_report_without_a_gap(board, open_l
     link = open_link()
     board.streaming = True
     until(is_ok)
-    with link._send_lock:         # so that no heartbeat can be sent
+    with link.output.lock:         # so that no heartbeat can be sent
         sent = link.heartbeats_sent
         assert not threading.Event().wait(0.1)
         level, summary, values = link.report(time.monotonic())
@@ -1213,7 +1214,7 @@ def test_stopping_sends_speed_0_while_the_board_sends(board, open_link):
     until(board.commands)
     until(lambda: link.frames_received > 3)
     stopping = threading.Thread(target=link.stop, name='stopping', daemon=True)
-    with link._send_lock:               # as if a command were being sent
+    with link.output.lock:               # as if a command were being sent
         stopping.start()
         threading.Event().wait(0.15)  # some thirty packets
     stopping.join(PATIENCE)
