@@ -15,9 +15,9 @@ from .stall import LONGEST_SLEEP, STALL, StallWatch
 if TYPE_CHECKING:
     from .link import Link
 
-_SHUTDOWN_TIME = 0.5           # s within which bridge and simulated boards end if stopped together
-_AFTER_FAULT = 0.1             # s until the thread goes on after an unexpected error
-_OLD = object()                # the stamp of bytes that waited during a stall
+_SHUTDOWN_TIME = 0.5    # s within which bridge and simulated boards end if stopped together
+_AFTER_FAULT = 0.1      # s until the thread goes on after an unexpected error
+_OLD = object()         # the stamp of bytes that waited during a stall
 
 
 class PortState(enum.Enum):
@@ -50,33 +50,29 @@ class Connection:
         self._port = link.port
         self._clock = clock
         self._timer = FrameTimer(link.decoder, frame_timeout, link.port.baud)
-        self._is_woken = False             # the link wants `tick` to be called
+        self._is_woken = False             # `wake` was called since the latest `tick`
         self._lost = ''                    # why the port was lost; '': not lost, or already logged
         self._lost_at = 0.0                # when; monotonic
-        self._stalled_for = 0.0            # s, before DROPPING; 0.0: not dropping
-        self._dropped = 0                  # bytes, since the stall
+        self._stalled_for = 0.0            # s; of the stall whose bytes are dropped
+        self._dropped = 0                  # bytes, since that stall
         self._opener = Opener(link.port, link.name + ' opening')
         self._thread = threading.Thread(target=self._run, name=link.name + ' link', daemon=True)
 
-    # -- for any thread ---------------------------------------------------------------
+    # -- for any thread; see `Link` for the first four ----------------------------------
 
     def start(self) -> None:
-        """Start all threads; none is started later."""
         self._opener.start()
         self._thread.start()
 
     def stop(self) -> None:
-        """Make the threads end; returns at once."""
         self._opener.end()
         self._port.wake()
 
     def join(self, timeout: float) -> None:
-        """Wait after `stop` for the thread to close the port and end, for at most `timeout` s."""
         if self._thread.is_alive():
             self._thread.join(timeout)
 
     def wake(self) -> None:
-        """Make the thread call `tick` soon, whatever is received."""
         self._is_woken = True
         self._port.wake()
 
@@ -101,15 +97,10 @@ class Connection:
         return now - self.last_byte_at if self.last_byte_at > self.opened_at else 0.0
 
     def check_silence(self, now: float, limit: float) -> Optional[float]:
-        """For `tick`: have a network port closed if it has been silent for `limit` s.
+        """For `tick`: have a network port closed if it has been silent for `limit` s (0: never).
 
         That drops unsent bytes, which may wait unseen in the network or in the peer's kernel.
-
-        Args:
-            limit: 0: no limit.
-
-        Returns:
-            when to check again; None: never, since the port is not a network port or `limit` is 0.
+        Return when to check again, or None.
 
         Raises:
             PortError: nothing was received for `limit` s.
@@ -140,20 +131,19 @@ class Connection:
     # -- opening and closing ----------------------------------------------------------
 
     def _run(self) -> None:
-        """Run until `stop`; errors of hooks and callbacks, and a lack of memory, do not end it."""
+        """Open the port, serve it and close it, again and again until `stop`.
+
+        Errors of hooks and callbacks, and a lack of memory, do not end the thread.
+        """
         while not self._opener.ending.is_set():
             try:
-                self._serve_openings()
+                if self._port.is_open:       # an error ended the turn before
+                    self._close()
+                if self._opener.open(self._not_opened, self._idle):
+                    self.guarded(self._serve)
+                    self._close()
             except BaseException:  # pylint: disable=broad-except
                 time.sleep(_AFTER_FAULT)    # too little memory even to log it
-
-    def _serve_openings(self) -> None:
-        """Open the port, serve it and close it, again and again."""
-        if self._port.is_open:       # an error ended the previous call
-            self._close()
-        while self._opener.open(self._not_opened, self._idle):
-            self.guarded(self._serve)
-            self._close()
 
     def _close(self) -> None:
         self.state = PortState.CLOSED
@@ -184,17 +174,14 @@ class Connection:
     def _serve(self) -> None:
         """Read until the port is lost or the link is stopped."""
         link, port, timer = self._link, self._port, self._timer
-        now = self._begin()
-        tick_at = look_at = now
+        now = tick_at = look_at = self._begin()
         while not self._opener.ending.is_set():
             if now >= look_at:
                 look_at = now + LONGEST_SLEEP
                 self._restore_settings(now)
                 link.check(now)
-            wake_at = tick_at
             frame_due = timer.due(self.last_byte_at)
-            if frame_due is not None and frame_due < wake_at:
-                wake_at = frame_due
+            wake_at = tick_at if frame_due is None else min(tick_at, frame_due)
             if link.DRAINS and self.state is PortState.RECEIVING:
                 wake_at = now
             data = port.read(wake_at - now)
@@ -207,10 +194,8 @@ class Connection:
                 self._receive(data, stamp, now)
             if not data or self._is_woken or now >= tick_at:
                 self._is_woken = False
-                tick_at = now + LONGEST_SLEEP
                 due = link.tick(now)
-                if due is not None and due < tick_at:
-                    tick_at = due
+                tick_at = now + LONGEST_SLEEP if due is None else min(due, now + LONGEST_SLEEP)
 
     def _begin(self) -> float:
         """The port was opened; return the time."""
@@ -259,7 +244,7 @@ class Connection:
                 unknown.reset()
 
     def _check_stall(self, now: float) -> float:
-        """Begin to drop after a stall of this thread, and return its length in s, else 0.0; end
+        """Begin to drop after a stall of this thread, and return its length in s, else 0.0. End
         that when what is read is new."""
         link, awake_at = self._link, pace.clock()
         seconds = self.stalls.awake(awake_at)
@@ -269,17 +254,17 @@ class Connection:
             link.decoder.reset()
             link.stalled(seconds, now)
         elif self.state is PortState.DROPPING and not self.stalls.has_just_stalled(awake_at):
-            self.state = PortState.RECEIVING
             if self._dropped:
                 link.log.warn('stalled', f'the bridge stalled for {self._stalled_for:.3g} s: '
                               f'{self._dropped} bytes that waited in the port are old and were '
                               'dropped')
             self._stalled_for, self._dropped = 0.0, 0
+            self.state = PortState.RECEIVING
         return seconds
 
     def _drop(self, data: bytes, stall: float, now: float) -> None:
         """Drop the bytes of one read at the end of a stall, or shortly after it."""
-        link, decoder = self._link, self._link.decoder
+        decoder = self._link.decoder
         self.stale += len(data)
         self._dropped += len(data)
         # A frame may begin in these bytes and end in the next read. If it has no checksum, its end
@@ -290,6 +275,6 @@ class Connection:
             decoder.feed(data, _OLD)
         self._timer.overdue(self.last_byte_at, now)
         decoder.errors.update(errors)
-        if stall and self._port.is_network and not link.HAS_FENCES:
+        if stall and self._port.is_network and not self._link.HAS_FENCES:
             raise PortError(f'the bridge stalled for {stall:.3g} s, and what waited in the network '
                             'is old')

@@ -138,11 +138,11 @@ class Link:
         self.connection.stop()
 
     def join(self, timeout: float = 1.0) -> None:
-        """Wait after `stop` for the threads to end, for at most `timeout` s."""
+        """Wait after `stop` for the port to be closed, for at most `timeout` s."""
         self.connection.join(timeout)
 
     def wake(self) -> None:
-        """Make the thread call `tick` soon."""
+        """Make the thread call `tick` soon, whatever is received; from any thread."""
         self.connection.wake()
 
     def send(self, frame: bytes, type_: int, command: int, data: bytes, message: Any) -> None:

@@ -29,9 +29,7 @@ class StallWatch:
         """The length in s of a stall that ends now, or still lasts; 0.0 if there is none.
 
         The caller may run before the threads that stalled: all of them wake up in any order.
-
-        Args:
-            receiving_at: when another thread last ran, which is watched as well.
+        `receiving_at` is when another thread last ran, which is watched as well.
         """
         seconds = now - min(self.awake_at, receiving_at)
         if seconds <= self._limit:

@@ -511,7 +511,8 @@ def test_a_link_that_drains_reads_on_without_waiting_until_nothing_is_left(
         VALID[McuLink] if number in (50, 51, 52) else b'noise' if number == 60 else b'')),
         logger=logger)
     running(link)
-    until(lambda: link.decoder.errors['framing'] and len(link.port.timeouts) > 70)
+    until(lambda: link.decoder.errors['framing'])
+    until(lambda reads=len(link.port.timeouts): len(link.port.timeouts) > reads + 3)
     states = dict(link.ticks)
     assert all(states.get(reads, PortState.RECEIVING) is PortState.RECEIVING
                for reads in (50, 51, 52, 60))

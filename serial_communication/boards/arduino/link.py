@@ -166,14 +166,13 @@ class ArduinoLink(Link):
         message = frame.message
         if isinstance(message, wire.Log):
             self._log_received(message, now)
-            return
-        if isinstance(message, Chunk):
+        elif isinstance(message, Chunk):
             self.announcement.take(message)
-            return
-        if isinstance(message, wire.Imu) and self.output.calibration:
-            self._end_calibration(self.output.calibration.imu_data(clock()))
-        if self._on_message and not self.announcement.holds_back(message):
-            self._on_message(message, frame.stamp)
+        else:
+            if self.output.calibration and isinstance(message, wire.Imu):
+                self._end_calibration(self.output.calibration.imu_data(clock()))
+            if self._on_message and not self.announcement.holds_back(message):
+                self._on_message(message, frame.stamp)
 
     def tick(self, now: float) -> Optional[float]:
         self.idle(now)

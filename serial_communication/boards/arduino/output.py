@@ -39,8 +39,7 @@ class CarOutput:
         # a heartbeat nor a stop may wait for one.
         self.warnings: Deque[Tuple[str, str]] = deque()
         self.is_held = False                 # the other side of a pty may hold what is written
-        self._link = link
-        self._port = link.port
+        self._link, self._port = link, link.port
         self._speed_timeout = speed_timeout
         self._calibration_timeout = calibration_timeout
         self._cut_off = False                # the latest packet may have been sent in part
@@ -56,7 +55,9 @@ class CarOutput:
         with self.lock:
             now = clock()
             self._check_for_stall(now)
-            self._refuse_if_not_ready(message, now)
+            why, cause = self._why_not(message, now)
+            if why:
+                raise Refused(f'{message} refused: {why}', cause)
             calibrates = isinstance(message, wire.ImuCalibration)
             try:
                 if calibrates and self.motor.moving:
@@ -69,25 +70,25 @@ class CarOutput:
             if calibrates:
                 self.calibration = Calibration(self._calibration_timeout, now)
 
-    def _refuse_if_not_ready(self, message: LayoutMessage, now: float) -> None:
-        link = self._link
+    def _why_not(self, message: LayoutMessage, now: float) -> Tuple[str, str]:
+        """Why the message cannot be sent now, in words, and as a cause; '' if it can."""
+        link, calibrates = self._link, isinstance(message, wire.ImuCalibration)
         if self._has_ended:
-            raise Refused(f'{message} refused: the bridge is stopping', 'stopping')
-        if message.ANNOUNCED:       # with the lock held, which `closed` takes before a next opening
+            return 'the bridge is stopping', 'stopping'
+        if message.ANNOUNCED:     # with the lock held, which `closed` takes before a next opening
             link.announcement.refuse_unless_current(f'{message}')
         if self.calibration:
-            raise Refused(f'{message} refused: the board calibrates its IMU, '
-                          'which takes minutes', 'calibrating')
+            return 'the board calibrates its IMU, which takes minutes', 'calibrating'
         # A call counts as from a stall sooner than a topic's command, as on the bus.
-        if self.motor.ignores_commands(now) or (isinstance(message, wire.ImuCalibration)
-                                                and link.connection.may_be_from_a_stall()):
-            raise Refused(f'{message} refused: it may have waited while the bridge stalled; '
-                          'send it again', 'stall')
+        if self.motor.ignores_commands(now) or (
+                calibrates and link.connection.may_be_from_a_stall()):
+            return 'it may have waited while the bridge stalled; send it again', 'stall'
         if self.is_held:
-            raise Refused(f'{message} refused: the board is silent, so the other side of the '
-                          'pseudo terminal may hold it back', 'silent')
+            return ('the board is silent, so the other side of the pseudo terminal may hold it '
+                    'back', 'silent')
         if self._port.backlog() > _MOST_BACKLOG:
-            raise Refused(f'{message} refused: the port takes no data', 'busy')
+            return 'the port takes no data', 'busy'
+        return '', ''
 
     def send_what_is_due(self, heartbeat_due: bool) -> bool:
         """In the heartbeat thread: send SPEED 0 if it is due, then a heartbeat if it is due.
@@ -155,7 +156,7 @@ class CarOutput:
             self._cut_off = self.is_held = False
 
     def altered(self) -> None:
-        """What was sent may have changed on the way."""
+        """What was sent may have been changed on the way."""
         with self.lock:
             self.motor.forget_speed()
             self._cut_off = True

@@ -538,7 +538,8 @@ def test_a_move_that_timed_out_closes_a_network_connection(logger, running):
             until(lambda: link.master.in_step)
             board.script.append(b'')
             assert link.environment()[0].status == TIMEOUT
-            assert link.lift(0, 1).success and link.connection.number == 1, 'a reading closes nothing'
+            assert link.lift(0, 1).success
+            assert link.connection.number == 1, 'a reading closes nothing'
             board.script.append(b'\xa5')
             assert link.lift(0, 2).status == TIMEOUT
             until(lambda: link.lift(0, 3).success)
