@@ -30,10 +30,8 @@ from serial_communication.msg import Environment, McuStatus2, SerialMsg, SpeedPW
 from serial_communication.boards.bus import wire as bus
 from serial_communication.srv import Gimbal, Lift, LiftRequest
 
-LOG_WARN = 4     # levels of rosgraph_msgs/Log
 GRAVITY = 9.81
 TRIES = 10       # of a test that a stall of this computer of 30 ms may spoil
-FLOOD = 5.0      # s
 STOP = 0.040     # emulated s from the last heartbeat until the motor is off
 
 
@@ -516,7 +514,7 @@ class Launched(unittest.TestCase):
         self.assertEqual(status, 0, text)
         self.assertNotIn('escalating', text)
         self.assertNotIn('Traceback', text)
-        self.assertEqual([name for name in os.listdir(self.folder) if name != 'arduino.eeprom'],
+        self.assertEqual([name for name in os.listdir(self.folder) if not name.endswith('.eeprom')],
                          [], 'what the boards leave behind')
 
 
