@@ -84,7 +84,7 @@ def _mistakes(described: str, interface: Any,
     """
     if not isinstance(interface, type) or Interface not in interface.__mro__:
         yield '', interface, 'a class derived from serial_communication.ros.interface.Interface'
-    name = getattr(interface, 'NAME', None)
+    name: Any = getattr(interface, 'NAME', None)
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         yield '.NAME', name, 'letters, digits and _, a letter first'
     if name in taken:

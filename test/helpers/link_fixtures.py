@@ -12,7 +12,7 @@ from fake_boards import Board
 from lines import Pty
 
 from serial_communication.boards.arduino import motor
-from serial_communication.link import link as links
+from serial_communication.link import connection
 from serial_communication.transport.port import Port
 
 _LIMIT = 20.0      # s for one test
@@ -55,7 +55,7 @@ def this_machine_stalls_no_link(request, monkeypatch):
     Tests of stalls are marked with `stalls`.
     """
     if not request.node.get_closest_marker('stalls'):
-        monkeypatch.setattr(links, 'STALL', _NEVER)
+        monkeypatch.setattr(connection, 'STALL', _NEVER)
         monkeypatch.setattr(motor, '_STALL', _NEVER)
 
 

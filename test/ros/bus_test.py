@@ -9,8 +9,8 @@ import rostest
 from sensor_msgs.msg import RelativeHumidity, Temperature
 from std_srvs.srv import Trigger
 
-from boards import (AIR, NOT_SENT, PACKAGE, SYNC_FRAME, TIMEOUT, BusBoard, Topic, Waiter, service,
-                    settle, values_of)
+from boards import (AIR, NOT_SENT, PACKAGE, SYNC_FRAME, BusBoard, Topic, Waiter, service, settle,
+                    values_of)
 from serial_communication.msg import Environment
 from serial_communication.boards.bus import wire as bus
 from serial_communication.srv import (BusRequest, GetEnvironment, Gimbal,
@@ -88,20 +88,6 @@ class Moves(BusTest):
         self.board.script += [bus.Reply(bus.ERROR, bytes.fromhex('0280'))]
         self.assert_answer(self.lift(0, 100), False, bus.ERROR, 0x8002)
         self.assertEqual(self.board.others, [LIFT_UP_100])
-
-    def test_a_call_without_reply_times_out_and_is_not_sent_again(self):
-        for timeout, call, frame in (
-                (0.8, lambda: self.lift(0, 100), LIFT_UP_100),
-                (0.8, lambda: self.gimbal(0, 30), bytes.fromhex('a5025521001ecd')),
-                (0.4, lambda: self.request(0x55, 0x30, b''), bytes.fromhex('a5005530c0'))):
-            self.board.forget()
-            self.board.script += [b'']
-            waiter = Waiter(call)
-            self.assert_answer(waiter.result(), False, TIMEOUT)
-            self.assertGreaterEqual(waiter.took, timeout)
-            self.assertLess(waiter.took, timeout + 1.0)
-            self.assertTrue(self.echo().success)
-            self.assertEqual(self.board.others, [frame])
 
 
 class Air(BusTest):

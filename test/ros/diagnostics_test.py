@@ -9,9 +9,7 @@ import rospy
 import rostest
 
 from boards import (ERROR, OK, PACKAGE, PATIENCE, WARN, BusBoard, CarBoard, Diagnostics,
-                    SensorBoard, level_imu, pid_of, ranges, service, settle, until)
-from serial_communication.boards.mcu import wire as mcu
-from serial_communication.srv import Lift
+                    SensorBoard, level_imu, pid_of, ranges, settle, until)
 
 LINKS = 'bus', 'arduino', 'mcu'
 KEYS = {'port', 'state', 'frames received', 'frames sent', 'bytes received', 'bytes sent', 'stale',
@@ -132,36 +130,6 @@ class DiagnosticsTest(unittest.TestCase):
         after = self.fresh('arduino', lambda s: s.level == OK, 'OK again')
         self.assertLess(number(after, 'heartbeat gap [ms]'), 30.0)
         self.assertGreater(number(after, 'heartbeat max gap [ms]'), 200.0, 'since the port opened')
-
-    def test_lost_frames_are_counted_but_are_not_an_error(self):
-        board = BOARDS['mcu']
-        before = self.fresh('mcu', lambda s: s.level == OK, 'OK')
-        board.seq = (board.seq + 5) % 256
-        after = self.fresh('mcu', lambda s: number(s, 'frames lost')
-                           != number(before, 'frames lost'), 'more frames lost')
-        self.assertEqual(number(after, 'frames lost'), number(before, 'frames lost') + 5)
-        self.assertEqual(after.level, OK)
-
-    def test_an_unknown_type_with_a_valid_checksum_is_counted(self):
-        board = BOARDS['mcu']
-
-        def send():
-            board.write(mcu.encode_raw(0x55, board.seq, b'\x01'))
-            board.seq = (board.seq + 1) % 256
-        # In the first 5 s of a connection the board may still announce the type.
-        self.diagnostics.wait_for('mcu', lambda s: number(s, 'unknown type errors'),
-                                  'an unknown type', doing=send)
-        before = self.fresh('mcu', lambda s: s.level == OK, 'OK')
-        send()
-        self.fresh('mcu', lambda s: number(s, 'unknown type errors')
-                   == number(before, 'unknown type errors') + 1, 'an unknown type')
-
-    def test_a_request_without_reply_is_counted(self):
-        before = self.fresh('bus', lambda s: s.level == OK, 'OK')
-        BOARDS['bus'].script.append(b'')
-        self.assertFalse(service('/serial_communication/lift', Lift)(0, 1).success)
-        self.fresh('bus', lambda s: number(s, 'timeouts') > number(before, 'timeouts'),
-                   'more timeouts')
 
     def test_a_board_that_does_not_answer_is_an_error_until_it_does(self):
         board = BOARDS['bus']

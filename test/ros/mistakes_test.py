@@ -8,6 +8,7 @@ import subprocess
 import time
 import unittest
 from multiprocessing.pool import ThreadPool
+from pathlib import Path
 
 import rosgraph
 import rospy
@@ -16,6 +17,11 @@ import rostest
 from boards import PACKAGE, PATIENCE, Bridge, CarBoard, Line, own_folder, until
 
 ENDS_IN = 2.0        # s from a signal until the node has ended, even if something hangs
+DESCRIPTION = """
+from serial_communication.boards.description import Description
+from serial_communication.boards.mcu.wire import Decoder
+DESCRIPTION = Description('wind', __name__, lambda sent, parameters: Decoder())
+"""
 BOARD = """
 import time
 from serial_communication.boards.mcu.link import McuLink
@@ -39,14 +45,14 @@ MODULES = {      # by name: the code, and a part of the line that the node logs
     'leaves_a_thread': ('import threading, time\n'
                         'threading.Thread(target=time.sleep, args=(1e6,)).start(); 1 / 0',
                         "importing 'leaves_a_thread' failed: ZeroDivisionError"),
-    'not_made': (BOARD + '        1 / 0', 'the board wind (not_made) cannot start: ZeroDivision'),
+    'not_made': (BOARD + '        1 / 0', 'the board wind (not_made.ros) cannot start: ZeroDiv'),
     'exits_as_made': (BOARD + '        raise SystemExit(3)',
-                      'the board wind (exits_as_made) cannot start: SystemExit: 3 ('),
+                      'the board wind (exits_as_made.ros) cannot start: SystemExit: 3 ('),
     'linkless': (BOARD + '        self.link = 5',
-                 'the board wind (linkless) cannot start: TypeError: its link is 5, '
+                 'the board wind (linkless.ros) cannot start: TypeError: its link is 5, '
                  'must be a Link'),
     'not_advertised': (BOARD + '    def advertise(self): 1 / 0',
-                       'the board wind (not_advertised) cannot start: ZeroDivisionError'),
+                       'the board wind (not_advertised.ros) cannot start: ZeroDivisionError'),
 }
 HANGING = {
     'hangs': 'import time\n' + HANGS,
@@ -84,8 +90,12 @@ class Mistakes(unittest.TestCase):
         cls.folder = own_folder()
         for name, text in [*((name, each[0]) for name, each in MODULES.items()),
                            *HANGING.items()]:
-            with open(os.path.join(cls.folder, name + '.py'), 'w') as file:
-                file.write(text + '\n')
+            path = Path(cls.folder, name + '.py')
+            if text.startswith(BOARD):
+                path = Path(cls.folder, name, 'ros.py')
+                path.parent.mkdir()
+                (path.parent / '__init__.py').write_text(DESCRIPTION)
+            path.write_text(text + '\n')
         cls.path = os.environ['PYTHONPATH']
         os.environ['PYTHONPATH'] = f'{cls.folder}:{cls.path}'
         config = os.path.join(cls.folder, 'wrong.yaml')
@@ -141,12 +151,14 @@ class Mistakes(unittest.TestCase):
 
     def ends_by_signals(self, name):
         """End a node that hangs, by each signal; return (seconds, status, output) for each."""
-        begun, ends = os.path.join(self.folder, name + '.py.begun'), []
+        begun, ends = Path(self.folder, name + '.py.begun'), []
+        if HANGING[name].startswith(BOARD):
+            begun = Path(self.folder, name, 'ros.py.begun')
         for number in signal.SIGINT, signal.SIGTERM:
             bridge = Bridge(name, {'boards': [name], 'wind/port': self.absent(name)})
-            until(lambda: os.path.exists(begun), f'{name}: it hangs')
+            until(begun.exists, f'{name}: it hangs')
             ends.append((*bridge.end(number), bridge.output()))
-            os.unlink(begun)
+            begun.unlink()
         return ends
 
     def test_a_signal_ends_the_node_while_a_boards_code_hangs(self):

@@ -112,9 +112,8 @@ class ParameterTable(unittest.TestCase):
         self.assertEqual(repr(values['bus/reply_timeout']), '2.0')
 
 
-class OtherBoards(unittest.TestCase):
-    """Boards of other packages: packages with a DESCRIPTION, modules with an INTERFACE (up to 1.1),
-    and mistakes in them."""
+class ExternalBoards(unittest.TestCase):
+    """Boards of other packages, and mistakes in them."""
 
     BOARD = """
 from serial_communication.ros.interface import Interface
@@ -137,10 +136,21 @@ class INTERFACE(Interface):
 
     def module(self, text):
         """Create a module with this text, which records each import; return its name."""
-        name = f'other_board_{next(self.NUMBERS)}'
-        with open(os.path.join(self.folder, name + '.py'), 'w') as file:
-            file.write(f"open(__file__ + '.imports', 'a').write('x')\n{text}\n")
+        name = f'external_board_{next(self.NUMBERS)}'
+        Path(self.folder, name + '.py').write_text(
+            f"open(__file__ + '.imports', 'a').write('x')\n{text}\n")
         return name
+
+    def board(self, interface, name='wind'):
+        """Create a package with this ros.py (None: without one); return its import name."""
+        package = Path(self.folder, f'external_board_{next(self.NUMBERS)}')
+        package.mkdir()
+        (package / '__init__.py').write_text(
+            'from serial_communication.boards.description import Description\n'
+            f'DESCRIPTION = Description({name!r}, __name__, None)\n')
+        if interface is not None:
+            (package / 'ros.py').write_text(interface)
+        return package.name
 
     def assert_refused(self, given, *said):
         with self.assertRaises(ParameterError) as caught:
@@ -187,9 +197,8 @@ class INTERFACE(Interface):
 
     def test_a_wrong_interface_is_refused(self):
         for text, said in (
-                ('', 'it has neither a DESCRIPTION of a board nor an INTERFACE'),
-                ('INTERFACE = None', 'nor an INTERFACE'),
-                ('DESCRIPTION = 5', 'has no DESCRIPTION of a board'),
+                ('', 'its ros.py has no INTERFACE'),
+                ('INTERFACE = None', 'its ros.py has no INTERFACE'),
                 ('INTERFACE = 5', 'INTERFACE is 5, may be a class derived from'),
                 ('class INTERFACE: NAME = "wind"', 'may be a class derived from'),
                 (self.BOARD + '    del NAME', 'INTERFACE.NAME is None, may be letters'),
@@ -208,33 +217,34 @@ class INTERFACE(Interface):
                 (self.BOARD + '    MOUNTS = ("imu",)', 'PARAMETERS has no imu_frame_id'),
                 (self.BOARD + '    MOUNTS = 5', 'INTERFACE.MOUNTS is 5, may be a tuple')):
             with self.subTest(said, text=text[len(self.BOARD):]):
-                name = self.module(text)
+                name = self.board(text)
                 self.assert_refused({'boards': [name]}, 'parameter /node/boards is',
                                     f"the module '{name}'", said)
 
-    def test_a_package_with_a_description_is_accepted_and_a_wrong_one_is_refused(self):
-        for body, text, said in (
-                (self.BOARD, 'wind', ''),
+    def test_a_board_is_accepted_and_a_wrong_package_is_refused(self):
+        for interface, name, said in (
                 (self.BOARD, 'rain', "INTERFACE.NAME is 'wind', may be 'rain', the name in its "
                  'DESCRIPTION'),
-                ('', 'wind', 'its ros.py has no INTERFACE'),
                 ('1 / 0', 'wind', ".ros' failed: ZeroDivisionError: division by zero ("),
                 (None, 'wind', ".ros' failed: ModuleNotFoundError")):
-            name = f'other_board_{next(self.NUMBERS)}'
-            folder = Path(self.folder, name)
-            folder.mkdir()
-            (folder / '__init__.py').write_text(
-                'from serial_communication.boards.description import Description\n'
-                f'DESCRIPTION = Description({text!r}, __name__, None)\n')
-            if body is not None:
-                (folder / 'ros.py').write_text(body)
             with self.subTest(said):
-                if said:
-                    self.assert_refused({'boards': [name]}, 'parameter /node/boards is', said)
-                else:
-                    values, warnings = check({'boards': [name], 'wind': {'baud': 9600}}, '/node')
-                    self.assertEqual((values['boards'][-1].NAME, values['wind/baud'], warnings),
-                                     ('wind', 9600, []))
+                self.assert_refused({'boards': [self.board(interface, name)]},
+                                    'parameter /node/boards is', said)
+        for text in '', 'DESCRIPTION = 5', self.BOARD:     # the last one was a board up to 1.1
+            self.assert_refused({'boards': [self.module(text)]}, 'has no DESCRIPTION of a board')
+        one, other = self.board(self.BOARD), self.board(self.BOARD)
+        for boards in [one, one], [one, other]:
+            self.assert_refused({'boards': boards}, "INTERFACE.NAME is 'wind', may be a name that "
+                                'no other board')
+        values, warnings = check({'boards': [one], 'wind': {'baud': 9600}}, '/node')
+        self.assertEqual((values['boards'][-1].NAME, values['wind/baud'], warnings),
+                         ('wind', 9600, []))
+
+    def test_rows_that_a_board_announced_in_an_earlier_run_are_no_unknown_parameter(self):
+        given = {'boards': [self.board(self.BOARD)], 'wind': {'announced': {'gust': {}}}}
+        self.assertEqual(check(given, '/node')[1], [])
+        given['boards'] = [self.board(self.BOARD + '    PARAMETERS["announced"] = Parameter(5)')]
+        self.assert_refused(given, 'wind/announced is')
 
     def test_any_error_in_a_boards_own_checks_is_one_line(self):
         fault = '(lambda *_: 1 / 0)'
@@ -247,15 +257,7 @@ class INTERFACE(Interface):
                 (f'    PARAMETERS["x"] = Parameter("a", parse={fault})', "parameter /node/wind/x "
                  "is 'a' (str), may be text: ZeroDivisionError: division by zero (")):
             with self.subTest(text):
-                self.assert_refused({'boards': [self.module(self.BOARD + text)]}, said)
-
-    def test_a_module_with_only_an_interface_is_a_board_but_not_twice(self):
-        one, other = self.module(self.BOARD), self.module(self.BOARD)
-        for boards in [one, one], [one, other]:
-            self.assert_refused({'boards': boards}, "INTERFACE.NAME is 'wind', may be a name that "
-                                'no other board')
-        values, _warnings = check({'boards': [one], 'wind': {'baud': 9600}}, '/node')
-        self.assertEqual((values['wind/baud'], values['boards'][-1].NAME), (9600, 'wind'))
+                self.assert_refused({'boards': [self.board(self.BOARD + text)]}, said)
 
 
 class Lines(unittest.TestCase):

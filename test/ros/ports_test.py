@@ -2,7 +2,6 @@
 """Ports that are absent, no ports at all, vanish, return elsewhere, or carry noise: the node
 lives, data flows again, and nothing old is sent."""
 import os
-import random
 import shutil
 import signal
 import time
@@ -10,20 +9,16 @@ import unittest
 
 import rospy
 import rostest
-from rosgraph_msgs.msg import Log
 from std_srvs.srv import Trigger
 
-from boards import (ERROR, NOT_SENT, PACKAGE, SPEED_0_PACKET, SYNC_FRAME, TIMEOUT, Bridge,
-                    BusBoard, CarBoard, Diagnostics, Line, Rosout, SensorBoard, Topic, Waiter,
-                    command_topic, own_folder, ranges, service, until)
-from serial_communication.msg import (McuStatus2, SerialMsg, SpeedPWMCommand, SteeringPWMCommand,
-                                      Voltage)
+from boards import (ERROR, NOT_SENT, PACKAGE, SYNC_FRAME, Bridge, BusBoard, CarBoard, Diagnostics,
+                    Line, Rosout, SensorBoard, Topic, Waiter, own_folder, ranges, service, until)
+from serial_communication.msg import McuStatus2, SerialMsg, Voltage
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.srv import BusRequest, GetEnvironment, Gimbal, Lift
 
 LINKS = 'bus', 'arduino', 'mcu'
-TRIES = 3      # of what a signal between two instructions may spoil
 
 
 def setUpModule():
@@ -192,79 +187,6 @@ class Cut(PortsTest):
                 os.unlink(line.near)
                 os.unlink(line.far)
 
-    def test_a_call_that_waits_while_the_port_goes_is_a_timeout_at_once(self):
-        board = self.boards['bus']
-        board.forget()
-        board.script.append(b'')
-        waiter = Waiter(self.lift, 0, 100)
-        until(lambda: board.others, 'the request is on the wire')
-        cut = time.monotonic()
-        self.lines['bus'].unplug()
-        answer = waiter.result()
-        self.assertLess(time.monotonic() - cut, 5.0)      # motion_timeout is 20 s
-        self.assertEqual((answer.success, answer.status), (False, TIMEOUT))
-        self.assertIn('not known', answer.message)
-        board.forget()
-        self.plug('bus')
-        until(lambda: self.echo().success, 'the bus answers again')
-        self.assertEqual(board.others, [])                # not sent again
-
-    def test_nothing_old_is_sent_after_a_reconnect(self):
-        board = self.boards['arduino']
-        speed = command_topic('/cut/speed', SpeedPWMCommand)
-        steering = command_topic('/cut/steering', SteeringPWMCommand)
-        speed.publish(value=700)
-        until(lambda: 700 in board.speeds, 'the speed is on the wire')
-        self.unplug('arduino')
-        speed.publish(value=500)
-        steering.publish(value=1234)
-        for command in 'speed 500 refused', 'steering 1234 refused':
-            ROSOUT.wait_for('cut', command, Log.WARN)
-        board.forget()
-        self.plug('arduino')
-        board.wait_for_heartbeats(80)
-        self.assertTrue(set(board.raw_commands) <= {SPEED_0_PACKET}, board.raw_commands)
-        steering.publish(value=1500)
-        until(lambda: board.raw_commands[-1:] == [bytes.fromhex('0405dc0500')], 'new commands')
-
-    def test_after_a_standstill_speed_0_is_first_and_nothing_old_is_sent(self):
-        """SIGSTOP for 5 s while the car drives and ten commands without a stamp are sent."""
-        board = self.boards['arduino']
-        speed = command_topic('/cut/speed', SpeedPWMCommand)
-        steering = command_topic('/cut/steering', SteeringPWMCommand)
-        # The signal may come between the decision to send a heartbeat and its write: that one
-        # then leaves first, which nothing in the process can exclude, and SPEED 0 is next.
-        for _ in range(TRIES):
-            self.stand_still(speed, steering)
-            self.assertTrue(set(board.raw_commands) <= {SPEED_0_PACKET}, board.raw_commands)
-            self.assertIn(SPEED_0_PACKET, board.raws[:2])
-            if board.raws[0] == SPEED_0_PACKET:
-                break
-        self.assertEqual(board.raws[0], SPEED_0_PACKET)
-        ROSOUT.wait_for('cut', ' s: SPEED 0 is sent first', Log.WARN)
-        until(lambda: 250 in board.speeds, 'new commands', doing=lambda: speed.publish(value=250),
-              every=0.05)
-
-    def stand_still(self, speed, steering):
-        """Afterwards the board's records begin with what came as the bridge went on."""
-        board = self.boards['arduino']
-        until(lambda: 700 in board.speeds, 'the car drives',
-              doing=lambda: speed.publish(value=700), every=0.05)
-        speed.publish(value=701)        # the last one, behind all others
-        until(lambda: 701 in board.speeds, 'no command is under way')
-        process = self.bridge.process
-        process.send_signal(signal.SIGSTOP)
-        os.waitpid(process.pid, os.WUNTRACED)
-        time.sleep(0.2)         # what had left before is with the board
-        board.forget()
-        for number in range(10):
-            time.sleep(0.5)
-            speed.publish(value=300 + number)
-            steering.publish(value=1000 + number)
-        self.assertEqual(board.frames, [])
-        process.send_signal(signal.SIGCONT)
-        board.wait_for_heartbeats(60)
-
     def test_what_moves_is_not_sent_if_it_was_called_while_the_bridge_stood_still(self):
         """SIGSTOP; the calls wait in connections that exist already."""
         proxies = {'lift': rospy.ServiceProxy('/cut/lift', Lift, persistent=True),
@@ -297,25 +219,6 @@ class Cut(PortsTest):
                              'it may have waited while the bridge stalled; nothing was sent')
         self.assertEqual(set(board.others), {bus.encode_request(bus.ENVIRONMENT_REQUEST)})
         until(lambda: proxies['lift'](0, 100).success, 'the lift moves again')
-
-    def test_noise_on_every_line_is_counted_and_good_frames_still_come(self):
-        before = self.diagnostics.fresh_of_all(LINKS, lambda s, _link: True, 'any level')
-        noise = random.Random(7)
-        for _ in range(30):
-            for board in self.boards.values():
-                board.write(bytes(noise.randrange(256) for _ in range(100)))
-        self.diagnostics.fresh_of_all(LINKS, lambda s, link: int(s.keys['framing errors'])
-                                      > int(before[link].keys['framing errors']),
-                                      'more framing errors')
-        self.boards['arduino'].write(b'\0')      # ends what noise has begun
-        self.assert_flows()
-        noisy = bytes(noise.randrange(256) for _ in range(20))
-        self.boards['bus'].script.append(lambda request: noisy + bus.encode_reply(
-            bus.Reply(bus.OK)))
-        self.assertTrue(self.lift(0, 2).success)
-        self.boards['mcu'].write(noisy)
-        self.assert_flows()
-        self.assertLess(len(ROSOUT.lines('cut', 'bus: framing:')), 5)
 
 
 if __name__ == '__main__':

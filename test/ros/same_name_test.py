@@ -2,7 +2,6 @@
 """Starting a bridge while one of its name is running; --help, wrong arguments, no master."""
 import io
 import os
-import re
 import shutil
 import signal
 import socket
@@ -333,18 +332,6 @@ class WithoutAMaster(unittest.TestCase):
                 process.send_signal(number)
                 rest = process.communicate(timeout=PATIENCE)[1]
                 self.assertEqual((process.returncode, rest), (0, ''))
-
-
-class WrongParameter(unittest.TestCase):
-    """Under roslaunch, a bridge with a wrong parameter waits (see mistakes_test)."""
-
-    def test_ctrl_c_ends_it_at_once(self):
-        wrong = Bridge('wrong', {'bus/baud': 1}, arguments=['__log:=/dev/null'])
-        wrong.wait_for('bus/baud')
-        seconds, status = wrong.end(signal.SIGINT)
-        self.assertLess(seconds, 5.0)
-        self.assertEqual(status, 1)
-        self.assertIsNone(re.search('Traceback', wrong.output()))
 
 
 if __name__ == '__main__':

@@ -77,15 +77,6 @@ class Shutdown(unittest.TestCase):
         # Nothing follows, not even part of a packet.
         self.assertEqual(bytes(self.car.wire[-5:]), SPEED_0_PACKET)
 
-    def test_sigint_stops_the_car_and_ends_the_bridge(self):
-        self.assert_ended(*self.bridge.end(signal.SIGINT))
-
-    def test_sigterm_stops_the_car_and_ends_the_bridge(self):
-        self.assert_ended(*self.bridge.end(signal.SIGTERM))
-
-    def test_sighup_stops_the_car_and_ends_the_bridge(self):
-        self.assert_ended(*self.bridge.end(signal.SIGHUP))
-
     def test_sighup_under_nohup_does_not_end_the_bridge(self):
         self.bridge.end()
         # This is what nohup does; ignored signals are inherited.

@@ -216,7 +216,7 @@ def _service(function: CustomFunction, request_fields: RosFields, reply_fields: 
     def handle(ros_request: Any) -> Any:
         try:
             if announced:
-                link.refuse_unless_announced(function.name)
+                link.announcement.refuse_unless_current(function.name)
             request = function.make_request(request_fields.read(ros_request))
         except (ValueError, Refused) as error:
             outcome = Outcome(NOT_SENT, f'{error}; nothing was sent')

@@ -8,6 +8,7 @@ import pytest
 from fake_boards import PATIENCE, BusBoard, until
 from lines import Pty
 from serial_communication.link import link as link_module
+from serial_communication.link.connection import Connection, PortState
 from serial_communication.boards.bus.link import BusLink, BusSettings, Poller
 from serial_communication.link.link import ERROR, OK, RX, TX, WARN
 from serial_communication.boards.bus.master import NOT_SENT, FENCE_SILENCE, TIMEOUT, Condition
@@ -28,7 +29,7 @@ def is_move(request):
 @pytest.fixture(autouse=True)
 def never_stalls(monkeypatch):
     """No call is refused because this machine stalls; test/link/test_stall.py tests that."""
-    monkeypatch.setattr(BusLink, 'may_be_from_a_stall', lambda self: False)
+    monkeypatch.setattr(Connection, 'may_be_from_a_stall', lambda self: False)
 
 
 @pytest.fixture
@@ -360,7 +361,7 @@ def test_the_outcome_is_unknown_if_the_port_closes_during_a_motion(board, open_l
         assert link.lift(0, 100).status == NOT_SENT
     board.rule = lambda request: None
     until(lambda: link.master.synchronised and link.master.in_step)
-    assert link.reconnects == 1
+    assert link.connection.reconnects == 1
     assert link.echo().success
     assert board.moves() == [LIFT], 'something of before went out after the reconnect'
     assert link.lift(0, 100).success
@@ -373,7 +374,7 @@ def test_a_port_that_is_absent_at_start_is_waited_for(line, logger, running, lin
     line.plug()
     running(BusBoard(line))
     until(lambda: link.master.synchronised)
-    assert link.lift(0, 100).success and link.reconnects == 0
+    assert link.lift(0, 100).success and link.connection.reconnects == 0
 
 
 def test_stopping_ends_waiting_calls(board, open_link):
@@ -461,7 +462,7 @@ def test_the_link_continues_after_a_fault_in_a_callback(board, open_link, lines)
             raise RuntimeError('a fault of the callback')
 
     link = open_link(PATIENT._replace(environment_period=0.02), on_environment=on_environment)
-    until(lambda: not broken and link.reconnects)
+    until(lambda: not broken and link.connection.reconnects)
     until(lambda: link.master.synchronised and link.master.in_step)
     assert link.lift(0, 100).success
     assert lines('a fault of the callback')
@@ -485,10 +486,12 @@ def test_a_stop_is_sent_while_bytes_are_received_without_a_pause(line, logger, m
     sent = []
     monkeypatch.setattr(link, 'send', lambda frame, cmd1, cmd2, data, request: sent.append(request))
     link.master.connected(10.0)
+    link.connection.state = PortState.RECEIVING
     link.tick(10.0)
-    assert not link.drained and sent == []
+    assert sent == []
     link.master.submit(link._call(STOP, True, None, None, None, interrupts=True))
-    assert link.tick(10.001) == 10.001 and sent == [STOP]
+    link.tick(10.001)
+    assert sent == [STOP]
 
 
 def test_the_state_says_what_a_call_waits_for(line, board, open_link):
@@ -536,13 +539,14 @@ def test_a_move_that_timed_out_closes_a_network_connection(logger, running):
             until(lambda: link.master.in_step)
             board.script.append(b'')
             assert link.environment()[0].status == TIMEOUT
-            assert link.lift(0, 1).success and link.connections == 1, 'a reading closes nothing'
+            assert link.lift(0, 1).success
+            assert link.connection.number == 1, 'a reading closes nothing'
             board.script.append(b'\xa5')
             assert link.lift(0, 2).status == TIMEOUT
             until(lambda: link.lift(0, 3).success)
-            assert link.connections == 1, 'the board was heard'
+            assert link.connection.number == 1, 'the board was heard'
             board.script.append(b'')
             assert link.lift(0, 100).status == TIMEOUT
             server.accept()[0].close()
-            until(lambda: link.reconnects)
+            until(lambda: link.connection.reconnects)
             board.close()
