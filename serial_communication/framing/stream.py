@@ -75,6 +75,7 @@ class Decoder(Protocol):
     """
 
     errors: Dict[str, int]     # counts by cause; always has `FRAMING`
+    counts_unknown: bool       # whether a frame of an unknown type counts as an error; at first so
 
     @property
     def pending(self) -> bool:
@@ -168,7 +169,7 @@ class StreamDecoder:
     """
 
     STARTS = b''
-    counts_unknown = True      # whether a frame of an unknown type is an error
+    counts_unknown = True      # see `Decoder`
 
     def __init__(self) -> None:
         self.errors: Dict[str, int] = {CHECKSUM: 0, FRAMING: 0}
