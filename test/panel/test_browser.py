@@ -707,12 +707,12 @@ def test_calibration_needs_a_confirmation(control_page, robot):
     control_page.wait(lambda page: any(each.startswith('STOP sent') for each in page.texts(
         '.answers li')), 'STOP works beside it')
     control_page.click('dialog button:last-of-type')
-    assert packet not in robot.car.commands
+    assert packet not in robot.car.raw_commands
     control_page.click('[data-service="~calibrate_imu"] button')
     robot.sends = False          # as a board that calibrates
     try:
         control_page.click('dialog button')
-        until(lambda: packet in robot.car.commands, 'the board has received it')
+        until(lambda: packet in robot.car.raw_commands, 'the board has received it')
         control_page.wait(lambda page: 'calibrating for' in page.text(
             '[data-service="~calibrate_imu"] .words'), 'the elapsed time is shown')
     finally:
@@ -727,7 +727,7 @@ def test_led_echo_and_sync_reach_their_boards(control_page, robot):
     control_page.wait(lambda page: page.all(brake + ':enabled'),
                       'the status has no calibration any more')
     press_until(control_page, lambda: control_page.all(brake)[0], 'LED brake sent')
-    assert led in robot.car.commands
+    assert led in robot.car.raw_commands
     for word in ('echo', 'sync'):
         press_until(control_page, lambda word=word: control_page.script(
             "return [...document.querySelectorAll('.commands button')]"
@@ -1057,7 +1057,7 @@ def test_arrow_keys_drive(control_page, robot):
     until(lambda: 200 in robot.car.speeds, 'the car drives', doing=lambda: hold_keys(UP),
           every=0.3)
     control_page.key_down(RIGHT)
-    until(lambda: arduino.encode(arduino.SteeringCommand(1900)) in robot.car.commands, 'it turns',
+    until(lambda: arduino.SteeringCommand(1900) in robot.car.commands(), 'it turns',
           doing=lambda: hold_keys(UP, RIGHT), every=0.3)
     control_page.key_up(RIGHT)
     control_page.key_up(UP)

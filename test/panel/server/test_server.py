@@ -859,7 +859,7 @@ def test_stop_ends_the_driving_of_another_page_however_old_it_is(driver, control
 def send_led(page, robot):
     page.send(led={'key': 'led', 'text': 'left'})
     time.sleep(0.05)
-    return arduino.encode(arduino.LedCommand('left')) in robot.car.commands
+    return arduino.encode(arduino.LedCommand('left')) in robot.car.raw_commands
 
 
 # -- driving ----------------------------------------------------------------------------------
@@ -1243,4 +1243,4 @@ def test_a_call_delayed_by_the_panel_moves_nothing(driver, control_panel, robot)
         driver.until(lambda page, key=key: any(
             update.get('refused', {}).get('key') == key for update in list(page.updates)),
             f'{key} is refused')
-    assert not robot.lift_requests and led not in robot.car.commands
+    assert not robot.lift_requests and led not in robot.car.raw_commands
