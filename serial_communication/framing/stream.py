@@ -75,6 +75,7 @@ class Decoder(Protocol):
     """
 
     errors: Dict[str, int]     # counts by cause; always has `FRAMING`
+    counts_unknown: bool       # whether a frame of an unknown type counts as an error; at first so
 
     @property
     def pending(self) -> bool:
@@ -177,6 +178,7 @@ class StreamDecoder:
     """
 
     STARTS = b''
+    counts_unknown = True      # see `Decoder`
 
     def __init__(self) -> None:
         self.errors: Dict[str, int] = {CHECKSUM: 0, FRAMING: 0}
@@ -323,7 +325,7 @@ class StreamDecoder:
         end = start + found.size
         if found.cause:
             self.errors[found.cause] += 1
-        elif found.message is None:
+        elif found.message is None and self.counts_unknown:
             self.errors[UNKNOWN] += 1
         self._frames.append(frame_of((
             self.buffer[start:end], found.type, found.command, found.data, found.message,

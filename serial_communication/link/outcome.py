@@ -22,6 +22,18 @@ _NAMES = {_ERROR: 'ERROR', _INVALID: 'INVALID', NOT_SENT: 'not sent', TIMEOUT: '
 _TEXT = re.compile(r'(?:^|: )status (\d{1,3}) \([^)]*\): (.*)', re.DOTALL)
 
 
+class Refused(Exception):
+    """A command was not sent; the text says why.
+
+    Args:
+        cause: why, in a word or two; lines with the same cause are logged sparingly.
+    """
+
+    def __init__(self, text: str, cause: str) -> None:
+        super().__init__(text)
+        self.cause = cause
+
+
 class Verdict(enum.Enum):
     """Whether a call was executed."""
 

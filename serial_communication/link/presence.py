@@ -3,6 +3,7 @@ from typing import Dict, Optional
 
 from .sparing_log import SparingLog
 
+SILENCE = 1.0         # s without a frame after which a board counts as silent
 STARTUP_TIME = 3.0    # s after the port opened in which a board may still start up silently
 LOOK_PERIOD = 0.5     # s from one `update` to the next
 _PERIOD = 10.0        # s; the same line is not repeated sooner
@@ -13,6 +14,7 @@ class PresenceLog:
     than 10 s ago, it waits until then, and is left out if it no longer holds."""
 
     def __init__(self, log: SparingLog) -> None:
+        self.due = float('-inf')     # when to call `update` next; monotonic
         self._log = log
         self._logged = ''      # the state that the latest line reports
         self._silent_since = 0.0
@@ -20,13 +22,14 @@ class PresenceLog:
         self._logged_at: Dict[str, float] = {}
 
     def update(self, talks: Optional[bool], silence: str, now: float) -> None:
-        """To be called every `LOOK_PERIOD` seconds.
+        """To be called when it is `due`, every `LOOK_PERIOD` seconds.
 
         Args:
             talks: whether the board talks; None: unknown.
             silence: the line that reports its silence.
             now: s, monotonic.
         """
+        self.due = now + LOOK_PERIOD
         state = 'talks' if talks else silence
         line = silence if not talks else 'back' if self._has_talked else 'ready'
         if talks is None or state == self._logged \

@@ -46,11 +46,11 @@ class SparingLog:
         self._write(level, text)
 
     def always_info(self, text: str) -> None:
-        """Log a line each time; the caller limits how often."""
+        """Log each line; the caller limits how often."""
         self._write(logging.INFO, text)
 
     def always_warn(self, text: str) -> None:
-        """Log a warning each time; the caller limits how often."""
+        """As `always_info`, a warning."""
         self._write(logging.WARNING, text)
 
     def _write(self, level: int, text: str) -> None:

@@ -30,12 +30,16 @@ class UnknownBytes:
 
     Args:
         others: boards other than the link's own.
+        baud: of the port.
         print_to: what a sketch should print to instead of the port.
     """
 
-    def __init__(self, others: Iterable[OtherBoard], print_to: str = 'another port') -> None:
+    def __init__(self, others: Iterable[OtherBoard], baud: int = 115200,
+                 print_to: str = 'another port') -> None:
         self._others = {other.name: other for other in others}
+        self._baud = baud
         self._print_to = print_to
+        self.understood_at = float('-inf')   # the latest frame of a known type; monotonic
         self.opened()
 
     def opened(self) -> None:
@@ -83,7 +87,7 @@ class UnknownBytes:
         self._last_at = now
         self._recognition.feed(data)
 
-    def meaning(self, baud: int, now: float) -> str:
+    def meaning(self, now: float) -> str:
         """What they are, for people; '' if too few bytes are received now."""
         if now > self._last_at + _PAUSE:
             return ''
@@ -97,7 +101,7 @@ class UnknownBytes:
                 return (f'messages come, but of unknown types ({types}): no row of the parameters, '
                         'and none that the board announces, has them')
             return '' if self.size < _ENOUGH else (
-                f'bytes come, but none is a frame of this board: another baud rate ({baud} is '
-                'set), or another board')
+                f'bytes come, but none is a frame of this board: another baud rate ({self._baud} '
+                'is set), or another board')
         return f"bytes come, but they are the {other.name}'s: " + (
             'are the two ports swapped?' if other.has_port else 'is this its port?')

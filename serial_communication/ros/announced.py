@@ -16,7 +16,7 @@ from ..boards import BOARDS
 from ..boards.description import ANNOUNCED, Description
 from ..framing.announced_text import read_announcement
 from ..framing.custom_messages import RowError, meaning
-from ..link.link import Announced, Link
+from ..link.link import Link
 from ..link.sparing_log import SparingLog
 from ..transport.pace import Allowance
 from .rospy_mends.own_names import explained
@@ -73,12 +73,13 @@ class AnnouncedRows:
         for name in list(self._made):
             if name not in rows or meaning(rows[name].custom) != meaning(self._made[name].custom):
                 self._take_down(name, names)
-        self.link.text_in_use = text
+        used = self.link.announcement
+        used.use(text, announcement.firmware, [name for name in rows if name in self._made])
         for name, row in rows.items():
             if name not in self._made:
                 self._make(row, announcement.rows[name], names)
         in_use = [name for name in rows if name in self._made]
-        self.link.announced = Announced(announcement.firmware, in_use)
+        used.rows = in_use
         firmware = f' (firmware {announcement.firmware})' if announcement.firmware else ''
         if self._allowance.take(time.monotonic()):
             self.link.log.always_info(f'announces {", ".join(in_use) or "nothing"}{firmware}')
@@ -159,7 +160,7 @@ class Announcements:
         for board in boards:
             latest: Deque[bytes] = deque(maxlen=1)
             self._texts.append((board, latest))
-            board.link.on_announcement = self._arrival(latest)
+            board.link.announcement.on_text = self._arrival(latest)
 
     def _arrival(self, latest: Deque[bytes]) -> Callable[[bytes], None]:
         def arrived(text: bytes) -> None:      # in the link's thread

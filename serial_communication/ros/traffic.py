@@ -45,7 +45,7 @@ class Traffic(rospy.SubscribeListener):
 
     def _enqueue(self, link: str, direction: int, frame: Frame) -> None:
         if self._queue.qsize() < _QUEUED:
-            self._queue.put((link, direction, frame, self._links[link].connections))
+            self._queue.put((link, direction, frame, self._links[link].connection.number))
 
     def _run(self) -> None:
         while True:

@@ -8,13 +8,12 @@ from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.arduino.link import ArduinoLink
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.bus import announcement
-from serial_communication.boards.bus.functions import ANNOUNCEMENT
+from serial_communication.boards.bus.call import Call
 from serial_communication.boards.bus.link import BusLink, BusSettings
-from serial_communication.boards.bus.master import Call
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.mcu.link import McuLink
 from serial_communication.framing.announcement import Assembly, Chunk, chunks_of
-from serial_communication.link.link import Announced, Refused
+from serial_communication.link.link import Refused
 from serial_communication.link.outcome import NOT_SENT, TIMEOUT, Outcome
 from serial_communication.link.sparing_log import SparingLog
 from serial_communication.transport.port import Port
@@ -49,7 +48,7 @@ def car(line, board, logger, running):
     link = ArduinoLink(Port(line.path), on_message=lambda message, stamp: got.append(message),
                        logger=logger)
     link.texts, link.got = [], got
-    link.on_announcement = link.texts.append
+    link.announcement.on_text = link.texts.append
     running(link)
     until(lambda: link.heartbeats_sent)
     return link
@@ -68,18 +67,18 @@ def test_the_car_announces_a_text_once_and_a_changed_one_again(line, car):
 def test_announced_rows_are_confirmed_again_after_a_reconnect(line, board, car):
     line.write(b''.join(packets(TEXT)))
     until(lambda: car.texts)
-    assert not car.still_announces       # until its rows are in use
-    car.text_in_use = TEXT
-    assert car.still_announces
+    assert not car.announcement.is_current       # until its rows are in use
+    car.announcement.use(TEXT, '', [])
+    assert car.announcement.is_current
     with board.unplugged():
         until(lambda: not car.port.is_open)
-    until(lambda: car.port.is_open and car.connections == 2)
-    assert not car.still_announces
+    until(lambda: car.port.is_open and car.connection.number == 2)
+    assert not car.announcement.is_current
     line.write(packets(TEXT)[2])
-    until(lambda: car.still_announces)
+    until(lambda: car.announcement.is_current)
     line.write(b''.join(packets(TEXT) + packets(OTHER)))
     until(lambda: len(car.texts) == 2)
-    assert car.texts == [TEXT, OTHER] and not car.still_announces
+    assert car.texts == [TEXT, OTHER] and not car.announcement.is_current
 
 
 def test_values_of_announced_rows_are_held_back_until_this_board_has_announced_them(
@@ -89,7 +88,7 @@ def test_values_of_announced_rows_are_held_back_until_this_board_has_announced_t
     car.decoder.add_message(Force)
     line.write(b''.join(packets(TEXT)))
     until(lambda: car.texts)
-    car.text_in_use = TEXT
+    car.announcement.use(TEXT, '', [])
     line.write(force + TICKS)
     until(lambda: car.got == [Force(7), arduino.Ticks(1)])
     del car.got[:]
@@ -102,7 +101,7 @@ def test_values_of_announced_rows_are_held_back_until_this_board_has_announced_t
     line.write(packets(TEXT)[2] + force)
     until(lambda: len(car.got) == 2)
     assert car.got[1] == Force(7)
-    car.announced = Announced('', ['force'])
+    car.announcement.rows = ['force']
     assert dict(car.report(time.monotonic()).values)['held back'] == 3
     line.write(b''.join(packets(OTHER)) + force + TICKS)
     until(lambda: len(car.got) == 3)
@@ -114,7 +113,7 @@ def test_values_of_the_sensor_boards_announced_rows_are_held_back(line, logger, 
     kind = type('Custom', (mcu.AdcStatus,), {'TYPE': 0x70, 'ANNOUNCED': True})
     link = McuLink(Port(line.path), timeout=60.0, logger=logger, messages=[kind],
                    on_status=lambda message, seq, stamp: got.append(seq))
-    link.on_announcement = lambda text: setattr(link, 'text_in_use', text)
+    link.announcement.on_text = lambda text: link.announcement.use(text, '', [])
     running(link)
     until(lambda: link.port.is_open)
     line.write(mcu.encode(kind(*range(6)), 0) + mcu.encode(mcu.AdcStatus(*range(6)), 1))
@@ -122,7 +121,7 @@ def test_values_of_the_sensor_boards_announced_rows_are_held_back(line, logger, 
     line.write(b''.join(mcu.encode(chunk, seq + 2) for seq, chunk in
                         enumerate(chunks_of(TEXT, 200))) + mcu.encode(kind(*range(6)), 3))
     until(lambda: len(got) == 2)
-    assert got == [1, 3] and link.held_back == 1 and link.frames_lost == 0
+    assert got == [1, 3] and link.announcement.held_back == 1 and link.frames_lost == 0
 
 
 def test_no_thread_can_send_an_announced_command_to_a_port_that_was_just_opened(
@@ -130,7 +129,7 @@ def test_no_thread_can_send_an_announced_command_to_a_port_that_was_just_opened(
     """It is tried in the moment when the port is open and no thread of the link has run yet."""
     line.write(b''.join(packets(TEXT)))
     until(lambda: car.texts)
-    car.text_in_use = TEXT
+    car.announcement.use(TEXT, '', [])
     car.command(Force(1))
     tried = []
     really_open = car.port.open
@@ -161,7 +160,7 @@ def test_a_text_that_is_too_long_is_refused_with_one_line(line, car, lines):
 def test_diagnostics_have_the_keys_once_something_is_announced(car):
     keys = set(dict(car.report(time.monotonic()).values))
     assert not {'firmware', 'announced', 'held back'} & keys
-    car.announced = Announced('nano_car 1.1.0', ['force', 'gripper'])
+    car.announcement.use(TEXT, 'nano_car 1.1.0', ['force', 'gripper'])
     values = dict(car.report(time.monotonic()).values)
     assert (values['firmware'], values['announced']) == ('nano_car 1.1.0', 'force, gripper')
 
@@ -171,7 +170,7 @@ def test_chunks_of_the_sensor_board_count_in_seq_and_are_no_sign_of_life(line, l
     link = McuLink(Port(line.path), timeout=0.1, logger=logger,
                    on_silence=lambda *silence: silences.append(silence))
     texts = []
-    link.on_announcement = texts.append
+    link.announcement.on_text = texts.append
     running(link)
     until(lambda: link.port.is_open)
     line.write(b''.join(mcu.encode(chunk, seq + 7) for seq, chunk in
@@ -202,7 +201,7 @@ RECORDED_BUS = {b'\xa5\x00\x00\x00\xa5', b'\xa5\x02\x55\x22\xd0'}    # SYNC, env
 def test_the_car_gets_no_byte_that_it_did_not_get_before(line, logger, running, announces):
     link = ArduinoLink(Port(line.path), logger=logger)
     texts = []
-    link.on_announcement = texts.append
+    link.announcement.on_text = texts.append
     running(link)
     received = line.read(10)
     line.write(b''.join(packets(TEXT)) if announces else TICKS)
@@ -216,7 +215,7 @@ def test_the_car_gets_no_byte_that_it_did_not_get_before(line, logger, running, 
 def test_the_sensor_board_gets_no_byte(line, logger, running):
     link = McuLink(Port(line.path), logger=logger)
     texts = []
-    link.on_announcement = texts.append
+    link.announcement.on_text = texts.append
     running(link)
     until(lambda: link.port.is_open)
     line.write(b''.join(mcu.encode(chunk, seq) for seq, chunk in enumerate(chunks_of(TEXT, 20))))
@@ -257,7 +256,7 @@ def bus_link(line, logger, running, bus_board):
             reply_timeout=0.2, environment_period=0.05, announcements=announcements, **settings),
             logger=logger)
         link.texts = []
-        link.on_announcement = link.texts.append
+        link.announcement.on_text = link.texts.append
         return running(link)
     return start
 
@@ -272,7 +271,7 @@ def test_a_bus_board_is_asked_only_if_the_parameter_says_so(bus_board, bus_link)
 def test_a_bus_board_gets_no_byte_that_it_did_not_get_before(line, logger, running, bus_board):
     link = BusLink(Port(line.path), BusSettings(reply_timeout=0.2, environment_period=0.01),
                    logger=logger)
-    link.on_announcement = lambda text: None
+    link.announcement.on_text = lambda text: None
     running(link)
     until(lambda: bus_board.executed.count(bus.ENVIRONMENT_REQUEST) > 10)
     assert {frame.raw for frame in list(bus_board.seen)
@@ -342,12 +341,13 @@ class Questions:
 
     def __init__(self, log=None):
         self.asked = []
-        self.question = announcement.AnnouncementQuestion(self._ask, Assembly(), log)
+        self.question = announcement.AnnouncementReader(self._ask, Assembly(), log)
         self.question.opened()
         self.question.restart(0.0)
 
     def _ask(self, index):
-        self.asked.append(Call(ANNOUNCEMENT.make_request((index,)), 0.5, True, 1, 0.0))
+        self.asked.append(Call(bus.ANNOUNCEMENT.make_request((index,)), bus.ANNOUNCEMENT,
+                               0.5, 1, 0.0))
         return self.asked[-1]
 
     def pause(self, now, outcome):
@@ -408,6 +408,7 @@ class Exchange:
 
 
 PUMP = bus.Request(bus.FUNCTION, 0x30)
+PUMP_FUNCTION = bus.Function('pump', 0x30, announced=True)
 
 
 def test_nothing_announced_is_sent_to_another_board_behind_the_same_port(bus_board, bus_link):
@@ -415,20 +416,20 @@ def test_nothing_announced_is_sent_to_another_board_behind_the_same_port(bus_boa
     exchange = Exchange(bus_board)
     link = bus_link()
     until(lambda: link.texts == [TEXT])
-    link.text_in_use = TEXT
-    link.poll(0.01, PUMP, None, lambda outcome: None, announced=True)
+    link.announcement.use(TEXT, '', [])
+    link.poll(PUMP_FUNCTION, 0.01, lambda outcome: None)
     until(lambda: PUMP in bus_board.executed)
-    assert link.request(PUMP, announced=True).success
+    assert link.request(PUMP, PUMP_FUNCTION).success
     exchange.replace(OTHER)
-    outcome = link.request(PUMP, announced=True)
+    outcome = link.request(PUMP, PUMP_FUNCTION)
     assert outcome.status == NOT_SENT or outcome.status == bus.INVALID
     until(lambda: link.texts == [TEXT, OTHER])
-    assert not link.still_announces
-    assert link.request(PUMP, announced=True).status == NOT_SENT
+    assert not link.announcement.is_current
+    assert link.request(PUMP, PUMP_FUNCTION).status == NOT_SENT
     assert PUMP not in bus_board.executed
     exchange.replace(TEXT)
     until(lambda: link.texts == [TEXT, OTHER, TEXT])
-    assert link.request(PUMP, announced=True).success
+    assert link.request(PUMP, PUMP_FUNCTION).success
 
 
 def test_a_board_that_was_restarted_is_asked_again_after_sync(bus_board, bus_link):
@@ -474,18 +475,17 @@ def test_a_text_whose_crc_never_matches_is_ignored_after_three_rounds(bus_board,
 
 
 def test_announced_polls_wait_until_the_board_announces_them(bus_board, bus_link):
-    pump = bus.Request(bus.FUNCTION, 0x30)
     link = bus_link()
-    poller = link.poll(0.01, pump, None, lambda outcome: None, announced=True)
+    poller = link.poll(PUMP_FUNCTION, 0.01, lambda outcome: None)
     until(lambda: link.texts == [b''])
     seen = len(bus_board.executed)
     until(lambda: len(bus_board.executed) > seen + 3)
-    assert pump not in bus_board.executed
-    link.text_in_use = b''
-    until(lambda: pump in bus_board.executed)
+    assert PUMP not in bus_board.executed
+    link.announcement.use(b'', '', [])
+    until(lambda: PUMP in bus_board.executed)
     link.end_poll(poller)
-    until(lambda: bus_board.executed[-1] != pump)
-    count = bus_board.executed.count(pump)
+    until(lambda: bus_board.executed[-1] != PUMP)
+    count = bus_board.executed.count(PUMP)
     seen = len(bus_board.executed)
     until(lambda: len(bus_board.executed) > seen + 3)
-    assert bus_board.executed.count(pump) <= count + 1
+    assert bus_board.executed.count(PUMP) <= count + 1

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 pytest.importorskip('rospy')
 from serial_communication.boards.arduino import DESCRIPTION  # noqa: E402
 from serial_communication.framing.announced_text import announcement_text  # noqa: E402
+from serial_communication.link.announcement import BoardAnnouncement  # noqa: E402
 from serial_communication.link.sparing_log import SparingLog  # noqa: E402
 from serial_communication.ros.announced import AnnouncedRows  # noqa: E402
 from serial_communication.ros.custom_topics import message_rows, resolve  # noqa: E402
@@ -37,7 +38,7 @@ class Stage:
         self.names = {'~pump': 'bus/announced/pump'}
         self._failing = failing
         log = SparingLog('arduino', logging.getLogger('fuzz'))
-        self.link = SimpleNamespace(name='arduino', log=log, text_in_use=None, announced=None)
+        self.link = SimpleNamespace(name='arduino', log=log, announcement=BoardAnnouncement(log))
         self.rows = AnnouncedRows(DESCRIPTION, self.link, [row.custom for row in CONFIGURED],
                                   lambda custom: resolve(custom, '~'), self._add)
 
@@ -53,8 +54,8 @@ class Stage:
 
     def update(self, text):
         in_use = self.rows.update(text, self.names)
-        assert set(in_use) == set(self.up) == set(self.link.announced.rows)
-        assert self.link.text_in_use == text
+        assert set(in_use) == set(self.up) == set(self.link.announcement.rows)
+        assert self.link.announcement._in_use == text
         assert self.names == {'~pump': 'bus/announced/pump',
                               **{f'~{name}': f'arduino/announced/{name}' for name in self.up}}
         return in_use

@@ -11,7 +11,7 @@ import pytest
 from fake_boards import Line
 
 from serial_communication.boards.arduino import motor
-from serial_communication.link import link as links
+from serial_communication.link import connection
 from serial_communication.transport.port import Port
 
 _LIMIT = 20.0      # s for one test
@@ -54,7 +54,7 @@ def this_machine_stalls_no_link(request, monkeypatch):
     Tests of stalls are marked with `stalls`.
     """
     if not request.node.get_closest_marker('stalls'):
-        monkeypatch.setattr(links, 'STALL', _NEVER)
+        monkeypatch.setattr(connection, 'STALL', _NEVER)
         monkeypatch.setattr(motor, '_STALL', _NEVER)
 
 

@@ -11,7 +11,10 @@ from serial_communication.boards.arduino.link import ArduinoLink
 from serial_communication.boards.bus.link import BusLink, BusSettings
 from serial_communication.boards.mcu.link import McuLink
 from serial_communication.transport.port import Port
+from serial_communication.link.connection import PortState
+from serial_communication.link.link import Link
 from serial_communication.link.sparing_log import SparingLog
+from serial_communication.link.stall import LONGEST_SLEEP
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
@@ -99,6 +102,7 @@ def test_threads_have_names_and_end_within_1_s_of_stop(line, logger, kind, names
     until(lambda: not names & threads(), seconds=1.0)
     assert time.monotonic() - begun < 1.5
     assert not link.port.is_open
+    assert not present or link.condition(0.0) == (2, 'closed: the bridge is stopping')
 
 
 @every_link
@@ -117,11 +121,11 @@ def test_a_port_that_flaps_is_opened_each_time_and_logged_sparingly(
         line, logger, running, lines, kind, names):
     link = running(kind(Port(line.path), logger=logger))
     for count in range(3):
-        until(lambda: link.port.is_open and link.reconnects == count)
+        until(lambda: link.port.is_open and link.connection.reconnects == count)
         line.unplug()
         until(lambda: not link.port.is_open)
         line.plug()
-    until(lambda: link.port.is_open and link.reconnects == 3)
+    until(lambda: link.port.is_open and link.connection.reconnects == 3)
     assert len(lines('the device has gone')) <= 1
     assert len(lines('permission')) == 0
 
@@ -168,7 +172,7 @@ def test_an_unexpected_error_of_opening_is_logged_and_opening_is_tried_again(
 def test_a_log_that_raises_does_not_end_a_link(line, running, kind, names):
     link = running(kind(Port(line.path), logger=_Broken('broken')))
     for count in range(2):
-        until(lambda: link.port.is_open and link.reconnects == count)
+        until(lambda: link.port.is_open and link.connection.reconnects == count)
         line.write(b'\x03\x55noise\x00')
         line.unplug()
         until(lambda: not link.port.is_open)
@@ -223,8 +227,8 @@ def test_an_error_in_a_hook_does_not_end_a_link(
 
 def test_heartbeats_go_on_after_one_that_raises(line, logger, running, monkeypatch, lines):
     link = ArduinoLink(Port(line.path), logger=logger)
-    original, raise_once = link._heartbeat._work, raising(RuntimeError)
-    monkeypatch.setattr(link._heartbeat, '_work', lambda due: raise_once() or original(due))
+    original, raise_once = link.heartbeat._work, raising(RuntimeError)
+    monkeypatch.setattr(link.heartbeat, '_work', lambda due: raise_once() or original(due))
     running(link)
     until(lambda: link.heartbeats_sent > 20)
     assert lines('of a test')
@@ -243,7 +247,7 @@ def test_a_tap_that_raises_does_not_disturb_the_link(line, logger, running, kind
     running(link)
     until(lambda: link.port.is_open)
     until(lambda: link.frames_received > 3 or line.write(VALID[kind]))
-    assert len(calls) > 3 and link.reconnects == 0 and link.port.is_open
+    assert len(calls) > 3 and link.connection.reconnects == 0 and link.port.is_open
 
 
 @every_link
@@ -257,7 +261,7 @@ def test_no_thread_is_started_after_start(line, logger, running, monkeypatch, ki
         line.unplug()
         until(lambda: not link.port.is_open)
         line.plug()
-        until(lambda: link.port.is_open and link.reconnects == count)
+        until(lambda: link.port.is_open and link.connection.reconnects == count)
     received = link.frames_received
     until(lambda: link.frames_received > received or line.write(VALID[kind]))
     forever.set()
@@ -300,7 +304,7 @@ def test_after_an_error_that_cannot_be_logged_the_port_is_closed_and_opened_agai
     running(link)
     until(lambda: link.port.is_open)
     until(lambda: closed or line.write(VALID[kind]))
-    until(lambda: link.port.is_open and link.reconnects)
+    until(lambda: link.port.is_open and link.connection.reconnects)
 
 
 def test_idle_is_called_while_opening_hangs(line, logger, running):
@@ -429,15 +433,92 @@ def test_a_slow_frame_is_received(line, logger, running):
         """Send it slowly; False where this machine stalled, and the link dropped a part of it."""
         until(lambda: not link.decoder.pending)
         taken.clear()
-        stale, errors = link.stale, link.error_count()
+        stale, errors = link.connection.stale, link.error_count()
         for start in range(0, len(wire), 2):
             threading.Event().wait(0.2)
             line.write(wire[start:start + 2])
-        until(lambda: taken or link.stale > stale)
-        if link.stale > stale:
+        until(lambda: taken or link.connection.stale > stale)
+        if link.connection.stale > stale:
             return False
         assert link.error_count() == errors
         return True
 
     until(passes)
     assert taken == [7]
+
+
+# -- when `tick` is called ------------------------------------------------------------------------
+
+class _Scripted(Port):
+    """A port whose reads return what the test gives, and at once."""
+
+    def __init__(self, path, read):
+        super().__init__(path)
+        self.give = read
+        self.timeouts = []     # of the reads
+
+    def read(self, timeout):
+        self.timeouts.append(timeout)
+        data = self.give(len(self.timeouts))
+        if not data:
+            time.sleep(0.001)
+        return data
+
+
+class _Ticking(Link):
+    """Notes, at each call of `tick`, how many reads there were, and the port's state."""
+
+    def __init__(self, port, **arguments):
+        super().__init__('ticking', port, mcu.Decoder(), **arguments)
+        self.ticks = []
+
+    def tick(self, now):
+        self.ticks.append((len(self.port.timeouts), self.connection.state))
+
+
+class _Draining(_Ticking):
+    DRAINS = True
+
+
+@pytest.mark.parametrize('kind', [_Ticking, _Draining])
+def test_tick_is_called_when_it_is_due_and_not_after_each_read(line, logger, running, kind):
+    link = kind(_Scripted(line.path, lambda number: VALID[McuLink]), logger=logger)
+    began = time.monotonic()
+    running(link)
+    until(lambda: link.frames_received > 300)
+    assert 1 <= len(link.ticks) <= 2 + (time.monotonic() - began) / LONGEST_SLEEP
+    assert {state for _, state in link.ticks} == {PortState.RECEIVING}
+
+
+@pytest.mark.parametrize('kind', [_Ticking, _Draining])
+def test_wake_calls_tick_after_the_next_read_although_bytes_are_received_without_end(
+        line, logger, running, kind):
+    def read(number):
+        if number in (50, 60):
+            link.wake()      # as a caller in another thread does
+        return VALID[McuLink]
+
+    link = kind(_Scripted(line.path, read), logger=logger)
+    running(link)
+    until(lambda: link.frames_received > 60)
+    assert {50, 60} <= {reads for reads, _ in link.ticks}
+
+
+def test_a_link_that_drains_reads_on_without_waiting_until_nothing_is_left(
+        line, logger, running):
+    """An incomplete frame that is given up counts as received, too: delivering it takes time."""
+    link = _Draining(_Scripted(line.path, lambda number: (
+        VALID[McuLink] if number in (50, 51, 52) else b'noise' if number == 60 else b'')),
+        logger=logger)
+    running(link)
+    until(lambda: link.decoder.errors['framing'])
+    until(lambda reads=len(link.port.timeouts): len(link.port.timeouts) > reads + 3)
+    states = dict(link.ticks)
+    assert all(states.get(reads, PortState.RECEIVING) is PortState.RECEIVING
+               for reads in (50, 51, 52, 60))
+    assert states[53] is PortState.DRAINED
+    given_up, = (reads for reads, state in states.items()
+                 if reads > 60 and state is PortState.RECEIVING)
+    assert states[given_up + 1] is PortState.DRAINED
+    assert [link.port.timeouts[number] > 0 for number in (49, 50, 51, 52, 53)] == [
+        True, False, False, False, True]

@@ -84,10 +84,10 @@ def test_a_car_that_talks_falls_silent_and_is_back_is_logged(line, running, logg
 def test_a_car_that_calibrates_does_not_count_as_silent(line, logger):
     link = ArduinoLink(Port(line.path), logger=logger)
     now = time.monotonic()
-    link.last_frame_at = link._opened_at = now
+    link.last_frame_at = link.connection.opened_at = now
     later = now + 2 * SILENCE
     assert link.talks(later) is False
-    link._calibration = Calibration(900.0, later)
+    link.output.calibration = Calibration(900.0, later)
     assert link.talks(later) is None
 
 
@@ -150,9 +150,9 @@ def test_a_port_lost_at_another_time_is_logged_in_order_and_sparingly(
     until(lambda: len(lines()) == 2)
     assert 'opening it again when it returns' in lines()[0] and 'waiting for it' in lines()[1]
     line.plug()
-    until(lambda: link.reconnects)
+    until(lambda: link.connection.reconnects)
     before = len(lines())
     line.unplug()
     line.plug()
-    until(lambda: link.reconnects == 2)
+    until(lambda: link.connection.reconnects == 2)
     assert len(lines()) == before       # the same loss within 10 s is not logged again

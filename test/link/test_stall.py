@@ -14,6 +14,7 @@ from fake_boards import PATIENCE, BusBoard, Rfc2217Server, until
 from waiting import Waiter
 
 from serial_communication.boards.arduino.link import ArduinoLink
+from serial_communication.link.connection import PortState
 from serial_communication.link.outcome import NOT_SENT
 from serial_communication.link.stall import AFTER_STALL, STALL, StallWatch
 from serial_communication.boards.bus.link import BusLink, BusSettings
@@ -283,6 +284,10 @@ def test_a_reply_that_waited_is_not_published_and_the_bus_is_out_of_step(
 
 # -- one link, whose clock jumps ------------------------------------------------------------------
 
+def is_dropping(link):
+    return link.connection.state is PortState.DROPPING
+
+
 class Clock:
     """Replaces the clock of the links; it can jump and stop."""
 
@@ -298,16 +303,16 @@ class Clock:
         """Let the link's thread wake from a stall; it drops what it reads until `end`."""
         self._stopped_at = self() + seconds
         link.wake()
-        until(lambda: link.is_dropping)
+        until(lambda: is_dropping(link))
 
     def end(self, link):
         """Let time pass, in steps that are no stalls, until nothing is dropped."""
-        while link.is_dropping:
+        while is_dropping(link):
             self._stopped_at += STALL / 2
-            until(lambda: link.awake_at == self._stopped_at)
+            until(lambda: link.connection.stalls.awake_at == self._stopped_at)
         self._ahead = self._stopped_at - self._real()
         self._stopped_at = None
-        until(lambda: not link.is_dropping)
+        until(lambda: not is_dropping(link))
 
 
 @pytest.fixture
@@ -335,9 +340,9 @@ def test_stale_bytes_are_counted_and_their_frames_count_as_lost(
     frame = mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 1)
     until(lambda: got or line.write(frame))
     clock.begin_stall(link, 2.0)
-    before = link.stale     # more than one copy of the first frame may have been written
+    before = link.connection.stale     # more than one copy of the first frame may have been written
     line.write(b''.join(mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), seq) for seq in range(2, 9)))
-    until(lambda: link.stale == before + 7 * len(frame))
+    until(lambda: link.connection.stale == before + 7 * len(frame))
     clock.end(link)
     line.write(mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 9))
     until(lambda: got[-1] == 9)
@@ -357,7 +362,7 @@ def test_the_rest_of_a_packet_that_began_in_the_backlog_is_not_received(
     until(lambda: link.port.is_open)
     clock.begin_stall(link, 2.0)
     line.write(b'\x20\x09')
-    until(lambda: link.stale == 2)
+    until(lambda: link.connection.stale == 2)
     clock.end(link)
     line.write(arduino.encode(arduino.Ticks(77)) + arduino.encode(arduino.Ticks(5)))
     until(lambda: got)
@@ -376,9 +381,9 @@ def test_an_old_frame_inside_a_false_one_is_not_received_when_that_is_given_up(
 
     until(lambda: got or line.write(frame(1)))
     clock.begin_stall(link, 2.0)
-    before, old = link.stale, b'\x02\x40' + frame(2)     # it would be 67 bytes long
+    before, old = link.connection.stale, b'\x02\x40' + frame(2)     # it would be 67 bytes long
     line.write(old)
-    until(lambda: link.stale == before + len(old))
+    until(lambda: link.connection.stale == before + len(old))
     clock.end(link)
     until(lambda: got[-1] == 3 or line.write(frame(3)))
     assert set(got) == {1, 3}
@@ -404,17 +409,17 @@ def test_a_network_port_is_opened_anew_after_a_stall_unless_the_link_has_fences(
         kind, openings, server, logger, running, clock):
     link = running(kind(Port('socket://127.0.0.1:%d' % server.getsockname()[1]), logger=logger))
     peers = [server.accept()[0]]
-    until(lambda: link.connections == 1)
+    until(lambda: link.connection.number == 1)
     clock._stopped_at = clock() + 2.0
     link.wake()
-    until(lambda: link.is_dropping)
+    until(lambda: is_dropping(link))
     clock.end(link)
     if openings == 2:
         peers.append(server.accept()[0])
-        until(lambda: link.connections == 2)
+        until(lambda: link.connection.number == 2)
     heard = time.monotonic()
     until(lambda: time.monotonic() > heard + 0.3)
-    assert link.connections == openings and link.port.is_open
+    assert link.connection.number == openings and link.port.is_open
     for peer in peers:
         peer.close()
 
@@ -434,7 +439,7 @@ def test_a_slow_callback_is_a_stall(line, logger, running):
     line.write(mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 2))
     time.sleep(STALL + 0.1)
     free.set()
-    until(lambda: link.stale)
+    until(lambda: link.connection.stale)
     until(lambda: 3 in got or line.write(mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 3)))
     assert 2 not in got
 
@@ -451,7 +456,7 @@ def test_tick_is_called_and_stop_works_while_a_backlog_without_end_is_dropped(
     clock.begin_stall(link, 5.0)
     del silences[:]
     until(lambda: silences)
-    assert link.is_dropping
+    assert is_dropping(link)
     began = time.monotonic()
     link.stop()
     link.join()
@@ -482,9 +487,10 @@ def test_a_stop_is_sent_while_replies_are_dropped(line, logger, running, clock):
     until(lambda: link.master.in_step)
     clock.begin_stall(link, 1.0)
     stop = bus.Request(bus.FUNCTION, 0x2F)
-    caller = Waiter(lambda: link.request(stop, True, interrupts=True))
+    function = bus.Function('stop', 0x2F, repeatable=True, interrupts=True)
+    caller = Waiter(lambda: link.request(stop, function))
     until(lambda: stop in board.requests())
-    assert link.is_dropping
+    assert is_dropping(link)
     clock.end(link)
     assert caller.result().success
 
@@ -501,19 +507,19 @@ def test_a_stall_is_found_before_and_after_the_links_thread_runs_again(
 
     link = running(McuLink(Port(line.path), timeout=60.0, logger=logger, on_status=hold))
     until(lambda: held.is_set() or line.write(mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 1)))
-    clock._stopped_at = link.awake_at + STALL - 0.01
-    assert not link.may_be_from_a_stall()
-    clock._stopped_at = link.awake_at + STALL + 0.01
-    assert link.may_be_from_a_stall(), 'before its thread runs'
+    clock._stopped_at = link.connection.stalls.awake_at + STALL - 0.01
+    assert not link.connection.may_be_from_a_stall()
+    clock._stopped_at = link.connection.stalls.awake_at + STALL + 0.01
+    assert link.connection.may_be_from_a_stall(), 'before its thread runs'
     free.set()
-    until(lambda: link.awake_at == clock._stopped_at)
+    until(lambda: link.connection.stalls.awake_at == clock._stopped_at)
     clock._stopped_at += AFTER_STALL / 2
-    until(lambda: link.awake_at == clock._stopped_at)
-    assert link.may_be_from_a_stall(), 'after its thread has run'
+    until(lambda: link.connection.stalls.awake_at == clock._stopped_at)
+    assert link.connection.may_be_from_a_stall(), 'after its thread has run'
     for _ in range(2):      # in two steps: neither is a stall
         clock._stopped_at += AFTER_STALL / 3
-        until(lambda: link.awake_at == clock._stopped_at)
-    assert not link.may_be_from_a_stall()
+        until(lambda: link.connection.stalls.awake_at == clock._stopped_at)
+    assert not link.connection.may_be_from_a_stall()
 
 
 def test_a_stall_counts_although_the_port_was_closed_or_is_lost_at_its_end(
@@ -523,15 +529,15 @@ def test_a_stall_counts_although_the_port_was_closed_or_is_lost_at_its_end(
     until(lambda: link.port.is_open)
     clock._stopped_at = clock() + 15.0
     line.unplug()
-    until(lambda: not link.port.is_open and link.awake_at == clock._stopped_at)
-    assert link.may_be_from_a_stall()
-    while link.may_be_from_a_stall():
+    until(lambda: not link.port.is_open and link.connection.stalls.awake_at == clock._stopped_at)
+    assert link.connection.may_be_from_a_stall()
+    while link.connection.may_be_from_a_stall():
         clock._stopped_at += STALL / 2
-        until(lambda: link.awake_at == clock._stopped_at)
+        until(lambda: link.connection.stalls.awake_at == clock._stopped_at)
     clock._stopped_at += 15.0
     line.plug()
-    until(lambda: link.port.is_open and link.awake_at == clock._stopped_at)
-    assert link.may_be_from_a_stall()
+    until(lambda: link.port.is_open and link.connection.stalls.awake_at == clock._stopped_at)
+    assert link.connection.may_be_from_a_stall()
 
 
 def test_what_moves_is_not_sent_if_it_was_asked_for_during_a_stall_or_just_after(
@@ -548,7 +554,7 @@ def test_what_moves_is_not_sent_if_it_was_asked_for_during_a_stall_or_just_after
         assert outcome.message == 'it may have waited while the bridge stalled; nothing was sent'
     clock.end(link)
     assert link.environment()[0].success and link.echo().success and link.sync().success
-    until(lambda: not link.may_be_from_a_stall())
+    until(lambda: not link.connection.may_be_from_a_stall())
     for move in moves:
         assert move().success
     assert len(board.moves()) == 3
@@ -563,7 +569,7 @@ def test_a_move_that_waited_for_its_turn_during_a_stall_is_not_sent(line, logger
     moving = Waiter(link.lift, 0, 1)
     until(lambda: board.moves() == [bus.lift(0, 1)])
     waiting = [Waiter(link.gimbal, 0, 1), Waiter(link.environment)]
-    until(lambda: len(link.master._calls) == 2)
+    until(lambda: len(list(link.master.calls)) == 2)
     clock.begin_stall(link, 15.0)
     clock.end(link)
     assert 'waited while the bridge stalled' in waiting[0].result().message

@@ -136,16 +136,16 @@ def test_types_that_nobody_knows_are_not_another_baud_rate(line, link_of, lines,
 def test_types_that_the_board_may_still_announce_are_no_errors(
         line, logger, running, lines, kind, data):
     link = kind(Port(line.path), logger=logger)
-    link.on_announcement = lambda text: None
+    link.announcement.on_text = lambda text: None
     taken = []
-    link.tap = lambda name, direction, frame: direction == RX and taken.append(frame)
+    link.tap = lambda name, direction, frame: direction == RX and taken.append(link.error_count())
     began = time.monotonic()
     running(link)
     until(lambda: link.port.is_open)
-    line.write(data)
-    until(lambda: taken)
+    line.write(data * 3)
+    until(lambda: len(taken) == 3)
     if time.monotonic() < began + 4:
-        assert link.error_count() == 0 and not lines('unknown type')
+        assert taken == [0, 0, 0] and not lines('unknown type')
     until(lambda: line.write(data) or time.sleep(0.05) or link.error_count(), 'it is counted')
     assert time.monotonic() >= began + 5
     assert link.decoder.errors['unknown type'] == link.error_count()
@@ -172,21 +172,21 @@ def test_the_words_change_with_what_is_received(line, link_of, lines):
     until(lambda: line.write(TICKS) or time.sleep(0.01) or lines("the arduino's"))
     until(lambda: line.write(STATUS) or time.sleep(0.01)
           or lines('ready: the board talks', logging.INFO))
-    assert link.unknown_bytes(time.monotonic()) == ''
+    assert link.unknown_bytes.meaning(time.monotonic()) == ''
     assert link.condition(time.monotonic()) == (0, 'open')
 
 
 def test_bytes_of_before_a_pause_do_not_count():
-    unknown = UnknownBytes(others())
+    unknown = UnknownBytes(others(), 9600)
     unknown.take(TICKS * 100, 10.0)
-    assert unknown.meaning(9600, 13.0) == SWAPPED.format('arduino')
-    assert unknown.meaning(9600, 13.1) == ''
+    assert unknown.meaning(13.0) == SWAPPED.format('arduino')
+    assert unknown.meaning(13.1) == ''
     unknown.take(GARBAGE, 14.0)
-    assert unknown.meaning(9600, 14.0) == ''
+    assert unknown.meaning(14.0) == ''
     unknown.take(GARBAGE * 2, 15.0)
-    assert unknown.meaning(9600, 15.0) == OTHER.replace('115200', '9600')
+    assert unknown.meaning(15.0) == OTHER.replace('115200', '9600')
     unknown.reset()
-    assert unknown.meaning(9600, 15.0) == ''
+    assert unknown.meaning(15.0) == ''
 
 
 def test_other_decoders_read_nothing_while_the_board_talks(line, logger, running):
@@ -222,4 +222,4 @@ def test_a_decoder_of_another_package_that_raises_does_not_end_the_link(
     until(lambda: lines('a fault of another package'))
     line.write(b'\0' + TICKS)
     until(lambda: link.frames_received == 2)
-    assert link.connections == 1
+    assert link.connection.number == 1

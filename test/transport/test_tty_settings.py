@@ -112,7 +112,7 @@ def test_after_stty_sane_values_are_received_unchanged_again(line, logger, runni
     until(lambda: board.heartbeats() > count + 20)
     assert set(map(type, board.messages())) <= {arduino.Heartbeat, arduino.SpeedCommand}, \
         'what the board sent is echoed to it'
-    assert link.reconnects == 0
+    assert link.connection.reconnects == 0
 
 
 def test_after_a_changed_baud_rate_speed_0_is_sent_first(line, logger, running, lines):

@@ -19,26 +19,29 @@ class HeartbeatThread:
         rate: heartbeats a second.
         work: sends what is due; returns whether it sent a heartbeat.
         on_fault: called with the traceback of what `work` raised; the thread continues.
-        on_start: called with a log line: whether the thread has real-time priority.
     """
 
     def __init__(self, name: str, rate: float, work: Callable[[bool], bool],
-                 on_fault: Callable[[str], None], on_start: Callable[[str], None]) -> None:
+                 on_fault: Callable[[str], None]) -> None:
         self.sent = 0            # heartbeats, since the start
         self.max_gap = 0.0       # s, since the port closed last
         self._period = 1.0 / rate
         self._work = work
         self._on_fault = on_fault
-        self._on_start = on_start
         self._last: Optional[float] = None
         self._opened_at: Optional[float] = None
         self._gaps: Deque[float] = deque(maxlen=1000)     # s, since the last call of `recent_gap`
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
-    def start(self) -> None:
-        """Start the thread."""
+    def start(self) -> str:
+        """Start the thread; return a log line: whether it has real-time priority."""
         self._thread.start()
+        if set_priority(_REALTIME_PRIORITY, self._thread.native_id or 0):
+            return 'the heartbeat has real-time priority'
+        return ('no real-time priority for the heartbeat: it may be late while the computer is '
+                f'busy. To allow it, put the line "@dialout - rtprio {_REALTIME_PRIORITY}" into a '
+                'file in /etc/security/limits.d/, add the user to that group, and log in again')
 
     def stop(self, timeout: float) -> None:
         """End the thread; wait for it at most `timeout` s."""
@@ -68,7 +71,6 @@ class HeartbeatThread:
         return longest
 
     def _run(self) -> None:
-        self._on_start(_priority_text(set_priority(_REALTIME_PRIORITY)))
         pace = Every(self._period, clock() - self._period)      # the first heartbeat at once
         while not self._stopping.is_set():
             now = clock()
@@ -93,12 +95,3 @@ class HeartbeatThread:
             self.max_gap = max(self.max_gap, gap)
             self._gaps.append(gap)
         self.sent += 1
-
-
-def _priority_text(granted: bool) -> str:
-    """The log line about the thread's priority."""
-    if granted:
-        return 'the heartbeat has real-time priority'
-    return ('no real-time priority for the heartbeat: it may be late while the computer is busy. '
-            f'To allow it, put the line "@dialout - rtprio {_REALTIME_PRIORITY}" into a file in '
-            '/etc/security/limits.d/, add the user to that group, and log in again')

@@ -23,9 +23,8 @@ class Stop(enum.Enum):
 
 
 class Motor:
-    """The state of one drive motor, as far as the bridge can know it.
-
-    The speed is unknown at first: the board may hold the speed of a bridge that crashed.
+    """The state of one drive motor, as far as the bridge can know it: unknown at first, since the
+    board may hold the speed of a bridge that crashed.
 
     Args:
         speed_timeout: s after the last speed command until SPEED 0 is due; 0: never.
@@ -67,7 +66,7 @@ class Motor:
         if self.moving:
             return Stop.TIMED_OUT if self._speed_timeout and now >= self._timeout_at else None
         repeat_at = self._repeat_at - _EARLY
-        if now > self._repeat_until + _REPEAT_PERIOD:    # a repetition held back is not made up for
+        if now > self._repeat_until + _REPEAT_PERIOD:    # missed repetitions are not sent later
             return None
         is_due = board_reads and repeat_at <= now and repeat_at <= self._repeat_until
         return Stop.REPEATED if is_due else None
@@ -84,10 +83,9 @@ class Motor:
         """
         known_already = self.ignores_commands(now)
         seconds = self._stalls.stalled_for(now, receiving_at)
-        if not seconds:
-            return None
-        self._stalls.awake_at = now
-        if known_already:
+        if seconds:
+            self.awake(now)
+        if not seconds or known_already:
             return None
         self.forget_speed()
         return seconds

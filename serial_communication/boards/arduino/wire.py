@@ -261,6 +261,7 @@ class _Decoder:
         messages: classes of custom messages: see `message_class`. Their limits are always checked.
     """
 
+    counts_unknown = True      # see `framing.stream.Decoder`
     needed = _MAX_ENCODED      # bytes of the longest packet: no packet says how long it is
     _messages: Dict[int, Any] = {}
 
@@ -362,7 +363,7 @@ class _Decoder:
 
     def _bad(self, raw: bytes, cause: str, error: str, stamp: Any, type_: int = 0,
              data: bytes = b'') -> Frame:
-        self.errors[cause] += 1
+        self.errors[cause] += cause != UNKNOWN or self.counts_unknown
         return invalid_frame(raw, cause, error, stamp, type_, data)
 
     # -- for `wire explain` -----------------------------------------------------------------

@@ -4,6 +4,7 @@ import time
 from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...framing.stream import IMPLAUSIBLE, LENGTH, Frame
+from ...link.connection import PortState
 from ...link.link import ERROR, OK, WARN, Link
 from ...link.outcome import NOT_SENT, Outcome
 from ...link.stall import LONGEST_SLEEP, STALL
@@ -69,6 +70,7 @@ class BusLink(Link):
     """
 
     HAS_FENCES = True      # the Master drops all replies until an ECHO has returned
+    DRAINS = True          # no request may be sent before everything received has been read
 
     def __init__(self, port: Port, settings: BusSettings = BusSettings(),
                  on_environment: Optional[Callable[[wire.Environment, Any], None]] = None,
@@ -78,13 +80,12 @@ class BusLink(Link):
         self.settings = settings
         self.master = Master(settings.reply_timeout, settings.motion_timeout, self.log,
                              drop_output=self._drop_output, begun_anew=self._board_begun_anew,
-                             still_announces=lambda: self.still_announces)
+                             still_announces=lambda: self.announcement.is_current)
         self._on_environment = on_environment
         self._pollers: List[Poller] = []
-        self._reader = AnnouncementReader(self._ask, self.announcement, self.log) \
+        self._reader = AnnouncementReader(self._ask, self.announcement.assembly, self.log) \
             if settings.announcements else None
         self._blocked_until = 0.0
-        self._due = 0.0         # when `tick` has to run next, at the latest
         self._waits_since = 0.0     # when a request could be sent last; monotonic
         if settings.environment_period:
             self.poll(wire.ENVIRONMENT_FUNCTION, settings.environment_period,
@@ -141,10 +142,10 @@ class BusLink(Link):
                            f'{wire.MAX_LENGTH}; nothing was sent')
         if not self.port.is_open:
             return Outcome(NOT_SENT, f'the port {self.port.url} is closed '
-                           f'({self._trouble or "not opened yet"}); nothing was sent')
+                           f'({self.connection.trouble}); nothing was sent')
         call = self._call(request, function, on_success)
         # Checked after the time of the call was taken, so that a stall in between makes it expire.
-        if not function.repeatable and self.may_be_from_a_stall():
+        if not function.repeatable and self.connection.may_be_from_a_stall():
             return Outcome(NOT_SENT, f'{STALLED}; nothing was sent')
         self.master.submit(call)
         self.wake()
@@ -184,7 +185,7 @@ class BusLink(Link):
                     on_success)
 
     def _drop_output(self, sent: float) -> None:
-        if self.last_byte_at <= sent:
+        if self.connection.last_byte_at <= sent:
             self.port.discard_output('nothing received since a request, which may still wait')
 
     def _board_begun_anew(self, now: float) -> None:
@@ -204,10 +205,10 @@ class BusLink(Link):
         if self._reader:
             self._reader.opened()
         self.master.connected(now)
-        self._due = self._waits_since = now
+        self._waits_since = now
 
     def closed(self, now: float) -> None:
-        self.master.disconnected(now, self._trouble or 'the bridge is stopping')
+        self.master.disconnected(now, self.connection.trouble)
 
     def idle(self, now: float) -> Optional[float]:
         return self.master.step(now, port_ready=False)[1]
@@ -231,17 +232,15 @@ class BusLink(Link):
         self.master.may_have_missed('another program changed the settings of the port', now)
 
     def tick(self, now: float) -> Optional[float]:
-        if not self.drained and now < self._due and not self.master.calls.has_new:
-            return now      # no request may be sent before everything received has been read
         times = [now + LONGEST_SLEEP]
         if self.master.synchronised:
             for poller in self._pollers:
-                if not poller.announced or self.still_announces:
+                if not poller.announced or self.announcement.is_current:
                     poller.tick(now)
                     times.append(poller.pace.due)
             text = self._reader.step(now) if self._reader else None
-            if text is not None and self.on_announcement:
-                self.on_announcement(text)
+            if text is not None and self.announcement.on_text:
+                self.announcement.on_text(text)
         waits_for = self._waits_for()
         if not waits_for:
             self._waits_since = now
@@ -252,16 +251,16 @@ class BusLink(Link):
             times.append(wake_at)
         if now < self._blocked_until:
             times.append(self._blocked_until)
-        self._due = min(times)
-        return self._due if self.drained else now
+        return min(times)
 
     def _waits_for(self) -> str:
         """What has to be received and decoded before a request may be sent; '': nothing."""
-        if self.is_dropping:
+        state = self.connection.state
+        if state is PortState.DROPPING:
             return 'the end of the bytes that waited during a stall'
         if self.decoder.begun:
             return 'the rest of an incomplete frame'
-        return '' if self.drained else 'the end of the bytes that are received'
+        return '' if state is PortState.DRAINED else 'the end of the bytes that are received'
 
     def _send_request(self, request: wire.Request, now: float) -> None:
         frame = wire.encode_request(request, self.settings.environment_datelen)
@@ -289,7 +288,7 @@ class BusLink(Link):
                 return WARN, f'open, waits for {waits_for}'
             return OK, 'ready'
         level = ERROR if condition in (Condition.NO_SYNC, Condition.NO_ECHO) else WARN
-        unknown = self.unknown_bytes(now) if condition is Condition.NO_SYNC else ''
+        unknown = self.unknown_bytes.meaning(now) if condition is Condition.NO_SYNC else ''
         return level, unknown or condition.value
 
     def talks(self, now: float) -> Optional[bool]:

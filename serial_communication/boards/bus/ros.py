@@ -206,7 +206,7 @@ def _advertise(row: RosFunction, link: BusLink) -> rospy.Service:
     def handle(ros_request: Any) -> Any:
         try:
             if function.announced:
-                link.refuse_unless_announced(function.name)
+                link.announcement.refuse_unless_current(function.name)
             values = request_fields.read(ros_request) if request_fields else ()
         except (ValueError, Refused) as error:
             outcome = Outcome(NOT_SENT, f'{error}; nothing was sent')

@@ -45,9 +45,8 @@ class McuLink(Link):
         super().__init__('mcu', port, wire.Decoder(messages), **link_arguments)
         self.frames_lost = 0
         self.duplicates = 0
-        # Counted frame by frame: a read may bring several, and a status has the errors before it.
-        self.checksum_errors = 0
-        self.silent = True                      # no message of any class is received
+        self.checksum_errors = 0        # a status has those before its own frame: see `damaged`
+        self.silent = True              # no message of any class is received
         self._timeout = timeout
         self._network_silence = network_silence
         self._on_status = on_status
@@ -62,34 +61,31 @@ class McuLink(Link):
         self._last = None
 
     def received(self, frame: Frame, now: float) -> None:
-        last, self._last = self._last, frame
-        if last is not None:
-            if last.raw == frame.raw:
-                if now < self._last_at + _DOUBLED:
-                    self.duplicates += 1
-                    return
-            else:
-                self.frames_lost += (frame.command - last.command - 1) % 256
-        self._last_at = now
-        if frame.message is None:     # a valid frame of an unknown type
+        message, last = frame.message, self._last
+        if last is not None and last.raw != frame.raw:
+            self.frames_lost += (frame.command - last.command - 1) % 256
+        elif last is not None and now < self._last_at + _DOUBLED:
+            self.duplicates += 1
             return
-        if isinstance(frame.message, Chunk):
-            self.take_chunk(frame.message)
-            return
-        if self.silent:
-            self.silent = False
-            self._latest.pop(None, None)
-        self._latest[frame.type] = _Latest(type(frame.message), frame.command, now,
-                                           now + self._timeout)
-        if self._on_status and not self.holds_back(frame.message):
-            self._on_status(frame.message, frame.command, frame.stamp)
+        self._last, self._last_at = frame, now
+        if isinstance(message, Chunk):
+            self.announcement.take(message)
+        elif message is not None:     # None: a valid frame of an unknown type
+            if self.silent:
+                self.silent = False
+                self._latest.pop(None, None)
+            self._latest[frame.type] = _Latest(type(message), frame.command, now,
+                                               now + self._timeout)
+            if self._on_status and not self.announcement.holds_back(message):
+                self._on_status(message, frame.command, frame.stamp)
 
     def damaged(self, frame: Frame, now: float) -> None:
+        # Not the decoder's count, which has all errors of a read that brings several frames.
         self.checksum_errors += frame.cause == CHECKSUM
 
     def tick(self, now: float) -> float:
         due = self.idle(now)
-        next_check = self.check_silence(now, self._network_silence)
+        next_check = self.connection.check_silence(now, self._network_silence)
         return due if next_check is None else min(due, next_check)
 
     def idle(self, now: float) -> float:
@@ -97,20 +93,17 @@ class McuLink(Link):
             if now >= silent_at:
                 self._latest[type_] = _Latest(kind, seq, received_at,
                                               max(silent_at + _STATUS_PERIOD, now))
-                self._update_silent(now)
+                if all(now >= latest.received_at + self._timeout
+                       for latest in self._latest.values()):
+                    self.silent = True
                 if self._on_silence:
                     self._on_silence(kind, seq, now - received_at)
         return min(latest.silent_at for latest in self._latest.values())
 
-    def _update_silent(self, now: float) -> None:
-        if not self.silent and all(now >= latest.received_at + self._timeout
-                                   for latest in self._latest.values()):
-            self.silent = True
-
     def condition(self, now: float) -> Tuple[int, str]:
         if not self.port.is_open:
             return super().condition(now)
-        silence = self.unknown_bytes(now) or 'the board is silent'
+        silence = self.unknown_bytes.meaning(now) or 'the board is silent'
         return (WARN, f'open, {silence}') if self.silent else (OK, 'open')
 
     def talks(self, now: float) -> Optional[bool]:

@@ -12,6 +12,7 @@ import pytest
 
 from fake_boards import PATIENCE, CarBoard, Line, Rfc2217Server, until
 from serial_communication.boards.arduino import link as link_module
+from serial_communication.boards.arduino import output as output_module
 from serial_communication.boards.arduino import calibration as calibration_module
 from serial_communication.boards.arduino import heartbeat as heartbeat_module
 from serial_communication.boards.arduino.link import ArduinoLink, ArduinoSettings
@@ -177,7 +178,7 @@ def test_heartbeats_arrive_at_about_their_rate(board, open_link):
         return (len(times) - 1) / (times[-1] - times[0])
     # If this machine stalls the board as it begins to count, the rest comes faster.
     assert any(30 < rate() < 115 for _ in range(5))
-    assert link.heartbeats_sent >= board.heartbeats() and link._heartbeat.max_gap > 0.005
+    assert link.heartbeats_sent >= board.heartbeats() and link.heartbeat.max_gap > 0.005
 
 
 def test_the_heartbeat_rate_is_a_parameter(board, open_link):
@@ -439,8 +440,8 @@ def test_no_heartbeat_is_sent_before_a_pending_speed_0(line, open_link):
     link = open_link(port=Selective)
     link.set_speed(500)
     link.port.refuses = arduino.encode(SpeedCommand(0))
-    with link._send_lock:
-        link._drop_backlog()
+    with link.output.lock:
+        link.output._drop_backlog()
         link.port.written = []
     with pytest.raises(Refused):
         link.set_speed(400)
@@ -457,13 +458,13 @@ def test_no_heartbeat_is_sent_before_a_pending_speed_0(line, open_link):
 def stall(monkeypatch):
     """Move the link's clock forward, as if all its threads had stalled."""
     def stall_link(link, seconds):
-        with link._send_lock:
+        with link.output.lock:
             skipped[0] += seconds
             del link.port.written[:]
 
     skipped = [0.0]
     real = heartbeat_module.clock
-    for module in (pace, heartbeat_module, link_module):
+    for module in (pace, heartbeat_module, link_module, output_module):
         monkeypatch.setattr(module, 'clock', lambda: real() + skipped[0])
     return stall_link
 
@@ -725,7 +726,7 @@ def test_commands_to_a_closed_port_are_refused_and_not_sent_later(board, open_li
         assert not link.calibrating
     before = board.heartbeats()
     until(lambda: board.heartbeats() >= before + 20)
-    assert board.commands() == [] and link.reconnects == 1
+    assert board.commands() == [] and link.connection.reconnects == 1
 
 
 @pytest.mark.parametrize('speed', [500, 0])
@@ -765,7 +766,7 @@ def test_a_closed_port_is_no_heartbeat_gap(board, open_link, stall):
         stall(link, 1000.0)
     sent = link.heartbeats_sent
     until(lambda: link.heartbeats_sent > sent + 3)
-    assert link._heartbeat.max_gap < 1000.0
+    assert link.heartbeat.max_gap < 1000.0
 
 
 def test_a_heartbeat_gap_is_a_warning_until_a_report_without_a_gap(board, open_link):
@@ -776,7 +777,7 @@ def test_a_heartbeat_gap_is_a_warning_until_a_report_without_a_gap(board, open_l
     link = open_link()
     board.streaming = True
     until(is_ok)
-    with link._send_lock:         # so that no heartbeat can be sent
+    with link.output.lock:         # so that no heartbeat can be sent
         sent = link.heartbeats_sent
         assert not threading.Event().wait(0.1)
         level, summary, values = link.report(time.monotonic())
@@ -845,7 +846,7 @@ def test_a_silent_network_port_is_opened_anew_and_delivers_no_old_speed(network,
     """The peer neither sends nor reads, while commands go on."""
     link = network(0.4)
     begun = time.monotonic()
-    while link.reconnects == 0:
+    while link.connection.reconnects == 0:
         assert time.monotonic() < begun + PATIENCE
         try:
             link.set_speed(500)
@@ -876,7 +877,7 @@ def test_a_network_port_is_not_opened_anew_during_a_calibration(network):
     limit_silence(link, 0.3)
     sent = link.heartbeats_sent
     until(lambda: link.heartbeats_sent > sent + 80)
-    assert link.calibrating and link.reconnects == 0
+    assert link.calibrating and link.connection.reconnects == 0
     link.peer.close()
 
 
@@ -885,7 +886,7 @@ def test_a_blocked_connection_is_closed_and_its_data_not_sent_later(network, lin
     link = network(0.0, window=1)
     peer = link.peer
     begun = time.monotonic()
-    while link.reconnects == 0:
+    while link.connection.reconnects == 0:
         assert time.monotonic() < begun + PATIENCE
         try:
             link.set_led('x' * 30)
@@ -985,7 +986,7 @@ def test_no_command_waits_in_a_pty_whose_other_side_stands(relayed, lines):
         return cause
     until(refuses, every=0.02)
     accepted = waiting[:-1]
-    assert link.silent_for(time.monotonic()) >= 0.4
+    assert link.connection.silent_for(time.monotonic()) >= 0.4
     # Long enough for heartbeats to fill what the other side can read.
     for speed in (-i for i in range(1, 150)):
         assert drive(link, speed) == 'silent'
@@ -1017,7 +1018,7 @@ def test_the_speeds_in_a_pty_are_dropped_that_its_other_side_cannot_read_yet(rel
     last = number
     while not drive(link, number + 1):
         number += 1
-        if link.silent_for(time.monotonic()) > 0.4:
+        if link.connection.silent_for(time.monotonic()) > 0.4:
             limit_silence(link, 0.4)
         threading.Event().wait(0.01)
     assert number > last
@@ -1123,7 +1124,7 @@ def test_a_calibration_ends_if_a_reconnect_reset_the_board(board, open_link, mon
     link.calibrate_imu()
     with board.unplugged():
         until(lambda: not link.port.is_open)
-    until(lambda: link.port.is_open and link.reconnects)
+    until(lambda: link.port.is_open and link.connection.reconnects)
     board.streaming = True
     until(lambda: not link.calibrating)
     board.streaming = False
@@ -1180,7 +1181,7 @@ def test_a_calibration_continues_after_a_reconnect(board, open_link):
     link.calibrate_imu()
     with board.unplugged():
         until(lambda: not link.port.is_open)
-    until(lambda: link.port.is_open and link.reconnects)
+    until(lambda: link.port.is_open and link.connection.reconnects)
     with pytest.raises(Refused):
         link.set_speed(100)
 
@@ -1213,7 +1214,7 @@ def test_stopping_sends_speed_0_while_the_board_sends(board, open_link):
     until(board.commands)
     until(lambda: link.frames_received > 3)
     stopping = threading.Thread(target=link.stop, name='stopping', daemon=True)
-    with link._send_lock:               # as if a command were being sent
+    with link.output.lock:               # as if a command were being sent
         stopping.start()
         threading.Event().wait(0.15)  # some thirty packets
     stopping.join(PATIENCE)

@@ -9,8 +9,7 @@ from serial_communication.boards.arduino.heartbeat import HeartbeatThread
 
 
 def make(work=lambda due: due, on_fault=None):
-    return HeartbeatThread('heartbeat', 100.0, work, on_fault or (lambda text: None),
-                           lambda text: None)
+    return HeartbeatThread('heartbeat', 100.0, work, on_fault or (lambda text: None))
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ from simulation_bench import Bench, running, until
 
 from serial_communication.boards.bus.functions import read_functions
 from serial_communication.boards.bus.link import BusLink, BusSettings
+from serial_communication.link.connection import Connection
 from serial_communication.link.outcome import TIMEOUT
 from serial_communication.transport.port import Port
 from serial_communication.boards.bus import wire as bus
@@ -27,7 +28,7 @@ STOPS = read_functions({'stop': {'cmd2': 0x2F, 'srv_type': 'std_srvs/Trigger', '
 @pytest.fixture(autouse=True)
 def never_stalls(monkeypatch):
     """No call is refused because this machine stalls; test/link/test_stall.py tests that."""
-    monkeypatch.setattr(BusLink, 'may_be_from_a_stall', lambda self: False)
+    monkeypatch.setattr(Connection, 'may_be_from_a_stall', lambda self: False)
 
 
 def make(synchronised=True, **arguments):
@@ -354,7 +355,7 @@ def test_link_stops_the_lift(unusual_board):
     lift.start()
     until(lambda: any(fields['cmd2'] == bus.LIFT for fields in link.notes.of('executed')),
           'the lift moves')
-    stop = link.request(STOP, True, reply_layout=bus.NO_DATA, interrupts=True)
+    stop = link.call(STOPS[0], ())
     lift.join()
     assert stop.success and outcomes[0].status == TIMEOUT, (stop, outcomes)
     stopped = link.board.lift.at(1e9)

@@ -248,7 +248,7 @@ def test_silence_is_reported_while_the_port_is_closed_and_ends_with_data(line, w
     line.write(status(3))
     until(lambda: len(watched.got) == 2)
     assert watched.link.frames_lost == 0, 'what a port away lost is not counted'
-    assert watched.link.reconnects == 1
+    assert watched.link.connection.reconnects == 1
 
 
 def test_an_incomplete_frame_is_dropped_at_a_reconnect(line, watch):
@@ -302,6 +302,6 @@ def test_a_silent_network_port_is_opened_anew(logger, running, lines):
 
 def test_only_a_network_port_with_a_limit_is_opened_anew(line, logger, watch):
     watched = watch(network_silence=0.05)
-    assert watched.link.check_silence(time.monotonic() + 100, 0.05) is None
+    assert watched.link.connection.check_silence(time.monotonic() + 100, 0.05) is None
     link = McuLink(Port('socket://localhost:1'), logger=logger, network_silence=0.0)
-    assert link.check_silence(time.monotonic() + 100, 0.0) is None
+    assert link.connection.check_silence(time.monotonic() + 100, 0.0) is None

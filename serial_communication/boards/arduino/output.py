@@ -1,0 +1,216 @@
+"""All that is sent to the model car: commands, heartbeats, and SPEED 0 before them where needed.
+
+Only this module, `motor` and `calibration` decide what may reach the motor, and when.
+"""
+import threading
+import traceback
+from collections import deque
+from typing import Deque, Optional, Tuple
+
+from ...framing.layout import LayoutMessage
+from ...link.link import Link, Refused
+from ...transport.pace import clock
+from ...transport.port import PortBusy, PortError
+from . import wire
+from .calibration import Calibration
+from .motor import Motor, Stop
+
+_MOST_BACKLOG = 0.05     # s of wire time that may wait in the kernel; more: the port is blocked
+_BACKLOG_PERIOD = 0.1    # s between two checks of the backlog
+_SPEED_0 = wire.SpeedCommand(0)
+_HEARTBEAT = wire.Heartbeat()
+_HEARTBEAT_PACKET = wire.encode(_HEARTBEAT)
+
+
+class CarOutput:
+    """Takes commands from any thread; each is written to an open port at once, or refused.
+
+    Args:
+        link: whose port it writes to.
+        speed_timeout: s after the last speed command until SPEED 0 is sent; 0: never.
+        calibration_timeout: s after which a calibration counts as over.
+    """
+
+    def __init__(self, link: Link, speed_timeout: float, calibration_timeout: float) -> None:
+        self.lock = threading.Lock()         # held while anything is sent; guards all below
+        self.motor = Motor(speed_timeout, clock())
+        self.calibration: Optional[Calibration] = None
+        # (cause, text) of warnings. The link's thread logs them: a log call may block, and neither
+        # a heartbeat nor a stop may wait for one.
+        self.warnings: Deque[Tuple[str, str]] = deque()
+        self.is_held = False                 # the other side of a pty may hold what is written
+        self._link, self._port = link, link.port
+        self._speed_timeout = speed_timeout
+        self._calibration_timeout = calibration_timeout
+        self._cut_off = False                # the latest packet may have been sent in part
+        self._has_ended = False              # the last SPEED 0 is sent: nothing may follow it
+        self._check_backlog_at = 0.0
+
+    def command(self, message: LayoutMessage) -> None:
+        """Send any message; before a calibration SPEED 0, too, if the car moves.
+
+        Raises:
+            Refused: it cannot be sent now.
+        """
+        with self.lock:
+            now = clock()
+            self._check_for_stall(now)
+            why, cause = self._why_not(message, now)
+            if why:
+                raise Refused(f'{message} refused: {why}', cause)
+            calibrates = isinstance(message, wire.ImuCalibration)
+            try:
+                if calibrates and self.motor.moving:
+                    self._send(_SPEED_0, now)
+                self._send(message, now)
+            except (PortBusy, PortError) as error:
+                # The heartbeat thread drops the blocked output before anything else is sent.
+                busy = isinstance(error, PortBusy)
+                raise Refused(f'{message} refused: {error}', 'busy' if busy else 'port') from None
+            if calibrates:
+                self.calibration = Calibration(self._calibration_timeout, now)
+
+    def _why_not(self, message: LayoutMessage, now: float) -> Tuple[str, str]:
+        """Why the message cannot be sent now, in words, and as a cause; '' if it can."""
+        link, calibrates = self._link, isinstance(message, wire.ImuCalibration)
+        if self._has_ended:
+            return 'the bridge is stopping', 'stopping'
+        if message.ANNOUNCED:     # with the lock held, which `closed` takes before a next opening
+            link.announcement.refuse_unless_current(f'{message}')
+        if self.calibration:
+            return 'the board calibrates its IMU, which takes minutes', 'calibrating'
+        # A call counts as from a stall sooner than a topic's command, as on the bus.
+        if self.motor.ignores_commands(now) or (
+                calibrates and link.connection.may_be_from_a_stall()):
+            return 'it may have waited while the bridge stalled; send it again', 'stall'
+        if self.is_held:
+            return ('the board is silent, so the other side of the pseudo terminal may hold it '
+                    'back', 'silent')
+        if self._port.backlog() > _MOST_BACKLOG:
+            return 'the port takes no data', 'busy'
+        return '', ''
+
+    def send_what_is_due(self, heartbeat_due: bool) -> bool:
+        """In the heartbeat thread: send SPEED 0 if it is due, then a heartbeat if it is due.
+
+        Returns whether a heartbeat was sent.
+        """
+        with self.lock:
+            now = clock()       # read with the lock held: the bridge may stall while it waits
+            self._check_for_stall(now)
+            self.motor.awake(now)
+            if self._has_ended or not self._port.is_open:
+                return False
+            try:
+                if now >= self._check_backlog_at:
+                    self._check_backlog_at = now + _BACKLOG_PERIOD
+                    self._drop_backlog_if_blocked()
+                # The board reads nothing while it calibrates. But if IMU data is still received,
+                # the line may have lost the request to calibrate and the SPEED 0 before it.
+                calibration = self.calibration      # the link's thread may set it to None
+                why = self.motor.due(now, calibration is None or calibration.data_goes_on(now))
+                if why:
+                    self._send(_SPEED_0, now)
+                if why is Stop.TIMED_OUT:
+                    self.warn('speed timeout', f'no speed command for {self._speed_timeout:g} s: '
+                              'sent SPEED 0')
+                if heartbeat_due:
+                    self._send(_HEARTBEAT, now)
+                return heartbeat_due
+            except PortBusy:
+                self._drop_backlog()    # so the next packet is SPEED 0, not a heartbeat
+            except PortError:
+                pass                    # the link's thread gets it, too, and handles it
+            return False
+
+    def send_speed_0(self, is_last: bool = False) -> None:
+        """Send SPEED 0 if the port takes it; without heartbeats the board stops its motor anyway.
+
+        Args:
+            is_last: send nothing after it; the heartbeat thread may outlive the wait for it.
+        """
+        with self.lock:
+            self._has_ended = self._has_ended or is_last
+            try:
+                if is_last:
+                    self._drop_backlog_if_blocked()
+                self._send(_SPEED_0, clock())
+            except (PortBusy, PortError):
+                pass
+            except Exception:  # pylint: disable=broad-except
+                self.warn('fault', traceback.format_exc())
+
+    def hold(self, is_held: bool) -> None:
+        """Refuse commands, or accept them again, and drop what waits."""
+        with self.lock:
+            self._drop()     # also at the end: the heartbeats that waited
+            self.is_held = is_held
+
+    def closed(self) -> None:
+        """The port was closed; when it opens again, any thread may be the first to write."""
+        with self.lock:
+            if self.motor.moving and not self._has_ended:
+                self.warn('moved', 'the port closed while the car may have been moving: '
+                          'SPEED 0 is sent first when it is open again')
+            self.motor.forget_speed()
+            self._cut_off = self.is_held = False
+
+    def altered(self) -> None:
+        """What was sent may have been changed on the way."""
+        with self.lock:
+            self.motor.forget_speed()
+            self._cut_off = True
+
+    def warn(self, cause: str, text: str) -> None:
+        """Have the link's thread log a warning."""
+        self.warnings.append((cause, text))
+
+    # -- the caller holds the lock ------------------------------------------------------
+
+    def _send(self, message: LayoutMessage, now: float) -> None:
+        """Write one packet, and SPEED 0 before it while the board's speed is unknown.
+
+        Raises:
+            PortBusy, PortError: the packet was not sent, but SPEED 0 may have been.
+        """
+        if self.motor.speed_unknown and message != _SPEED_0:
+            self._send(_SPEED_0, now)
+        if message is _HEARTBEAT and not (self._link.tap or self._cut_off):
+            # A shortcut for the most frequent packet while no `tap` gets it.
+            self._port.write(_HEARTBEAT_PACKET)
+            self._link.frames_sent += 1
+            return
+        data = message.pack()
+        packet = wire.encode_raw(message.TYPE, data)
+        # After a packet that was cut off, a 0x00 ends the part that the board has received.
+        packet = b'\0' + packet if self._cut_off else packet
+        self._port.write(packet)
+        self._cut_off = False
+        if isinstance(message, wire.SpeedCommand):
+            self.motor.sent(message.value, now)    # before anything that may raise
+        self._link.written(packet, message.TYPE, 0, data, message)
+
+    def _check_for_stall(self, now: float) -> None:
+        # If the link's thread stalls, so do the threads that receive commands: all have the same
+        # priority.
+        seconds = self.motor.detect_stall(now, self._link.connection.stalls.awake_at)
+        if seconds is not None:
+            self.warn('stall', f'the bridge stalled for {seconds:.3g} s: SPEED 0 is sent first, '
+                      'and commands from that time are dropped')
+
+    def _drop_backlog_if_blocked(self) -> None:
+        if self._port.backlog() > _MOST_BACKLOG:
+            self._drop_backlog()
+
+    def _drop_backlog(self) -> None:
+        """Drop the output that waits in a blocked port, so that no old command reaches the
+        board."""
+        self.warn('blocked', 'the port takes no data: ' + (
+            'the output that waited is dropped' if self._drop() else 'the connection is closed')
+                  + ', and the board stops its motor')
+
+    def _drop(self) -> bool:
+        """Drop what was written but not sent; return whether the port is still usable."""
+        self.motor.forget_speed()
+        self._cut_off = True
+        return self._port.discard_output()

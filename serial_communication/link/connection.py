@@ -1,0 +1,280 @@
+"""The connection to one board: the port, and the thread that opens, reads and closes it."""
+import enum
+import threading
+import time
+import traceback
+from typing import TYPE_CHECKING, Any, Callable, Optional
+
+from ..framing.frame_timer import FrameTimer
+from ..transport import pace
+from ..transport.opener import Opener
+from ..transport.port import PortError
+from .presence import SILENCE
+from .stall import LONGEST_SLEEP, STALL, StallWatch
+
+if TYPE_CHECKING:
+    from .link import Link
+
+_SHUTDOWN_TIME = 0.5    # s within which bridge and simulated boards end if stopped together
+_AFTER_FAULT = 0.1      # s until the thread goes on after an unexpected error
+_OLD = object()         # the stamp of bytes that waited during a stall
+
+
+class PortState(enum.Enum):
+    """What the thread does with the port."""
+
+    CLOSED = 'open it'
+    RECEIVING = 'read: more bytes may wait'
+    DRAINED = 'read: all bytes that had been received are decoded'
+    DROPPING = 'read, and drop what waited during a stall'
+
+
+class Connection:
+    """Serves one link: calls its hooks in the connection's thread.
+
+    Args:
+        link: whose port and decoder it uses.
+        frame_timeout: s without a byte after which an incomplete frame is given up.
+        clock: returns the stamp of each read.
+    """
+
+    def __init__(self, link: 'Link', frame_timeout: float, clock: Callable[[], Any]) -> None:
+        self.state = PortState.CLOSED
+        self.trouble = 'not opened yet'    # why the port is closed, or will be
+        self.number = 0                    # how often the port has been opened
+        self.opened_at = 0.0               # monotonic
+        self.last_byte_at = 0.0            # monotonic; the opening counts as a byte
+        self.stale = 0                     # bytes dropped because they waited during a stall
+        self.stalls = StallWatch(STALL)    # of the thread; by `pace.clock`
+        self._link = link
+        self._port = link.port
+        self._clock = clock
+        self._timer = FrameTimer(link.decoder, frame_timeout, link.port.baud)
+        self._is_woken = False             # `wake` was called since the latest `tick`
+        self._lost = ''                    # why the port was lost; '': not lost, or already logged
+        self._lost_at = 0.0                # when; monotonic
+        self._stalled_for = 0.0            # s; of the stall whose bytes are dropped
+        self._dropped = 0                  # bytes, since that stall
+        self._opener = Opener(link.port, link.name + ' opening')
+        self._thread = threading.Thread(target=self._run, name=link.name + ' link', daemon=True)
+
+    # -- for any thread; see `Link` for the first four ----------------------------------
+
+    def start(self) -> None:
+        self._opener.start()
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._opener.end()
+        self._port.wake()
+
+    def join(self, timeout: float) -> None:
+        if self._thread.is_alive():
+            self._thread.join(timeout)
+
+    def wake(self) -> None:
+        self._is_woken = True
+        self._port.wake()
+
+    def may_be_from_a_stall(self) -> bool:
+        """Whether what is asked for now may have waited while the bridge stalled.
+
+        That is so during a stall, and until `AFTER_STALL` s after it. A caller's thread may run
+        again before the connection's thread does.
+        """
+        now = pace.clock()
+        return self.stalls.stalled_for(now) > 0 or self.stalls.has_just_stalled(now)
+
+    @property
+    def reconnects(self) -> int:
+        """How often the port has been opened again."""
+        return max(self.number - 1, 0)
+
+    # -- for the link, in the thread --------------------------------------------------
+
+    def silent_for(self, now: float) -> float:
+        """s since the latest byte; 0.0 if none was received since the port was opened."""
+        return now - self.last_byte_at if self.last_byte_at > self.opened_at else 0.0
+
+    def check_silence(self, now: float, limit: float) -> Optional[float]:
+        """For `tick`: have a network port closed if it has been silent for `limit` s (0: never).
+
+        That drops unsent bytes, which may wait unseen in the network or in the peer's kernel.
+        Return when to check again, or None.
+
+        Raises:
+            PortError: nothing was received for `limit` s.
+        """
+        if not limit or not self._port.is_network:
+            return None
+        due = self.last_byte_at + limit
+        if now >= due:
+            raise PortError(f'nothing received from the board for {limit:g} s')
+        return due
+
+    def guarded(self, function: Callable, *arguments: Any) -> Any:
+        """Call a function. If it raises, log that, report it as the port's trouble and return
+        None."""
+        try:
+            return function(*arguments)
+        except PortError as error:
+            self.trouble = str(error)
+            self._lost = f'{self._port.url}: {error}; opening it again when it returns'
+            self._lost_at = time.monotonic()
+        except BaseException as error:  # pylint: disable=broad-except
+            # Also SystemExit, which would end this thread alone.
+            self.trouble = f'fault in the bridge: {error!r}'
+            if not self._opener.ending.is_set():
+                self._link.log.error('fault', traceback.format_exc())
+        return None
+
+    # -- opening and closing ----------------------------------------------------------
+
+    def _run(self) -> None:
+        """Open the port, serve it and close it, again and again until `stop`.
+
+        Errors of hooks and callbacks, and a lack of memory, do not end the thread.
+        """
+        while not self._opener.ending.is_set():
+            try:
+                if self._port.is_open:       # an error ended the turn before
+                    self._close()
+                if self._opener.open(self._not_opened, self._idle):
+                    self.guarded(self._serve)
+                    self._close()
+            except BaseException:  # pylint: disable=broad-except
+                time.sleep(_AFTER_FAULT)    # too little memory even to log it
+
+    def _close(self) -> None:
+        self.state = PortState.CLOSED
+        self._link.announcement.reset()    # before any thread can write to the next opening
+        self.guarded(self._port.close)
+        self.guarded(self._link.closed, time.monotonic())
+
+    def _idle(self, now: float) -> float:
+        self.stalls.awake(pace.clock())
+        due = self.guarded(self._link.idle, now)
+        soon = now + LONGEST_SLEEP
+        return soon if due is None else min(due, soon)
+
+    def _not_opened(self, trouble: str) -> None:
+        self.trouble = trouble
+        # If everything is stopped together, a simulated board's port may vanish first: no warning.
+        if time.monotonic() >= self._lost_at + _SHUTDOWN_TIME:
+            self._log_loss()
+            self._link.log.warn('closed', f'{self._port.url}: {trouble}')
+
+    def _log_loss(self) -> None:
+        if self._lost:
+            self._link.log.warn('lost', self._lost)
+            self._lost = ''
+
+    # -- reading ----------------------------------------------------------------------
+
+    def _serve(self) -> None:
+        """Read until the port is lost or the link is stopped."""
+        link, port, timer = self._link, self._port, self._timer
+        now = tick_at = look_at = self._begin()
+        while not self._opener.ending.is_set():
+            if now >= look_at:
+                look_at = now + LONGEST_SLEEP
+                self._restore_settings(now)
+                link.check(now)
+            frame_due = timer.due(self.last_byte_at)
+            wake_at = tick_at if frame_due is None else min(tick_at, frame_due)
+            if link.DRAINS and self.state is PortState.RECEIVING:
+                wake_at = now
+            data = port.read(wake_at - now)
+            stamp = self._clock()
+            now = time.monotonic()
+            stall = self._check_stall(now)
+            if self.state is PortState.DROPPING:
+                self._drop(data, stall, now)
+            else:
+                self._receive(data, stamp, now)
+            if not data or self._is_woken or now >= tick_at:
+                self._is_woken = False
+                due = link.tick(now)
+                tick_at = now + LONGEST_SLEEP if due is None else min(due, now + LONGEST_SLEEP)
+
+    def _begin(self) -> float:
+        """The port was opened; return the time."""
+        link = self._link
+        self._log_loss()
+        self.trouble = 'the bridge is stopping'
+        self.number += 1
+        link.log.info('opened', f'{self._port.url}: open')
+        link.decoder.reset()
+        link.unknown_bytes.opened()
+        self._timer.reset()
+        now = time.monotonic()
+        link.opened(now)
+        self.last_byte_at = self.opened_at = now
+        # What waited during a stall may arrive over a new connection, too.
+        self.state = PortState.DROPPING if self._stalled_for else PortState.RECEIVING
+        return now
+
+    def _restore_settings(self, now: float) -> None:
+        changed = self._port.restore_settings()
+        if changed:
+            self._link.log.warn(
+                'settings', f'{self._port.url}: another program changed the settings of this port '
+                f'({changed}). They are restored, and the bytes that waited in it were dropped; '
+                'keep other programs (stty, a serial monitor) off it')
+            self._link.decoder.reset()
+            self._link.altered(now)
+
+    def _receive(self, data: bytes, stamp: Any, now: float) -> None:
+        """Decode the bytes of one read, and give up what has been incomplete for too long."""
+        link = self._link
+        if data:
+            self.last_byte_at = now
+        frames = link.decoder.feed(data, stamp) if data else []
+        if link.decoder.pending:
+            frames += self._timer.overdue(self.last_byte_at, now)
+        self.state = PortState.RECEIVING if data or frames else PortState.DRAINED
+        for frame in frames:
+            if frame.stamp is not _OLD:
+                link.deliver(frame, now)
+        if data:
+            unknown = link.unknown_bytes
+            if now - unknown.understood_at > SILENCE:
+                self.guarded(unknown.take, data, now)
+            elif unknown.size:
+                unknown.reset()
+
+    def _check_stall(self, now: float) -> float:
+        """Begin to drop after a stall of this thread, and return its length in s, else 0.0. End
+        that when what is read is new."""
+        link, awake_at = self._link, pace.clock()
+        seconds = self.stalls.awake(awake_at)
+        if seconds:
+            self.state = PortState.DROPPING
+            self._stalled_for += seconds
+            link.decoder.reset()
+            link.stalled(seconds, now)
+        elif self.state is PortState.DROPPING and not self.stalls.has_just_stalled(awake_at):
+            if self._dropped:
+                link.log.warn('stalled', f'the bridge stalled for {self._stalled_for:.3g} s: '
+                              f'{self._dropped} bytes that waited in the port are old and were '
+                              'dropped')
+            self._stalled_for, self._dropped = 0.0, 0
+            self.state = PortState.RECEIVING
+        return seconds
+
+    def _drop(self, data: bytes, stall: float, now: float) -> None:
+        """Drop the bytes of one read at the end of a stall, or shortly after it."""
+        decoder = self._link.decoder
+        self.stale += len(data)
+        self._dropped += len(data)
+        # A frame may begin in these bytes and end in the next read. If it has no checksum, its end
+        # alone could be taken for another frame. So the decoder gets the beginning, too.
+        errors = dict(decoder.errors)
+        if data:
+            self.last_byte_at = now
+            decoder.feed(data, _OLD)
+        self._timer.overdue(self.last_byte_at, now)
+        decoder.errors.update(errors)
+        if stall and self._port.is_network and not self._link.HAS_FENCES:
+            raise PortError(f'the bridge stalled for {stall:.3g} s, and what waited in the network '
+                            'is old')
