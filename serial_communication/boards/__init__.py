@@ -48,16 +48,13 @@ def descriptions(packages: Iterable[str] = ()) -> List[Description]:
 
 
 def find(name: str, packages: Iterable[str] = ()) -> Description:
-    """The board whose link, or whose package, has this name.
-
-    Args:
-        packages: import names of packages with boards, as in the bridge's parameter `boards`.
+    """The board whose link has this name, of this package or of `packages`; or the board of the
+    package `name`.
 
     Raises:
         BoardError: there is no such board.
     """
-    others = () if name in BOARDS else map(description, packages)
-    for board in others:
+    for board in () if name in BOARDS else map(description, packages):
         if board.name == name:
             return board
     return description(name)
@@ -67,8 +64,7 @@ def load(name: str) -> ModuleType:
     """Import a module.
 
     Raises:
-        BoardError: there is no such module, or importing it raised any exception (SystemExit
-            included).
+        BoardError: there is no such module, or its import raised any exception, also SystemExit.
     """
     try:
         return importlib.import_module(name)
@@ -77,13 +73,10 @@ def load(name: str) -> ModuleType:
 
 
 def reason(error: BaseException) -> str:
-    """The text of a caught exception and the place that raised it, in one line.
-
-    The caller's own stack frame is left out.
-    """
+    """The text of a caught exception and the place that raised it, below the caller's own stack
+    frame; in one line."""
     what = ' '.join(traceback.format_exception_only(type(error), error)[-1].split())
-    if len(what) > 200:
-        what = what[:199] + '…'
+    what = what if len(what) <= 200 else what[:199] + '…'
     places = [(frame.filename, frame.lineno)
               for frame in traceback.extract_tb(error.__traceback__)[1:]
               if frame.filename[:1] != '<' and frame.filename != importlib.__file__]

@@ -1,7 +1,7 @@
 """The description of a board: what the programs need to know about it.
 
 The `__init__.py` of a board's folder holds it as `DESCRIPTION` and imports only the board's `wire`.
-The modules with the link, ROS and the simulator are imported on first use.
+The modules with the link, ROS and the simulator are imported when they are used.
 """
 import enum
 import importlib
@@ -43,9 +43,9 @@ class Field(NamedTuple):
 
 
 class Service(NamedTuple):
-    """A service of the board, for programs that offer it to people."""
+    """A service of the board, for programs that offer it to people. `name` is as a topic's."""
 
-    name: str                         # relative to the node: ~lift
+    name: str
     type: str                         # ROS type: package/Type
     title: str
     fields: Tuple[Field, ...] = ()    # those of the request that need more than their type
@@ -55,12 +55,12 @@ class Service(NamedTuple):
 class CustomRows(NamedTuple):
     """The rows of parameters that make custom messages or functions."""
 
-    parameter: str                        # the board's parameter that holds the rows by name
-    # read(rows, key) makes them; `key` is the parameter that holds them, BOARD/parameter if it is
-    # left out. Raises RowError for the first mistake. Each row has the properties of a
-    # CustomMessage that programs go by: name, key, number, layouts and purpose.
+    parameter: str               # the board's parameter that holds the rows by name
+    # read(rows, key) makes them of the rows in the parameter `key`, BOARD/parameter by default;
+    # RowError for the first mistake. Programs use of each what CustomMessage has, too: name, key,
+    # number, layouts and purpose.
     read: Callable[..., List[Any]]
-    prefix: str                           # prefix + the row's name is the name of its topic
+    prefix: str                  # prefix + the row's name is the name of its topic
 
 
 class Command(enum.Enum):
@@ -81,20 +81,23 @@ class Heartbeat(NamedTuple):
 
 @dataclass(frozen=True)
 class Description:
-    """One board."""
+    """One board.
 
-    name: str       # name of its link in logs, diagnostics, serial_msg and parameters
+    Raises:
+        ValueError: two topics or services have the same name.
+    """
+
+    name: str       # of its link in logs, diagnostics, serial_msg and parameters
     package: str    # import name of its folder: __name__
     # decoder(sent, parameters) returns a decoder of what is sent to the board (sent is true) or of
-    # what the board sends. `parameters` are the board's; a missing one has its default. Raises
-    # RowError for a mistake in them.
+    # what the board sends, with these parameters of the board; RowError for a mistake in them.
     decoder: Callable[[bool, Mapping[str, Any]], Decoder]
     title: str = ''    # what it is, for people: model car
     topics: Tuple[Topic, ...] = ()
     services: Tuple[Service, ...] = ()       # that the page offers
-    other_names: Tuple[str, ...] = ()        # names of command topics and of other services
+    other_names: Tuple[str, ...] = ()        # of command topics and of other services
     custom: Optional[CustomRows] = None
-    # Names of parameters, false by default, that change how bytes are decoded; with their meaning.
+    # Parameters, false by default, that change how bytes are decoded, with their meaning.
     wire_flags: Mapping[str, str] = field(default_factory=dict)
     command: Command = Command.NOTHING
     heartbeat: Optional[Heartbeat] = None
@@ -102,23 +105,22 @@ class Description:
     # Bytes that end a frame, are never inside one, and may also separate two frames.
     between: bytes = b''
     first_after_loss: bytes = b''    # has to be sent first after some output was dropped
-    # s. If the board is silent for so long after something was sent, a network port is closed and
-    # opened again, since the data may still wait in the network. 0: never.
+    # s of silence after something was sent, after which a network port is closed and opened again,
+    # since the data may still wait in the network; 0: never.
     network_silence: float = 0.0
-    # A frame that the board answers and that changes nothing; only for one that is silent until it
-    # is asked.
+    # A frame that changes nothing, for a board that is silent until it is asked.
     question: bytes = b''
 
     def __post_init__(self) -> None:
-        twice = named_twice(self.names)
+        twice = named_twice(self.names) or named_twice([each.name for each in self.services])
         if twice:
             raise ValueError(f'the board {self.name} names two topics or services {twice}')
 
     @property
     def names(self) -> List[str]:
         """The names of its topics and services, relative to the node."""
-        return [*(topic.name for topic in self.topics),
-                *(service.name for service in self.services), *self.other_names]
+        services = dict.fromkeys((*(each.name for each in self.services), *self.other_names))
+        return [*(each.name for each in self.topics), *services]
 
     def baud_of(self, parameters: Mapping[str, Any]) -> int:
         """The rate of the port: `baud` of the board's parameters, else the description's.
@@ -136,11 +138,6 @@ class Description:
     def interface(self) -> Any:
         """The board's class on the ROS side: see `ros.interface.Interface`."""
         return importlib.import_module(self.package + '.ros').INTERFACE
-
-    @property
-    def simulator(self) -> Any:
-        """The class of the simulated board: see `simulation.board.Board`."""
-        return importlib.import_module(self.package + '.simulator').BOARD
 
 
 def named_twice(names: Sequence[str]) -> str:

@@ -20,7 +20,6 @@ from . import tty_settings
 from .port_errors import GONE, PortError
 
 _READ_SIZE = 65536
-_READABLE = select.POLLIN | select.POLLHUP | select.POLLERR
 _SLICE = 0.05      # s; longest wait of pyserial's reads and writes
 _NOT_SENT = 0x894B     # SIOCOUTQNSD, which no Python module defines
 _VANISHED = 4      # s without an answer after which a connection's peer has vanished
@@ -93,27 +92,26 @@ class OpenPort:
 class _Polled(OpenPort):
     """A kind with a file descriptor."""
 
+    EVENTS = select.EPOLLIN
+
     def __init__(self, opened: serial.SerialBase, wake: int, descriptor: int) -> None:
         super().__init__(opened, wake)
         self._fd = descriptor
         self._polls_room = False       # `_poll` also waits for room to write
-        self._poll = select.poll()
-        self._poll.register(wake, select.POLLIN)
-        self._poll.register(descriptor, select.POLLIN)
+        self._poll = select.epoll()
+        self._poll.register(wake, select.EPOLLIN)
+        self._poll.register(descriptor, self.EVENTS)
 
     def read(self, timeout: Optional[float], wants_room: bool) -> bytes:
         if wants_room is not self._polls_room:
             self._polls_room = wants_room
-            self._poll.modify(self._fd, select.POLLIN | select.POLLOUT * wants_room)
+            self._poll.modify(self._fd, self.EVENTS | select.EPOLLOUT * wants_room)
         data = b''
-        for descriptor, event in self._poll.poll(
-                None if timeout is None else max(timeout, 0) * 1000):
+        for descriptor, event in self._poll.poll(None if timeout is None else max(timeout, 0)):
             if descriptor == self._wake:
                 os.read(descriptor, _READ_SIZE)
-            elif event & _READABLE:
+            elif event != select.EPOLLOUT:
                 data = self._received()
-            elif event & select.POLLNVAL:
-                raise PortError(GONE)
         return data
 
     def _received(self) -> bytes:
@@ -131,6 +129,10 @@ class _Polled(OpenPort):
     def unsent(self) -> int:
         return self._queued(termios.TIOCOUTQ)
 
+    def close(self, is_held: bool) -> None:
+        self._poll.close()
+        super().close(is_held)
+
     def _queued(self, request: int) -> int:
         with suppress(OSError):
             return int.from_bytes(fcntl.ioctl(self._fd, request, bytes(4)), sys.byteorder)
@@ -138,7 +140,15 @@ class _Polled(OpenPort):
 
 
 class OpenTty(_Polled):
-    """A tty, that is a serial device or a pseudo terminal: locked and raw."""
+    """A tty, that is a serial device or a pseudo terminal: locked and raw.
+
+    Its events are edge-triggered: one read returns all bytes that the tty has, and the kernel wakes
+    the reader for each later one. With level-triggered events the kernel also asks the tty before
+    it lets the reader sleep. That waits for the worker that is just delivering the bytes, so a
+    reader of real-time priority would be put to sleep twice for a packet.
+    """
+
+    EVENTS = select.EPOLLIN | select.EPOLLET
 
     def __init__(self, opened: serial.SerialBase, wake: int, reset: bool) -> None:
         super().__init__(opened, wake, opened.fileno())

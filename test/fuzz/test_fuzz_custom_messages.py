@@ -148,7 +148,7 @@ class Stage:
 
     def sent(self, type_):
         """Wait for a packet of a type; return the data of the first."""
-        decoded = [cobs.decode(each) for each in self._packets.split(b'\0')[:-1] if each]
+        decoded = [cobs.decode_or_none(each) for each in self._packets.split(b'\0')[:-1] if each]
         return [each[1:] for each in decoded if each[0] == type_]
 
     def close(self):

@@ -1,12 +1,14 @@
-"""Compares the places that have to know of a board, of a packet, or of a function of the bus.
+"""Compares the places that have to know of a board, of a packet, of a function of the bus, or of a
+thread.
 
 Each line that it prints begins with the place where something is missing. doc/developing.md lists
 the places. It needs no ROS. For a copy of the package: PYTHONPATH=COPY python3 facts.py COPY
 """
+import ast
 import re
 import sys
 from pathlib import Path
-from typing import Any, Iterator, List, Set
+from typing import Any, Dict, Iterator, List, Set
 from xml.etree import ElementTree
 
 import yaml
@@ -25,7 +27,7 @@ _OWN = 'serial_communication/'      # the ROS types of this package
 
 def problems(root: Path) -> List[str]:
     """Return a line for each thing that is missing somewhere."""
-    return [*_boards(root), *_packets(root)]
+    return [*_boards(root), *_packets(root), *_threads(root)]
 
 
 # -- boards -----------------------------------------------------------------------------------
@@ -113,6 +115,34 @@ def _rows(root: Path, chapter: str) -> Set[int]:
     page = re.split(r'^## ', (root / _PAGE).read_text(), 0, re.MULTILINE)
     section = next((each for each in page if each.startswith(chapter)), '')
     return {int(number, 0) for number in re.findall(r'^\| (0x\w+|\d+) ', section, re.MULTILINE)}
+
+
+# -- threads of the bridge --------------------------------------------------------------------
+
+_NAMES = {'Thread': 'name', 'HeartbeatThread': 0, 'LatestWorker': 0, 'Opener': 1}    # an argument
+
+
+def _threads(root: Path) -> Iterator[str]:
+    chapter = (root / 'doc' / 'developing.md').read_text().partition('### The threads')[2]
+    chapter = chapter.partition('\n## ')[0]
+    for layer in 'transport', 'link', 'ros', 'boards':
+        for path in (root / 'serial_communication' / layer).rglob('*.py'):
+            for name in _thread_names(ast.parse(path.read_text())):
+                if f'{name}`' not in chapter and f'`{name} ' not in chapter:
+                    yield f'doc/developing.md: the thread "{name}" of {path.name} is missing'
+
+
+def _thread_names(tree: ast.AST) -> Iterator[str]:
+    """The names of the threads that a module makes, as far as they are constant."""
+    for node in ast.walk(tree):
+        called = getattr(node, 'func', None)
+        place = _NAMES.get(getattr(called, 'attr', getattr(called, 'id', '')))
+        if isinstance(node, ast.Call) and place is not None:
+            given: Dict[Any, ast.AST] = {**dict(enumerate(node.args)), **{
+                each.arg: each.value for each in node.keywords}}
+            for part in ast.walk(given.get(place, ast.Constant(''))):
+                if isinstance(part, ast.Constant) and isinstance(part.value, str) and part.value:
+                    yield part.value.strip()
 
 
 if __name__ == '__main__':

@@ -68,7 +68,7 @@ FORGOTTEN_BOARD = {
 CHANGES = [(PACKET, FORGOTTEN_PACKET), (BOARD, FORGOTTEN_BOARD)]
 
 
-def test_every_place_knows_of_every_board_packet_and_function():
+def test_every_place_knows_of_every_board_packet_function_and_thread():
     assert facts.problems(ROOT) == []
 
 
@@ -113,6 +113,11 @@ def test_a_forgotten_place_is_named(copy, places, said, left_out):
             change(copy, place, edit)
     words = said.get(left_out, '\n')
     assert words in checked(copy) if left_out else checked(copy) == words
+
+
+def test_a_thread_that_the_page_does_not_list_is_named(copy):
+    change(copy, 'serial_communication/ros/traffic.py', ("name='serial_msg'", "name='traffic'"))
+    assert checked(copy) == 'doc/developing.md: the thread "traffic" of traffic.py is missing\n'
 
 
 def test_no_row_takes_the_type_or_the_name_of_a_new_packet(copy):

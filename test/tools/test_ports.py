@@ -146,12 +146,20 @@ def test_announced_firmware_is_shown(board):
     assert found(path)['other']['firmware'] is None
 
 
-@pytest.mark.parametrize('data, name', [(MCU, 'mcu'), (CAR, 'arduino')])
-def test_another_baud_rate_is_found(board, data, name):
-    path = board('port', data, baud=57600).path
-    port = found(path)['port']
-    assert (port['board'], port['heard'], port['baud']) == (name, 'frames', 57600)
-    assert f'{name} ({description(name).title}), at 57600 baud' in run(path).stdout
+@pytest.mark.parametrize('data, name, baud, configured', [
+    (MCU, 'mcu', 57600, ''), (CAR, 'arduino', 57600, ''), (CAR, 'arduino', 2400, '2400'),
+    (CAR, 'arduino', 115200, '2400'), (b'', 'bus', 2400, '2400')])
+def test_another_baud_rate_is_found(board, tmp_path, data, name, baud, configured):
+    """A usual one, or one that only the configuration has; likewise if a board is asked."""
+    config = tmp_path / 'base.yaml'
+    config.write_text(f'{name}: {{baud: {configured}}}' if configured else '{}')
+    path = board('port', data, baud=baud, answers=not data).path
+    port = found('--config', config, '--ask', path)['port']
+    assert (port['board'], port['heard'], port['baud']) == (name, 'frames', baud)
+    text = run('--config', config, '--ask', path).stdout
+    assert f'{name} ({description(name).title})' in text
+    assert (f', at {baud} baud' in text) == (baud != 115200)
+    assert (f'{name}_port:={path}' in text) == (str(baud) == configured)
 
 
 def test_a_board_of_another_package_is_found(board, tmp_path):

@@ -6,6 +6,7 @@ import struct
 import subprocess
 import sys
 
+import by_definition
 import pytest
 
 from serial_communication.boards.arduino import wire as arduino
@@ -107,67 +108,28 @@ def test_an_arduino_packet_is_explained_by_its_values(case):
 
 # -- damage ---------------------------------------------------------------------------------------
 
-def xor(data):
-    value = 0
-    for byte in data:
-        value ^= byte
-    return value
-
-
-def bus_length(data):
-    """The length of the request or reply that `data` begins with; 0 where there is none."""
-    if data[:3] == b'\xa5\x02\x55' and data[3:5] == b'\x22\xd0':
-        return 5
-    if data[0] not in (0xA5, 0x5A):
-        return 0
-    header = 2 if data[0] == 0xA5 else 3
-    length = int.from_bytes(data[1:header], 'little')
-    if len(data) < header or (length >= 255) != (header == 3) or length > 1024:
-        return 0
-    for commands in (1, 2):
-        end = header + commands + length + 1
-        if len(data) >= end and not xor(data[:end]):
-            return end
-    return 0
-
-
-def mcu_length(data):
-    lengths = {0x10: 12, 0x01: 14}
-    if len(data) < 6 or data[0] != 2 or data[1] < 2 or len(data) < data[1] + 4:
-        return 0
-    end = data[1] + 4
-    if lengths.get(data[2], data[1]) != data[1] or data[end - 1] != 3 or xor(data[2:end - 1]):
-        return 0
-    return end
-
-
-def arduino_length(data):
-    """Packets have no checksum, so only the framing and a type's length can be checked."""
-    end = data.find(b'\0')
-    if end <= 0:
-        return max(end + 1, 0) if data[:1] == b'\0' else 0
-    try:
-        packet = cobs.decode(data[:end])
-    except cobs.CobsError:
-        return 0
-    sizes = {4: 2, 5: 2, 7: 2, 8: 1, 9: 22, 10: 4, 11: 0, 12: 0}
-    if not packet or packet[0] > 12 or sizes.get(packet[0], len(packet) - 1) != len(packet) - 1:
-        return 0
-    return end + 1
-
-
-LENGTHS = {'bus': bus_length, 'mcu': mcu_length, 'arduino': arduino_length}
+AT = {'bus': (by_definition.request_at, by_definition.reply_at),
+      'mcu': (by_definition.mcu_at,), 'arduino': (by_definition.arduino_at,)}
+SIZES = {'mcu': {0x10: 10, 0x01: 12},
+         'arduino': {4: 2, 5: 2, 7: 2, 8: 1, 9: 22, 10: 4, 11: 0, 12: 0}}     # of data, by type
 SOURCES = {'bus': [case['frame'] for key in ('requests', 'replies') for case in BUS[key]],
            'mcu': [case['frame'] for case in MCU], 'arduino': [case['wire'] for case in ARDUINO]}
 
 
 def all_valid(link, data):
-    """Whether `data` is valid frames and nothing else, by the independent checks above."""
-    while data:
-        size = LENGTHS[link](data)
-        if not size:
+    """Whether `data` is valid frames and nothing else, by the definition of the protocol."""
+    at, sizes = 0, SIZES.get(link, {})
+    while at < len(data):
+        if link == 'arduino' and data[at] == 0:
+            at += 1
+            continue
+        found = [frame for frame_at in AT[link] for frame in [frame_at(data, at)]
+                 if isinstance(frame, by_definition.Frame)
+                 and sizes.get(frame.type, len(frame.data)) == len(frame.data)
+                 and (link != 'arduino' or frame.type <= 12)]
+        if not found:
             return False
-        data = data[size:]
+        at = found[0].end
     return True
 
 

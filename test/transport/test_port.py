@@ -1,6 +1,7 @@
 """The port, over real ttys, over sockets, and over kinds without a descriptor."""
 import getpass
 import os
+import re
 import shutil
 import socket
 import subprocess
@@ -13,6 +14,7 @@ from fake_boards import PATIENCE, until
 from lines import Pty, Rfc2217Server
 from waiting import Waiter
 
+from serial_communication.transport.pace import set_priority
 from serial_communication.transport.holders import Holder, holders_of
 from serial_communication.transport.port import Port, PortBusy, PortError
 from serial_communication.transport.urls import check_url, read_url
@@ -67,6 +69,27 @@ def test_a_read_sleeps_until_bytes_are_received(port, line):
     assert port.read(None) == b'late'
     assert time.thread_time() - before < 0.1, 'it did not sleep'
     timer.join()
+
+
+def test_a_reader_of_real_time_priority_sleeps_once_for_each_packet(port, line):
+    """A poll that waits for the kernel's worker would put it to sleep a second time."""
+    packet, count = b'a packet of 22 bytes..', 200
+
+    def read():
+        if not set_priority(10):
+            raise PermissionError
+        for _ in range(count):
+            port.read(PATIENCE)
+        with open('/proc/thread-self/status') as file:
+            return int(re.search(r'^voluntary\D*(\d+)', file.read(), re.MULTILINE)[1])
+
+    reader = Waiter(read)
+    for number in range(1, count + 1):
+        line.write(packet)
+        until(lambda: port.bytes_received == number * len(packet) or reader.error, every=0.001)
+    if isinstance(reader.error, PermissionError):
+        pytest.skip('this user may not have real-time priority')
+    assert reader.result() < 1.15 * count
 
 
 def test_a_read_ends_after_its_timeout(port):

@@ -9,8 +9,9 @@ Little-endian; only the IMU data is big-endian. Each message is one class with i
 limits. doc/protocols.md lists the decisions where the source says nothing.
 """
 import struct
+from collections import namedtuple
 from math import pi
-from typing import Any, Dict, Iterable, List, NamedTuple, Tuple, Type
+from typing import Any, Dict, Iterable, List, Tuple, Type
 
 from ...framing import announcement, cobs
 from ...framing.layout import Layout, LayoutMessage, Value, by_type, message_class, readable
@@ -25,21 +26,17 @@ LED_LIMIT = 30                          # characters
 GYRO_SCALE = 4000 / 65536 * pi / 180 * 25   # rad/s per LSB, found by experiment
 _QUATERNION = 1 / 16384
 _ACCELERATION = 8 / 65536 * 9.81        # m/s² per LSB
-_UNIT_SQUARED = 16384 ** 2
-_LEAST_SQUARED = 0.95 ** 2 * _UNIT_SQUARED    # least and most of a plausible quaternion
-_MOST_SQUARED = 1.05 ** 2 * _UNIT_SQUARED
+_LEAST_SQUARED, _MOST_SQUARED = (0.95 / _QUATERNION) ** 2, (1.05 / _QUATERNION) ** 2
 
 Vector = Tuple[float, float, float]
 Quaternion = Tuple[float, float, float, float]      # x, y, z, w
 
 
-class _LogValues(NamedTuple):
-    severity: int
-    text: str      # control characters and bad UTF-8 replaced
+class Log(namedtuple('Log', 'severity text')):
+    """DEBUG, INFO, WARN, ERROR (0 … 3), board -> us: a log line.
 
-
-class Log(_LogValues):
-    """DEBUG, INFO, WARN, ERROR (0 … 3), board -> us: a log line."""
+    Control characters and bad UTF-8 in the text are replaced.
+    """
 
     __slots__ = ()
     TYPES = (0, 1, 2, 3)
@@ -85,11 +82,7 @@ SteeringCommand = message_class(
     'STEERING_CMD, us -> board: PWM of the steering servo, µs.')
 
 
-class _LedValues(NamedTuple):
-    text: str
-
-
-class LedCommand(LayoutMessage, _LedValues):
+class LedCommand(LayoutMessage, namedtuple('LedCommand', 'text')):
     """LED_CMD, us -> board: left, right, brake, disable …: at most 30 characters of ASCII."""
 
     __slots__ = ()
@@ -136,21 +129,8 @@ ImuCalibration = message_class(
     'IMU_CALIBRATION, us -> board: it calibrates for over 5 minutes and reads nothing meanwhile.')
 
 
-class _ImuValues(NamedTuple):
-    qw: int
-    qx: int
-    qy: int
-    qz: int
-    gx: int
-    gy: int
-    gz: int
-    ax: int
-    ay: int
-    az: int
-    raw_temperature: int
-
-
-class Imu(LayoutMessage, _ImuValues):
+class Imu(LayoutMessage, namedtuple(
+        'Imu', 'qw qx qy qz gx gy gz ax ay az raw_temperature')):
     """IMU, board -> us: the raw numbers of the motion processor, in its axes and units.
 
     The methods return SI units in ROS's axes: x = board y, y = -board x, z = board z.
@@ -217,7 +197,7 @@ class Imu(LayoutMessage, _ImuValues):
         square = qw * qw + qx * qx + qy * qy + qz * qz
         if _LEAST_SQUARED <= square <= _MOST_SQUARED:
             return ''
-        norm = (square / _UNIT_SQUARED) ** 0.5
+        norm = square ** 0.5 * _QUATERNION
         return f'the norm of the quaternion is {norm:.3f}, may be 0.95 … 1.05'
 
     def __str__(self) -> str:

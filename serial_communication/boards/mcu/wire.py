@@ -9,8 +9,9 @@ LEN counts TYPE, SEQ and PAYLOAD; CRC is the XOR of TYPE, SEQ and PAYLOAD; SEQ c
 a frame, modulo 256. Little-endian. Only the board sends.
 """
 import struct
+from collections import namedtuple
 from math import isnan, nan
-from typing import Dict, Iterable, List, NamedTuple, Type, Union
+from typing import Dict, Iterable, List, Type, Union
 
 from ...framing.announcement import Chunk
 from ...framing.layout import Layout, LayoutMessage, Value, by_type, message_class
@@ -28,16 +29,13 @@ ANGLE_UNKNOWN = -0x8000   # pitch and roll where the IMU did not answer: no atti
 _WRAP = 0x10000        # by which a heading over 327.67° wraps in the int16; 0.01°
 
 
-class _SensorValues(NamedTuple):
-    range_1: int   # mm; 0xFFFF: the sensor timed out
-    range_2: int   # mm; 0xFFFF: the sensor timed out
-    yaw: float     # degrees, heading 0 … 360, clockwise; NaN: the IMU did not answer
-    pitch: float   # degrees; NaN likewise
-    roll: float    # degrees; NaN likewise
+class SensorStatus(LayoutMessage, namedtuple(
+        'SensorStatus', 'range_1 range_2 yaw pitch roll')):
+    """TYPE 0x10: two range sensors and the orientation as Euler angles.
 
-
-class SensorStatus(LayoutMessage, _SensorValues):
-    """TYPE 0x10: two range sensors and the orientation as Euler angles."""
+    Ranges are in mm; 0xFFFF: the sensor timed out. Angles are in degrees, the yaw a heading
+    0 … 360, clockwise; NaN: the IMU did not answer.
+    """
 
     __slots__ = ()
     TYPE = 0x10

@@ -3,10 +3,10 @@ import logging
 
 import pytest
 
-from serial_communication.boards.bus import master as master_module
-from serial_communication.boards.bus.master import (ECHO_TRIES, FENCE_AGE, FENCE_SILENCE,
-                                                    NOT_READY_WAIT, NOT_SENT, TIMEOUT, Call,
-                                                    Condition, Master, SessionState)
+from serial_communication.boards.bus.call import NOT_READY_WAIT, Call
+from serial_communication.boards.bus.master import FENCE_AGE, FENCE_SILENCE, Master
+from serial_communication.boards.bus.session import ECHO_TRIES, Condition, SessionState
+from serial_communication.link.outcome import NOT_SENT, TIMEOUT, Outcome
 from serial_communication.link.sparing_log import SparingLog
 from serial_communication.boards.bus import wire as bus
 from serial_communication.framing.stream import CHECKSUM, FRAMING, Frame, invalid_frame
@@ -69,8 +69,14 @@ class Session:
         """Submit a call as `BusLink` makes it."""
         slow = request.cmd2 in (bus.LIFT, bus.GIMBAL)
         repeatable = request.cmd1 in (bus.SYNC, bus.ECHO) or request in ALL_REPEATABLE
-        call = Call(request, self._motion_timeout if slow else REPLY_TIMEOUT, repeatable, tries,
-                    self.now, poll, LAYOUTS.get(request), interrupts=request == STOP)
+        return self.submit(request, self._motion_timeout if slow else REPLY_TIMEOUT, tries, poll,
+                           repeatable=repeatable, reply=LAYOUTS.get(request, bus.ANY_DATA),
+                           interrupts=request == STOP)
+
+    def submit(self, request, timeout=REPLY_TIMEOUT, tries=3, poll=False, on_success=None,
+               **function):
+        call = Call(request, bus.Function('a function', request.cmd2, request.cmd1, **function),
+                    timeout, tries, self.now, poll, on_success)
         self.master.submit(call)
         return call
 
@@ -171,7 +177,7 @@ def without_echo(fresh):
 def test_nothing_is_sent_while_a_request_is_outstanding(session):
     calls = [session.call(LIFT), session.call(GIMBAL)]
     assert session.send_next() == LIFT
-    assert session.send_next() is None and session.master.outstanding_request == LIFT
+    assert session.send_next() is None and session.master.outstanding_call.request == LIFT
     session.later(1.0)
     assert session.send_next() is None
     session.reply(OK_REPLY)
@@ -643,7 +649,7 @@ def test_a_reply_that_does_not_fit_the_request_is_not_returned(session, request_
     call = session.call(request_)
     session.send_next()
     session.reply(foreign)
-    assert call.outcome is None and session.master.outstanding_request == request_
+    assert call.outcome is None and session.master.outstanding_call.request == request_
     assert not session.master.in_step
 
 
@@ -798,8 +804,7 @@ def test_a_poll_after_a_call_between_two_polls(session, between, answer):
 
 @pytest.mark.parametrize('code', [0x40, 0x20])
 def test_a_repeatable_call_is_refused_only_if_no_ok_follows_the_invalid(session, code):
-    call = Call(CUSTOM, REPLY_TIMEOUT, True, 1, session.now, reply_layout=bus.NO_DATA)
-    session.master.submit(call)
+    call = session.submit(CUSTOM, tries=1, repeatable=True)
     assert session.next_request() == CUSTOM
     session.reply(invalid(code))
     assert call.outcome is None
@@ -809,8 +814,7 @@ def test_a_repeatable_call_is_refused_only_if_no_ok_follows_the_invalid(session,
 
 
 def test_a_repeatable_call_is_sent_again_though_an_ok_follows_the_invalid(session):
-    call = Call(CUSTOM, REPLY_TIMEOUT, True, 2, session.now, reply_layout=bus.NO_DATA)
-    session.master.submit(call)
+    call = session.submit(CUSTOM, tries=2, repeatable=True)
     session.next_request()
     session.reply(invalid(0x40))
     echo = session.next_request()
@@ -1066,15 +1070,14 @@ def test_a_reply_of_a_wrong_length_is_reported_at_once(session, data, poll):
     outcome = call.outcome
     assert (outcome.success, outcome.status, outcome.data) == (False, bus.OK, data)
     assert f'{len(data)} bytes' in outcome.message and '6 were expected' in outcome.message
-    assert session.master.timeouts == 0 and session.master.length_errors == 1 + poll
+    assert session.master.timeouts == 0 and session.master.data_errors['length'] == 1 + poll
     assert len(session.warnings()) == 1
     session.call(AIR)
     session.get_in_step()
 
 
 def test_a_wrong_length_to_an_unrepeatable_request_is_reported_and_not_repeated(session):
-    call = Call(RAW, REPLY_TIMEOUT, False, 3, session.now, reply_layout=Layout('<2x', ()))
-    session.master.submit(call)
+    call = session.submit(RAW, reply=Layout('<2x', ()))
     assert session.next_request() == RAW
     session.reply(OK_REPLY)
     assert call.outcome.status == bus.OK and not call.outcome.success
@@ -1088,8 +1091,7 @@ def test_without_echo_a_reply_of_the_right_length_may_follow_a_wrong_one(without
     session.next_request()
     session.reply(AIR_REPLY)
     session.later(FENCE_SILENCE)
-    call = Call(RAW, REPLY_TIMEOUT, False, 3, session.now, reply_layout=Layout('<2x', ()))
-    session.master.submit(call)
+    call = session.submit(RAW, reply=Layout('<2x', ()))
     assert session.next_request() == RAW
     session.reply(OK_REPLY)
     assert call.outcome is None
@@ -1100,21 +1102,20 @@ def test_without_echo_a_reply_of_the_right_length_may_follow_a_wrong_one(without
 def test_a_reply_with_impossible_values_is_reported_and_counted(session):
     layout = Layout('<B', [Value('level', maximum=100)])
     for data, success in ((b'\x64', True), (b'\x65', False)):
-        call = Call(RAW, REPLY_TIMEOUT, False, 3, session.now, reply_layout=layout)
-        session.master.submit(call)
+        call = session.submit(RAW, reply=layout)
         assert session.send_next() == RAW
         session.reply(bus.Reply(bus.OK, data))
         assert call.outcome.status == bus.OK and call.outcome.success == success
     assert 'level is 101, above the maximum of 100' in call.outcome.message
-    assert session.master.implausible == 1 and session.master.length_errors == 0
+    assert session.master.data_errors['implausible'] == 1 and session.master.data_errors['length'] == 0
 
 
 @pytest.mark.parametrize('reply, is_valid', [(AIR_REPLY, True), (bus.Reply(bus.OK), False),
                                              (error(0x8000), False)], ids=str)
 def test_on_success_is_called_with_a_valid_reading_only(session, reply, is_valid):
     readings = []
-    session.master.submit(Call(AIR, REPLY_TIMEOUT, True, 1, session.now, poll=True,
-                               reply_layout=bus.Environment.LAYOUT, on_success=readings.append))
+    session.submit(AIR, tries=1, poll=True, on_success=readings.append, repeatable=True,
+                   reply=bus.Environment.LAYOUT)
     session.next_request()
     session.reply(reply)
     assert [outcome.data for outcome in readings] == ([AIR_REPLY.data] if is_valid else [])
@@ -1223,7 +1224,7 @@ def test_a_request_that_the_port_refused_is_reported_as_not_sent(session):
     session.send_next()
     session.master.not_sent('the port takes no data')
     assert call.outcome.status == NOT_SENT and 'takes no data' in call.outcome.message
-    assert session.master.outstanding_request is None
+    assert session.master.outstanding_call is None
 
 
 def test_a_repeated_request_that_the_port_refused_was_sent_before(session):
@@ -1345,7 +1346,7 @@ def test_a_call_whose_caller_has_given_up_is_not_sent_again(session):
 
 
 def test_the_outcome_of_a_request_sent_while_its_caller_gives_up_is_not_known():
-    call = Call(LIFT, 1.0, False, 1, 0.0)
+    call = Call(LIFT, bus.LIFT_FUNCTION, 1.0, 1, 0.0)
     lock = call._lock
 
     class ClaimedFirst:
@@ -1366,8 +1367,8 @@ def test_the_outcome_of_a_request_sent_while_its_caller_gives_up_is_not_known():
 
 
 def test_only_the_first_outcome_counts():
-    call = Call(LIFT, 1.0, False, 1, 0.0)
-    first, second = (master_module.Outcome(status, '') for status in (NOT_SENT, bus.OK))
+    call = Call(LIFT, bus.LIFT_FUNCTION, 1.0, 1, 0.0)
+    first, second = (Outcome(status, '') for status in (NOT_SENT, bus.OK))
     call.finish(first)
     call.finish(second)
     assert call.wait(0.0) is first
@@ -1586,7 +1587,7 @@ def test_a_stop_takes_the_place_of_a_move_that_waits_for_its_fence(session):
 def test_a_stop_waits_for_nothing_that_is_received(session, idle):
     lift = None if idle else moving(session)
     stop, other = session.call(STOP), session.call(LIFT)
-    assert session.master.has_new_calls
+    assert session.master.calls.has_new
     held = 'the rest of an incomplete frame'
     assert session.master.step(session.now, held, port_ready=False)[0] is None
     assert session.master.step(session.now, held)[0] == STOP
@@ -1641,9 +1642,7 @@ def test_output_is_dropped_if_a_move_is_not_answered(session, request_):
 
 def announced(session):
     """A call of an announced function."""
-    call = Call(CUSTOM, REPLY_TIMEOUT, False, 3, session.now, announced=True)
-    session.master.submit(call)
-    return call
+    return session.submit(CUSTOM, reply=bus.ANY_DATA, announced=True)
 
 
 def test_an_announced_function_is_sent_only_to_a_board_that_has_announced_it(session):
@@ -1683,9 +1682,8 @@ def test_what_waits_is_not_sent_to_a_board_that_begins_anew(session, way):
 def test_an_announced_stop_is_not_sent_to_a_board_that_begins_anew(session):
     session.announces = True
     moving(session)
-    stop = Call(STOP, REPLY_TIMEOUT, True, 3, session.now, interrupts=True, announced=True)
     session.reply(invalid(0x10))
-    session.master.submit(stop)
+    stop = session.submit(STOP, repeatable=True, interrupts=True, announced=True)
     assert session.next_request() is None
     assert stop.outcome.status == NOT_SENT
     assert session.next_request() == bus.SYNC_REQUEST
