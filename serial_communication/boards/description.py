@@ -112,15 +112,15 @@ class Description:
     question: bytes = b''
 
     def __post_init__(self) -> None:
-        twice = named_twice(self.names) or named_twice([each.name for each in self.services])
+        twice = named_twice(self.names)
         if twice:
             raise ValueError(f'the board {self.name} names two topics or services {twice}')
 
     @property
     def names(self) -> List[str]:
         """The names of its topics and services, relative to the node."""
-        services = dict.fromkeys((*(each.name for each in self.services), *self.other_names))
-        return [*(each.name for each in self.topics), *services]
+        return [*(topic.name for topic in self.topics),
+                *(service.name for service in self.services), *self.other_names]
 
     def baud_of(self, parameters: Mapping[str, Any]) -> int:
         """The rate of the port: `baud` of the board's parameters, else the description's.

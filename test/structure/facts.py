@@ -14,8 +14,11 @@ from xml.etree import ElementTree
 import yaml
 
 from serial_communication.boards import BOARDS, description, load
+from serial_communication.boards.bus import messages as bus
+from serial_communication.boards.bus import wire as bus_wire
 from serial_communication.boards.description import Description
 from serial_communication.framing.layout import LayoutMessage
+from serial_communication.simulation.line import SimulatedLine
 
 FILES = ('wire.py', 'link.py', 'ros.py', 'simulator.py')    # besides __init__.py
 LINKS = {     # with packets of a type: the header of the firmware, and the start of its constants
@@ -27,7 +30,7 @@ _OWN = 'serial_communication/'      # the ROS types of this package
 
 def problems(root: Path) -> List[str]:
     """Return a line for each thing that is missing somewhere."""
-    return [*_boards(root), *_packets(root), *_threads(root)]
+    return [*_boards(root), *_packets(root), *_threads(root), *_functions(root)]
 
 
 # -- boards -----------------------------------------------------------------------------------
@@ -115,6 +118,47 @@ def _rows(root: Path, chapter: str) -> Set[int]:
     page = re.split(r'^## ', (root / _PAGE).read_text(), 0, re.MULTILINE)
     section = next((each for each in page if each.startswith(chapter)), '')
     return {int(number, 0) for number in re.findall(r'^\| (0x\w+|\d+) ', section, re.MULTILINE)}
+
+
+# -- functions of the bus ---------------------------------------------------------------------
+
+
+_STOP = 0x2F     # of the reference firmware; the bridge has it in a row only
+
+
+def _functions(root: Path) -> Iterator[str]:
+    numbers = _constants(root, 'robot_ctrl_bus.h', '', r'kFunction\w+')
+    rows, names = _rows(root, 'bus: '), description('bus').names
+    known = {each.cmd2 for each in bus.BUILT_IN.values()} | {_STOP}
+    yield from (f'boards/bus/messages.py: the function 0x{number:02x} of the firmware is missing'
+                for number in sorted(numbers - known))
+    for each in bus.BUILT_IN.values():
+        if each.service and each.service not in names:
+            yield f'boards/bus/__init__.py: there is no service {each.service}'
+        name = each.srv_type.partition(_OWN)[2]
+        if name and not (root / 'srv' / f'{name}.srv').exists():
+            yield f'srv/{name}.srv: there is no such file'
+        if each.cmd1 != bus.FUNCTION or each is bus.ANNOUNCEMENT:
+            continue
+        if not _is_simulated(each):
+            yield f'boards/bus/simulator.py: {each.name} is not simulated'
+        if each.cmd2 not in numbers:
+            yield f'firmware/protocol/src/robot_ctrl_bus.h: the function ' \
+                f'0x{each.cmd2:02x} is missing'
+        if each.cmd2 not in rows:
+            yield f'{_PAGE}: the function 0x{each.cmd2:02x} is missing'
+
+
+def _is_simulated(function: Any) -> bool:
+    """Whether the simulated board knows a function of the bus."""
+    written: List[bytes] = []
+    line = SimulatedLine(load('serial_communication.boards.bus.simulator').BOARD(), written.append)
+    line.start(0.0)
+    request = function.make_request([0] * len(function.request.values))
+    line.receive(bus_wire.encode_request(bus.SYNC_REQUEST) + bus_wire.encode_request(request), 0.0)
+    line.tick(5.0)
+    replies = [frame.message for frame in bus_wire.ReplyDecoder().feed(b''.join(written))]
+    return len(replies) == 2 and replies[1].error_code != bus.UNSUPPORTED
 
 
 # -- threads of the bridge --------------------------------------------------------------------

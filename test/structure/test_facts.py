@@ -48,6 +48,28 @@ FORGOTTEN_PACKET = {
         'firmware/protocol/src/arduino_packets.h: kMessageTypes is 13, but not the first free type',
     'doc/protocols.md': 'doc/protocols.md: the type 13 of the arduino is missing',
     'msg/Distance.msg': 'msg/Distance.msg: there is no such file'}
+BUS = 'serial_communication/boards/bus/'
+FUNCTION = {
+    BUS + 'messages.py': ('BUILT_IN = by_number((', "HORN = Function(\n    'horn', 0x23, "
+                          "request=Layout('<B', [Value('seconds')]), service='~horn',\n"
+                          "    srv_type='serial_communication/Horn')\n"
+                          'BUILT_IN = by_number((HORN, '),
+    BUS + 'simulator.py': ('        if request.cmd2 not in (wire.LIFT,', '        if request.cmd2 '
+                           '== 0x23:\n            return wire.Reply(wire.OK)\n'
+                           '        if request.cmd2 not in (wire.LIFT,'),
+    'srv/Horn.srv': ('', 'uint8 seconds\n---\nbool success\nstring message\n'),
+    'firmware/protocol/src/robot_ctrl_bus.h': ('const uint8_t kFunctionStop', 'const uint8_t '
+                                               'kFunctionHorn = 0x23;\nconst uint8_t '
+                                               'kFunctionStop'),
+    'doc/protocols.md': ('| 0x22 | environment', '| 0x23 | horn | seconds | – |\n'
+                         '| 0x22 | environment')}
+FORGOTTEN_FUNCTION = {
+    BUS + 'messages.py': 'boards/bus/messages.py: the function 0x23 of the firmware is missing',
+    BUS + 'simulator.py': 'boards/bus/simulator.py: horn is not simulated',
+    'srv/Horn.srv': 'srv/Horn.srv: there is no such file',
+    'firmware/protocol/src/robot_ctrl_bus.h':
+        'firmware/protocol/src/robot_ctrl_bus.h: the function 0x23 is missing',
+    'doc/protocols.md': 'doc/protocols.md: the function 0x23 is missing'}
 BOARD = {
     'serial_communication/boards/__init__.py': ("'arduino', 'mcu')", "'arduino', 'mcu', 'sonar')"),
     **{f'serial_communication/boards/sonar/{name}': (ROOT / MCU / name, ("'mcu'", "'sonar'"),
@@ -62,10 +84,12 @@ FORGOTTEN_BOARD = {
     **{f'serial_communication/boards/sonar/{name}': f'boards/sonar/{name}: there is no such file'
        for name in facts.FILES if name != 'wire.py'},
     'serial_communication/boards/sonar/wire.py': "importing 'serial_communication.boards.sonar' f",
+    'serial_communication/boards/sonar/__init__.py':
+        "the module 'sonar' has no DESCRIPTION of a board",
     'config/bridge.yaml': 'config/bridge.yaml: sonar has not the rate of its description',
     LAUNCH + ' ': 'launch/bridge.launch: there is no argument sonar_port',
     LAUNCH: 'launch/bridge.launch: the argument boards has no sonar'}
-CHANGES = [(PACKET, FORGOTTEN_PACKET), (BOARD, FORGOTTEN_BOARD)]
+CHANGES = [(PACKET, FORGOTTEN_PACKET), (FUNCTION, FORGOTTEN_FUNCTION), (BOARD, FORGOTTEN_BOARD)]
 
 
 def test_every_place_knows_of_every_board_packet_function_and_thread():

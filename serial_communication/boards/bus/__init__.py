@@ -1,5 +1,5 @@
 """The control board on robot-ctrl-bus: lift, gimbal and environment sensors."""
-from typing import Any, Mapping, Tuple
+from typing import Any, Dict, Mapping, Tuple
 
 from ...framing.stream import Decoder
 from ..description import Command, CustomRows, Description, Field, Service, Topic
@@ -13,9 +13,16 @@ def _decoder(sent: bool, parameters: Mapping[str, Any]) -> Decoder:
         bool(parameters.get('reply_has_cmd2')), functions=functions)
 
 
-def _service(function: wire.Function, fields: Tuple[Field, ...] = ()) -> Service:
-    return Service(function.service, function.srv_type, function.name, fields)
-
+# What the forms of some functions show beyond the types of their services.
+_FIELDS: Dict[str, Tuple[Field, ...]] = {
+    'lift': (Field('distance', 'mm', minimum=1, preset=20),
+             Field('direction', choices=(('▲ up', 0), ('▼ down', 1)))),
+    'gimbal': (Field('angle', 'deg', minimum=1, preset=10),
+               Field('direction', choices=(('◀ left', 0), ('▶ right', 1), ('▲ up', 2),
+                                           ('▼ down', 3))))}
+# The page shows the environment anyway.
+_SHOWN = [*(each for each in wire.BUILT_IN.values() if each.cmd1 == wire.FUNCTION and each.service
+            and each is not wire.ENVIRONMENT_FUNCTION), wire.ECHO_FUNCTION, wire.SYNC_FUNCTION]
 
 DESCRIPTION = Description(
     'bus', __name__, _decoder, 'control board',
@@ -26,16 +33,9 @@ DESCRIPTION = Description(
               period_parameter='environment_period', card=None),
         Topic('~environment/humidity', 'sensor_msgs/RelativeHumidity',
               period_parameter='environment_period', card=None)),
-    services=(
-        _service(wire.LIFT_FUNCTION, (
-            Field('distance', 'mm', minimum=1, preset=20),
-            Field('direction', choices=(('▲ up', 0), ('▼ down', 1))))),
-        _service(wire.GIMBAL_FUNCTION, (
-            Field('angle', 'deg', minimum=1, preset=10),
-            Field('direction', choices=(('◀ left', 0), ('▶ right', 1), ('▲ up', 2),
-                                        ('▼ down', 3))))),
-        _service(wire.ECHO_FUNCTION), _service(wire.SYNC_FUNCTION)),
-    other_names=('~bus/request', *(each.service for each in wire.BUILT_IN.values())),
+    services=tuple(Service(each.service, each.srv_type, each.name, _FIELDS.get(each.name, ()))
+                   for each in _SHOWN),
+    other_names=('~bus/request', wire.ENVIRONMENT_FUNCTION.service),
     custom=CustomRows('functions', read_functions, '~'),
     wire_flags={'reply_has_cmd2': "replies carry their request's CMD2"},
     command=Command.FUNCTION,
