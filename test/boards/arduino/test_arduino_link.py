@@ -289,20 +289,6 @@ def test_steady_speed_commands_do_not_time_out(board, open_link):
     link.set_speed(0)
 
 
-def test_speed_0_does_not_time_out(board, open_link, lines):
-    link = open_link(ArduinoSettings(speed_timeout=0.05))
-    link.set_speed(0)
-    link.set_steering(1500)
-    more_heartbeats(board, 25)
-    assert board.commands() == [SteeringCommand(1500)] and not lines('no speed command')
-
-
-def test_with_a_speed_timeout_of_0_no_speed_times_out(board, open_link):
-    open_link(ArduinoSettings(speed_timeout=0.0)).set_speed(77)
-    more_heartbeats(board, 80)
-    assert board.commands() == [SpeedCommand(77)]
-
-
 # -- repetitions of a stop -------------------------------------------------------------------
 
 def test_a_stop_is_repeated_every_50_ms_for_a_second(board, open_link):
@@ -340,15 +326,6 @@ def test_the_motor_stops_though_the_line_loses_the_first_stops(line, open_link, 
         link.set_speed(0)
     until(lambda: board.motor == 0)
     assert board.lost == 3
-
-
-def test_another_speed_ends_the_repetitions_of_a_stop(board, open_link):
-    link = open_link()
-    link.set_speed(300)
-    link.set_speed(0)
-    link.set_speed(200)
-    more_heartbeats(board, 30)
-    assert board.messages(SpeedCommand)[-1] == SpeedCommand(200)
 
 
 def test_a_calibration_ends_the_repetitions_of_a_stop(board, open_link):
