@@ -82,11 +82,8 @@ def test_goals_are_judged_only_for_sections_that_ran():
         (0, 1, 'NOT MET')]
 
 
-def test_every_goal_belongs_to_a_section():
+def test_goals_and_the_option_only_know_every_section():
     assert {goal.section for goal in report.GOALS} == set(sections.SECTIONS)
-
-
-def test_the_option_only_knows_every_section():
     assert arguments.SECTIONS == tuple(sections.SECTIONS)
 
 
