@@ -269,7 +269,9 @@ class StreamDecoder:
                 at = start.start() if start else size
                 continue
             found = self.frame_at(at)
-            if isinstance(found, Good):
+            if found is NO_FRAME:
+                at += 1
+            elif isinstance(found, Good):
                 self._add(at, found)
                 # Its LEN may be false: two equal frames inside do not change an XOR.
                 at += 1 if found.cause == LENGTH else found.size

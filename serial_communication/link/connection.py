@@ -30,7 +30,7 @@ class PortState(enum.Enum):
 
 
 class Connection:
-    """Serves one link: calls its hooks in the connection's thread.
+    """Serves one link: calls its hooks in this connection's thread.
 
     Args:
         link: whose port and decoder it uses.
@@ -152,7 +152,9 @@ class Connection:
         self.guarded(self._link.closed, time.monotonic())
 
     def _idle(self, now: float) -> float:
-        self.stalls.awake(pace.clock())
+        awake_at = pace.clock()
+        self.stalls.stalled_for(awake_at)
+        self.stalls.awake_at = awake_at
         due = self.guarded(self._link.idle, now)
         soon = now + LONGEST_SLEEP
         return soon if due is None else min(due, soon)
@@ -247,7 +249,8 @@ class Connection:
         """Begin to drop after a stall of this thread, and return its length in s, else 0.0. End
         that when what is read is new."""
         link, awake_at = self._link, pace.clock()
-        seconds = self.stalls.awake(awake_at)
+        seconds = self.stalls.stalled_for(awake_at)
+        self.stalls.awake_at = awake_at
         if seconds:
             self.state = PortState.DROPPING
             self._stalled_for += seconds

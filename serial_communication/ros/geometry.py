@@ -1,5 +1,4 @@
-"""Transforms: where the sensors are mounted, and the orientations that they measure."""
-from math import sqrt
+"""Transforms of tf."""
 from typing import Dict, List, Sequence
 
 import rospy
@@ -7,7 +6,6 @@ import tf2_ros
 from geometry_msgs.msg import TransformStamped
 
 from ..framing.rotation import quaternion
-from .publishing import wanted
 
 
 def transform(parent: str, child: str, translation: Sequence[float],
@@ -34,23 +32,3 @@ def publish_mounts(base: str, mounts: Dict[str, List[float]]) -> tf2_ros.StaticT
     broadcaster.sendTransform([transform(base, child, mount[:3], quaternion(*mount[3:]), now)
                                for child, mount in mounts.items()])
     return broadcaster
-
-
-class OrientationBroadcaster:
-    """Publishes a measured orientation as a child frame of the sensor's frame."""
-
-    def __init__(self, parent: str, child: str) -> None:
-        self._broadcaster = tf2_ros.TransformBroadcaster()
-        self._parent = parent
-        self._child = child
-
-    def send(self, orientation: Sequence[float], stamp: rospy.Time) -> None:
-        """Publish a quaternion x, y, z, w of any norm but 0.
-
-        It is normalised first: tf2 refuses a norm that is wrong by 0.5 %.
-        """
-        norm = sqrt(sum(part * part for part in orientation))
-        if norm and wanted(self._broadcaster.pub_tf):
-            self._broadcaster.sendTransform(transform(
-                self._parent, self._child, (0.0, 0.0, 0.0),
-                [part / norm for part in orientation], stamp))

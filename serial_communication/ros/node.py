@@ -23,7 +23,6 @@ from .geometry import publish_mounts
 from .interface import Interface, LinkOptions
 from .last_resort import LastResort
 from .latest_worker import LatestWorker
-from .launch_arguments import empty_ports, roslaunch_words, unknown_arguments
 from .master import full_name
 from .parameter import ParameterError
 from .rospy_mends import (background_logging, direct, handshake, log_file, master_calls, own_names,
@@ -96,7 +95,7 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
         given = _given()
         values, warnings = parameters.check(given, rospy.get_name())
         forget_announced(given, [board.NAME for board in parameters.announcing(values['boards'])])
-        for warning in [*warnings, *unknown_arguments(roslaunch_words())]:
+        for warning in warnings:
             rospy.logwarn(warning)
         bridge = Bridge(values, given)
         rospy.on_shutdown(bridge.stop)
@@ -117,7 +116,7 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
 
 def _given() -> Any:
     """Return the node's private parameters, as they are given."""
-    for name in set(empty_ports(roslaunch_words())) & set(BOARDS):
+    for name in set(starting.empty_ports()) & set(BOARDS):
         rospy.set_param(f'~{name}/port', '')
     given = rospy.get_param('~', {})
     if not isinstance(given, dict):

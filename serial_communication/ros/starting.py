@@ -11,6 +11,7 @@ import socket
 import sys
 import threading
 import time
+from pathlib import Path
 from typing import List, Optional
 
 import rosgraph
@@ -212,6 +213,21 @@ class _NameLock:
 def _displacements() -> int:
     """Return how often in a row this process was displaced."""
     return int(os.environ.get(_DISPLACEMENTS, '0'))
+
+
+def empty_ports() -> List[str]:
+    """Return the name of each link that an argument such as ``mcu_port:=`` turned off.
+
+    roslaunch drops an argument without a value, so its launch file cannot see it. Here it is read
+    from the command line of the roslaunch above this process, if that started bridge.launch.
+    """
+    try:
+        words = Path(f'/proc/{os.getppid()}/cmdline').read_text().split('\0')
+    except (OSError, ValueError):
+        return []
+    if not any(os.path.basename(word) == 'bridge.launch' for word in words):
+        return []
+    return [word[:-len('_port:=')] for word in words if word.endswith('_port:=')]
 
 
 def wait_under_roslaunch() -> None:

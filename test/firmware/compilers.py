@@ -37,5 +37,5 @@ def check(compiler, path, *options):
 def for_the_pc(source, program, *options):
     """The command that compiles a file of this folder, under sanitizers."""
     return ['g++', '-std=c++11', '-O1', *STRICT, '-fsanitize=address,undefined',
-            '-fno-sanitize-recover=all', '-I', PROTOCOL, '-I', os.path.join(STUBS, 'esp32'),
-            *options, os.path.join(HERE, source), '-o', str(program)]
+            '-fno-sanitize-recover=all', *options, '-I', PROTOCOL,
+            '-I', os.path.join(STUBS, 'esp32'), os.path.join(HERE, source), '-o', str(program)]

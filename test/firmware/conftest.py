@@ -29,7 +29,7 @@ def compilers(tmp_path_factory):
     yield started
     for _, compiler in started.values():
         compiler.kill()
-        compiler.communicate()
+        compiler.wait()
 
 
 @pytest.fixture(scope='session')

@@ -42,7 +42,7 @@ def run_on_the_pc(folder, sketch, received):
 @pytest.mark.parametrize('link', ['arduino', 'mcu', 'bus'])
 def test_the_header_of_every_example_compiles(tmp_path, link, chip):
     make_header(tmp_path, link, EXAMPLES, link)
-    check(CHIPS[chip], tmp_path / f'{link}.h')
+    check(CHIPS[chip], os.devnull, '-include', str(tmp_path / f'{link}.h'))
 
 
 @pytest.mark.parametrize('chip', sorted(CHIPS))
@@ -83,6 +83,7 @@ def test_a_command_with_a_text_takes_up_to_the_characters_of_its_struct(tmp_path
 
 def test_a_double_in_a_layout_does_not_compile_for_the_avr_and_says_why(tmp_path):
     make_header_of_row(tmp_path, 'wide', 'type: 40, ros_type: std_msgs/Float64, layout: "<d"')
-    check(ON_THE_ESP, tmp_path / 'wide.h')
+    wide = '-include', str(tmp_path / 'wide.h')
+    check(ON_THE_ESP, os.devnull, *wide)
     with pytest.raises(AssertionError, match='on an AVR use f in the layout'):
-        check(ON_THE_AVR, tmp_path / 'wide.h')
+        check(ON_THE_AVR, os.devnull, *wide)

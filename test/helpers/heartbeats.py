@@ -20,7 +20,7 @@ class HeartbeatWatch:
         car.forget()
 
     def check(self):
-        """AssertionError if a gap was too long, not counting the wait for a processor: see witness.py."""
+        """AssertionError if a gap was too long, less what a witness had to wait (witness.py)."""
         waited = max(self._witness.late(self._since, time.monotonic()), default=0.0)
         self._witness.end()
         gap = self._car.longest_gap()

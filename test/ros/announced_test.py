@@ -394,8 +394,7 @@ class SameNameTest(unittest.TestCase):
                 'std_msgs/UInt16: this node already uses the name for a roscpp/GetLoggers'), 1)
             self.assertEqual(bridge.end()[1], 0, bridge.output())
         finally:
-            bridge.process.kill()
-            bridge.process.wait(10)
+            bridge.kill()
             sensors.close()
             line.unplug()
             shutil.rmtree(folder)

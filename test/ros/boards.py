@@ -4,11 +4,13 @@ The fake boards, with which tests check exact bytes, and the lines are in test/h
 """
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
+import unittest
 import xmlrpc.client
 from typing import Dict, NamedTuple
 
@@ -102,6 +104,11 @@ class Bridge:
         """Whether its process runs."""
         return self.process.poll() is None
 
+    def kill(self):
+        """Kill it, if it runs."""
+        self.process.kill()
+        self.process.wait(10)
+
     def end(self, number=signal.SIGINT):
         """Send a signal; return the seconds until the process has ended, and its status.
 
@@ -119,6 +126,29 @@ class Bridge:
                 raise AssertionError('still runs %g s after signal %d' % (PATIENCE, number))
             seconds = time.monotonic() - began
         return seconds / witness.slowdown, status
+
+
+class BoardsTest(unittest.TestCase):
+    """A folder, lines with boards at their far ends, and bridges; all end with the test."""
+
+    def setUp(self):
+        self.folder = own_folder()
+        self.addCleanup(shutil.rmtree, self.folder, ignore_errors=True)
+        self.lines = {}      # by the name of the link
+
+    def plug(self, link, kind, **manners):
+        """Return a board on a line of its own."""
+        self.lines[link] = Line(os.path.join(self.folder, link)).plug()
+        self.addCleanup(self.lines[link].unplug)
+        board = kind(self.lines[link].far, **manners)
+        self.addCleanup(board.close)
+        return board
+
+    def start_bridge(self, *arguments, **options):
+        """Return a new `Bridge`."""
+        bridge = Bridge(*arguments, **options)
+        self.addCleanup(bridge.kill)
+        return bridge
 
 
 # -- the ROS side -------------------------------------------------------------------------

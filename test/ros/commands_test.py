@@ -2,7 +2,6 @@
 """Commands that may be old are refused: latched long ago, received on an old connection, old by
 their stamps, or left waiting while the bridge was suspended."""
 import os
-import shutil
 import signal
 import subprocess
 import threading
@@ -13,7 +12,7 @@ import rostest
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import String, UInt8
 
-from boards import PACKAGE, PATIENCE, SPEED_0_PACKET, Bridge, CarBoard, Line, own_folder, until
+from boards import PACKAGE, PATIENCE, SPEED_0_PACKET, BoardsTest, CarBoard, until
 from publishers import FakePublisher
 from serial_communication.link.sparing_log import SparingLog
 from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
@@ -36,24 +35,18 @@ def speed(value, ago=None):
     return message
 
 
-class CommandsTest(unittest.TestCase):
+class CommandsTest(BoardsTest):
     """A car, and a bridge that each test starts."""
 
     def setUp(self):
-        self.folder = own_folder()
-        self.addCleanup(shutil.rmtree, self.folder)
-        self.line = Line(os.path.join(self.folder, 'arduino')).plug()
-        self.addCleanup(self.line.unplug)
-        self.car = CarBoard(self.line.far)
-        self.addCleanup(self.car.close)
-        self.bridge = None
+        super().setUp()
+        self.car = self.plug('arduino', CarBoard)
 
     def start_bridge(self, **parameters):
         """Start the bridge, and wait until its topics are registered."""
-        self.bridge = Bridge(parameters={'arduino/port': self.line.near, 'arduino/messages': OWN,
-                                         **{'arduino/' + key: value
-                                            for key, value in parameters.items()}})
-        self.addCleanup(self.bridge.end)
+        self.bridge = super().start_bridge(parameters={
+            'arduino/port': self.lines['arduino'].near, 'arduino/messages': OWN,
+            **{'arduino/' + key: value for key, value in parameters.items()}})
         rospy.wait_for_service(NODE + '/calibrate_imu', 15)
         until(lambda: self.car.heartbeats(), 'a heartbeat')
 

@@ -4,7 +4,6 @@ import io
 import os
 import resource
 import select
-import shutil
 import socket
 import struct
 import threading
@@ -21,8 +20,7 @@ from rosgraph.network import encode_ros_handshake_header, read_ros_handshake_hea
 from roscpp.srv import GetLoggers
 from rospy.impl import registration, tcpros_base
 
-from boards import (PACKAGE, PATIENCE, Bridge, CarBoard, Line, command_topic, own_folder, service,
-                    until)
+from boards import PACKAGE, PATIENCE, BoardsTest, CarBoard, command_topic, service, until
 from serial_communication.link.sparing_log import SparingLog
 from serial_communication.msg import SpeedPWMCommand, Voltage
 from serial_communication.boards.arduino import wire as arduino
@@ -64,29 +62,23 @@ def is_closed(connection):
         return True
 
 
-class Short(unittest.TestCase):
+class Short(BoardsTest):
     """A bridge that runs out of something for a while."""
 
     def setUp(self):
-        self.folder = own_folder()
-        self.line = Line(os.path.join(self.folder, 'arduino')).plug()
-        self.car = CarBoard(self.line.far)
+        super().setUp()
+        self.car = self.plug('arduino', CarBoard)
         self.open = []
 
     def start(self, before=()):
-        self.bridge = Bridge(parameters={'arduino/port': self.line.near}, before=before)
+        self.bridge = self.start_bridge(
+            parameters={'arduino/port': self.lines['arduino'].near}, before=before)
         rospy.wait_for_service(NAME + '/calibrate_imu', PATIENCE)
         self.car.wait_for_heartbeats(1)
 
     def tearDown(self):
         for connection in self.open:
             connection.close()
-        if self.bridge.alive:
-            self.bridge.process.kill()
-            self.bridge.process.wait(10)
-        self.car.close()
-        self.line.unplug()
-        shutil.rmtree(self.folder)
 
     def assert_everybody_is_served(self):
         """A new subscriber, a new caller and a new publisher are served."""

@@ -9,8 +9,8 @@ import rospy
 import rostest
 from roscpp.srv import GetLoggers
 
-from boards import (NOT_SENT, PACKAGE, PATIENCE, SPEED_0_PACKET, TIMEOUT, Bridge, BusBoard,
-                    CarBoard, Line, Topic, command_topic, own_folder, program, service, settle,
+from boards import (NOT_SENT, PACKAGE, PATIENCE, SPEED_0_PACKET, TIMEOUT, BoardsTest, Bridge,
+                    BusBoard, CarBoard, Topic, command_topic, own_folder, program, service, settle,
                     until)
 from serial_communication.msg import SpeedPWMCommand, Voltage
 from serial_communication.boards.arduino import wire as arduino
@@ -24,13 +24,10 @@ class Unwritable:
     """A bridge whose stdout and stderr cannot be written; the subclasses say why."""
 
     def setUp(self):
-        self.folder = own_folder()
-        self.lines = {link: Line(os.path.join(self.folder, link)).plug()
-                      for link in ('bus', 'arduino')}
-        self.bus = BusBoard(self.lines['bus'].far)
-        self.car = CarBoard(self.lines['arduino'].far)
+        super().setUp()
+        self.bus, self.car = self.plug('bus', BusBoard), self.plug('arduino', CarBoard)
         self.descriptors = []
-        self.bridge = Bridge(stdout=self.output(), parameters={
+        self.bridge = self.start_bridge(stdout=self.output(), parameters={
             'bus/port': self.lines['bus'].near, 'arduino/port': self.lines['arduino'].near,
             'bus/motion_timeout': 0.5, 'bus/reply_timeout': 0.3, 'bus/environment_period': 0.0,
             'arduino/speed_timeout': 0.2})
@@ -44,16 +41,8 @@ class Unwritable:
 
     def tearDown(self):
         self.voltage.close()
-        if self.bridge.alive:
-            self.bridge.process.kill()
-            self.bridge.process.wait(10)
-        for board in self.bus, self.car:
-            board.close()
-        for line in self.lines.values():
-            line.unplug()
         for descriptor in self.descriptors:
             os.close(descriptor)
-        shutil.rmtree(self.folder)
 
     def assert_data_flows(self):
         """A measurement is published."""
@@ -98,7 +87,7 @@ class Unwritable:
         until(lambda: self.car.raws[-1:] == [SPEED_0_PACKET], 'SPEED 0 is the last packet')
 
 
-class ClosedPipe(Unwritable, unittest.TestCase):
+class ClosedPipe(Unwritable, BoardsTest):
     """The reader of the pipe has exited."""
 
     def output(self):
@@ -109,7 +98,7 @@ class ClosedPipe(Unwritable, unittest.TestCase):
         os.close(self.descriptors.pop(0))
 
 
-class FullPipe(Unwritable, unittest.TestCase):
+class FullPipe(Unwritable, BoardsTest):
     """The reader of the pipe does not read, like a terminal after Ctrl-S."""
 
     output = ClosedPipe.output
@@ -126,7 +115,7 @@ class FullPipe(Unwritable, unittest.TestCase):
         os.close(writing)
 
 
-class FullDisk(Unwritable, unittest.TestCase):
+class FullDisk(Unwritable, BoardsTest):
     """A file on a full disk."""
 
     def output(self):

@@ -1,18 +1,15 @@
 #!/usr/bin/python3
 """The master fails while a bridge starts, or while one of its boards announces rows."""
-import os
-import shutil
 import socketserver
 import threading
 import time
-import unittest
 import xmlrpc.client
 from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 
 import rosgraph
 import rostest
 
-from boards import PACKAGE, PATIENCE, Bridge, CarBoard, Line, own_folder, until
+from boards import PACKAGE, PATIENCE, BoardsTest, CarBoard, until
 from master_test import WITHIN, free_port, start_core, state, stop_core
 from serial_communication.framing.announcement import chunks_of
 
@@ -70,30 +67,22 @@ class MasterInBetween:
         self._server.server_close()
 
 
-class StartTest(unittest.TestCase):
+class StartTest(BoardsTest):
     """A bridge with a car, and a master that fails in the meantime."""
 
     def setUp(self):
-        self.folder = own_folder()
-        self.line = Line(os.path.join(self.folder, 'arduino')).plug()
-        self.car = CarBoard(self.line.far)
+        super().setUp()
+        self.car = self.plug('arduino', CarBoard)
         self.server = rosgraph.Master('/master_test')
-        self.master = self.bridge = None
-
-    def tearDown(self):
-        if self.bridge and self.bridge.alive:
-            self.bridge.process.kill()
-            self.bridge.process.wait(10)
-        self.master.close()
-        self.car.close()
-        self.line.unplug()
-        shutil.rmtree(self.folder)
+        self.bridge = None
 
     def start(self, name, answered):
         """Start a bridge whose port is a parameter of its command line."""
         self.master = MasterInBetween(answered)
-        self.bridge = Bridge(name, arguments=['_arduino/port:=' + self.line.near],
-                             master=self.master.uri)
+        self.addCleanup(self.master.close)
+        self.bridge = self.start_bridge(
+            name, arguments=['_arduino/port:=' + self.lines['arduino'].near],
+            master=self.master.uri)
 
     def is_up(self, name):
         """Whether the last of the bridge's services is registered."""
@@ -154,7 +143,8 @@ class StartTest(unittest.TestCase):
         until(lambda: self.is_up('between'), 'the bridge is up')
         until(lambda: '/rosout' in state(self.server, '/between')[0] and '/between/get_loggers'
               in state(self.server, '/between')[2], 'the first ones are registered, too', WITHIN)
-        self.assertEqual(self.server.getParam('/between/arduino/port'), self.line.near)
+        self.assertEqual(self.server.getParam('/between/arduino/port'),
+                         self.lines['arduino'].near)
         self.assert_it_works('between')
 
     def test_a_call_that_is_never_answered_does_not_end_announcements(self):

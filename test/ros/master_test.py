@@ -1,16 +1,14 @@
 #!/usr/bin/python3
 """The master ends, is replaced by a new one, or hangs, while a bridge is running."""
 import os
-import shutil
 import signal
 import socket
 import subprocess
-import unittest
 
 import rosgraph
 import rostest
 
-from boards import (PACKAGE, PATIENCE, Bridge, BusBoard, CarBoard, Line, own_folder, until)
+from boards import PACKAGE, PATIENCE, BoardsTest, BusBoard, CarBoard, until
 from heartbeats import HeartbeatWatch
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.framing.announcement import chunks_of
@@ -76,35 +74,24 @@ class Tool:
         self._process.communicate()
 
 
-class MasterTest(unittest.TestCase):
+class MasterTest(BoardsTest):
     """A bridge with two boards, and a roscore that the tests restart."""
 
     def setUp(self):
-        self.folder = own_folder()
-        self.lines = [Line(os.path.join(self.folder, link)).plug() for link in ('bus', 'arduino')]
-        self.bus, self.car = BusBoard(self.lines[0].far), CarBoard(self.lines[1].far)
+        super().setUp()
+        self.bus, self.car = self.plug('bus', BusBoard), self.plug('arduino', CarBoard)
         self.uri = 'http://localhost:%d' % free_port()
         self.server = rosgraph.Master('/master_test', self.uri)
         self.core = None
         self.start_core()
-        self.bridge = Bridge(master=self.uri, parameters={
-            'bus/port': self.lines[0].near, 'bus/environment_period': 0.2,
-            'arduino/port': self.lines[1].near, 'arduino/speed_timeout': 0.0,
+        self.addCleanup(self.stop_core)
+        self.bridge = self.start_bridge(master=self.uri, parameters={
+            'bus/port': self.lines['bus'].near, 'bus/environment_period': 0.2,
+            'arduino/port': self.lines['arduino'].near, 'arduino/speed_timeout': 0.0,
             'arduino/imu_mount': MOUNT})
         until(lambda: self.known(), 'the bridge is up')
         self.before = self.state()
         self.car.wait_for_heartbeats(1)
-
-    def tearDown(self):
-        if self.bridge.alive:
-            self.bridge.process.kill()
-            self.bridge.process.wait(10)
-        self.stop_core()
-        for board in self.bus, self.car:
-            board.close()
-        for line in self.lines:
-            line.unplug()
-        shutil.rmtree(self.folder)
 
     def start_core(self):
         """Start a roscore, always at the same port."""
@@ -154,7 +141,7 @@ class MasterTest(unittest.TestCase):
                   'turn %d: all is there again' % turn, WITHIN)
         self.assertEqual(self.server.getParam(NAME + '/arduino/imu_mount'), MOUNT)
         self.assertEqual(self.server.getParam(NAME + '/arduino/announced/force/type'), 32)
-        self.assertEqual(self.server.getParam(NAME + '/bus/port'), self.lines[0].near)
+        self.assertEqual(self.server.getParam(NAME + '/bus/port'), self.lines['bus'].near)
         self.assert_a_fresh_subscriber_gets_data()
         self.assertIn('success: True', self.call('lift', '{direction: 0, distance: 100}'))
         publisher = Tool(self.uri, 'rostopic', 'pub', '-r', '10', NAME + '/speed',
@@ -175,7 +162,7 @@ class MasterTest(unittest.TestCase):
         self.server.setParam(NAME + '/bus/retries', 7)
         until(lambda: self.known(), 'all is there again', WITHIN)
         self.assertEqual(self.server.getParam(NAME + '/bus/retries'), 7)
-        self.assertEqual(self.server.getParam(NAME + '/bus/port'), self.lines[0].near)
+        self.assertEqual(self.server.getParam(NAME + '/bus/port'), self.lines['bus'].near)
 
     def test_connected_nodes_stay_connected_without_a_master(self):
         echo = Tool(self.uri, 'rostopic', 'echo', '-n', '2', NAME + '/voltage/value')
@@ -205,8 +192,8 @@ class MasterTest(unittest.TestCase):
             hung.listen(64)
             heartbeats = self.watch_heartbeats()
             self.bridge.wait_for('no answer from the ROS master')
-            self.lines[0].unplug()       # this is logged, also to /rosout
-            self.lines[0].plug()
+            self.lines['bus'].unplug()       # this is logged, also to /rosout
+            self.lines['bus'].plug()
             self.bridge.wait_for('opening it again')
             self.bus.forget()
             until(lambda: self.bus.others, 'the bus is polled again')

@@ -127,8 +127,7 @@ class Mistakes(unittest.TestCase):
         except subprocess.TimeoutExpired:
             return 'it goes on', bridge.output()
         finally:
-            bridge.process.kill()
-            bridge.process.wait(10)
+            bridge.kill()
 
     def assert_one_line(self, said, status, output):
         """The node logs one line with this text, apart from the usual lines of a start."""

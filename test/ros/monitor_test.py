@@ -8,13 +8,12 @@ import socket
 import subprocess
 import tempfile
 import threading
-import unittest
 
 import rosgraph
 import rospy
 import rostest
 
-from boards import (PATIENCE, Bridge, BusBoard, CarBoard, Line, Waiter, level_imu, own_folder,
+from boards import (PATIENCE, BoardsTest, BusBoard, CarBoard, Line, Waiter, level_imu, own_folder,
                     program, settle, until)
 from serial_communication.boards.arduino import wire as arduino
 
@@ -76,41 +75,27 @@ class TalkingCar(CarBoard):
             self.say(arduino.Voltage(11.5))
 
 
-class MonitorTest(unittest.TestCase):
+class MonitorTest(BoardsTest):
     """A bridge with a bus board and a car that sends all the time."""
 
     def setUp(self):
-        self.folder = own_folder()
-        self.lines = [Line(os.path.join(self.folder, name)).plug() for name in ('bus', 'car')]
-        self.board = BusBoard(self.lines[0].far, polled=True)
-        self.car = TalkingCar(self.lines[1].far)
-        self.bridges, self.monitors = [], []
-
-    def tearDown(self):
-        for monitor in self.monitors:
-            monitor.close()
-        for bridge in self.bridges:
-            if bridge.alive:
-                bridge.process.kill()
-                bridge.process.wait(10)
-        for board in self.board, self.car:
-            board.close()
-        for line in self.lines:
-            line.unplug()
-        shutil.rmtree(self.folder)
+        super().setUp()
+        self.board = self.plug('bus', BusBoard, polled=True)
+        self.plug('arduino', TalkingCar)
 
     def bridge(self):
         """Start a bridge, and wait until it works."""
-        self.bridges.append(Bridge(NAME, {
-            'bus/port': self.lines[0].near, 'arduino/port': self.lines[1].near,
-            'bus/environment_period': 0.2}))
+        bridge = self.start_bridge(NAME, {
+            'bus/port': self.lines['bus'].near, 'arduino/port': self.lines['arduino'].near,
+            'bus/environment_period': 0.2})
         settle(NAME, self.board)
-        return self.bridges[-1]
+        return bridge
 
     def monitor(self, *arguments, **environment):
         """Start a monitor of the bridge."""
-        self.monitors.append(Monitor('--node', NAME, *arguments, **environment))
-        return self.monitors[-1]
+        monitor = Monitor('--node', NAME, *arguments, **environment)
+        self.addCleanup(monitor.close)
+        return monitor
 
     def once(self, *arguments):
         """Status and output of `monitor --once`, at a time when no heartbeat was late."""
@@ -133,7 +118,7 @@ class MonitorTest(unittest.TestCase):
         self.assertNotRegex(said, r'(?m)^mcu')       # it has no port
         self.assertRegex(said, r'(?m)^~voltage +[\d.]+ Hz  11\.50 V$')
         self.assertRegex(said, r'(?m)^~imu +[\d.]+ Hz  rpy 0\.0 0\.0 0\.0 deg')
-        self.lines[0].unplug()
+        self.lines['bus'].unplug()
         status, said = self.once()
         self.assertEqual(status, 1, said)
         self.assertRegex(said, r'(?m)^bus +ERROR ')
@@ -146,16 +131,16 @@ class MonitorTest(unittest.TestCase):
     def test_a_restart_of_the_bridge_is_shown(self):
         monitor = self.monitor()
         monitor.wait_for(f'/{NAME}')
-        self.bridge()
+        bridge = self.bridge()
         monitor.wait_for('the bridge is there')
         monitor.wait_for(' OK ')
-        self.bridges[-1].end(signal.SIGKILL)
+        bridge.end(signal.SIGKILL)
         monitor.wait_for(f'the bridge /{NAME} has reported nothing for')
         monitor.wait_for('STALE reported')
-        self.bridge()
+        bridge = self.bridge()
         monitor.wait_for('the bridge is back, after')
         gone = monitor.output().count('has reported nothing for')
-        self.bridges[-1].end(signal.SIGKILL)
+        bridge.end(signal.SIGKILL)
         monitor.wait_for('has reported nothing for', times=gone + 1)
         # Its last table shows the age of each value.
         self.assertEqual(monitor.end(), 0)

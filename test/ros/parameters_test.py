@@ -32,8 +32,7 @@ def start_and_read(number, parameter, value):
     except subprocess.TimeoutExpired:
         return 'it goes on', bridge.output()
     finally:
-        bridge.process.kill()
-        bridge.process.wait(10)
+        bridge.kill()
 
 
 class WrongParameters(unittest.TestCase):
@@ -75,9 +74,7 @@ class Names(unittest.TestCase):
         self.bridge = None
 
     def tearDown(self):
-        if self.bridge and self.bridge.alive:
-            self.bridge.process.kill()
-            self.bridge.process.wait(10)
+        self.bridge.kill()
 
     def start(self, *links, **parameters):
         """Start a bridge with these links, whose ports are absent."""

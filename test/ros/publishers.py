@@ -49,8 +49,8 @@ class FakePublisher:
         return self
 
     def say(self, message, connection=-1):
-        """Send a message on one of its connections."""
-        self.connections[connection].sendall(_packed(message))
+        """Send a message on one of its connections; wait for the first one."""
+        self.connected().connections[connection].sendall(_packed(message))
 
     def reconnect(self):
         """Close the newest connection, and wait for another one."""

@@ -62,9 +62,7 @@ class WhileOneRuns(unittest.TestCase):
 
     def tearDown(self):
         for bridge in self.started:
-            if bridge.alive:
-                bridge.process.kill()
-                bridge.process.wait(10)
+            bridge.kill()
 
     def start(self, *arguments, **keywords):
         """Start another bridge with the same name and parameters."""
@@ -209,9 +207,7 @@ class SimultaneousStart(unittest.TestCase):
 
     def tearDown(self):
         for bridge in self.pair:
-            if bridge.alive:
-                bridge.process.kill()
-                bridge.process.wait(10)
+            bridge.kill()
         shutil.rmtree(self.folder)
 
     def start(self, host='', meets=True, arguments=()):

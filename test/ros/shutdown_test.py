@@ -53,9 +53,7 @@ class Shutdown(unittest.TestCase):
 
     def tearDown(self):
         self.stop_driving()
-        if self.bridge.alive:
-            self.bridge.process.kill()
-            self.bridge.process.wait(10)
+        self.bridge.kill()
 
     def drive(self):
         """Publish commands without a pause, even while the bridge ends."""

@@ -2,16 +2,14 @@
 """Two swapped ports: the bridge says so, `ports` finds the boards, and with the configuration that
 it writes all boards talk."""
 import os
-import shutil
 import subprocess
 import threading
-import unittest
 
 import rospy
 import rostest
 
-from boards import (PACKAGE, WARN, Bridge, BusBoard, CarBoard, Diagnostics, Line, Rosout,
-                    SensorBoard, own_folder, program, ranges)
+from boards import (PACKAGE, WARN, BoardsTest, Bridge, BusBoard, CarBoard, Diagnostics, Rosout,
+                    SensorBoard, program, ranges)
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.config_file import read_parameters
 
@@ -24,20 +22,13 @@ def talks(status):
     return int(status.keys['frames received']) > 3 and 'bytes come' not in status.message
 
 
-class WrongPortTest(unittest.TestCase):
+class WrongPortTest(BoardsTest):
     """Three boards that send all the time."""
 
     def setUp(self):
-        self.folder = own_folder()
-        self.addCleanup(shutil.rmtree, self.folder, ignore_errors=True)
-        self.lines = {}
-        for link in LINKS:
-            self.lines[link] = Line(os.path.join(self.folder, link)).plug()
-            self.addCleanup(self.lines[link].unplug)
-        self.boards = [kind(self.lines[link].far) for link, kind in zip(
+        super().setUp()
+        self.boards = [self.plug(link, kind) for link, kind in zip(
             LINKS, (BusBoard, CarBoard, SensorBoard))]
-        for board in self.boards:
-            self.addCleanup(board.close)
         ending = threading.Event()
         sending = threading.Thread(target=self.send, args=(ending,), name='boards')
         sending.start()

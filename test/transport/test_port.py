@@ -11,7 +11,7 @@ import time
 
 import pytest
 from fake_boards import PATIENCE, until
-from lines import Pty, Rfc2217Server
+from lines import Rfc2217Server
 from waiting import Waiter
 
 from serial_communication.transport.pace import set_priority
@@ -265,18 +265,6 @@ def test_a_holder_that_cannot_be_seen_is_found_with_a_command(line, port, monkey
                                   f'{line.path}` names it')
 
 
-@pytest.mark.parametrize('url', ['nonsense://x', 'sockets://localhost:1', '://', 'hwgrep://['])
-def test_an_invalid_url_raises_value_error(url):
-    with pytest.raises(ValueError):
-        check_url(url)
-
-
-@pytest.mark.parametrize('url', ['/dev/ttyUSB0', 'hwgrep://0403:6001', 'socket://localhost:1',
-                                 'rfc2217://localhost:1', 'loop://', '/dev/serial/by-id/x'])
-def test_a_valid_url_of_an_absent_port_is_accepted(url):
-    check_url(url)
-
-
 @pytest.mark.parametrize('url, lower, scheme', [
     ('SOCKET://Host:1', 'socket://Host:1', 'socket'), ('Rfc2217://h:1', 'rfc2217://h:1', 'rfc2217'),
     ('Hwgrep://0403:6001', 'hwgrep://0403:6001', 'hwgrep'), ('LOOP://', 'loop://', 'loop'),
@@ -492,12 +480,6 @@ def test_a_write_to_a_full_socket_does_not_block_and_nothing_taken_is_lost(free_
     port.close()
 
 
-def test_a_socket_without_a_server_is_reported(free_server):
-    number = free_server.getsockname()[1]
-    free_server.close()
-    assert 'refused' in refusal('socket://127.0.0.1:%d' % number).lower()
-
-
 @pytest.fixture
 def rfc2217(free_server, line):
     """A server of telnet with serial options, as ser2net is."""
@@ -656,19 +638,3 @@ def test_a_port_without_a_descriptor_is_read_in_slices():
     port.close()
     with pytest.raises(PortError):
         port.read(0)
-
-
-def test_a_line_can_be_plugged_again(tmp_path):
-    """Checks the test helper: a plugged line is another device under the same name."""
-    line = Pty(tmp_path / 'p').plug()
-    first = os.path.realpath(line.path)
-    port = Port(line.path)
-    port.open()
-    line.unplug()
-    port.close()
-    line.plug()
-    port.open()
-    port.write(b'again')
-    assert line.read(PATIENCE) == b'again' and os.path.exists(first)
-    port.close()
-    line.unplug()

@@ -16,7 +16,6 @@ from serial_communication.boards.arduino.link import ArduinoLink
 from serial_communication.boards.bus.link import BusLink, BusSettings
 from serial_communication.boards.mcu.link import McuLink
 from serial_communication.boards.arduino import wire as arduino
-from serial_communication.boards.mcu import wire as mcu
 from serial_communication.transport import open_port, tty_settings
 from serial_communication.transport.port import Port, PortError
 
@@ -238,18 +237,3 @@ def test_an_opened_tty_is_raw_whatever_its_settings_were(line, before):
     assert (iflag, oflag, lflag, speed) == (0, 0, 0, termios.B115200)
     assert cflag & ~termios.B115200 == termios.CS8 | termios.CREAD | termios.CLOCAL
     port.close()
-
-
-def test_after_stty_sane_all_frames_of_the_sensor_board_are_received(line, logger, running, lines):
-    """A tty in canonical mode holds bytes back until a newline, which no checksum can detect."""
-    got = []
-    running(McuLink(Port(line.path), logger=logger, timeout=20.0,
-                    on_status=lambda message, seq, stamp: got.append(seq)))
-    until(lambda: got or line.write(mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 1)))
-    stty(line.path, 'sane')
-    until(lambda: lines('another program changed the settings'))
-    del got[:]
-    for seq in range(100):
-        line.write(mcu.encode(mcu.AdcStatus(13, 10, 3, 4, 17, 19), seq))
-    until(lambda: len(got) >= 100)
-    assert got == list(range(100))

@@ -23,7 +23,7 @@ _SERVICES = Guard('rospy.impl.tcpros_service:ServiceProxy.__init__ '
 
 def header_of(message: Any) -> Dict[str, str]:
     """Return the header of the connection on which a message came: one object for each."""
-    return message._connection_header
+    return getattr(message, '_connection_header', {})
 
 
 def packed(message: rospy.AnyMsg) -> bytes:
@@ -35,12 +35,12 @@ class NewestConnections:
     """Finds the messages of connections whose publisher has made a newer one."""
 
     def __init__(self, subscriber: rospy.Subscriber) -> None:
-        self._impl = subscriber.impl
+        self._impl = subscriber.impl if _TOPICS.passes() else None
         self._replaced: Dict[int, Any] = {}     # headers of those that have newer ones, by their id
 
     def is_replaced(self, header: Dict[str, str]) -> bool:
         """Return whether the publisher has made a newer connection, even if that has closed."""
-        if not _TOPICS.passes():
+        if self._impl is None:
             return False
         # rospy keeps them in the order in which it made them. One without a header is not ready.
         alive = [each.header for each in self._impl.connections if each.header]

@@ -913,9 +913,9 @@ def test_stop_is_repeated_against_a_program_that_goes_on_and_says_so(driver, tel
     until(drives(robot, 300), 'it drives')
     robot.car.forget()
     driver.send(stop={'key': 'against'})
-    answer = wait_for_answer(driver, 'against')
-    assert answer['outcome'] == 'not known'
-    assert '/panel_test goes on sending speeds' in answer['words']
+    driver.until(lambda page: page.calls.get('against', {}).get('outcome') == 'not known',
+                 'the page says that it goes on')
+    assert '/panel_test goes on sending speeds' in driver.calls['against']['words']
     assert robot.car.speeds.count(0) >= 3
     teleop.speed = 0
 
