@@ -35,7 +35,8 @@ DESCRIPTION = Description(
             Field('direction', choices=(('◀ left', 0), ('▶ right', 1), ('▲ up', 2),
                                         ('▼ down', 3))))),
         _service(wire.ECHO_FUNCTION), _service(wire.SYNC_FUNCTION)),
-    other_names=('~bus/request', *(each.service for each in wire.BUILT_IN.values())),
+    other_names=('~bus/request', *(each.service for each in wire.BUILT_IN.values()
+                                   if each.service)),
     custom=CustomRows('functions', read_functions, '~'),
     wire_flags={'reply_has_cmd2': "replies carry their request's CMD2"},
     command=Command.FUNCTION,

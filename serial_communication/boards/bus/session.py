@@ -153,7 +153,7 @@ class Session:
         self.exchange = NOTHING
         self.latest_request: Optional[wire.Request] = None
         self.fenced_at = 0.0           # when the latest fence was complete
-        self.last_received = 0.0       # when the latest bytes were received
+        self.last_reply = 0.0          # when the latest valid reply was received
         self.has_echoed = False        # since the port opened
         self._unanswered: Counter[Kind] = Counter()     # SYNCs and ECHOs in a row
         self._reply_timeout = reply_timeout
@@ -166,7 +166,7 @@ class Session:
         self.state = SessionState.UNSYNCHRONISED
         self.has_echoed = False
         self._unanswered.clear()
-        self.last_received = now
+        self.last_reply = now
 
     def closed(self) -> Exchange:
         """The port is closed; return what was outstanding."""
