@@ -26,12 +26,9 @@ class Call:
     """One request and its outcome, shared by the caller, who waits, and the link, which sends it.
 
     Args:
-        request: the request.
-        function: what it calls.
         timeout: s from sending to the reply.
         tries: how often it may be sent in all.
         now: the time of the call.
-        poll: whether it is a poll, which is sent only when no other call waits.
         on_success: called in the link's thread with a successful outcome.
     """
 
@@ -43,7 +40,7 @@ class Call:
         self.timeout = timeout
         self.tries = tries             # that are left
         self.submitted = now
-        self.poll = poll
+        self.poll = poll               # it is sent only when no other call waits
         self.on_success = on_success
         self.state = CallState.WAITING
         self.at_once = False           # it is to be sent now, whatever is outstanding: see rule 8

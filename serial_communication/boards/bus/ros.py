@@ -99,16 +99,16 @@ class BusInterface(Interface):
 
     def _echo(self, _request: Any) -> TriggerResponse:
         outcome = self.link.echo()
-        response = fill_response(TriggerResponse(), outcome)
-        if outcome.success:
-            response.message = f'{outcome.round_trip * 1e3:.2f} ms'
-        return response
+        return self._trigger(outcome, f'{outcome.round_trip * 1e3:.2f} ms')
 
     def _sync(self, _request: Any) -> TriggerResponse:
-        outcome = self.link.sync()
+        return self._trigger(self.link.sync(), 'synchronised')
+
+    @staticmethod
+    def _trigger(outcome: Outcome, done: str) -> TriggerResponse:
         response = fill_response(TriggerResponse(), outcome)
         if outcome.success:
-            response.message = 'synchronised'
+            response.message = done
         return response
 
     def _publish_environment(self, reading: wire.Environment, stamp: rospy.Time) -> None:
