@@ -388,6 +388,8 @@ def test_a_refusal_is_reported_with_its_code_and_not_repeated(session, name, rep
     ('nothing is sent before the ECHO returns',
      f'{LIFTS} +M+-1; call gimbal; +1; > ECHO; lift is not known;'
      '< OK SYNC ERROR:8002 AIR ECHO:no OK:6e303032; > -; out of step; < ECHO; > gimbal'),
+    ('only ECHOs that are unanswered in a row make a SYNC necessary',
+     'noise; > ECHO; +T; fence; noise; > ECHO; +T; > ECHO; +T; > ECHO; +T; > SYNC'),
     ('an ECHO of an earlier nonce is dropped',
      'call raw; send raw; +T; > ECHO; +T; > ECHO; < -ECHO; out of step; > -; < ECHO; in step'),
     ('an ECHO that gets INVALID is sent again with a new nonce',
@@ -584,6 +586,12 @@ def test_a_sync_and_a_silence_replace_the_echo_with_one_warning(fresh):
         fresh.play(f'call raw; +0.02; > raw; +T; call lift; {SYNC_AND_SILENCE} > lift; < OK;'
                    'lift is done')
     assert len(fresh.warnings('does not answer ECHO')) == 1
+
+
+def test_after_a_reconnect_the_board_may_be_one_that_never_echoes(session):
+    session.play('disconnected')
+    session.connect_without_echo().play('call lift; > lift; < OK; call gimbal; > -; +0.021;'
+                                        '> gimbal')
 
 
 @pytest.mark.parametrize('name', MOVES)
