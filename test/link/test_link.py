@@ -48,26 +48,20 @@ def test_a_cause_is_logged_once_in_10_s_with_the_number_left_out(log, lines):
                        'bus: noise again (and 99 more like it)']
 
 
-def test_causes_are_limited_separately(log, lines):
+def test_causes_are_limited_separately_and_one_that_returns_after_10_s_has_no_number(log, lines):
     log.warn('one', 'first')
     log.error('two', 'second')
     log.info('three', 'third')
     log.warn('one', 'first')
-    assert lines(level=logging.INFO) == ['bus: first', 'bus: second', 'bus: third']
-
-
-def test_a_cause_that_returns_after_10_s_is_logged_without_a_number(log, lines):
-    log.warn('one', 'first')
     log.clock[0] = 10.0
-    log.warn('one', 'second')
-    assert lines() == ['bus: first', 'bus: second']
+    log.error('two', 'fourth')
+    assert lines(level=logging.INFO) == ['bus: first', 'bus: second', 'bus: third', 'bus: fourth']
 
 
 def test_each_method_logs_at_its_level(log, caplog):
-    for name, level in (('info', logging.INFO), ('warn', logging.WARNING),
-                        ('error', logging.ERROR)):
-        getattr(log, name)(name, 'text')
-        assert caplog.records[-1].levelno == level
+    for method in log.info, log.warn, log.error:
+        method(method.__name__, 'text')
+    assert [record.levelname for record in caplog.records] == ['INFO', 'WARNING', 'ERROR']
 
 
 class _Broken(logging.Logger):
@@ -87,6 +81,21 @@ def test_errors_of_the_logger_do_not_reach_the_caller():
 
 def threads():
     return {thread.name for thread in threading.enumerate()}
+
+
+def replug(line, link):
+    """Let the port vanish and return; wait until the link has opened it again."""
+    before = link.connection.number
+    line.unplug()
+    until(lambda: not link.port.is_open)
+    line.plug()
+    until(lambda: link.port.is_open and link.connection.number > before)
+
+
+def receives(line, link):
+    """Wait until the link receives one more valid frame."""
+    before = link.frames_received
+    until(lambda: link.frames_received > before or line.write(VALID[type(link)]))
 
 
 @every_link
@@ -118,22 +127,18 @@ def test_an_absent_port_is_logged_once(line, logger, running, lines, kind, names
 
 @every_link
 def test_a_port_that_flaps_is_opened_each_time_and_logged_sparingly(
-        line, logger, running, lines, kind, names):
-    link = running(kind(Port(line.path), logger=logger))
+        line, open_link, lines, kind, names):
+    link = open_link(kind)
     for count in range(3):
-        until(lambda: link.port.is_open and link.connection.reconnects == count)
-        line.unplug()
-        until(lambda: not link.port.is_open)
-        line.plug()
-    until(lambda: link.port.is_open and link.connection.reconnects == 3)
+        assert link.connection.reconnects == count
+        replug(line, link)
     assert len(lines('the device has gone')) <= 1
     assert len(lines('permission')) == 0
 
 
-def test_a_port_is_opened_within_1_5_s_of_its_return(line, logger, running):
+def test_a_port_is_opened_within_1_5_s_of_its_return(line, open_link):
     """However long it was absent: the pauses between tries have a limit."""
-    link = running(McuLink(Port(line.path), logger=logger))
-    until(lambda: link.port.is_open)
+    link = open_link(McuLink)
     line.unplug()
     until(lambda: not link.port.is_open)
     threading.Event().wait(2.3)
@@ -143,41 +148,27 @@ def test_a_port_is_opened_within_1_5_s_of_its_return(line, logger, running):
     assert time.monotonic() - back < 1.5
 
 
-class _CustomOpening(Port):
-    """A port that calls a function of the test before it is opened."""
-
-    def __init__(self, url, opening):
-        super().__init__(url)
-        self.opening = opening
-
-    def open(self):
-        self.opening()
-        super().open()
+def opening_with(function):
+    """A kind of port that calls a function of the test before it is opened."""
+    class Opening(Port):
+        def open(self):
+            function()
+            super().open()
+    return Opening
 
 
-def test_an_unexpected_error_of_opening_is_logged_and_opening_is_tried_again(
-        line, logger, running, lines):
-    troubles = [NotImplementedError('odd'), KeyError('odder')]
-
-    def opening():
-        if troubles:
-            raise troubles.pop()
-
-    link = running(McuLink(_CustomOpening(line.path, opening), logger=logger))
-    until(lambda: link.port.is_open)
-    assert lines('odder')
+def test_an_unexpected_error_of_opening_is_logged_and_opening_is_tried_again(open_link, lines):
+    open_link(McuLink, port=opening_with(raising(NotImplementedError)))
+    assert lines('NotImplementedError')
 
 
 @every_link
 def test_a_log_that_raises_does_not_end_a_link(line, running, kind, names):
     link = running(kind(Port(line.path), logger=_Broken('broken')))
-    for count in range(2):
-        until(lambda: link.port.is_open and link.connection.reconnects == count)
-        line.write(b'\x03\x55noise\x00')
-        line.unplug()
-        until(lambda: not link.port.is_open)
-        line.plug()
     until(lambda: link.port.is_open)
+    for _ in range(2):
+        line.write(b'\x03\x55noise\x00')
+        replug(line, link)
     assert names <= threads()
 
 
@@ -220,8 +211,7 @@ def test_an_error_in_a_hook_does_not_end_a_link(
         line.plug()
     until(raised.is_set)
     until(lambda: link.port.is_open)
-    received = link.frames_received
-    until(lambda: link.frames_received > received or line.write(VALID[kind]))
+    receives(line, link)
     assert names <= threads()
 
 
@@ -235,42 +225,32 @@ def test_heartbeats_go_on_after_one_that_raises(line, logger, running, monkeypat
 
 
 @every_link
-def test_a_tap_that_raises_does_not_disturb_the_link(line, logger, running, kind, names):
-    link = kind(Port(line.path), logger=logger)
-    calls = []
+def test_a_tap_that_raises_does_not_disturb_the_link(line, open_link, kind, names):
+    link, calls = open_link(kind), []
 
     def tap(*arguments):
         calls.append(arguments)
         raise RuntimeError('of a test')
 
     link.tap = tap
-    running(link)
-    until(lambda: link.port.is_open)
     until(lambda: link.frames_received > 3 or line.write(VALID[kind]))
     assert len(calls) > 3 and link.connection.reconnects == 0 and link.port.is_open
 
 
 @every_link
-def test_no_thread_is_started_after_start(line, logger, running, monkeypatch, kind, names):
+def test_no_thread_is_started_after_start(line, open_link, monkeypatch, kind, names):
     """When memory has run out, Thread.start may never return."""
-    link = running(kind(Port(line.path), logger=logger))
-    until(lambda: link.port.is_open)
+    link = open_link(kind)
     forever = threading.Event()
     monkeypatch.setattr(threading.Thread, 'start', lambda thread: forever.wait())
-    for count in range(1, 3):
-        line.unplug()
-        until(lambda: not link.port.is_open)
-        line.plug()
-        until(lambda: link.port.is_open and link.connection.reconnects == count)
-    received = link.frames_received
-    until(lambda: link.frames_received > received or line.write(VALID[kind]))
+    for _ in range(2):
+        replug(line, link)
+    receives(line, link)
     forever.set()
 
 
-def test_a_link_survives_a_temporary_lack_of_memory(line, logger, running, monkeypatch):
-    link = running(McuLink(Port(line.path), logger=logger))
-    until(lambda: link.port.is_open)
-    raised = []
+def test_a_link_survives_a_temporary_lack_of_memory(line, open_link, monkeypatch):
+    link, raised = open_link(McuLink), []
 
     def out_of_memory(*_arguments):
         raised.append(None)
@@ -288,8 +268,7 @@ def test_a_link_survives_a_temporary_lack_of_memory(line, logger, running, monke
             time.sleep(0.01)
         line.plug()
     until(lambda: link.port.is_open)
-    received = link.frames_received
-    until(lambda: link.frames_received > received or line.write(VALID[McuLink]))
+    receives(line, link)
 
 
 @every_link
@@ -310,7 +289,7 @@ def test_after_an_error_that_cannot_be_logged_the_port_is_closed_and_opened_agai
 def test_idle_is_called_while_opening_hangs(line, logger, running):
     free = threading.Event()
     silences = []
-    link = running(McuLink(_CustomOpening(line.path, free.wait), timeout=0.1, logger=logger,
+    link = running(McuLink(opening_with(free.wait)(line.path), timeout=0.1, logger=logger,
                            on_silence=lambda *status: silences.append(status)))
     until(lambda: len(silences) >= 2)
     free.set()
@@ -324,7 +303,7 @@ def test_a_link_ends_while_opening_hangs(line, logger):
         entered.set()
         free.wait()
 
-    link = McuLink(_CustomOpening(line.path, opening), logger=logger)
+    link = McuLink(opening_with(opening)(line.path), logger=logger)
     link.start()
     until(entered.is_set)
     begun = time.monotonic()
@@ -336,9 +315,8 @@ def test_a_link_ends_while_opening_hangs(line, logger):
     assert not link.port.is_open, 'the port was opened after the end and left open'
 
 
-def test_errors_are_counted_reported_and_logged_sparingly(line, logger, running, lines):
-    link = running(McuLink(Port(line.path), timeout=20.0, logger=logger))
-    until(lambda: link.port.is_open)
+def test_errors_are_counted_reported_and_logged_sparingly(line, open_link, lines):
+    link = open_link(McuLink, timeout=20.0)
     valid = mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 1)
     invalid = valid[:-2] + bytes((valid[-2] ^ 1, 3))
     for _ in range(50):
@@ -355,9 +333,8 @@ def test_errors_are_counted_reported_and_logged_sparingly(line, logger, running,
     assert values['port'] == line.path and float(values['last frame age [s]']) < 20
 
 
-def test_a_silent_board_is_reported(line, logger, running):
-    link = running(ArduinoLink(Port(line.path), logger=logger))
-    until(lambda: link.port.is_open)
+def test_a_silent_board_is_reported(line, open_link):
+    link = open_link(ArduinoLink)
     assert link.condition(time.monotonic()) == (1, 'open, the board is silent')
     line.write(arduino.encode(arduino.Ticks(1)))
     until(lambda: link.frames_received)
@@ -382,26 +359,22 @@ def test_an_ended_link_leaves_no_file_open(line, logger):
     assert descriptors() <= before + 4
 
 
-def test_a_false_start_does_not_delay_frames_that_follow_without_a_pause(line, logger, running):
+def test_a_false_start_does_not_delay_frames_that_follow_without_a_pause(line, sensor):
     """Its length of 255 would span sixteen frames, and no pause between them is long enough."""
-    taken = []
-    link = running(McuLink(Port(line.path), timeout=20.0, logger=logger,
-                           on_status=lambda message, seq, stamp: taken.append(seq)))
-    until(lambda: link.port.is_open)
     line.write(bytes((mcu.STX, 255)))
     for seq in range(10):
-        if taken:
+        if sensor.got:
             break
         threading.Event().wait(0.04)     # less than frame_timeout
         line.write(mcu.encode(mcu.SensorStatus(400, 500, 1.0, 2.0, 3.0), seq))
-    until(lambda: taken)
-    assert taken[0] == 0 and len(taken) < 10
+    until(lambda: sensor.got)
+    assert sensor.got[0] == 0 and len(sensor.got) < 10
 
 
-def test_a_false_start_and_a_byte_now_and_then_do_not_hold_the_bus(line, logger, running):
+def test_a_false_start_and_a_byte_now_and_then_do_not_hold_the_bus(line, open_link, running):
     """The false start would take 244 bytes: over seven seconds."""
     board = running(BusBoard(line))
-    link = running(BusLink(Port(line.path), BusSettings(environment_period=0.0), logger=logger))
+    link = open_link(BusLink, BusSettings(environment_period=0.0))
     until(lambda: link.master.in_step)
     line.write(b'\xa5\xf0')
     ended = threading.Event()
@@ -421,12 +394,11 @@ def test_a_false_start_and_a_byte_now_and_then_do_not_hold_the_bus(line, logger,
     assert board.requests(bus.SYNC)
 
 
-def test_a_slow_frame_is_received(line, logger, running):
+def test_a_slow_frame_is_received(line, open_link):
     """It comes in many reads, with pauses, but within frame_timeout."""
     taken = []
-    link = running(McuLink(Port(line.path), timeout=20.0, logger=logger, frame_timeout=5.0,
-                           on_status=lambda message, seq, stamp: taken.append(seq)))
-    until(lambda: link.port.is_open)
+    link = open_link(McuLink, timeout=20.0, frame_timeout=5.0,
+                     on_status=lambda message, seq, stamp: taken.append(seq))
     wire = mcu.encode(mcu.SensorStatus(400, 500, 1.0, 2.0, 3.0), 7)
 
     def passes():
@@ -449,20 +421,20 @@ def test_a_slow_frame_is_received(line, logger, running):
 
 # -- when `tick` is called ------------------------------------------------------------------------
 
-class _Scripted(Port):
-    """A port whose reads return what the test gives, and at once."""
+def scripted(read):
+    """A kind of port whose reads return what `read(number of the read)` does, and at once."""
+    class Scripted(Port):
+        def __init__(self, path):
+            super().__init__(path)
+            self.timeouts = []      # of the reads
 
-    def __init__(self, path, read):
-        super().__init__(path)
-        self.give = read
-        self.timeouts = []     # of the reads
-
-    def read(self, timeout):
-        self.timeouts.append(timeout)
-        data = self.give(len(self.timeouts))
-        if not data:
-            time.sleep(0.001)
-        return data
+        def read(self, timeout):
+            self.timeouts.append(timeout)
+            data = read(len(self.timeouts))
+            if not data:
+                time.sleep(0.001)
+            return data
+    return Scripted
 
 
 class _Ticking(Link):
@@ -481,10 +453,9 @@ class _Draining(_Ticking):
 
 
 @pytest.mark.parametrize('kind', [_Ticking, _Draining])
-def test_tick_is_called_when_it_is_due_and_not_after_each_read(line, logger, running, kind):
-    link = kind(_Scripted(line.path, lambda number: VALID[McuLink]), logger=logger)
+def test_tick_is_called_when_it_is_due_and_not_after_each_read(open_link, kind):
     began = time.monotonic()
-    running(link)
+    link = open_link(kind, port=scripted(lambda number: VALID[McuLink]))
     until(lambda: link.frames_received > 300)
     assert 1 <= len(link.ticks) <= 2 + (time.monotonic() - began) / LONGEST_SLEEP
     assert {state for _, state in link.ticks} == {PortState.RECEIVING}
@@ -492,25 +463,23 @@ def test_tick_is_called_when_it_is_due_and_not_after_each_read(line, logger, run
 
 @pytest.mark.parametrize('kind', [_Ticking, _Draining])
 def test_wake_calls_tick_after_the_next_read_although_bytes_are_received_without_end(
-        line, logger, running, kind):
+        open_link, kind):
     def read(number):
-        if number in (50, 60):
+        if link and len(woken) < 2:
             link.wake()      # as a caller in another thread does
+            woken.append(number)
         return VALID[McuLink]
 
-    link = kind(_Scripted(line.path, read), logger=logger)
-    running(link)
-    until(lambda: link.frames_received > 60)
-    assert {50, 60} <= {reads for reads, _ in link.ticks}
+    link, woken = None, []
+    link = open_link(kind, port=scripted(read))
+    until(lambda: len(woken) == 2 and len(link.port.timeouts) > woken[1] + 1)
+    assert set(woken) <= {reads for reads, _ in link.ticks}
 
 
-def test_a_link_that_drains_reads_on_without_waiting_until_nothing_is_left(
-        line, logger, running):
+def test_a_link_that_drains_reads_on_without_waiting_until_nothing_is_left(open_link):
     """An incomplete frame that is given up counts as received, too: delivering it takes time."""
-    link = _Draining(_Scripted(line.path, lambda number: (
-        VALID[McuLink] if number in (50, 51, 52) else b'noise' if number == 60 else b'')),
-        logger=logger)
-    running(link)
+    link = open_link(_Draining, port=scripted(lambda number: (
+        VALID[McuLink] if number in (50, 51, 52) else b'noise' if number == 60 else b'')))
     until(lambda: link.decoder.errors['framing'])
     until(lambda reads=len(link.port.timeouts): len(link.port.timeouts) > reads + 3)
     states = dict(link.ticks)

@@ -61,7 +61,7 @@ def test_frequent_changes_are_logged_sparingly_and_the_last_state_is_logged(pres
     assert said()[-1] == 'the board is silent'
 
 
-def test_a_car_that_talks_falls_silent_and_is_back_is_logged(line, running, logger, said):
+def test_a_car_that_talks_falls_silent_and_is_back_is_logged(line, running, open_link, said):
     talking = [True]
 
     class Car(CarBoard):
@@ -70,7 +70,7 @@ def test_a_car_that_talks_falls_silent_and_is_back_is_logged(line, running, logg
                 self.line.write(arduino.encode(arduino.Voltage(12.0)))
 
     running(Car(line))
-    running(ArduinoLink(Port(line.path), ArduinoSettings(network_silence=0.0), logger=logger))
+    open_link(ArduinoLink, ArduinoSettings(network_silence=0.0))
     until(lambda: said() == ['ready: the board talks'])
     talking[0] = False
     until(lambda: len(said()) == 2)
@@ -91,9 +91,9 @@ def test_a_car_that_calibrates_does_not_count_as_silent(line, logger):
     assert link.talks(later) is None
 
 
-def test_silence_from_the_beginning_is_logged_after_the_startup_time(line, running, logger, said):
+def test_silence_from_the_beginning_is_logged_after_the_startup_time(line, open_link, said):
     began = time.monotonic()
-    running(McuLink(Port(line.path), timeout=0.1, logger=logger))
+    open_link(McuLink, timeout=0.1)
     until(said)
     assert time.monotonic() >= began + STARTUP_TIME
     assert said()[0].startswith('the board is silent')
@@ -103,12 +103,12 @@ def test_silence_from_the_beginning_is_logged_after_the_startup_time(line, runni
 
 
 def test_a_bus_board_that_does_not_answer_sync_and_then_does_is_logged(
-        line, running, logger, said):
+        line, running, open_link, said):
     mute = [False]
 
     board = running(BusBoard(line))
     board.rule = lambda request: b'' if mute[0] else None
-    running(BusLink(Port(line.path), QUICK, logger=logger))
+    open_link(BusLink, QUICK)
     until(lambda: 'ready: the board talks' in said())
     mute[0] = True
     until(lambda: any('does not answer SYNC' in words for words in said()))
@@ -119,12 +119,12 @@ def test_a_bus_board_that_does_not_answer_sync_and_then_does_is_logged(
 
 @pytest.mark.parametrize('granted', [True, False])
 def test_whether_the_heartbeat_has_real_time_priority_is_logged_once(
-        line, running, logger, lines, monkeypatch, granted):
+        open_link, lines, monkeypatch, granted):
     def schedule(*_arguments):
         if not granted:
             raise PermissionError
     monkeypatch.setattr(os, 'sched_setscheduler', schedule)
-    running(ArduinoLink(Port(line.path), logger=logger))
+    open_link(ArduinoLink)
     until(lambda: lines('real-time', logging.INFO))
     said, = lines('real-time', logging.INFO)
     assert said.startswith('arduino: the heartbeat has real-time priority' if granted else
@@ -132,9 +132,8 @@ def test_whether_the_heartbeat_has_real_time_priority_is_logged_once(
     assert ('rtprio' in said) == (not granted)
 
 
-def test_a_port_lost_while_the_bridge_ends_is_not_logged(line, running, logger, lines):
-    link = running(McuLink(Port(line.path), logger=logger))
-    until(lambda: link.port.is_open)
+def test_a_port_lost_while_the_bridge_ends_is_not_logged(line, open_link, lines):
+    link = open_link(McuLink)
     line.unplug()
     until(lambda: not link.port.is_open)
     link.stop()
@@ -142,10 +141,8 @@ def test_a_port_lost_while_the_bridge_ends_is_not_logged(line, running, logger, 
     assert not lines()
 
 
-def test_a_port_lost_at_another_time_is_logged_in_order_and_sparingly(
-        line, running, logger, lines):
-    link = running(McuLink(Port(line.path), logger=logger))
-    until(lambda: link.port.is_open)
+def test_a_port_lost_at_another_time_is_logged_in_order_and_sparingly(line, open_link, lines):
+    link = open_link(McuLink)
     line.unplug()
     until(lambda: len(lines()) == 2)
     assert 'opening it again when it returns' in lines()[0] and 'waiting for it' in lines()[1]

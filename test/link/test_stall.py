@@ -90,7 +90,7 @@ def one_link():
 
 
 def status(number):
-    """A frame with this number."""
+    """A frame with this number, and a SEQ of its last eight bits."""
     return mcu.encode(mcu.AdcStatus(number % 65536, number // 65536, 0, 0, 0, 0), number % 256)
 
 
@@ -305,11 +305,18 @@ class Clock:
         link.wake()
         until(lambda: is_dropping(link))
 
+    def pass_time(self, link, seconds):
+        """Let time pass while the clock stands; return when the link's thread has run."""
+        self._stopped_at += seconds
+        self.wait_for(link)
+
+    def wait_for(self, link):
+        until(lambda: link.connection.stalls.awake_at == self._stopped_at)
+
     def end(self, link):
         """Let time pass, in steps that are no stalls, until nothing is dropped."""
         while is_dropping(link):
-            self._stopped_at += STALL / 2
-            until(lambda: link.connection.stalls.awake_at == self._stopped_at)
+            self.pass_time(link, STALL / 2)
         self._ahead = self._stopped_at - self._real()
         self._stopped_at = None
         until(lambda: not is_dropping(link))
@@ -322,44 +329,42 @@ def clock(monkeypatch):
     return made
 
 
-def test_a_stall_on_an_idle_line_is_not_logged(line, logger, running, lines, clock):
-    link = running(McuLink(Port(line.path), timeout=60.0, logger=logger))
-    until(lambda: link.port.is_open)
+@pytest.fixture
+def send(line, sensor):
+    """A function: send a status until it is passed on."""
+    return lambda seq: until(lambda: sensor.got[-1:] == [seq] or line.write(status(seq)))
+
+
+def test_a_stall_on_an_idle_line_is_not_logged(sensor, lines, clock):
     for _ in range(2):
-        clock.begin_stall(link, 100.0)
-        clock.end(link)
-    assert dict(link.report(time.monotonic()).values)['stale'] == 0
+        clock.begin_stall(sensor, 100.0)
+        clock.end(sensor)
+    assert dict(sensor.report(time.monotonic()).values)['stale'] == 0
     assert not lines('stalled')
 
 
-def test_stale_bytes_are_counted_and_their_frames_count_as_lost(
-        line, logger, running, lines, clock):
-    got = []
-    link = running(McuLink(Port(line.path), timeout=60.0, logger=logger,
-                           on_status=lambda message, seq, stamp: got.append(seq)))
-    frame = mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 1)
-    until(lambda: got or line.write(frame))
-    clock.begin_stall(link, 2.0)
-    before = link.connection.stale     # more than one copy of the first frame may have been written
-    line.write(b''.join(mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), seq) for seq in range(2, 9)))
-    until(lambda: link.connection.stale == before + 7 * len(frame))
-    clock.end(link)
-    line.write(mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 9))
-    until(lambda: got[-1] == 9)
-    assert set(got) == {1, 9}
-    values = dict(link.report(time.monotonic()).values)
-    assert values['stale'] == before + 7 * len(frame) and values['frames lost'] == 7
+def test_stale_bytes_are_counted_and_their_frames_count_as_lost(line, sensor, send, lines, clock):
+    send(1)
+    clock.begin_stall(sensor, 2.0)
+    before = sensor.connection.stale     # more than one copy of the first may have been written
+    old = b'noise'.join(map(status, range(2, 9)))
+    line.write(old)
+    until(lambda: sensor.connection.stale == before + len(old))
+    clock.end(sensor)
+    line.write(status(9))
+    until(lambda: sensor.got[-1] == 9)
+    assert set(sensor.got) == {1, 9}
+    values = dict(sensor.report(time.monotonic()).values)
+    assert values['stale'] == before + len(old) and values['frames lost'] == 7
     assert values['checksum errors'] == values['framing errors'] == 0
     assert len(lines('stalled for 2')) == 1
 
 
-def test_the_rest_of_a_packet_that_began_in_the_backlog_is_not_received(
-        line, logger, running, clock):
+def test_the_rest_of_a_packet_that_began_in_the_backlog_is_not_received(line, open_link, clock):
     """Without a checksum the end of a long packet can look like a valid short one."""
     got = []
-    link = running(ArduinoLink(Port(line.path), logger=logger, frame_timeout=5.0,
-                               on_message=lambda message, stamp: got.append(message)))
-    until(lambda: link.port.is_open)
+    link = open_link(ArduinoLink, frame_timeout=5.0,
+                     on_message=lambda message, stamp: got.append(message))
     clock.begin_stall(link, 2.0)
     line.write(b'\x20\x09')
     until(lambda: link.connection.stale == 2)
@@ -370,38 +375,27 @@ def test_the_rest_of_a_packet_that_began_in_the_backlog_is_not_received(
 
 
 def test_an_old_frame_inside_a_false_one_is_not_received_when_that_is_given_up(
-        line, logger, running, clock):
+        line, open_link, clock):
     """It is found after the stall, but waited during it."""
     got = []
-    link = running(McuLink(Port(line.path), timeout=60.0, logger=logger,
-                           on_status=lambda message, seq, stamp: got.append(seq)))
-
-    def frame(seq):
-        return mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), seq)
-
-    until(lambda: got or line.write(frame(1)))
+    link = open_link(McuLink, timeout=60.0, frame_timeout=60.0,
+                     on_status=lambda message, seq, stamp: got.append(seq))
     clock.begin_stall(link, 2.0)
-    before, old = link.connection.stale, b'\x02\x40' + frame(2)     # it would be 67 bytes long
+    old = b'\x02\x40' + status(2)     # it would be 67 bytes long
     line.write(old)
-    until(lambda: link.connection.stale == before + len(old))
+    until(lambda: link.connection.stale == len(old))
     clock.end(link)
-    until(lambda: got[-1] == 3 or line.write(frame(3)))
-    assert set(got) == {1, 3}
+    until(lambda: got or line.write(status(3)))
+    assert set(got) == {3}
 
 
-def test_the_hook_stalled_is_called_before_a_frame_is_received(
-        line, logger, running, clock, monkeypatch):
-    calls = []
-    link = McuLink(Port(line.path), timeout=60.0, logger=logger,
-                   on_status=lambda message, seq, stamp: calls.append(seq))
-    monkeypatch.setattr(link, 'stalled', lambda seconds, now: calls.append(seconds))
-    running(link)
-    until(lambda: calls or line.write(mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 1)))
-    del calls[:]
-    clock.begin_stall(link, 40.0)
-    assert calls[-1] == pytest.approx(40.0, abs=5.0)
-    clock.end(link)
-    until(lambda: calls[-1] == 2 or line.write(mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 2)))
+def test_the_hook_stalled_is_called_before_a_frame_is_received(sensor, send, clock, monkeypatch):
+    monkeypatch.setattr(sensor, 'stalled', lambda seconds, now: sensor.got.append(seconds))
+    send(1)
+    clock.begin_stall(sensor, 40.0)
+    assert sensor.got[-1] == pytest.approx(40.0, abs=5.0)
+    clock.end(sensor)
+    send(2)
 
 
 @pytest.mark.parametrize('kind, openings', [(ArduinoLink, 2), (McuLink, 2), (BusLink, 1)])
@@ -424,24 +418,30 @@ def test_a_network_port_is_opened_anew_after_a_stall_unless_the_link_has_fences(
         peer.close()
 
 
-def test_a_slow_callback_is_a_stall(line, logger, running):
-    """Frames that arrive meanwhile would get a stamp that is too late."""
-    got = []
-    free = threading.Event()
+@pytest.fixture
+def held(line, open_link):
+    """A link that hangs while it passes on the first status, until `free` is set."""
+    entered, free, got = threading.Event(), threading.Event(), []
 
     def on_status(message, seq, stamp):
         got.append(seq)
-        if seq == 1:
-            free.wait(PATIENCE)
+        entered.set()
+        free.wait(PATIENCE)
 
-    link = running(McuLink(Port(line.path), timeout=60.0, logger=logger, on_status=on_status))
-    until(lambda: got or line.write(mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 1)))
-    line.write(mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 2))
+    link = open_link(McuLink, timeout=60.0, on_status=on_status)
+    link.free, link.got = free, got
+    until(lambda: entered.is_set() or line.write(status(1)))
+    return link
+
+
+def test_a_slow_callback_is_a_stall(line, held):
+    """Frames that arrive meanwhile would get a stamp that is too late."""
+    line.write(status(2))
     time.sleep(STALL + 0.1)
-    free.set()
-    until(lambda: link.connection.stale)
-    until(lambda: 3 in got or line.write(mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 3)))
-    assert 2 not in got
+    held.free.set()
+    until(lambda: held.connection.stale)
+    until(lambda: 3 in held.got or line.write(status(3)))
+    assert 2 not in held.got
 
 
 def test_tick_is_called_and_stop_works_while_a_backlog_without_end_is_dropped(
@@ -464,87 +464,77 @@ def test_tick_is_called_and_stop_works_while_a_backlog_without_end_is_dropped(
     board.stop()
 
 
-def test_no_request_is_sent_while_replies_are_dropped(line, logger, running, clock):
-    link = running(BusLink(Port(line.path), BusSettings(environment_period=0.0), logger=logger))
-    board = running(BusBoard(line))
+@pytest.fixture
+def bus_link(line, open_link, running):
+    """A link to a bus board, in step; `board` is the board."""
+    link = open_link(BusLink, BusSettings(environment_period=0.0, motion_timeout=PATIENCE))
+    link.board = running(BusBoard(line))
     until(lambda: link.master.in_step)
+    return link
+
+
+def test_no_request_is_sent_while_replies_are_dropped(bus_link, clock):
+    board = bus_link.board
     for readings in range(3):
-        clock.begin_stall(link, 1.0)
+        clock.begin_stall(bus_link, 1.0)
         seen = len(board.seen)
-        caller = Waiter(link.environment)
+        caller = Waiter(bus_link.environment)
         caller.name = 'caller'
         waited = time.monotonic()
         until(lambda: time.monotonic() > waited + 0.2)
         assert len(board.seen) == seen
-        clock.end(link)
+        clock.end(bus_link)
         assert caller.result()[0].success and len(board.executed) == readings + 1
-    assert link.master.timeouts == 0, 'the reply to an ECHO was dropped'
+    assert bus_link.master.timeouts == 0, 'the reply to an ECHO was dropped'
 
 
-def test_a_stop_is_sent_while_replies_are_dropped(line, logger, running, clock):
-    link = running(BusLink(Port(line.path), BusSettings(environment_period=0.0), logger=logger))
-    board = running(BusBoard(line))
-    until(lambda: link.master.in_step)
-    clock.begin_stall(link, 1.0)
+def test_a_stop_is_sent_while_replies_are_dropped(bus_link, clock):
+    clock.begin_stall(bus_link, 1.0)
     stop = bus.Request(bus.FUNCTION, 0x2F)
     function = bus.Function('stop', 0x2F, repeatable=True, interrupts=True)
-    caller = Waiter(lambda: link.request(stop, function))
-    until(lambda: stop in board.requests())
-    assert is_dropping(link)
-    clock.end(link)
+    caller = Waiter(lambda: bus_link.request(stop, function))
+    until(lambda: stop in bus_link.board.requests())
+    assert is_dropping(bus_link)
+    clock.end(bus_link)
     assert caller.result().success
 
 
 # -- what was asked for during a stall -------------------------------------------------------------
 
-def test_a_stall_is_found_before_and_after_the_links_thread_runs_again(
-        line, logger, running, clock):
-    free, held = threading.Event(), threading.Event()
-
-    def hold(message, seq, stamp):
-        held.set()
-        free.wait(PATIENCE)
-
-    link = running(McuLink(Port(line.path), timeout=60.0, logger=logger, on_status=hold))
-    until(lambda: held.is_set() or line.write(mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 1)))
-    clock._stopped_at = link.connection.stalls.awake_at + STALL - 0.01
-    assert not link.connection.may_be_from_a_stall()
-    clock._stopped_at = link.connection.stalls.awake_at + STALL + 0.01
-    assert link.connection.may_be_from_a_stall(), 'before its thread runs'
-    free.set()
-    until(lambda: link.connection.stalls.awake_at == clock._stopped_at)
-    clock._stopped_at += AFTER_STALL / 2
-    until(lambda: link.connection.stalls.awake_at == clock._stopped_at)
-    assert link.connection.may_be_from_a_stall(), 'after its thread has run'
+def test_a_stall_is_found_before_and_after_the_links_thread_runs_again(held, clock):
+    connection = held.connection
+    clock._stopped_at = connection.stalls.awake_at + STALL - 0.01
+    assert not connection.may_be_from_a_stall()
+    clock._stopped_at = connection.stalls.awake_at + STALL + 0.01
+    assert connection.may_be_from_a_stall(), 'before its thread runs'
+    held.free.set()
+    clock.wait_for(held)
+    clock.pass_time(held, AFTER_STALL / 2)
+    assert connection.may_be_from_a_stall(), 'after its thread has run'
     for _ in range(2):      # in two steps: neither is a stall
-        clock._stopped_at += AFTER_STALL / 3
-        until(lambda: link.connection.stalls.awake_at == clock._stopped_at)
-    assert not link.connection.may_be_from_a_stall()
+        clock.pass_time(held, AFTER_STALL / 3)
+    assert not connection.may_be_from_a_stall()
 
 
-def test_a_stall_counts_although_the_port_was_closed_or_is_lost_at_its_end(
-        line, logger, running, clock):
+def test_a_stall_counts_although_the_port_was_closed_or_is_lost_at_its_end(line, sensor, clock):
     """A USB adapter is often gone after the computer was suspended, and back at once."""
-    link = running(McuLink(Port(line.path), timeout=60.0, logger=logger))
-    until(lambda: link.port.is_open)
+    connection = sensor.connection
     clock._stopped_at = clock() + 15.0
     line.unplug()
-    until(lambda: not link.port.is_open and link.connection.stalls.awake_at == clock._stopped_at)
-    assert link.connection.may_be_from_a_stall()
-    while link.connection.may_be_from_a_stall():
-        clock._stopped_at += STALL / 2
-        until(lambda: link.connection.stalls.awake_at == clock._stopped_at)
+    until(lambda: not sensor.port.is_open)
+    clock.wait_for(sensor)
+    assert connection.may_be_from_a_stall()
+    while connection.may_be_from_a_stall():
+        clock.pass_time(sensor, STALL / 2)
     clock._stopped_at += 15.0
     line.plug()
-    until(lambda: link.port.is_open and link.connection.stalls.awake_at == clock._stopped_at)
-    assert link.connection.may_be_from_a_stall()
+    until(lambda: sensor.port.is_open)
+    clock.wait_for(sensor)
+    assert connection.may_be_from_a_stall()
 
 
-def test_what_moves_is_not_sent_if_it_was_asked_for_during_a_stall_or_just_after(
-        line, logger, running, clock):
-    link = running(BusLink(Port(line.path), BusSettings(environment_period=0.0), logger=logger))
-    board = running(BusBoard(line))
-    until(lambda: link.master.in_step)
+def test_what_moves_is_not_sent_if_it_was_asked_for_during_a_stall_or_just_after(bus_link, clock):
+    link, board = bus_link, bus_link.board
     moves = [lambda: link.lift(0, 1), lambda: link.gimbal(0, 1),
              lambda: link.request(bus.Request(bus.FUNCTION, 0x30))]
     clock.begin_stall(link, 15.0)
@@ -560,16 +550,17 @@ def test_what_moves_is_not_sent_if_it_was_asked_for_during_a_stall_or_just_after
     assert len(board.moves()) == 3
 
 
-def test_a_move_that_waited_for_its_turn_during_a_stall_is_not_sent(line, logger, running, clock):
-    link = running(BusLink(Port(line.path), BusSettings(
-        environment_period=0.0, motion_timeout=PATIENCE), logger=logger))
-    board = running(BusBoard(line))
-    until(lambda: link.master.in_step)
+def test_a_move_that_waited_for_its_turn_during_a_stall_is_not_sent(bus_link, clock, monkeypatch):
+    link, board = bus_link, bus_link.board
+    submitted, submit = [], link.master.submit
+    monkeypatch.setattr(link.master, 'submit', lambda call: submitted.append(submit(call)))
     board.script.append(b'')
     moving = Waiter(link.lift, 0, 1)
     until(lambda: board.moves() == [bus.lift(0, 1)])
     waiting = [Waiter(link.gimbal, 0, 1), Waiter(link.environment)]
-    until(lambda: len(list(link.master.calls)) == 2)
+    until(lambda: len(submitted) == 3)
+    for _ in range(2):      # the link's thread takes them in between
+        until(lambda at=link.connection.stalls.awake_at: link.connection.stalls.awake_at > at)
     clock.begin_stall(link, 15.0)
     clock.end(link)
     assert 'waited while the bridge stalled' in waiting[0].result().message

@@ -33,11 +33,15 @@ def others(has_port=True):
             for name in BOARDS]
 
 
+def send(line, data, condition, every=0.02):
+    """Send these bytes every `every` s until the condition is true."""
+    until(condition, doing=lambda: line.write(data), every=every)
+
+
 @pytest.fixture
-def link_of(line, logger, running):
+def link_of(open_link):
     """A function that starts a link that knows the other boards."""
-    return lambda kind, **options: running(kind(
-        Port(line.path), logger=logger, other_boards=others(**options)))
+    return lambda kind, **options: open_link(kind, other_boards=others(**options))
 
 
 @pytest.mark.parametrize('kind, level, data, name', [
@@ -48,9 +52,8 @@ def test_frames_of_another_board_are_reported_as_swapped_ports(
     link = link_of(kind)
     words = SWAPPED.format(name)
     prefix = '' if kind is BusLink else 'open, '
-    until(lambda: line.write(data) or time.sleep(0.01) or
-          link.condition(time.monotonic()) == (level, prefix + words), 'it is reported')
-    until(lambda: line.write(data) or time.sleep(0.01) or lines(words), 'it is logged')
+    send(line, data, lambda: link.condition(time.monotonic()) == (level, prefix + words))
+    send(line, data, lambda: lines(words))
     assert lines(words) == [f'{link.name}: {words}{HINT}']
     state = dict(link.report(time.monotonic()).values)['state']
     assert state.partition('; heartbeat gap')[0] == prefix + words
@@ -58,23 +61,22 @@ def test_frames_of_another_board_are_reported_as_swapped_ports(
 
 def test_frames_of_a_board_without_a_port_are_not_reported_as_swapped_ports(line, link_of):
     link = link_of(McuLink, has_port=False)
-    until(lambda: line.write(TICKS) or time.sleep(0.01) or link.condition(time.monotonic())[1]
-          == "open, bytes come, but they are the arduino's: is this its port?")
+    send(line, TICKS, lambda: link.condition(time.monotonic())[1] ==
+         "open, bytes come, but they are the arduino's: is this its port?")
 
 
 def test_bytes_without_any_frame_are_not_reported_as_silence(line, link_of, lines):
     link = link_of(McuLink)
-    until(lambda: line.write(GARBAGE) or time.sleep(0.01) or
-          link.condition(time.monotonic()) == (WARN, f'open, {OTHER}'), 'it is reported')
-    until(lambda: line.write(GARBAGE) or time.sleep(0.01) or lines('bytes come'))
+    send(line, GARBAGE, lambda: link.condition(time.monotonic()) == (WARN, f'open, {OTHER}'))
+    send(line, GARBAGE, lambda: lines('bytes come'))
     assert lines('the board is silent') == [] and lines(f'mcu: {OTHER}{HINT}')
 
 
 def test_frames_of_an_unknown_type_do_not_hide_that_the_bytes_are_anothers(line, link_of):
     link = link_of(McuLink)
     unknown = mcu.encode_raw(0x77, 1, b'')
-    until(lambda: line.write(TICKS + unknown + TICKS) or time.sleep(0.01) or
-          link.condition(time.monotonic())[1] == 'open, ' + SWAPPED.format('arduino'))
+    send(line, TICKS + unknown + TICKS, lambda:
+         link.condition(time.monotonic())[1] == 'open, ' + SWAPPED.format('arduino'))
     assert link.last_frame_at is not None
 
 
@@ -90,18 +92,16 @@ def test_frames_of_an_unknown_type_do_not_hide_that_the_bytes_are_anothers(line,
 def test_a_sketch_that_prints_text_is_told(line, link_of, lines, kind, data, text, instead):
     link = link_of(kind)
     words = f'the sketch prints text to this port: use {instead}'
-    until(lambda: line.write(data) or time.sleep(0.1) or any(
-        each.startswith(f"{link.name}: {words}: '{text}") for each in lines('the sketch prints')),
-          'it is logged')
-    until(lambda: line.write(data) or time.sleep(0.1)
-          or words in link.report(time.monotonic()).summary, 'it is reported')
+    begin = f"{link.name}: {words}: '{text}"
+    for condition in (lambda: any(each.startswith(begin) for each in lines('the sketch prints')),
+                      lambda: words in link.report(time.monotonic()).summary):
+        send(line, data, condition, every=0.1)      # noise ends after a pause
     assert link.decoder.errors['framing'] > 0 and not lines('another baud rate')
 
 
 def test_a_frame_that_the_opening_cut_is_no_text(line, link_of, lines):
     """An announcement is text; the port may be opened while one of its chunks is sent."""
     link = link_of(ArduinoLink)
-    until(lambda: link.port.is_open)
     line.write(b"uino/UInt16, layout: '<H', fields: [data]}\nlamp: {type: 33\0" + TICKS)
     until(lambda: link.frames_received == 2)
     assert link.decoder.errors['framing'] == 1 and not lines('prints text')
@@ -126,7 +126,7 @@ def test_types_that_nobody_knows_are_not_another_baud_rate(line, link_of, lines,
     link = link_of(kind)
     words = (f'messages come, but of unknown types ({types}): no row of the parameters, and none '
              'that the board announces, has them')
-    until(lambda: line.write(data) or time.sleep(0.02) or lines(words), 'it is logged')
+    send(line, data, lambda: lines(words))
     assert link.condition(time.monotonic()) == (WARN, f'open, {words}')
     assert not lines('another baud rate') and not lines('the board is silent')
 
@@ -146,21 +146,19 @@ def test_types_that_the_board_may_still_announce_are_no_errors(
     until(lambda: len(taken) == 3)
     if time.monotonic() < began + 4:
         assert taken == [0, 0, 0] and not lines('unknown type')
-    until(lambda: line.write(data) or time.sleep(0.05) or link.error_count(), 'it is counted')
+    send(line, data, link.error_count)
     assert time.monotonic() >= began + 5
     assert link.decoder.errors['unknown type'] == link.error_count()
 
 
 def test_without_announcements_an_unknown_type_is_an_error_at_once(line, link_of):
     link = link_of(ArduinoLink)
-    until(lambda: link.port.is_open)
     line.write(arduino.encode_raw(40, b''))
     until(lambda: link.decoder.errors['unknown type'] == 1)
 
 
 def test_a_few_bytes_of_noise_are_silence(line, link_of):
     link = link_of(McuLink)
-    until(lambda: link.port.is_open)
     line.write(GARBAGE)
     until(lambda: link.port.bytes_received == len(GARBAGE))
     assert link.condition(time.monotonic()) == (WARN, 'open, the board is silent')
@@ -169,9 +167,8 @@ def test_a_few_bytes_of_noise_are_silence(line, link_of):
 def test_the_words_change_with_what_is_received(line, link_of, lines):
     link = link_of(McuLink)
     until(lambda: lines('the board is silent'))
-    until(lambda: line.write(TICKS) or time.sleep(0.01) or lines("the arduino's"))
-    until(lambda: line.write(STATUS) or time.sleep(0.01)
-          or lines('ready: the board talks', logging.INFO))
+    send(line, TICKS, lambda: lines("the arduino's"))
+    send(line, STATUS, lambda: lines('ready: the board talks', logging.INFO))
     assert link.unknown_bytes.meaning(time.monotonic()) == ''
     assert link.condition(time.monotonic()) == (0, 'open')
 
@@ -189,7 +186,7 @@ def test_bytes_of_before_a_pause_do_not_count():
     assert unknown.meaning(15.0) == ''
 
 
-def test_other_decoders_read_nothing_while_the_board_talks(line, logger, running):
+def test_other_decoders_read_nothing_while_the_board_talks(line, open_link):
     made = []
 
     class Counting(mcu.Decoder):
@@ -197,9 +194,7 @@ def test_other_decoders_read_nothing_while_the_board_talks(line, logger, running
             made.append(data)
             return super().feed(data, stamp)
 
-    link = running(ArduinoLink(Port(line.path), logger=logger, other_boards=[
-        OtherBoard('mcu', Counting, True)]))
-    until(lambda: link.port.is_open)
+    link = open_link(ArduinoLink, other_boards=[OtherBoard('mcu', Counting, True)])
     line.write(TICKS)
     until(lambda: link.frames_received == 2)
     before = list(made)
@@ -209,15 +204,12 @@ def test_other_decoders_read_nothing_while_the_board_talks(line, logger, running
     assert made == before
 
 
-def test_a_decoder_of_another_package_that_raises_does_not_end_the_link(
-        line, logger, running, lines):
+def test_a_decoder_of_another_package_that_raises_does_not_end_the_link(line, open_link, lines):
     class Broken(mcu.Decoder):
         def feed(self, data, stamp=None):
             raise RuntimeError('a fault of another package')
 
-    link = running(ArduinoLink(Port(line.path), logger=logger, other_boards=[
-        OtherBoard('broken', Broken, True)]))
-    until(lambda: link.port.is_open)
+    link = open_link(ArduinoLink, other_boards=[OtherBoard('broken', Broken, True)])
     line.write(GARBAGE)
     until(lambda: lines('a fault of another package'))
     line.write(b'\0' + TICKS)

@@ -36,7 +36,7 @@ class Calibration:
     def __init__(self, timeout: float, now: float) -> None:
         self._began = now
         self._timeout_at = now + timeout
-        # Both are moved on by the time that does not count: see `stalled` and `port_opened`.
+        # Both shift by the time of a stall, and begin again when the port opens.
         self._watched_since = now
         self._last_data = now
 

@@ -95,8 +95,9 @@ def test_link_receives_its_frames_again_after_an_unplug(cable):
         try:
             until(lambda: len(seqs) > 20, 'frames')
             # What waits while this machine stalls is dropped, and is missing.
-            assert link.connection.stale or (link.frames_lost == 0
-                                  and sum(link.decoder.errors.values()) <= 1)   # a first one, cut
+            assert link.connection.stale or (
+                link.frames_lost == 0
+                and sum(link.decoder.errors.values()) <= 1)   # a first one, cut
             cable.unplug()
             until(lambda: not link.port.is_open, 'the loss')
             until(lambda: [note['open'] for note in notes.of('port')] == [True, False],
