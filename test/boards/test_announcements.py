@@ -8,9 +8,8 @@ from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.arduino.link import ArduinoLink
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.bus import announcement
-from serial_communication.boards.bus.functions import ANNOUNCEMENT
+from serial_communication.boards.bus.call import Call
 from serial_communication.boards.bus.link import BusLink, BusSettings
-from serial_communication.boards.bus.master import Call
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.mcu.link import McuLink
 from serial_communication.framing.announcement import Assembly, Chunk, chunks_of
@@ -342,12 +341,13 @@ class Questions:
 
     def __init__(self, log=None):
         self.asked = []
-        self.question = announcement.AnnouncementQuestion(self._ask, Assembly(), log)
+        self.question = announcement.AnnouncementReader(self._ask, Assembly(), log)
         self.question.opened()
         self.question.restart(0.0)
 
     def _ask(self, index):
-        self.asked.append(Call(ANNOUNCEMENT.make_request((index,)), 0.5, True, 1, 0.0))
+        self.asked.append(Call(bus.ANNOUNCEMENT.make_request((index,)), bus.ANNOUNCEMENT,
+                               0.5, 1, 0.0))
         return self.asked[-1]
 
     def pause(self, now, outcome):
@@ -408,6 +408,7 @@ class Exchange:
 
 
 PUMP = bus.Request(bus.FUNCTION, 0x30)
+PUMP_FUNCTION = bus.Function('pump', 0x30, announced=True)
 
 
 def test_nothing_announced_is_sent_to_another_board_behind_the_same_port(bus_board, bus_link):
@@ -416,19 +417,19 @@ def test_nothing_announced_is_sent_to_another_board_behind_the_same_port(bus_boa
     link = bus_link()
     until(lambda: link.texts == [TEXT])
     link.announcement.use(TEXT, '', [])
-    link.poll(0.01, PUMP, None, lambda outcome: None, announced=True)
+    link.poll(PUMP_FUNCTION, 0.01, lambda outcome: None)
     until(lambda: PUMP in bus_board.executed)
-    assert link.request(PUMP, announced=True).success
+    assert link.request(PUMP, PUMP_FUNCTION).success
     exchange.replace(OTHER)
-    outcome = link.request(PUMP, announced=True)
+    outcome = link.request(PUMP, PUMP_FUNCTION)
     assert outcome.status == NOT_SENT or outcome.status == bus.INVALID
     until(lambda: link.texts == [TEXT, OTHER])
     assert not link.announcement.is_current
-    assert link.request(PUMP, announced=True).status == NOT_SENT
+    assert link.request(PUMP, PUMP_FUNCTION).status == NOT_SENT
     assert PUMP not in bus_board.executed
     exchange.replace(TEXT)
     until(lambda: link.texts == [TEXT, OTHER, TEXT])
-    assert link.request(PUMP, announced=True).success
+    assert link.request(PUMP, PUMP_FUNCTION).success
 
 
 def test_a_board_that_was_restarted_is_asked_again_after_sync(bus_board, bus_link):
@@ -474,18 +475,17 @@ def test_a_text_whose_crc_never_matches_is_ignored_after_three_rounds(bus_board,
 
 
 def test_announced_polls_wait_until_the_board_announces_them(bus_board, bus_link):
-    pump = bus.Request(bus.FUNCTION, 0x30)
     link = bus_link()
-    poller = link.poll(0.01, pump, None, lambda outcome: None, announced=True)
+    poller = link.poll(PUMP_FUNCTION, 0.01, lambda outcome: None)
     until(lambda: link.texts == [b''])
     seen = len(bus_board.executed)
     until(lambda: len(bus_board.executed) > seen + 3)
-    assert pump not in bus_board.executed
+    assert PUMP not in bus_board.executed
     link.announcement.use(b'', '', [])
-    until(lambda: pump in bus_board.executed)
+    until(lambda: PUMP in bus_board.executed)
     link.end_poll(poller)
-    until(lambda: bus_board.executed[-1] != pump)
-    count = bus_board.executed.count(pump)
+    until(lambda: bus_board.executed[-1] != PUMP)
+    count = bus_board.executed.count(PUMP)
     seen = len(bus_board.executed)
     until(lambda: len(bus_board.executed) > seen + 3)
-    assert bus_board.executed.count(pump) <= count + 1
+    assert bus_board.executed.count(PUMP) <= count + 1

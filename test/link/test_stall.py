@@ -491,7 +491,8 @@ def test_no_request_is_sent_while_replies_are_dropped(bus_link, clock):
 def test_a_stop_is_sent_while_replies_are_dropped(bus_link, clock):
     clock.begin_stall(bus_link, 1.0)
     stop = bus.Request(bus.FUNCTION, 0x2F)
-    caller = Waiter(lambda: bus_link.request(stop, True, interrupts=True))
+    function = bus.Function('stop', 0x2F, repeatable=True, interrupts=True)
+    caller = Waiter(lambda: bus_link.request(stop, function))
     until(lambda: stop in bus_link.board.requests())
     assert is_dropping(bus_link)
     clock.end(bus_link)

@@ -5,14 +5,14 @@ from ...framing.announcement import Assembly, Chunk
 from ...link.outcome import NOT_SENT, TIMEOUT
 from ...link.sparing_log import SparingLog
 from . import wire
-from .master import Call
+from .call import Call
 
 # s before the first question, and after each one without an answer
 _PAUSES = 0.0, 0.5, 1.0, 2.0, 4.0, 8.0
 _ROUNDS = 3     # through all chunks; the text may change, or be damaged, while it is read
 
 
-class AnnouncementQuestion:
+class AnnouncementReader:
     """Asks until the text is complete. Any other reply means that there is no text.
 
     A question without an answer means nothing: it is asked again, with growing pauses. A board that

@@ -1,10 +1,9 @@
 """The link to the control board: sends polls, and requests of callers, who wait for the outcome."""
 import os
 import time
-from typing import Any, Callable, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple
 
-from ...framing.layout import Layout
-from ...framing.stream import Frame
+from ...framing.stream import IMPLAUSIBLE, LENGTH, Frame
 from ...link.connection import PortState
 from ...link.link import ERROR, OK, WARN, Link
 from ...link.outcome import NOT_SENT, Outcome
@@ -12,12 +11,12 @@ from ...link.stall import LONGEST_SLEEP, STALL
 from ...transport.pace import Every
 from ...transport.port import Port, PortBusy, PortError
 from . import wire
-from .announcement import AnnouncementQuestion
-from .functions import ANNOUNCEMENT
-from .master import NOT_READY_WAIT, STALLED, Call, Condition, Master
+from .announcement import AnnouncementReader
+from .call import NOT_READY_WAIT, Call
+from .master import STALLED, Master
+from .session import Condition
 
 _BLOCKED = 0.05     # s until the next try, after the port took no data
-_MOVES = (wire.LIFT, wire.GIMBAL)   # functions that have the motion timeout
 
 
 class BusSettings(NamedTuple):
@@ -84,43 +83,48 @@ class BusLink(Link):
                              still_announces=lambda: self.announcement.is_current)
         self._on_environment = on_environment
         self._pollers: List[Poller] = []
-        self._question = AnnouncementQuestion(self._ask, self.announcement.assembly, self.log) \
+        self._reader = AnnouncementReader(self._ask, self.announcement.assembly, self.log) \
             if settings.announcements else None
         self._blocked_until = 0.0
         self._waits_since = 0.0     # when a request could be sent last; monotonic
         if settings.environment_period:
-            self.poll(settings.environment_period, wire.ENVIRONMENT_REQUEST,
-                      wire.Environment.LAYOUT, self._environment_received)
+            self.poll(wire.ENVIRONMENT_FUNCTION, settings.environment_period,
+                      self._environment_received)
 
     # -- for callers --------------------------------------------------------------------
 
     def lift(self, direction: int, distance: int) -> Outcome:
         """Move the lift by `distance` (0 … 255 mm); direction 0 is up, 1 is down."""
-        return self._move(wire.lift, direction, distance)
+        return self.call(wire.LIFT_FUNCTION, (direction, distance))
 
     def gimbal(self, direction: int, angle: int) -> Outcome:
         """Turn the gimbal by `angle` (0 … 255 degrees); 0 left, 1 right, 2 up, 3 down."""
-        return self._move(wire.gimbal, direction, angle)
+        return self.call(wire.GIMBAL_FUNCTION, (direction, angle))
 
     def environment(self) -> Tuple[Outcome, Optional[wire.Environment]]:
         """A new reading, or None if the request did not succeed."""
-        outcome = self.request(wire.ENVIRONMENT_REQUEST, repeatable=True,
-                               reply_layout=wire.Environment.LAYOUT,
+        outcome = self.request(wire.ENVIRONMENT_REQUEST, wire.ENVIRONMENT_FUNCTION,
                                on_success=self._environment_received)
         return outcome, wire.Environment.unpack(outcome.data) if outcome.success else None
 
     def echo(self) -> Outcome:
         """Send an ECHO; the outcome has the round trip."""
-        return self.request(wire.echo(os.urandom(4)), repeatable=True)
+        return self.request(wire.echo(os.urandom(4)), wire.ECHO_FUNCTION)
 
     def sync(self) -> Outcome:
         """Synchronise the channel."""
-        return self.request(wire.SYNC_REQUEST, repeatable=True)
+        return self.request(wire.SYNC_REQUEST, wire.SYNC_FUNCTION)
 
-    def request(self, request: wire.Request, repeatable: bool = False,
-                timeout: Optional[float] = None, reply_layout: Optional[Layout] = None,
-                on_success: Optional[Callable[[Outcome], None]] = None,
-                interrupts: bool = False, announced: bool = False) -> Outcome:
+    def call(self, function: wire.Function, values: Sequence) -> Outcome:
+        """Call a function with these values of its request's layout, and wait for the outcome."""
+        try:
+            request = function.make_request(values)
+        except ValueError as error:
+            return Outcome(NOT_SENT, f'{error}; nothing was sent')
+        return self.request(request, function)
+
+    def request(self, request: wire.Request, function: wire.Function = wire.RAW,
+                on_success: Optional[Callable[[Outcome], None]] = None) -> Outcome:
         """Send any request and wait for its outcome.
 
         Returns after the timeouts of all its tries at the latest, plus the time that it waits for
@@ -129,17 +133,9 @@ class BusLink(Link):
         What may have waited while the bridge stalled is not sent, unless it is repeatable.
 
         Args:
-            repeatable: it only reads, so it may be sent again after a timeout.
-            timeout: s from sending to the reply; None: `motion_timeout` for lift and gimbal, else
-                `reply_timeout`.
-            reply_layout: layout of the data in its OK; None: any data. `NO_DATA`: none is expected,
-                but a board may send some.
+            function: what it calls.
             on_success: called in the link's thread with a successful outcome, before or after
                 this returns.
-            interrupts: a repeatable request that is sent at once, also while the reply to another
-                one is expected: a stop. The outcome of that other one is then unknown, and calls
-                that wait for their turn are not sent.
-            announced: it is sent only to a board that has announced it.
         """
         if len(request.data) > wire.MAX_LENGTH:
             return Outcome(NOT_SENT, f'data is {len(request.data)} bytes long, may be at most '
@@ -147,30 +143,22 @@ class BusLink(Link):
         if not self.port.is_open:
             return Outcome(NOT_SENT, f'the port {self.port.url} is closed '
                            f'({self.connection.trouble}); nothing was sent')
-        call = self._call(request, repeatable, timeout, reply_layout, on_success,
-                          interrupts=interrupts, announced=announced)
+        call = self._call(request, function, on_success)
         # Checked after the time of the call was taken, so that a stall in between makes it expire.
-        if not repeatable and self.connection.may_be_from_a_stall():
+        if not function.repeatable and self.connection.may_be_from_a_stall():
             return Outcome(NOT_SENT, f'{STALLED}; nothing was sent')
         self.master.submit(call)
         self.wake()
         return call.wait(max(self.settings.motion_timeout, NOT_READY_WAIT)
                          + call.tries * (call.timeout + NOT_READY_WAIT))
 
-    def poll(self, period: float, request: wire.Request, reply_layout: Optional[Layout],
-             on_success: Callable[[Outcome], None], timeout: Optional[float] = None,
-             announced: bool = False) -> Poller:
-        """Send this repeatable request every `period` s, until `end_poll`.
-
-        The other arguments are those of `request` and `Poller`.
-        """
-        def submit() -> Call:
-            call = self._call(request, True, timeout, reply_layout, on_success, poll=True,
-                              announced=announced)
-            self.master.submit(call)
-            return call
-
-        poller = Poller(period, submit, announced)
+    def poll(self, function: wire.Function, period: float,
+             on_success: Callable[[Outcome], None]) -> Poller:
+        """Call a function with zeros every `period` s, until `end_poll`; `on_success` as for
+        `request`."""
+        request = function.make_request((0,) * len(function.request.values))
+        poller = Poller(period, lambda: self._submit_poll(request, function, on_success),
+                        function.announced)
         self._pollers = [*self._pollers, poller]     # the link's thread may be reading the old list
         return poller
 
@@ -178,30 +166,23 @@ class BusLink(Link):
         """Submit no further requests; `on_success` may be called once more."""
         self._pollers = [each for each in self._pollers if each is not poller]
 
-    def _ask(self, index: int) -> Call:
-        """Submit the request for one chunk of the board's announcement."""
-        call = self._call(ANNOUNCEMENT.make_request((index,)), True, None, ANNOUNCEMENT.reply,
-                          None, poll=True)
+    def _submit_poll(self, request: wire.Request, function: wire.Function,
+                     on_success: Optional[Callable[[Outcome], None]] = None) -> Call:
+        call = self._call(request, function, on_success, poll=True)
         self.master.submit(call)
         return call
 
-    def _move(self, build: Callable[[int, int], wire.Request], direction: int,
-              amount: int) -> Outcome:
-        try:
-            request = build(direction, amount)
-        except ValueError as error:
-            return Outcome(NOT_SENT, f'{error}; nothing was sent')
-        return self.request(request, reply_layout=wire.NO_DATA)
+    def _ask(self, index: int) -> Call:
+        """Submit the request for one chunk of the board's announcement."""
+        return self._submit_poll(wire.ANNOUNCEMENT.make_request((index,)), wire.ANNOUNCEMENT)
 
-    def _call(self, request: wire.Request, repeatable: bool, timeout: Optional[float],
-              reply_layout: Optional[Layout], on_success: Optional[Callable[[Outcome], None]],
-              poll: bool = False, interrupts: bool = False, announced: bool = False) -> Call:
-        settings = self.settings
-        if timeout is None:
-            moves = request.cmd1 == wire.FUNCTION and request.cmd2 in _MOVES
-            timeout = settings.motion_timeout if moves else settings.reply_timeout
-        return Call(request, timeout, repeatable, 1 + settings.retries, time.monotonic(), poll,
-                    reply_layout, on_success, interrupts, announced)
+    def _call(self, request: wire.Request, function: wire.Function,
+              on_success: Optional[Callable[[Outcome], None]], poll: bool = False) -> Call:
+        moves = wire.built_in(request, function).moves      # a raw request may be one, too
+        timeout = function.timeout or (
+            self.settings.motion_timeout if moves else self.settings.reply_timeout)
+        return Call(request, function, timeout, 1 + self.settings.retries, time.monotonic(), poll,
+                    on_success)
 
     def _drop_output(self, sent: float) -> None:
         if self.connection.last_byte_at <= sent:
@@ -209,8 +190,8 @@ class BusLink(Link):
 
     def _board_begun_anew(self, now: float) -> None:
         self.announcement.reset()
-        if self._question:
-            self._question.restart(now)
+        if self._reader:
+            self._reader.restart(now)
 
     def _environment_received(self, outcome: Outcome) -> None:
         if self._on_environment:
@@ -221,8 +202,8 @@ class BusLink(Link):
     def opened(self, now: float) -> None:
         for poller in self._pollers:
             poller.start(now)
-        if self._question:
-            self._question.opened()
+        if self._reader:
+            self._reader.opened()
         self.master.connected(now)
         self._waits_since = now
 
@@ -236,10 +217,10 @@ class BusLink(Link):
         self.master.received(frame, now)
 
     def shown(self, frame: Frame) -> Frame:
-        request = self.master.outstanding_request
-        if frame.cause or not isinstance(request, wire.NamedRequest):
+        call = self.master.outstanding_call
+        if frame.cause or call is None:
             return frame
-        return frame._replace(message=request.function.name_reply(frame.message))
+        return frame._replace(message=call.function.name_reply(frame.message))
 
     def damaged(self, frame: Frame, now: float) -> None:
         self.master.damaged(frame, now)
@@ -257,7 +238,7 @@ class BusLink(Link):
                 if not poller.announced or self.announcement.is_current:
                     poller.tick(now)
                     times.append(poller.pace.due)
-            text = self._question.step(now) if self._question else None
+            text = self._reader.step(now) if self._reader else None
             if text is not None and self.announcement.on_text:
                 self.announcement.on_text(text)
         waits_for = self._waits_for()
@@ -320,13 +301,12 @@ class BusLink(Link):
 
     def error_count(self) -> int:
         master = self.master
-        return (super().error_count() + master.timeouts + master.length_errors
-                + master.implausible)
+        return super().error_count() + master.timeouts + sum(master.data_errors.values())
 
     def extra_values(self) -> List[Tuple[str, Any]]:
         times = sorted(self.master.round_trips)
         return [('timeouts', self.master.timeouts),
-                ('length errors', self.master.length_errors),
-                ('implausible errors', self.master.implausible),
+                ('length errors', self.master.data_errors[LENGTH]),
+                ('implausible errors', self.master.data_errors[IMPLAUSIBLE]),
                 ('round trip p50 [ms]', f'{times[len(times) // 2] * 1e3:.2f}' if times else '-'),
                 ('round trip max [ms]', f'{times[-1] * 1e3:.2f}' if times else '-')]

@@ -3,12 +3,10 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 
 import rospy
 from sensor_msgs.msg import RelativeHumidity, Temperature
-from std_srvs.srv import Trigger, TriggerResponse
+from std_srvs.srv import TriggerResponse
 
 from serial_communication.msg import Environment
-from serial_communication.srv import (BusRequest, BusRequestResponse, GetEnvironment,
-                                      GetEnvironmentResponse, Gimbal, GimbalResponse, Lift,
-                                      LiftResponse)
+from serial_communication.srv import BusRequest, BusRequestResponse, GetEnvironmentResponse
 
 from ...framing.custom_messages import RowError
 from ...link.link import Refused
@@ -22,7 +20,7 @@ from ...ros.parameter import BAUD, PORT, Parameter, seconds
 from ...ros.publishing import publisher, wanted
 from ...transport.port import Port
 from . import DESCRIPTION, wire
-from .functions import CustomFunction, read_functions
+from .functions import read_functions
 from .link import BusLink, BusSettings, Poller
 
 _DEFAULTS = BusSettings()
@@ -53,7 +51,9 @@ class BusInterface(Interface):
             BusSettings(**{name: p[name] for name in BusSettings._fields}),
             on_environment=self._publish_environment, **link_options._asdict())
         self._functions = p['functions']
-        _poll_functions(self._functions, self.link, p['frame_prefix'])
+        for row in self._functions:
+            if row.custom.period:
+                _poll(row, self.link, p['frame_prefix'])
         if p['announcements']:
             self.announced = AnnouncedRows(
                 DESCRIPTION, self.link, [row.custom for row in self._functions], _ros_function,
@@ -69,19 +69,18 @@ class BusInterface(Interface):
 
     def advertise(self) -> None:
         """Advertise the services."""
-        for name, service, handler in (
-                ('~lift', Lift, self._lift), ('~gimbal', Gimbal, self._gimbal),
-                ('~get_environment', GetEnvironment, self._get_environment),
-                ('~bus/request', BusRequest, self._request),
-                ('~bus/echo', Trigger, self._echo), ('~bus/sync', Trigger, self._sync)):
-            rospy.Service(name, service, handler)
-        _advertise_functions(self._functions, self.link)
-
-    def _lift(self, request: Any) -> LiftResponse:
-        return fill_response(LiftResponse(), self.link.lift(request.direction, request.distance))
-
-    def _gimbal(self, request: Any) -> GimbalResponse:
-        return fill_response(GimbalResponse(), self.link.gimbal(request.direction, request.angle))
+        own = {wire.ENVIRONMENT_FUNCTION.service: self._get_environment,
+               wire.ECHO_FUNCTION.service: self._echo, wire.SYNC_FUNCTION.service: self._sync}
+        for function in wire.BUILT_IN.values():
+            if function.service in own:
+                rospy.Service(function.service, find_type(function.name, function.srv_type, 'srv'),
+                              own[function.service])
+            elif function.service:
+                _advertise(_with_types(function), self.link)
+        rospy.Service('~bus/request', BusRequest, self._request)
+        for row in self._functions:
+            if row.request:
+                _advertise(row, self.link)
 
     def _get_environment(self, _request: Any) -> GetEnvironmentResponse:
         outcome, reading = self.link.environment()
@@ -100,16 +99,16 @@ class BusInterface(Interface):
 
     def _echo(self, _request: Any) -> TriggerResponse:
         outcome = self.link.echo()
-        response = fill_response(TriggerResponse(), outcome)
-        if outcome.success:
-            response.message = f'{outcome.round_trip * 1e3:.2f} ms'
-        return response
+        return self._trigger(outcome, f'{outcome.round_trip * 1e3:.2f} ms')
 
     def _sync(self, _request: Any) -> TriggerResponse:
-        outcome = self.link.sync()
+        return self._trigger(self.link.sync(), 'synchronised')
+
+    @staticmethod
+    def _trigger(outcome: Outcome, done: str) -> TriggerResponse:
         response = fill_response(TriggerResponse(), outcome)
         if outcome.success:
-            response.message = 'synchronised'
+            response.message = done
         return response
 
     def _publish_environment(self, reading: wire.Environment, stamp: rospy.Time) -> None:
@@ -133,7 +132,7 @@ class BusInterface(Interface):
 class RosFunction(NamedTuple):
     """A custom function with its ROS types."""
 
-    custom: CustomFunction           # its reply also has the limits of the ROS fields
+    custom: wire.Function           # its reply also has the limits of the ROS fields
     ros_class: Any                   # class of the service, or of the published message
     request: Optional[RosFields]     # None for a polled topic
     reply: RosFields
@@ -144,8 +143,12 @@ def _ros_functions(given: Any) -> List[RosFunction]:
     return [_ros_function(function) for function in read_functions(given)]
 
 
-def _ros_function(function: CustomFunction) -> RosFunction:
+def _ros_function(function: wire.Function) -> RosFunction:
     refuse_taken(function, '~')
+    return _with_types(function)
+
+
+def _with_types(function: wire.Function) -> RosFunction:
     key, request = function.key, None
     if function.srv_type:
         found = find_type(f'{key}/srv_type', function.srv_type, 'srv')
@@ -163,46 +166,30 @@ def _ros_function(function: CustomFunction) -> RosFunction:
     return RosFunction(narrowed, found, request, reply)
 
 
-def _poll_functions(functions: List[RosFunction], link: BusLink, frame_prefix: str) -> None:
-    """Poll the functions with a period and publish their replies; before the link starts."""
-    for each in functions:
-        if each.custom.period:
-            _poll(each, link, frame_prefix)
-
-
-def _poll(row: RosFunction, link: BusLink, frame_prefix: str,
-          announced: bool = False) -> Tuple[Poller, ValuePublisher]:
+def _poll(row: RosFunction, link: BusLink, frame_prefix: str) -> Tuple[Poller, ValuePublisher]:
+    """Call a function with a period, and publish its replies."""
     function = row.custom
     topic = ValuePublisher('~' + function.name, row.ros_class, row.reply,
                            function.frame_id and frame_prefix + function.frame_id)
-    zeros = (0,) * len(function.request.values)
-    return link.poll(function.period, function.make_request(zeros), function.reply,
-                     _publish_reply(function, topic), function.timeout, announced), topic
+    return link.poll(function, function.period, _publish_reply(function, topic)), topic
 
 
-def _publish_reply(function: CustomFunction, topic: ValuePublisher) -> Callable[[Outcome], None]:
+def _publish_reply(function: wire.Function, topic: ValuePublisher) -> Callable[[Outcome], None]:
     return lambda outcome: topic.publish(_values(function, outcome), outcome.stamp)
 
 
-def _values(function: CustomFunction, outcome: Outcome) -> Tuple:
+def _values(function: wire.Function, outcome: Outcome) -> Tuple:
     """The values of an OK. Data that is not expected is left out."""
     return () if function.reply.is_empty else function.reply.unpack(outcome.data)
 
 
-def _advertise_functions(functions: List[RosFunction], link: BusLink) -> None:
-    for each in functions:
-        if each.request:
-            rospy.Service('~' + each.custom.name, each.ros_class,
-                          _service(each.custom, each.request, each.reply, link))
-
-
 def _add_announced(row: RosFunction, link: BusLink, frame_prefix: str) -> Callable[[], None]:
     """Make the service or the poll of an announced function; return what takes it down."""
+    row = row._replace(custom=row.custom._replace(announced=True))
     if row.request:
-        service = rospy.Service('~' + row.custom.name, row.ros_class,
-                                _service(row.custom, row.request, row.reply, link, announced=True))
+        service = _advertise(row, link)
         return lambda: service.shutdown('the board announces it no longer')
-    poller, topic = _poll(row, link, frame_prefix, announced=True)
+    poller, topic = _poll(row, link, frame_prefix)
 
     def take_down() -> None:
         link.end_poll(poller)
@@ -211,24 +198,25 @@ def _add_announced(row: RosFunction, link: BusLink, frame_prefix: str) -> Callab
     return take_down
 
 
-def _service(function: CustomFunction, request_fields: RosFields, reply_fields: RosFields,
-             link: BusLink, announced: bool = False) -> Callable[[Any], Any]:
+def _advertise(row: RosFunction, link: BusLink) -> rospy.Service:
+    """Offer a function whose values have the names of its service's fields."""
+    function, request_fields = row.custom, row.request
+
     def handle(ros_request: Any) -> Any:
         try:
-            if announced:
+            if function.announced:
                 link.announcement.refuse_unless_current(function.name)
-            request = function.make_request(request_fields.read(ros_request))
+            values = request_fields.read(ros_request) if request_fields else ()
         except (ValueError, Refused) as error:
             outcome = Outcome(NOT_SENT, f'{error}; nothing was sent')
         else:
-            outcome = link.request(request, function.repeatable, function.timeout, function.reply,
-                                   interrupts=function.interrupts, announced=announced)
-        response = fill_response(reply_fields.new(), outcome)
+            outcome = link.call(function, values)
+        response = fill_response(row.reply.new(), outcome)
         if outcome.success:
-            reply_fields.fill(response, _values(function, outcome))
+            row.reply.fill(response, _values(function, outcome))
         return response
 
-    return handle
+    return rospy.Service(function.service, row.ros_class, handle)
 
 
 INTERFACE = BusInterface

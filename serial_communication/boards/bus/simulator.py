@@ -31,7 +31,6 @@ from ...framing.stream import CHECKSUM, Frame
 from ...simulation.board import FRAME_TIMEOUT, Board, positive
 from ...simulation.custom_messages import CHUNK, simulated_values
 from . import DESCRIPTION, wire
-from .functions import ANNOUNCEMENT, CustomFunction
 
 MEMORY = 0xF0            # CMD2 of the function that no bridge knows
 LIFT_RANGE = (0, 1000)   # mm
@@ -130,7 +129,7 @@ class ControlBoard(Board):
     def __init__(self, lift_speed: float = LIFT_SPEED, gimbal_speed: float = GIMBAL_SPEED,
                  max_length: int = wire.MAX_LENGTH, reply_has_cmd2: bool = False,
                  seed: int = 0, echoes: bool = True, ok_data: bytes = b'',
-                 custom: Iterable[CustomFunction] = (),
+                 custom: Iterable[wire.Function] = (),
                  announcement: Optional[bytes] = None) -> None:
         super().__init__(wire.RequestDecoder(max(wire.MAX_LENGTH, max_length)))
         self._custom = {function.cmd2: function for function in custom}
@@ -270,7 +269,7 @@ class ControlBoard(Board):
             return wire.Reply(wire.OK, self.environment(now).pack())
         if request.cmd2 in self._custom:
             return self._custom_function(self._custom[request.cmd2], request, now)
-        if request.cmd2 == ANNOUNCEMENT.cmd2 and self._chunks:
+        if request.cmd2 == wire.ANNOUNCEMENT.cmd2 and self._chunks:
             if len(request.data) != 1 or request.data[0] >= len(self._chunks):
                 return _error(wire.MALFORMED)
             return wire.Reply(wire.OK, self._chunks[request.data[0]].pack())
@@ -279,7 +278,7 @@ class ControlBoard(Board):
             return wire.Reply(wire.OK, request.data)
         if request.cmd2 not in (wire.LIFT, wire.GIMBAL):
             return _error(wire.UNSUPPORTED)
-        directions = wire.LIFT_DIRECTIONS if request.cmd2 == wire.LIFT else wire.GIMBAL_DIRECTIONS
+        directions = wire.built_in(request, wire.RAW).directions
         if len(request.data) != 2 or request.data[0] >= len(directions):
             return _error(wire.MALFORMED)
         direction, amount = request.data
@@ -298,7 +297,7 @@ class ControlBoard(Board):
                  f'{round(start + distance, 1):g}{unit}')
         return None
 
-    def _custom_function(self, function: CustomFunction, request: wire.Request,
+    def _custom_function(self, function: wire.Function, request: wire.Request,
                          now: float) -> wire.Reply:
         if not function.request.fits(len(request.data)):
             return _error(wire.MALFORMED)

@@ -10,198 +10,23 @@
 Flag 0xA5: standard frame, Datelen is one byte, under 255. Flag 0x5A: long frame, Datelen is a
 uint16, 255 or more. Datelen counts the DATE bytes. Checksum: XOR of every byte before it.
 Little-endian. doc/protocols.md lists the decisions where the source says nothing.
+messages.py has the messages; they can be imported from here, too.
 """
-from typing import Any, Iterable, List, NamedTuple, Optional, Union
+from typing import Iterable, List, Optional, Union
 
-from ...framing.layout import Layout, Value
 from ...framing.parts import Part, Parts
 from ...framing.stream import CHECKSUM, NO_FRAME, Bad, Good, Need, StreamDecoder, running_xor
+from .messages import (  # noqa: F401
+    ANNOUNCEMENT, ANY_DATA, BUILT_IN, CHECKSUM_MISMATCH, ECHO, ECHO_FUNCTION, ENVIRONMENT,
+    ENVIRONMENT_FUNCTION, ENVIRONMENT_REQUEST, ERROR, ERROR_TEXTS, FUNCTION, GIMBAL,
+    GIMBAL_FUNCTION, INVALID, LIFT, LIFT_FUNCTION, MALFORMED, NOT_SYNCHRONISED, NO_DATA, OK,
+    OPERATION_FAILED, RAW, REPLY_NAMES, REQUEST_NAMES, SYNC, SYNC_FUNCTION, SYNC_REQUEST, TOO_LONG,
+    UNSUPPORTED, Environment, Function, Reply, Request, built_in, describe_error, echo, gimbal,
+    lift)
 
 STANDARD_FLAG = 0xA5
 LONG_FLAG = 0x5A
 MAX_LENGTH = 1024      # most DATE bytes accepted
-
-# CMD1 of a request; a SYNC or ECHO reply has the same.
-SYNC = 0x00
-ECHO = 0x01
-FUNCTION = 0x55        # CMD2 says which
-# CMD1 of a reply
-OK = 0x02              # executed
-ERROR = 0x03           # understood, and failed
-INVALID = 0xFF         # the frame was not accepted, nothing was executed
-# CMD2
-LIFT = 0x20
-GIMBAL = 0x21
-ENVIRONMENT = 0x22
-# error codes
-CHECKSUM_MISMATCH = 0x40
-TOO_LONG = 0x20
-NOT_SYNCHRONISED = 0x10
-UNSUPPORTED = 0x8000
-MALFORMED = 0x8001
-OPERATION_FAILED = 0x8002
-
-ERROR_TEXTS = {
-    CHECKSUM_MISMATCH: 'the checksum did not match',
-    TOO_LONG: 'the frame was too long for the board',
-    NOT_SYNCHRONISED: 'the channel is not synchronised',
-    UNSUPPORTED: 'the board does not support this command',
-    MALFORMED: 'the data is malformed',
-    OPERATION_FAILED: 'the operation failed',
-}
-
-LIFT_DIRECTIONS = ('up', 'down')
-GIMBAL_DIRECTIONS = ('left', 'right', 'up', 'down')
-
-NO_DATA = Layout('<', ())     # layout of an empty DATE
-
-_MOVES = {
-    LIFT: ('lift', LIFT_DIRECTIONS, Value('distance', 'mm')),
-    GIMBAL: ('gimbal', GIMBAL_DIRECTIONS, Value('angle', 'degrees')),
-}
-_FUNCTION_NAMES = {LIFT: 'lift', GIMBAL: 'gimbal', ENVIRONMENT: 'environment'}
-_REQUEST_NAMES = {SYNC: 'SYNC', ECHO: 'ECHO', FUNCTION: 'function'}
-_REPLY_NAMES = {SYNC: 'SYNC', ECHO: 'ECHO', OK: 'OK', ERROR: 'ERROR', INVALID: 'INVALID'}
-
-
-class Request(NamedTuple):
-    """A request of the Master. See also `lift`, `gimbal`, `echo` and the constants below."""
-
-    cmd1: int
-    cmd2: int = 0
-    data: bytes = b''
-
-    def __str__(self) -> str:
-        data = self.data
-        if self.cmd1 == SYNC:
-            return 'SYNC'
-        if self.cmd1 == ECHO:
-            return f'ECHO {data.hex()}'
-        if self.cmd1 == FUNCTION:
-            if self.cmd2 == ENVIRONMENT and not data:
-                return 'environment?'
-            if self.cmd2 in _MOVES and len(data) == 2:
-                name, directions, amount = _MOVES[self.cmd2]
-                if data[0] < len(directions):
-                    return f'{name} {directions[data[0]]} {data[1]} {amount.unit}'
-        return f'request 0x{self.cmd1:02x} 0x{self.cmd2:02x} {data.hex()}'
-
-
-class Reply(NamedTuple):
-    """A reply of the Slave."""
-
-    cmd1: int
-    data: bytes = b''
-    cmd2: int = 0     # only where replies carry one
-
-    @property
-    def error_code(self) -> int:
-        """The code in an ERROR or INVALID, one or two bytes long; 0 if there is none."""
-        if self.cmd1 in (ERROR, INVALID):
-            return int.from_bytes(self.data[:2], 'little')
-        return 0
-
-    def __str__(self) -> str:
-        name = _REPLY_NAMES.get(self.cmd1, f'reply 0x{self.cmd1:02x}')
-        if self.cmd1 in (ERROR, INVALID):
-            return f'{name} {describe_error(self.error_code)}'
-        if self.cmd1 == OK and len(self.data) == Environment.LAYOUT.size:
-            return f'OK {self.data.hex()} (if environment: {Environment.unpack(self.data)})'
-        return f'{name} {self.data.hex()}'.rstrip()
-
-
-class NamedRequest(Request):
-    """A request of a custom function; its text has the function's name."""
-
-    text = ''
-    function: Any = None     # the CustomFunction
-
-    def __str__(self) -> str:
-        return self.text
-
-
-class NamedReply(Reply):
-    """The OK to a custom function; its text has the function's name."""
-
-    text = ''
-
-    def __str__(self) -> str:
-        return self.text
-
-
-class _EnvironmentValues(NamedTuple):
-    smoke: int          # raw, 0 … 65535
-    temperature: float  # °C, in steps of 0.01
-    humidity: float     # relative, %, in steps of 0.01
-
-
-class Environment(_EnvironmentValues):
-    """The DATE of an OK reply to the environment request."""
-
-    __slots__ = ()
-    LAYOUT = Layout('<HhH', [Value('smoke'), Value('temperature', '°C', 0.01),
-                             Value('humidity', '%', 0.01)])
-
-    @classmethod
-    def unpack(cls, data: bytes) -> 'Environment':
-        """From six DATE bytes; struct.error if there are more or fewer."""
-        smoke, temperature, humidity = cls.LAYOUT.raw(data)
-        return cls(smoke, temperature / 100, humidity / 100)
-
-    def pack(self) -> bytes:
-        """The six DATE bytes."""
-        return self.LAYOUT.pack_raw((self.smoke, round(self.temperature * 100),
-                                     round(self.humidity * 100)))
-
-    @classmethod
-    def parts(cls, data: bytes) -> List[Part]:
-        """The values of the DATE, each with its bytes."""
-        return cls.LAYOUT.parts(data, cls.unpack)
-
-    def __str__(self) -> str:
-        return f'smoke {self.smoke}, {self.temperature:.2f} C, {self.humidity:.2f} %'
-
-
-SYNC_REQUEST = Request(SYNC)
-ENVIRONMENT_REQUEST = Request(FUNCTION, ENVIRONMENT)
-
-
-def lift(direction: int, distance: int) -> Request:
-    """A relative move of the lift: direction 0 up, 1 down; distance 0 … 255 mm.
-
-    Raises:
-        ValueError: a value is out of its range.
-    """
-    return _move(LIFT, direction, distance)
-
-
-def gimbal(direction: int, angle: int) -> Request:
-    """A relative turn of the gimbal: 0 left, 1 right, 2 up, 3 down; angle 0 … 255 degrees.
-
-    Raises:
-        ValueError: a value is out of its range.
-    """
-    return _move(GIMBAL, direction, angle)
-
-
-def echo(data: bytes) -> Request:
-    """A request that the board answers with the same `data`."""
-    return Request(ECHO, 0, data)
-
-
-def _move(cmd2: int, direction: int, amount: int) -> Request:
-    name, directions, value = _MOVES[cmd2]
-    if not 0 <= direction < len(directions):
-        choices = ', '.join(f'{number} ({each})' for number, each in enumerate(directions))
-        raise ValueError(f'{name}: direction is {direction}, may be {choices}')
-    if not 0 <= amount <= 255:
-        raise ValueError(f'{name}: {value.name} is {amount} {value.unit}, may be 0 to 255')
-    return Request(FUNCTION, cmd2, bytes((direction, amount)))
-
-
-def describe_error(code: int) -> str:
-    """An error code as a number and in words."""
-    return f'0x{code:02x}: {ERROR_TEXTS.get(code, "not a code of the protocol")}'
 
 
 def encode_request(request: Request, environment_datelen: int = 2) -> bytes:
@@ -249,12 +74,13 @@ class _Decoder(StreamDecoder):
 
     STARTS = bytes((STANDARD_FLAG, LONG_FLAG))
     _commands = 1  # CMD bytes
-    _NAMES = _REPLY_NAMES      # the names of CMD1
+    _NAMES = REPLY_NAMES      # the names of CMD1
 
-    def __init__(self, max_length: int = MAX_LENGTH, functions: Iterable[Any] = ()) -> None:
+    def __init__(self, max_length: int = MAX_LENGTH, functions: Iterable[Function] = ()) -> None:
         super().__init__()
         self._max_length = max_length
-        self._functions = {function.cmd2: function for function in functions}
+        self._functions = {**BUILT_IN,
+                           **{(each.cmd1, each.cmd2): each for each in functions}}
 
     def _good(self, size: int, commands: bytes, data: bytes) -> Good:
         raise NotImplementedError
@@ -294,8 +120,8 @@ class _Decoder(StreamDecoder):
             length = 0
         cmd1, cmd2 = parts.take_kind('CMD1', self._NAMES), 0
         if self._commands > 1 and cmd1 == FUNCTION:
-            cmd2 = parts.take_kind('CMD2', {
-                **_FUNCTION_NAMES, **{n: f.name for n, f in self._functions.items()}})
+            cmd2 = parts.take_kind('CMD2', {each.cmd2: each.name for each in
+                                            self._functions.values() if each.cmd1 == FUNCTION})
         elif self._commands > 1:
             cmd2 = parts.take(1, 'CMD2')
         parts.take_data(length, lambda data: self._explain_data(cmd1, cmd2, data, request))
@@ -337,7 +163,7 @@ class ReplyDecoder(_Decoder):
     """
 
     def __init__(self, has_cmd2: bool = False, max_length: int = MAX_LENGTH,
-                 functions: Iterable[Any] = ()) -> None:
+                 functions: Iterable[Function] = ()) -> None:
         super().__init__(max_length, functions)
         self._commands = 2 if has_cmd2 else 1
 
@@ -351,8 +177,9 @@ class ReplyDecoder(_Decoder):
             code = int.from_bytes(data, 'little')
             return [Part(0, len(data), 'error code', data, code, code,
                          meaning=ERROR_TEXTS.get(code, 'not a code of the protocol'))]
-        if cmd1 == OK and request and request.cmd2 in self._functions:
-            return self._functions[request.cmd2].reply.parts(data)
+        function = self._functions.get(request[:2]) if request else None
+        if cmd1 == OK and function and function.key:
+            return function.reply.parts(data)
         if cmd1 == OK and (request == ENVIRONMENT_REQUEST if request
                            else len(data) == Environment.LAYOUT.size):
             return [part if request else part._replace(meaning='if it is an environment reply')
@@ -364,7 +191,7 @@ class RequestDecoder(_Decoder):
     """Decodes requests, Master -> Slave. Datelen of an environment request may be 2 or 0."""
 
     _commands = 2
-    _NAMES = _REQUEST_NAMES
+    _NAMES = REQUEST_NAMES
     _ENVIRONMENT = encode_request(ENVIRONMENT_REQUEST)
 
     def _good(self, size: int, commands: bytes, data: bytes) -> Good:
@@ -381,16 +208,9 @@ class RequestDecoder(_Decoder):
 
     def _explain_data(self, cmd1: int, cmd2: int, data: bytes,
                       request: Optional[Request]) -> List[Part]:
-        if cmd1 == FUNCTION and cmd2 in self._functions:
-            return self._functions[cmd2].request.parts(data)
-        if cmd1 != FUNCTION or cmd2 not in _MOVES:
-            return super()._explain_data(cmd1, cmd2, data, request)
-        _, directions, amount = _MOVES[cmd2]
-        parts = Layout('<BB', [Value('direction', maximum=len(directions) - 1),
-                               amount]).parts(data)
-        if parts[0].raw is not None and not parts[0].error:
-            parts[0] = parts[0]._replace(meaning=directions[parts[0].raw])
-        return parts
+        if cmd1 == FUNCTION and (cmd1, cmd2) in self._functions:
+            return self._functions[cmd1, cmd2].request_parts(data)
+        return super()._explain_data(cmd1, cmd2, data, request)
 
     def _short_end(self, frame: bytes) -> int:
         return len(self._ENVIRONMENT) if frame[:5] == self._ENVIRONMENT else 0

@@ -12,7 +12,8 @@ import itertools
 import logging
 from typing import List, NamedTuple, Optional
 
-from serial_communication.boards.bus.master import NOT_SENT, TIMEOUT, Call, Master
+from serial_communication.boards.bus.call import NOT_SENT, TIMEOUT, Call
+from serial_communication.boards.bus.master import Master
 from serial_communication.link.sparing_log import SparingLog
 from serial_communication.boards.bus import wire as bus
 from serial_communication.framing.layout import Layout
@@ -191,13 +192,15 @@ class Model:
             'poll air': bus.ENVIRONMENT_REQUEST,
             'poll one': bus.Request(bus.FUNCTION, ONE),
             'poll two': bus.Request(bus.FUNCTION, TWO)}[kind]
-        layout = {'raw': None, 'echo': None, 'sync': None, 'read': _READ,
+        layout = {'raw': bus.ANY_DATA, 'echo': bus.ANY_DATA, 'sync': bus.ANY_DATA, 'read': _READ,
                   'air': bus.Environment.LAYOUT, 'poll air': bus.Environment.LAYOUT,
                   'poll one': _VALUE, 'poll two': _VALUE}.get(kind, bus.NO_DATA)
         slow = kind in ('lift', 'gimbal')
-        call = Call(request, MOTION_TIMEOUT if slow else REPLY_TIMEOUT, kind not in UNREPEATABLE, 3,
-                    self.now, kind in POLLS, layout, interrupts=kind == 'stop',
-                    announced=kind == 'own')
+        function = bus.Function(kind, request.cmd2, request.cmd1, reply=layout,
+                                repeatable=kind not in UNREPEATABLE, interrupts=kind == 'stop',
+                                announced=kind == 'own')
+        call = Call(request, function, MOTION_TIMEOUT if slow else REPLY_TIMEOUT, 3, self.now,
+                    kind in POLLS)
         self.asked.append(ModelCall(call, kind, self.now, self.board.readings))
         self.master.submit(call)
         if kind == 'stop' and self._connected:

@@ -10,7 +10,9 @@ from serial_communication.link import link as link_module
 from serial_communication.link.connection import Connection, PortState
 from serial_communication.boards.bus.link import BusLink, BusSettings, Poller
 from serial_communication.link.link import ERROR, OK, RX, TX, WARN
-from serial_communication.boards.bus.master import NOT_SENT, FENCE_SILENCE, TIMEOUT, Condition
+from serial_communication.boards.bus.master import FENCE_SILENCE
+from serial_communication.boards.bus.session import Condition
+from serial_communication.link.outcome import NOT_SENT, TIMEOUT
 from serial_communication.transport.port import Port, PortBusy, PortError
 from serial_communication.boards.bus import wire as bus
 from serial_communication.framing.layout import Layout
@@ -113,7 +115,8 @@ def test_each_poll_gets_its_own_reply(line, board, logger, running):
     # A reply that came while this machine stalled is dropped, and the poll has to be sent again.
     link = BusLink(Port(line.path), PATIENT._replace(reply_timeout=1.0), logger=logger)
     for cmd2 in kept:
-        link.poll(0.01, bus.Request(bus.FUNCTION, cmd2), Layout('<x', ()), kept[cmd2].append)
+        link.poll(bus.Function('poll', cmd2, reply=Layout('<x', ()), repeatable=True), 0.01,
+                  kept[cmd2].append)
     running(link)
     until(lambda: all(len(outcomes) >= 3 for outcomes in kept.values()))
     for cmd2, outcomes in kept.items():
@@ -184,27 +187,6 @@ def test_no_reply_is_a_timeout_and_the_move_is_not_sent_again(board, open_link):
     assert link.gimbal(0, 1).success
     assert board.moves() == [LIFT, bus.gimbal(0, 1)]
     assert dict(link.extra_values())['timeouts'] == 1
-
-
-def test_a_late_reply_is_not_taken_for_the_reply_to_the_next_request(board, open_link):
-    """The lift's OK arrives just before the echo; the gimbal, called meanwhile, gets its own."""
-    late = []
-
-    def rule(request):
-        if request.cmd1 == bus.ECHO and late:
-            return late.pop() + bus.encode_reply(board.usual(request))
-        if request == LIFT:
-            late.append(OK_WIRE)
-            return b''
-        if is_move(request):
-            return bus.encode_reply(bus.Reply(bus.ERROR, b'\2\x80'))
-        return None
-
-    link = open_link(SHORT)
-    board.rule = rule
-    assert link.lift(0, 100).status == TIMEOUT
-    outcome = link.gimbal(0, 1)
-    assert outcome.status == bus.ERROR and not late
 
 
 def test_a_doubled_ok_does_not_hide_the_refusal_of_the_next_lift(board, open_link):
@@ -310,7 +292,7 @@ def test_no_request_is_sent_while_a_reply_is_incomplete(board, open_link):
     until(lambda: link.decoder.pending)
     known = len(board.seen)
     outcomes = call_in_thread(link.lift, 0, 100)
-    until(lambda: link.master._waiting())
+    until(lambda: list(link.master.calls))
     threading.Event().wait(0.1)
     assert len(board.seen) == known and not outcomes
     board.line.write(OK_WIRE[2:])
@@ -353,7 +335,7 @@ def test_the_outcome_is_unknown_if_the_port_closes_during_a_motion(board, open_l
     moving = call_in_thread(link.lift, 0, 100)
     until(board.moves)
     waiting = call_in_thread(link.gimbal, 0, 1)
-    until(lambda: link.master._waiting())
+    until(lambda: list(link.master.calls))
     with board.unplugged():
         assert until(lambda: moving)[0].status == TIMEOUT
         assert until(lambda: waiting)[0].status == NOT_SENT
@@ -470,13 +452,14 @@ def test_the_link_continues_after_a_fault_in_a_callback(board, open_link, lines)
 # -- what a request waits for ---------------------------------------------------------------------
 
 STOP = bus.Request(bus.FUNCTION, 0x2F)
+STOP_FUNCTION = bus.Function('stop', 0x2F, repeatable=True, interrupts=True)
 
 
 def test_a_stop_is_sent_while_an_incomplete_frame_is_received(line, board, open_link):
     link = open_link(frame_timeout=60.0)
     line.write(b'\xa5\xf0')
     until(lambda: link.decoder.begun)
-    call_in_thread(lambda: link.request(STOP, True, interrupts=True))
+    call_in_thread(lambda: link.request(STOP, STOP_FUNCTION))
     until(lambda: STOP in board.requests())
 
 
@@ -488,7 +471,7 @@ def test_a_stop_is_sent_while_bytes_are_received_without_a_pause(line, logger, m
     link.connection.state = PortState.RECEIVING
     link.tick(10.0)
     assert sent == []
-    link.master.submit(link._call(STOP, True, None, None, None, interrupts=True))
+    link.master.submit(link._call(STOP, STOP_FUNCTION, None))
     link.tick(10.001)
     assert sent == [STOP]
 
@@ -539,7 +522,7 @@ def test_a_move_that_timed_out_closes_a_network_connection(logger, running):
             board.script.append(b'')
             assert link.environment()[0].status == TIMEOUT
             assert link.lift(0, 1).success
-            assert link.connection.number == 1, 'a reading closes nothing'
+            assert link.connection.number == 1, 'it was a reading'
             board.script.append(b'\xa5')
             assert link.lift(0, 2).status == TIMEOUT
             until(lambda: link.lift(0, 3).success)

@@ -3,51 +3,68 @@ import logging
 
 import pytest
 
-from serial_communication.boards.bus import master as master_module
-from serial_communication.boards.bus.master import (ECHO_TRIES, FENCE_AGE, FENCE_SILENCE,
-                                                    NOT_READY_WAIT, NOT_SENT, TIMEOUT, Call,
-                                                    Condition, Master, SessionState)
-from serial_communication.link.sparing_log import SparingLog
 from serial_communication.boards.bus import wire as bus
-from serial_communication.framing.stream import CHECKSUM, FRAMING, Frame, invalid_frame
+from serial_communication.boards.bus.call import NOT_READY_WAIT, Call, CallState
+from serial_communication.boards.bus.master import FENCE_AGE, FENCE_SILENCE, Master
+from serial_communication.boards.bus.session import (ECHO_TRIES, TRANSITIONS, Condition, Event,
+                                                     Kind, SessionState)
 from serial_communication.framing.layout import Layout, Value
+from serial_communication.framing.stream import CHECKSUM, FRAMING, Frame, invalid_frame
+from serial_communication.link.outcome import NOT_SENT, TIMEOUT, Outcome
+from serial_communication.link.sparing_log import SparingLog
 
 REPLY_TIMEOUT, MOTION_TIMEOUT = 0.5, 5.0
-SYNC_REPLY = bus.Reply(bus.SYNC)
-OK_REPLY = bus.Reply(bus.OK)
 AIR_REPLY = bus.Reply(bus.OK, bus.Environment(350, 25.63, 48.12).pack())
-LIFT, GIMBAL = bus.lift(0, 100), bus.gimbal(1, 30)
-AIR = bus.ENVIRONMENT_REQUEST
-RAW = bus.Request(bus.FUNCTION, 0x30, b'raw')
-CUSTOM = bus.Request(bus.FUNCTION, 0x40)      # a custom function without data in its OK
-READ, OTHER = (bus.Request(bus.FUNCTION, cmd2) for cmd2 in (0x41, 0x42))    # two bytes in the OK
-STOP = bus.Request(bus.FUNCTION, 0x2F)
 TWO_BYTES = Layout('<H', [Value('number')])
-LAYOUTS = {LIFT: bus.NO_DATA, GIMBAL: bus.NO_DATA, CUSTOM: bus.NO_DATA, STOP: bus.NO_DATA,
-           AIR: bus.Environment.LAYOUT, READ: TWO_BYTES, OTHER: TWO_BYTES}
-ALL_REPEATABLE = (AIR, READ, OTHER, STOP)
-MOVING_OR_RAW = pytest.mark.parametrize('request_', [LIFT, GIMBAL, RAW], ids=str)
-REPEATABLE = pytest.mark.parametrize('request_, answer', [
-    (AIR, AIR_REPLY), (bus.echo(b'mine'), bus.Reply(bus.ECHO, b'mine')),
-    (bus.SYNC_REQUEST, SYNC_REPLY)], ids=('environment', 'echo', 'sync'))
-
-
-def invalid(code):
-    return bus.Reply(bus.INVALID, bytes((code,)))
-
-
-def error(code):
-    return bus.Reply(bus.ERROR, code.to_bytes(2, 'little'))
+REQUESTS = {
+    'lift': bus.lift(0, 100), 'gimbal': bus.gimbal(1, 30), 'air': bus.ENVIRONMENT_REQUEST,
+    'raw': bus.Request(bus.FUNCTION, 0x30, b'raw'), 'echo': bus.echo(b'mine'),
+    'sync': bus.SYNC_REQUEST, 'stop': bus.Request(bus.FUNCTION, 0x2F),
+    'custom': bus.Request(bus.FUNCTION, 0x40), 'twice': bus.Request(bus.FUNCTION, 0x43),
+    'read': bus.Request(bus.FUNCTION, 0x41), 'other': bus.Request(bus.FUNCTION, 0x42),
+    'own': bus.Request(bus.FUNCTION, 0x44), 'ownstop': bus.Request(bus.FUNCTION, 0x45),
+    'two': bus.Request(bus.FUNCTION, 0x46)}
+FUNCTIONS = {name: bus.built_in(request, bus.Function(name, request.cmd2))
+             for name, request in REQUESTS.items()}
+FUNCTIONS.update(
+    raw=bus.RAW,
+    stop=FUNCTIONS['stop']._replace(repeatable=True, interrupts=True),
+    read=FUNCTIONS['read']._replace(repeatable=True, reply=TWO_BYTES),
+    other=FUNCTIONS['other']._replace(repeatable=True, reply=TWO_BYTES),
+    twice=FUNCTIONS['twice']._replace(repeatable=True),
+    two=FUNCTIONS['two']._replace(reply=Layout('<2x', ())),
+    own=FUNCTIONS['own']._replace(announced=True),
+    ownstop=FUNCTIONS['ownstop']._replace(repeatable=True, interrupts=True, announced=True))
+STATES = {'not known': TIMEOUT, 'not sent': NOT_SENT, 'refused': bus.ERROR, 'invalid': bus.INVALID}
 
 
 class Session:
-    """A Master with its clock and its log."""
+    """A Master with its clock and its log, which plays scripts.
+
+    The steps of a script, with `;` between them, are:
+
+        call NAME [TRIES], poll NAME   a caller submits that request
+        > NAME, > SYNC, > ECHO, > -    this is sent now: SYNC and ECHO by the Master itself
+        send NAME                      the same; a fence before it, if any, returns first
+        fence                          an ECHO is sent and returns
+        < REPLY …                      these replies are received, in one read. ECHO returns the
+                                       latest one, -ECHO the one before; REPLY:DATA has other data
+        damaged, noise, missed         a frame with a wrong checksum, other bytes, a stall
+        +S                             S seconds pass; T stands for the reply timeout, M for that
+                                       of motions
+        connected, disconnected        the port opens, and the board answers; it closes
+        refused                        the port does not take the request
+        given up NAME                  the caller gives up
+        NAME is OUTCOME                the latest call of that name has it; waiting: it has none
+        in step, out of step           calls can be sent, or not; lost: the board needs a SYNC
+    """
 
     def __init__(self, caplog, motion_timeout=MOTION_TIMEOUT):
         caplog.set_level(logging.INFO)
         self._caplog = caplog
         self.now = 100.0
-        self.nonces = []
+        self.nonces = [b'none']
+        self.calls = {}         # the latest by name
         self.dropped = []       # when each request was sent for which output was dropped
         self.begun_anew = []    # when the board may have, since the test began
         self.announces = False
@@ -65,12 +82,12 @@ class Session:
         self.nonces.append(b'n%03d' % len(self.nonces))
         return self.nonces[-1]
 
-    def call(self, request, tries=3, poll=False):
+    def call(self, name, tries=3, poll=False, on_success=None, **changes):
         """Submit a call as `BusLink` makes it."""
-        slow = request.cmd2 in (bus.LIFT, bus.GIMBAL)
-        repeatable = request.cmd1 in (bus.SYNC, bus.ECHO) or request in ALL_REPEATABLE
-        call = Call(request, self._motion_timeout if slow else REPLY_TIMEOUT, repeatable, tries,
-                    self.now, poll, LAYOUTS.get(request), interrupts=request == STOP)
+        function = FUNCTIONS[name]._replace(**changes)
+        self.calls[name] = call = Call(
+            REQUESTS[name], function, self._motion_timeout if function.moves else REPLY_TIMEOUT,
+            tries, self.now, poll, on_success)
         self.master.submit(call)
         return call
 
@@ -82,67 +99,122 @@ class Session:
         """When the Master has to be called again at the latest; nothing is sent."""
         return self.master.step(self.now, port_ready=False)[1]
 
-    def send_next(self):
-        """The request to send now, or None. A fence before it is answered first."""
-        in_step = self.master.state is SessionState.IN_STEP
-        request = self.next_request()
-        if in_step and request is not None and request.data in self.nonces:
-            self.reply(bus.Reply(bus.ECHO, request.data))
-            request = self.next_request()
-        return request
-
     def reply(self, *replies):
         """Receive replies in one read."""
         for reply in replies:
             wire = bus.encode_reply(reply)
             self.master.received(Frame(wire, reply.cmd1, 0, reply.data, reply), self.now)
 
-    def damage(self, cause=CHECKSUM):
-        self.master.damaged(invalid_frame(b'\xa5\0\2\0', cause, 'damaged'), self.now)
-
     def later(self, seconds):
         self.now += seconds
         self.master.step(self.now, port_ready=False)
 
+    def warnings(self, containing=''):
+        return [record.getMessage() for record in self._caplog.records
+                if record.levelno >= logging.WARNING and containing in record.getMessage()]
+
     def connect(self):
         """Connect to a board that answers SYNC, and the ECHO after it, at once."""
         self.master.connected(self.now)
-        assert self.send_next() == bus.SYNC_REQUEST
-        self.reply(SYNC_REPLY)
-        self.get_in_step()
+        self.play('> SYNC; < SYNC; fence')
+        del self.begun_anew[:]
         return self
-
-    def get_in_step(self):
-        """The ECHO is sent, and returns."""
-        request = self.next_request()
-        assert request == bus.echo(self.nonces[-1])
-        self.reply(bus.Reply(bus.ECHO, request.data))
-        assert self.master.in_step
 
     def connect_without_echo(self):
         """Connect to a board that answers SYNC but never an ECHO."""
         self.master.connected(self.now)
-        self.next_request()
-        self.reply(SYNC_REPLY)
-        for _ in range(ECHO_TRIES):
-            assert self.next_request().cmd1 == bus.ECHO
-            self.later(REPLY_TIMEOUT)
-        self.sync_and_silence()
+        self.play('> SYNC; < SYNC; ' + '> ECHO; +T;' * ECHO_TRIES + SYNC_AND_SILENCE)
         return self
 
-    def sync_and_silence(self):
-        """They replace an ECHO."""
-        assert self.next_request() == bus.SYNC_REQUEST
-        self.reply(SYNC_REPLY)
-        assert not self.master.in_step and self.next_request() is None
-        self.later(REPLY_TIMEOUT - 0.01)
-        assert self.next_request() is None, 'the silence has to last that long'
-        self.later(0.02)
-        assert self.master.in_step
+    def outcome(self, name):
+        """The outcome of the latest call of that name."""
+        return self.calls[name].outcome
 
-    def warnings(self, containing=''):
-        return [record.getMessage() for record in self._caplog.records
-                if record.levelno >= logging.WARNING and containing in record.getMessage()]
+    # -- scripts --------------------------------------------------------------------------------
+
+    def play(self, script):
+        for step in filter(None, map(str.strip, script.replace('\n', ' ').split(';'))):
+            verb, _, rest = step.partition(' ')
+            if verb in ('call', 'poll'):
+                name, _, tries = rest.partition(' ')
+                self.call(name, int(tries or 3), verb == 'poll')
+            elif verb == '>':
+                self._sends(rest, self.next_request(), step)
+            elif verb == 'send':
+                in_step, asked = self.master.state is SessionState.IN_STEP, self.next_request()
+                if in_step and asked == bus.echo(self.nonces[-1]):
+                    self.reply(bus.Reply(bus.ECHO, asked.data))
+                    asked = self.next_request()
+                self._sends(rest, asked, step)
+            elif verb == 'fence':
+                self.play('> ECHO; < ECHO; in step')
+                assert self.master.state is SessionState.FENCED
+            elif verb == '<':
+                self.reply(*map(self._reply, rest.split()))
+            elif verb in ('damaged', 'noise'):
+                cause = CHECKSUM if verb == 'damaged' else FRAMING
+                self.master.damaged(invalid_frame(b'\xa5\0\2\0', cause, verb), self.now)
+            elif verb == 'missed':
+                self.master.may_have_missed('the bridge stalled', self.now)
+            elif verb[0] == '+':
+                times = {'T': REPLY_TIMEOUT, 'M': self._motion_timeout}
+                self.later(sum(times.get(each) or float(each) for each in verb[1:].split('+')))
+            elif verb == 'connected':
+                self.connect()
+            elif verb == 'disconnected':
+                self.master.disconnected(self.now, 'unplugged')
+            elif verb == 'refused':
+                self.master.not_sent('the port takes no data')
+            elif verb == 'given':
+                self.calls[rest.partition(' ')[2]].wait(0.0)
+            elif step in ('in step', 'out of step', 'lost'):
+                assert self.master.in_step == (step == 'in step'), step
+                assert self.master.synchronised == (step != 'lost'), step
+            else:
+                assert rest.startswith('is '), f'{step} is no step'
+                self._has(verb, rest[3:])
+
+    def _sends(self, name, asked, step):
+        expected = {'-': None, 'ECHO': bus.echo(self.nonces[-1]),
+                    'SYNC': bus.SYNC_REQUEST}[name] if name.isupper() or name == '-' \
+            else REQUESTS[name]
+        assert asked == expected, f'{step}: {asked} was sent'
+
+    def _reply(self, word):
+        name, _, data = word.partition(':')
+        if name == 'AIR':
+            return AIR_REPLY
+        if name in ('ECHO', '-ECHO'):
+            nonce = self.nonces[-2 if name == '-ECHO' else -1]
+            return bus.Reply(bus.ECHO, data.encode() or nonce)
+        code = int(data or '0', 16)
+        if name == 'INVALID':
+            return bus.Reply(bus.INVALID, bytes((code,)))
+        if name == 'ERROR':
+            return bus.Reply(bus.ERROR, code.to_bytes(2, 'little'))
+        return bus.Reply({'OK': bus.OK, 'SYNC': bus.SYNC}.get(name, 0x77), bytes.fromhex(data))
+
+    def _has(self, name, words):
+        outcome = self.outcome(name)
+        if words == 'waiting':
+            assert outcome is None, f'{name}: {outcome}'
+        elif words == 'done':
+            assert outcome and outcome.success, f'{name}: {outcome}'
+        else:
+            assert outcome and outcome.status == STATES[words], f'{name}: {outcome}'
+            said = {'not sent': 'nothing was sent', 'not known': 'not known',
+                    'invalid': 'nothing was executed'}.get(words, 'refused')
+            assert said in outcome.message and not outcome.success
+
+
+# They replace an ECHO.
+SYNC_AND_SILENCE = '> SYNC; < SYNC; out of step; > -; +T+-0.01; > -; +0.02; in step;'
+NO_ECHO = '+T; > ECHO;' * ECHO_TRIES + '+T; > SYNC;'     # after a request that had no reply
+LIFTS = 'call lift; send lift;'
+AIRS = 'call air; send air; < AIR;'
+MOVES = ('lift', 'gimbal', 'raw')
+PROBES = (('air', 'AIR'), ('echo', 'ECHO:mine'), ('sync', 'SYNC'))
+ANY_REPLIES = ('OK', 'SYNC', 'ERROR:8000', 'INVALID:40', 'ECHO:x')
 
 
 @pytest.fixture
@@ -154,10 +226,7 @@ def fresh(caplog):
 @pytest.fixture
 def session(fresh):
     """A session that is connected, synchronised and in step."""
-    fresh.connect()
-    assert fresh.begun_anew == [fresh.now]
-    del fresh.begun_anew[:]
-    return fresh
+    return fresh.connect()
 
 
 @pytest.fixture
@@ -166,1186 +235,460 @@ def without_echo(fresh):
     return fresh.connect_without_echo()
 
 
-# -- 1. one request outstanding; calls before polls -----------------------------------------------
-
-def test_nothing_is_sent_while_a_request_is_outstanding(session):
-    calls = [session.call(LIFT), session.call(GIMBAL)]
-    assert session.send_next() == LIFT
-    assert session.send_next() is None and session.master.outstanding_request == LIFT
-    session.later(1.0)
-    assert session.send_next() is None
-    session.reply(OK_REPLY)
-    assert calls[0].outcome.success and calls[1].outcome is None
-    assert session.send_next() == GIMBAL
-    session.reply(OK_REPLY)
-    assert calls[1].outcome.success and session.send_next() is None
-    assert session.wake_at() is None
+def table(*rows):
+    """Tests as (what they show, script). IT in a script stands for each request, or pair of a
+    request and its REPLY, of a third column; the fourth says where the session begins."""
+    cases = []
+    for title, script, *more in rows:
+        for each in more[0] if more else ('',):
+            it, answer = each if isinstance(each, tuple) else (each, '')
+            cases.append(pytest.param(script.replace('IT', it).replace('REPLY', answer),
+                                      id=f'{title} ({it}{answer and " "}{answer})' if it
+                                      else title))
+    return pytest.mark.parametrize('script', cases)
 
 
-def test_calls_are_sent_in_order_and_before_polls(session):
-    session.call(RAW)
-    assert session.send_next() == RAW
-    session.call(AIR, poll=True)
-    for request in (LIFT, GIMBAL, bus.echo(b'x')):
-        session.call(request)
-    session.reply(OK_REPLY)
-    for request, answer in ((LIFT, OK_REPLY), (GIMBAL, OK_REPLY),
-                            (bus.echo(b'x'), bus.Reply(bus.ECHO, b'x')), (AIR, AIR_REPLY)):
-        assert session.send_next() == request
-        session.reply(answer)
-    assert session.send_next() is None
+# -- rules 1 to 4: the order, timeouts, and which requests are sent again -------------------------
+
+@table(
+    ('one request at a time',
+     'call lift; call gimbal; send lift; send -; +1; send -; < OK; lift is done;'
+     'gimbal is waiting; send gimbal; < OK; gimbal is done; > -'),
+    ('calls go in order, and before polls',
+     'call raw; send raw; poll air; call lift; call gimbal; call echo; < OK; send lift; < OK;'
+     'send gimbal; < OK; send echo; < ECHO:mine; send air; < AIR; > -'),
+    ('a reconnect begins with SYNC, and an ECHO before any call',
+     f'{LIFTS} disconnected; > -; connected; call air; > air'),
+    ('without a reply a move is unknown and not sent again',
+     'call IT; send IT; +T+-0.001; IT is waiting; +M; IT is not known; fence; > -', MOVES),
+    ('a repeatable request is tried three times',
+     'call IT;' + 'IT is waiting; send IT; +T; fence;' * 3 + 'IT is not known; > -',
+     [name for name, _ in PROBES]),
+    ('a repeated request can succeed',
+     'call IT 2; send IT; +T; fence; send IT; < REPLY; IT is done',
+     PROBES),
+    ('it is sent again after INVALID "checksum", before the next call',
+     'call IT; call custom;' + 'send IT; < INVALID:40; fence;' * 2
+     + 'IT is waiting; > IT; < OK; IT is done; in step', MOVES),
+    ('an error to the ECHO after an INVALID is not the reply to the request',
+     'call IT; send IT; < INVALID:40; > ECHO; < ERROR:8000; IT is waiting; > -; < ECHO; > IT;'
+     '< OK; IT is done', MOVES),
+    ('an OK between the replies to SYNC and to the ECHO makes the outcome unknown',
+     'call IT 1; send IT; < INVALID:10; > SYNC; < SYNC; IT is waiting; > ECHO; < OK;'
+     'IT is not known', MOVES),
+    ('to a board that is not synchronised it is sent again after SYNC',
+     'call IT; send IT; < INVALID:10; lost; > SYNC; +0.25; < SYNC; fence; > IT; < OK; IT is done',
+     MOVES),
+    ('a move that is sent again is not repeated after a timeout',
+     f'{LIFTS} < INVALID:40; fence; > lift; +M; lift is not known; fence; > -'),
+    ('a call is sent before a repeated poll',
+     'poll air; > air; call lift; +T; fence; > lift; < OK; lift is done; send air'),
+    ('a repeated poll is sent before another one',
+     'poll read; > read; poll other; +T; fence; > read; < OK:0102; send other'),
+    ('a repeatable request is sent again after INVALID "checksum", without an ECHO',
+     'call IT; send IT; < INVALID:40; > IT; < REPLY; IT is done', PROBES[1:]),
+    ('a reading is sent again after INVALID "checksum", behind an ECHO',
+     'call air; send air; < INVALID:40; fence; > air; < AIR; air is done'),
+    ('and after INVALID "not synchronised" and a SYNC',
+     'call IT; send IT; < INVALID:10; > SYNC; < SYNC; fence; > IT; < REPLY; IT is done', PROBES),
+    ('a repeatable call is sent again though an OK follows the INVALID',
+     'call twice 2; > twice; < INVALID:40; > ECHO; < OK; twice is waiting; < ECHO; > twice; < OK;'
+     'twice is done'),
+)
+def test_what_is_sent(session, script):
+    session.play(script)
+
+
+@pytest.mark.parametrize('reply', ['OK', 'INVALID:40', 'INVALID:10', 'ERROR:8000', 'ECHO:x', '?'])
+def test_no_other_reply_is_taken_for_the_reply_to_sync(fresh, reply):
+    fresh.master.connected(fresh.now)
+    fresh.play(f'> SYNC; < {reply}; lost')
+    assert fresh.next_request() in (None, bus.SYNC_REQUEST)
+
+
+def test_only_sync_is_sent_until_it_is_answered(fresh):
+    fresh.call('lift')
+    fresh.play('> -; +0.8; lift is not sent')
+    assert 'closed' in fresh.outcome('lift').message
+    fresh.master.connected(fresh.now)
+    fresh.play('> SYNC; > -; +T;' * 7 + 'call lift; > SYNC; lost')
+    assert fresh.master.condition() is Condition.NO_SYNC
+    fresh.play('< SYNC; fence; > lift; < OK; lift is done')
 
 
 def test_an_outcome_has_the_data_of_the_reply(session):
-    session.call(AIR)
-    call = session.call(AIR)
-    session.send_next()
-    session.reply(AIR_REPLY)
-    session.send_next()
-    session.now += 0.125
-    session.reply(AIR_REPLY)
-    outcome = call.outcome
+    session.play('call air; send air; < AIR; call air; send air; +0.125; < AIR')
+    outcome = session.outcome('air')
     assert (outcome.status, outcome.data, outcome.error_code) == (bus.OK, AIR_REPLY.data, 0)
     assert outcome.success and outcome.round_trip == pytest.approx(0.125)
     assert list(session.master.round_trips) == pytest.approx([0.0, 0.125])
 
 
-# -- 2. SYNC first --------------------------------------------------------------------------------
-
-def test_nothing_is_sent_before_a_connection(fresh):
-    call = fresh.call(LIFT)
-    assert fresh.send_next() is None
-    fresh.later(NOT_READY_WAIT)
-    assert call.outcome.status == NOT_SENT and 'closed' in call.outcome.message
-
-
-def test_only_sync_is_sent_until_it_is_answered(fresh):
-    fresh.master.connected(fresh.now)
-    for _ in range(7):
-        assert fresh.send_next() == bus.SYNC_REQUEST
-        assert fresh.send_next() is None
-        fresh.later(REPLY_TIMEOUT)
-    call = fresh.call(LIFT)
-    assert fresh.send_next() == bus.SYNC_REQUEST
-    assert not fresh.master.synchronised
-    assert fresh.master.condition() is Condition.NO_SYNC
-    fresh.reply(SYNC_REPLY)
-    assert fresh.master.synchronised
-    while fresh.master.in_step is False:
-        fresh.get_in_step()
-    assert fresh.send_next() == LIFT
-    fresh.reply(OK_REPLY)
-    assert call.outcome.success
-
-
-@pytest.mark.parametrize('reply', [OK_REPLY, invalid(0x40), invalid(0x10), error(0x8000),
-                                   bus.Reply(bus.ECHO, b'x'), bus.Reply(0x77)], ids=str)
-def test_no_other_reply_is_taken_for_the_reply_to_sync(fresh, reply):
-    fresh.master.connected(fresh.now)
-    assert fresh.send_next() == bus.SYNC_REQUEST
-    fresh.reply(reply)
-    assert not fresh.master.synchronised and fresh.send_next() in (None, bus.SYNC_REQUEST)
-
-
-def test_a_reconnect_begins_with_sync(session):
-    session.master.disconnected(session.now, 'unplugged')
-    assert session.send_next() is None
-    session.master.connected(session.now)
-    session.call(LIFT)
-    assert session.send_next() == bus.SYNC_REQUEST
-
-
-# -- 3., 4. timeouts; which requests are sent again ------------------------------------------
-
-@pytest.mark.parametrize('request_, timeout', [
-    (LIFT, MOTION_TIMEOUT), (GIMBAL, MOTION_TIMEOUT), (RAW, REPLY_TIMEOUT)], ids=str)
-def test_without_a_reply_a_move_is_unknown_and_not_repeated(session, request_, timeout):
-    call = session.call(request_)
-    assert session.send_next() == request_
-    assert session.wake_at() == pytest.approx(session.now + timeout)
-    session.later(timeout - 0.001)
-    assert call.outcome is None
-    session.later(0.002)
-    assert call.outcome.status == TIMEOUT and not call.outcome.success
-    assert 'not known' in call.outcome.message
-    assert session.master.timeouts == 1
-    session.get_in_step()
-    assert session.send_next() is None, 'a request with an unknown outcome was sent again'
-
-
-@REPEATABLE
-def test_a_repeatable_request_is_tried_three_times(session, request_, answer):
-    call = session.call(request_, tries=3)
-    for _ in range(3):
-        assert call.outcome is None
-        assert session.send_next() == request_
-        session.later(REPLY_TIMEOUT)
-        session.get_in_step()
-    assert call.outcome.status == TIMEOUT
-    assert session.send_next() is None
-
-
-@REPEATABLE
-def test_a_repeated_request_can_succeed(session, request_, answer):
-    call = session.call(request_, tries=2)
-    for _ in range(2):
-        assert session.send_next() == request_
-        if call.tries:
-            session.later(REPLY_TIMEOUT)
-            session.get_in_step()
-    session.reply(answer)
-    assert call.outcome.success and call.outcome.data == answer.data
-
-
-@MOVING_OR_RAW
-def test_a_request_is_sent_again_after_invalid_checksum(session, request_):
-    call = session.call(request_, tries=3)
-    session.call(RAW)
-    for _ in range(2):
-        assert session.send_next() == request_
-        session.reply(invalid(0x40))
-        session.get_in_step()
-    assert call.outcome is None
-    assert session.send_next() == request_, 'it goes before the next call'
-    session.reply(OK_REPLY)
-    assert call.outcome.success
-    assert session.master.in_step
-
-
-@MOVING_OR_RAW
-@pytest.mark.parametrize('answer', [lambda session: session.reply(OK_REPLY), Session.damage],
-                         ids=('ok', 'damaged'))
+@pytest.mark.parametrize('name', MOVES)
+@pytest.mark.parametrize('answer', ['< OK', 'damaged', 'missed'])
 @pytest.mark.parametrize('code', [0x40, 0x20, 0x10])
-def test_an_ok_after_an_invalid_makes_the_outcome_unknown(session, request_, answer, code):
+def test_an_ok_after_an_invalid_makes_the_outcome_unknown(session, name, answer, code):
     """Either the INVALID was for noise and the OK is the reply, or the OK is a doubled reply to an
     earlier request. Neither "refused" nor "success" is safe then, nor is another try."""
-    call = session.call(request_)
-    session.send_next()
-    session.reply(invalid(code))
-    assert call.outcome is None
-    if code == 0x10:
-        assert session.send_next() == bus.SYNC_REQUEST
-    else:
-        echo = session.send_next()
-        assert echo.cmd1 == bus.ECHO
-    answer(session)
-    assert (call.outcome.status, call.outcome.error_code) == (TIMEOUT, code)
-    assert 'not known' in call.outcome.message
-    assert session.send_next() is None and not session.master.in_step
-    if code == 0x10:
-        session.reply(SYNC_REPLY)
-        echo = session.send_next()
-    session.reply(bus.Reply(bus.ECHO, echo.data))
-    assert session.master.in_step and session.send_next() is None
-
-
-@MOVING_OR_RAW
-def test_an_ok_after_invalid_not_synchronised_and_sync_makes_the_outcome_unknown(session, request_):
-    """The OK arrives between the replies to SYNC and to the ECHO after it."""
-    call = session.call(request_, tries=1)
-    session.send_next()
-    session.reply(invalid(0x10))
-    assert session.send_next() == bus.SYNC_REQUEST
-    session.reply(SYNC_REPLY)
-    assert call.outcome is None, 'a refusal is reported before an ECHO has confirmed it'
-    assert session.send_next().cmd1 == bus.ECHO
-    session.reply(OK_REPLY)
-    assert (call.outcome.status, call.outcome.error_code) == (TIMEOUT, 0x10)
-
-
-@MOVING_OR_RAW
-def test_an_error_to_the_echo_after_an_invalid_is_not_the_reply_to_the_request(session, request_):
-    call = session.call(request_)
-    session.send_next()
-    session.reply(invalid(0x40))
-    echo = session.send_next()
-    session.reply(error(0x8000))
-    assert call.outcome is None and session.send_next() is None
-    session.reply(bus.Reply(bus.ECHO, echo.data))
-    assert session.send_next() == request_
-    session.reply(OK_REPLY)
-    assert call.outcome.success
-
-
-def test_without_echo_a_request_is_sent_again_after_a_sync_and_a_silence(without_echo):
-    session = without_echo
-    call = session.call(RAW)
-    assert session.next_request() == RAW
-    session.reply(invalid(0x40))
-    session.sync_and_silence()
-    assert session.next_request() == RAW
-    session.reply(OK_REPLY)
-    assert call.outcome.success
-
-
-def test_a_call_is_sent_before_a_repeated_poll(session):
-    session.call(AIR, poll=True)
-    assert session.send_next() == AIR
-    lift = session.call(LIFT)
-    session.later(REPLY_TIMEOUT)
-    session.get_in_step()
-    assert session.send_next() == LIFT
-    session.reply(OK_REPLY)
-    assert lift.outcome.success
-    assert session.send_next() == AIR
-
-
-@MOVING_OR_RAW
-@pytest.mark.parametrize('end', ['closed', 'no echo'])
-@pytest.mark.parametrize('code', [0x40, 0x10])
-def test_an_invalid_without_a_confirming_echo_is_not_reported_as_a_refusal(
-        session, request_, end, code):
-    call = session.call(request_)
-    session.send_next()
-    session.reply(invalid(code))
-    session.send_next()
-    if end == 'closed':
-        session.master.disconnected(session.now, 'unplugged')
-    else:
-        for _ in range(100):
-            session.later(REPLY_TIMEOUT / 5)
-            asked = session.send_next()
-            assert asked is None or asked.cmd1 in (bus.ECHO, bus.SYNC)
-            if call.outcome:
-                break
-    assert call.outcome.status == TIMEOUT and 'not known' in call.outcome.message
-
-
-@MOVING_OR_RAW
-def test_a_request_to_an_unsynchronised_board_is_sent_again_after_sync(session, request_):
-    call = session.call(request_)
-    assert session.send_next() == request_
-    session.reply(invalid(0x10))
-    assert not session.master.synchronised
-    assert session.send_next() == bus.SYNC_REQUEST
-    session.later(REPLY_TIMEOUT / 2)
-    session.reply(SYNC_REPLY)
-    session.get_in_step()
-    assert session.send_next() == request_
-    session.reply(OK_REPLY)
-    assert call.outcome.success
-
-
-@MOVING_OR_RAW
-@pytest.mark.parametrize('code', [0x40, 0x10])
-def test_a_request_that_always_gets_invalid_is_refused_after_its_tries(session, request_, code):
-    call = session.call(request_, tries=3)
-    sent = 0
-    for _ in range(10):
-        asked = session.send_next()
-        if asked == request_:
-            sent += 1
-            session.reply(invalid(code))
-        elif asked == bus.SYNC_REQUEST:
-            session.reply(SYNC_REPLY)
-        elif asked:
-            session.reply(bus.Reply(bus.ECHO, asked.data))
-    assert sent == 3
-    assert (call.outcome.status, call.outcome.error_code) == (bus.INVALID, code)
-    assert 'nothing was executed' in call.outcome.message
-
-
-@MOVING_OR_RAW
-@pytest.mark.parametrize('reply', [invalid(0x20), invalid(0x77), error(0x8000), error(0x8001),
-                                   error(0x8002)], ids=str)
-def test_a_refusal_is_reported_with_its_code_and_not_repeated(session, request_, reply):
-    call = session.call(request_)
-    session.send_next()
-    session.reply(reply)
-    if reply.cmd1 == bus.INVALID:
-        session.get_in_step()     # no other reply: the INVALID was for this request
-        assert session.send_next() is None
-    assert call.outcome.status == reply.cmd1 and not call.outcome.success
-    assert call.outcome.error_code == reply.error_code
-    assert bus.describe_error(reply.error_code) in call.outcome.message
-    assert session.send_next() is None and session.master.in_step
-
-
-def test_a_move_sent_again_is_not_repeated_after_a_timeout(session):
-    """INVALID 0x40, another try, no reply: now the outcome is unknown."""
-    call = session.call(LIFT, tries=3)
-    session.send_next()
-    session.reply(invalid(0x40))
-    session.get_in_step()
-    assert session.send_next() == LIFT
-    session.later(MOTION_TIMEOUT)
-    assert call.outcome.status == TIMEOUT
-    session.get_in_step()
-    assert session.send_next() is None
-
-
-# -- 5. out of step -------------------------------------------------------------------------------
-
-def test_after_a_timeout_nothing_is_sent_before_the_echo_returns(session):
-    first, second = session.call(LIFT), session.call(GIMBAL)
-    session.send_next()
-    session.later(MOTION_TIMEOUT - 1.0)
-    second_submitted_late = session.call(RAW)
-    session.later(1.0)
-    request = session.send_next()
-    assert request.cmd1 == bus.ECHO and len(request.data) == 4
-    assert first.outcome.status == TIMEOUT
-    for late in (OK_REPLY, SYNC_REPLY, error(0x8002), AIR_REPLY, bus.Reply(bus.ECHO, b'none'),
-                 bus.Reply(bus.ECHO, request.data + b'x'), bus.Reply(bus.OK, request.data)):
-        session.reply(late)
-        assert session.send_next() is None and not session.master.in_step
-    session.reply(bus.Reply(bus.ECHO, request.data))
-    assert session.master.in_step
-    assert session.send_next() in (GIMBAL, RAW)
-    assert second_submitted_late.outcome is None or second.outcome is None
-
-
-def test_every_nonce_is_new(session):
-    session.call(RAW)
-    session.send_next()
-    session.later(REPLY_TIMEOUT)
-    asked = []
-    for _ in range(ECHO_TRIES):
-        request = session.send_next()
-        assert request.cmd1 == bus.ECHO
-        asked.append(request.data)
-        session.later(REPLY_TIMEOUT)
-    assert len(set(asked)) == ECHO_TRIES
-
-
-def test_nonces_are_four_random_bytes_by_default(caplog):
-    machine = Master(REPLY_TIMEOUT, MOTION_TIMEOUT, SparingLog('bus', logging.getLogger('x')))
-    seen = set()
-    for _ in range(20):
-        machine.connected(0.0)
-        machine.step(0.0)
-        machine.received(Frame(b'', 0, 0, b'', SYNC_REPLY), 0.0)
-        machine.damaged(invalid_frame(b'x', FRAMING, 'noise'), 0.0)
-        seen.add(machine.step(0.0)[0].data)
-        machine.disconnected(0.0, '')
-    assert len(seen) == 20 and {len(nonce) for nonce in seen} == {4}
-
-
-def test_an_echo_of_an_earlier_nonce_is_dropped(session):
-    session.call(RAW)
-    session.send_next()
-    session.later(REPLY_TIMEOUT)
-    first = session.send_next()
-    session.later(REPLY_TIMEOUT)
-    second = session.send_next()
-    session.reply(bus.Reply(bus.ECHO, first.data))
-    assert not session.master.in_step and session.send_next() is None
-    session.reply(bus.Reply(bus.ECHO, second.data))
-    assert session.master.in_step
+    session.play(f'call {name}; send {name}; < INVALID:{code:x}; {name} is waiting;'
+                 f'> {"SYNC" if code == 0x10 else "ECHO"}; {answer}; {name} is not known; > -')
+    assert session.outcome(name).error_code == code
+    session.play('< SYNC; > ECHO; < ECHO; > -' if code == 0x10 else '< ECHO; in step; > -')
 
 
 @pytest.mark.parametrize('code', [0x40, 0x20])
-def test_an_echo_that_gets_invalid_is_sent_again_with_a_new_nonce(session, code):
-    session.damage(FRAMING)
-    first = session.send_next()
-    session.reply(invalid(code))
-    assert session.send_next() is None, 'the INVALID may be a late one: its echo may still come'
-    session.later(REPLY_TIMEOUT)
-    second = session.send_next()
-    assert (first.cmd1, second.cmd1) == (bus.ECHO, bus.ECHO) and first != second
-    session.reply(bus.Reply(bus.ECHO, second.data))
-    assert session.master.in_step
+def test_a_repeatable_call_is_refused_only_if_no_ok_follows_the_invalid(session, code):
+    session.play(f'call twice 1; > twice; < INVALID:{code:x}; twice is waiting; > ECHO; < OK ECHO;'
+                 'twice is not known')
+    assert session.outcome('twice').error_code == code
 
 
-def test_an_echo_to_an_unsynchronised_board_is_followed_by_sync_and_an_echo(session):
-    session.damage(FRAMING)
-    session.send_next()
-    session.reply(invalid(0x10))
-    assert session.send_next() == bus.SYNC_REQUEST
-    session.reply(SYNC_REPLY)
-    session.get_in_step()
+@pytest.mark.parametrize('name', MOVES)
+@pytest.mark.parametrize('end', ['closed', 'no echo'])
+@pytest.mark.parametrize('code', ['40', '10'])
+def test_an_invalid_without_a_confirming_echo_is_not_reported_as_a_refusal(
+        session, name, end, code):
+    session.play(f'call {name}; send {name}; < INVALID:{code}; > '
+                 + ('SYNC' if code == '10' else 'ECHO'))
+    if end == 'closed':
+        session.master.disconnected(session.now, 'unplugged')
+    for _ in range(100):
+        if session.outcome(name):
+            break
+        session.later(REPLY_TIMEOUT / 5)
+        asked = session.next_request()
+        assert asked is None or asked.cmd1 in (bus.ECHO, bus.SYNC)
+    session.play(f'{name} is not known')
 
 
-def test_the_alternation_of_sync_and_refused_echo_ends(session):
-    session.damage(FRAMING)
-    asked = []
-    for _ in range(20):
-        request = session.send_next()
-        if request is None:
-            session.later(REPLY_TIMEOUT)
-            continue
-        asked.append(request.cmd1)
-        session.reply(SYNC_REPLY if request == bus.SYNC_REQUEST else invalid(0x10))
-    assert session.master.in_step and asked.count(bus.ECHO) == 3
+@pytest.mark.parametrize('name', MOVES)
+@pytest.mark.parametrize('code, again', [
+    (0x40, ''), (0x10, '> SYNC; < SYNC;')], ids=('checksum', 'not synchronised'))
+def test_a_request_that_always_gets_invalid_is_refused_after_its_tries(session, name, code, again):
+    session.play(f'call {name} 3;' + f'send {name}; < INVALID:{code:x}; {again} fence;' * 3
+                 + f'> -; {name} is invalid')
+    assert session.outcome(name).error_code == code
 
 
-def test_an_unrequested_invalid_not_synchronised_leads_to_a_sync(session):
-    session.reply(invalid(0x10))
-    assert not session.master.synchronised
-    call = session.call(LIFT)
-    assert session.send_next() == bus.SYNC_REQUEST
-    session.reply(SYNC_REPLY)
-    session.get_in_step()
-    assert session.send_next() == LIFT and call.outcome is None
+@pytest.mark.parametrize('name', MOVES)
+@pytest.mark.parametrize('reply', ['INVALID:20', 'INVALID:77', 'ERROR:8000', 'ERROR:8001',
+                                   'ERROR:8002'])
+def test_a_refusal_is_reported_with_its_code_and_not_repeated(session, name, reply):
+    kind, code = reply.split(':')
+    session.play(f'call {name}; send {name}; < {reply};' + (
+        f'{name} is waiting; fence; > -; {name} is invalid' if kind == 'INVALID' else
+        f'{name} is refused') + '; > -; in step')
+    assert session.outcome(name).error_code == int(code, 16)
+    assert bus.describe_error(int(code, 16)) in session.outcome(name).message
 
 
-@pytest.mark.parametrize('reply', [OK_REPLY, SYNC_REPLY, error(0x8000), invalid(0x40),
-                                   bus.Reply(bus.ECHO, b'x')], ids=str)
-def test_an_unrequested_reply_leads_to_an_echo(session, reply):
-    session.reply(reply)
-    assert not session.master.in_step and len(session.warnings('out of step')) == 1
-    session.call(LIFT)
-    session.get_in_step()
-    assert session.send_next() == LIFT
+# -- rule 6: out of step ----------------------------------------------------------------------
 
-
-def test_a_doubled_reply_is_not_taken_for_the_reply_to_the_next_request(session):
-    first, second = session.call(LIFT), session.call(GIMBAL)
-    session.send_next()
-    session.reply(OK_REPLY, OK_REPLY)
-    assert first.outcome.success and second.outcome is None
-    session.get_in_step()
-    assert session.send_next() == GIMBAL
-
-
-@MOVING_OR_RAW
-def test_after_a_damaged_reply_the_outcome_is_unknown_and_an_echo_is_sent(session, request_):
-    call, after = session.call(request_), session.call(AIR)
-    session.send_next()
-    session.damage(CHECKSUM)
-    assert call.outcome.status == TIMEOUT and 'not known' in call.outcome.message
-    session.get_in_step()
-    assert session.send_next() == AIR and after.outcome is None
-
-
-@REPEATABLE
-def test_a_repeatable_request_is_sent_again_after_a_damaged_reply(session, request_, answer):
-    call = session.call(request_)
-    session.send_next()
-    session.damage(CHECKSUM)
-    assert call.outcome is None
-    session.get_in_step()
-    assert session.send_next() == request_
-    session.reply(answer)
-    assert call.outcome.success
-
-
-@MOVING_OR_RAW
-def test_a_reply_after_noise_is_taken(session, request_):
-    call = session.call(request_)
-    session.send_next()
-    session.damage(FRAMING)
-    assert call.outcome is None
-    session.reply(OK_REPLY)
-    assert call.outcome.success
-    session.call(RAW)
-    session.get_in_step()
-    assert session.send_next() == RAW
-
-
-@pytest.mark.parametrize('request_, foreign', [
-    (LIFT, SYNC_REPLY), (LIFT, bus.Reply(bus.ECHO, b'n000')), (GIMBAL, bus.Reply(bus.OK + 2)),
-    (AIR, SYNC_REPLY), (AIR, bus.Reply(bus.ECHO, AIR_REPLY.data)), (RAW, SYNC_REPLY),
-    (RAW, bus.Reply(bus.ECHO, b'raw')), (RAW, bus.Reply(0x77)),
-    (bus.echo(b'mine'), bus.Reply(bus.ECHO, b'ours')), (bus.echo(b'mine'), OK_REPLY),
-    (bus.SYNC_REQUEST, OK_REPLY)], ids=str)
-def test_a_reply_that_does_not_fit_the_request_is_not_returned(session, request_, foreign):
-    call = session.call(request_)
-    session.send_next()
-    session.reply(foreign)
-    assert call.outcome is None and session.master.outstanding_request == request_
-    assert not session.master.in_step
-
-
-def test_without_echo_a_sync_and_a_silence_replace_it_with_one_warning(fresh):
-    session = fresh.connect_without_echo()
-    for _ in range(4):
-        session.call(RAW)
-        session.later(FENCE_SILENCE)
-        assert session.next_request() == RAW
-        session.later(REPLY_TIMEOUT)
-        late = session.call(LIFT)
-        session.sync_and_silence()
-        assert session.next_request() == LIFT
-        session.reply(OK_REPLY)
-        assert late.outcome.success
-    assert len(session.warnings('does not answer ECHO')) == 1
-
-
-def test_an_answered_echo_call_shows_that_the_board_knows_echo(without_echo):
-    session = without_echo
-    call = session.call(bus.echo(b'mine'))
-    session.next_request()
-    session.reply(bus.Reply(bus.ECHO, b'mine'))
-    assert call.outcome.success
-    session.call(LIFT)
-    session.get_in_step()
-    assert session.next_request() == LIFT
-
-
-@pytest.mark.parametrize('reply', [OK_REPLY, None], ids=('a reply', 'noise'))
-def test_a_reply_in_the_silence_is_dropped_and_restarts_it(session, reply):
-    session.call(RAW)
-    session.send_next()
-    for _ in range(1 + ECHO_TRIES):
-        session.later(REPLY_TIMEOUT)
-        session.send_next()
-    session.reply(SYNC_REPLY)
-    call = session.call(LIFT)
-    session.later(REPLY_TIMEOUT - 0.1)
-    if reply:
-        session.reply(reply)
-    else:
-        session.damage(FRAMING)
-    session.later(REPLY_TIMEOUT - 0.1)
-    assert session.send_next() is None and not session.master.in_step and call.outcome is None
-    session.later(0.2)
-    assert session.send_next() == LIFT
-
-
-def test_a_board_that_has_echoed_gets_echo_again_after_the_silence(session):
-    """The line lost three ECHOs: the board knows ECHO."""
-    session.damage(FRAMING)
-    session.get_in_step()
-    session.damage(FRAMING)
-    for _ in range(ECHO_TRIES):
-        assert session.send_next().cmd1 == bus.ECHO
-        session.later(REPLY_TIMEOUT)
-    assert session.send_next() == bus.SYNC_REQUEST
-    session.reply(SYNC_REPLY)
-    session.later(REPLY_TIMEOUT)
-    assert session.master.in_step
-    session.damage(FRAMING)
-    session.get_in_step()
-
-
-def test_a_board_that_does_not_answer_sync_instead_of_echo_is_unsynchronised(session):
-    session.call(RAW)
-    session.send_next()
-    for _ in range(1 + ECHO_TRIES):
-        session.later(REPLY_TIMEOUT)
-        session.send_next()
-    session.later(REPLY_TIMEOUT)
-    assert not session.master.synchronised
-    assert session.send_next() == bus.SYNC_REQUEST
+@table(
+    ('nothing is sent before the ECHO returns',
+     f'{LIFTS} +M+-1; call gimbal; +1; > ECHO; lift is not known;'
+     '< OK SYNC ERROR:8002 AIR ECHO:no OK:6e303032; > -; out of step; < ECHO; > gimbal'),
+    ('only ECHOs that are unanswered in a row make a SYNC necessary',
+     'noise; > ECHO; +T; fence; noise; > ECHO; +T; > ECHO; +T; > ECHO; +T; > SYNC'),
+    ('an ECHO of an earlier nonce is dropped',
+     'call raw; send raw; +T; > ECHO; +T; > ECHO; < -ECHO; out of step; > -; < ECHO; in step'),
+    ('an ECHO that gets INVALID is sent again with a new nonce',
+     'noise; > ECHO; < INVALID:40 INVALID:20; > -; +T; > ECHO; < -ECHO; > -; < ECHO; in step'),
+    ('an ECHO to a board that is not synchronised is followed by SYNC and an ECHO',
+     'noise; > ECHO; < INVALID:10; > SYNC; < SYNC; fence'),
+    ('SYNC and refused ECHOs do not alternate for ever',
+     'noise;' + '> ECHO; < INVALID:10; > SYNC; < SYNC;' * ECHO_TRIES + '> -; +T; in step'),
+    ('a board that answers every ECHO with INVALID is served in the end',
+     'noise; call lift;' + '> ECHO; < INVALID:20; +T;' * ECHO_TRIES
+     + '> SYNC; < SYNC; +T; > lift; < OK; lift is done'),
+    ('INVALID "not synchronised" without a request leads to SYNC',
+     '< INVALID:10; lost; call lift; > SYNC; < SYNC; fence; > lift; lift is waiting'),
+    ('a reply without a request leads to an ECHO',
+     '< IT; out of step; call lift; fence; > lift', ANY_REPLIES),
+    ('after a damaged reply the outcome is unknown',
+     'call IT; call air; send IT; damaged; IT is not known; fence; > air; air is waiting', MOVES),
+    ('a repeatable request is sent again after a damaged reply',
+     'call IT; send IT; damaged; IT is waiting; fence; > IT; < REPLY; IT is done', PROBES),
+    ('a reply after noise is taken',
+     'call IT; send IT; noise; IT is waiting; < OK; IT is done; call custom; fence; > custom',
+     MOVES),
+    ('a board that has echoed gets ECHO again after the silence',
+     'noise; fence; noise;' + '> ECHO; +T;' * ECHO_TRIES + SYNC_AND_SILENCE + 'noise; fence'),
+    ('a board that does not answer the SYNC instead of ECHO is not synchronised',
+     f'call raw; send raw; {NO_ECHO} +T; lost; > SYNC'),
+    ('a reply in the silence is dropped and begins it anew',
+     f'call raw; send raw; {NO_ECHO} < SYNC; call lift; +0.4; IT; +0.4; > -; out of step;'
+     'lift is waiting; +0.2; > lift', ('< OK', '< INVALID:40', '< INVALID:20', 'noise', 'missed')),
+    ('INVALID "not synchronised" ends the silence',
+     f'call raw; send raw; {NO_ECHO} < SYNC; < INVALID:10; > SYNC'),
+    ('after a stall nothing is sent before an ECHO returns',
+     'missed; call air; fence; > air; < AIR; air is done'),
+    ('calls that wait are not given up early while a reply may follow noise',
+     f'{LIFTS} noise; call raw; +1; raw is waiting; < OK; lift is done; fence; > raw'),
+    ('a call succeeds if its reply arrives after a stall',
+     'call IT; send IT; missed; < OK; IT is done; fence', MOVES),
+    ('the outcome is unknown if the reply was dropped in a stall',
+     'call IT; send IT; missed; +M; IT is not known; fence; > -', MOVES),
+    ('a reading is requested again after a stall',
+     'call air; send air; missed; +T; fence; > air; < AIR; air is done'),
+)
+def test_out_of_step(session, script):
+    session.play(script)
 
 
 def test_a_late_reply_to_an_earlier_sync_is_not_returned_to_a_caller(fresh):
     """Two SYNCs were sent, and both replies are late: the second has no request."""
     fresh.master.connected(fresh.now)
-    fresh.send_next()
-    fresh.later(REPLY_TIMEOUT)
-    assert fresh.send_next() == bus.SYNC_REQUEST
-    fresh.later(0.1)
-    fresh.reply(SYNC_REPLY)               # to the first SYNC
-    call = fresh.call(bus.SYNC_REQUEST)
-    asked = fresh.send_next()
-    fresh.reply(SYNC_REPLY)               # to the second SYNC
-    assert call.outcome is None, 'the answer to an earlier SYNC was given to a caller'
-    assert asked.cmd1 == bus.ECHO, 'after a timeout the link is out of step'
+    fresh.play('> SYNC; +T; > SYNC; +0.1; < SYNC; call sync; > ECHO; < SYNC; sync is waiting')
 
 
-# -- the fence ------------------------------------------------------------------------------------
+def test_every_nonce_is_new(session):
+    session.play('call raw; send raw; +T;' + '> ECHO; +T;' * ECHO_TRIES)
+    assert len(set(session.nonces)) == len(session.nonces)
+    machine = Master(REPLY_TIMEOUT, MOTION_TIMEOUT, SparingLog('bus', logging.getLogger('x')))
+    seen = set()
+    for _ in range(20):
+        machine.connected(0.0)
+        machine.step(0.0)
+        machine.received(Frame(b'', 0, 0, b'', bus.Reply(bus.SYNC)), 0.0)
+        seen.add(machine.step(0.0)[0].data)
+        machine.disconnected(0.0, '')
+    assert len(seen) == 20 and {len(nonce) for nonce in seen} == {4}
 
-@MOVING_OR_RAW
+
+@pytest.mark.parametrize('name, foreign', [
+    ('lift', 'SYNC'), ('lift', 'ECHO:n000'), ('gimbal', '?'), ('air', 'SYNC'), ('air', 'ECHO:air'),
+    ('raw', 'SYNC'), ('raw', 'ECHO:raw'), ('raw', '?'), ('echo', 'ECHO:ours'), ('echo', 'OK'),
+    ('sync', 'OK')])
+def test_a_reply_that_does_not_fit_the_request_is_not_returned(session, name, foreign):
+    session.play(f'call {name}; send {name}; < {foreign}; {name} is waiting; out of step')
+    assert session.master.outstanding_call is session.calls[name]
+
+
+@pytest.mark.parametrize('name', MOVES)
+@pytest.mark.parametrize('code', [0x40, 0x10, 0x20])
+def test_after_a_stall_an_invalid_makes_the_outcome_unknown(session, name, code):
+    session.play(f'call {name}; send {name}; missed; < INVALID:{code:x}; {name} is not known;'
+                 + ('lost' if code == 0x10 else 'out of step'))
+    assert session.outcome(name).error_code == code
+
+
+def test_a_bad_line_is_logged_sparingly(session):
+    session.play('noise; fence;' * 100)
+    assert len(session.warnings('out of step: received bytes that are no valid reply')) == 1
+
+
+# -- rule 6: the fence --------------------------------------------------------------------------
+
+@table(
+    ('SYNC and ECHO need no fence',
+     f'{LIFTS} < OK;' + 'call IT; > IT; < REPLY;' * 2, PROBES[1:]),
+    ('a call has a fence even after the same request',
+     'call IT; > IT; < REPLY;' + 'call IT; fence; > IT; < REPLY;' * 2,
+     (('air', 'AIR'), ('read', 'OK:0102'), ('custom', 'OK'), ('lift', 'OK'), ('raw', 'OK'))),
+    ('a poll has a fence unless it follows the same poll',
+     'poll read; > read; < OK:0102; poll read; > read; < OK:0102; poll other; fence; > other;'
+     '< OK:0102; poll other; > other; < OK:0102; poll read; fence; > read; < OK:0102; poll air;'
+     'fence; > air; < AIR; poll air; > air'),
+    ('another exchange between two polls makes a fence necessary',
+     'poll read; > read; < OK:0102; call IT; > IT; < REPLY; poll read; fence; > read', PROBES[1:]),
+    ('a call of the same request between two polls does not',
+     'poll read; > read; < OK:0102; call read; fence; > read; < OK:0102; poll read; > read'),
+    ('for a reading a fence lasts until the next exchange', '+3600; call IT; > IT',
+     ('air', 'read')),
+    ('a new poll waits for the move after the fence',
+     f'{AIRS} call lift; > ECHO; poll air; +0.001; < ECHO; > lift; < OK; send air'),
+    ('a call sent between fence and move makes another one necessary',
+     'call air; call lift; > air; < AIR; > ECHO'),
+    ('a doubled echo is not taken for the reply to the request',
+     f'{AIRS} call IT; > ECHO; < ECHO; > IT; < ECHO; IT is waiting; < OK; IT is done; fence',
+     MOVES),
+    ('a damaged or lost fence is sent again with a new nonce',
+     f'{AIRS} call lift; > ECHO; damaged; > -; lift is waiting; +T; > ECHO; < -ECHO; > -; < ECHO;'
+     '> lift'),
+    ('a fence to a reset board is followed by SYNC and a new fence',
+     f'{AIRS} call lift; > ECHO; < INVALID:10; > SYNC; < SYNC; fence; > lift; < OK; lift is done'),
+    ('a board that stops to echo is served after a SYNC and a silence',
+     f'{AIRS} call lift;' + '> ECHO; +T;' * ECHO_TRIES + SYNC_AND_SILENCE
+     + '> lift; < OK; lift is done; call gimbal; > ECHO'),
+)
+def test_fences(session, script):
+    session.play(script)
+
+
+@pytest.mark.parametrize('name', MOVES)
 @pytest.mark.parametrize('before, answer', [
-    (LIFT, OK_REPLY), (RAW, OK_REPLY), (AIR, AIR_REPLY), (bus.SYNC_REQUEST, SYNC_REPLY),
-    (bus.echo(b'mine'), bus.Reply(bus.ECHO, b'mine')), (LIFT, error(0x8002))], ids=str)
-def test_before_a_move_or_a_raw_request_a_new_echo_returns(session, request_, before, answer):
-    session.call(before)
-    assert session.next_request() == before, 'the ECHO behind the SYNC was a fence already'
-    session.reply(answer)
-    known = len(session.nonces)
-    session.call(request_)
-    echo = session.next_request()
-    assert echo == bus.echo(session.nonces[-1]) and len(session.nonces) == known + 1
-    assert session.next_request() is None
-    session.reply(bus.Reply(bus.ECHO, echo.data))
-    assert session.next_request() == request_
+    ('lift', 'OK'), ('raw', 'OK'), ('air', 'AIR'), ('sync', 'SYNC'), ('echo', 'ECHO:mine'),
+    ('lift', 'ERROR:8002')])
+def test_before_a_move_or_a_raw_request_a_new_echo_returns(session, name, before, answer):
+    """The ECHO behind the SYNC was a fence already for the exchange before."""
+    session.play(f'call {before}; > {before}; < {answer}; call {name}; > ECHO; > -; < ECHO;'
+                 f'> {name}')
 
 
-@pytest.mark.parametrize('request_, answer', [
-    (bus.SYNC_REQUEST, SYNC_REPLY), (bus.echo(b'mine'), bus.Reply(bus.ECHO, b'mine'))], ids=str)
-def test_sync_and_echo_need_no_fence(session, request_, answer):
-    for before, reply in ((LIFT, OK_REPLY), (request_, answer), (request_, answer)):
-        session.call(before)
-        assert session.next_request() == before
-        session.reply(reply)
+@pytest.mark.parametrize('name', MOVES)
+def test_a_doubled_reply_before_the_fence_returns_is_dropped(session, name):
+    session.play(f'{LIFTS} < OK; call {name}; > ECHO; < OK ECHO; > {name}; < ERROR:8002;'
+                 f'{name} is refused')
+    assert len(session.warnings('out of step: OK to ECHO')) == 1, 'the doubled reply is logged'
 
 
-@pytest.mark.parametrize('request_', [AIR, READ, CUSTOM, LIFT, RAW], ids=str)
-def test_a_call_has_a_fence_even_after_the_same_request(session, request_):
-    for number in range(3):
-        session.call(request_)
-        known = len(session.nonces)
-        assert session.send_next() == request_
-        assert len(session.nonces) - known == (number > 0)
-        session.reply(bus.Reply(bus.OK, bytes(LAYOUTS.get(request_, bus.NO_DATA).size)))
-
-
-def test_a_poll_has_a_fence_unless_it_follows_the_same_poll(session):
-    for request, has_fence in ((READ, False), (READ, False), (OTHER, True), (OTHER, False),
-                               (READ, True), (AIR, True), (AIR, False)):
-        session.call(request, poll=True)
-        known = len(session.nonces)
-        assert session.send_next() == request
-        assert len(session.nonces) - known == has_fence
-        session.reply(bus.Reply(bus.OK, bytes(LAYOUTS[request].size)))
-
-
-@pytest.mark.parametrize('between, answer', [
-    (READ, None), (bus.SYNC_REQUEST, SYNC_REPLY), (bus.echo(b'a'), bus.Reply(bus.ECHO, b'a'))],
-    ids=str)
-def test_a_poll_after_a_call_between_two_polls(session, between, answer):
-    """A call of the same request leaves the polls unfenced; any other exchange does not."""
-    for request, poll in ((READ, True), (between, False), (READ, True)):
-        session.call(request, poll=poll)
-        known = len(session.nonces)
-        assert session.send_next() == request
-        session.reply(answer if answer and not poll else bus.Reply(bus.OK, b'\1\2'))
-    assert len(session.nonces) - known == (between != READ)
-
-
-@pytest.mark.parametrize('code', [0x40, 0x20])
-def test_a_repeatable_call_is_refused_only_if_no_ok_follows_the_invalid(session, code):
-    call = Call(CUSTOM, REPLY_TIMEOUT, True, 1, session.now, reply_layout=bus.NO_DATA)
-    session.master.submit(call)
-    assert session.next_request() == CUSTOM
-    session.reply(invalid(code))
-    assert call.outcome is None
-    echo = session.next_request()
-    session.reply(OK_REPLY, bus.Reply(bus.ECHO, echo.data))
-    assert (call.outcome.status, call.outcome.error_code) == (TIMEOUT, code)
-
-
-def test_a_repeatable_call_is_sent_again_though_an_ok_follows_the_invalid(session):
-    call = Call(CUSTOM, REPLY_TIMEOUT, True, 2, session.now, reply_layout=bus.NO_DATA)
-    session.master.submit(call)
-    session.next_request()
-    session.reply(invalid(0x40))
-    echo = session.next_request()
-    session.reply(OK_REPLY)
-    assert call.outcome is None
-    session.reply(bus.Reply(bus.ECHO, echo.data))
-    assert session.next_request() == CUSTOM
-    session.reply(OK_REPLY)
-    assert call.outcome.success
-
-
-@pytest.mark.parametrize('request_', [AIR, READ], ids=str)
-def test_a_fence_lasts_until_the_next_exchange(session, request_):
-    session.later(3600.0)
-    session.call(request_)
-    assert session.next_request() == request_
-
-
-@pytest.mark.parametrize('request_', [LIFT, GIMBAL, RAW, CUSTOM], ids=str)
-def test_before_a_move_a_fence_is_renewed_after_1_s(session, request_):
-    """The other side may stand meanwhile, and would deliver the move when it goes on."""
+@pytest.mark.parametrize('name', ['lift', 'gimbal', 'raw', 'custom'])
+def test_before_a_move_a_fence_is_renewed_after_1_s(session, name):
+    """Rule 10: the other side may stand meanwhile, and would deliver the move when it goes on."""
     session.later(FENCE_AGE - 0.01)
-    session.call(request_)
-    assert session.next_request() == request_
-    session.reply(OK_REPLY)
-    session.call(bus.echo(b'x'))
-    session.next_request()
-    session.reply(bus.Reply(bus.ECHO, b'x'))
-    call = session.call(request_)
-    session.get_in_step()
+    session.play(f'call {name}; > {name}; < OK; call echo; > echo; < ECHO:mine; call {name}; fence')
     session.later(FENCE_AGE + 0.01)
-    assert session.next_request().cmd1 == bus.ECHO
-    session.later(NOT_READY_WAIT)
-    session.later(MOTION_TIMEOUT)
-    assert call.outcome.status == NOT_SENT
+    session.play(f'> ECHO; +0.8; +M; {name} is not sent')
 
 
-def test_a_new_poll_waits_for_the_move_after_the_fence(session):
-    session.call(AIR)
-    session.next_request()
-    session.reply(AIR_REPLY)
-    session.call(LIFT)
-    echo = session.next_request()
-    session.call(AIR, poll=True)
-    session.later(0.001)
-    session.reply(bus.Reply(bus.ECHO, echo.data))
-    assert session.next_request() == LIFT
-    session.reply(OK_REPLY)
-    assert session.send_next() == AIR
-
-
-def test_a_call_sent_between_fence_and_move_needs_another_fence(session):
-    session.call(AIR)
-    session.call(LIFT)
-    assert session.next_request() == AIR
-    session.reply(AIR_REPLY)
-    assert session.next_request().cmd1 == bus.ECHO
-
-
-@MOVING_OR_RAW
-def test_a_doubled_reply_before_the_fence_returns_is_dropped(session, request_):
-    session.call(LIFT)
-    session.next_request()
-    session.reply(OK_REPLY)
-    call = session.call(request_)
-    echo = session.next_request()
-    session.reply(OK_REPLY, bus.Reply(bus.ECHO, echo.data))
-    assert session.next_request() == request_
-    session.reply(error(0x8002))
-    assert call.outcome.status == bus.ERROR
-    assert len(session.warnings('out of step')) == 1, 'the doubled reply is logged'
-
-
-@MOVING_OR_RAW
-def test_a_doubled_echo_is_not_taken_for_the_reply_to_the_request(session, request_):
-    session.call(AIR)
-    session.next_request()
-    session.reply(AIR_REPLY)
-    call = session.call(request_)
-    echo = session.next_request()
-    session.reply(bus.Reply(bus.ECHO, echo.data))
-    assert session.next_request() == request_
-    session.reply(bus.Reply(bus.ECHO, echo.data))
-    assert call.outcome is None
-    session.reply(OK_REPLY)
-    assert call.outcome.success
-    session.get_in_step()
-
-
-def test_a_damaged_or_lost_fence_is_sent_again_with_a_new_nonce(session):
-    session.call(AIR)
-    session.next_request()
-    session.reply(AIR_REPLY)
-    call = session.call(LIFT)
-    first = session.next_request()
-    session.damage(CHECKSUM)
-    assert session.next_request() is None and call.outcome is None
-    session.later(REPLY_TIMEOUT)
-    second = session.next_request()
-    assert second.cmd1 == bus.ECHO and second != first
-    session.reply(bus.Reply(bus.ECHO, first.data))
-    assert session.next_request() is None
-    session.reply(bus.Reply(bus.ECHO, second.data))
-    assert session.next_request() == LIFT
-
-
-def test_a_fence_to_a_reset_board_is_followed_by_sync_and_a_new_fence(session):
-    session.call(AIR)
-    session.next_request()
-    session.reply(AIR_REPLY)
-    call = session.call(LIFT)
-    assert session.next_request().cmd1 == bus.ECHO
-    session.reply(invalid(0x10))
-    assert session.next_request() == bus.SYNC_REQUEST
-    session.reply(SYNC_REPLY)
-    session.get_in_step()
-    assert session.next_request() == LIFT
-    session.reply(OK_REPLY)
-    assert call.outcome.success
-
-
-@MOVING_OR_RAW
-def test_a_call_behind_an_unanswered_fence_ends_within_its_timeout_and_a_second(session, request_):
-    session.call(AIR)
-    session.next_request()
-    session.reply(AIR_REPLY)
-    call, submitted = session.call(request_), session.now
+@pytest.mark.parametrize('name', MOVES)
+def test_a_call_behind_an_unanswered_fence_ends_within_its_timeout_and_a_second(session, name):
+    session.play(AIRS)
+    call, submitted = session.call(name), session.now
     while call.outcome is None:
         asked = session.next_request()
         assert asked is None or asked.cmd1 in (bus.ECHO, bus.SYNC)
         session.now = session.wake_at()
         session.later(0.0)
-    assert call.outcome.status == NOT_SENT and 'nothing was sent' in call.outcome.message
+    session.play(f'{name} is not sent')
     assert session.now - submitted <= call.timeout + 1.0
 
 
-def test_no_fence_is_sent_for_a_caller_that_has_given_up(session):
-    session.call(AIR)
-    session.next_request()
-    call = session.call(LIFT)
-    session.reply(AIR_REPLY)
-    session.later(0.0)
-    call.wait(0.0)
-    assert session.next_request() is None and call.outcome.status == NOT_SENT
+# -- rule 6: a board that never echoes -----------------------------------------------------------
+
+@table(
+    ('a request is sent again after a SYNC and a silence',
+     f'call raw; > raw; < INVALID:40; {SYNC_AND_SILENCE} > raw; < OK; raw is done'),
+    ('an answered ECHO of a caller shows that the board knows ECHO',
+     'call echo; > echo; < ECHO:mine; echo is done; call lift; fence; > lift'),
+    ('what needs no fence needs no silence', '+0.02;' + 'call IT; > IT; < REPLY;' * 3, PROBES[1:]),
+    ('the same poll needs no silence', '+0.02;' + 'poll air; > air; < AIR;' * 3),
+    ('another reading waits for a silence',
+     '+0.02; call air; > air; < AIR; IT; > -; +0.021; > REPLY',
+     (('call air', 'air'), ('call read', 'read'), ('poll read', 'read'))),
+    ('an OK with data that is not expected is not taken',
+     'call IT; > IT; < AIR; IT is waiting; out of step; +M; IT is not known',
+     ('lift', 'gimbal', 'custom')),
+    ('the right reply may follow one of a wrong length',
+     'call air; > air; < AIR; +0.02; call two; > two; < OK; two is waiting; < OK:6162;'
+     'two is done'),
+    ('a stall restarts the silence',
+     'missed; > SYNC; < SYNC; +0.3; missed; +0.3; out of step; > -; +0.25; in step'),
+)
+def test_without_echo(without_echo, script):
+    without_echo.play(script)
 
 
-def test_a_board_that_stops_echoing_is_served_after_a_sync_and_a_silence(session):
-    session.call(AIR)
-    session.next_request()
-    session.reply(AIR_REPLY)
-    call = session.call(LIFT)
-    for _ in range(ECHO_TRIES):
-        assert session.next_request().cmd1 == bus.ECHO
-        session.later(REPLY_TIMEOUT)
-    session.sync_and_silence()
-    assert session.next_request() == LIFT, 'the silence took the place of the fence'
-    session.reply(OK_REPLY)
-    assert call.outcome.success
-    session.call(GIMBAL)
-    assert session.next_request().cmd1 == bus.ECHO, 'three lost ones were bad luck'
+def test_a_sync_and_a_silence_replace_the_echo_with_one_warning(fresh):
+    fresh.connect_without_echo()
+    for _ in range(4):
+        fresh.play(f'call raw; +0.02; > raw; +T; call lift; {SYNC_AND_SILENCE} > lift; < OK;'
+                   'lift is done')
+    assert len(fresh.warnings('does not answer ECHO')) == 1
 
 
-@MOVING_OR_RAW
-def test_without_echo_a_move_waits_for_a_silence_since_the_last_byte(
-        without_echo, request_):
+def test_after_a_reconnect_the_board_may_be_one_that_never_echoes(session):
+    session.play('disconnected')
+    session.connect_without_echo().play('call lift; > lift; < OK; call gimbal; > -; +0.021;'
+                                        '> gimbal')
+
+
+@pytest.mark.parametrize('name', MOVES)
+def test_without_echo_a_move_waits_for_a_silence_since_the_last_byte(without_echo, name):
     session = without_echo
-    session.call(AIR)
-    assert session.next_request() == AIR
-    session.later(0.1)
-    session.reply(AIR_REPLY)
-    call = session.call(request_)
-    request, wake_at = session.master.step(session.now)
-    assert request is None and wake_at == pytest.approx(session.now + FENCE_SILENCE)
-    session.later(FENCE_SILENCE - 0.001)
-    assert session.next_request() is None
-    session.later(0.002)
-    assert session.next_request() == request_
-    session.reply(OK_REPLY)
-    assert call.outcome.success
+    session.play('call air; > air; +0.1; < AIR')
+    session.call(name)
+    assert session.master.step(session.now) == (None, pytest.approx(session.now + FENCE_SILENCE))
+    session.play(f'+0.019; > -; +0.002; > {name}; < OK; {name} is done')
 
 
-@pytest.mark.parametrize('request_, answer, poll', [
-    (bus.echo(b'mine'), bus.Reply(bus.ECHO, b'mine'), False),
-    (bus.SYNC_REQUEST, SYNC_REPLY, False), (AIR, AIR_REPLY, True)],
-    ids=('echo', 'sync', 'the same poll'))
-def test_without_echo_a_request_that_needs_no_fence_needs_no_silence(
-        without_echo, request_, answer, poll):
-    for number in range(3):
-        without_echo.call(request_, poll=poll)
-        if poll and not number:
-            without_echo.later(FENCE_SILENCE)
-        assert without_echo.next_request() == request_
-        without_echo.reply(answer)
+# -- rule 5: data in an OK ------------------------------------------------------------------------
+
+@pytest.mark.parametrize('name', ['lift', 'gimbal', 'custom'])
+@pytest.mark.parametrize('reply', ['OK:00', 'AIR'])
+def test_an_ok_with_unexpected_data_is_taken_behind_a_fence(session, name, reply):
+    session.play(f'call {name}; send {name}; < {reply}; {name} is done;' * 2 + 'in step')
+    assert session.outcome(name).data == session._reply(reply).data
 
 
-@pytest.mark.parametrize('request_, poll', [(AIR, False), (READ, False), (READ, True)])
-def test_without_echo_another_reading_waits_for_a_silence(without_echo, request_, poll):
-    session = without_echo
-    session.later(FENCE_SILENCE)
-    session.call(AIR)
-    assert session.next_request() == AIR
-    session.reply(AIR_REPLY)
-    session.call(request_, poll=poll)
-    assert session.next_request() is None
-    session.later(FENCE_SILENCE + 0.001)
-    assert session.next_request() == request_
+def test_a_timeout_says_which_other_reply_was_received(without_echo):
+    without_echo.play('call lift; > lift; < AIR; +M; lift is not known')
+    assert f'{AIR_REPLY}' in without_echo.outcome('lift').message
+    assert without_echo.warnings('no reply to "lift up 100 mm" within 5 s but OK')
 
-
-# -- data in an OK --------------------------------------------------------------------------------
-
-@pytest.mark.parametrize('request_', [LIFT, GIMBAL, CUSTOM], ids=str)
-@pytest.mark.parametrize('data', [b'\0', AIR_REPLY.data], ids=('one byte', 'as an environment'))
-def test_an_ok_with_unexpected_data_is_taken_behind_a_fence(session, request_, data):
-    for _ in range(2):
-        call = session.call(request_)
-        assert session.send_next() == request_
-        session.reply(bus.Reply(bus.OK, data))
-        assert call.outcome.success and call.outcome.data == data
-    assert session.master.in_step
-
-
-@pytest.mark.parametrize('request_', [LIFT, GIMBAL, CUSTOM], ids=str)
-def test_an_ok_with_unexpected_data_is_not_taken_without_echo(without_echo, request_):
-    session = without_echo
-    call = session.call(request_)
-    assert session.next_request() == request_
-    session.reply(AIR_REPLY)
-    assert call.outcome is None and not session.master.in_step
-    session.later(call.timeout)
-    assert call.outcome.status == TIMEOUT
-    assert f'{AIR_REPLY}' in call.outcome.message, 'it says why'
-    assert session.warnings(f'no reply to "{request_}" within {call.timeout:g} s but OK')
-
-
-# -- replies of a wrong length --------------------------------------------------------------------
 
 @pytest.mark.parametrize('data', [b'', bytes(4), bytes(7)], ids=len)
 @pytest.mark.parametrize('poll', [False, True], ids=('call', 'poll'))
 def test_a_reply_of_a_wrong_length_is_reported_at_once(session, data, poll):
     """A poll without a fence is sent once more after the ECHO: the reply may be another's."""
-    if poll:
-        session.call(AIR, poll=True)
-        session.next_request()
-        session.reply(AIR_REPLY)
-    call = session.call(AIR, poll=poll)
-    assert session.next_request() == AIR
-    session.reply(bus.Reply(bus.OK, data))
-    if poll:
-        assert call.outcome is None
-        session.get_in_step()
-        assert session.next_request() == AIR
-        session.reply(bus.Reply(bus.OK, data))
-    outcome = call.outcome
+    wrong = f'< OK:{data.hex()};'
+    session.play(f'poll air; > air; < AIR; poll air; > air; {wrong} air is waiting; fence; > air;'
+                 f'{wrong}' if poll else f'call air; > air; {wrong}')
+    outcome = session.outcome('air')
     assert (outcome.success, outcome.status, outcome.data) == (False, bus.OK, data)
     assert f'{len(data)} bytes' in outcome.message and '6 were expected' in outcome.message
-    assert session.master.timeouts == 0 and session.master.length_errors == 1 + poll
+    assert session.master.timeouts == 0
+    assert session.master.data_errors == {'length': 1 + poll}
     assert len(session.warnings()) == 1
-    session.call(AIR)
-    session.get_in_step()
+    session.play('call air; fence')
 
 
 def test_a_wrong_length_to_an_unrepeatable_request_is_reported_and_not_repeated(session):
-    call = Call(RAW, REPLY_TIMEOUT, False, 3, session.now, reply_layout=Layout('<2x', ()))
-    session.master.submit(call)
-    assert session.next_request() == RAW
-    session.reply(OK_REPLY)
-    assert call.outcome.status == bus.OK and not call.outcome.success
-    session.get_in_step()
-    assert session.next_request() is None
-
-
-def test_without_echo_a_reply_of_the_right_length_may_follow_a_wrong_one(without_echo):
-    session = without_echo
-    session.call(AIR)
-    session.next_request()
-    session.reply(AIR_REPLY)
-    session.later(FENCE_SILENCE)
-    call = Call(RAW, REPLY_TIMEOUT, False, 3, session.now, reply_layout=Layout('<2x', ()))
-    session.master.submit(call)
-    assert session.next_request() == RAW
-    session.reply(OK_REPLY)
-    assert call.outcome is None
-    session.reply(bus.Reply(bus.OK, b'ab'))
-    assert call.outcome.success
+    session.play('call two; > two; < OK')
+    assert session.outcome('two').status == bus.OK and not session.outcome('two').success
+    session.play('fence; > -')
 
 
 def test_a_reply_with_impossible_values_is_reported_and_counted(session):
     layout = Layout('<B', [Value('level', maximum=100)])
-    for data, success in ((b'\x64', True), (b'\x65', False)):
-        call = Call(RAW, REPLY_TIMEOUT, False, 3, session.now, reply_layout=layout)
-        session.master.submit(call)
-        assert session.send_next() == RAW
-        session.reply(bus.Reply(bus.OK, data))
+    for data, success in (('64', True), ('65', False)):
+        call = session.call('custom', reply=layout)
+        session.play(f'send custom; < OK:{data}')
         assert call.outcome.status == bus.OK and call.outcome.success == success
     assert 'level is 101, above the maximum of 100' in call.outcome.message
-    assert session.master.implausible == 1 and session.master.length_errors == 0
+    assert session.master.data_errors == {'implausible': 1}
 
 
-@pytest.mark.parametrize('reply, is_valid', [(AIR_REPLY, True), (bus.Reply(bus.OK), False),
-                                             (error(0x8000), False)], ids=str)
+@pytest.mark.parametrize('reply, is_valid', [('AIR', True), ('OK', False), ('ERROR:8000', False)])
 def test_on_success_is_called_with_a_valid_reading_only(session, reply, is_valid):
     readings = []
-    session.master.submit(Call(AIR, REPLY_TIMEOUT, True, 1, session.now, poll=True,
-                               reply_layout=bus.Environment.LAYOUT, on_success=readings.append))
-    session.next_request()
-    session.reply(reply)
+    session.call('air', tries=1, poll=True, on_success=readings.append)
+    session.play(f'> air; < {reply}')
     assert [outcome.data for outcome in readings] == ([AIR_REPLY.data] if is_valid else [])
 
 
-# -- INVALID in every state -----------------------------------------------------------------------
+# -- rule 7: the port closes, callers that wait or give up -----------------------------------------
 
-
-@pytest.mark.parametrize('code', [0x40, 0x20, 0x10])
-def test_an_invalid_in_the_silence(session, code):
-    session.call(RAW)
-    session.send_next()
-    for _ in range(1 + ECHO_TRIES):
-        session.later(REPLY_TIMEOUT)
-        session.send_next()
-    session.reply(SYNC_REPLY)
-    session.reply(invalid(code))
-    assert session.send_next() == (bus.SYNC_REQUEST if code == 0x10 else None)
-    session.later(REPLY_TIMEOUT)
-    assert session.master.in_step or session.send_next() == bus.SYNC_REQUEST
-
-
-@REPEATABLE
-@pytest.mark.parametrize('code', [0x40, 0x10])
-def test_an_invalid_to_a_repeatable_request(session, request_, answer, code):
-    call = session.call(request_)
-    assert session.send_next() == request_
-    session.reply(invalid(code))
-    if code == 0x10:
-        assert session.send_next() == bus.SYNC_REQUEST
-        session.reply(SYNC_REPLY)
-    if not session.master.in_step:
-        session.get_in_step()
-    assert session.send_next() == request_
-    session.reply(answer)
-    assert call.outcome.success
-
-
-def test_a_board_that_answers_every_echo_with_invalid_is_served_finally(session):
-    session.damage(FRAMING)
-    call = session.call(LIFT)
-    asked = []
-    for _ in range(10):
-        request = session.send_next()
-        if request == LIFT:
-            break
-        if request is None:
-            session.later(REPLY_TIMEOUT)
-            continue
-        asked.append(request.cmd1)
-        session.reply(SYNC_REPLY if request.cmd1 == bus.SYNC else invalid(0x20))
-    assert asked == [bus.ECHO] * ECHO_TRIES + [bus.SYNC]
-    session.reply(OK_REPLY)
-    assert call.outcome.success
-
-
-# -- the port closes ------------------------------------------------------------------------------
-
-@MOVING_OR_RAW
-def test_at_a_disconnect_the_outstanding_call_is_unknown_and_others_not_sent(session,
-                                                                             request_):
-    sent, waiting, poll = session.call(request_), session.call(LIFT), session.call(AIR, poll=True)
-    session.send_next()
-    session.master.disconnected(session.now, 'unplugged')
-    assert sent.outcome.status == TIMEOUT and 'unplugged' in sent.outcome.message
-    assert waiting.outcome.status == poll.outcome.status == NOT_SENT
-    assert 'nothing was sent' in waiting.outcome.message
-
-
-@pytest.mark.parametrize('seen', [True, False], ids=('queued', 'in the inbox'))
-def test_no_earlier_call_is_sent_after_a_reconnect(session, seen):
-    session.call(LIFT)
-    session.send_next()
-    session.call(GIMBAL)
-    if seen:
-        session.later(0.0)
-    session.master.disconnected(session.now, 'unplugged')
-    session.connect()
-    if not session.master.in_step:
-        session.get_in_step()
-    assert session.send_next() is None
-
-
-def test_after_a_reconnect_an_echo_is_sent_before_any_call(session):
-    """The reply to an earlier call may still arrive, after the reply to SYNC."""
-    session.call(LIFT)
-    session.send_next()
-    session.master.disconnected(session.now, 'unplugged')
-    session.master.connected(session.now)
-    assert session.next_request() == bus.SYNC_REQUEST
-    session.reply(SYNC_REPLY)
-    call = session.call(AIR)
-    session.get_in_step()
-    assert session.next_request() == AIR and call.outcome is None
-
-
-def test_a_call_submitted_just_before_the_closing_is_refused(session):
-    """It is in the inbox, and no `step` has taken it from there."""
-    call = session.call(LIFT)
-    session.master.disconnected(session.now, 'unplugged')
-    assert call.outcome is not None and call.outcome.status == NOT_SENT
-
-
-def test_a_request_that_the_port_refused_is_reported_as_not_sent(session):
-    call = session.call(LIFT)
-    session.send_next()
-    session.master.not_sent('the port takes no data')
-    assert call.outcome.status == NOT_SENT and 'takes no data' in call.outcome.message
-    assert session.master.outstanding_request is None
-
-
-def test_a_repeated_request_that_the_port_refused_was_sent_before(session):
-    """The outcome must be true: "nothing was sent" would be wrong."""
-    call = session.call(AIR)
-    session.send_next()
-    session.later(REPLY_TIMEOUT)
-    session.get_in_step()
-    assert session.send_next() == AIR
-    session.master.not_sent('the port takes no data')
-    assert call.outcome.status == TIMEOUT
-
-
-def test_a_repeated_request_that_waits_at_a_disconnect_was_sent_before(session):
-    call = session.call(AIR)
-    session.send_next()
-    session.later(REPLY_TIMEOUT)
-    session.master.disconnected(session.now, 'unplugged')
-    assert call.outcome.status == TIMEOUT
-
-
-# -- waiting --------------------------------------------------------------------------------------
-
-def test_a_call_waits_for_the_motion_before_it(session):
-    session.call(LIFT)
-    session.send_next()
-    call = session.call(RAW)
-    session.later(MOTION_TIMEOUT - 0.1)
-    assert call.outcome is None
-    session.reply(OK_REPLY)
-    assert session.send_next() == RAW
-
-
-def test_a_queued_call_expires_without_being_sent(session):
-    session.call(LIFT)
-    session.send_next()
-    session.later(1.0)
-    session.call(GIMBAL)
-    call = session.call(RAW)
-    session.reply(OK_REPLY)
-    assert session.send_next() == GIMBAL
-    session.later(MOTION_TIMEOUT)
-    assert call.outcome.status == NOT_SENT and 'nothing was sent' in call.outcome.message
-    while True:
-        asked = session.send_next()
-        assert asked != RAW
-        if asked is None:
-            break
-        session.reply(bus.Reply(bus.ECHO, asked.data))
-
-
-def test_a_call_to_a_board_that_never_synchronises_expires_soon(fresh):
-    fresh.master.connected(fresh.now)
-    fresh.send_next()
-    call = fresh.call(LIFT)
-    fresh.later(0.0)
-    assert fresh.wake_at() <= fresh.now + NOT_READY_WAIT
-    fresh.later(REPLY_TIMEOUT)
-    fresh.send_next()
-    fresh.later(NOT_READY_WAIT)
-    assert call.outcome.status == NOT_SENT and 'SYNC' in call.outcome.message
-
-
-def test_a_call_to_a_silent_board_returns_within_its_timeout_and_a_second(session):
-    """While the link is out of step it serves no calls, so they return early."""
-    session.call(RAW)
-    session.send_next()
-    session.later(REPLY_TIMEOUT)
-    call, submitted = session.call(bus.Request(bus.FUNCTION, 0x31, b'second')), session.now
-    for _ in range(100):
-        session.send_next()
-        session.later(0.05)
-        if call.outcome is not None:
-            break
-    assert call.outcome.status == NOT_SENT
-    assert session.now - submitted <= REPLY_TIMEOUT + 1.0 + 0.1
-
-
-def test_a_late_unconfirmed_invalid_ends_within_the_timeout_and_a_second(caplog):
-    session = Session(caplog, NOT_READY_WAIT).connect()
-    session.call(LIFT)
-    session.send_next()
-    call, submitted = session.call(RAW), session.now
-    session.later(NOT_READY_WAIT - 0.1)
-    session.reply(OK_REPLY)
-    assert session.send_next() == RAW
-    session.later(REPLY_TIMEOUT - 0.1)
-    session.reply(invalid(0x40))
-    while call.outcome is None:
-        asked = session.send_next()
-        assert asked is None or asked.cmd1 == bus.ECHO
-        session.now = session.wake_at()
-        session.later(0.0)
-    assert call.outcome.status == TIMEOUT
-    assert session.now - submitted <= REPLY_TIMEOUT + 1.0
-
-
-@MOVING_OR_RAW
-def test_a_call_whose_caller_has_given_up_is_not_sent(session, request_):
-    session.call(LIFT)
-    session.send_next()
-    call = session.call(request_)
-    outcome = call.wait(0.0)
-    assert outcome.status == NOT_SENT
-    session.reply(OK_REPLY)
-    assert session.send_next() is None
-    assert call.outcome is outcome
-
-
-def test_a_call_whose_caller_has_given_up_is_not_sent_again(session):
-    call = session.call(LIFT)
-    session.send_next()
-    outcome = call.wait(0.0)
-    assert outcome.status == TIMEOUT and 'not known' in outcome.message
-    session.reply(invalid(0x40))
-    session.get_in_step()
-    assert session.send_next() is None
-    assert call.outcome is outcome
+@table(
+    ('the outstanding call is unknown, the others are not sent',
+     'call IT; call custom; poll air; send IT; disconnected; IT is not known; custom is not sent;'
+     'air is not sent', MOVES),
+    ('no earlier call is sent after a reconnect',
+     f'{LIFTS} call gimbal; IT disconnected; connected; > -', ('+0;', '')),
+    ('a call submitted just before the closing is refused',
+     'call lift; disconnected; lift is not sent'),
+    ('a request that the port refused is not sent', f'{LIFTS} refused; lift is not sent; > -'),
+    ('a repeated request that the port refused was sent before',
+     'call air; send air; +T; fence; > air; refused; air is not known'),
+    ('a repeated request that waits was sent before',
+     'call air; send air; +T; disconnected; air is not known'),
+    ('a call waits for the motion before it',
+     f'{LIFTS} call raw; +M+-0.1; raw is waiting; < OK; send raw'),
+    ('a queued call expires without being sent',
+     f'{LIFTS} +1; call gimbal; call raw; < OK; send gimbal; +M; raw is not sent;'
+     'gimbal is not known; fence; > -'),
+    ('a call whose caller has given up is not sent',
+     f'{LIFTS} call IT; given up IT; < OK; > -; IT is not sent', ('gimbal', 'raw')),
+    ('nor sent again', f'{LIFTS} given up lift; lift is not known; < INVALID:40; fence; > -'),
+    ('nor is a fence sent for it', 'call air; > air; call lift; < AIR; +0; given up lift; > -'),
+)
+def test_the_outcome_is_true(session, script):
+    session.play(script)
 
 
 def test_the_outcome_of_a_request_sent_while_its_caller_gives_up_is_not_known():
-    call = Call(LIFT, 1.0, False, 1, 0.0)
+    call = Call(REQUESTS['lift'], bus.LIFT_FUNCTION, 1.0, 1, 0.0)
     lock = call._lock
 
     class ClaimedFirst:
@@ -1366,326 +709,183 @@ def test_the_outcome_of_a_request_sent_while_its_caller_gives_up_is_not_known():
 
 
 def test_only_the_first_outcome_counts():
-    call = Call(LIFT, 1.0, False, 1, 0.0)
-    first, second = (master_module.Outcome(status, '') for status in (NOT_SENT, bus.OK))
+    call = Call(REQUESTS['lift'], bus.LIFT_FUNCTION, 1.0, 1, 0.0)
+    first, second = (Outcome(status, '') for status in (NOT_SENT, bus.OK))
     call.finish(first)
     call.finish(second)
-    assert call.wait(0.0) is first
-    assert not call.claim()
+    call.try_ended(CallState.WAITING, second)
+    assert call.wait(0.0) is first and call.state is CallState.DONE
+    assert not call.claim() and not call.claim_at_once()
+
+
+# -- how long a call waits ------------------------------------------------------------------------
+
+def test_a_call_to_a_board_that_never_synchronises_expires_soon(fresh):
+    fresh.master.connected(fresh.now)
+    fresh.play('> SYNC; call lift; +0')
+    assert fresh.wake_at() <= fresh.now + NOT_READY_WAIT
+    fresh.play('+T; > SYNC; +0.8; lift is not sent')
+    assert 'SYNC' in fresh.outcome('lift').message
+
+
+def test_a_call_to_a_silent_board_returns_within_its_timeout_and_a_second(session):
+    """While the link is out of step it serves no calls, so they return early."""
+    session.play('call raw; send raw; +T; call custom')
+    submitted = session.now
+    while session.outcome('custom') is None:
+        session.next_request()
+        session.later(0.05)
+    session.play('custom is not sent')
+    assert session.now - submitted <= REPLY_TIMEOUT + 1.0 + 0.1
+
+
+def test_a_late_unconfirmed_invalid_ends_within_the_timeout_and_a_second(caplog):
+    session = Session(caplog, NOT_READY_WAIT).connect()
+    session.play(f'{LIFTS} call raw')
+    submitted = session.now
+    session.play('+M+-0.1; < OK; send raw; +T+-0.1; < INVALID:40')
+    while session.outcome('raw') is None:
+        asked = session.next_request()
+        assert asked is None or asked.cmd1 == bus.ECHO
+        session.now = session.wake_at()
+        session.later(0.0)
+    session.play('raw is not known')
+    assert session.now - submitted <= REPLY_TIMEOUT + 1.0
 
 
 def test_the_deadline_is_that_of_the_request_or_of_a_waiting_call(session):
-    session.call(RAW)
-    session.send_next()
-    session.call(LIFT)
+    session.play('call raw; send raw; call lift')
     assert session.wake_at() == pytest.approx(session.now + REPLY_TIMEOUT)
 
 
-# -- conditions -----------------------------------------------------------------------------------
+TWO_MOVES = 'call gimbal; call lift; call raw; send gimbal; +1; < OK; send lift;'
+
+
+@pytest.mark.parametrize('script, why', [
+    ('call raw', 'the link waits for the rest of an incomplete frame'),
+    (TWO_MOVES, 'the bus is busy with other calls'), (TWO_MOVES + 'noise', 'out of step')])
+def test_a_call_that_waits_is_told_what_for(session, script, why):
+    session.play(script)
+    session.now = session.calls['raw'].submitted + MOTION_TIMEOUT
+    assert session.master.step(session.now, 'the rest of an incomplete frame')[0] is None
+    assert session.outcome('raw') == (NOT_SENT, f'{why}; nothing was sent', 0, b'', 0.0, True, None)
+
+
+def test_at_the_closing_every_call_is_told_so(session):
+    session.play('call lift; call stop; disconnected; lift is not sent; stop is not sent')
+    assert 'the port is closed' in session.outcome('lift').message
+
 
 def test_the_condition_says_why_calls_are_not_served(fresh):
-    assert fresh.master.condition() is Condition.SYNCHRONISING
-    fresh.connect()
-    assert fresh.master.condition() is Condition.READY
-    fresh.damage(FRAMING)
-    assert fresh.master.condition() is Condition.OUT_OF_STEP
-    fresh.send_next()
-    fresh.later(REPLY_TIMEOUT)
-    assert fresh.master.condition() is Condition.NO_ECHO
-    fresh.get_in_step()
-    assert fresh.master.condition() is Condition.READY
+    for script, condition in (('', Condition.SYNCHRONISING), ('connected', Condition.READY),
+                              ('noise', Condition.OUT_OF_STEP), ('> ECHO; +T', Condition.NO_ECHO),
+                              ('fence', Condition.READY)):
+        fresh.play(script)
+        assert fresh.master.condition() is condition
 
 
-def test_errors_of_a_bad_line_are_logged_at_a_limited_rate(session):
-    for _ in range(100):
-        session.damage(FRAMING)
-        session.get_in_step()
-    assert len(session.warnings('out of step')) == 1
+# -- rule 8: calls that interrupt -----------------------------------------------------------------
 
-
-# -- replies that were dropped -----------------------------------------------------------------
-
-def test_after_a_stall_nothing_is_sent_before_an_echo_returns(session):
-    session.master.may_have_missed('the bridge stalled', session.now)
-    call = session.call(AIR)
-    session.get_in_step()
-    assert session.next_request() == AIR
-    session.reply(AIR_REPLY)
-    assert call.outcome.success
-    assert len(session.warnings('out of step: the bridge stalled')) == 1
-
-
-@MOVING_OR_RAW
-def test_a_call_succeeds_if_its_reply_arrives_after_a_stall(session, request_):
-    call = session.call(request_)
-    assert session.send_next() == request_
-    session.master.may_have_missed('the bridge stalled', session.now)
-    session.reply(OK_REPLY)
-    assert call.outcome.success
-    session.get_in_step()
-
-
-@MOVING_OR_RAW
-def test_the_outcome_is_unknown_if_the_reply_was_dropped(session, request_):
-    call = session.call(request_)
-    assert session.send_next() == request_
-    session.master.may_have_missed('the bridge stalled', session.now)
-    session.later(MOTION_TIMEOUT)
-    assert call.outcome.status == TIMEOUT
-    session.get_in_step()
-    assert session.next_request() is None, 'it is not sent again'
-
-
-@MOVING_OR_RAW
-@pytest.mark.parametrize('code', [bus.CHECKSUM_MISMATCH, bus.NOT_SYNCHRONISED, bus.TOO_LONG])
-def test_after_a_stall_an_invalid_makes_the_outcome_unknown(
-        session, request_, code):
-    call = session.call(request_)
-    assert session.send_next() == request_
-    session.master.may_have_missed('the bridge stalled', session.now)
-    session.reply(invalid(code))
-    assert call.outcome.status == TIMEOUT and call.outcome.error_code == code
-    assert session.master.synchronised == (code != bus.NOT_SYNCHRONISED)
-
-
-@MOVING_OR_RAW
-def test_a_stall_before_the_confirming_echo_makes_the_outcome_unknown(
-        session, request_):
-    call = session.call(request_)
-    assert session.send_next() == request_
-    session.reply(invalid(bus.CHECKSUM_MISMATCH))
-    session.master.may_have_missed('the bridge stalled', session.now)
-    assert call.outcome.status == TIMEOUT
-    session.get_in_step()
-    assert session.next_request() is None, 'it is not sent again'
-
-
-def test_a_reading_is_requested_again_after_a_stall(session):
-    call = session.call(AIR)
-    assert session.send_next() == AIR
-    session.master.may_have_missed('the bridge stalled', session.now)
-    session.later(REPLY_TIMEOUT)
-    session.get_in_step()
-    assert session.next_request() == AIR
-    session.reply(AIR_REPLY)
-    assert call.outcome.success
-
-
-def test_a_stall_restarts_the_silence(fresh):
-    fresh.connect_without_echo()
-    fresh.master.may_have_missed('the bridge stalled', fresh.now)
-    assert fresh.next_request() == bus.SYNC_REQUEST
-    fresh.reply(SYNC_REPLY)
-    fresh.later(REPLY_TIMEOUT * 0.6)
-    fresh.master.may_have_missed('the bridge stalled', fresh.now)
-    fresh.later(REPLY_TIMEOUT * 0.6)
-    assert not fresh.master.in_step and fresh.next_request() is None
-    fresh.later(REPLY_TIMEOUT * 0.5)
-    assert fresh.master.in_step
-
-
-# -- 8. interruptions ------------------------------------------------------------------------
-
-def moving(session):
-    """A call whose lift is moving."""
-    call = session.call(LIFT)
-    assert session.send_next() == LIFT
-    return call
-
-
-def test_a_stop_is_sent_during_a_move_whose_outcome_is_then_unknown(session):
-    lift = moving(session)
-    session.later(1.0)
-    stop = session.call(STOP)
-    assert session.next_request() == STOP
-    assert lift.outcome.status == TIMEOUT and 'not known' in lift.outcome.message
-    # The board answers the move, which has just ended or was stopped, and this stop; neither is
-    # taken for the reply to a request that has a reply of its own.
-    session.reply(OK_REPLY, OK_REPLY)
-    assert stop.outcome is None
-    session.get_in_step()
-    assert session.next_request() == STOP
-    session.reply(OK_REPLY)
-    assert stop.outcome.success
-    assert session.send_next() is None
-
-
-def test_a_stop_is_not_successful_before_the_board_answers_it_behind_a_fence(session):
-    moving(session)
-    stop = session.call(STOP)
-    assert session.next_request() == STOP
-    session.get_in_step()
-    assert session.next_request() == STOP
-    session.reply(error(bus.UNSUPPORTED))
-    assert stop.outcome.status == bus.ERROR and not stop.outcome.success
-
-
-def test_a_stop_goes_out_again_with_each_echo_until_the_board_answers(session):
-    moving(session)
-    stop = session.call(STOP)
-    for _ in range(ECHO_TRIES):
-        assert session.next_request() == STOP
-        assert session.next_request().cmd1 == bus.ECHO
-        session.later(REPLY_TIMEOUT)
-    assert session.next_request() == STOP
-    assert session.next_request() == bus.SYNC_REQUEST
-    assert stop.outcome is None
-    session.later(MOTION_TIMEOUT)
-    assert stop.outcome.status == TIMEOUT, 'one of them may have been executed'
-    assert session.next_request() == bus.SYNC_REQUEST
-
-
-def test_a_stop_that_the_port_did_not_take_is_sent_later(session):
-    moving(session)
-    stop = session.call(STOP)
-    assert session.next_request() == STOP
-    session.master.not_sent('the port is busy')
-    assert session.next_request() == STOP
-    session.master.disconnected(session.now, 'unplugged')
-    assert stop.outcome.status == TIMEOUT
-    session.master.connected(session.now)
-    assert session.next_request() == bus.SYNC_REQUEST
-
-
-def test_a_stop_that_was_sent_at_once_never_counts_as_not_sent(session):
-    moving(session)
-    stop = session.call(STOP)
-    assert session.next_request() == STOP
-    assert stop.wait(0.0).status == TIMEOUT
-
-
-def test_calls_that_wait_are_not_sent_after_a_stop(session):
-    moving(session)
-    waiting = [session.call(GIMBAL), session.call(AIR, poll=True), session.call(RAW)]
-    session.call(STOP)
-    after = session.call(LIFT)
-    assert session.next_request() == STOP
-    assert [call.outcome.status for call in waiting] == [NOT_SENT] * 3
-    assert after.outcome is None
-
-
-def test_a_stop_takes_the_place_of_a_move_that_waits_for_its_fence(session):
-    session.call(AIR)
-    assert session.send_next() == AIR
-    session.reply(AIR_REPLY)
-    lift = session.call(LIFT)
-    assert session.next_request().cmd1 == bus.ECHO
-    stop = session.call(STOP)
-    assert session.next_request() == STOP
-    assert lift.outcome.status == NOT_SENT
-    echo = session.next_request()
-    session.reply(bus.Reply(bus.ECHO, session.nonces[-2]), OK_REPLY)
-    assert stop.outcome is None and session.next_request() is None
-    session.reply(bus.Reply(bus.ECHO, echo.data))
-    assert session.next_request() == STOP
-    session.reply(OK_REPLY)
-    assert stop.outcome.success
+@table(
+    ('a stop is sent during a move, whose outcome is then unknown',
+     # The board answers the move, which has just ended or was stopped, and this stop; neither is
+     # taken for the reply to a request that has a reply of its own.
+     f'{LIFTS} +1; call stop; > stop; lift is not known; < OK OK; stop is waiting; fence; > stop;'
+     '< OK; stop is done; > -'),
+    ('it is not successful before the board answers it behind a fence',
+     f'{LIFTS} call stop; > stop; fence; > stop; < ERROR:8000; stop is refused'),
+    ('it is sent again with each ECHO until the board answers',
+     f'{LIFTS} call stop;' + '> stop; > ECHO; +T;' * ECHO_TRIES + '> stop; > SYNC; stop is waiting;'
+     '+M; stop is not known; > SYNC'),
+    ('one that the port did not take is sent later',
+     f'{LIFTS} call stop; > stop; refused; > stop; disconnected; stop is not known'),
+    ('one that was sent at once never counts as not sent',
+     f'{LIFTS} call stop; > stop; given up stop; stop is not known'),
+    ('calls that wait are not sent',
+     f'{LIFTS} call gimbal; poll air; call raw; call stop; call custom; > stop; gimbal is not sent;'
+     'air is not sent; raw is not sent; custom is waiting'),
+    ('a stop takes the place of a move that waits for its fence',
+     f'{AIRS} call lift; > ECHO; call stop; > stop; lift is not sent; > ECHO; < -ECHO OK;'
+     'stop is waiting; > -; < ECHO; > stop; < OK; stop is done'),
+    ('a stop is sent while a move with an unknown outcome may last',
+     f'{LIFTS} +M; > ECHO; call stop; > stop'),
+    ('a stop that timed out is sent again before later calls',
+     'call stop; > stop; fence; > stop; call lift; +T; fence; > stop; < OK; stop is done;'
+     'send lift'),
+)
+def test_stops(session, script):
+    session.play(script)
 
 
 @pytest.mark.parametrize('idle', [True, False], ids=('idle', 'moving'))
 def test_a_stop_waits_for_nothing_that_is_received(session, idle):
-    lift = None if idle else moving(session)
-    stop, other = session.call(STOP), session.call(LIFT)
-    assert session.master.has_new_calls
+    session.play('' if idle else LIFTS)
+    session.play('call stop; call raw')
+    assert session.master.calls.has_new
     held = 'the rest of an incomplete frame'
     assert session.master.step(session.now, held, port_ready=False)[0] is None
-    assert session.master.step(session.now, held)[0] == STOP
-    assert idle or lift.outcome.status == TIMEOUT
+    assert session.master.step(session.now, held)[0] == REQUESTS['stop']
     assert session.master.step(session.now, held)[0] is None, 'all others wait'
-    session.later(MOTION_TIMEOUT)
-    session.master.step(session.now, held)
-    assert stop.outcome.status == TIMEOUT and other.outcome.status == NOT_SENT
-
-
-def test_a_call_that_waits_is_told_what_for(session):
-    held = 'the rest of an incomplete frame'
-    call = session.call(LIFT)
-    assert session.master.step(session.now, held)[0] is None
     session.now += MOTION_TIMEOUT
     session.master.step(session.now, held)
-    assert call.outcome == (NOT_SENT, f'the link waits for {held}; nothing was sent', 0, b'', 0.0,
-                            True, None)
-
-
-def test_a_stop_is_sent_at_once_while_a_move_with_an_unknown_outcome_may_last(session):
-    moving(session)
-    session.later(MOTION_TIMEOUT)
-    assert session.next_request().cmd1 == bus.ECHO
-    session.call(STOP)
-    assert session.next_request() == STOP
+    session.play('stop is not known; raw is not sent' + '; lift is not known' * (not idle))
 
 
 def test_of_two_stops_both_have_an_outcome(session):
-    moving(session)
-    stops = [session.call(STOP), session.call(STOP)]
-    assert session.next_request() == STOP and session.next_request() == STOP
-    session.get_in_step()
-    for stop in stops:
-        assert session.send_next() == STOP
-        session.reply(OK_REPLY)
-        assert stop.outcome.success
+    session.play(LIFTS)
+    stops = [session.call('stop'), session.call('stop')]
+    session.play('> stop; > stop; fence; > stop; < OK; send stop; < OK')
+    assert all(stop.outcome.success for stop in stops)
 
 
-# -- 10. a move never comes late ---------------------------------------------------------------
+# -- rules 9 and 10: what waited, or may still wait -----------------------------------------------
 
-@pytest.mark.parametrize('request_', [LIFT, GIMBAL, RAW, CUSTOM, AIR, READ], ids=str)
-def test_output_is_dropped_if_a_move_is_not_answered(session, request_):
-    session.call(request_, tries=1)
-    assert session.send_next() == request_
+def test_after_a_stall_only_what_is_repeatable_is_sent(session):
+    session.play(f'{LIFTS} call gimbal; call air; poll read; +0')
+    session.call('raw')      # submitted during the stall
+    session.master.stalled(session.now)
+    session.play('gimbal is not sent; raw is not sent; air is waiting; lift is waiting; < OK;'
+                 'lift is done; fence; > air; < AIR; send read')
+
+
+@pytest.mark.parametrize('name', ['lift', 'gimbal', 'raw', 'custom', 'air', 'read'])
+def test_output_is_dropped_if_a_move_is_not_answered(session, name):
+    session.play(f'call {name} 1; send {name}')
     sent = session.now
     session.later(MOTION_TIMEOUT)
-    assert session.dropped == ([] if request_ in ALL_REPEATABLE else [sent])
+    assert session.dropped == ([] if name in ('air', 'read') else [sent])
 
 
-# -- 12. another board behind the same port ----------------------------------------------------
-
-def announced(session):
-    """A call of an announced function."""
-    call = Call(CUSTOM, REPLY_TIMEOUT, False, 3, session.now, announced=True)
-    session.master.submit(call)
-    return call
-
+# -- rule 12: another board behind the same port ---------------------------------------------------
 
 def test_an_announced_function_is_sent_only_to_a_board_that_has_announced_it(session):
-    call = announced(session)
-    assert session.next_request() is None and session.begun_anew == []
-    assert (call.outcome.status, call.outcome.message) == (
+    session.play('call own; > -')
+    assert session.outcome('own')[:2] == (
         NOT_SENT, 'the board may have begun anew, and has not announced this function since; '
         'nothing was sent')
+    assert session.begun_anew == []
     session.announces = True
-    call = announced(session)
-    assert session.send_next() == CUSTOM
+    session.play('call own; send own')
 
 
-@pytest.mark.parametrize('way', ['unrequested', 'to the call', 'to an ECHO', 'SYNC'])
-def test_what_waits_is_not_sent_to_a_board_that_begins_anew(session, way):
+@pytest.mark.parametrize('before, reply', [
+    ('', 'INVALID:10'), ('call own; send own;', 'INVALID:10'), ('missed; > ECHO;', 'INVALID:10'),
+    ('call sync; > sync;', 'SYNC')], ids=('unrequested', 'to the call', 'to an ECHO', 'SYNC'))
+def test_what_waits_is_not_sent_to_a_board_that_begins_anew(session, before, reply):
     session.announces = True
-    if way == 'to the call':
-        announced(session)
-        assert session.send_next() == CUSTOM
-    elif way == 'to an ECHO':
-        session.master.may_have_missed('a test', session.now)
-        assert session.next_request().cmd1 == bus.ECHO
-    elif way == 'SYNC':
-        session.call(bus.SYNC_REQUEST)
-        assert session.next_request() == bus.SYNC_REQUEST
-    waits, lift = announced(session), session.call(LIFT)
-    session.reply(SYNC_REPLY if way == 'SYNC' else invalid(0x10))
+    session.play(f'{before} call own; call lift; < {reply}')
     assert session.begun_anew == [session.now] and not session.announces
-    if way != 'SYNC':
-        assert session.next_request() == bus.SYNC_REQUEST
-        session.reply(SYNC_REPLY)
-        session.get_in_step()
-    assert session.send_next() == LIFT
-    assert waits.outcome.status == NOT_SENT and lift.outcome is None
+    session.play(('> SYNC; < SYNC; fence; ' if reply != 'SYNC' else '')
+                 + 'send lift; own is not sent; lift is waiting')
 
 
 def test_an_announced_stop_is_not_sent_to_a_board_that_begins_anew(session):
     session.announces = True
-    moving(session)
-    stop = Call(STOP, REPLY_TIMEOUT, True, 3, session.now, interrupts=True, announced=True)
-    session.reply(invalid(0x10))
-    session.master.submit(stop)
-    assert session.next_request() is None
-    assert stop.outcome.status == NOT_SENT
-    assert session.next_request() == bus.SYNC_REQUEST
+    session.play(f'{LIFTS} < INVALID:10; call ownstop; > -; ownstop is not sent; > SYNC')
+
+
+# -- the table -------------------------------------------------------------------------------------
+
+def test_the_table_has_a_row_for_every_event_in_every_state():
+    assert {kind: set(rows) for kind, rows in TRANSITIONS.items()} == {
+        kind: set(Event) for kind in Kind}

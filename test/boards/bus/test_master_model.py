@@ -117,7 +117,7 @@ def test_the_model_detects_a_missing_silence_before_a_move(monkeypatch):
 
 
 @pytest.mark.parametrize('has_fence, faults, script', [
-    (lambda call: not call.repeatable, ['none', 'none', ('double', 0.005), 'error'],
+    (lambda call: not call.function.repeatable, ['none', 'none', ('double', 0.005), 'error'],
      [('lift', 0.012), ('test', 0.5)]),
     (lambda call: not call.poll, ['none', 'none'] + [('double', 0.005)] * 3,
      [('poll one', 0.012), ('poll two', 0.5)])], ids=('repeatable', 'poll'))

@@ -355,7 +355,7 @@ def test_link_stops_the_lift(unusual_board):
     lift.start()
     until(lambda: any(fields['cmd2'] == bus.LIFT for fields in link.notes.of('executed')),
           'the lift moves')
-    stop = link.request(STOP, True, reply_layout=bus.NO_DATA, interrupts=True)
+    stop = link.call(STOPS[0], ())
     lift.join()
     assert stop.success and outcomes[0].status == TIMEOUT, (stop, outcomes)
     stopped = link.board.lift.at(1e9)

@@ -1,0 +1,270 @@
+"""The Master's session as a table: what may be sent, what is outstanding, and what changes that.
+
+The rules are those of the bus chapter of doc/protocols.md. Comments here, in call.py and in
+master.py refer to them by their numbers.
+"""
+import enum
+from dataclasses import dataclass
+from typing import Callable, Counter, Dict, Optional, Tuple
+
+from ...link.sparing_log import SparingLog
+from . import wire
+
+ECHO_TRIES = 3         # unanswered ECHOs before a SYNC and a silence replace them
+
+
+class SessionState(enum.Enum):
+    """What may be sent next."""
+
+    CLOSED = 'nothing: the port is closed'
+    UNSYNCHRONISED = 'SYNC'
+    OUT_OF_STEP = 'ECHO: a reply may still be under way'
+    IN_STEP = 'SYNC, ECHO, or the same poll again; before any other request, an ECHO as a fence'
+    FENCED = 'any request: no reply can be under way'
+
+
+class Condition(enum.Enum):
+    """Why the link cannot serve calls, for diagnostics; '' if it can."""
+
+    READY = ''
+    SYNCHRONISING = 'synchronising'
+    NO_SYNC = 'the board does not answer SYNC'
+    OUT_OF_STEP = 'out of step'
+    NO_ECHO = 'the board does not answer ECHO'
+
+
+class Kind(enum.Enum):
+    """What is outstanding."""
+
+    NOTHING = 'nothing'
+    SYNC = 'a SYNC of the Master itself'
+    ECHO = 'an ECHO of the Master itself'
+    SILENCE = 'a silence that replaces an ECHO'
+    PROBE = "a poll, or a caller's SYNC or ECHO: it needs no confirmation by an ECHO"
+    CALL = 'any other request of a caller'
+
+
+class Event(enum.Enum):
+    """What the Master receives, or does not."""
+
+    ANSWER = 'the reply to what is outstanding, but no INVALID'
+    INVALID = 'an INVALID with any other code'
+    UNSYNCHRONISED = 'an INVALID "not synchronised"'
+    OTHER = 'any other reply'
+    WRONG_DATA = 'an OK whose data has a wrong length or impossible values'
+    DAMAGED = 'a frame with a wrong checksum'
+    NOISE = 'other bytes that are no valid reply'
+    MISSED = 'replies may have been received and dropped'
+    TIMEOUT = 'the time for the reply, or of the silence, is over'
+    STOP = 'a call that interrupts is sent'
+
+
+class Then(enum.Enum):
+    """What becomes of what is outstanding."""
+
+    WAIT = 'it stays outstanding'
+    END = 'it has ended'
+    RETRY = 'it has ended without a reply, and counts as unanswered'
+    AGAIN = 'it begins anew'
+
+
+_SAME = None
+_OUT = SessionState.OUT_OF_STEP
+_LOST = SessionState.UNSYNCHRONISED
+_FENCED = SessionState.FENCED
+
+Transition = Tuple[Optional[SessionState], Then]
+
+
+def _rows(otherwise: Transition, **others: Transition) -> Dict[Event, Transition]:
+    return {event: others.get(event.name, otherwise) for event in Event}
+
+
+# To the request of a caller. After a reply to another one, or noise, the right one may follow.
+_REPLIES = dict(ANSWER=(_SAME, Then.END), UNSYNCHRONISED=(_LOST, Then.END), OTHER=(_OUT, Then.WAIT),
+                NOISE=(_OUT, Then.WAIT), MISSED=(_OUT, Then.WAIT))
+
+# The state afterwards for each event, and what becomes of what is outstanding. Where a call has
+# ended, `Master` decides by rules 4, 5 and 7 whether it is sent again or has an outcome.
+#
+# Not in the table: the port opens (UNSYNCHRONISED) and closes (CLOSED), and a request of a call is
+# sent (IN_STEP).
+TRANSITIONS: Dict[Kind, Dict[Event, Transition]] = {
+    Kind.NOTHING: _rows(                               # a board that is not synchronised stays so
+        (_OUT, Then.WAIT),
+        UNSYNCHRONISED=(_LOST, Then.WAIT)),
+    Kind.SYNC: _rows(                                  # rule 2
+        (_SAME, Then.WAIT),
+        ANSWER=(_OUT, Then.END),
+        TIMEOUT=(_LOST, Then.RETRY),
+        STOP=(_SAME, Then.END)),
+    Kind.ECHO: _rows(                                  # rule 6
+        (_OUT, Then.WAIT),
+        ANSWER=(_FENCED, Then.END),
+        UNSYNCHRONISED=(_LOST, Then.RETRY),
+        TIMEOUT=(_OUT, Then.RETRY),
+        STOP=(_OUT, Then.END)),
+    Kind.SILENCE: _rows(                               # rule 6
+        (_SAME, Then.AGAIN),
+        UNSYNCHRONISED=(_LOST, Then.END),
+        TIMEOUT=(_FENCED, Then.END),
+        STOP=(_SAME, Then.END)),
+    Kind.PROBE: _rows((_OUT, Then.END), **_REPLIES, INVALID=(_SAME, Then.END)),
+    # Rule 4: an ECHO has to confirm the INVALID.
+    Kind.CALL: _rows((_OUT, Then.END), **_REPLIES, INVALID=(_OUT, Then.END)),
+}
+
+
+@dataclass
+class Exchange:
+    """What is outstanding: a request, a silence, or nothing."""
+
+    kind: Kind
+    request: wire.Request
+    sent: float
+    deadline: float
+
+
+NOTHING = Exchange(Kind.NOTHING, wire.SYNC_REQUEST, 0.0, float('inf'))
+
+
+class Session:
+    """The state of a session, and the exchanges that need no caller: SYNC, ECHO and silence.
+
+    Args:
+        reply_timeout: s; for SYNC and ECHO.
+        log: for warnings.
+        nonce: returns new bytes for an ECHO.
+        begun_anew: called with the time when the board may have begun anew; see rule 12.
+    """
+
+    def __init__(self, reply_timeout: float, log: SparingLog, nonce: Callable[[], bytes],
+                 begun_anew: Callable[[float], None]) -> None:
+        self.state = SessionState.CLOSED
+        self.exchange = NOTHING
+        self.latest_request: Optional[wire.Request] = None
+        self.fenced_at = 0.0           # when the latest fence was complete
+        self.last_reply = 0.0          # when the latest valid reply was received
+        self.has_echoed = False        # since the port opened
+        self._unanswered: Counter[Kind] = Counter()     # SYNCs and ECHOs in a row
+        self._reply_timeout = reply_timeout
+        self._log = log
+        self._nonce = nonce
+        self._begun_anew = begun_anew
+
+    def opened(self, now: float) -> None:
+        """The port is open: nothing is known about the board."""
+        self.state = SessionState.UNSYNCHRONISED
+        self.has_echoed = False
+        self._unanswered.clear()
+        self.last_reply = now
+
+    def closed(self) -> Exchange:
+        """The port is closed; return what was outstanding."""
+        self.state = SessionState.CLOSED
+        exchange, self.exchange = self.exchange, NOTHING
+        return exchange
+
+    @property
+    def synchronised(self) -> bool:
+        """Whether the board has answered SYNC and is still synchronised."""
+        return self.state not in (SessionState.CLOSED, SessionState.UNSYNCHRONISED)
+
+    @property
+    def in_step(self) -> bool:
+        """Whether requests of calls may be sent."""
+        return self.state in (SessionState.IN_STEP, SessionState.FENCED)
+
+    @property
+    def never_echoes(self) -> bool:
+        """Whether the board seems not to know ECHO: then a silence is the fence; see rule 6."""
+        return not self.has_echoed and self._unanswered[Kind.ECHO] >= ECHO_TRIES
+
+    def condition(self) -> Condition:
+        """Whether the link can serve calls, and if not, why."""
+        if not self.synchronised:
+            return Condition.NO_SYNC if self._unanswered[Kind.SYNC] else Condition.SYNCHRONISING
+        if not self.in_step:
+            return Condition.NO_ECHO if self._unanswered[Kind.ECHO] else Condition.OUT_OF_STEP
+        return Condition.READY
+
+    def begin(self, exchange: Exchange) -> wire.Request:
+        """Send the request of an exchange."""
+        self.exchange = exchange
+        self.latest_request = exchange.request
+        return exchange.request
+
+    def send(self, kind: Kind, now: float) -> wire.Request:
+        """Begin a SYNC, an ECHO or a silence."""
+        request = wire.echo(self._nonce()) if kind is Kind.ECHO else wire.SYNC_REQUEST
+        return self.begin(Exchange(kind, request, now, now + self._reply_timeout))
+
+    def send_next(self, now: float) -> wire.Request:
+        """Send what has to be answered before any call; rules 2 and 6."""
+        is_echo = self.synchronised and self._unanswered[Kind.ECHO] < ECHO_TRIES
+        return self.send(Kind.ECHO if is_echo else Kind.SYNC, now)
+
+    def happened(self, event: Event, now: float, why: str = '') -> None:
+        """Follow the table; `why` is logged if calls could be sent, and can no longer."""
+        exchange, was_in_step = self.exchange, self.in_step
+        state, then = TRANSITIONS[exchange.kind][event]
+        if state is not None and (self.synchronised or exchange is not NOTHING):
+            self.state = state
+        if why and was_in_step and not self.in_step:
+            self._log.warn('out of step',
+                           f'out of step: {why}; sending ECHO to get in step again')
+        if state is _LOST:
+            self._begun_anew(now)
+        elif state is _FENCED:
+            self.fenced_at = now
+        if then is not Then.WAIT:
+            self.exchange = NOTHING
+        if then is Then.AGAIN:
+            self.send(Kind.SILENCE, now)
+        elif then is Then.RETRY:
+            self._unanswered[exchange.kind] += 1
+            if exchange.kind is Kind.ECHO and self._unanswered[Kind.ECHO] == ECHO_TRIES:
+                self._log.warn('no echo', 'the board does not answer ECHO; a SYNC and '
+                               f'{self._reply_timeout:g} s of silence replace it')
+        elif exchange.kind is Kind.SILENCE and event is Event.TIMEOUT and self.has_echoed:
+            self._unanswered[Kind.ECHO] = 0    # the line lost the echoes: try ECHO again
+
+    def received(self, reply: wire.Reply, now: float) -> None:
+        """A reply was received while no request of a call is outstanding."""
+        kind, request = self.exchange.kind, self.exchange.request
+        is_answer = reply.cmd1 == request.cmd1 and may_answer(reply, request)
+        event = event_of(reply, is_answer)
+        if kind is Kind.NOTHING:
+            why = f'received a reply without a request: {reply}'
+        else:
+            why = f'{reply} to {kind.name}' if event is not Event.UNSYNCHRONISED else ''
+        self.happened(event, now, why)
+        if is_answer and kind in (Kind.SYNC, Kind.ECHO):
+            self.learn(reply, now)
+            if kind is Kind.SYNC and self._unanswered[Kind.ECHO] >= ECHO_TRIES:
+                self.send(Kind.SILENCE, now)
+
+    def learn(self, reply: wire.Reply, now: float) -> None:
+        """A SYNC or an ECHO was answered, of the Master itself or of a caller."""
+        if reply.cmd1 == wire.SYNC:
+            self._unanswered[Kind.SYNC] = 0
+            self._begun_anew(now)
+        elif reply.cmd1 == wire.ECHO:
+            self._unanswered[Kind.ECHO] = 0
+
+
+def event_of(reply: wire.Reply, is_answer: bool) -> Event:
+    """What the table calls the receipt of this reply."""
+    if reply.cmd1 == wire.INVALID:
+        is_lost = reply.error_code == wire.NOT_SYNCHRONISED
+        return Event.UNSYNCHRONISED if is_lost else Event.INVALID
+    return Event.ANSWER if is_answer else Event.OTHER
+
+
+def may_answer(reply: wire.Reply, request: wire.Request) -> bool:
+    """Whether a reply of this type can be the reply to that request."""
+    if reply.cmd1 in (wire.ERROR, wire.INVALID):
+        return True
+    if request.cmd1 == wire.ECHO:
+        return reply.cmd1 == wire.ECHO and reply.data == request.data
+    return reply.cmd1 == (wire.SYNC if request.cmd1 == wire.SYNC else wire.OK)
