@@ -9,7 +9,8 @@ import threading
 import time
 
 import pytest
-from fake_boards import PATIENCE, Line, Rfc2217Server, until
+from fake_boards import PATIENCE, until
+from lines import Pty, Rfc2217Server
 from waiting import Waiter
 
 from serial_communication.transport.holders import Holder, holders_of
@@ -635,7 +636,7 @@ def test_a_port_without_a_descriptor_is_read_in_slices():
 
 def test_a_line_can_be_plugged_again(tmp_path):
     """Checks the test helper: a plugged line is another device under the same name."""
-    line = Line(tmp_path / 'p').plug()
+    line = Pty(tmp_path / 'p').plug()
     first = os.path.realpath(line.path)
     port = Port(line.path)
     port.open()
