@@ -12,8 +12,8 @@ from serial_communication.boards.bus.functions import read_functions
 from serial_communication.boards.config_file import read_parameters
 from serial_communication.boards.mcu import custom_messages as mcu_messages
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.framing.announced_text import read_announcement
-from serial_communication.framing.announcement import TYPE, Assembly, Chunk
+from serial_communication.framing.announcement import (TYPE, Assembly, Chunk,
+                                                       read_announcement)
 from serial_communication.framing.custom_messages import meaning
 
 EXAMPLES = read_parameters(os.path.join(os.path.dirname(FIRMWARE), 'config',

@@ -11,8 +11,7 @@ from emulated_board import FIRMWARE
 from serial_communication.boards.arduino import custom_messages
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.config_file import read_parameters
-from serial_communication.framing.announced_text import read_announcement
-from serial_communication.framing.announcement import TYPE, Assembly
+from serial_communication.framing.announcement import TYPE, Assembly, read_announcement
 
 ROOT = os.path.dirname(FIRMWARE)
 EXAMPLES = os.path.join(ROOT, 'config', 'custom_messages.yaml')
