@@ -808,8 +808,10 @@ def test_the_condition_says_why_calls_are_not_served(fresh):
      f'{LIFTS} call gimbal; poll air; call raw; call stop; call custom; > stop; gimbal is not sent;'
      'air is not sent; raw is not sent; custom is waiting'),
     ('a stop takes the place of a move that waits for its fence',
-     f'{AIRS} call lift; > ECHO; call stop; > stop; lift is not sent; > ECHO; < -ECHO OK;'
-     'stop is waiting; > -; < ECHO; > stop; < OK; stop is done'),
+     f'{AIRS} call lift; > ECHO; call stop; > stop; lift is not sent; out of step; > ECHO;'
+     '< -ECHO OK; stop is waiting; > -; < ECHO; > stop; < OK; stop is done'),
+    ('an ECHO that a stop ends does not count as unanswered',
+     LIFTS + 'call stop; > stop; > ECHO;' * (ECHO_TRIES + 1)),
     ('a stop ends a SYNC instead of ECHO, and a silence',
      f'call raw; send raw; {NO_ECHO} call stop; > stop; out of step; > SYNC; < SYNC; call stop;'
      '> stop; out of step; > SYNC'),
