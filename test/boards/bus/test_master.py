@@ -416,6 +416,9 @@ def test_a_refusal_is_reported_with_its_code_and_not_repeated(session, name, rep
      'noise; fence; noise;' + '> ECHO; +T;' * ECHO_TRIES + SYNC_AND_SILENCE + 'noise; fence'),
     ('a board that does not answer the SYNC instead of ECHO is not synchronised',
      f'call raw; send raw; {NO_ECHO} +T; lost; > SYNC'),
+    ('no other reply is taken for the reply to the SYNC instead of ECHO',
+     f'call raw; send raw; {NO_ECHO} IT; out of step; > -; < SYNC; +T; in step',
+     ('< OK', '< INVALID:10', '< INVALID:40', 'noise', 'missed')),
     ('a reply in the silence is dropped and begins it anew',
      f'call raw; send raw; {NO_ECHO} < SYNC; call lift; +0.4; IT; +0.4; > -; out of step;'
      'lift is waiting; +0.2; > lift', ('< OK', '< INVALID:40', '< INVALID:20', 'noise', 'missed')),
@@ -805,8 +808,13 @@ def test_the_condition_says_why_calls_are_not_served(fresh):
      f'{LIFTS} call gimbal; poll air; call raw; call stop; call custom; > stop; gimbal is not sent;'
      'air is not sent; raw is not sent; custom is waiting'),
     ('a stop takes the place of a move that waits for its fence',
-     f'{AIRS} call lift; > ECHO; call stop; > stop; lift is not sent; > ECHO; < -ECHO OK;'
-     'stop is waiting; > -; < ECHO; > stop; < OK; stop is done'),
+     f'{AIRS} call lift; > ECHO; call stop; > stop; lift is not sent; out of step; > ECHO;'
+     '< -ECHO OK; stop is waiting; > -; < ECHO; > stop; < OK; stop is done'),
+    ('an ECHO that a stop ends does not count as unanswered',
+     LIFTS + 'call stop; > stop; > ECHO;' * (ECHO_TRIES + 1)),
+    ('a stop ends a SYNC instead of ECHO, and a silence',
+     f'call raw; send raw; {NO_ECHO} call stop; > stop; out of step; > SYNC; < SYNC; call stop;'
+     '> stop; out of step; > SYNC'),
     ('a stop is sent while a move with an unknown outcome may last',
      f'{LIFTS} +M; > ECHO; call stop; > stop'),
     ('a stop that timed out is sent again before later calls',
@@ -815,6 +823,13 @@ def test_the_condition_says_why_calls_are_not_served(fresh):
 )
 def test_stops(session, script):
     session.play(script)
+
+
+def test_a_stop_is_sent_before_the_board_answers_sync(fresh):
+    fresh.master.connected(fresh.now)
+    fresh.play('> SYNC; call stop; > stop; lost')
+    assert fresh.master.condition() is Condition.SYNCHRONISING
+    fresh.play('> SYNC; < SYNC; fence; > stop; < OK; stop is done')
 
 
 @pytest.mark.parametrize('idle', [True, False], ids=('idle', 'moving'))
