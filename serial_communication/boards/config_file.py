@@ -7,7 +7,7 @@ def read_parameters(path: str) -> Dict[str, Any]:
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: it is no YAML, or has no parameters; the text is one line.
+        ValueError: it is not YAML, or has no parameters; the text is one line.
     """
     try:
         import yaml     # not at the top: without a configuration only pyserial is needed
@@ -17,9 +17,9 @@ def read_parameters(path: str) -> Dict[str, Any]:
         with open(path, encoding='utf-8') as file:
             given = yaml.safe_load(file) or {}
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ValueError('is no YAML: ' + ' '.join(str(error).split())) from None
+        raise ValueError('is not YAML: ' + ' '.join(str(error).split())) from None
     if not isinstance(given, dict):
-        raise ValueError('is no table of parameters (NAME: VALUE)')
+        raise ValueError('is not a table of parameters (NAME: VALUE)')
     return given
 
 
@@ -30,6 +30,6 @@ def board_parameters(parameters: Any, name: str) -> Dict[str, Any]:
 
 
 def board_packages(parameters: Any) -> List[Any]:
-    """The parameter `boards`, import names of packages with boards; empty if it is no list."""
+    """The parameter `boards`, import names of packages with boards; empty if it is not a list."""
     packages = parameters.get('boards') if isinstance(parameters, dict) else None
     return packages if isinstance(packages, list) else []

@@ -120,12 +120,12 @@ def running_xor(data: bytes, before: int) -> bytes:
     Shifts of one long integer, each twice as far as the one before, take log2(n) steps.
     """
     size = len(data)
-    value = int.from_bytes(data, 'little') ^ before
     bits, shift = size * 8, 8
+    value = int.from_bytes(data, 'big') ^ before << bits >> 8
     while shift < bits:
-        value ^= value << shift
+        value ^= value >> shift
         shift *= 2
-    return (value & ((1 << bits) - 1)).to_bytes(size, 'little')
+    return value.to_bytes(size, 'big')
 
 
 class Good(NamedTuple):
@@ -181,7 +181,8 @@ class StreamDecoder:
         self.buffer = b''          # bytes that are not decided yet
         self.needed = 1            # bytes in the buffer before the search can go on
         self._xors = b'\0'         # for each of them, and the next: XOR of all bytes before it
-        # Of each read with bytes in the buffer: the bytes received by then, and its stamp.
+        self._stamp: Any = None    # of the latest read
+        # Of each earlier read with bytes in the buffer: the bytes received by then, and its stamp.
         self._reads: Deque[Tuple[int, Any]] = deque()
         self._frames: List[Frame] = []
         self._noise = b''          # noise that has not ended yet
@@ -203,9 +204,11 @@ class StreamDecoder:
     def feed(self, data: bytes, stamp: Any = None) -> List[Frame]:
         if not data:
             return []
+        if self.buffer:
+            self._reads.append((self.received, self._stamp))
+        self._stamp = stamp
         self.buffer += data
         self._xors += running_xor(data, self._xors[-1])
-        self._reads.append((self.front + len(self.buffer), stamp))
         return [] if len(self.buffer) < self.needed else self._search(0)
 
     def give_up(self) -> List[Frame]:
@@ -298,14 +301,15 @@ class StreamDecoder:
         """Add the valid frame that begins at `start`."""
         if self._noise or self._classified < self.front + start:
             self._end_noise(start)
-        end = start + found.size
-        if found.cause:
-            self.errors[found.cause] += 1
-        elif found.message is None and self.counts_unknown:
+        size, type_, command, data, message, cause, error = found
+        end = start + size
+        if cause:
+            self.errors[cause] += 1
+        elif message is None and self.counts_unknown:
             self.errors[UNKNOWN] += 1
         self._frames.append(frame_of((
-            self.buffer[start:end], found.type, found.command, found.data, found.message,
-            self._stamp_of(end), found.cause, found.error)))
+            self.buffer[start:end], type_, command, data, message, self._stamp_of(end), cause,
+            error)))
         self._classified = self.front + end
 
     def _add_bad(self, start: int, bad: Bad) -> None:
@@ -348,7 +352,7 @@ class StreamDecoder:
     def _stamp_of(self, end: int) -> Any:
         """The stamp of the read that had the last byte before `end`."""
         reads, end = self._reads, self.front + end
-        if reads[0][0] >= end:
-            return reads[0][1]
+        if not reads or reads[-1][0] < end:
+            return self._stamp
         # No read is dropped here: a later frame, inside a false one, may end in an earlier read.
         return reads[bisect_left(reads, (end,))][1]

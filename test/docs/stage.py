@@ -6,22 +6,19 @@ import socket
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import Callable, Dict, Iterator, List
 from xmlrpc.client import ServerProxy
 
 import rosgraph
+import waiting
 
 PATIENCE = 60.0     # s; only a failing command takes so long
 LEVELS = Path(__file__).with_name('levels.py')
 
 
-def until(condition, what: str, seconds: float = PATIENCE) -> None:
-    """Wait until `condition()` is true; AssertionError after `seconds`."""
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, f'not within {seconds:g} s: {what}'
-        time.sleep(0.05)
+until = partial(waiting.until, seconds=PATIENCE, every=0.05)
 
 
 class Stage:

@@ -33,42 +33,27 @@ def test_the_examples_are_announced_as_they_stand_in_the_file(name):
                             given[description(name).custom.parameter], [])
 
 
-@pytest.mark.parametrize('board, decoder', [
-    (ModelCar, arduino.Decoder), (SensorBoard, mcu.Decoder)])
-def test_chunks_are_sent_ten_times_a_second_for_3_s_and_then_once(board, decoder):
-    bench = Bench(board(announcement=TEXT), decoder())
-    bench.run(2.95)
-    assembly, texts = Assembly(), []
-    chunks = [frame.message for frame in bench.decoder.feed(bench.output())
-              if isinstance(frame.message, Chunk)]
-    assert len(chunks) in (29, 30)
-    assert [chunk.index for chunk in chunks] == [n % CHUNKS for n in range(len(chunks))]
-    texts = list(filter(None, map(assembly.take, chunks)))
-    assert texts == [TEXT]
-    bench.run(1.0)
-    bench.decoder.feed(bench.output())
-    bench.run(5.0)
-    later = [frame for frame in bench.decoder.feed(bench.output())
-             if isinstance(frame.message, Chunk)]
-    assert len(later) == 5 and not any(bench.decoder.errors.values())
+def announced(bench, seconds):
+    """The chunks that the board sends in this time."""
+    bench.run(seconds)
+    return [frame.message for frame in bench.decoder.feed(bench.output())
+            if isinstance(frame.message, Chunk)]
 
 
+@pytest.mark.parametrize('times', [1, 8], ids=['3 s', 'until each was sent twice'])
 @pytest.mark.parametrize('board, decoder', [
     (ModelCar, arduino.Decoder), (SensorBoard, mcu.Decoder)])
-def test_a_long_text_is_sent_twice_before_its_chunks_become_seldom(board, decoder):
-    text = TEXT * 8
-    count = len(chunks_of(text, 60))
-    bench = Bench(board(announcement=text), decoder())
-    bench.run(0.1 * 2 * count - 0.05)
-    assembly = Assembly()
-    chunks = [frame.message for frame in bench.decoder.feed(bench.output())
-              if isinstance(frame.message, Chunk)]
-    assert count > 30 and len(chunks) in (2 * count - 1, 2 * count)
-    assert list(filter(None, map(assembly.take, chunks))) == [text]
-    bench.run(5.0)
-    later = [frame for frame in bench.decoder.feed(bench.output())
-             if isinstance(frame.message, Chunk)]
-    assert len(later) in (5, 6)
+def test_chunks_are_sent_ten_times_a_second_at_first_and_then_once(board, decoder, times):
+    bench = Bench(board(announcement=TEXT * times), decoder())
+    size = len(chunks_of(TEXT * times, 60))
+    count = max(30, 2 * size)
+    chunks = announced(bench, 0.1 * count - 0.05)
+    assert len(chunks) in (count - 1, count)
+    assert [chunk.index for chunk in chunks] == [n % size for n in range(len(chunks))]
+    assert list(filter(None, map(Assembly().take, chunks))) == [TEXT * times]
+    announced(bench, 1.0)
+    assert len(announced(bench, 5.0)) in (5, 6) and not any(bench.decoder.errors.values())
+    assert announced(Bench(board(), decoder()), 5.0) == []
 
 
 def test_the_car_announces_often_again_when_heartbeats_come_back():
@@ -78,18 +63,7 @@ def test_the_car_announces_often_again_when_heartbeats_come_back():
     for _ in range(100):
         bench.feed(arduino.encode(arduino.Heartbeat()))
         bench.run(0.01)
-    found = [frame for frame in bench.decoder.feed(bench.output())
-             if isinstance(frame.message, Chunk)]
-    assert len(found) in (9, 10, 11)
-
-
-@pytest.mark.parametrize('board, decoder', [
-    (ModelCar, arduino.Decoder), (SensorBoard, mcu.Decoder)])
-def test_a_board_that_does_not_announce_sends_no_byte_more(board, decoder):
-    bench = Bench(board(), decoder())
-    bench.run(5.0)
-    assert not [frame for frame in bench.decoder.feed(bench.output())
-                if isinstance(frame.message, Chunk)]
+    assert len(announced(bench, 0.0)) in (9, 10, 11)
 
 
 def answers(board, *data):

@@ -219,7 +219,7 @@ def test_the_same_file_makes_the_same_bytes(tmp_path):
     ('arduino: {messages: {}}', [], 'has no custom messages: no rows in bus/functions, arduino/m'),
     ('arduino: {messages: {}}', ['mcu'], 'mcu/messages is missing'),
     ('arduino: {messages: 3}', ['arduino'], 'arduino/messages is 3 (int), may be a group of rows'),
-    ('- 3', [], 'is no table of parameters'), ('{', [], 'is no YAML'),
+    ('- 3', [], 'is not a table of parameters'), ('{', [], 'is not YAML'),
     ('boards: [no_such_module]', [], "importing 'no_such_module' failed"),
 ])
 def test_a_mistake_is_one_line_and_status_1(tmp_path, text, link, words):

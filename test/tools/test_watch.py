@@ -197,38 +197,21 @@ def fed(topic, times):
     return each
 
 
-def test_a_value_is_stale_after_three_periods():
-    voltage = fed(BridgeTopic('~voltage', 'x/Y', period=1.0), [10.0])
-    assert voltage.age(10.5) == 0.5 and not voltage.stale(12.9) and voltage.stale(13.1)
-    assert TopicState(voltage.topic).age(10.0) is None
-    assert not TopicState(voltage.topic).stale(10.0)
+TENTHS = [tick / 10 for tick in range(100)] + [110.0]
 
 
-def test_an_unknown_period_is_measured():
-    slow = fed(BridgeTopic('any', 'x/Y'), range(0, 100, 10))
-    assert slow.stale_after() == pytest.approx(30.0)
-    assert not slow.stale(119.0) and slow.stale(121.0)
-    assert not fed(BridgeTopic('any', 'x/Y'), [0.0]).stale(1000.0)      # one gives no period
-
-
-def test_the_measured_period_follows_a_slower_board_and_not_an_outage():
-    each = fed(BridgeTopic('any', 'x/Y'), [tick / 10 for tick in range(100)])
-    each.received(110.0)
-    assert each.stale(110.5)
-    now = 110.0
-    for _ in range(40):
-        now += 1.0
-        each.received(now)
-    assert not each.stale(now + 2.0)
-
-
-def test_a_fast_topic_is_not_stale_before_300_ms():
-    fast = fed(BridgeTopic('~imu', 'x/Y', period=0.01), [tick / 100 for tick in range(100)])
-    assert not fast.stale(1.2) and fast.stale(1.4)
-
-
-def test_a_topic_published_only_on_change_is_never_stale():
-    assert not fed(BridgeTopic('any', 'x/Y', period=1.0, ages=False), [0.0]).stale(1000.0)
+@pytest.mark.parametrize('period, times, fresh_at, stale_at', [
+    (1.0, [10.0], 12.9, 13.1),
+    (None, range(0, 100, 10), 119.0, 121.0),                # the period is measured
+    (None, [0.0], 1000.0, None),                            # one message gives no period
+    (0.01, [tick / 100 for tick in range(100)], 1.2, 1.4),  # 300 ms at least
+    (None, TENTHS, 110.2, 110.5),                           # an outage hardly changes the period
+    (None, TENTHS + [110.0 + each for each in range(1, 41)], 152.0, None)])     # a slower board
+def test_a_value_is_stale_after_three_periods(period, times, fresh_at, stale_at):
+    each = fed(BridgeTopic('any', 'x/Y', period=period), times)
+    assert not each.stale(fresh_at) and (stale_at is None or each.stale(stale_at))
+    assert TopicState(each.topic).age(10.0) is None and not TopicState(each.topic).stale(10.0)
+    assert not fed(BridgeTopic('any', 'x/Y', period=period, ages=False), times).stale(1e4)
 
 
 def test_the_rate_covers_the_last_few_seconds():

@@ -10,11 +10,12 @@ import socket
 import subprocess
 import sys
 import time
-import tty
 from functools import partial
 
 import pytest
+from lines import Pty
 from programs import started
+from waiting import PATIENCE, until
 
 import crane_scale
 from crane_scale import wire as scale
@@ -26,7 +27,7 @@ from serial_communication.framing.announcement import chunks_of
 from serial_communication.tools.wire.lines import Settings
 from serial_communication.tools.wire.forwarder import Forwarder
 from serial_communication.tools.wire.recording import load
-from wire_lines import PATIENCE, ROOT, settings
+from wire_lines import ROOT, settings
 
 pytestmark = pytest.mark.slow
 PROGRAM = [sys.executable, ROOT + '/scripts/wire']
@@ -36,44 +37,11 @@ PLAIN = {key: value for key, value in os.environ.items() if key != 'PYTHONUNBUFF
 STOP = b'\0' + arduino.encode(arduino.SpeedCommand(0))     # is sent first after a loss
 
 
-def wait_for(condition, what):
-    deadline = time.monotonic() + PATIENCE
-    while True:
-        value = condition()
-        if value:
-            return value
-        assert time.monotonic() < deadline, f'not within {PATIENCE:g} s: {what}'
-        time.sleep(0.005)
+class Tty(Pty):
+    """A tty with exact reads."""
 
-
-class Tty:
-    """A tty with a symbolic link; it can vanish and return as another device."""
-
-    def __init__(self, path):
-        self.path = str(path)
-        self.fd = self._device = -1
-
-    def plug(self):
-        self.fd, self._device = pty.openpty()
-        tty.setraw(self._device)
-        os.set_blocking(self.fd, False)
-        os.symlink(os.ttyname(self._device), self.path)
-        return self
-
-    def unplug(self):
-        if self.fd >= 0:
-            os.unlink(self.path)
-            os.close(self._device)
-            os.close(self.fd)
-            self.fd = -1
-
-    def write(self, data):
-        while data:
-            assert select.select([], [self.fd], [], PATIENCE)[1], 'nothing reads the tty'
-            data = data[os.write(self.fd, data):]
-
-    def read(self, size):
-        """Read `size` bytes."""
+    def exactly(self, size):
+        """Read `size` bytes, not more."""
         data = b''
         while len(data) < size:
             assert select.select([self.fd], [], [], PATIENCE)[0], f'received only {data.hex()}'
@@ -100,7 +68,7 @@ class Program:
         return self.paths[1].read_text()
 
     def wait_for_line(self, words, count=1):
-        wait_for(lambda: self.stderr().count(words) >= count, words)
+        until(lambda: self.stderr().count(words) >= count, words)
 
     def end(self, number=signal.SIGINT):
         if self.process.poll() is None:
@@ -138,7 +106,7 @@ def test_listen_shows_and_records_every_frame_and_writes_nothing(ttys, start, tm
     program.wait_for_line('open')
     stream = status(1) + b'\x11\x22' + status(2) + status(3)[:7]
     board.write(stream)
-    lines = wait_for(lambda: len(program.lines()) >= 4 and program.lines(), 'four frames')
+    lines = until(lambda: len(program.lines()) >= 4 and program.lines(), 'four frames')
     output = [json.loads(line) for line in lines]
     assert [each['frame'] for each in output] == [
         status(1).hex(), '1122', status(2).hex(), status(3)[:7].hex()]
@@ -159,7 +127,7 @@ def test_listen_prints_a_line_for_each_frame(ttys, start):
     program = start('listen', 'arduino', board.path)
     program.wait_for_line('open')
     board.write(arduino.encode(arduino.Ticks(7)) + b'\x02\x63\0')
-    first, second = wait_for(lambda: len(program.lines()) == 2 and program.lines(), 'two lines')
+    first, second = until(lambda: len(program.lines()) == 2 and program.lines(), 'two lines')
     assert first.split()[1:] == ['board', '03', '08', '07', '00', 'ticks', '7']
     assert '+0 us' in second and 'unknown type' in second and '\033' not in second
     assert program.end(signal.SIGTERM) == 0
@@ -178,7 +146,7 @@ def test_listen_waits_for_a_port_and_opens_it_again(tmp_path, start):
             board.write(status(count))
             time.sleep(0.1)
             return len(program.lines()) > shown
-        wait_for(sends, 'a frame')
+        until(sends, 'a frame')
         board.unplug()
         program.wait_for_line('opening it again when it returns', count)
     assert program.end() == 0
@@ -192,9 +160,9 @@ def test_announced_messages_are_learned_live_and_out_of_recordings(ttys, start, 
     program = start('listen', 'arduino', board.path, '--raw', 'kept.txt')
     program.wait_for_line('open')
     board.write(force + b''.join(map(arduino.encode, chunks_of(text, 40))))
-    wait_for(lambda: len(program.lines()) == 4, 'the chunks')
+    until(lambda: len(program.lines()) == 4, 'the chunks')
     board.write(force)
-    lines = wait_for(lambda: len(program.lines()) == 5 and program.lines(), 'a message')
+    lines = until(lambda: len(program.lines()) == 5 and program.lines(), 'a message')
     assert 'message type 32 is unknown' in lines[0] and 'announcement 1/3' in lines[1]
     assert lines[4].endswith('force data=12.34')
     assert program.end() == 0
@@ -254,8 +222,8 @@ def test_tap_forwards_all_bytes_unchanged_both_ways_at_once(tapped, tmp_path):
     for _ in range(3):
         computer.write(EVERY_BYTE)
         board.write(EVERY_BYTE[::-1])
-        assert board.read(len(EVERY_BYTE)) == EVERY_BYTE
-        assert computer.read(len(EVERY_BYTE)) == EVERY_BYTE[::-1]
+        assert board.exactly(len(EVERY_BYTE)) == EVERY_BYTE
+        assert computer.exactly(len(EVERY_BYTE)) == EVERY_BYTE[::-1]
     assert program.end() == 0 and 'could not be forwarded' not in program.stderr()
     reads = load(str(tmp_path / 'kept.txt')).reads['arduino']
     for sent, stream in ((True, EVERY_BYTE * 3), (False, EVERY_BYTE[::-1] * 3)):
@@ -265,10 +233,10 @@ def test_tap_forwards_all_bytes_unchanged_both_ways_at_once(tapped, tmp_path):
 def test_tap_shows_which_end_sent_a_frame(tapped):
     board, computer, program = tapped
     computer.write(HEARTBEAT)
-    board.read(len(HEARTBEAT))
+    board.exactly(len(HEARTBEAT))
     board.write(arduino.encode(arduino.Ticks(9)))
-    computer.read(4)
-    lines = wait_for(lambda: len(program.lines()) == 2 and program.lines(), 'two frames')
+    computer.exactly(4)
+    lines = until(lambda: len(program.lines()) == 2 and program.lines(), 'two frames')
     output = sorted(map(json.loads, lines), key=lambda each: each['time'])
     assert [(each['from'], each['text']) for each in output] == [
         ('computer', 'heartbeat'), ('board', 'ticks 9')]
@@ -287,9 +255,9 @@ def test_tap_continues_after_either_end_vanishes(tapped, gone):
     other.write(HEARTBEAT)
     # No stale bytes come first, and a frame that was cut off is ended.
     expected = (STOP if away is tapped[0] else b'\0') + HEARTBEAT
-    assert away.read(len(expected)) == expected
+    assert away.exactly(len(expected)) == expected
     away.write(b'back')
-    assert other.read(4) == b'back'
+    assert other.exactly(4) == b'back'
     assert program.end() == 0
     assert '13 bytes could not be forwarded' in program.stderr()
 
@@ -300,22 +268,14 @@ def test_a_blocked_end_blocks_neither_direction(tapped):
         board.write(bytes(1000))
     program.wait_for_line('not forwarded')
     computer.write(HEARTBEAT)
-    assert board.read(3) == HEARTBEAT
+    assert board.exactly(3) == HEARTBEAT
 
     def recovers():
         while not computer.is_quiet():
             os.read(computer.fd, 65536)
         board.write(b'on')      # is lost too while the kernel still holds older bytes
         return 'takes bytes again' in program.stderr()
-    wait_for(recovers, 'takes bytes again')
-
-
-def drained(tty):
-    """Read until nothing was received for 0.3 s."""
-    data = b''
-    while select.select([tty.fd], [], [], 0.3)[0]:
-        data += os.read(tty.fd, 65536)
-    return data
+    until(recovers, 'takes bytes again')
 
 
 def messages(data, decoder=arduino.BoardDecoder):
@@ -330,14 +290,14 @@ def test_a_blocked_board_gets_no_stale_command(tapped):
                                 for each in range(50)))
         count += 50
         assert count < 65000
-    kept = drained(board)
+    kept = board.read_all(0.3)
 
     def recovers():
         computer.write(HEARTBEAT)
         return not board.is_quiet()
-    wait_for(recovers, 'heartbeats')
+    until(recovers, 'heartbeats')
     program.wait_for_line('takes bytes again')
-    received = messages(kept + drained(board))
+    received = messages(kept + board.read_all(0.3))
     stopped = received.index(arduino.SpeedCommand(0))
     # Bytes already at the board's end of the pseudo terminal cannot be dropped.
     assert received[:stopped] == [arduino.SteeringCommand(each) for each in range(stopped)]
@@ -355,7 +315,7 @@ def state_of(process):
 def suspended_for_long(program, meanwhile, ends=1):
     """Suspend a tap until it reports, for so many ends, that it dropped what came meanwhile."""
     program.process.send_signal(signal.SIGSTOP)
-    wait_for(lambda: state_of(program.process) == 'T', 'the program is suspended')
+    until(lambda: state_of(program.process) == 'T', 'the program is suspended')
     meanwhile()
     time.sleep(1.0)         # the age of these bytes
     program.process.send_signal(signal.SIGCONT)
@@ -365,7 +325,7 @@ def suspended_for_long(program, meanwhile, ends=1):
 def test_bytes_that_wait_while_the_tap_is_suspended_are_dropped(tapped, tmp_path):
     board, computer, program = tapped
     computer.write(HEARTBEAT)
-    assert board.read(3) == HEARTBEAT
+    assert board.exactly(3) == HEARTBEAT
 
     def meanwhile():
         computer.write(arduino.encode(arduino.SpeedCommand(500)) * 5)
@@ -377,9 +337,9 @@ def test_bytes_that_wait_while_the_tap_is_suspended_are_dropped(tapped, tmp_path
         other = computer if end is board else board
         return not other.is_quiet()
     ticks = arduino.encode(arduino.Ticks(7))
-    wait_for(lambda: passes(computer, HEARTBEAT), 'heartbeats')
-    wait_for(lambda: passes(board, ticks), 'ticks')
-    to_board, to_computer = drained(board), drained(computer)
+    until(lambda: passes(computer, HEARTBEAT), 'heartbeats')
+    until(lambda: passes(board, ticks), 'ticks')
+    to_board, to_computer = board.read_all(0.3), computer.read_all(0.3)
     assert to_board.startswith(STOP + HEARTBEAT)
     assert set(to_board[len(STOP):].split(HEARTBEAT)) == {b''}
     assert to_computer.startswith(b'\0' + ticks)
@@ -402,8 +362,8 @@ def test_bytes_that_wait_as_the_tap_starts_are_dropped(ttys, start):
             os.read(computer.fd, 4096)
         time.sleep(0.01)
     program.wait_for_line(f'{computer.path}: open')
-    wait_for(lambda: computer.write(HEARTBEAT) or not board.is_quiet(), 'heartbeats')
-    first = board.read(len(STOP))
+    until(lambda: computer.write(HEARTBEAT) or not board.is_quiet(), 'heartbeats')
+    first = board.exactly(len(STOP))
     assert first == STOP
 
 
@@ -415,10 +375,10 @@ def test_an_incomplete_frame_does_not_merge_with_the_next(ttys, start, link, wir
     program = start('tap', link, board.path, computer.path)
     program.wait_for_line('open', 2)
     board.write(wire[:5])
-    assert computer.read(5) == wire[:5]
+    assert computer.exactly(5) == wire[:5]
     suspended_for_long(program, lambda: board.write(wire[5:]))
-    wait_for(lambda: board.write(wire) or not computer.is_quiet(), 'frames')
-    data = drained(computer)
+    until(lambda: board.write(wire) or not computer.is_quiet(), 'frames')
+    data = computer.read_all(0.3)
     assert data == wire * (len(data) // len(wire))      # and nothing of the first
 
 
@@ -468,7 +428,7 @@ def test_a_uart_that_sends_in_time_loses_nothing(uart, ttys):
     for number in range(200):
         tap.forward(HEARTBEAT * 30, 10.0 + number * 0.01)
         uart.held = min(uart.held, 100)        # never empty
-        ttys[0].read(len(HEARTBEAT) * 30)
+        ttys[0].exactly(len(HEARTBEAT) * 30)
     tap.forward(bytes(1030), 12.0)             # the longest frame of all takes its 89 ms
     tap.forward(HEARTBEAT, 12.05)
     assert output == [] and tap.lost == 0 and uart.dropped == 0
@@ -535,8 +495,8 @@ def test_a_blocked_network_port_is_connected_again(ttys, start, peer):
         assert count < 65000, program.stderr()
     second = peer.accept()
     assert len(messages(read_to_the_end(first))) < count
-    wait_for(lambda: computer.write(HEARTBEAT) or select.select([second], [], [], 0)[0],
-             'heartbeats')
+    until(lambda: computer.write(HEARTBEAT) or select.select([second], [], [], 0)[0],
+          'heartbeats')
     assert second.recv(len(STOP), socket.MSG_WAITALL) == STOP
     assert program.end() == 0
 
@@ -551,8 +511,8 @@ def test_a_silent_board_behind_a_network_port_is_connected_again_once(ttys, star
         computer.write(HEARTBEAT)
         time.sleep(0.01)
     second = peer.accept()
-    wait_for(lambda: computer.write(arduino.encode(arduino.SpeedCommand(400)))
-             or select.select([second], [], [], 0.01)[0], 'commands')
+    until(lambda: computer.write(arduino.encode(arduino.SpeedCommand(400)))
+          or select.select([second], [], [], 0.01)[0], 'commands')
     assert arduino.SpeedCommand(400) not in messages(read_to_the_end(first))
     assert second.recv(len(STOP), socket.MSG_WAITALL) == STOP
     deadline = time.monotonic() + 1.5       # a board that calibrates is silent for minutes
@@ -610,7 +570,7 @@ def frames_of(data):
 def test_play_sends_what_the_board_sent(kept, ttys):
     done = run('play', kept, 'mcu', ttys[0].path, '--json')
     assert done.returncode == 0, done.stderr
-    assert frames_of(ttys[0].read(16 * 9 + 9)) == [0, 1, 2, 3, 5, 6, 7, 8, 9]
+    assert frames_of(ttys[0].exactly(16 * 9 + 9)) == [0, 1, 2, 3, 5, 6, 7, 8, 9]
     assert ttys[0].is_quiet()
     output = json.loads(done.stdout)
     assert (output['writes'], output['left_out'], output['rounds'], output['lost']) == (10, 0, 1, 0)
@@ -623,18 +583,18 @@ def test_play_sends_a_part_at_another_rate(kept, ttys):
     done = run('play', kept, 'mcu', ttys[0].path, '--from', '0.05', '--to', '0:0.13',
                '--rate', '2')
     assert done.returncode == 0, done.stderr
-    assert frames_of(ttys[0].read(16 * 3 + 9)) == [3, 5, 6]
+    assert frames_of(ttys[0].exactly(16 * 3 + 9)) == [3, 5, 6]
 
 
 def test_play_loops_until_it_is_stopped(kept, ttys, start):
     program = start('play', kept, 'mcu', ttys[0].path, '--loop', '--rate', '20')
-    ttys[0].read((16 * 9 + 9) * 3)
+    ttys[0].exactly((16 * 9 + 9) * 3)
     assert program.end() == 0
 
 
 def test_play_drops_what_the_port_receives(kept, ttys, start):
     program = start('play', kept, 'mcu', ttys[0].path, '--loop')
-    ttys[0].read(16)
+    ttys[0].exactly(16)
     for _ in range(20):
         ttys[0].write(bytes(1000))      # more than a tty holds
     assert program.end() == 0
@@ -714,7 +674,7 @@ def test_a_tap_continues_on_a_full_disk(ttys):
         assert ': open' in program.stderr.readline()
     for _ in range(20):
         computer.write(HEARTBEAT)
-        assert board.read(3) == HEARTBEAT
+        assert board.exactly(3) == HEARTBEAT
     assert program.stderr.readline() == ('the output cannot be written: No space left on device; '
                                          'nothing more is printed\n')
     program.send_signal(signal.SIGINT)
@@ -864,7 +824,7 @@ def test_listen_stats_and_play_know_another_board(scale_config, ttys, start, tmp
     program.wait_for_line('open')
     stream = load_frame(1) + b'\x11' + load_frame(4)
     board.write(stream)
-    lines = wait_for(lambda: len(program.lines()) == 3 and program.lines(), 'three lines')
+    lines = until(lambda: len(program.lines()) == 3 and program.lines(), 'three lines')
     assert lines[0].endswith('load 0.1 kg') and lines[2].endswith('load 0.4 kg')
     assert '1 byte that is no frame' in lines[1]
     assert program.end() == 0
@@ -877,7 +837,7 @@ def test_listen_stats_and_play_know_another_board(scale_config, ttys, start, tmp
     assert output['from the board']['errors'] == {'framing': 1}
     assert run('listen', *link, kept).stdout.count('load') == 2
     done = run('play', kept, *link, computer.path)
-    assert done.returncode == 0 and computer.read(len(stream)) == stream
+    assert done.returncode == 0 and computer.exactly(len(stream)) == stream
 
 
 def test_stats_know_another_boards_heartbeats(scale_config, tmp_path):
@@ -897,7 +857,7 @@ def test_a_tap_resumes_after_the_end_of_a_frame_of_another_board(uart, ttys):
     for at in range(0, len(stream), 6):      # never silent for 20 ms, and half a frame at a time
         tap.forward(stream[at:at + 6], 10.0 + at * 0.001)
         uart.held = 0
-    received = ttys[0].read(len(HOLD) + len(stream) - tap.lost + 5)
+    received = ttys[0].exactly(len(HOLD) + len(stream) - tap.lost + 5)
     frames = stream[tap.lost - 5:]
     assert received == HOLD + frames and frames.startswith(b':') and output == []
     assert 0 < tap.lost - 5 < len(stream) / 2

@@ -26,12 +26,9 @@ class Call:
     """One request and its outcome, shared by the caller, who waits, and the link, which sends it.
 
     Args:
-        request: the request.
-        function: what it calls.
         timeout: s from sending to the reply.
         tries: how often it may be sent in all.
         now: the time of the call.
-        poll: whether it is a poll, which is sent only when no other call waits.
         on_success: called in the link's thread with a successful outcome.
     """
 
@@ -43,7 +40,7 @@ class Call:
         self.timeout = timeout
         self.tries = tries             # that are left
         self.submitted = now
-        self.poll = poll
+        self.poll = poll               # it is sent only when no other call waits
         self.on_success = on_success
         self.state = CallState.WAITING
         self.at_once = False           # it is to be sent now, whatever is outstanding: see rule 8
@@ -120,15 +117,6 @@ class Call:
             return self.outcome
 
 
-class _Priority(enum.IntEnum):
-    """The order in which calls are sent; rules 1 and 8."""
-
-    INTERRUPT = 0
-    RETRY = 1
-    CALL = 2
-    POLL = 3
-
-
 class CallQueue:
     """The calls that wait for their turn, or for the ECHO that confirms an INVALID.
 
@@ -160,7 +148,8 @@ class CallQueue:
             self._waiting.append(call)
 
     def again(self, call: Call, state: CallState, outcome: Outcome, now: float) -> None:
-        """Let a call wait after a try with this outcome, before others of its priority."""
+        """Let a call wait after a try with this outcome: a call before all others, a poll before
+        all other polls."""
         call.try_ended(state, outcome)
         self.served_until = now
         call.expires = now + self._longest_wait
@@ -208,8 +197,8 @@ class CallQueue:
         return iter(list(self._waiting))
 
     def next(self) -> Optional[Call]:
-        """The call to send next, or None."""
-        return min(self._waiting, key=_priority) if self._waiting else None
+        """The call to send next, or None: calls go before polls; rule 1."""
+        return min(self._waiting, key=lambda call: call.poll) if self._waiting else None
 
     def stop_again(self) -> None:
         """Send calls that interrupt at once again: the line may have lost them; rule 8."""
@@ -227,14 +216,6 @@ class CallQueue:
                 self.abandon(call, '')
                 return True
         return False
-
-
-def _priority(call: Call) -> _Priority:
-    if call.function.interrupts:
-        return _Priority.INTERRUPT
-    if call.poll:
-        return _Priority.POLL
-    return _Priority.CALL if call.last_try is None else _Priority.RETRY
 
 
 def unknown_after_invalid(invalid: Outcome) -> Outcome:

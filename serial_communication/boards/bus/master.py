@@ -110,7 +110,7 @@ class Master:
     def received(self, frame: Frame, now: float) -> None:
         """A valid reply was received."""
         session, reply = self._session, frame.message
-        session.last_received = now
+        session.last_reply = now
         if reply.cmd1 == wire.ECHO:      # late or not, the board knows ECHO
             session.has_echoed = True
         if self.calls.doubt_invalid(reply):
@@ -123,7 +123,6 @@ class Master:
     def damaged(self, frame: Frame, now: float) -> None:
         """Bytes were received that are no valid reply."""
         exchange = self._session.exchange
-        self._session.last_received = now
         self.calls.doubt_invalid()
         # Only a frame with a wrong checksum can be the reply. After noise, for example during a
         # motion, the reply may still arrive.
@@ -137,7 +136,6 @@ class Master:
     def may_have_missed(self, why: str, now: float) -> None:
         """Replies may have been received and dropped."""
         session = self._session
-        session.last_received = now
         session.happened(Event.MISSED, now, why)
         if isinstance(session.exchange, CallExchange):
             session.exchange.reply_may_be_lost = True
@@ -211,7 +209,7 @@ class Master:
                 continue
             is_fenced = session.state is SessionState.FENCED
             if self._needs_fence(call):
-                silent_until = session.last_received + FENCE_SILENCE
+                silent_until = session.last_reply + FENCE_SILENCE
                 is_old = now > session.fenced_at + FENCE_AGE     # rule 10
                 if session.never_echoes and now < silent_until:
                     return None, silent_until

@@ -292,20 +292,12 @@ ENVIRONMENT_REQUEST = ENVIRONMENT_FUNCTION.make_request(())
 
 
 def lift(direction: int, distance: int) -> Request:
-    """A relative move of the lift: direction 0 up, 1 down; distance 0 … 255 mm.
-
-    Raises:
-        ValueError: a value is out of its range.
-    """
+    """A move of the lift: 0 up, 1 down; 0 … 255 mm. ValueError for any other value."""
     return LIFT_FUNCTION.make_request((direction, distance))
 
 
 def gimbal(direction: int, angle: int) -> Request:
-    """A relative turn of the gimbal: 0 left, 1 right, 2 up, 3 down; angle 0 … 255 degrees.
-
-    Raises:
-        ValueError: a value is out of its range.
-    """
+    """A turn of the gimbal: 0 left, 1 right, 2 up, 3 down; 0 … 255 degrees. ValueError likewise."""
     return GIMBAL_FUNCTION.make_request((direction, angle))
 
 

@@ -22,7 +22,6 @@ from ...transport.port import Port
 from . import DESCRIPTION, wire
 from .functions import read_functions
 from .link import BusLink, BusSettings, Poller
-from .messages import Function
 
 _DEFAULTS = BusSettings()
 
@@ -100,16 +99,16 @@ class BusInterface(Interface):
 
     def _echo(self, _request: Any) -> TriggerResponse:
         outcome = self.link.echo()
-        response = fill_response(TriggerResponse(), outcome)
-        if outcome.success:
-            response.message = f'{outcome.round_trip * 1e3:.2f} ms'
-        return response
+        return self._trigger(outcome, f'{outcome.round_trip * 1e3:.2f} ms')
 
     def _sync(self, _request: Any) -> TriggerResponse:
-        outcome = self.link.sync()
+        return self._trigger(self.link.sync(), 'synchronised')
+
+    @staticmethod
+    def _trigger(outcome: Outcome, done: str) -> TriggerResponse:
         response = fill_response(TriggerResponse(), outcome)
         if outcome.success:
-            response.message = 'synchronised'
+            response.message = done
         return response
 
     def _publish_environment(self, reading: wire.Environment, stamp: rospy.Time) -> None:
@@ -133,7 +132,7 @@ class BusInterface(Interface):
 class RosFunction(NamedTuple):
     """A custom function with its ROS types."""
 
-    custom: Function           # its reply also has the limits of the ROS fields
+    custom: wire.Function           # its reply also has the limits of the ROS fields
     ros_class: Any                   # class of the service, or of the published message
     request: Optional[RosFields]     # None for a polled topic
     reply: RosFields
@@ -144,12 +143,12 @@ def _ros_functions(given: Any) -> List[RosFunction]:
     return [_ros_function(function) for function in read_functions(given)]
 
 
-def _ros_function(function: Function) -> RosFunction:
+def _ros_function(function: wire.Function) -> RosFunction:
     refuse_taken(function, '~')
     return _with_types(function)
 
 
-def _with_types(function: Function) -> RosFunction:
+def _with_types(function: wire.Function) -> RosFunction:
     key, request = function.key, None
     if function.srv_type:
         found = find_type(f'{key}/srv_type', function.srv_type, 'srv')
@@ -175,11 +174,11 @@ def _poll(row: RosFunction, link: BusLink, frame_prefix: str) -> Tuple[Poller, V
     return link.poll(function, function.period, _publish_reply(function, topic)), topic
 
 
-def _publish_reply(function: Function, topic: ValuePublisher) -> Callable[[Outcome], None]:
+def _publish_reply(function: wire.Function, topic: ValuePublisher) -> Callable[[Outcome], None]:
     return lambda outcome: topic.publish(_values(function, outcome), outcome.stamp)
 
 
-def _values(function: Function, outcome: Outcome) -> Tuple:
+def _values(function: wire.Function, outcome: Outcome) -> Tuple:
     """The values of an OK. Data that is not expected is left out."""
     return () if function.reply.is_empty else function.reply.unpack(outcome.data)
 

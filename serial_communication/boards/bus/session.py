@@ -80,6 +80,10 @@ def _rows(otherwise: Transition, **others: Transition) -> Dict[Event, Transition
     return {event: others.get(event.name, otherwise) for event in Event}
 
 
+# To the request of a caller. After a reply to another one, or noise, the right one may follow.
+_REPLIES = dict(ANSWER=(_SAME, Then.END), UNSYNCHRONISED=(_LOST, Then.END), OTHER=(_OUT, Then.WAIT),
+                NOISE=(_OUT, Then.WAIT), MISSED=(_OUT, Then.WAIT))
+
 # The state afterwards for each event, and what becomes of what is outstanding. Where a call has
 # ended, `Master` decides by rules 4, 5 and 7 whether it is sent again or has an outcome.
 #
@@ -105,22 +109,9 @@ TRANSITIONS: Dict[Kind, Dict[Event, Transition]] = {
         UNSYNCHRONISED=(_LOST, Then.END),
         TIMEOUT=(_FENCED, Then.END),
         STOP=(_SAME, Then.END)),
-    Kind.PROBE: _rows(
-        (_OUT, Then.END),
-        ANSWER=(_SAME, Then.END),
-        INVALID=(_SAME, Then.END),
-        UNSYNCHRONISED=(_LOST, Then.END),
-        OTHER=(_OUT, Then.WAIT),                       # the right reply may follow
-        NOISE=(_OUT, Then.WAIT),
-        MISSED=(_OUT, Then.WAIT)),
-    Kind.CALL: _rows(
-        (_OUT, Then.END),
-        ANSWER=(_SAME, Then.END),
-        INVALID=(_OUT, Then.END),                      # rule 4: an ECHO has to confirm it
-        UNSYNCHRONISED=(_LOST, Then.END),
-        OTHER=(_OUT, Then.WAIT),
-        NOISE=(_OUT, Then.WAIT),
-        MISSED=(_OUT, Then.WAIT)),
+    Kind.PROBE: _rows((_OUT, Then.END), **_REPLIES, INVALID=(_SAME, Then.END)),
+    # Rule 4: an ECHO has to confirm the INVALID.
+    Kind.CALL: _rows((_OUT, Then.END), **_REPLIES, INVALID=(_OUT, Then.END)),
 }
 
 
@@ -153,7 +144,7 @@ class Session:
         self.exchange = NOTHING
         self.latest_request: Optional[wire.Request] = None
         self.fenced_at = 0.0           # when the latest fence was complete
-        self.last_received = 0.0       # when the latest bytes were received
+        self.last_reply = 0.0          # when the latest valid reply was received
         self.has_echoed = False        # since the port opened
         self._unanswered: Counter[Kind] = Counter()     # SYNCs and ECHOs in a row
         self._reply_timeout = reply_timeout
@@ -166,7 +157,7 @@ class Session:
         self.state = SessionState.UNSYNCHRONISED
         self.has_echoed = False
         self._unanswered.clear()
-        self.last_received = now
+        self.last_reply = now
 
     def closed(self) -> Exchange:
         """The port is closed; return what was outstanding."""

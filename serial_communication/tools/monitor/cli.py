@@ -78,7 +78,7 @@ def _node(name: str) -> str:
 
 
 def _other_bridges() -> str:
-    """Which bridges run where none of the default name does, as advice; '' if one does, or none."""
+    """Advice that lists other bridges if the default one is absent; '' if it runs, or none does."""
     try:
         publishers = rosgraph.Master('/monitor').getSystemState()[0]
     except (OSError, rosgraph.MasterException):

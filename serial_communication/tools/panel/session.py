@@ -160,7 +160,7 @@ class Session(GuardedHandler, WebSocketHandler):
         written.add_done_callback(self._written)
 
     def _written(self, future: Any) -> None:
-        """The system has taken the oldest update, or the page is closed, which is no error."""
+        """The system has taken the oldest update, or the page is closed, which is not an error."""
         self._unsent.popleft()
         if not future.cancelled():
             future.exception()      # mark it as retrieved, or asyncio logs it

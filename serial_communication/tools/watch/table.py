@@ -12,7 +12,7 @@ from .state import BridgeState, LinkState, TopicState, ago
 from .topics import one_line
 
 PERIOD = 1.0            # s between two redraws
-_PLAIN_EVERY = 5        # where the output is no terminal, redraws for each report
+_PLAIN_EVERY = 5        # redraws for each report, if the output is not a terminal
 LEVELS = ('OK', 'WARN', 'ERROR', 'STALE')
 
 # The key of a link's value in /diagnostics, and its text.
@@ -161,7 +161,7 @@ def _cut(text: str, width: int) -> str:
 
 
 def report(bridge: BridgeState, heading: Heading, now: float) -> List[str]:
-    """Return a few plain lines for an output that is no terminal, with a rate for each link."""
+    """Return a few plain lines for an output that is not a terminal, with a rate for each link."""
     wanted = [each for each in bridge.topics if not each.topic.optional]
     carry = sum(bool(each.count) and not each.stale(now) for each in wanted)
     first = {each.topic.links: each for each in reversed(wanted)}

@@ -190,27 +190,6 @@ def test_no_reply_is_a_timeout_and_the_move_is_not_sent_again(board, open_link):
     assert dict(link.extra_values())['timeouts'] == 1
 
 
-def test_a_late_reply_is_not_taken_for_the_reply_to_the_next_request(board, open_link):
-    """The lift's OK arrives just before the echo; the gimbal, called meanwhile, gets its own."""
-    late = []
-
-    def rule(request):
-        if request.cmd1 == bus.ECHO and late:
-            return late.pop() + bus.encode_reply(board.usual(request))
-        if request == LIFT:
-            late.append(OK_WIRE)
-            return b''
-        if is_move(request):
-            return bus.encode_reply(bus.Reply(bus.ERROR, b'\2\x80'))
-        return None
-
-    link = open_link(SHORT)
-    board.rule = rule
-    assert link.lift(0, 100).status == TIMEOUT
-    outcome = link.gimbal(0, 1)
-    assert outcome.status == bus.ERROR and not late
-
-
 def test_a_doubled_ok_does_not_hide_the_refusal_of_the_next_lift(board, open_link):
     """The second OK is 5 ms late, so it arrives after the next lift is called."""
     refused = bus.lift(0, 200)

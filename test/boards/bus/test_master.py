@@ -283,6 +283,8 @@ def table(*rows):
      f'{LIFTS} < INVALID:40; fence; > lift; +M; lift is not known; fence; > -'),
     ('a call is sent before a repeated poll',
      'poll air; > air; call lift; +T; fence; > lift; < OK; lift is done; send air'),
+    ('a repeated poll is sent before another one',
+     'poll read; > read; poll other; +T; fence; > read; < OK:0102; send other'),
     ('a repeatable request is sent again after INVALID "checksum", without an ECHO',
      'call IT; send IT; < INVALID:40; > IT; < REPLY; IT is done', PROBES[1:]),
     ('a reading is sent again after INVALID "checksum", behind an ECHO',
@@ -386,6 +388,8 @@ def test_a_refusal_is_reported_with_its_code_and_not_repeated(session, name, rep
     ('nothing is sent before the ECHO returns',
      f'{LIFTS} +M+-1; call gimbal; +1; > ECHO; lift is not known;'
      '< OK SYNC ERROR:8002 AIR ECHO:no OK:6e303032; > -; out of step; < ECHO; > gimbal'),
+    ('only ECHOs that are unanswered in a row make a SYNC necessary',
+     'noise; > ECHO; +T; fence; noise; > ECHO; +T; > ECHO; +T; > ECHO; +T; > SYNC'),
     ('an ECHO of an earlier nonce is dropped',
      'call raw; send raw; +T; > ECHO; +T; > ECHO; < -ECHO; out of step; > -; < ECHO; in step'),
     ('an ECHO that gets INVALID is sent again with a new nonce',
@@ -412,6 +416,9 @@ def test_a_refusal_is_reported_with_its_code_and_not_repeated(session, name, rep
      'noise; fence; noise;' + '> ECHO; +T;' * ECHO_TRIES + SYNC_AND_SILENCE + 'noise; fence'),
     ('a board that does not answer the SYNC instead of ECHO is not synchronised',
      f'call raw; send raw; {NO_ECHO} +T; lost; > SYNC'),
+    ('no other reply is taken for the reply to the SYNC instead of ECHO',
+     f'call raw; send raw; {NO_ECHO} IT; out of step; > -; < SYNC; +T; in step',
+     ('< OK', '< INVALID:10', '< INVALID:40', 'noise', 'missed')),
     ('a reply in the silence is dropped and begins it anew',
      f'call raw; send raw; {NO_ECHO} < SYNC; call lift; +0.4; IT; +0.4; > -; out of step;'
      'lift is waiting; +0.2; > lift', ('< OK', '< INVALID:40', '< INVALID:20', 'noise', 'missed')),
@@ -419,6 +426,8 @@ def test_a_refusal_is_reported_with_its_code_and_not_repeated(session, name, rep
      f'call raw; send raw; {NO_ECHO} < SYNC; < INVALID:10; > SYNC'),
     ('after a stall nothing is sent before an ECHO returns',
      'missed; call air; fence; > air; < AIR; air is done'),
+    ('calls that wait are not given up early while a reply may follow noise',
+     f'{LIFTS} noise; call raw; +1; raw is waiting; < OK; lift is done; fence; > raw'),
     ('a call succeeds if its reply arrives after a stall',
      'call IT; send IT; missed; < OK; IT is done; fence', MOVES),
     ('the outcome is unknown if the reply was dropped in a stall',
@@ -580,6 +589,12 @@ def test_a_sync_and_a_silence_replace_the_echo_with_one_warning(fresh):
         fresh.play(f'call raw; +0.02; > raw; +T; call lift; {SYNC_AND_SILENCE} > lift; < OK;'
                    'lift is done')
     assert len(fresh.warnings('does not answer ECHO')) == 1
+
+
+def test_after_a_reconnect_the_board_may_be_one_that_never_echoes(session):
+    session.play('disconnected')
+    session.connect_without_echo().play('call lift; > lift; < OK; call gimbal; > -; +0.021;'
+                                        '> gimbal')
 
 
 @pytest.mark.parametrize('name', MOVES)
@@ -746,14 +761,22 @@ def test_the_deadline_is_that_of_the_request_or_of_a_waiting_call(session):
     assert session.wake_at() == pytest.approx(session.now + REPLY_TIMEOUT)
 
 
-def test_a_call_that_waits_is_told_what_for(session):
-    held = 'the rest of an incomplete frame'
-    call = session.call('lift')
-    assert session.master.step(session.now, held)[0] is None
-    session.now += MOTION_TIMEOUT
-    session.master.step(session.now, held)
-    assert call.outcome == (NOT_SENT, f'the link waits for {held}; nothing was sent', 0, b'', 0.0,
-                            True, None)
+TWO_MOVES = 'call gimbal; call lift; call raw; send gimbal; +1; < OK; send lift;'
+
+
+@pytest.mark.parametrize('script, why', [
+    ('call raw', 'the link waits for the rest of an incomplete frame'),
+    (TWO_MOVES, 'the bus is busy with other calls'), (TWO_MOVES + 'noise', 'out of step')])
+def test_a_call_that_waits_is_told_what_for(session, script, why):
+    session.play(script)
+    session.now = session.calls['raw'].submitted + MOTION_TIMEOUT
+    assert session.master.step(session.now, 'the rest of an incomplete frame')[0] is None
+    assert session.outcome('raw') == (NOT_SENT, f'{why}; nothing was sent', 0, b'', 0.0, True, None)
+
+
+def test_at_the_closing_every_call_is_told_so(session):
+    session.play('call lift; call stop; disconnected; lift is not sent; stop is not sent')
+    assert 'the port is closed' in session.outcome('lift').message
 
 
 def test_the_condition_says_why_calls_are_not_served(fresh):
@@ -785,8 +808,13 @@ def test_the_condition_says_why_calls_are_not_served(fresh):
      f'{LIFTS} call gimbal; poll air; call raw; call stop; call custom; > stop; gimbal is not sent;'
      'air is not sent; raw is not sent; custom is waiting'),
     ('a stop takes the place of a move that waits for its fence',
-     f'{AIRS} call lift; > ECHO; call stop; > stop; lift is not sent; > ECHO; < -ECHO OK;'
-     'stop is waiting; > -; < ECHO; > stop; < OK; stop is done'),
+     f'{AIRS} call lift; > ECHO; call stop; > stop; lift is not sent; out of step; > ECHO;'
+     '< -ECHO OK; stop is waiting; > -; < ECHO; > stop; < OK; stop is done'),
+    ('an ECHO that a stop ends does not count as unanswered',
+     LIFTS + 'call stop; > stop; > ECHO;' * (ECHO_TRIES + 1)),
+    ('a stop ends a SYNC instead of ECHO, and a silence',
+     f'call raw; send raw; {NO_ECHO} call stop; > stop; out of step; > SYNC; < SYNC; call stop;'
+     '> stop; out of step; > SYNC'),
     ('a stop is sent while a move with an unknown outcome may last',
      f'{LIFTS} +M; > ECHO; call stop; > stop'),
     ('a stop that timed out is sent again before later calls',
@@ -795,6 +823,13 @@ def test_the_condition_says_why_calls_are_not_served(fresh):
 )
 def test_stops(session, script):
     session.play(script)
+
+
+def test_a_stop_is_sent_before_the_board_answers_sync(fresh):
+    fresh.master.connected(fresh.now)
+    fresh.play('> SYNC; call stop; > stop; lost')
+    assert fresh.master.condition() is Condition.SYNCHRONISING
+    fresh.play('> SYNC; < SYNC; fence; > stop; < OK; stop is done')
 
 
 @pytest.mark.parametrize('idle', [True, False], ids=('idle', 'moving'))
