@@ -63,8 +63,8 @@ class CustomRows(NamedTuple):
     prefix: str                  # prefix + the row's name is the name of its topic
 
 
-class Command(enum.Enum):
-    """The meaning of a frame's `command`."""
+class Numbering(enum.Enum):
+    """What the `number` of a frame is."""
 
     NOTHING = 'nothing'
     FUNCTION = 'function'    # the requested function. The board only replies, once to each request;
@@ -99,7 +99,7 @@ class Description:
     custom: Optional[CustomRows] = None
     # Parameters, false by default, that change how bytes are decoded, with their meaning.
     wire_flags: Mapping[str, str] = field(default_factory=dict)
-    command: Command = Command.NOTHING
+    numbering: Numbering = Numbering.NOTHING
     heartbeat: Optional[Heartbeat] = None
     baud: int = 115200               # of the port, if its parameters have none: see `baud_of`
     # Bytes that end a frame, are never inside one, and may also separate two frames.

@@ -33,7 +33,7 @@ class Frame(NamedTuple):
 
     raw: bytes          # as on the wire
     type: int           # CMD1, message type or TYPE
-    command: int        # CMD2 of a request, SEQ of an mcu frame, else 0
+    number: int         # CMD2 of a request, SEQ of an mcu frame, else 0
     data: bytes         # the payload, decoded
     message: Any        # the typed message; None: an unknown type, or the frame is invalid
     stamp: Any = None   # the stamp that `feed` got with the frame's last byte
@@ -133,7 +133,7 @@ class Good(NamedTuple):
 
     size: int
     type: int
-    command: int
+    number: int
     data: bytes
     message: Any         # None: of an unknown type, or refused
     cause: str = ''      # why the message of this valid frame is refused; '': it is not

@@ -145,23 +145,23 @@ class Link:
         """Make the thread call `tick` soon, whatever is received; from any thread."""
         self.connection.wake()
 
-    def send(self, frame: bytes, type_: int, command: int, data: bytes, message: Any) -> None:
+    def send(self, frame: bytes, type_: int, number: int, data: bytes, message: Any) -> None:
         """Write one frame, count it and pass it to `tap`.
 
         Raises:
             PortError, PortBusy: nothing was written.
         """
         self.port.write(frame)
-        self.written(frame, type_, command, data, message)
+        self.written(frame, type_, number, data, message)
 
-    def written(self, frame: bytes, type_: int, command: int, data: bytes, message: Any) -> None:
+    def written(self, frame: bytes, type_: int, number: int, data: bytes, message: Any) -> None:
         """Count a frame that the port has taken, and pass it to `tap`."""
         self.frames_sent += 1
         tap = self.tap      # another thread may set it to None meanwhile
         if tap:
             # Guarded: an error here would look as if the frame had not been sent.
             self.connection.guarded(lambda tap: tap(self.name, TX, Frame(
-                frame, type_, command, data, message, self._clock())), tap)
+                frame, type_, number, data, message, self._clock())), tap)
 
     # -- diagnostics ------------------------------------------------------------------
 

@@ -57,7 +57,7 @@ class Traffic(rospy.SubscribeListener):
 
     def _publish(self, link: str, direction: int, frame: Frame, connection: int) -> None:
         message = SerialMsg(link=link, direction=direction, type=frame.type,
-                            command=frame.command, data=frame.data, frame=frame.raw,
+                            command=frame.number, data=frame.data, frame=frame.raw,
                             text=frame.text, error=frame.trouble)
         message.header.stamp = frame.stamp or rospy.Time.now()
         # A reader that counts lost frames by SEQ has to know when the port was opened again, since

@@ -77,7 +77,7 @@ def test_same_frames_as_the_package(link, parts, cuts):
         found += decoder.give_up()
     mine = codec.decode(stream, frame_at, True)[0]
     # That a type is not known, or its length or values are wrong, is not asked here.
-    theirs = [(frame.type, frame.command, frame.data) for frame in found
+    theirs = [(frame.type, frame.number, frame.data) for frame in found
               if not frame.cause or frame.cause in ('length', 'unknown type', 'implausible')]
     assert [frame.content for frame in mine] == theirs
     assert set(theirs) <= {frame.content for frame in codec.all_frames(stream, frame_at)}

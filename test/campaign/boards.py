@@ -90,7 +90,7 @@ def sensor_keys(frame: codec.Frame) -> List[Key]:
         return []
     one, two, yaw, pitch, roll = struct.unpack('<HHhhh', frame.data)
     angles = angles_key((yaw if yaw >= -18000 else yaw + 65536, pitch, roll))
-    return [('mcu/status', (frame.command, one, two, angles)), ('mcu/range_1', range_key(one)),
+    return [('mcu/status', (frame.number, one, two, angles)), ('mcu/range_1', range_key(one)),
             ('mcu/range_2', range_key(two))]
 
 

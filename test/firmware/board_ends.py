@@ -250,7 +250,7 @@ class Frames:
             frame, self._received = self._received[:16], self._received[16:]
             found = mcu_at(frame, 0)
             assert found and found.type == SENSORS, frame.hex()
-            self.frames.append((found.command,) + struct.unpack('<HHhhh', found.data))
+            self.frames.append((found.number,) + struct.unpack('<HHhhh', found.data))
         return self.frames
 
     def forget_a_cut_frame(self):

@@ -209,7 +209,7 @@ def test_custom_mcu_frames():
     custom, = mcu_messages({'line': dict(FORCE, type=0x20)})
     decoder = mcu.Decoder([custom.kind])
     frame, = decoder.feed(mcu.encode(custom.kind(12.5), 7))
-    assert (frame.message, frame.type, frame.command) == ((12.5,), 0x20, 7)
+    assert (frame.message, frame.type, frame.number) == ((12.5,), 0x20, 7)
     frames = decoder.feed(mcu.encode_raw(0x20, 8, b'\1') + mcu.encode_raw(0x20, 9, b'\xff\xff'))
     assert [frame.cause for frame in frames] == [LENGTH, IMPLAUSIBLE]
     assert decoder.errors[LENGTH] == decoder.errors[IMPLAUSIBLE] == 1

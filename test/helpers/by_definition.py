@@ -28,10 +28,10 @@ _ENVIRONMENT_REQUEST = bytes((0xA5, 2, FUNCTION, ENVIRONMENT, 0xD0))
 
 
 class Frame(NamedTuple):
-    """A valid frame. `command` is CMD2 of a request, SEQ of an mcu frame, or else 0."""
+    """A valid frame. `number` is CMD2 of a request, SEQ of an mcu frame, or else 0."""
 
     type: int
-    command: int
+    number: int
     data: bytes
     start: int      # position in the stream
     end: int        # where the next frame may begin
@@ -39,7 +39,7 @@ class Frame(NamedTuple):
     @property
     def content(self) -> Tuple[int, int, bytes]:
         """The frame without its position."""
-        return self.type, self.command, self.data
+        return self.type, self.number, self.data
 
 
 Found = Union[None, str, Frame]          # None (no valid frame begins there), INCOMPLETE or Frame

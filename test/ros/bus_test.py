@@ -213,7 +213,7 @@ class Strict(BusTest):
         self.assertAlmostEqual(message.humidity, 48.12, 5)
         self.assertAlmostEqual(temperature.first().temperature, 25.63)
         self.assertAlmostEqual(humidity.first().relative_humidity, 0.4812)
-        stamps = [frame.stamp for frame in self.board.frames if frame.command == bus.ENVIRONMENT]
+        stamps = [frame.stamp for frame in self.board.frames if frame.number == bus.ENVIRONMENT]
         self.assertGreater((stamps[-1] - stamps[0]) / (len(stamps) - 1), 0.09)
         self.assertEqual(BOARDS[PACKAGE].others, [], 'its period is 0')
         answer = self.get_environment()

@@ -66,8 +66,8 @@ class AnsweringBoard(BusBoard):
 
     def take(self, frame):
         self.all.append(frame)
-        if frame.type == bus.FUNCTION and frame.command >= 0x30:
-            answer = self.answers.get(frame.command, bus.Reply(bus.ERROR, b'\0\x80'))
+        if frame.type == bus.FUNCTION and frame.number >= 0x30:
+            answer = self.answers.get(frame.number, bus.Reply(bus.ERROR, b'\0\x80'))
             self.say(answer() if callable(answer) else answer)
         else:
             super().take(frame)
@@ -318,7 +318,7 @@ class Functions(unittest.TestCase):
 
     def asked(self, cmd2):
         return [frame.raw for frame in BOARD.all
-                if frame.type == bus.FUNCTION and frame.command == cmd2]
+                if frame.type == bus.FUNCTION and frame.number == cmd2]
 
     def test_a_call_sends_its_request_and_returns_the_reply(self):
         BOARD.answers[0x30] = bus.Reply(bus.OK)

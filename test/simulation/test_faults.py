@@ -101,7 +101,7 @@ def test_a_delayed_frame_is_not_overtaken(kind):
     bench = sensors('%s=0.02' % kind)
     bench.run(100)
     assert len(sent(bench, kind)) > 20
-    seqs = [frame.command for frame in bench.decoder.feed(bench.output())]
+    seqs = [frame.number for frame in bench.decoder.feed(bench.output())]
     assert seqs == [number % 256 for number in range(len(seqs))]
     times = [time for time, _ in bench.wire]
     longest = max(after - before for before, after in zip(times, times[1:]))
@@ -199,7 +199,7 @@ def test_a_reset_sends_chatter_and_clears_the_state():
     output = bench.output()
     boots = len(bench.notes.of('boot')) - 1
     assert boots >= 4 and output.count(SensorBoard.CHATTER) == boots
-    seqs = [frame.command for frame in bench.decoder.feed(output) if not frame.cause]
+    seqs = [frame.number for frame in bench.decoder.feed(output) if not frame.cause]
     assert seqs.count(0) >= boots + 1
     bench = control('reset=6/min')
     bench.feed(SYNC)

@@ -2,7 +2,7 @@
 from typing import Any, Dict, Mapping, Tuple
 
 from ...framing.stream import Decoder
-from ..description import Command, CustomRows, Description, Field, Service, Topic
+from ..description import CustomRows, Description, Field, Numbering, Service, Topic
 from . import wire
 from .functions import read_functions
 
@@ -38,5 +38,5 @@ DESCRIPTION = Description(
     other_names=('~bus/request', wire.ENVIRONMENT_FUNCTION.service),
     custom=CustomRows('functions', read_functions, '~'),
     wire_flags={'reply_has_cmd2': "replies carry their request's CMD2"},
-    command=Command.FUNCTION,
+    numbering=Numbering.FUNCTION,
     question=wire.encode_request(wire.SYNC_REQUEST))

@@ -3,7 +3,7 @@ from typing import Any, List, Mapping
 
 from ...framing.custom_messages import CustomMessage, read_messages
 from ...framing.stream import Decoder
-from ..description import Command, CustomRows, Description, Topic
+from ..description import CustomRows, Description, Numbering, Topic
 from . import wire
 
 _STATUS = 1.0     # s; the longest period: the status of a silent board is published once a second
@@ -34,4 +34,4 @@ DESCRIPTION = Description(
         Topic('mcu/range_1', 'sensor_msgs/Range', card='Ranges'),
         Topic('mcu/range_2', 'sensor_msgs/Range', card='Ranges')),
     custom=CustomRows('messages', custom_messages, 'mcu/'),
-    command=Command.SEQUENCE)
+    numbering=Numbering.SEQUENCE)

@@ -63,7 +63,7 @@ class McuLink(Link):
     def received(self, frame: Frame, now: float) -> None:
         message, last = frame.message, self._last
         if last is not None and last.raw != frame.raw:
-            self.frames_lost += (frame.command - last.command - 1) % 256
+            self.frames_lost += (frame.number - last.number - 1) % 256
         elif last is not None and now < self._last_at + _DOUBLED:
             self.duplicates += 1
             return
@@ -74,10 +74,10 @@ class McuLink(Link):
             if self.silent:
                 self.silent = False
                 self._latest.pop(None, None)
-            self._latest[frame.type] = _Latest(type(message), frame.command, now,
+            self._latest[frame.type] = _Latest(type(message), frame.number, now,
                                                now + self._timeout)
             if self._on_status and not self.announcement.holds_back(message):
-                self._on_status(message, frame.command, frame.stamp)
+                self._on_status(message, frame.number, frame.stamp)
 
     def damaged(self, frame: Frame, now: float) -> None:
         # Not the decoder's count, which has all errors of a read that brings several frames.

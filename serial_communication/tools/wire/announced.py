@@ -2,7 +2,7 @@
 import struct
 from typing import Any, Dict, Iterable, List, Optional, Tuple
 
-from ...boards.description import Command
+from ...boards.description import Numbering
 from ...framing.announcement import TYPE, Assembly, Chunk, read_announcement
 from ...framing.custom_messages import RowError
 from ...framing.stream import Frame
@@ -48,7 +48,7 @@ class Learner:
         if frame.cause:
             return None
         asked, self._asked = self._asked, (
-            sent and self.line.board.command is Command.FUNCTION and frame.command == TYPE)
+            sent and self.line.board.numbering is Numbering.FUNCTION and frame.number == TYPE)
         if isinstance(frame.message, Chunk):
             return frame.message
         try:

@@ -59,7 +59,7 @@ class Printer:
         if self._as_json:
             self._print(json.dumps({
                 'time': round(at, 6), 'gap': None if gap is None else round(gap, 6),
-                'from': sender, 'type': frame.type, 'command': frame.command,
+                'from': sender, 'type': frame.type, 'command': frame.number,
                 'data': frame.data.hex(), 'frame': frame.raw.hex(), 'text': frame.text,
                 'error': frame.trouble}))
         else:

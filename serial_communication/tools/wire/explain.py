@@ -19,7 +19,7 @@ import re
 import sys
 from typing import Any, Iterable, List, NamedTuple, Optional, Sequence, Tuple
 
-from ...boards.description import Command
+from ...boards.description import Numbering
 from ...framing.parts import Part
 from ...framing.stream import FRAMING, Frame
 from . import lines
@@ -203,7 +203,7 @@ def _plausibility(found: Sequence[Explained]) -> Tuple[int, int, int]:
 
 def _match_replies(found: Sequence[Explained], line: Settings) -> List[Explained]:
     """Explain each reply again with the request before it, which defines the reply's DATE."""
-    if line.board.command is not Command.FUNCTION:
+    if line.board.numbering is not Numbering.FUNCTION:
         return list(found)
     matched: List[Explained] = []
     request: Any = None
@@ -211,7 +211,7 @@ def _match_replies(found: Sequence[Explained], line: Settings) -> List[Explained
         if each.sent:
             request = each.frame.message
         elif request:
-            replies: Any = lines.decoder(line, False)      # see Command.FUNCTION
+            replies: Any = lines.decoder(line, False)      # see Numbering.FUNCTION
             each = each._replace(parts=replies.explain(each.frame.raw, request))
             request = None
         matched.append(each)

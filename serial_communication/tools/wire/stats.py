@@ -13,7 +13,7 @@ import json
 from types import MappingProxyType
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
-from ...boards.description import Command, Description
+from ...boards.description import Description, Numbering
 from ...framing.stream import FRAMING, Bad, StreamDecoder
 from . import lines
 from .figures import percentile
@@ -85,7 +85,7 @@ def naming(known: Dict[str, Settings]) -> Callable[[RecordedFrame], str]:
 
     def name(recorded: RecordedFrame) -> str:
         frame, line = recorded.frame, known[recorded.link]
-        asked = frame.command if line.board.command is Command.FUNCTION else 0
+        asked = frame.number if line.board.numbering is Numbering.FUNCTION else 0
         key = (recorded.link, recorded.sent, frame.type, asked)
         if key not in names:
             names[key] = lines.type_name(line, recorded.sent, frame)
@@ -154,16 +154,16 @@ def _extra_figures(board: Description, frames: Sequence[RecordedFrame]) -> Dict[
     extra: Dict[str, Any] = {}
     valid = [each for each in frames if not each.frame.cause]
     beat, received = board.heartbeat, [each.frame for each in valid if not each.sent]
-    if board.command is Command.FUNCTION:
+    if board.numbering is Numbering.FUNCTION:
         answered, unanswered = round_trips(valid)
         if answered or unanswered:
             extra['round trips'] = dict(spread(answered, 'round trip'), answered=len(answered),
                                         unanswered=unanswered)
-    elif board.command is Command.SEQUENCE and received:
+    elif board.numbering is Numbering.SEQUENCE and received:
         extra['lost by SEQ'] = sum(
-            (after.command - before.command - 1) % 256 for before, after
-            in zip(received, received[1:]) if (after.command, after.raw)
-            != (before.command, before.raw))     # a repeated frame does not mean 255 lost ones
+            (after.number - before.number - 1) % 256 for before, after
+            in zip(received, received[1:]) if (after.number, after.raw)
+            != (before.number, before.raw))     # a repeated frame does not mean 255 lost ones
     if beat:
         beats = gaps([each.frame.stamp for each in valid
                       if each.sent and each.frame.type == beat.type])

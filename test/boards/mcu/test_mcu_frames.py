@@ -96,7 +96,7 @@ def test_a_valid_frame_of_an_unknown_type_is_returned_and_counted(type_, size):
     wire = sealed(type_, 5, payload)
     assert mcu.encode_raw(type_, 5, payload) == wire
     frames, errors = decode(MCU, wire, end=False)
-    assert [(frame.type, frame.command, frame.data, frame.message) for frame in frames] == [
+    assert [(frame.type, frame.number, frame.data, frame.message) for frame in frames] == [
         (type_, 5, payload, None)]
     assert errors == dict(no_errors(MCU), **{UNKNOWN: 1})
 
@@ -189,7 +189,7 @@ def test_sensor_status_round_trip(range_1, range_2, yaw, pitch, roll, seq):
         yaw = 0    # a heading over 360°
     wire = status(yaw, pitch, roll, range_1, range_2, seq)
     frames, errors = decode(MCU, wire, end=False)
-    assert [(frame.type, frame.command) for frame in frames] == [(0x10, seq)]
+    assert [(frame.type, frame.number) for frame in frames] == [(0x10, seq)]
     assert mcu.encode(frames[0].message, seq) == wire
     assert errors == no_errors(MCU)
 
@@ -200,6 +200,6 @@ def test_adc_status_round_trip(channels, seq):
     wire = mcu.encode(message, seq)
     assert wire == sealed(0x01, seq, struct.pack('<6H', *channels))
     frames, errors = decode(MCU, wire, end=False)
-    assert [(frame.message, frame.command) for frame in frames] == [(message, seq)]
+    assert [(frame.message, frame.number) for frame in frames] == [(message, seq)]
     assert errors == no_errors(MCU)
     str(message)

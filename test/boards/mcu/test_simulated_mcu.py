@@ -14,7 +14,7 @@ def frames(bench):
 def test_rate_and_sequence():
     bench = Bench(SensorBoard(), mcu.Decoder())
     bench.run(60.0001)
-    seqs = [frame.command for frame in frames(bench)]
+    seqs = [frame.number for frame in frames(bench)]
     assert seqs == [number % 256 for number in range(1200)]
 
 
@@ -67,7 +67,7 @@ def test_reset_restarts_the_sequence():
     bench.board.power_on(bench.now)
     frames(bench)
     bench.run(0.06)
-    assert [frame.command for frame in frames(bench)] == [0]
+    assert [frame.number for frame in frames(bench)] == [0]
 
 
 def test_input_is_ignored():
