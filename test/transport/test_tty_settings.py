@@ -2,7 +2,6 @@
 import errno
 import fcntl
 import os
-import signal
 import struct
 import subprocess
 import sys
@@ -179,46 +178,6 @@ def test_a_pseudo_terminal_is_not_locked(port, line):
     other = os.open(line.path, os.O_RDWR | os.O_NOCTTY)
     assert not is_exclusive(other)
     os.close(other)
-
-
-_HOLDER = '''
-import os, sys, time
-from serial_communication.transport.port import Port
-# After the imports: such a user may not read a checkout in root's home.
-if os.geteuid() == 0: os.setgid({0}); os.setuid({0})
-port = Port(sys.argv[1])
-port.open()
-print('open', flush=True)
-time.sleep({1})
-'''
-
-
-def holder(path, seconds):
-    """Start a program that opens the port as an ordinary user."""
-    return subprocess.Popen([sys.executable, '-c', _HOLDER.format(_NOBODY, seconds), path],
-                            stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-                            env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)})
-
-
-def test_after_sigkill_an_ordinary_user_can_open_a_socat_port_again(tmp_path):
-    path = str(tmp_path / 'tty')
-    os.chmod(str(tmp_path), 0o755)
-    for folder in tmp_path.parents:
-        if os.stat(str(folder)).st_uid == os.geteuid() and str(folder) != '/':
-            os.chmod(str(folder), os.stat(str(folder)).st_mode | 0o055)
-    socat = subprocess.Popen(['socat', f'pty,raw,echo=0,mode=666,link={path}',
-                              f'pty,raw,echo=0,link={path}.other'])
-    try:
-        until(lambda: os.path.exists(path) and os.path.exists(path + '.other'))
-        first = holder(path, 100)
-        assert first.stdout.readline() == b'open\n'
-        first.send_signal(signal.SIGKILL)
-        first.wait()
-        again = holder(path, 0)
-        assert again.communicate(timeout=PATIENCE)[0] == b'open\n'
-    finally:
-        socat.terminate()
-        socat.wait()
 
 
 def test_restoring_the_settings_of_a_removed_tty_does_not_raise(port, line):
