@@ -3,7 +3,7 @@ import enum
 import threading
 import time
 import traceback
-from typing import TYPE_CHECKING, Any, Callable, Optional
+from typing import TYPE_CHECKING, Any, Callable
 
 from ..framing.frame_timer import FrameTimer
 from ..transport import pace
