@@ -69,6 +69,22 @@ def test_a_read_returns_all_bytes_received(port, line):
     assert port.bytes_received == 11
 
 
+def test_reads_without_a_wait_return_all_that_was_received(port, line):
+    """A tty has room for 4095 bytes; the kernel's worker delivers more once they are read."""
+    burst, missed = bytes(range(250)) * 80, []
+    for _ in range(200):
+        sent, got = os.write(line.fd, burst), b''
+        while True:
+            data = port.read(0)
+            if not data:
+                break
+            got += data
+        missed.append(sent - len(got))
+        got += all_of(port.read, sent - len(got))
+        assert got == burst[:sent] and sent > 8000
+    assert not any(missed), missed
+
+
 def test_a_read_sleeps_until_bytes_are_received(port, line):
     before = time.thread_time()
     timer = threading.Timer(0.2, line.write, (b'late',))
