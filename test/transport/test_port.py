@@ -63,10 +63,26 @@ def test_a_read_returns_all_bytes_received(port, line):
     assert port.read(PATIENCE) == b'one'
     line.write(b'two')
     line.write(b'three')
-    until(lambda: port._open._serial.in_waiting == 8)
+    until(lambda: port._opened._serial.in_waiting == 8)
     assert port.read(0) == b'twothree'
     assert port.read(0) == b''
     assert port.bytes_received == 11
+
+
+def test_reads_without_a_wait_return_all_that_was_received(port, line):
+    """A tty has room for 4095 bytes; the kernel's worker delivers more once they are read."""
+    burst, missed = bytes(range(250)) * 80, []
+    for _ in range(200):
+        sent, got = os.write(line.fd, burst), b''
+        while True:
+            data = port.read(0)
+            if not data:
+                break
+            got += data
+        missed.append(sent - len(got))
+        got += all_of(port.read, sent - len(got))
+        assert got == burst[:sent] and sent > 8000
+    assert not any(missed), missed
 
 
 def test_a_read_sleeps_until_bytes_are_received(port, line):
@@ -310,7 +326,7 @@ def test_an_open_port_is_of_its_kind(kind, name, line, free_server, rfc2217):
            % free_server.getsockname()[1]}.get(kind, kind)
     port = Port(url)
     port.open()
-    assert type(port._open).__name__ == name
+    assert type(port._opened).__name__ == name
     assert port.is_network == (kind in ('socket', 'rfc2217')) and port.is_pty == (kind is None)
     port.close()
 
@@ -498,7 +514,7 @@ def test_rfc2217_passes_bytes_both_ways(rfc2217, line):
 
 def narrow(port):
     """Make its buffer small, since the server takes long for each byte."""
-    port._open._serial._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 16)
+    port._opened._serial._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 16)
 
 
 def test_a_write_to_an_rfc2217_server_that_stops_reading_does_not_block(rfc2217, line):

@@ -66,7 +66,7 @@ def test_a_nonstandard_baud_rate_is_restored(line):
     port.open()
     stty(line.path, '115200')
     assert port.restore_settings() == '115200 baud'
-    assert struct.unpack('=I', tty_settings.read(port._open._fd)[-4:]) == (31250,)
+    assert struct.unpack('=I', tty_settings.read(port._opened._fd)[-4:]) == (31250,)
     port.close()
 
 
@@ -192,7 +192,7 @@ def test_an_opened_tty_is_raw_whatever_its_settings_were(line, before):
     stty(line.path, *before)
     port = Port(line.path)
     port.open()
-    iflag, oflag, cflag, lflag, speed = termios.tcgetattr(port._open._fd)[:5]
+    iflag, oflag, cflag, lflag, speed = termios.tcgetattr(port._opened._fd)[:5]
     assert (iflag, oflag, lflag, speed) == (0, 0, 0, termios.B115200)
     assert cflag & ~termios.B115200 == termios.CS8 | termios.CREAD | termios.CLOCAL
     port.close()
