@@ -3,21 +3,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol_cases import ALL, CHECKSUMMED, BOARD_BUS, BUS, decode, hexed, name_of, vectors
+from protocol_cases import ALL, CHECKSUMMED, BOARD_BUS, BUS, decode, hexed, name_of
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
 from serial_communication.framing.stream import Decoder, StreamDecoder
-
-GOOD = (
-    [(bus.RequestDecoder, case['frame']) for case in vectors('robot_ctrl_bus')['requests']]
-    + [(bus.ReplyDecoder, case['frame']) for case in vectors('robot_ctrl_bus')['replies']]
-    + [(mcu.Decoder, case['frame']) for case in vectors('mcu')['frames']]
-    + [(arduino.BoardDecoder if case['type'] in (4, 5, 6, 11, 12) else arduino.Decoder,
-        case['wire']) for case in vectors('arduino')['packets'] if case['type'] != 9]
-    + [(arduino.Decoder, arduino.encode(arduino.Imu(16384, 0, 0, 0, *range(7))).hex()),
-       (arduino.Decoder, arduino.encode_raw(1, b'x' * 255).hex()),
-       (arduino.Decoder, arduino.encode_raw(1, b'x' * 253 + b'\0').hex())])
 
 
 def check_whole(frame, parts):
@@ -33,23 +23,16 @@ def errors_of(parts):
     return [part.error for part in parts if part.error]
 
 
-@pytest.mark.parametrize('make, text', GOOD, ids=lambda value: getattr(value, '__name__', value))
-def test_no_part_of_a_valid_frame_has_an_error(make, text):
-    frame = hexed(text)
-    parts = make().explain(frame)
-    check_whole(frame, parts)
-    assert errors_of(parts) == []
-
-
-@pytest.mark.parametrize('make, text', GOOD, ids=lambda value: getattr(value, '__name__', value))
-def test_an_incomplete_frame_is_explained_as_far_as_it_goes(make, text):
-    frame = hexed(text)
-    for size in range(1, len(frame)):
-        parts = make().explain(frame[:size])
+@pytest.mark.parametrize('frame', [
+    arduino.encode(arduino.Imu(16384, 0, 0, 0, *range(7))), arduino.encode_raw(1, b'x' * 255),
+    arduino.encode_raw(1, b'x' * 253 + b'\0')], ids=['IMU', 'longest', 'long COBS code'])
+def test_a_packet_is_explained_as_far_as_it_goes(frame):
+    """For the vectors of all links, see test_wire_explain."""
+    for size in range(1, len(frame) + 1):
+        parts = arduino.Decoder().explain(frame[:size])
         check_whole(frame[:size], parts)
-        if make is bus.RequestDecoder and frame[:5] == bytes.fromhex('a5025522d0'):
-            continue    # it is complete
-        assert any('missing' in error for error in errors_of(parts))
+        assert any('missing' in error for error in errors_of(parts)) == (size < len(frame))
+    assert errors_of(parts) == []
 
 
 @pytest.mark.parametrize('kind', ALL, ids=name_of)

@@ -23,7 +23,7 @@ from serial_communication.boards.mcu import wire as mcu
 from serial_communication.framing.announcement import chunks_of
 from serial_communication.tools.ports import advice, cli, configuration, report
 from serial_communication.tools.ports.configuration import Connection
-from serial_communication.tools.ports.listening import Heard
+from serial_communication.tools.ports.listening import Candidate, Heard
 from serial_communication.tools.ports.report import Found
 from serial_communication.transport.devices import Device
 from serial_communication.transport.holders import Holder
@@ -325,7 +325,7 @@ def test_a_configuration_that_cannot_be_changed_is_left_alone(tmp_path, text):
     assert sorted(each.name for each in tmp_path.iterdir()) == ['base.yaml', 'new.yaml']
 
 
-BOARDS = {name: description(name) for name in ('bus', 'arduino', 'mcu')}
+BOARDS = {name: Candidate(description(name), {}) for name in ('bus', 'arduino', 'mcu')}
 CLONES = [Found(Device(f'/dev/ttyUSB{number}', '/dev/serial/by-id/usb-1a86_USB_Serial-if00-port0',
                        f'/dev/serial/by-path/pci-{number}', 'USB Serial', '1a86:7523'),
                 [], Heard(name, 115200, 500))

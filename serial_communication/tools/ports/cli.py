@@ -84,8 +84,9 @@ def _candidates(config: str) -> List[Candidate]:
     parameters: Dict[str, Any] = read_parameters(config) if config else {}
     candidates = [Candidate(board, board_parameters(parameters, board.name))
                   for board in descriptions(board_packages(parameters))]
-    for candidate in candidates:
-        candidate.decoder(), candidate.baud     # raise ValueError for a mistake in a parameter
+    for candidate in candidates:     # ValueError for a mistake in a parameter
+        candidate.decoder()
+        candidate.board.baud_of(candidate.parameters)
     return candidates
 
 

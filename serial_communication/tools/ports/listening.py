@@ -12,8 +12,8 @@ from ...transport.port_errors import WAITING
 USUAL = (9600, 57600, 38400, 19200, 230400, 460800, 921600, 500000, 250000, 1000000)    # baud
 _STARTUP = 2.0    # s more for a silent port: opening it may have reset its board
 _OTHER = 0.7      # s that is enough to recognise a board at another rate, at most
-_CHUNK = 1.2      # s more for a board that was recognised: it may announce its firmware …
-_CHUNKS = 4.0     # … which then takes so long, at most
+_CHUNK = 1.2      # s more for a recognised board, which may announce its firmware
+_CHUNKS = 4.0     # s that the announcement takes, at most
 _ANSWER = 0.3     # s for an answer
 _QUESTIONS = 3    # times that a question is asked
 _SAMPLE = 24      # bytes

@@ -41,14 +41,14 @@ class Forwarder:
         self.remedy = f'; {" and ".join(first)} is sent first afterwards' if first else ''
         self._report = report
         self._written = 0               # bytes written to the port
-        self._checked = 0               # so many of them must have left it …
-        self._check_at = 0.0            # … at this time
+        self._checked = 0               # as many of them must have left it at `_check_at`
+        self._check_at = 0.0
         self._port_closed = False       # set by the thread that reads the port
-        self._cut_off = False           # bytes were lost since the last write …
-        self._resume_at = 0.0           # … and nothing is forwarded before this time
+        self._cut_off = False           # bytes were lost since the last write
+        self._resume_at = 0.0           # after a loss, nothing is forwarded before this time
         self._lost_before = -1          # `lost` before the loss that was reported; -1: none was
-        self._frame_ended = True        # the last byte of this direction ended a frame …
-        self._last_at = float('-inf')   # … and was received at this time
+        self._frame_ended = True        # whether the last byte of this direction did
+        self._last_at = float('-inf')   # when that byte was received
         # The first write since the other end was heard; 0: none; _REPORTED until it is heard.
         self._unanswered_since = 0.0
 

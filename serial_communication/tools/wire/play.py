@@ -39,8 +39,8 @@ from .show import WireError, is_terminal, print_note, seconds
 SUMMARY = 'send what a board sent, from a recording, at the recorded times'
 
 _REALTIME_PRIORITY = 15
-_PROGRESS = 0.2           # s between two progress lines on a terminal …
-_PROGRESS_PLAIN = 10.0    # … and elsewhere
+_PROGRESS = 0.2           # s between two progress lines on a terminal
+_PROGRESS_PLAIN = 10.0    # s between two of them elsewhere
 _PAUSE = 2.0              # in frame_timeouts, between two rounds of --loop
 # Causes of frames of which a bag has only a part, or whose bytes may belong to other frames.
 _NOT_WHOLE = (CHECKSUM, FRAMING, OVERSIZE)
