@@ -13,7 +13,7 @@ def open_link(line, logger, running):     # noqa: F811
     """A function that starts a link at `line`, and returns it when its port is open."""
     def start(kind, *arguments, port=Port, **more):     # noqa: F811
         link = running(kind(port(line.path), *arguments, logger=logger, **more))
-        until(lambda: link.port.is_open)
+        until(lambda: link.connection.number)
         return link
     return start
 

@@ -104,7 +104,7 @@ def test_threads_have_names_and_end_within_1_s_of_stop(line, logger, kind, names
     link = kind(Port(line.path if present else line.path + '.absent'), logger=logger)
     assert not names & threads()
     link.start()
-    until(lambda: link.port.is_open == present and names <= threads())
+    until(lambda: link.connection.number == present and names <= threads())
     begun = time.monotonic()
     link.stop()
     link.join()

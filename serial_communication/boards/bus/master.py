@@ -5,9 +5,9 @@ received and at what time, and calls `step`, which returns the request to send a
 next call. session.py has its states and transitions, call.py the calls that it serves.
 """
 import os
-from collections import deque
+from collections import Counter, deque
 from dataclasses import dataclass
-from typing import Callable, Counter, Deque, Optional, Tuple
+from typing import Callable, Deque, Dict, Optional, Tuple
 
 from ...framing.stream import CHECKSUM, Frame
 from ...link.outcome import TIMEOUT, Outcome
@@ -57,7 +57,7 @@ class Master:
                  still_announces: Callable[[], bool] = lambda: True) -> None:
         self.calls = CallQueue(max(motion_timeout, NOT_READY_WAIT))
         self.timeouts = 0
-        self.data_errors: Counter[str] = Counter()           # in an OK, by cause
+        self.data_errors: Dict[str, int] = Counter()         # in an OK, by cause
         self.round_trips: Deque[float] = deque(maxlen=200)     # s; the latest
         self._session = Session(reply_timeout, log, nonce, begun_anew)
         self._log = log

@@ -4,8 +4,9 @@ The rules are those of the bus chapter of doc/protocols.md. Comments here, in ca
 master.py refer to them by their numbers.
 """
 import enum
+from collections import Counter
 from dataclasses import dataclass
-from typing import Callable, Counter, Dict, Optional, Tuple
+from typing import Callable, Dict, Optional, Tuple
 
 from ...link.sparing_log import SparingLog
 from . import wire
@@ -146,7 +147,7 @@ class Session:
         self.fenced_at = 0.0           # when the latest fence was complete
         self.last_reply = 0.0          # when the latest valid reply was received
         self.has_echoed = False        # since the port opened
-        self._unanswered: Counter[Kind] = Counter()     # SYNCs and ECHOs in a row
+        self._unanswered: Dict[Kind, int] = Counter()     # SYNCs and ECHOs in a row
         self._reply_timeout = reply_timeout
         self._log = log
         self._nonce = nonce
