@@ -41,7 +41,6 @@ class Witness:
             stdout=subprocess.PIPE, start_new_session=True)
         self._thread = threading.Thread(target=self._read, name='witness', daemon=True)
         self._thread.start()
-        wait_until(lambda: self._times or self._process.poll() is not None, 'the witness runs')
 
     def __enter__(self):
         return self
@@ -57,15 +56,16 @@ class Witness:
 
     def late(self, since, until):
         """For how many s it was late, each time that this was between these two times of
-        time.monotonic() at least in part."""
+        time.monotonic() at least in part. Waits until it has run after `until`."""
         wait_until(lambda: self._noted > until or not self._thread.is_alive(),
                    'the witness has run since')
         return [end - begin for begin, end in list(self._late) if end > since and begin < until]
 
     @property
     def slowdown(self):
-        """How many times longer its work takes than the processor time that it uses."""
-        return 1.0 + self._waited / (self._work * self._times)
+        """How many times longer its work takes than the processor time that it uses; 1 if it has
+        had no time to work yet."""
+        return 1.0 + self._waited / (self._work * max(1, self._times))
 
     def _read(self):
         with self._process.stdout as output:
