@@ -10,8 +10,8 @@ from math import inf, isnan
 from typing import (Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Pattern, Sequence,
                     Tuple, Type)
 
-from .layout import (Layout, LayoutMessage, LayoutTooLong, Value, brief, count_values,
-                     message_class, readable)
+from .layout import (Layout, LayoutMessage, Value, brief, count_values, message_class,
+                     readable)
 
 FROM_BOARD, TO_BOARD = 'from_board', 'to_board'
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
@@ -194,12 +194,11 @@ class Row:
                            'for each value, as [vector.x, "", position[2]]')
         try:
             count = count_values(layout, longest)
-        except LayoutTooLong:
-            raise RowError(self.name('layout'), layout,
-                           f'may have at most {longest} bytes') from None
         except ValueError as error:
             raise RowError(self.name('layout'), layout,
                            f'may be a format of Python\'s struct, as <hB: {error}') from None
+        if count is None:
+            raise RowError(self.name('layout'), layout, f'may have at most {longest} bytes')
         if len(paths) != count:
             raise RowError(self.name('fields'), paths, f'may be a list of {count}, one for each '
                            f'value of the layout {layout}')

@@ -138,10 +138,6 @@ class Value(NamedTuple):
         return f'out of range ({self.minimum:g} … {self.maximum:g}{unit})'
 
 
-class LayoutTooLong(ValueError):
-    """The format has more data than a message can carry."""
-
-
 class Layout:
     """A struct format with its values.
 
@@ -338,19 +334,11 @@ def _places(fixed: str, rest: str) -> List[Tuple[str, int, int]]:
     return places + [(rest, size, -1)] * bool(rest)
 
 
-def count_values(layout: str, longest: int) -> int:
-    """How many values a format has.
-
-    The size is checked first, since a few characters can describe more values than memory holds.
-
-    Raises:
-        LayoutTooLong: it has more than `longest` bytes of data.
-        ValueError: the format is invalid.
-    """
+def count_values(layout: str, longest: int) -> Optional[int]:
+    """How many values a format has; None: it has over `longest` bytes of data, and a few characters
+    can describe more values than memory holds. ValueError: it is invalid."""
     fixed, rest = _split(layout)
-    if _size(fixed) > longest:
-        raise LayoutTooLong(f'it has more than {longest} bytes')
-    return len(_places(fixed, rest))
+    return None if _size(fixed) > longest else len(_places(fixed, rest))
 
 
 def _whole_range(code: str) -> Tuple[int, int]:

@@ -69,7 +69,7 @@ class CommandTopic:
         try:
             with self._lock:
                 if self._connections is None:
-                    return      # while subscribing: the connection's thread handles it, too
+                    return      # while subscribing: the connection's thread handles it later
                 self._refuse_if_old(message, self._connections)
             self._send(message)
         except Refused as refused:

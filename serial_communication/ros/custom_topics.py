@@ -128,7 +128,7 @@ class MessageTopics:
         self._prefix = board.custom.prefix
         self._rows = rows
         self._frame_prefix = frame_prefix
-        # Row by row, by the classes of their messages.
+        # By the classes of their messages.
         self._topics = {row.kind: self._topic(row) for row in rows if not row.custom.is_command}
         self.custom_kinds = list(self._topics)
         for topic in board.topics:

@@ -106,7 +106,7 @@ class Start:
         if not self._displaced or self.stopping.is_set():
             return
         before = _displacements() if time.monotonic() - self._began < _LONG_LIFE else 0
-        # Unblocked in `wait_until_allowed`; until then Python would end with a traceback.
+        # Signals stay blocked until the new process has handlers, in `wait_until_allowed`.
         signal.pthread_sigmask(signal.SIG_BLOCK, _STOP_SIGNALS)
         try:
             # One interpreter cannot initialise rospy twice.

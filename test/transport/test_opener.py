@@ -66,3 +66,14 @@ def test_end_makes_open_return_false_with_the_port_closed(opener, line):
     waiting.join()
     assert returned == [False] and not opener.port.is_open
     assert not opener.open(pytest.fail), 'it has ended'
+
+
+def test_an_error_in_idle_leaves_no_result_that_is_taken_for_a_later_one(opener, line):
+    with pytest.raises(ZeroDivisionError):
+        opener.open(pytest.fail, lambda now: 1 / 0)
+    assert opener.open(pytest.fail) and opener.port.is_open
+    opener.port.close()
+    line.unplug()
+    failures = []
+    assert opener.open(lambda trouble: failures.append(trouble) or line.plug())
+    assert opener.port.is_open and failures == ['there is no such device; waiting for it']

@@ -48,6 +48,14 @@ class Reader:
         assert not self._thread.is_alive()
 
 
+def all_of(read, size):
+    """So many bytes, in as many reads as that takes; fewer after `PATIENCE` s."""
+    data, deadline = b'', time.monotonic() + PATIENCE
+    while len(data) < size and time.monotonic() < deadline:
+        data += read(0.1)
+    return data
+
+
 # -- reading --------------------------------------------------------------------------------------
 
 def test_a_read_returns_all_bytes_received(port, line):
@@ -115,10 +123,7 @@ def test_wake_ends_a_sleeping_read_and_a_later_one(port):
 def test_all_bytes_pass_unchanged(port, line):
     every = bytes(range(256)) * 4
     line.write(every)
-    got = b''
-    while len(got) < len(every):
-        got += port.read(PATIENCE)
-    assert got == every
+    assert all_of(port.read, len(every)) == every
     port.write(every)
     assert line.read_all() == every
     assert (port.bytes_received, port.bytes_sent) == (len(every), len(every))
@@ -297,6 +302,19 @@ def test_ptmx_is_refused_and_makes_no_pseudo_terminal(tmp_path, name):
     assert set(os.listdir('/dev/pts')) == before
 
 
+@pytest.mark.parametrize('kind, name', [
+    (None, 'OpenTty'), ('loop://', 'OpenPort'), ('socket', 'OpenSocket'),
+    ('rfc2217', 'OpenRfc2217')])
+def test_an_open_port_is_of_its_kind(kind, name, line, free_server, rfc2217):
+    url = {None: line.path, 'rfc2217': rfc2217.url, 'socket': 'socket://127.0.0.1:%d'
+           % free_server.getsockname()[1]}.get(kind, kind)
+    port = Port(url)
+    port.open()
+    assert type(port._open).__name__ == name
+    assert port.is_network == (kind in ('socket', 'rfc2217')) and port.is_pty == (kind is None)
+    port.close()
+
+
 def test_a_closed_port_raises_on_read_and_write_and_can_be_opened_again(port):
     port.close()
     port.close()
@@ -358,9 +376,7 @@ def test_a_partly_written_frame_is_completed_before_the_next(port, line):
         number += 1
     reader = Reader(port)
     expected = b''.join(map(frame, taken))
-    deadline = time.monotonic() + PATIENCE
-    while len(received) < len(expected) and time.monotonic() < deadline:
-        received += line.read(0.1)
+    received += all_of(line.read, len(expected) - len(received))
     reader.stop()
     assert received == expected
     assert port.bytes_sent == len(expected)
@@ -370,10 +386,7 @@ def test_the_reading_thread_completes_a_partly_written_frame(port, line):
     reader = Reader(port)
     taken = fill(port)
     expected = b''.join(map(frame, taken))
-    received = b''
-    deadline = time.monotonic() + PATIENCE
-    while len(received) < len(expected) and time.monotonic() < deadline:
-        received += line.read(0.1)
+    received = all_of(line.read, len(expected))
     assert received == expected
     before = reader.returned
     assert line.read(0.1) == b'' and reader.returned <= before + 2, 'it spins'
@@ -401,10 +414,7 @@ def test_frames_of_several_threads_are_not_mixed(port, line):
         writer.start()
     size = sum(len(frame(number)) for base in (1000, 2000, 3000)
                for number in range(base, base + 60))
-    received = b''
-    deadline = time.monotonic() + PATIENCE
-    while len(received) < size and time.monotonic() < deadline:
-        received += line.read(0.05)
+    received = all_of(line.read, size)
     for writer in writers:
         writer.join(PATIENCE)
     reader.stop()
@@ -494,10 +504,7 @@ def test_rfc2217_passes_bytes_both_ways(rfc2217, line):
     port.write(b'\xff\x00down')
     assert line.read_all() == b'\xff\x00down'
     line.write(b'\xff\x00up')
-    got = b''
-    while len(got) < 4:
-        got += port.read(PATIENCE)
-    assert got == b'\xff\x00up'
+    assert all_of(port.read, 4) == b'\xff\x00up'
     port.close()
 
 
@@ -520,10 +527,8 @@ def test_a_write_to_an_rfc2217_server_that_stops_reading_does_not_block(rfc2217,
     assert port.backlog() > 1.0
     rfc2217.go_on()
     reader = Reader(port, 1.0)
-    expected, received = b''.join(map(frame, taken)), b''
-    deadline = time.monotonic() + PATIENCE
-    while len(received) < len(expected) and time.monotonic() < deadline:
-        received += line.read(0.1)
+    expected = b''.join(map(frame, taken))
+    received = all_of(line.read, len(expected))
     assert received == expected, 'not every byte that was taken arrived once and in order'
     reader.stop()
     port.close()
@@ -623,10 +628,7 @@ def test_a_port_without_a_descriptor_is_read_in_slices():
     port = Port('loop://')
     port.open()
     port.write(b'round')
-    got = b''
-    while len(got) < 5:
-        got += port.read(PATIENCE)
-    assert got == b'round'
+    assert all_of(port.read, 5) == b'round'
     begun = time.monotonic()
     assert port.read(0.1) == b'' and time.monotonic() - begun >= 0.09
     assert port.read(0) == b''

@@ -13,6 +13,7 @@ from typing import Any, Callable, Dict, List
 import rosgraph
 import rospy
 
+from .master_watch import merged
 from .private_parts import Guard
 from .shutdown import is_shutdown_requested
 
@@ -89,11 +90,7 @@ def parameters_of(arguments: List[str], warn: Callable[[str], None]) -> Dict[str
     if not _COMMAND_LINE.passes(warn):
         return tree
     for path, value in rospy.client.load_command_line_node_params(arguments).items():
-        *groups, name = path.strip('/').split('/')
-        group = tree
-        for each in groups:
-            if not isinstance(group.get(each), dict):
-                group[each] = {}
-            group = group[each]
-        group[name] = value
+        for name in reversed(path.strip('/').split('/')):
+            value = {name: value}
+        tree = merged(tree, value)
     return tree
