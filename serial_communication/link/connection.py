@@ -3,7 +3,7 @@ import enum
 import threading
 import time
 import traceback
-from typing import TYPE_CHECKING, Any, Callable, Optional
+from typing import TYPE_CHECKING, Any, Callable
 
 from ..framing.frame_timer import FrameTimer
 from ..transport import pace
@@ -95,22 +95,6 @@ class Connection:
     def silent_for(self, now: float) -> float:
         """s since the latest byte; 0.0 if none was received since the port was opened."""
         return now - self.last_byte_at if self.last_byte_at > self.opened_at else 0.0
-
-    def check_silence(self, now: float, limit: float) -> Optional[float]:
-        """For `tick`: have a network port closed if it has been silent for `limit` s (0: never).
-
-        That drops unsent bytes, which may wait unseen in the network or in the peer's kernel.
-        Return when to check again, or None.
-
-        Raises:
-            PortError: nothing was received for `limit` s.
-        """
-        if not limit or not self._port.is_network:
-            return None
-        due = self.last_byte_at + limit
-        if now >= due:
-            raise PortError(f'nothing received from the board for {limit:g} s')
-        return due
 
     def guarded(self, function: Callable, *arguments: Any) -> Any:
         """Call a function. If it raises, log that, report it as the port's trouble and return

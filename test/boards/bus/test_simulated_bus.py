@@ -330,8 +330,8 @@ def unusual_board(cable):
     def start(**arguments):
         board = ControlBoard(**{'lift_speed': 2000, 'gimbal_speed': 2000, **arguments})
         notes = boards.enter_context(running(board, cable.far))
-        links.append(BusLink(Port(cable.near), BusSettings(reply_timeout=0.1,
-                                                           environment_period=0.0)))
+        links.append(BusLink(Port(cable.near), BusSettings(
+            reply_timeout=0.1, environment_period=0.0)))
         links[0].start()
         until(lambda: links[0].master.in_step, 'the board is found')
         links[0].board, links[0].notes = board, notes
