@@ -97,17 +97,21 @@ class _Polled(OpenPort):
     def __init__(self, opened: serial.SerialBase, wake: int, descriptor: int) -> None:
         super().__init__(opened, wake)
         self._fd = descriptor
-        self._polls_room = False       # `_poll` also waits for room to write
+        self._events = self.EVENTS      # that `_poll` waits for
         self._poll = select.epoll()
         self._poll.register(wake, select.EPOLLIN)
         self._poll.register(descriptor, self.EVENTS)
 
     def read(self, timeout: Optional[float], wants_room: bool) -> bytes:
-        if wants_room is not self._polls_room:
-            self._polls_room = wants_room
-            self._poll.modify(self._fd, self.EVENTS | select.EPOLLOUT * wants_room)
+        events = self.EVENTS | select.EPOLLOUT * wants_room
+        if events != self._events:
+            self._events = events
+            self._poll.modify(self._fd, events)
+        return self._wait(None if timeout is None else max(timeout, 0))
+
+    def _wait(self, timeout: Optional[float]) -> bytes:
         data = b''
-        for descriptor, event in self._poll.poll(None if timeout is None else max(timeout, 0)):
+        for descriptor, event in self._poll.poll(timeout):
             if descriptor == self._wake:
                 os.read(descriptor, _READ_SIZE)
             elif event != select.EPOLLOUT:
@@ -142,10 +146,9 @@ class _Polled(OpenPort):
 class OpenTty(_Polled):
     """A tty, that is a serial device or a pseudo terminal: locked and raw.
 
-    Its events are edge-triggered: one read returns all bytes that the tty has, and the kernel wakes
-    the reader for each later one. With level-triggered events the kernel also asks the tty before
-    it lets the reader sleep. That waits for the worker that is just delivering the bytes, so a
-    reader of real-time priority would be put to sleep twice for a packet.
+    Its events are edge-triggered: the kernel wakes the reader once for what it delivers. Before
+    the reader sleeps, level-triggered ones also make the tty wait for the kernel's worker, which
+    is just ending its delivery: a reader of real-time priority would sleep twice for a packet.
     """
 
     EVENTS = select.EPOLLIN | select.EPOLLET
@@ -166,6 +169,14 @@ class OpenTty(_Polled):
         # The ioctl has another number on some processors; pyserial's settings do there.
         with suppress(OSError, struct.error):
             self._settings = tty_settings.set_raw(self._fd, opened.baudrate)
+
+    def read(self, timeout: Optional[float], wants_room: bool) -> bytes:
+        data = super().read(timeout, wants_room)
+        if not data:
+            # Only this asks the tty itself, which first waits for what the worker has.
+            self._poll.modify(self._fd, self._events)
+            data = self._wait(0)
+        return data
 
     def _pulse_dtr(self) -> None:
         """Reset a board whose reset line is connected to DTR."""

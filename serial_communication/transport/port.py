@@ -41,7 +41,7 @@ class Port:
         self.bytes_received = 0
         self.bytes_sent = 0
         self._reset_on_open = reset_on_open
-        self._open: Optional[OpenPort] = None
+        self._opened: Optional[OpenPort] = None
         self._failure = ''               # why this connection was given up
         self._in_use = ('', '', 0.0)     # path, who has it open, when to look again (monotonic)
         self._lock = threading.Lock()    # held to write, open and close
@@ -52,7 +52,7 @@ class Port:
 
     @property
     def is_open(self) -> bool:
-        return self._open is not None
+        return self._opened is not None
 
     def open(self) -> None:
         """Open the port.
@@ -74,7 +74,7 @@ class Port:
             self._rest = b''
             self._failure = ''
             self._in_use = ('', '', 0.0)
-            self._open = opened
+            self._opened = opened
 
     def _who_has_it_open(self, path: str) -> str:
         """Looked up at most every `_LOOK_AGAIN` s: it reads the open files of all processes."""
@@ -87,7 +87,7 @@ class Port:
         """Close the port; what was written but not sent is dropped."""
         with self._lock:
             is_held = bool(self._rest) or self.backlog() > _STALLED
-            closing, self._open = self._open, None
+            closing, self._opened = self._opened, None
             self._rest = b''
         if closing:
             with suppress(OSError, termios.error):
@@ -105,7 +105,7 @@ class Port:
         Raises:
             PortError: the port is gone.
         """
-        opened = self._open
+        opened = self._opened
         if opened is None:
             raise PortError('the port is closed')
         try:
@@ -131,7 +131,7 @@ class Port:
             PortError: the port is closed or gone.
         """
         with self._lock:
-            opened = self._open
+            opened = self._opened
             if opened is None or self._failure:
                 raise PortError(self._failure or 'the port is closed')
             try:
@@ -158,12 +158,12 @@ class Port:
 
     def backlog(self) -> float:
         """The bytes that wait in the kernel to be sent, as s of wire time; 0.0 if unknown."""
-        opened = self._open
+        opened = self._opened
         return (opened.unsent() + len(self._rest)) * 10.0 / self.baud if opened else 0.0
 
     def on_its_way(self) -> bool:
         """Whether written bytes are not sent yet; for a connection, not yet acknowledged."""
-        opened = self._open
+        opened = self._opened
         return opened is not None and opened.on_its_way() + len(self._rest) > 0
 
     def discard_output(self, why: str = 'the peer takes no data') -> bool:
@@ -181,8 +181,8 @@ class Port:
         with self._lock:
             self._rest = b''
             if not self.is_network:
-                if self._open:
-                    self._open.discard_output()
+                if self._opened:
+                    self._opened.discard_output()
                 return True
             self._failure = why
         self.wake()
@@ -197,7 +197,7 @@ class Port:
         Returns:
             the changed settings, for people; '' if there are none.
         """
-        return self._open.restore_settings() if self._open else ''
+        return self._opened.restore_settings() if self._opened else ''
 
     def wake(self) -> None:
         """Make a sleeping `read` return, or the next one."""

@@ -2,7 +2,6 @@
 import errno
 import fcntl
 import os
-import signal
 import struct
 import subprocess
 import sys
@@ -67,7 +66,7 @@ def test_a_nonstandard_baud_rate_is_restored(line):
     port.open()
     stty(line.path, '115200')
     assert port.restore_settings() == '115200 baud'
-    assert struct.unpack('=I', tty_settings.read(port._open._fd)[-4:]) == (31250,)
+    assert struct.unpack('=I', tty_settings.read(port._opened._fd)[-4:]) == (31250,)
     port.close()
 
 
@@ -181,46 +180,6 @@ def test_a_pseudo_terminal_is_not_locked(port, line):
     os.close(other)
 
 
-_HOLDER = '''
-import os, sys, time
-from serial_communication.transport.port import Port
-# After the imports: such a user may not read a checkout in root's home.
-if os.geteuid() == 0: os.setgid({0}); os.setuid({0})
-port = Port(sys.argv[1])
-port.open()
-print('open', flush=True)
-time.sleep({1})
-'''
-
-
-def holder(path, seconds):
-    """Start a program that opens the port as an ordinary user."""
-    return subprocess.Popen([sys.executable, '-c', _HOLDER.format(_NOBODY, seconds), path],
-                            stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-                            env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)})
-
-
-def test_after_sigkill_an_ordinary_user_can_open_a_socat_port_again(tmp_path):
-    path = str(tmp_path / 'tty')
-    os.chmod(str(tmp_path), 0o755)
-    for folder in tmp_path.parents:
-        if os.stat(str(folder)).st_uid == os.geteuid() and str(folder) != '/':
-            os.chmod(str(folder), os.stat(str(folder)).st_mode | 0o055)
-    socat = subprocess.Popen(['socat', f'pty,raw,echo=0,mode=666,link={path}',
-                              f'pty,raw,echo=0,link={path}.other'])
-    try:
-        until(lambda: os.path.exists(path) and os.path.exists(path + '.other'))
-        first = holder(path, 100)
-        assert first.stdout.readline() == b'open\n'
-        first.send_signal(signal.SIGKILL)
-        first.wait()
-        again = holder(path, 0)
-        assert again.communicate(timeout=PATIENCE)[0] == b'open\n'
-    finally:
-        socat.terminate()
-        socat.wait()
-
-
 def test_restoring_the_settings_of_a_removed_tty_does_not_raise(port, line):
     line.unplug()
     assert port.restore_settings() == ''
@@ -233,7 +192,7 @@ def test_an_opened_tty_is_raw_whatever_its_settings_were(line, before):
     stty(line.path, *before)
     port = Port(line.path)
     port.open()
-    iflag, oflag, cflag, lflag, speed = termios.tcgetattr(port._open._fd)[:5]
+    iflag, oflag, cflag, lflag, speed = termios.tcgetattr(port._opened._fd)[:5]
     assert (iflag, oflag, lflag, speed) == (0, 0, 0, termios.B115200)
     assert cflag & ~termios.B115200 == termios.CS8 | termios.CREAD | termios.CLOCAL
     port.close()
