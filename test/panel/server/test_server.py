@@ -802,10 +802,14 @@ def test_silence_stops_the_car(driver, robot):
         'held': False, 'words': 'stopped: no command from the page for 0.2 s'}, 'the page shows it')
 
 
-def test_a_lost_connection_stops_the_car(driver, robot):
-    drive_until(driver, drives(robot), 'the car drives')
-    driver.close()
-    until(has_stopped(robot), 'the car stops')
+def test_a_lost_connection_stops_the_car(driver, control_panel, robot):
+    with Page(control_panel, TOKEN) as other:
+        drive_until(driver, drives(robot), 'the car drives')
+        other.until(lambda page: page.known.get('drive', {}).get('held'), 'others see it')
+        driver.close()
+        until(has_stopped(robot), 'the car stops')
+        other.until(lambda page: not page.known['drive']['held'], 'others see the end')
+        assert 'no command' not in other.known['drive']['words'], 'the silence stopped it'
 
 
 def test_a_panel_that_was_suspended_does_not_continue_to_drive(driver, control_panel, robot):
