@@ -417,7 +417,7 @@ def test_nothing_announced_is_sent_to_another_board_behind_the_same_port(bus_boa
     link = bus_link()
     until(lambda: link.texts == [TEXT])
     link.announcement.use(TEXT, '', [])
-    link.poll(PUMP_FUNCTION, 0.01, lambda outcome: None)
+    link.polls.add(PUMP_FUNCTION, 0.01, lambda outcome: None)
     until(lambda: PUMP in bus_board.executed)
     assert link.request(PUMP, PUMP_FUNCTION).success
     exchange.replace(OTHER)
@@ -438,7 +438,7 @@ def test_a_board_that_was_restarted_is_asked_again_after_sync(bus_board, bus_lin
     link = bus_link()
     until(lambda: link.texts == [TEXT])
     bus_board.chunks = chunks_of(OTHER, 20)
-    assert link.sync().success
+    assert link.call(bus.SYNC_FUNCTION, ()).success
     until(lambda: link.texts == [TEXT, OTHER])
 
 
@@ -476,14 +476,14 @@ def test_a_text_whose_crc_never_matches_is_ignored_after_three_rounds(bus_board,
 
 def test_announced_polls_wait_until_the_board_announces_them(bus_board, bus_link):
     link = bus_link()
-    poller = link.poll(PUMP_FUNCTION, 0.01, lambda outcome: None)
+    poller = link.polls.add(PUMP_FUNCTION, 0.01, lambda outcome: None)
     until(lambda: link.texts == [b''])
     seen = len(bus_board.executed)
     until(lambda: len(bus_board.executed) > seen + 3)
     assert PUMP not in bus_board.executed
     link.announcement.use(b'', '', [])
     until(lambda: PUMP in bus_board.executed)
-    link.end_poll(poller)
+    link.polls.remove(poller)
     until(lambda: bus_board.executed[-1] != PUMP)
     count = bus_board.executed.count(PUMP)
     seen = len(bus_board.executed)

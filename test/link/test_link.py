@@ -386,7 +386,7 @@ def test_a_false_start_and_a_byte_now_and_then_do_not_hold_the_bus(line, open_li
     noise = threading.Thread(target=send_noise, name='noise', daemon=True)
     noise.start()
     try:
-        outcomes = [link.sync() for _ in range(5)]
+        outcomes = [link.call(bus.SYNC_FUNCTION, ()) for _ in range(5)]
     finally:
         ended.set()
         noise.join()

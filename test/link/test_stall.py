@@ -542,7 +542,8 @@ def test_what_moves_is_not_sent_if_it_was_asked_for_during_a_stall_or_just_after
         assert outcome.status == NOT_SENT and not board.executed
         assert outcome.message == 'it may have waited while the bridge stalled; nothing was sent'
     clock.end(link)
-    assert link.environment()[0].success and link.echo().success and link.sync().success
+    assert link.environment()[0].success and link.call(bus.SYNC_FUNCTION, ()).success
+    assert link.call(bus.ECHO_FUNCTION, (b'mine',)).success
     until(lambda: not link.connection.may_be_from_a_stall())
     for move in moves:
         assert move().success

@@ -1,5 +1,4 @@
 """The link to the control board: sends polls, and requests of callers, who wait for the outcome."""
-import os
 import time
 from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple
 
@@ -8,12 +7,12 @@ from ...link.connection import PortState
 from ...link.link import ERROR, OK, WARN, Link
 from ...link.outcome import NOT_SENT, Outcome
 from ...link.stall import LONGEST_SLEEP, STALL
-from ...transport.pace import Every
 from ...transport.port import Port, PortBusy, PortError
 from . import wire
 from .announcement import AnnouncementReader
 from .call import NOT_READY_WAIT, Call
 from .master import STALLED, Master
+from .polls import Polls
 from .session import Condition
 
 _BLOCKED = 0.05     # s until the next try, after the port took no data
@@ -29,36 +28,6 @@ class BusSettings(NamedTuple):
     environment_datelen: int = 2
     reply_has_cmd2: bool = False
     announcements: bool = False        # ask the board for its announcement after each connect
-
-
-class Poller:
-    """Submits one request every `period` s, unless the one before has no outcome yet.
-
-    Args:
-        period: s.
-        submit: submits the request; returns its call.
-        announced: whether the board announces it; then it waits until the board has announced it
-            since it answered SYNC.
-    """
-
-    def __init__(self, period: float, submit: Callable[[], Call],
-                 announced: bool = False) -> None:
-        self.announced = announced
-        self.pace = Every(period, 0.0)
-        self._period = period
-        self._submit = submit
-        self._latest: Optional[Call] = None
-
-    def start(self, now: float) -> None:
-        """Begin the periods now; the first request is due at once."""
-        self.pace = Every(self._period, now - self._period)
-
-    def tick(self, now: float) -> None:
-        """Submit the request if it is due; missed periods are skipped."""
-        if not self.pace.passed(now):
-            return
-        if self._latest is None or self._latest.outcome is not None:
-            self._latest = self._submit()
 
 
 class BusLink(Link):
@@ -81,15 +50,19 @@ class BusLink(Link):
         self.master = Master(settings.reply_timeout, settings.motion_timeout, self.log,
                              drop_output=self._drop_output, begun_anew=self._board_begun_anew,
                              still_announces=lambda: self.announcement.is_current)
-        self._on_environment = on_environment
-        self._pollers: List[Poller] = []
-        self._reader = AnnouncementReader(self._ask, self.announcement.assembly, self.log) \
-            if settings.announcements else None
+        self._on_environment = lambda outcome: on_environment and on_environment(
+            wire.Environment.unpack(outcome.data), outcome.stamp)
+        self.polls = Polls(lambda request, function, on_success: self.master.submit(
+            self._call(request, function, on_success, poll=True)))
+        self._reader = AnnouncementReader(
+            lambda index: self.master.submit(self._call(
+                wire.ANNOUNCEMENT.make_request((index,)), wire.ANNOUNCEMENT, poll=True)),
+            self.announcement.assembly, self.log) if settings.announcements else None
         self._blocked_until = 0.0
         self._waits_since = 0.0     # when a request could be sent last; monotonic
         if settings.environment_period:
-            self.poll(wire.ENVIRONMENT_FUNCTION, settings.environment_period,
-                      self._environment_received)
+            self.polls.add(wire.ENVIRONMENT_FUNCTION, settings.environment_period,
+                           self._on_environment)
 
     # -- for callers --------------------------------------------------------------------
 
@@ -104,16 +77,8 @@ class BusLink(Link):
     def environment(self) -> Tuple[Outcome, Optional[wire.Environment]]:
         """A new reading, or None if the request did not succeed."""
         outcome = self.request(wire.ENVIRONMENT_REQUEST, wire.ENVIRONMENT_FUNCTION,
-                               on_success=self._environment_received)
+                               on_success=self._on_environment)
         return outcome, wire.Environment.unpack(outcome.data) if outcome.success else None
-
-    def echo(self) -> Outcome:
-        """Send an ECHO; the outcome has the round trip."""
-        return self.request(wire.echo(os.urandom(4)), wire.ECHO_FUNCTION)
-
-    def sync(self) -> Outcome:
-        """Synchronise the channel."""
-        return self.request(wire.SYNC_REQUEST, wire.SYNC_FUNCTION)
 
     def call(self, function: wire.Function, values: Sequence) -> Outcome:
         """Call a function with these values of its request's layout, and wait for the outcome."""
@@ -152,32 +117,8 @@ class BusLink(Link):
         return call.wait(max(self.settings.motion_timeout, NOT_READY_WAIT)
                          + call.tries * (call.timeout + NOT_READY_WAIT))
 
-    def poll(self, function: wire.Function, period: float,
-             on_success: Callable[[Outcome], None]) -> Poller:
-        """Call a function with zeros every `period` s, until `end_poll`; `on_success` as for
-        `request`."""
-        request = function.make_request((0,) * len(function.request.values))
-        poller = Poller(period, lambda: self._submit_poll(request, function, on_success),
-                        function.announced)
-        self._pollers = [*self._pollers, poller]     # the link's thread may be reading the old list
-        return poller
-
-    def end_poll(self, poller: Poller) -> None:
-        """Submit no further requests; `on_success` may be called once more."""
-        self._pollers = [each for each in self._pollers if each is not poller]
-
-    def _submit_poll(self, request: wire.Request, function: wire.Function,
-                     on_success: Optional[Callable[[Outcome], None]] = None) -> Call:
-        call = self._call(request, function, on_success, poll=True)
-        self.master.submit(call)
-        return call
-
-    def _ask(self, index: int) -> Call:
-        """Submit the request for one chunk of the board's announcement."""
-        return self._submit_poll(wire.ANNOUNCEMENT.make_request((index,)), wire.ANNOUNCEMENT)
-
     def _call(self, request: wire.Request, function: wire.Function,
-              on_success: Optional[Callable[[Outcome], None]], poll: bool = False) -> Call:
+              on_success: Optional[Callable[[Outcome], None]] = None, poll: bool = False) -> Call:
         moves = wire.built_in(request, function).moves      # a raw request may be one, too
         timeout = function.timeout or (
             self.settings.motion_timeout if moves else self.settings.reply_timeout)
@@ -193,15 +134,10 @@ class BusLink(Link):
         if self._reader:
             self._reader.restart(now)
 
-    def _environment_received(self, outcome: Outcome) -> None:
-        if self._on_environment:
-            self._on_environment(wire.Environment.unpack(outcome.data), outcome.stamp)
-
     # -- hooks --------------------------------------------------------------------------
 
     def opened(self, now: float) -> None:
-        for poller in self._pollers:
-            poller.start(now)
+        self.polls.start(now)
         if self._reader:
             self._reader.opened()
         self.master.connected(now)
@@ -232,12 +168,9 @@ class BusLink(Link):
         self.master.may_have_missed('another program changed the settings of the port', now)
 
     def tick(self, now: float) -> Optional[float]:
-        times = [now + LONGEST_SLEEP]
+        due = now + LONGEST_SLEEP
         if self.master.synchronised:
-            for poller in self._pollers:
-                if not poller.announced or self.announcement.is_current:
-                    poller.tick(now)
-                    times.append(poller.pace.due)
+            due = min(due, self.polls.tick(now, self.announcement.is_current))
             text = self._reader.step(now) if self._reader else None
             if text is not None and self.announcement.on_text:
                 self.announcement.on_text(text)
@@ -247,11 +180,9 @@ class BusLink(Link):
         request, wake_at = self.master.step(now, waits_for, now >= self._blocked_until)
         if request is not None:
             self._send_request(request, now)
-        if wake_at is not None:
-            times.append(wake_at)
         if now < self._blocked_until:
-            times.append(self._blocked_until)
-        return min(times)
+            due = min(due, self._blocked_until)
+        return due if wake_at is None else min(due, wake_at)
 
     def _waits_for(self) -> str:
         """What has to be received and decoded before a request may be sent; '': nothing."""

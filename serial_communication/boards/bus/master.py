@@ -91,9 +91,10 @@ class Master:
 
     # -- events -------------------------------------------------------------------------
 
-    def submit(self, call: Call) -> None:
-        """Queue a call, from any thread; `Call.wait` returns its outcome."""
+    def submit(self, call: Call) -> Call:
+        """Queue a call, from any thread, and return it; `Call.wait` returns its outcome."""
         self.calls.submit(call)
+        return call
 
     def connected(self, now: float) -> None:
         """The port is open: nothing is known about the board."""

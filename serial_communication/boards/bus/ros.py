@@ -1,4 +1,5 @@
 """The bus link in ROS: its parameters, its topics and its services."""
+import os
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 
 import rospy
@@ -21,7 +22,8 @@ from ...ros.publishing import publisher, wanted
 from ...transport.port import Port
 from . import DESCRIPTION, wire
 from .functions import read_functions
-from .link import BusLink, BusSettings, Poller
+from .link import BusLink, BusSettings
+from .polls import Poller
 
 _DEFAULTS = BusSettings()
 
@@ -98,11 +100,11 @@ class BusInterface(Interface):
         return response
 
     def _echo(self, _request: Any) -> TriggerResponse:
-        outcome = self.link.echo()
+        outcome = self.link.call(wire.ECHO_FUNCTION, (os.urandom(4),))
         return self._trigger(outcome, f'{outcome.round_trip * 1e3:.2f} ms')
 
     def _sync(self, _request: Any) -> TriggerResponse:
-        return self._trigger(self.link.sync(), 'synchronised')
+        return self._trigger(self.link.call(wire.SYNC_FUNCTION, ()), 'synchronised')
 
     @staticmethod
     def _trigger(outcome: Outcome, done: str) -> TriggerResponse:
@@ -171,7 +173,7 @@ def _poll(row: RosFunction, link: BusLink, frame_prefix: str) -> Tuple[Poller, V
     function = row.custom
     topic = ValuePublisher('~' + function.name, row.ros_class, row.reply,
                            function.frame_id and frame_prefix + function.frame_id)
-    return link.poll(function, function.period, _publish_reply(function, topic)), topic
+    return link.polls.add(function, function.period, _publish_reply(function, topic)), topic
 
 
 def _publish_reply(function: wire.Function, topic: ValuePublisher) -> Callable[[Outcome], None]:
@@ -192,7 +194,7 @@ def _add_announced(row: RosFunction, link: BusLink, frame_prefix: str) -> Callab
     poller, topic = _poll(row, link, frame_prefix)
 
     def take_down() -> None:
-        link.end_poll(poller)
+        link.polls.remove(poller)
         topic.close()
 
     return take_down

@@ -9,7 +9,8 @@ from fake_boards import PATIENCE, BusBoard, until
 from lines import Pty
 from serial_communication.link import link as link_module
 from serial_communication.link.connection import Connection, PortState
-from serial_communication.boards.bus.link import BusLink, BusSettings, Poller
+from serial_communication.boards.bus.link import BusLink, BusSettings
+from serial_communication.boards.bus.polls import Poller
 from serial_communication.link.link import ERROR, OK, RX, TX, WARN
 from serial_communication.boards.bus.master import FENCE_SILENCE
 from serial_communication.boards.bus.session import Condition
@@ -22,6 +23,10 @@ SHORT = BusSettings(reply_timeout=0.15, motion_timeout=0.3, environment_period=0
 PATIENT = BusSettings(reply_timeout=PATIENCE, motion_timeout=PATIENCE, environment_period=0.0)
 LIFT = bus.lift(0, 100)
 OK_WIRE = bus.encode_reply(bus.Reply(bus.OK))
+
+
+def echo(link):
+    return link.call(bus.ECHO_FUNCTION, (b'mine',))
 
 
 def is_move(request):
@@ -64,7 +69,7 @@ def test_every_function_has_an_outcome(board, open_link):
     assert link.lift(0, 100).success and link.gimbal(3, 45).success
     outcome, reading = link.environment()
     assert outcome.success and reading == (350, 25.63, 48.12)
-    assert link.echo().success and link.sync().success
+    assert echo(link).success and link.call(bus.SYNC_FUNCTION, ()).success
     assert link.request(bus.Request(bus.FUNCTION, 0x30, b'\xa5\x5a')).success
     assert board.executed == [LIFT, bus.gimbal(3, 45), bus.ENVIRONMENT_REQUEST,
                               bus.Request(bus.FUNCTION, 0x30, b'\xa5\x5a')]
@@ -89,7 +94,7 @@ def test_a_poll_is_sent_once_a_period(board, open_link):
                      on_environment=lambda reading, stamp: readings.append(reading))
     until(lambda: readings)
     for _ in range(5):
-        assert link.echo().success      # so the link has checked five times whether a poll is due
+        assert echo(link).success      # so the link has checked five times whether a poll is due
     assert len(readings) == board.executed.count(bus.ENVIRONMENT_REQUEST) == 1
 
 
@@ -116,8 +121,8 @@ def test_each_poll_gets_its_own_reply(line, board, logger, running):
     # A reply that came while this machine stalled is dropped, and the poll has to be sent again.
     link = BusLink(Port(line.path), PATIENT._replace(reply_timeout=1.0), logger=logger)
     for cmd2 in kept:
-        link.poll(bus.Function('poll', cmd2, reply=Layout('<x', ()), repeatable=True), 0.01,
-                  kept[cmd2].append)
+        link.polls.add(bus.Function('poll', cmd2, reply=Layout('<x', ()), repeatable=True), 0.01,
+                       kept[cmd2].append)
     running(link)
     until(lambda: all(len(outcomes) >= 3 for outcomes in kept.values()))
     for cmd2, outcomes in kept.items():
@@ -154,16 +159,6 @@ def test_callers_in_many_threads_get_their_own_replies(board, open_link):
         caller.join(PATIENCE)
         assert not caller.is_alive()
     assert wrong == [] and len(board.moves()) == len(set(board.moves())) == 60
-
-
-@pytest.mark.parametrize('wire, status, code', [
-    (bus.encode_reply(bus.Reply(bus.ERROR, b'\2\x80')), bus.ERROR, 0x8002),
-    (bus.encode_reply(bus.Reply(bus.INVALID, b'\x20')), bus.INVALID, 0x20)])
-def test_a_refusal_is_returned(board, open_link, wire, status, code):
-    board.rule = lambda request: wire if is_move(request) else None
-    outcome = open_link().lift(0, 100)
-    assert (outcome.status, outcome.error_code, outcome.success) == (status, code, False)
-    assert board.moves() == [LIFT]
 
 
 @pytest.mark.parametrize('request_, is_slow', [
@@ -222,7 +217,7 @@ def test_a_board_without_echo_gets_a_silence_before_a_move(board, open_link):
     board.rule = rule
     link = open_link(SHORT)
     for _ in range(5):
-        assert link.sync().success
+        assert link.call(bus.SYNC_FUNCTION, ()).success
         before = answered[-1]
         assert link.lift(0, 100).success
         assert board.frames[-1].message == LIFT
@@ -325,7 +320,7 @@ def test_invalid_arguments_are_refused_without_sending(board, open_link):
 
 def test_a_closed_port_refuses_at_once(line, logger, running):
     link = running(BusLink(Port(line.path + '.absent'), PATIENT, logger=logger))
-    for outcome in (link.lift(0, 1), link.echo(), link.environment()[0]):
+    for outcome in (link.lift(0, 1), echo(link), link.environment()[0]):
         assert outcome.status == NOT_SENT and 'closed' in outcome.message
     assert link.report(time.monotonic()).level == ERROR
 
@@ -344,7 +339,7 @@ def test_the_outcome_is_unknown_if_the_port_closes_during_a_motion(board, open_l
     board.rule = lambda request: None
     until(lambda: link.master.synchronised and link.master.in_step)
     assert link.connection.reconnects == 1
-    assert link.echo().success
+    assert echo(link).success
     assert board.moves() == [LIFT], 'something of before went out after the reconnect'
     assert link.lift(0, 100).success
 

@@ -146,7 +146,8 @@ def test_memory_function():
     assert bench.board.memory == b'abc'
 
 
-def test_replies_with_cmd2():
+def test_replies_with_cmd2_or_data():
+    assert ask(make(ok_data=b'\1\2'), bus.lift(0, 1)) == [bus.Reply(bus.OK, b'\1\2')]
     assert ask(make(reply_has_cmd2=True), bus.lift(0, 1)) == [bus.Reply(bus.OK, b'', 0x20)]
 
 
@@ -319,7 +320,7 @@ def test_link_turns_the_gimbal_and_reads_the_environment(master):
     assert (master.board.pan.at(1e9), master.board.tilt.at(1e9)) == (-40, 20)
     outcome, air = master.environment()
     assert outcome.success and 50 < air.smoke < 250
-    assert master.echo().success
+    assert master.call(bus.ECHO_FUNCTION, (b'mine',)).success
 
 
 @pytest.fixture
@@ -342,13 +343,6 @@ def unusual_board(cable):
     boards.close()
 
 
-def test_link_accepts_data_in_the_ok_to_a_move(unusual_board):
-    link = unusual_board(ok_data=b'\1\2')
-    for _ in range(3):
-        outcome = link.lift(0, 10)
-        assert outcome.success and outcome.data == b'\1\2'
-
-
 def test_link_stops_the_lift(unusual_board):
     link, outcomes = unusual_board(lift_speed=50, custom=STOPS), []
     lift = threading.Thread(target=lambda: outcomes.append(link.lift(0, 200)))
@@ -366,23 +360,7 @@ def test_link_stops_the_lift(unusual_board):
 def test_link_serves_a_board_that_never_echoes(unusual_board):
     link = unusual_board(echoes=False)
     assert link.lift(0, 10).success and link.gimbal(0, 5).success
-    assert not link.echo().success
-
-
-def test_link_returns_each_of_many_callers_its_own_reply(master):
-    outcomes = {}
-
-    def call(number):
-        data = b'%d' % number
-        outcomes[data] = [master.request(bus.Request(0x55, MEMORY, data)) for _ in range(10)]
-
-    callers = [threading.Thread(target=call, args=(number,)) for number in range(5)]
-    for caller in callers:
-        caller.start()
-    for caller in callers:
-        caller.join(10)
-    assert all(outcome.success and outcome.data == data
-               for data, row in outcomes.items() for outcome in row)
+    assert not link.call(bus.ECHO_FUNCTION, (b'mine',)).success
 
 
 def test_recovers_after_an_unplug(master, cable):
