@@ -366,7 +366,8 @@ def test_all_is_a_mix_of_every_kind_that_the_board_can_have():
 @pytest.mark.parametrize('text, says', [
     ('flip', 'KIND=RATE'), ('flip=', 'KIND=RATE'), ('flip=-1', 'KIND=RATE'),
     ('flip 0.1', 'KIND=RATE'), ('flip=nan', 'KIND=RATE'), ('flap=0.1', 'no fault'),
-    ('flip=2', '0 to 1'), ('rx-flip=2', '0 to 1'), ('silence=0.1', '/min'), ('flip=0.1:3', 'no duration'), ('delay=0.1:2-1', 'is empty')])
+    ('flip=2', '0 to 1'), ('rx-flip=2', '0 to 1'), ('silence=0.1', '/min'),
+    ('flip=0.1:3', 'no duration'), ('delay=0.1:2-1', 'is empty')])
 def test_an_invalid_fault_is_refused_with_the_reason(text, says):
     with pytest.raises(ValueError, match=says):
         parse([text], ControlBoard)
