@@ -6,7 +6,6 @@ import os
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from sources import ROOT
@@ -18,78 +17,64 @@ from serial_communication.boards.arduino import custom_messages, wire
 from serial_communication.boards.description import Description, Topic
 from serial_communication.framing.layout import by_type, message_class
 
-ARDUINO, MCU = (f'serial_communication/boards/{name}/' for name in ('arduino', 'mcu'))
+BOARDS = 'serial_communication/boards/'
+ARDUINO, BUS = BOARDS + 'arduino/', BOARDS + 'bus/'
 LAUNCH = 'launch/bridge.launch'
 
-# What a change does in each place: a file, and lines with what is put before them; or a new file.
-PACKET = {
-    ARDUINO + 'wire.py': ('FROM_BOARD = (SteeringAngle,', "Distance = message_class(\n"
-                          "    'Distance', 13, '<H', [Value('value', 'mm')], 'distance', '')\n"
-                          'FROM_BOARD = (Distance, SteeringAngle,'),
-    ARDUINO + '__init__.py': ("        Topic('~voltage',", "        Topic('~distance', "
-                              "'serial_communication/Distance', message=wire.Distance),\n"
-                              "        Topic('~voltage',"),
-    ARDUINO + 'simulator.py': ('        self._send(wire.Ticks(', '        self._send(wire.Distance('
-                               '100))\n        self._send(wire.Ticks('),
-    'firmware/protocol/src/arduino_packets.h': ('  Announcement = 255,', '  Distance = 13,\n'
-                                                '  Announcement = 255,'),
-    'firmware/protocol/src/arduino_packets.h ': ('kMessageTypes = 13', 'kMessageTypes = 14'),
-    'doc/protocols.md': ('| 13–254 |',
-                         '| 13 | DISTANCE | from the board | uint16, mm |\n| 14–254 |'),
-    'msg/Distance.msg': ('', 'Header header\nuint16 value\n')}
-FORGOTTEN_PACKET = {
-    ARDUINO + 'wire.py': "module 'serial_communication.boards.arduino.wire' has no attribute "
-                         "'Distance'",
-    ARDUINO + '__init__.py': 'boards/arduino/__init__.py: no Topic has the message Distance',
-    ARDUINO + 'simulator.py': 'boards/arduino/simulator.py: Distance is not simulated',
-    'firmware/protocol/src/arduino_packets.h':
-        'firmware/protocol/src/arduino_packets.h: the type 13 is missing',
-    'firmware/protocol/src/arduino_packets.h ':
-        'firmware/protocol/src/arduino_packets.h: kMessageTypes is 13, but not the first free type',
-    'doc/protocols.md': 'doc/protocols.md: the type 13 of the arduino is missing',
-    'msg/Distance.msg': 'msg/Distance.msg: there is no such file'}
-BUS = 'serial_communication/boards/bus/'
-FUNCTION = {
-    BUS + 'messages.py': ('BUILT_IN = by_number((', "HORN = Function(\n    'horn', 0x23, "
-                          "request=Layout('<B', [Value('seconds')]), service='~horn',\n"
-                          "    srv_type='serial_communication/Horn')\n"
-                          'BUILT_IN = by_number((HORN, '),
-    BUS + 'simulator.py': ('        if request.cmd2 not in (wire.LIFT,', '        if request.cmd2 '
-                           '== 0x23:\n            return wire.Reply(wire.OK)\n'
-                           '        if request.cmd2 not in (wire.LIFT,'),
-    'srv/Horn.srv': ('', 'uint8 seconds\n---\nbool success\nstring message\n'),
-    'firmware/protocol/src/robot_ctrl_bus.h': ('const uint8_t kFunctionStop', 'const uint8_t '
-                                               'kFunctionHorn = 0x23;\nconst uint8_t '
-                                               'kFunctionStop'),
-    'doc/protocols.md': ('| 0x22 | environment', '| 0x23 | horn | seconds | – |\n'
-                         '| 0x22 | environment')}
-FORGOTTEN_FUNCTION = {
-    BUS + 'messages.py': 'boards/bus/messages.py: the function 0x23 of the firmware is missing',
-    BUS + 'simulator.py': 'boards/bus/simulator.py: horn is not simulated',
-    'srv/Horn.srv': 'srv/Horn.srv: there is no such file',
-    'firmware/protocol/src/robot_ctrl_bus.h':
-        'firmware/protocol/src/robot_ctrl_bus.h: the function 0x23 is missing',
-    'doc/protocols.md': 'doc/protocols.md: the function 0x23 is missing'}
-BOARD = {
-    'serial_communication/boards/__init__.py': ("'arduino', 'mcu')", "'arduino', 'mcu', 'sonar')"),
-    **{f'serial_communication/boards/sonar/{name}': (ROOT / MCU / name, ("'mcu'", "'sonar'"),
-                                                     ("'mcu/", "'sonar/"))
-       for name in ('__init__.py', *facts.FILES)},
-    'config/bridge.yaml': ('mcu:   ', 'sonar: {port: /dev/ttyUSB2, baud: 115200}\nmcu:   '),
-    LAUNCH + ' ': ('  <arg name="publish_tf"',
-                   '  <arg name="sonar_port" default="as configured"/>\n  <arg name="publish_tf"'),
-    LAUNCH: ('value="bus arduino mcu"', 'value="bus arduino mcu sonar"')}
-FORGOTTEN_BOARD = {
-    'serial_communication/boards/__init__.py': 'boards/__init__.py: BOARDS has no sonar',
-    **{f'serial_communication/boards/sonar/{name}': f'boards/sonar/{name}: there is no such file'
-       for name in facts.FILES if name != 'wire.py'},
-    'serial_communication/boards/sonar/wire.py': "importing 'serial_communication.boards.sonar' f",
-    'serial_communication/boards/sonar/__init__.py':
-        "the module 'sonar' has no DESCRIPTION of a board",
-    'config/bridge.yaml': 'config/bridge.yaml: sonar has not the rate of its description',
-    LAUNCH + ' ': 'launch/bridge.launch: there is no argument sonar_port',
-    LAUNCH: 'launch/bridge.launch: the argument boards has no sonar'}
-CHANGES = [(PACKET, FORGOTTEN_PACKET), (FUNCTION, FORGOTTEN_FUNCTION), (BOARD, FORGOTTEN_BOARD)]
+# What a change does in each place: a file, what is put instead of what (a new file: instead of ''),
+# and what the checks say if this place is forgotten.
+HEADERS = 'firmware/protocol/src/'
+PAGE = 'doc/protocols.md'
+PACKET = [
+    (ARDUINO + 'wire.py', 'FROM_BOARD = (', "Distance = message_class(\n"
+     "    'Distance', 13, '<H', [Value('value', 'mm')], 'distance', '')\nFROM_BOARD = (Distance, ",
+     "module 'serial_communication.boards.arduino.wire' has no attribute 'Distance'"),
+    (ARDUINO + '__init__.py', "        Topic('~voltage',", "        Topic('~distance', "
+     "'serial_communication/Distance', message=wire.Distance),\n        Topic('~voltage',",
+     'boards/arduino/__init__.py: no Topic has the message Distance'),
+    (ARDUINO + 'simulator.py', '        self._send(wire.Ticks(',
+     '        self._send(wire.Distance(100))\n        self._send(wire.Ticks(',
+     'boards/arduino/simulator.py: Distance is not simulated'),
+    (HEADERS + 'arduino_packets.h', '  Announcement =', '  Distance = 13,\n  Announcement =',
+     f'{HEADERS}arduino_packets.h: the type 13 is missing'),
+    (HEADERS + 'arduino_packets.h', 'kMessageTypes = 13', 'kMessageTypes = 14',
+     f'{HEADERS}arduino_packets.h: kMessageTypes is 13, but not the first free type'),
+    (PAGE, '| 13–254 |', '| 13 | DISTANCE | from the board | uint16, mm |\n| 14–254 |',
+     f'{PAGE}: the type 13 of the arduino is missing'),
+    ('msg/Distance.msg', '', 'Header header\nuint16 value\n',
+     'msg/Distance.msg: there is no such file')]
+FUNCTION = [
+    (BUS + 'messages.py', 'BUILT_IN = by_number((', "HORN = Function(\n    'horn', 0x23, "
+     "request=Layout('<B', [Value('seconds')]), service='~horn',\n"
+     "    srv_type='serial_communication/Horn')\nBUILT_IN = by_number((HORN, ",
+     'boards/bus/messages.py: the function 0x23 of the firmware is missing'),
+    (BUS + 'simulator.py', '        if request.cmd2 not in (wire.LIFT,',
+     '        if request.cmd2 == 0x23:\n            return wire.Reply(wire.OK)\n'
+     '        if request.cmd2 not in (wire.LIFT,',
+     'boards/bus/simulator.py: horn is not simulated'),
+    ('srv/Horn.srv', '', 'uint8 seconds\n---\nbool success\nstring message\n',
+     'srv/Horn.srv: there is no such file'),
+    (HEADERS + 'robot_ctrl_bus.h', 'const uint8_t kFunctionStop',
+     'const uint8_t kFunctionHorn = 0x23;\nconst uint8_t kFunctionStop',
+     f'{HEADERS}robot_ctrl_bus.h: the function 0x23 is missing'),
+    (PAGE, '| 0x22 | environment', '| 0x23 | horn | seconds | – |\n| 0x22 | environment',
+     f'{PAGE}: the function 0x23 is missing')]
+SONAR = {'__init__.py': "the module 'sonar' has no DESCRIPTION of a board",
+         'wire.py': "importing 'serial_communication.boards.sonar' failed",
+         **{name: f'boards/sonar/{name}: there is no such file' for name in facts.FILES[1:]}}
+BOARD = [
+    (BOARDS + '__init__.py', "'arduino', 'mcu')", "'arduino', 'mcu', 'sonar')",
+     'boards/__init__.py: BOARDS has no sonar'),
+    ('config/bridge.yaml', 'mcu:   ', 'sonar: {port: /dev/ttyUSB2, baud: 115200}\nmcu:   ',
+     'config/bridge.yaml: sonar has not the rate of its description'),
+    (LAUNCH, '  <arg name="publish_tf"', '  <arg name="sonar_port" default="as configured"/>\n'
+     '  <arg name="publish_tf"', f'{LAUNCH}: there is no argument sonar_port'),
+    (LAUNCH, 'value="bus arduino mcu"', 'value="bus arduino mcu sonar"',
+     f'{LAUNCH}: the argument boards has no sonar'),
+    *((f'{BOARDS}sonar/{name}', '', (ROOT / BOARDS / 'mcu' / name).read_text().replace(
+        "'mcu'", "'sonar'").replace("'mcu/", "'sonar/"), said) for name, said in SONAR.items())]
+CHANGES = [(change, left_out) for change in (PACKET, FUNCTION, BOARD)
+           for left_out in (None, *range(len(change)))]
 
 
 def test_every_place_knows_of_every_board_packet_function_and_thread():
@@ -105,20 +90,13 @@ def fixture_copy(tmp_path):
     return tmp_path
 
 
-def change(copy, place, edit):
-    """Make the change of one place; the end of its key tells two changes of a file apart."""
-    path = copy / place.rstrip()
-    if isinstance(edit[0], Path):
-        text = edit[0].read_text()
-        for old, new in edit[1:]:
-            text = text.replace(old, new)
-    elif path.exists():
-        assert edit[0] in path.read_text(), place
-        text = path.read_text().replace(*edit, 1)
-    else:
-        text = edit[1]
+def change(copy, place, old, new):
+    """Make the change of one place."""
+    path = copy / place
+    text = path.read_text() if path.exists() else ''
+    assert old in text, place
     path.parent.mkdir(exist_ok=True)
-    path.write_text(text)
+    path.write_text(text.replace(old, new, 1))
 
 
 def checked(copy, program=(facts.__file__,)):
@@ -128,25 +106,24 @@ def checked(copy, program=(facts.__file__,)):
                           env={**os.environ, 'PYTHONPATH': str(copy)}).stdout
 
 
-@pytest.mark.parametrize('places, said, left_out', [
-    (places, said, left_out) for places, said in CHANGES for left_out in ('', *said)],
-    ids=lambda value: value or 'none' if isinstance(value, str) else '')
-def test_a_forgotten_place_is_named(copy, places, said, left_out):
-    for place, edit in places.items():
-        if place != left_out:
-            change(copy, place, edit)
-    words = said.get(left_out, '\n')
-    assert words in checked(copy) if left_out else checked(copy) == words
+@pytest.mark.parametrize('places, left_out', CHANGES, ids=lambda value: 'nothing' if value is None
+                         else str(value) if isinstance(value, int) else value[0][0])
+def test_a_forgotten_place_is_named(copy, places, left_out):
+    for number, (place, old, new, _said) in enumerate(places):
+        if number != left_out:
+            change(copy, place, old, new)
+    said = checked(copy)
+    assert said == '\n' if left_out is None else places[left_out][3] in said, said
 
 
 def test_a_thread_that_the_page_does_not_list_is_named(copy):
-    change(copy, 'serial_communication/ros/traffic.py', ("name='serial_msg'", "name='traffic'"))
+    change(copy, 'serial_communication/ros/traffic.py', "name='serial_msg'", "name='traffic'")
     assert checked(copy) == 'doc/developing.md: the thread "traffic" of traffic.py is missing\n'
 
 
 def test_no_row_takes_the_type_or_the_name_of_a_new_packet(copy):
-    for place, edit in PACKET.items():
-        change(copy, place, edit)
+    for place, old, new, _said in PACKET:
+        change(copy, place, old, new)
     row = "{'%s': {'type': %d, 'ros_type': 'a/B', 'layout': '<B', 'fields': ['data']}}"
     script = 'from serial_communication.boards.arduino import custom_messages as read\nread(%s)'
     assert checked(copy, ('-c', script % (row % ('force', 14)))) == ''
