@@ -9,10 +9,6 @@ from typing import List, Optional, Tuple
 _BLOCK = 254  # most bytes in one block
 
 
-class CobsError(ValueError):
-    """The bytes are not a COBS encoding; the text says why."""
-
-
 def encode(data: bytes) -> bytes:
     """Encode `data`; the result has no zero byte and lacks the 0x00 that ends a packet.
 
@@ -33,27 +29,10 @@ def encode(data: bytes) -> bytes:
     return bytes(out)
 
 
-def decode(encoded: bytes) -> bytes:
-    """The inverse of `encode`.
-
-    Raises:
-        CobsError: `encoded` is empty, has a zero byte, or a code that runs past the end.
-    """
-    if not encoded:
-        raise CobsError('no bytes')
-    if 0 in encoded:
-        raise CobsError('a zero byte')
-    decoded = decode_or_none(encoded)
-    if decoded is None:
-        raise CobsError('a code runs past the end')
-    return decoded
-
-
 def decode_or_none(encoded: bytes) -> Optional[bytes]:
-    """`decode` for callers who know that `encoded` is not empty and has no zero.
+    """The inverse of `encode`, for bytes that are not empty and have no zero.
 
-    Returns None where a code runs past the end: raising an exception would take longer than the
-    decoding.
+    None: a code runs past the end. (Raising an exception would take longer than the decoding.)
     """
     size = len(encoded)
     at = 0

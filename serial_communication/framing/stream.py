@@ -114,20 +114,11 @@ class Decoder(Protocol):
         return Parts(frame).take_rest('frame', '')
 
 
-_PIECE = 4096        # bytes whose XORs are computed at once
-
-
 def running_xor(data: bytes, before: int) -> bytes:
     """For each byte of `data`, the XOR of `before` and all bytes up to and including it.
 
     Shifts of one long integer, each twice as far as the one before, take log2(n) steps.
     """
-    if len(data) > _PIECE:
-        pieces = []
-        for at in range(0, len(data), _PIECE):
-            pieces.append(running_xor(data[at:at + _PIECE], before))
-            before = pieces[-1][-1]
-        return b''.join(pieces)
     size = len(data)
     value = int.from_bytes(data, 'little') ^ before
     bits, shift = size * 8, 8
@@ -167,7 +158,7 @@ class Need(NamedTuple):
 
 
 class StreamDecoder:
-    """Base of decoders for frames with a checksum: buffers, counts errors and resynchronises.
+    """Base of decoders for frames with a checksum: a `Decoder` that buffers and resynchronises.
 
     A subclass gives the bytes with which a frame may begin (`STARTS`), and says what begins at
     such a byte (`frame_at`, which reads `buffer` and computes checksums by `xor`).
@@ -183,67 +174,50 @@ class StreamDecoder:
     def __init__(self) -> None:
         self.errors: Dict[str, int] = {CHECKSUM: 0, FRAMING: 0}
         self._any_start = re.compile(b'[' + re.escape(self.STARTS) + b']')
+        self.front = 0             # bytes of the stream before the buffer
+        self._begin()
+
+    def _begin(self) -> None:
         self.buffer = b''          # bytes that are not decided yet
+        self.needed = 1            # bytes in the buffer before the search can go on
         self._xors = b'\0'         # for each of them, and the next: XOR of all bytes before it
-        self._need = 1             # bytes in the buffer before the search can go on
-        self._offset = 0           # bytes of the stream before the buffer
         # Of each read with bytes in the buffer: the bytes received by then, and its stamp.
         self._reads: Deque[Tuple[int, Any]] = deque()
         self._frames: List[Frame] = []
         self._noise = b''          # noise that has not ended yet
         self._noise_stamp: Any = None    # of its last byte
-        self._classified = 0       # bytes of the stream before this are in a frame or noise
+        self._classified = self.front    # bytes of the stream before this are in a frame or noise
 
     @property
     def pending(self) -> bool:
-        """Whether bytes wait that are in no returned frame."""
         return bool(self.buffer or self._noise)
 
     @property
     def begun(self) -> bool:
-        """Whether a frame has begun that is not complete."""
         return bool(self.buffer)
 
     @property
     def received(self) -> int:
-        """How many bytes were received so far."""
-        return self._offset + len(self.buffer)
-
-    @property
-    def front(self) -> int:
-        """Where the incomplete frame begins: how many bytes are before it; all if there is none."""
-        return self._offset
-
-    @property
-    def needed(self) -> int:
-        """How many bytes that frame has, as far as is known."""
-        return self._need
+        return self.front + len(self.buffer)
 
     def feed(self, data: bytes, stamp: Any = None) -> List[Frame]:
-        """Decode the bytes of one read; return the frames, valid and invalid, now complete."""
         if not data:
             return []
         self.buffer += data
         self._xors += running_xor(data, self._xors[-1])
-        self._reads.append((self._offset + len(self.buffer), stamp))
-        if len(self.buffer) < self._need:
-            return []
-        return self._search(0)
+        self._reads.append((self.front + len(self.buffer), stamp))
+        return [] if len(self.buffer) < self.needed else self._search(0)
 
     def give_up(self) -> List[Frame]:
-        """Give up the incomplete frame and go on at its second byte. Then end the noise, unless
-        another frame has begun."""
+        # The search goes on at the second byte.
         frames = self._search(1 if self.buffer else 0)
         if not self.buffer:
             self._end_noise(0)
         return frames
 
     def reset(self) -> None:
-        """Drop what is pending, as after a reconnect; the counts stay."""
-        errors, received = self.errors, self.received
-        StreamDecoder.__init__(self)
-        self.errors = errors
-        self._offset = self._classified = received
+        self.front = self.received
+        self._begin()
 
     # -- for subclasses ---------------------------------------------------------------
 
@@ -295,32 +269,34 @@ class StreamDecoder:
                 at = start.start() if start else size
                 continue
             found = self.frame_at(at)
-            if isinstance(found, Bad):
-                # An invalid frame inside another one that was returned is the same error.
-                if found.cause != FRAMING and self._offset + at >= self._classified:
-                    self._add_bad(at, found)
+            if found is NO_FRAME:
                 at += 1
             elif isinstance(found, Good):
                 self._add(at, found)
                 # Its LEN may be false: two equal frames inside do not change an XOR.
                 at += 1 if found.cause == LENGTH else found.size
+            elif isinstance(found, Bad):
+                # An invalid frame inside another one that was returned is the same error.
+                if found.cause != FRAMING and self.front + at >= self._classified:
+                    self._add_bad(at, found)
+                at += 1
             else:
                 need = found.size
                 break
-        if self._classified < self._offset + at:
+        if self._classified < self.front + at:
             self._add_noise(at)
-        self._offset += at
-        self._need = need
+        self.front += at
+        self.needed = need
         self.buffer = buffer[at:]
         self._xors = self._xors[at:]
         reads = self._reads
-        while reads and reads[0][0] <= self._offset:
+        while reads and reads[0][0] <= self.front:
             reads.popleft()
         return frames
 
     def _add(self, start: int, found: Good) -> None:
         """Add the valid frame that begins at `start`."""
-        if self._noise or self._classified < self._offset + start:
+        if self._noise or self._classified < self.front + start:
             self._end_noise(start)
         end = start + found.size
         if found.cause:
@@ -330,7 +306,7 @@ class StreamDecoder:
         self._frames.append(frame_of((
             self.buffer[start:end], found.type, found.command, found.data, found.message,
             self._stamp_of(end), found.cause, found.error)))
-        self._classified = self._offset + end
+        self._classified = self.front + end
 
     def _add_bad(self, start: int, bad: Bad) -> None:
         """Add the invalid frame that begins at `start`."""
@@ -339,16 +315,16 @@ class StreamDecoder:
         self.errors[bad.cause] += 1
         self._frames.append(invalid_frame(self.buffer[start:end], bad.cause, bad.error,
                                           self._stamp_of(end)))
-        self._classified = self._offset + end
+        self._classified = self.front + end
 
     def _add_noise(self, end: int) -> None:
         """Add the bytes before `end` that are in no frame to the noise."""
-        first = self._classified - self._offset
+        first = self._classified - self.front
         if first >= end:
             return
         self._noise += self.buffer[first:end]
         self._noise_stamp = self._stamp_of(end)
-        self._classified = self._offset + end
+        self._classified = self.front + end
         if len(self._noise) >= MAX_REPORTED:
             whole = len(self._noise) // MAX_REPORTED * MAX_REPORTED
             for at in range(0, whole, MAX_REPORTED):
@@ -371,7 +347,7 @@ class StreamDecoder:
 
     def _stamp_of(self, end: int) -> Any:
         """The stamp of the read that had the last byte before `end`."""
-        reads, end = self._reads, self._offset + end
+        reads, end = self._reads, self.front + end
         if reads[0][0] >= end:
             return reads[0][1]
         # No read is dropped here: a later frame, inside a false one, may end in an earlier read.

@@ -3,7 +3,7 @@ import enum
 import threading
 import time
 import traceback
-from typing import TYPE_CHECKING, Any, Callable, Optional
+from typing import TYPE_CHECKING, Any, Callable
 
 from ..framing.frame_timer import FrameTimer
 from ..transport import pace
@@ -30,7 +30,7 @@ class PortState(enum.Enum):
 
 
 class Connection:
-    """Serves one link: calls its hooks in the connection's thread.
+    """Serves one link: calls its hooks in this connection's thread.
 
     Args:
         link: whose port and decoder it uses.
@@ -96,22 +96,6 @@ class Connection:
         """s since the latest byte; 0.0 if none was received since the port was opened."""
         return now - self.last_byte_at if self.last_byte_at > self.opened_at else 0.0
 
-    def check_silence(self, now: float, limit: float) -> Optional[float]:
-        """For `tick`: have a network port closed if it has been silent for `limit` s (0: never).
-
-        That drops unsent bytes, which may wait unseen in the network or in the peer's kernel.
-        Return when to check again, or None.
-
-        Raises:
-            PortError: nothing was received for `limit` s.
-        """
-        if not limit or not self._port.is_network:
-            return None
-        due = self.last_byte_at + limit
-        if now >= due:
-            raise PortError(f'nothing received from the board for {limit:g} s')
-        return due
-
     def guarded(self, function: Callable, *arguments: Any) -> Any:
         """Call a function. If it raises, log that, report it as the port's trouble and return
         None."""
@@ -152,7 +136,9 @@ class Connection:
         self.guarded(self._link.closed, time.monotonic())
 
     def _idle(self, now: float) -> float:
-        self.stalls.awake(pace.clock())
+        awake_at = pace.clock()
+        self.stalls.stalled_for(awake_at)
+        self.stalls.awake_at = awake_at
         due = self.guarded(self._link.idle, now)
         soon = now + LONGEST_SLEEP
         return soon if due is None else min(due, soon)
@@ -247,7 +233,8 @@ class Connection:
         """Begin to drop after a stall of this thread, and return its length in s, else 0.0. End
         that when what is read is new."""
         link, awake_at = self._link, pace.clock()
-        seconds = self.stalls.awake(awake_at)
+        seconds = self.stalls.stalled_for(awake_at)
+        self.stalls.awake_at = awake_at
         if seconds:
             self.state = PortState.DROPPING
             self._stalled_for += seconds

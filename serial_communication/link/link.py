@@ -4,7 +4,7 @@ import time
 from typing import Any, Callable, Iterable, List, NamedTuple, Optional, Tuple
 
 from ..framing.stream import CHECKSUM, FRAMING, UNKNOWN, Decoder, Frame
-from ..transport.port import Port
+from ..transport.port import Port, PortError
 from .announcement import BoardAnnouncement
 from .connection import Connection
 from .outcome import Refused  # noqa: F401  for the boards
@@ -162,6 +162,22 @@ class Link:
             # Guarded: an error here would look as if the frame had not been sent.
             self.connection.guarded(lambda tap: tap(self.name, TX, Frame(
                 frame, type_, command, data, message, self._clock())), tap)
+
+    def check_silence(self, now: float, limit: float) -> Optional[float]:
+        """For `tick`: have a network port closed if it has been silent for `limit` s (0: never).
+
+        That drops unsent bytes, which may wait unseen in the network or in the peer's kernel.
+        Return when to check again, or None.
+
+        Raises:
+            PortError: nothing was received for `limit` s.
+        """
+        if not limit or not self.port.is_network:
+            return None
+        due = self.connection.last_byte_at + limit
+        if now >= due:
+            raise PortError(f'nothing received from the board for {limit:g} s')
+        return due
 
     # -- diagnostics ------------------------------------------------------------------
 

@@ -19,12 +19,6 @@ class StallWatch:
         self._limit = limit
         self._until = float('-inf')
 
-    def awake(self, now: float) -> float:
-        """The thread runs: return `stalled_for(now)`."""
-        seconds = self.stalled_for(now)
-        self.awake_at = now
-        return seconds
-
     def stalled_for(self, now: float, receiving_at: float = float('inf')) -> float:
         """The length in s of a stall that ends now, or still lasts; 0.0 if there is none.
 

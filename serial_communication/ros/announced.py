@@ -14,7 +14,7 @@ import rospy
 
 from ..boards import BOARDS
 from ..boards.description import ANNOUNCED, Description
-from ..framing.announced_text import read_announcement
+from ..framing.announcement import read_announcement
 from ..framing.custom_messages import RowError, meaning
 from ..link.link import Link
 from ..link.sparing_log import SparingLog

@@ -3,7 +3,7 @@ from math import inf, isfinite
 from typing import Any, Callable, Dict, NamedTuple, Optional, Tuple
 
 from ..framing.layout import readable
-from ..transport.port import check_url
+from ..transport.urls import check_url
 
 
 class ParameterError(ValueError):

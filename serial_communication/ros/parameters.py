@@ -10,7 +10,7 @@ import rospy
 from ..boards import BOARDS, description, reason
 from ..framing.custom_messages import RowError
 from ..framing.layout import brief, readable
-from ..transport.same_port import identity
+from ..transport.urls import identity
 from .interface import Interface
 from .other_boards import board_interfaces
 from .parameter import Parameter, ParameterError, Parameters, frame_id, not_empty, seconds

@@ -13,7 +13,8 @@ from ..boards import BOARDS, BoardError, description, load
 from ..boards.description import Description
 from ..output import no_more_output, prepare_output
 from ..transport.pace import Allowance
-from ..transport.port import Port, url_argument
+from ..transport.port import Port
+from ..transport.urls import url_argument
 from . import faults
 from .board import Board, Runner, positive
 from .custom_messages import add_options, announced_text

@@ -9,8 +9,7 @@ from typing import Any, Dict, Iterable, List, Optional, Tuple
 
 from ..boards.config_file import board_parameters, read_parameters
 from ..boards.description import Description
-from ..framing.announced_text import announcement_text
-from ..framing.announcement import chunks_of
+from ..framing.announcement import chunks_of, write_announcement
 from ..framing.custom_messages import CustomMessage
 from ..framing.layout import NO_VALUE, Layout, Value
 from ..transport.pace import Every
@@ -65,7 +64,7 @@ def announced_text(board: str, config: Any) -> bytes:
     Raises:
         ValueError: the rows cannot be announced.
     """
-    return announcement_text(getattr(config, 'rows', {}), f'simulated_{board} 1.0')
+    return write_announcement(getattr(config, 'rows', {}), f'simulated_{board} 1.0')
 
 
 class CustomMessagePlayer:

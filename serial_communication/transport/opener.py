@@ -7,9 +7,10 @@ import threading
 import time
 from typing import Callable, Optional
 
-from .port import Port, PortError
+from .port import Port
+from .port_errors import PortError
 
-_BACK_OFF = (0.1, 1.0)    # s between two tries: the first pause, the longest
+_BACK_OFF = (0.1, 1.0)    # s before a try: the first pause, the longest
 
 
 def _nothing_is_due(_now: float) -> Optional[float]:
@@ -30,10 +31,11 @@ class Opener:
     def __init__(self, port: Port, name: str) -> None:
         self.ending = threading.Event()      # `end` has been called
         self._port = port
-        self._pause = 0.0                    # s until the next try
-        self._trouble = ''                   # why the latest try failed; '': the port is open
-        self._tried = threading.Event()      # that try has ended
-        self._orders: queue.SimpleQueue = queue.SimpleQueue()   # its get() takes no memory
+        self._pause = 0.0                    # s before the next try
+        self._is_trying = False              # the result of a try has not been taken yet
+        # For each try the pause before it, and why it failed or ''. Their get() takes no memory.
+        self._tries: queue.SimpleQueue = queue.SimpleQueue()
+        self._results: queue.SimpleQueue = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self) -> None:
@@ -43,8 +45,8 @@ class Opener:
     def end(self) -> None:
         """Stop opening the port; returns at once, also while an opening hangs."""
         self.ending.set()
-        self._orders.put(False)
-        self._tried.set()
+        self._tries.put(0.0)
+        self._results.put('')
 
     def open(self, failed: Callable[[str], None],
              idle: Callable[[float], Optional[float]] = _nothing_is_due) -> bool:
@@ -55,49 +57,49 @@ class Opener:
             idle: called meanwhile with the time (time.monotonic); returns when to call it next at
                 the latest, or None.
         """
-        if self._port.is_open:
-            return True
         while not self.ending.is_set():
-            self._wait(self.ending, self._pause, idle)
-            self._pause = min(max(self._pause * 2, _BACK_OFF[0]), _BACK_OFF[1])
-            self._tried.clear()
-            self._orders.put(True)
-            while not self._tried.is_set() and not self.ending.is_set():
-                self._wait(self._tried, _BACK_OFF[1], idle)
-            if self.ending.is_set():
-                break
-            if not self._trouble:
+            if self._port.is_open and not self._is_trying:
                 self._pause = _BACK_OFF[0]
                 return True
-            self._port.close()
-            failed(self._trouble)
+            if not self._is_trying:
+                self._tries.put(self._pause)
+                self._is_trying = True
+                self._pause = min(max(self._pause * 2, _BACK_OFF[0]), _BACK_OFF[1])
+            trouble = self._result(idle)
+            self._is_trying = False
+            if trouble and not self.ending.is_set():
+                failed(trouble)
         self._port.close()
         return False
 
-    def _wait(self, until: threading.Event, seconds: float,
-              idle: Callable[[float], Optional[float]]) -> None:
-        now = time.monotonic()
-        end = now + seconds
-        while now < end and not until.is_set() and not self.ending.is_set():
-            due = idle(now)
-            until.wait(max((end if due is None else min(due, end)) - now, 0.0))
+    def _result(self, idle: Callable[[float], Optional[float]]) -> str:
+        while True:
             now = time.monotonic()
+            due = idle(now)
+            wait = _BACK_OFF[1] if due is None else min(max(due - now, 0.0), _BACK_OFF[1])
+            try:
+                result: str = self._results.get(timeout=wait)
+                return result
+            except queue.Empty:
+                pass
 
     def _run(self) -> None:
-        while self._orders.get() and not self.ending.is_set():
-            self._trouble = 'out of memory while opening it'
+        while True:
+            time.sleep(self._tries.get())
+            if self.ending.is_set():
+                return
+            trouble = 'out of memory while opening it'
             try:
-                self._trouble = self._try()
+                trouble = self._try()
             except BaseException:  # pylint: disable=broad-except
                 pass        # too little memory even for the text of the error
-            if self.ending.is_set():
-                self._port.close()      # `open` has returned already
-            self._tried.set()
+            if trouble or self.ending.is_set():     # then `open` may have returned already
+                self._port.close()
+            self._results.put(trouble)
 
     def _try(self) -> str:
         try:
-            if not self._port.is_open:      # an earlier order may have opened it
-                self._port.open()
+            self._port.open()
         except PortError as error:
             return str(error)
         except BaseException as error:  # pylint: disable=broad-except

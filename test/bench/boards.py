@@ -9,12 +9,13 @@ import select
 import sys
 import threading
 import time
-from typing import Callable, Dict, List
+from typing import Callable, Dict, Iterable, List
 
+from fake_bus import FakeBus
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.mcu import wire as mcu
-from .child import jittered, serve, set_board_priority, sleep_until, wait_until
+from .child import jittered, serve, sleep_until, wait_until
 
 BITS = 10              # for a byte on the wire, with start and stop bit
 COUNT = 1024           # modulus of the running number in a packet
@@ -89,74 +90,64 @@ class Talker:
         return {'turns': turns, 'lost': lost}
 
 
-class Listener:
-    """Stamps the heartbeats of a node, which sends nothing else in the bench."""
-
-    HEARTBEAT = arduino.encode(arduino.Heartbeat())
+class Recorder:
+    """Keeps what a thread, which runs `records`, finds in the bytes of a node."""
 
     def __init__(self, fd: int) -> None:
         self._fd = fd
-        self._stamps: List[float] = []
+        self._kept: list = []
         threading.Thread(target=self._run, daemon=True).start()
 
     def _run(self) -> None:
         while True:
             select.select([self._fd], [], [])    # the talker may have set it to non-blocking
             data = os.read(self._fd, 4096)
-            now = time.monotonic()
-            self._stamps.extend([now] * data.count(self.HEARTBEAT))
+            self._kept.extend(self.records(data, time.monotonic()))
 
-    def take(self) -> List[float]:
-        """Return the times of the heartbeats since the last call."""
-        stamps, self._stamps = self._stamps, []
-        return stamps
+    def records(self, data: bytes, now: float) -> Iterable:
+        """Yield what is to be kept of these bytes, read just now."""
+        raise NotImplementedError
+
+    def take(self) -> list:
+        """Return the records since the last call."""
+        kept, self._kept = self._kept, []
+        return kept
 
 
-class BusBoard:
-    """Answers each request after the wire time of its bytes and the reply's."""
+class Listener(Recorder):
+    """Records the time of each heartbeat of a node, which sends nothing else in the bench."""
+
+    HEARTBEAT = arduino.encode(arduino.Heartbeat())
+
+    def records(self, data: bytes, now: float) -> Iterable:
+        return [now] * data.count(self.HEARTBEAT)
+
+
+class BusBoard(Recorder):
+    """Answers each request after the wire time of its bytes and the reply's. Records the time at
+    which the request's first byte was read, and that just before the reply was written."""
 
     def __init__(self, fd: int) -> None:
-        self._fd = fd
+        self._board = FakeBus()
         self._decoder = bus.RequestDecoder()
-        self._exchanges: List[tuple] = []
-        threading.Thread(target=self._run, daemon=True).start()
+        self._began = 0.0
+        super().__init__(fd)
 
-    def take(self) -> List[tuple]:
-        """Return the exchanges since the last call: (time at which the request's first byte was
-        read, time just before the reply was written)."""
-        exchanges, self._exchanges = self._exchanges, []
-        return exchanges
-
-    def _run(self) -> None:
-        began = 0.0
-        while True:
-            data = os.read(self._fd, 4096)
-            now = time.monotonic()
-            if not self._decoder.begun:
-                began = now
-            for frame in self._decoder.feed(data):
-                if frame.cause:
-                    continue
-                reply = bus.encode_reply(_reply(frame.message))
-                wait_until(began + (len(frame.raw) + len(reply)) * BITS / _BAUD)
-                self._exchanges.append((began, time.monotonic()))
+    def records(self, data: bytes, now: float) -> Iterable:
+        if not self._decoder.begun:
+            self._began = now
+        for frame in self._decoder.feed(data):
+            if not frame.cause:
+                reply = bus.encode_reply(self._board.usual(frame.message))
+                wait_until(self._began + (len(frame.raw) + len(reply)) * BITS / _BAUD)
+                yield self._began, time.monotonic()
                 os.write(self._fd, reply)
-
-
-def _reply(request: bus.Request) -> bus.Reply:
-    if request.cmd1 in (bus.SYNC, bus.ECHO):
-        return bus.Reply(request.cmd1, request.data)
-    if request == bus.ENVIRONMENT_REQUEST:
-        return bus.Reply(bus.OK, bus.Environment(350, 25.63, 48.12).pack())
-    return bus.Reply(bus.OK)
 
 
 def main() -> None:
     """boards ROLE FD [LINK]."""
     role, fd = sys.argv[1], int(sys.argv[2])
     sys.setswitchinterval(0.0005)
-    # The listener has a higher priority than the bridge's heartbeats, so that it stamps in time.
-    set_board_priority(30 if role == 'listener' else 5)
     if role == 'talker':
         talker = Talker(fd, sys.argv[3])
         serve(talk=talker.talk, flood=talker.flood)

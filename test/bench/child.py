@@ -3,7 +3,6 @@
 The bench runs its boards and ROS nodes as child processes, since a measured program must not share
 an interpreter with the program that measures it. No rospy here, since boards do not need it.
 """
-import ctypes
 import json
 import os
 import random
@@ -11,7 +10,6 @@ import sys
 import time
 from typing import Callable, Iterator
 
-_PR_SET_TIMERSLACK = 29
 _SPIN = 0.0002       # s of busy waiting before a deadline
 
 
@@ -22,28 +20,10 @@ def serve(**handlers: Callable) -> None:
     """
     answers = os.fdopen(os.dup(1), 'w')
     os.dup2(2, 1)
-
-    def answer(value) -> None:
-        answers.write(json.dumps(value) + '\n')
-        answers.flush()
-
-    answer('ready')
     for line in sys.stdin:
         order = json.loads(line)
-        answer(handlers[order.pop('do')](**order))
+        print(json.dumps(handlers[order.pop('do')](**order)), file=answers, flush=True)
     os._exit(0)
-
-
-def set_board_priority(priority: int) -> None:
-    """Set real-time priority (1 … 99) and exact sleeps, as far as the system allows it.
-
-    A board is another computer, so load on the robot's computer must not delay it.
-    """
-    ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-    except OSError:
-        pass
 
 
 def sleep_until(due: float) -> None:

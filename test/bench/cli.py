@@ -5,14 +5,13 @@ import platform
 import signal
 import sys
 from argparse import Namespace
-from typing import Dict, List
 
 import psutil
 
 from serial_communication.output import prepare_output
 from processes import StageError
 from .hostile import hostile
-from .report import Results, judge, render
+from .report import judge, render
 from .sections import SECTIONS, Plan
 from .stage import BenchStage
 
@@ -26,7 +25,12 @@ def main(options: Namespace) -> int:
     try:
         if options.hostile:
             return 0 if hostile() else 1
-        results = measure(options.only, plan, options.against)
+        results = {}
+        with BenchStage(options.against) as stage:
+            for name in options.only:
+                print(f'{name} ...', file=sys.stderr)
+                results[name] = SECTIONS[name](stage, plan)
+                stage.clear()
     except KeyboardInterrupt:
         print('stopped', file=sys.stderr)
         return 130
@@ -42,17 +46,6 @@ def main(options: Namespace) -> int:
     print(render(facts, results, titles, options.against))
     if options.json:
         with open(options.json, 'w') as file:
-            json.dump({'facts': facts, 'goals': judge(results), 'results': results}, file,
-                      indent=1)
+            json.dump({'facts': facts, 'goals': judge(results, options.against),
+                       'results': results}, file, indent=1)
     return 0
-
-
-def measure(names: List[str], plan: Plan, against: str) -> Dict[str, Results]:
-    """Return the results of these sections, by name."""
-    results = {}
-    with BenchStage(against) as stage:
-        for name in names:
-            print(f'{name} ...', file=sys.stderr)
-            results[name] = SECTIONS[name](stage, plan)
-            stage.clear()
-    return results

@@ -9,11 +9,13 @@
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Callable, Dict, List
 
 import rospy
 import serial
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Quaternion, Vector3
 from roslib.message import get_message_class
 from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
@@ -65,11 +67,9 @@ class Polling:
         elif isinstance(message, arduino.Imu):
             out = Imu()
             out.header.stamp = rospy.Time.now()
-            for field, value in (('orientation', message.orientation()),
-                                 ('angular_velocity', message.angular_velocity()),
-                                 ('linear_acceleration', message.linear_acceleration())):
-                for axis, part in zip('xyzw', value):
-                    setattr(getattr(out, field), axis, part)
+            out.orientation = Quaternion(*message.orientation())
+            out.angular_velocity = Vector3(*message.angular_velocity())
+            out.linear_acceleration = Vector3(*message.linear_acceleration())
             self._imu.publish(out)
 
 
@@ -89,16 +89,17 @@ class Publishing:
         loops: Dict[int, list] = {}
         for name, rate in rates.items():
             loops.setdefault(rate, []).append(self._topics[name])
-        _at_once(self._loop, [(rate, topics, seconds) for rate, topics in loops.items()])
-        return True
 
-    @staticmethod
-    def _loop(rate: int, topics: list, seconds: float) -> None:
-        start = time.monotonic()
-        for turn in range(1, round(rate * seconds) + 1):
-            for topic, message in topics:
-                topic.publish(message)
-            sleep_until(start + turn / rate)
+        def loop(rate: int, topics: list) -> None:
+            start = time.monotonic()
+            for turn in range(1, round(rate * seconds) + 1):
+                for topic, message in topics:
+                    topic.publish(message)
+                sleep_until(start + turn / rate)
+
+        with ThreadPoolExecutor(len(loops)) as threads:
+            list(threads.map(loop, loops, loops.values()))
+        return True
 
 
 def _prepared(kind: type) -> Any:
@@ -171,17 +172,9 @@ class Caller:
                 success = proxy().success
                 calls.append((start, time.monotonic(), success))
 
-        _at_once(loop, [(proxy,) for proxy in self._proxies[service]])
+        with ThreadPoolExecutor(len(self._proxies[service])) as threads:
+            list(threads.map(loop, self._proxies[service]))
         return calls
-
-
-def _at_once(target: Callable, arguments: List[tuple]) -> None:
-    """Call `target` in one thread for each set of arguments; return when all have returned."""
-    threads = [threading.Thread(target=target, args=each) for each in arguments]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
 
 
 def main() -> None:

@@ -7,7 +7,9 @@ from tabulate import tabulate
 
 Figures = Dict[str, float]      # by name; less is better
 Results = Dict[str, Figures]    # of one section, by side
-_SHOWN = 5.0                    # ms in 10 s; a thread that needs less is not shown
+CPU, SCHEDSTAT = 'CPU, % of a core', 'CPU by schedstat, % of a core'
+# A thread is not shown if none of the compared ones has as much.
+_SHOWN = {', ms in 10 s': 5.0, ', wake-ups per packet': 0.05}
 
 
 def percentile(values: Sequence[float], percent: float) -> float:
@@ -65,7 +67,6 @@ def _ratio(figure: str, one: str, other: str) -> Callable[[Results], float]:
     return lambda results: results[one][figure] / results[other][figure]
 
 
-_CPU = 'CPU, % of a core'
 GOALS = (
     Goal('latency p50, relative to polling', 0.20, 'latency',
          _ratio('p50, ms', 'bridge', 'polling')),
@@ -76,22 +77,33 @@ GOALS = (
     Goal('heartbeat beside two busy processes, p99.9 in ms', 15, 'busy',
          lambda results: results['bridge']['heartbeat: p99.9, ms']),
     Goal('CPU with subscribers, relative to publishing', 1.25, 'cpu',
-         _ratio(_CPU, 'bridge', 'publishing')),
+         _ratio(CPU, 'bridge', 'publishing')),
     Goal('CPU without subscribers, relative to publishing', 0.35, 'cpu',
-         _ratio(_CPU, 'bridge, no subscriber', 'publishing')),
+         _ratio(CPU, 'bridge, no subscriber', 'publishing')),
     Goal('bus: gap between exchanges while calls wait, p50 in ms', 0.3, 'bus',
          lambda results: max(value for name, value in results['bridge'].items() if 'gap' in name)),
     Goal('1 Mbaud back to back: messages and bytes lost', 0, 'flood',
          lambda results: sum(value for name, value in results['bridge'].items()
                              if 'lost' in name)),
     Goal('CPU of each of several bridges, relative to one', 1.10, 'bridges',
-         _ratio('CPU of each, % of a core', 'all', 'one')),
+         _ratio(CPU, 'all', 'one')),
 )
 
 
-def judge(results: Dict[str, Results]) -> List[tuple]:
+def goals_against(commit: str) -> Tuple[Goal, ...]:
+    """Return the goals of the comparison with another commit."""
+    return tuple(Goal(f'{what}, relative to {commit}', 1.10, section,
+                      _ratio(figure, 'bridge', commit))
+                 for what, section, figure in (
+                     ('latency p50', 'latency', 'p50, ms'), ('latency p99', 'latency', 'p99, ms'),
+                     ('CPU of the car alone', 'latency', SCHEDSTAT),
+                     ('CPU with subscribers', 'cpu', SCHEDSTAT)))
+
+
+def judge(results: Dict[str, Results], against: str = '') -> List[tuple]:
     """Return (goal, limit, figure, 'met' or 'NOT MET') for each goal of the sections that ran."""
-    found = [(goal, goal.measure(results[goal.section])) for goal in GOALS
+    goals = GOALS + (goals_against(against) if against else ())
+    found = [(goal, goal.measure(results[goal.section])) for goal in goals
              if goal.section in results]
     return [(goal.what, goal.limit, value, 'met' if value <= goal.limit else 'NOT MET')
             for goal, value in found]
@@ -107,7 +119,7 @@ def render(facts: str, results: Dict[str, Results], titles: Dict[str, str], agai
         titles: of the sections.
         against: the commit with which the bridge is compared, or ''.
     """
-    goals = tabulate(judge(results), ('goal', 'at most', 'measured', ''), floatfmt='.2f')
+    goals = tabulate(judge(results, against), ('goal', 'at most', 'measured', ''), floatfmt='.2f')
     return '\n\n'.join([facts, goals] + [f'{titles[name]}\n{_table(sides, against)}'
                                          for name, sides in results.items()])
 
@@ -117,11 +129,10 @@ def _table(sides: Results, against: str) -> str:
     rows = []
     for figure in {name: None for figures in sides.values() for name in figures}:
         values = [figures.get(figure) for figures in sides.values()]
-        if figure.endswith('in 10 s') and (
-                sides['bridge'].get(figure, 0.0) < _SHOWN and sides.get(against, {}).get(
-                    figure, 0.0) < _SHOWN):
-            continue
         ours, theirs = sides.get('bridge', {}).get(figure), sides.get(against, {}).get(figure)
+        least = next((least for ending, least in _SHOWN.items() if figure.endswith(ending)), None)
+        if least is not None and max(ours or 0.0, theirs or 0.0) < least:
+            continue
         rows.append([figure, *values, *([ours / theirs if ours and theirs else None]
                                         if against in sides else [])])
     return tabulate(rows, ['', *sides, *([f'bridge / {against}'] if against in sides else [])],

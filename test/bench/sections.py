@@ -4,6 +4,7 @@ The sides of a comparison run at the same time and take turns, A B C A B C …. 
 figure counts, so that other load on the machine has little effect. Less is better for all figures.
 """
 import time
+from collections import Counter
 from math import inf
 from pathlib import Path
 from statistics import median, pstdev
@@ -15,13 +16,15 @@ from tqdm import tqdm
 from processes import Child
 from serial_communication.boards import description
 from .nodes import topics_of_boards
-from .report import Figures, Results, best, gaps_in_queue, latencies, percentile
+from .report import (CPU, SCHEDSTAT, Figures, Results, best, gaps_in_queue, latencies,
+                     percentile)
 from .stage import BenchStage, Servant, Side
 
 _SETTLE = 0.2          # s until messages under way have arrived
 _CALLERS = 8
 _IN_QUEUE = 0.002      # s after which a call is certainly in the node's queue
 _FLOOD = 1000000       # baud
+_ALL, _CPU_MS, _WAKES = 'all threads', 'ms', 'wake-ups'     # see threads_of
 
 
 class Plan(NamedTuple):
@@ -44,12 +47,43 @@ def _in_turn(plan: Plan, sides: Dict[str, Measure]) -> Results:
     return {name: best(rounds) for name, rounds in found.items()}
 
 
-def _cost(children: Sequence[Child], work: Callable[[], Any]) -> Tuple[float, Any]:
-    """Return the CPU time of each child during `work` in % of a core, and the result of `work`."""
-    spent, start = sum(child.cpu_seconds() for child in children), time.monotonic()
+def _cost(children: Sequence[Child], work: Callable[[], Any]) -> Tuple[Figures, Any]:
+    """Return the CPU time of each child during `work`, by both of the kernel's counts, and the
+    result of `work`."""
+    def spent() -> List[float]:
+        return [sum(child.cpu_seconds() for child in children),
+                sum(threads_of(child.pid)[_ALL, _CPU_MS] for child in children) / 1e3]
+
+    before, start = spent(), time.monotonic()
     result = work()
-    spent = sum(child.cpu_seconds() for child in children) - spent
-    return 100 * spent / (time.monotonic() - start) / len(children), result
+    percent = 100 / (time.monotonic() - start) / len(children)
+    return {name: (after - then) * percent
+            for name, after, then in zip((CPU, SCHEDSTAT), spent(), before)}, result
+
+
+def threads_of(pid: int) -> Counter:
+    """Return the CPU time in ms, and how often it was woken, of each thread of a process so far, by
+    (name, _CPU_MS or _WAKES). The name _ALL stands for all threads."""
+    found: Counter = Counter()
+    for task in Path(f'/proc/{pid}/task').iterdir():
+        try:
+            nanoseconds = int((task / 'schedstat').read_text().split()[0])
+            wakes = (task / 'status').read_text().split('voluntary_ctxt_switches:')[1].split()[0]
+            for name in _ALL, (task / 'comm').read_text().strip():
+                found[name, _CPU_MS] += nanoseconds / 1e6
+                found[name, _WAKES] += int(wakes)
+        except OSError:     # it has ended
+            continue
+    return found
+
+
+def thread_figures(before: Counter, after: Counter, seconds: float, packets: int) -> Figures:
+    """Return the figures of each thread for this time, in which so many packets were sent."""
+    after = after.copy()
+    after.subtract(before)
+    return {f'{name}, ms in 10 s' if what == _CPU_MS else f'{name}, wake-ups per packet':
+            count * 10 / seconds if what == _CPU_MS else count / packets
+            for (name, what), count in after.items()}
 
 
 def _figure(function: Callable[[List[float]], float], seconds: List[float]) -> float:
@@ -75,33 +109,19 @@ def latency(stage: BenchStage, plan: Plan, busy: int = 0) -> Results:
 def _latency(side: Side, subscriber: Servant, seconds: float) -> Figures:
     side.others['listener'].ask('take')
     subscriber.ask('take', node=side.node)
-    before = _threads(side.child.pid)
-    cpu, sent = _cost([side.child], lambda: side.talk(seconds)['arduino'])
-    threads = {name: (spent - before.get(name, 0)) / 1e6 * 10 / seconds
-               for name, spent in _threads(side.child.pid).items()}
+    before = threads_of(side.child.pid)
+    cost, sent = _cost([side.child], lambda: side.talk(seconds)['arduino'])
+    threads = thread_figures(before, threads_of(side.child.pid), seconds, sum(map(len, sent)))
     beats = side.others['listener'].ask('take')
     time.sleep(_SETTLE)
     found = latencies(sent, subscriber.ask('take', node=side.node))
     gaps = [after - then for then, after in zip(beats, beats[1:])]
     return {'p50, ms': _figure(median, found),
             'p99, ms': _figure(lambda values: percentile(values, 99), found),
-            'lost': 2 * len(sent) - len(found), 'CPU, % of a core': cpu,
+            'lost': 2 * len(sent) - len(found), **cost,
             'heartbeat: deviation, ms': _figure(pstdev, gaps),
             'heartbeat: p99.9, ms': _figure(lambda values: percentile(values, 99.9), gaps),
-            **{f'{name}, ms in 10 s': spent for name, spent in threads.items()}}
-
-
-def _threads(pid: int) -> Dict[str, int]:
-    """Return the CPU time of the threads so far, in ns, by name."""
-    spent: Dict[str, int] = {}
-    for task in Path(f'/proc/{pid}/task').iterdir():
-        try:
-            name = (task / 'comm').read_text().strip()
-            nanoseconds = (task / 'schedstat').read_text()
-        except OSError:     # it has ended
-            continue
-        spent[name] = spent.get(name, 0) + int(nanoseconds.split()[0])
-    return spent
+            **threads}
 
 
 def busy(stage: BenchStage, plan: Plan) -> Results:
@@ -126,7 +146,7 @@ def cpu(stage: BenchStage, plan: Plan) -> Results:
     rates = _rates(counter, subscribed['bridge'], plan.seconds)
 
     def work(child: Child, load: Callable[[], Any]) -> Measure:
-        return lambda: {'CPU, % of a core': _cost([child], load)[0]}
+        return lambda: _cost([child], load)[0]
 
     return _in_turn(plan, {
         **{name: work(side.child, lambda side=side: side.talk(plan.seconds))
@@ -173,8 +193,7 @@ def bridges(stage: BenchStage, plan: Plan) -> Results:
                 side.begin_talking(plan.seconds)
             for side in talking:
                 side.end_talking()
-        return lambda: {'CPU of each, % of a core':
-                        _cost([side.child for side in talking], load)[0]}
+        return lambda: _cost([side.child for side in talking], load)[0]
 
     return _in_turn(plan, {'one': measure(sides[:1]), 'all': measure(sides)})
 
@@ -192,11 +211,11 @@ def flood(stage: BenchStage, plan: Plan) -> Results:
 
     def measure(side: Side) -> Figures:
         _settled(counter)
-        spent, sent = _cost([side.child], lambda: side.talkers['arduino'].ask(
+        cost, sent = _cost([side.child], lambda: side.talkers['arduino'].ask(
             'flood', baud=_FLOOD, seconds=plan.seconds))
         arrived = sum(count for topic, count in _settled(counter).items()
                       if topic.startswith(side.node))
-        return {'bytes lost at the port': sent['lost'], 'CPU, % of a core': spent,
+        return {'bytes lost at the port': sent['lost'], **cost,
                 'messages lost': len(topics) * sent['turns'] - arrived}
 
     return _in_turn(plan, {name: lambda side=side: measure(side) for name, side in sides.items()})

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tty
 from pathlib import Path
-from typing import Any, Dict, List, Optional, Sequence
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence
 
 from processes import NODE, Child, Stage, StageError
 from serial_communication.boards import BOARDS
@@ -32,22 +32,14 @@ runpy.run_path(sys.argv[0], run_name='__main__')
 class Servant(Child):
     """A process that takes orders and answers them; see child.py."""
 
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, orders=True, stdout=subprocess.PIPE, **options)
-        self._ready = False
-
     def begin(self, do: str, **arguments: Any) -> None:
         """Give an order without waiting for its answer."""
-        if not self._ready:
-            self._ready = True
-            self.answer()
         self.order(json.dumps(dict(arguments, do=do)))
 
     def answer(self) -> Any:
         """Return the answer to the last order."""
-        if not select.select([self.process.stdout], [], [], _ANSWER)[0]:
-            raise self.fault()
-        line = self.process.stdout.readline()
+        arrived = select.select([self.process.stdout], [], [], _ANSWER)[0]
+        line = self.process.stdout.readline() if arrived else b''
         if not line:
             raise self.fault()
         return json.loads(line)
@@ -65,22 +57,13 @@ class Servant(Child):
             pass
 
 
-class Side:
-    """A node and its boards: one side of a comparison.
+class Side(NamedTuple):
+    """A node and its boards: one side of a comparison."""
 
-    Args:
-        node: its name in ROS.
-        child: its process.
-        talkers: the boards that send unasked, by link.
-        others: the bus board and the listener.
-    """
-
-    def __init__(self, node: str, child: Child, talkers: Dict[str, Servant],
-                 others: Dict[str, Servant]) -> None:
-        self.node = node
-        self.child = child
-        self.talkers = talkers
-        self.others = others
+    node: str       # its name in ROS
+    child: Child
+    talkers: Dict[str, Servant]     # the boards that send unasked, by link
+    others: Dict[str, Servant]      # the bus board and the listener
 
     def talk(self, seconds: float) -> Dict[str, list]:
         """Let the talkers send for `seconds`; return the times of what they sent, by link."""
@@ -135,7 +118,8 @@ class BenchStage(Stage):
         """Start a module of the bench that takes orders."""
         command = [sys.executable, '-m', f'{__package__}.{module}', role, *map(str, arguments)]
         return self.add(Servant(f'{namespace} {role}', command, self.folder,
-                                self._env({'namespace': namespace}), **options))
+                                self._env({'namespace': namespace}), orders=True,
+                                stdout=subprocess.PIPE, **options))
 
     def side(self, name: str, links: Sequence[str] = BOARDS,
              parameters: Optional[Dict[str, Any]] = None) -> Side:
@@ -149,8 +133,10 @@ class BenchStage(Stage):
             ports[link] = os.ttyname(slave)
 
             def board(role: str, *arguments: str) -> Servant:
+                # A board is another computer, so load on the robot's computer must not delay it.
+                # The listener is above the bridge's heartbeats, so that it stamps them in time.
                 return self.servant('boards', role, master, *arguments, namespace=namespace,
-                                    fds=(master,))
+                                    fds=(master,), priority=30 if role == 'listener' else 5)
             if link in TURNS:
                 talkers[link] = board('talker', link)
             else:

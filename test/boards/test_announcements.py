@@ -274,7 +274,7 @@ def test_a_bus_board_gets_no_byte_that_it_did_not_get_before(line, logger, runni
     link.announcement.on_text = lambda text: None
     running(link)
     until(lambda: bus_board.executed.count(bus.ENVIRONMENT_REQUEST) > 10)
-    assert {frame.raw for frame in list(bus_board.seen)
+    assert {frame.raw for frame in list(bus_board.frames)
             if frame.message.cmd1 != bus.ECHO} == RECORDED_BUS
 
 
@@ -288,7 +288,7 @@ def test_a_bus_board_is_asked_for_each_chunk_once_a_connection_after_sync(bus_bo
     assert bus_board.questions() == [bytes((index,)) for index in range(len(bus_board.chunks))]
     kinds = [request.cmd1 for request in bus_board.requests()]
     assert kinds.index(bus.SYNC) < kinds.index(bus.FUNCTION)
-    first = next(frame for frame in bus_board.seen if frame.message[:2] == ASKED)
+    first = next(frame for frame in bus_board.frames if frame.message[:2] == ASKED)
     assert first.raw == bytes.fromhex('a50155ff000e')
     with bus_board.unplugged():
         until(lambda: not link.port.is_open)

@@ -122,14 +122,6 @@ def test_noise_has_the_stamp_of_its_last_byte(kind):
 
 
 @every_checksummed
-@pytest.mark.parametrize('begin', [b'\x02\x00', b'\x02\x0c\x01', b'\xa5\xff', b'\x5a\xfe\0'],
-                         ids=bytes.hex)
-def test_an_invalid_length_is_detected_with_its_last_byte(kind, begin):
-    """In any chunks."""
-    decode(kind, begin, end=False)
-
-
-@every_checksummed
 @given(stream=spiteful)
 def test_any_bytes_give_the_frames_of_the_definition(kind, stream):
     frames, _ = decode(kind, stream)
@@ -269,9 +261,6 @@ def test_every_undamaged_frame_is_found_between_damaged_ones(kind, data):
         assert frame in wanted, 'an undamaged frame was not found'
 
 
-packet_bodies = st.binary(min_size=1, max_size=40)
-
-
 @given(st.lists(st.one_of(
     st.tuples(st.just(True), st.integers(0, 1024)),
     st.tuples(st.just(False), st.one_of(st.binary(max_size=30), st.just(b'\1' * 300)))),
@@ -292,20 +281,6 @@ def test_every_packet_after_a_zero_is_found(pieces):
     assert [frame.raw for frame in frames if frame.type == 7
             and frame.raw in expected] == expected
     assert len(expected) >= len(angles)
-
-
-@every_checksummed
-def test_a_frame_inside_an_invalid_one_is_found_at_once(kind):
-    """Without a timeout if the invalid frame is complete."""
-    wire = sample_wires(kind)[0]
-    false_start = {'mcu': bytes((2, 2 + 20, 0x63, 0))}.get(kind.name, b'\xa5\x14')
-    # Only the checksum of this frame is wrong.
-    outer = {'mcu': lambda: mcu.encode_raw(0x63, 0, wire)[:-2] + b'\xff\x03'}.get(
-        kind.name, lambda: bytes((0xA5, len(wire), 9, 9)) + wire + b'\xff\xff')()
-    for stream in (false_start + wire + b'\x11' * 30, outer):
-        decoder = kind.make()
-        frames = decoder.feed(stream)
-        assert wire in [frame.raw for frame in valid(frames)]
 
 
 @every_checksummed

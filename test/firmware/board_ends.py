@@ -2,26 +2,17 @@
 
 import math
 import struct
+from contextlib import contextmanager
 
 import pytest
 import serial
-from by_definition import cobs_encode, xor_of
+from by_definition import (SENSORS, arduino_at, arduino_packet, bus_frame, mcu_at,
+                           xor_of)
+from emulated_board import EmulatedBoard
+from waiting import again_if_stalled
 
-(
-    DEBUG,
-    INFO,
-    WARN,
-    ERROR,
-    SPEED,
-    STEERING,
-    LED,
-    ANGLE,
-    TICKS,
-    IMU,
-    VOLTAGE,
-    HEARTBEAT,
-    CALIBRATION,
-) = range(13)
+(DEBUG, INFO, WARN, ERROR, SPEED, STEERING, LED, ANGLE, TICKS, IMU, VOLTAGE, HEARTBEAT,
+ CALIBRATION) = range(13)
 FORCE, GRIPPER = 32, 48    # custom messages
 PUMP, TANK = 0x30, 0x32    # custom functions of the bus
 RATE_SCALE = 4000.0 / 65536 * math.pi / 180 * 25  # rad/s
@@ -35,25 +26,11 @@ def open_port(board):
 # The model car
 
 
-def cobs_decode(data):
-    """The packet, or nothing for one that was cut off."""
-    out = b''
-    at = 0
-    while at < len(data):
-        code = data[at]
-        if at + code > len(data):
-            return b''
-        out += data[at + 1:at + code] + b'\x00'
-        at += code
-    return out[:-1]
-
-
 # Of the packets with data of one length, for telling those that a reset has cut off.
 LENGTHS = {ANGLE: 2, TICKS: 1, IMU: 22, VOLTAGE: 4}
 
 
-def packet(kind, data=b''):
-    return cobs_encode(bytes([kind]) + data) + b'\x00'
+packet = arduino_packet
 
 
 def driving(speed):
@@ -61,7 +38,7 @@ def driving(speed):
     return packet(HEARTBEAT) + packet(SPEED, struct.pack('<h', speed))
 
 
-class Car(object):
+class Car:
     """The computer's end of the car's link; collects every packet from the board's start on."""
 
     def __init__(self, board):
@@ -90,9 +67,9 @@ class Car(object):
         frames = self._receive().split(b'\x00')
         self._rest = frames.pop()
         for frame in frames:
-            decoded = cobs_decode(frame)
-            if decoded and len(decoded) - 1 == LENGTHS.get(decoded[0], len(decoded) - 1):
-                self.packets.append((decoded[0], decoded[1:]))
+            found = arduino_at(frame + b'\x00', 0)
+            if found and len(found.data) == LENGTHS.get(found.type, len(found.data)):
+                self.packets.append((found.type, found.data))
         return [data for packet_kind, data in self.packets if packet_kind == kind]
 
     def forget(self):
@@ -106,11 +83,8 @@ class Car(object):
         return self.read(kind)[:count]
 
     def texts(self):
-        return [
-            (kind, data.rstrip(b'\x00').decode('ascii', 'replace'))
-            for kind, data in self.packets
-            if kind <= ERROR
-        ]
+        return [(kind, data.rstrip(b'\x00').decode('ascii', 'replace'))
+                for kind, data in self.packets if kind <= ERROR]
 
     def wait_for_text(self, text, seconds=5):
         def arrived():
@@ -129,12 +103,8 @@ def imu_values(data):
     w, x, y, z = [value / 16384.0 for value in fields[:4]]
     rates = [value * RATE_SCALE for value in fields[4:7]]
     accelerations = [value * ACCELERATION_SCALE for value in fields[7:10]]
-    return (
-        (w,) + to_ros((x, y, z)),
-        to_ros(rates),
-        to_ros(accelerations),
-        fields[10] / 340.0 + 36.53,
-    )
+    return ((w,) + to_ros((x, y, z)), to_ros(rates), to_ros(accelerations),
+            fields[10] / 340.0 + 36.53)
 
 
 def to_ros(vector):
@@ -147,12 +117,8 @@ def from_euler(yaw, pitch, roll):
     cy, sy = math.cos(math.radians(yaw) / 2), math.sin(math.radians(yaw) / 2)
     cp, sp = math.cos(math.radians(pitch) / 2), math.sin(math.radians(pitch) / 2)
     cr, sr = math.cos(math.radians(roll) / 2), math.sin(math.radians(roll) / 2)
-    return (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )
+    return (cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy)
 
 
 def angle_between(a, b):
@@ -172,30 +138,22 @@ def drive_until(car, speed, condition, seconds=5):
 
 
 def comes_at(car, kind, rate):
-    """Whether packets of that kind come at so many a second, within 5 %.
-
-    They are counted at one moment. A test that did not run just as it began to count does it again.
-    """
-    for _ in range(5):
+    """Check that packets of that kind come at so many a second, within 5 %."""
+    def measured():
         car.forget()
         start = car.board.time
         car.board.wait_until(lambda: len(car.read(kind)) >= rate, 5)
-        if len(car.read(kind)) / (car.board.time - start) == pytest.approx(rate, rel=0.05):
-            return True
-    return False
+        return len(car.read(kind)) / (car.board.time - start) == pytest.approx(rate, rel=0.05)
+    return again_if_stalled(measured)
 
 
 def takes(board, action, seconds):
-    """Whether `action` takes so long, within 5 %.
-
-    A test that was kept from running sees a longer time: again.
-    """
-    for _ in range(5):
+    """Check that `action` takes so long, within 5 %."""
+    def measured():
         start = board.time
         action()
-        if board.time - start == pytest.approx(seconds, rel=0.05):
-            return True
-    return False
+        return board.time - start == pytest.approx(seconds, rel=0.05)
+    return again_if_stalled(measured)
 
 
 # The control board
@@ -207,16 +165,10 @@ OK = b'\x02'
 
 
 def request(cmd1, cmd2=0, data=b''):
-    flag = (
-        struct.pack('<BH', 0x5A, len(data))
-        if len(data) >= 255
-        else struct.pack('<BB', 0xA5, len(data))
-    )
-    frame = flag + bytes([cmd1, cmd2]) + data
-    return frame + bytes([xor_of(frame)])
+    return bus_frame(bytes([cmd1, cmd2]), data)
 
 
-class Master(object):
+class Master:
     """The computer's end of the bus; a reply is returned as CMD1 and DATE."""
 
     def __init__(self, board):
@@ -276,7 +228,7 @@ def error(code):
 # The sensor board
 
 
-class Frames(object):
+class Frames:
     """Sensor status frames from the board."""
 
     def __init__(self, board):
@@ -296,10 +248,9 @@ class Frames(object):
             self._cut = False
         while len(self._received) >= 16:
             frame, self._received = self._received[:16], self._received[16:]
-            assert (
-                frame[:3] == b'\x02\x0c\x10' and frame[15] == 3 and xor_of(frame[2:14]) == frame[14]
-            ), frame.hex()
-            self.frames.append((frame[3],) + struct.unpack('<HHhhh', frame[4:14]))
+            found = mcu_at(frame, 0)
+            assert found and found.type == SENSORS, frame.hex()
+            self.frames.append((found.command,) + struct.unpack('<HHhhh', found.data))
         return self.frames
 
     def forget_a_cut_frame(self):
@@ -315,3 +266,29 @@ class Frames(object):
         self.frames = []
         self.board.wait_until(lambda: len(self.read()) >= count, 1 + count / 10.0)
         return self.frames[:count]
+
+
+# An emulated board and the computer's end of its link, until the end of a block. `options` are
+# those of EmulatedBoard.
+
+
+@contextmanager
+def _end_of(make, build, world, **options):
+    with EmulatedBoard(build, world, **options) as board:
+        if world == 'ctrl':
+            board.wait_until(lambda: board.time > 0.05, 1)
+        end = make(board)
+        yield end
+        end.port.close()
+
+
+def car_end(build, **options):
+    return _end_of(Car, build, 'car', **options)
+
+
+def master_end(build, **options):
+    return _end_of(Master, build, 'ctrl', **options)
+
+
+def frames_end(build, **options):
+    return _end_of(Frames, build, 'range', **options)

@@ -1,15 +1,16 @@
 """Fixtures of the firmware tests: one build for all of them."""
 
-import os
 import subprocess
 
 import pytest
 
 import emulated_board
-from board_ends import Car, Frames, Master
-from emulated_board import EmulatedBoard
+from board_ends import car_end, frames_end, master_end
+from compilers import STUBS, for_the_pc, run
 
-HERE = os.path.dirname(os.path.abspath(__file__))
+# The programs that are compiled for the PC.
+PROGRAMS = {'protocol_driver': [], 'library_cases': [],
+            'old_reading': ['-I', STUBS + '/i2c', '-I', emulated_board.FIRMWARE + '/ctrl_board']}
 
 
 @pytest.fixture(scope='session')
@@ -18,52 +19,55 @@ def firmware_build():
 
 
 @pytest.fixture(scope='session', autouse=True)
-def protocol_driver(tmp_path_factory):
-    """The headers' driver, and its compiler, which runs while the boards' tests wait for them."""
-    path = str(tmp_path_factory.mktemp('driver') / 'protocol_driver')
-    with subprocess.Popen(
-        [
-            'g++',
-            '-std=c++11',
-            '-O1',
-            '-Wall',
-            '-Wextra',
-            '-Werror',
-            '-fsanitize=address,undefined',
-            '-fno-sanitize-recover=all',
-            '-I',
-            os.path.join(emulated_board.FIRMWARE, 'protocol', 'src'),
-            os.path.join(HERE, 'protocol_driver.cpp'),
-            '-o',
-            path,
-        ],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        universal_newlines=True,
-    ) as compiler:
-        yield path, compiler
+def compilers(tmp_path_factory):
+    """(program, its compiler) by name; they run while the boards' tests wait for the boards."""
+    folder = tmp_path_factory.mktemp('programs')
+    started = {name: (str(folder / name), subprocess.Popen(
+        for_the_pc(name + '.cpp', folder / name, *options), stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT, universal_newlines=True))
+        for name, options in PROGRAMS.items()}
+    yield started
+    for _, compiler in started.values():
         compiler.kill()
+        compiler.wait()
+
+
+@pytest.fixture(scope='session')
+def built(compilers):
+    """A function: the path of a program."""
+    def path(name):
+        program, compiler = compilers[name]
+        if compiler.returncode is None:
+            output = compiler.communicate()[0]
+            assert compiler.returncode == 0, output
+        return program
+    return path
+
+
+@pytest.fixture(scope='session')
+def library_case(built):
+    """A function that runs a case of library_cases.cpp; returns what it prints."""
+    def output(*arguments):
+        status, printed = run([built('library_cases'), *map(str, arguments)])
+        assert status == 0, printed
+        return printed
+    return output
 
 
 @pytest.fixture
 def car(firmware_build):
-    with EmulatedBoard(firmware_build, 'car') as board:
-        car = Car(board)
+    with car_end(firmware_build) as car:
         car.wait_for_text('IMU ready')
         yield car
         # A board that crashed has lost what arrived until the watchdog's reset.
-        assert board.get('rx_overruns') == 0 or board.get('watchdog_resets') > 0
-        car.port.close()
+        assert car.board.get('rx_overruns') == 0 or car.board.get('watchdog_resets') > 0
 
 
 @pytest.fixture
 def master(firmware_build):
-    with EmulatedBoard(firmware_build, 'ctrl') as board:
-        board.wait_until(lambda: board.time > 0.05, 1)
-        master = Master(board)
+    with master_end(firmware_build) as master:
         yield master
-        assert board.get('rx_overruns') == 0
-        master.port.close()
+        assert master.board.get('rx_overruns') == 0
 
 
 @pytest.fixture
@@ -74,8 +78,6 @@ def bus(master):
 
 @pytest.fixture
 def sensors(firmware_build):
-    with EmulatedBoard(firmware_build, 'range') as board:
-        frames = Frames(board)
-        board.wait_until(lambda: frames.next()[0][4:] == (0, 0), 3)    # all sensors have started
+    with frames_end(firmware_build) as frames:
+        frames.board.wait_until(lambda: frames.next()[0][4:] == (0, 0), 3)    # all have started
         yield frames
-        frames.port.close()

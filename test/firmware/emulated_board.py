@@ -16,9 +16,8 @@ import subprocess
 import tempfile
 import time
 
-FIRMWARE = os.path.join(
-    os.path.dirname(os.path.abspath(__file__)), os.pardir, os.pardir, 'firmware'
-)
+HERE = os.path.dirname(os.path.abspath(__file__))
+FIRMWARE = os.path.join(os.path.dirname(os.path.dirname(HERE)), 'firmware')
 
 # The program that belongs into each world.
 IMAGES = {'car': 'nano_car_emulated.elf', 'ctrl': 'ctrl_board.elf', 'range': 'range_imu.elf'}
@@ -33,26 +32,21 @@ def build_firmware():
 
     Returns the directory: the one that scripts/avr_board builds into, or FIRMWARE_BUILD.
     """
-    build = os.path.abspath(
-        os.environ.get('FIRMWARE_BUILD')
-        or os.path.join(FIRMWARE, os.pardir, 'build', 'firmware')
-    )
+    build = os.path.abspath(os.environ.get('FIRMWARE_BUILD')
+                            or os.path.join(FIRMWARE, os.pardir, 'build', 'firmware'))
     os.makedirs(build, exist_ok=True)
     with open(os.path.join(build, '.lock'), 'w') as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)  # others may build it just now
         result = subprocess.run(
             ['make', '-C', FIRMWARE, 'BUILD=' + os.path.relpath(build, FIRMWARE), '-j2',
              'WARNINGS=-Wall -Wextra -Werror'],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            universal_newlines=True,
-        )
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, universal_newlines=True)
     if result.returncode != 0:
         raise BoardError('the firmware does not build:\n' + result.stdout)
     return build
 
 
-class EmulatedBoard(object):
+class EmulatedBoard:
     """One emulator process; a context manager.
 
     build: the directory that make built into.
@@ -73,9 +67,8 @@ class EmulatedBoard(object):
         command += ['--still'] if still else []
         command += ['--eeprom', eeprom] if eeprom else []
         command.append(os.path.join(build, image or IMAGES[world]))
-        self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, universal_newlines=True
-        )
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+                                        universal_newlines=True)
         # The first line comes when everything is set up.
         self.banner = self.process.stdout.readline()
         if 'on' not in self.banner.split():

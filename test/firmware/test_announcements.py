@@ -4,50 +4,20 @@ import re
 
 import pytest
 
-from board_ends import HEARTBEAT, IMU, OK, TICKS, Car, Master, comes_at, error
-from emulated_board import FIRMWARE, EmulatedBoard
+from board_ends import HEARTBEAT, IMU, OK, TICKS, car_end, comes_at, error, master_end
+from emulated_board import FIRMWARE
 from serial_communication.boards.arduino import custom_messages
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus.functions import read_functions
 from serial_communication.boards.config_file import read_parameters
 from serial_communication.boards.mcu import custom_messages as mcu_messages
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.framing.announced_text import read_announcement
-from serial_communication.framing.announcement import TYPE, Assembly, Chunk
+from serial_communication.framing.announcement import (TYPE, Assembly, Chunk,
+                                                       read_announcement)
 from serial_communication.framing.custom_messages import meaning
-from test_library import run_on_the_pc
 
 EXAMPLES = read_parameters(os.path.join(os.path.dirname(FIRMWARE), 'config',
                                         'custom_messages.yaml'))
-LONG = ''.join(f'r{type_}: {{type: {type_}, ros_type: std_msgs/Float32MultiArray, '
-               f'layout: "<{"f" * 9}", fields: [{", ".join(f"data[{n}]" for n in range(9))}]}}\n'
-               for type_ in range(40, 51))
-TEXT = 'firmware: test 1.0\n' + ''.join(
-    f'row_{type_}: {{type: {type_}, ros_type: std_msgs/Bool, layout: <?, fields: [data]}}\n'
-    for type_ in range(40, 45))
-# A port with the send buffer of an AVR, at 115200 baud; what is sent is printed.
-PORT = r'''
-  static const char rows[] = "%s", long_rows[] = "%s";
-  (void)long_rows;
-  struct Uart : HardwareSerial {
-    int waiting = 0, waits = 0, tenths = 0;
-    bool knows_its_room = true;
-    int availableForWrite() override { return knows_its_room ? 63 - waiting : 0; }
-    size_t write(const uint8_t* bytes, size_t size) override {
-      waiting += int(size);
-      if (waiting > 63) ++waits;
-      printf("%%lu ", now_ms);
-      for (size_t i = 0; i < size; ++i) printf("%%02x", bytes[i]);
-      puts("");
-      return size;
-    }
-    void pass() {
-      ++now_ms;
-      tenths += 115;
-      for (; tenths >= 10; tenths -= 10) waiting -= waiting > 0;
-    }
-  } uart;
-''' % tuple(text.replace('\n', '\\n').replace('"', '\\"') for text in (TEXT, LONG))
 
 
 def chunks_of(output, decoder):
@@ -70,23 +40,9 @@ def quick(chunks):
     return max(30, 2 * chunks[0][1].count)
 
 
-def test_chunks_are_sent_ten_times_a_second_until_all_have_gone_twice(tmp_path):
-    """Of 39 bytes every 10 ms, as the car sends, none finds too little room in the buffer."""
-    output = run_on_the_pc(tmp_path, PORT + '''
-  PacketLink bridge(uart);
-  bridge.announce(rows);
-  while (now_ms < 9000) {
-    if (now_ms >= 7000 && now_ms % 10 == 0) received = std::string("\\x02\\x0b\\0", 3);
-    bridge.update();
-    if (now_ms % 10 == 0) {
-      for (int i = 0; i < 8; ++i) bridge.send_ticks(0);
-      bridge.send_voltage(12);
-    }
-    uart.pass();
-  }
-  CHECK(uart.waits == 0)''')
-    chunks = chunks_of(output, arduino.Decoder())
-    assert assembled([chunk for _, chunk in chunks]) == [TEXT.encode()]
+def test_chunks_are_sent_ten_times_a_second_until_all_have_gone_twice(library_case):
+    chunks = chunks_of(library_case('chunks_beside_the_packets_of_the_car'), arduino.Decoder())
+    assert assembled([chunk for _, chunk in chunks]) == [library_case('print_rows').encode()]
     times = [ms for ms, _ in chunks]
     gaps = [(ms, ms - last) for last, ms in zip(times, times[1:])]
     # A chunk waits for an empty buffer, so it may be a few ms late. At 7 s heartbeats return.
@@ -99,64 +55,34 @@ def test_chunks_are_sent_ten_times_a_second_until_all_have_gone_twice(tmp_path):
     assert len([ms for ms in times if ms >= 7000]) == 20
 
 
-@pytest.mark.parametrize('link, decoder', [('PacketLink', arduino), ('FrameLink', mcu)])
-def test_a_long_announcement_goes_twice_before_it_becomes_seldom(tmp_path, link, decoder):
+@pytest.mark.parametrize('name, decoder', [('packets', arduino), ('frames', mcu)])
+def test_a_long_announcement_goes_twice_before_it_becomes_seldom(library_case, name, decoder):
     """Its topics would need minutes otherwise."""
-    output = run_on_the_pc(tmp_path, PORT + '''
-  %s bridge(uart);
-  bridge.announce(long_rows);
-  for (; now_ms < 40000; uart.pass()) bridge.update();''' % link)
-    assert 1500 < len(LONG) <= 2048
-    chunks = chunks_of(output, decoder.Decoder())
+    text = library_case('print_long_rows')
+    assert 1500 < len(text) <= 2048
+    chunks = chunks_of(library_case('long_rows_in_' + name), decoder.Decoder())
     often = quick(chunks)
     assert often > 100
     assert [ms for ms, _ in chunks][:often + 2] == [
         100 * (number + 1) for number in range(often)] + [100 * often + 1000, 100 * often + 2000]
-    assert assembled([chunk for _, chunk in chunks[:often]]) == [LONG.encode()]
+    assert assembled([chunk for _, chunk in chunks[:often]]) == [text.encode()]
 
 
-def test_a_port_without_a_buffer_and_a_full_one_get_their_chunks_too(tmp_path):
-    output = run_on_the_pc(tmp_path, PORT + '''
-  uart.knows_its_room = false;
-  PacketLink bridge(uart);
-  bridge.announce(rows);
-  for (; now_ms < 5800; uart.pass()) bridge.update();
-  CHECK(uart.waits == 0)
-  uart.knows_its_room = true;
-  uart.waiting = 0;
-  bridge.update();
-  for (; now_ms < 21800; uart.pass()) {
-    uart.waiting = now_ms % 2 ? 63 : 40;          // a sketch that never lets it become empty
-    bridge.update();
-  }''')
-    chunks = chunks_of(output, arduino.Decoder())
+def test_a_port_without_a_buffer_and_a_full_one_get_their_chunks_too(library_case):
+    chunks = chunks_of(library_case('chunks_through_a_port_without_a_buffer_and_a_full_one'),
+                       arduino.Decoder())
     assert len([ms for ms, _ in chunks if ms < 5800]) == quick(chunks)
     assert len([ms for ms, _ in chunks if ms >= 5800]) == 8      # each is a second late
 
 
-def test_a_sensor_board_sends_its_chunks_between_its_frames(tmp_path):
-    output = run_on_the_pc(tmp_path, PORT + '''
-  FrameLink bridge(uart);
-  bridge.announce(rows);
-  for (; now_ms < 3050; uart.pass()) {
-    bridge.update();
-    if (now_ms % 50 == 0) bridge.send_sensor_status(SensorStatus());
-  }
-  CHECK(uart.waits == 0)''')
-    chunks = chunks_of(output, mcu.Decoder())
-    assert assembled([chunk for _, chunk in chunks]) == [TEXT.encode()] and len(chunks) == 30
+def test_a_sensor_board_sends_its_chunks_between_its_frames(library_case):
+    output = library_case('chunks_between_the_frames_of_a_sensor_board')
+    chunks = [chunk for _, chunk in chunks_of(output, mcu.Decoder())]
+    assert assembled(chunks) == [library_case('print_rows').encode()] and len(chunks) == 30
 
 
-def test_without_an_announcement_no_byte_is_sent(tmp_path):
-    assert run_on_the_pc(tmp_path, PORT + '''
-  (void)rows;
-  PacketLink packets(uart);
-  FrameLink frames(uart);
-  received = std::string("\\x02\\x0b\\0", 3);
-  for (; now_ms < 5000; uart.pass()) {
-    packets.update();
-    frames.update();
-  }''') == ''
+def test_without_an_announcement_no_byte_is_sent(library_case):
+    assert library_case('no_announcement') == ''
 
 
 # The reference sketches, on the emulated chip
@@ -174,38 +100,32 @@ def meanings(customs):
 
 
 def test_the_car_announces_the_example(firmware_build):
-    with EmulatedBoard(firmware_build, 'car', image='nano_car_custom.elf') as board:
-        car = Car(board)
-        board.wait_until(lambda: car.read(TYPE), 1)
+    with car_end(firmware_build, image='nano_car_custom.elf') as car:
+        car.board.wait_until(lambda: car.read(TYPE), 1)
         count = Chunk.unpack(car.read(TYPE)[0]).count
-        board.wait_until(lambda: len(car.read(TYPE)) >= count, 4)
+        car.board.wait_until(lambda: len(car.read(TYPE)) >= count, 4)
         text, = assembled([Chunk.unpack(data) for data in car.read(TYPE)])
         firmware, rows = rows_in(text)
         assert firmware == 'nano_car 1.2.0'
         named = {name: EXAMPLES['arduino']['messages'][name] for name in ('force', 'gripper')}
         assert meanings(custom_messages(rows)) == meanings(custom_messages(named))
-        car.port.close()
 
 
 def test_chunks_do_not_change_how_many_measurements_the_car_sends(firmware_build):
     """100 packets a second of each, in the 3 s of many chunks and when there is one a second."""
-    with EmulatedBoard(firmware_build, 'car', image='nano_car_custom.elf') as board:
-        car = Car(board)
+    with car_end(firmware_build, image='nano_car_custom.elf') as car:
         car.wait_for_text('IMU ready')
         assert comes_at(car, IMU, 100)
         assert len(car.read(TYPE)) >= 9
         car.read()
         counts = [sum(kind == wanted for kind, _ in car.packets) for wanted in (TICKS, IMU)]
         assert abs(counts[0] - counts[1]) <= 1
-        board.wait_until(lambda: car.next(IMU, 100) and len(car.read(TYPE)) <= 2, 5)
+        car.board.wait_until(lambda: car.next(IMU, 100) and len(car.read(TYPE)) <= 2, 5)
         assert comes_at(car, IMU, 100)
-        car.port.close()
 
 
 def test_the_control_board_announces_the_example(firmware_build):
-    with EmulatedBoard(firmware_build, 'ctrl', image='ctrl_board_custom.elf') as board:
-        board.wait_until(lambda: board.time > 0.05, 1)
-        master = Master(board)
+    with master_end(firmware_build, image='ctrl_board_custom.elf') as master:
         master.sync()
         assembly, index, text = Assembly(), 0, None
         while text is None:
@@ -219,25 +139,14 @@ def test_the_control_board_announces_the_example(firmware_build):
         assert firmware == 'ctrl_board 1.2.0'
         named = {name: EXAMPLES['bus']['functions'][name] for name in ('pump', 'stop', 'tank')}
         assert meanings(read_functions(rows)) == meanings(read_functions(named))
-        master.port.close()
 
 
-@pytest.mark.parametrize('world', ['car', 'ctrl'])
-def test_without_custom_messages_nothing_is_announced(firmware_build, world):
-    with EmulatedBoard(firmware_build, world) as board:
-        if world == 'ctrl':
-            board.wait_until(lambda: board.time > 0.05, 1)
-            master = Master(board)
-            master.sync()
-            assert master.function(TYPE, b'\0') == error(0x8000)
-            master.port.close()
-            return
-        car = Car(board)
-        for _ in range(3):
-            car.send(HEARTBEAT)
-        car.next(TICKS, 150)
-        assert car.read(TYPE) == []
-        car.port.close()
+def test_without_custom_messages_nothing_is_announced(bus, car):
+    assert bus.function(TYPE, b'\0') == error(0x8000)
+    for _ in range(3):
+        car.send(HEARTBEAT)
+    car.next(TICKS, 150)
+    assert car.read(TYPE) == []
 
 
 @pytest.mark.parametrize('example', ['Hello', 'HelloESP32', 'Sensor', 'Slave'])

@@ -2,24 +2,11 @@
 
 import glob
 import os
-import subprocess
 
 import pytest
 
+from compilers import HERE, ON_THE_AVR, ON_THE_ESP, ON_THE_PC, PROTOCOL, check
 from emulated_board import FIRMWARE
-
-STUBS = os.path.join(os.path.dirname(os.path.abspath(__file__)), 'stubs')
-PROTOCOL = os.path.join(FIRMWARE, 'protocol', 'src')
-CORE = '/usr/share/arduino/hardware/arduino/avr'
-
-ON_THE_PC = ['g++', '-Wcast-align', '-Wshadow', '-I', os.path.join(STUBS, 'esp32')]
-ON_THE_AVR = ['avr-g++', '-Os', '-mmcu=atmega328p', '-DF_CPU=16000000L', '-DARDUINO=10819',
-              '-DARDUINO_ARCH_AVR', '-I', CORE + '/cores/arduino',
-              '-I', CORE + '/variants/eightanaloginputs']
-# An ESP8266's: the ESP32's instruction set and alignment, and unsigned char.
-ON_THE_ESP = ['xtensa-lx106-elf-g++', '-Wcast-align', '-Wshadow', '-ffreestanding',
-              '-DARDUINO_ARCH_ESP32', '-I', os.path.join(STUBS, 'no_libc'),
-              '-I', os.path.join(STUBS, 'esp32')]
 
 COMPILERS = {
     'PC': ON_THE_PC + ['-fsigned-char'],
@@ -29,15 +16,6 @@ COMPILERS = {
 }
 HEADERS = sorted(os.path.basename(path) for path in glob.glob(PROTOCOL + '/*.h'))
 ESP_SOURCES = ['range_imu.ino', 'sensors.cpp', 'sensors_esp32.cpp', 'sensors_avr.cpp']
-
-
-def check(compiler, path, *options):
-    command = compiler + [
-        '-std=gnu++11', '-fsyntax-only', '-Wall', '-Wextra', '-Werror', '-I', PROTOCOL,
-        '-x', 'c++', *options, path]
-    result = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-                            universal_newlines=True)
-    assert result.returncode == 0, result.stdout
 
 
 @pytest.mark.parametrize('chip', sorted(COMPILERS))
@@ -53,7 +31,7 @@ def test_headers(chip, tmp_path):
 def test_driver_of_the_headers_with_unsigned_char():
     """It uses every template of the headers."""
     check(COMPILERS['PC, unsigned char'],
-          os.path.join(os.path.dirname(STUBS), 'protocol_driver.cpp'))
+          os.path.join(HERE, 'protocol_driver.cpp'))
 
 
 @pytest.mark.parametrize('source', ESP_SOURCES)

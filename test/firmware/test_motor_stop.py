@@ -5,8 +5,7 @@ import statistics
 
 import pytest
 
-from board_ends import HEARTBEAT, TICKS, Car, drive_until, driving, packet
-from emulated_board import EmulatedBoard
+from board_ends import HEARTBEAT, TICKS, car_end, drive_until, driving, packet
 
 # MOTOR_STOP_ROUNDS=1000 measures each condition so often, and prints what came out.
 ROUNDS = int(os.environ.get('MOTOR_STOP_ROUNDS', '3'))
@@ -80,19 +79,16 @@ def check_stop_times(car, condition, pwm, wait_for_start):
         assert min(taken) >= 0.030    # nor is a heartbeat too early called lost
 
 
-@pytest.mark.parametrize(
-    'condition', [nothing, sda_stuck, scl_stuck, uart_full, stalled, port_opened]
-)
+@pytest.mark.parametrize('condition', [
+    nothing, sda_stuck, scl_stuck, uart_full, stalled, port_opened])
 def test_time_from_the_last_heartbeat_to_pwm_0(car, condition):
     check_stop_times(car, condition, PWM, lambda: car.wait_for_text('IMU ready'))
 
 
 @pytest.mark.parametrize('condition', [nothing, uart_full, stalled, port_opened])
 def test_the_motor_of_the_example_stops_likewise(firmware_build, condition):
-    with EmulatedBoard(firmware_build, 'car', image='Car.elf') as board:
-        car = Car(board)
+    with car_end(firmware_build, image='Car.elf') as car:
         check_stop_times(car, condition, PWM_OF_THE_EXAMPLE, lambda: car.next(TICKS, 3))
-        car.port.close()
 
 
 @pytest.mark.parametrize('held_up', [0.05, 0.1])

@@ -9,61 +9,14 @@ import pytest
 
 from emulated_board import FIRMWARE, EmulatedBoard
 
+HERE = os.path.dirname(os.path.abspath(__file__))
 AVR_BOARD = os.path.join(FIRMWARE, os.pardir, 'scripts', 'avr_board')
-SKETCH = {
-    # Functions are used before they are defined, also across files, as the IDE allows it.
-    'own.ino': '''
-#include <PacketLink.h>
-#include <Wire.h>
-#include "part.h"
-
-struct PACKED Light { uint16_t raw; };
-PacketLink bridge(Serial);
-
-void setup() {
-  Serial.begin(115200);
-  Wire.begin();
-  pinMode(5, OUTPUT);
-  pinMode(6, INPUT_PULLUP);
-  bridge.log("started");
-}
-
-void loop() {
-  bridge.update();
-  copy_pins();
-  if (every(20)) report(twice(analogRead(A0)));
-}
-
-void report(uint16_t raw)
-{
-  Light light = {raw};
-  bridge.send(32, light);
-}
-''',
-    'second.ino': '''
-void copy_pins() {
-  digitalWrite(5, digitalRead(4));
-  analogWrite(9, digitalRead(6) ? 100 : 0);
-}
-bool every(unsigned long ms) {
-  static unsigned long last = 0;
-  if (millis() - last < ms) return false;
-  last = millis();
-  return true;
-}
-''',
-    'part.h': 'int twice(int number);\n',
-    'part.cpp': '#include "part.h"\nint twice(int number) { return 2 * number; }\n'}
 
 
 @pytest.fixture(scope='module')
-def image(firmware_build, tmp_path_factory):
-    folder = tmp_path_factory.mktemp('sketches') / 'own'
-    folder.mkdir()
-    for name, text in SKETCH.items():
-        (folder / name).write_text(text)
+def image(firmware_build):
     # A relative path is the caller's, whatever folder make works in.
-    done = make(folder.parent, 'SKETCH=own', 'BUILD=' + firmware_build)
+    done = make(HERE, 'SKETCH=own', 'BUILD=' + firmware_build)
     assert done.returncode == 0, done.stdout
     image = os.path.join(firmware_build, 'sketches', 'own.elf')
     assert image[:-4] + '.elf' in done.stdout and os.path.exists(image[:-4] + '.hex')

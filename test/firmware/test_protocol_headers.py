@@ -6,7 +6,7 @@ import subprocess
 
 import pytest
 from board_ends import request
-from by_definition import cobs_encode, xor_of
+from by_definition import bus_frame, cobs_encode, xor_of
 from protocol_cases import hexed, vectors
 
 VECTORS = {name: vectors(file) for name, file in (
@@ -17,11 +17,10 @@ def plain(text):
     return text.replace(' ', '')
 
 
-class Driver(object):
+class Driver:
     def __init__(self, program):
-        self._process = subprocess.Popen(
-            [program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, universal_newlines=True
-        )
+        self._process = subprocess.Popen([program], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                                         universal_newlines=True)
 
     def __call__(self, line):
         self._process.stdin.write(line + '\n')
@@ -34,17 +33,9 @@ class Driver(object):
         self._process.wait()
 
 
-@pytest.fixture(scope='session')
-def program(protocol_driver):
-    path, compiler = protocol_driver
-    said = compiler.communicate()[0]
-    assert compiler.returncode == 0, said
-    return path
-
-
 @pytest.fixture
-def driver(program):
-    driver = Driver(program)
+def driver(built):
+    driver = Driver(built('protocol_driver'))
     yield driver
     driver.close()
 
@@ -71,8 +62,7 @@ def test_cobs_agrees_with_the_model(driver):
         size = rng.choice([0, 1, 2, 10, 253, 254, 255, 256, 508, 509, 700])
         data = bytes(
             rng.choice([0, 1, rng.randrange(256)]) if rng.random() < 0.1 else rng.randrange(1, 256)
-            for _ in range(size)
-        )
+            for _ in range(size))
         encoded = cobs_encode(data)
         assert driver('encode ' + data.hex()) == encoded.hex()
         assert driver('decode ' + encoded.hex()) == data.hex()
@@ -80,18 +70,8 @@ def test_cobs_agrees_with_the_model(driver):
 
 # Arduino packets
 
-SENDERS = {
-    4: 'speed %d',
-    5: 'steering %d',
-    7: 'angle %d',
-    8: 'ticks %d',
-    10: 'voltage %r',
-    11: 'heartbeat',
-    12: 'calibration',
-    0: 'text 0 %s',
-    1: 'text 1 %s',
-    6: 'text 6 %s',
-}
+SENDERS = {4: 'speed %d', 5: 'steering %d', 7: 'angle %d', 8: 'ticks %d', 10: 'voltage %r',
+           11: 'heartbeat', 12: 'calibration', 0: 'text 0 %s', 1: 'text 1 %s', 6: 'text 6 %s'}
 
 
 @pytest.mark.parametrize('packet', VECTORS['arduino']['packets'], ids=lambda packet: packet['wire'])
@@ -99,9 +79,7 @@ def test_arduino_packets(driver, packet):
     kind = packet['type']
     assert driver('packet %d %s' % (kind, plain(packet['payload']))) == plain(packet['wire'])
     if kind == 9:
-        command = 'imu ' + ' '.join(
-            str(field) for field in struct.unpack('>11h', hexed(packet['payload']))
-        )
+        command = 'imu ' + ' '.join(map(str, struct.unpack('>11h', hexed(packet['payload']))))
     else:
         command = SENDERS[kind] % ((packet['value'],) if 'value' in packet else ())
     assert driver(command) == plain(packet['wire'])
@@ -145,9 +123,8 @@ def test_bad_packets_are_counted_and_take_no_good_one_with_them(driver):
 
 
 def test_a_packet_without_its_end_is_given_up(driver):
-    assert (
-        driver('parse 0404 +49 900100') == '4:9001=400 | cobs=0 long=0 length=0 unknown=0 timeout=0'
-    )
+    assert driver('parse 0404 +49 900100') == \
+        '4:9001=400 | cobs=0 long=0 length=0 unknown=0 timeout=0'
     assert driver('parse 0404 +50 020b00') == '11: | cobs=0 long=0 length=0 unknown=0 timeout=1'
 
 
@@ -211,10 +188,8 @@ EXPECTED = {
 @pytest.mark.parametrize('case', VECTORS['bus']['requests'], ids=lambda case: case['name'])
 def test_bus_requests(driver, case):
     frame = plain(case['frame'])
-    assert (
-        request(case['cmd1'], case['cmd2'], hexed(case['data'])).hex() == frame
+    assert request(case['cmd1'], case['cmd2'], hexed(case['data'])).hex() == frame \
         or 'documented' in case['name']
-    )
     if case['name'].startswith('echo'):
         expected = reply_of(1, hexed(case['data'])).hex()
     else:
@@ -228,13 +203,7 @@ def test_bus_requests(driver, case):
 
 
 def reply_of(cmd1, data=b''):
-    frame = (
-        struct.pack('<BH', 0x5A, len(data))
-        if len(data) >= 255
-        else struct.pack('<BB', 0xA5, len(data))
-    )
-    frame += bytes([cmd1]) + data
-    return frame + bytes([xor_of(frame)])
+    return bus_frame(bytes([cmd1]), data)
 
 
 @pytest.mark.parametrize('case', VECTORS['bus']['replies'], ids=lambda case: case['name'])
@@ -261,9 +230,8 @@ def test_bus_replies(driver, case):
 
 
 def test_bus_executes_nothing_before_sync(driver):
-    replies, executed = bus(
-        driver, LIFT_UP_100, request(1, 0, b'x').hex(), request(0x55, 0x22).hex()
-    )
+    replies, executed = bus(driver, LIFT_UP_100, request(1, 0, b'x').hex(),
+                            request(0x55, 0x22).hex())
     assert replies == [invalid(0x10)] * 3
     assert executed == []
 
@@ -271,34 +239,16 @@ def test_bus_executes_nothing_before_sync(driver):
 def test_bus_motion_takes_its_time_and_everything_waits_for_it(driver):
     echo = request(1, 0, b'\xde\xad').hex()
     replies, executed = bus(driver, SYNC, LIFT_UP_100, '+3000', echo, SYNC, '!', LIFT_UP_100, '!')
-    assert replies == [
-        SYNC_REPLY,
-        '-',
-        '-',
-        '-',
-        '-',
-        OK + reply_of(1, b'\xde\xad').hex() + SYNC_REPLY,
-        '-',
-        OK,
-    ]
+    assert replies == [SYNC_REPLY, '-', '-', '-', '-',
+                       OK + reply_of(1, b'\xde\xad').hex() + SYNC_REPLY, '-', OK]
     assert executed == ['20:0064'] * 2
 
 
 def test_bus_finds_a_frame_inside_a_false_start(driver):
     # A lone flag, a header, a whole bad frame, a long flag: the request after it is executed
     # once, and the Master never reads INVALID for it.
-    for noise in (
-        'a5',
-        'a502',
-        'a50a',
-        '5a',
-        '5affff',
-        '5a0001',
-        'a5a5a5',
-        'a500000000',
-        'a5025520',
-        '00ff12',
-    ):
+    for noise in ('a5', 'a502', 'a50a', '5a', '5affff', '5a0001', 'a5a5a5', 'a500000000',
+                  'a5025520', '00ff12'):
         replies, executed = bus(driver, SYNC, noise + request(0x55, 0x21, b'\x00\x1e').hex(), '+60')
         assert ''.join(reply for reply in replies if reply != '-') == SYNC_REPLY + OK, noise
         assert executed == ['21:001e'], noise
@@ -328,7 +278,7 @@ def test_bus_rejects(driver):
         assert bus(driver, SYNC, plain(case['frame']), '+60')[1] == []
 
 
-class SlaveModel(object):
+class SlaveModel:
     """What the Slave makes of one burst of bytes with silence after it."""
 
     MAX_DATA = 300
@@ -394,14 +344,11 @@ def random_burst(rng):
         kind = rng.randrange(6)
         size = rng.choice([0, 1, 2, 2, 3, 7, 60, 255, 256, 299])
         data = bytes(rng.choice([0xA5, 0x5A, 0, 1, rng.randrange(256)]) for _ in range(size))
-        frame = request(
-            rng.choice([0, 1, 0x55, 0x55, 0x55, 9]), rng.choice([0x21, 0x21, 0x22, 0x23]), data
-        )
+        frame = request(rng.choice([0, 1, 0x55, 0x55, 0x55, 9]),
+                        rng.choice([0x21, 0x21, 0x22, 0x23]), data)
         if kind == 0:
-            frame = bytes(
-                rng.choice([0xA5, 0x5A, 0, 2, 0x55, 0x22, rng.randrange(256)])
-                for _ in range(rng.randrange(12))
-            )
+            frame = bytes(rng.choice([0xA5, 0x5A, 0, 2, 0x55, 0x22, rng.randrange(256)])
+                          for _ in range(rng.randrange(12)))
         elif kind == 1 and frame:
             at = rng.randrange(len(frame))
             frame = frame[:at] + bytes([frame[at] ^ (1 << rng.randrange(8))]) + frame[at + 1:]
@@ -444,12 +391,8 @@ def test_stx_etx_frames(driver, case):
     value = case['value']
     if case['type'] == 0x10:
         command = 'sensor %d %d %d %d %d' % (
-            value['vl53_1'],
-            value['vl53_2'],
-            round(value['yaw'] * 100),
-            round(value['pitch'] * 100),
-            round(value['roll'] * 100),
-        )
+            value['vl53_1'], value['vl53_2'],
+            *(round(value[angle] * 100) for angle in ('yaw', 'pitch', 'roll')))
     else:
         command = 'adc ' + ' '.join(str(channel) for channel in value['adc'])
     assert driver(command) == plain(case['frame'])

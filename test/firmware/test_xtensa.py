@@ -1,23 +1,20 @@
 """The protocol headers on an emulated Xtensa processor, as in an ESP32: as on the PC."""
 import os
 import shutil
-import subprocess
 
 import pytest
 
-from test_compilers import PROTOCOL, STUBS
+from compilers import HERE, PROTOCOL, STRICT, STUBS, run
 
-HERE = os.path.dirname(os.path.abspath(__file__))
 SOURCE = os.path.join(HERE, 'headers_hash.cpp')
 QEMU = 'qemu-system-xtensa'
-OPTIONS = ['-std=gnu++11', '-Os', '-Wall', '-Wextra', '-Werror', '-I', PROTOCOL, SOURCE]
+OPTIONS = ['-std=gnu++11', '-Os', *STRICT, '-I', PROTOCOL, SOURCE]
 
 
 def output(command):
-    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, timeout=60,
-                          universal_newlines=True)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
+    status, printed = run(command, timeout=60)
+    assert status == 0, printed
+    return printed.strip()
 
 
 @pytest.mark.skipif(not shutil.which(QEMU), reason=QEMU + ' is not installed: it is in the package '

@@ -21,21 +21,19 @@ any_data = st.one_of(
 def test_vectors_encode_and_decode(pair):
     decoded, encoded = hexed(pair['decoded']), hexed(pair['encoded'])
     assert cobs.encode(decoded) == encoded
-    assert cobs.decode(encoded) == decoded
+    assert cobs.decode_or_none(encoded) == decoded
     assert cobs_encode(decoded) == encoded
 
 
-@pytest.mark.parametrize('case', VECTORS['rejected'], ids=lambda case: case['name'])
-def test_invalid_vectors_are_rejected(case):
-    with pytest.raises(cobs.CobsError):
-        cobs.decode(hexed(case['encoded']))
+REJECTED = [hexed(case['encoded']) for case in VECTORS['rejected']]
 
 
-@pytest.mark.parametrize('encoded', [b'', b'\0', b'\2', b'\xff' + b'\1' * 253,
-                                     b'\xff' + b'\1' * 254 + b'\2', b'\1' * 300 + b'\3\1'])
+@pytest.mark.parametrize('encoded', [
+    *filter(lambda encoded: encoded and 0 not in encoded, REJECTED), b'\2',
+    b'\xff' + b'\1' * 253, b'\xff' + b'\1' * 254 + b'\2', b'\1' * 300 + b'\3\1'])
 def test_an_invalid_encoding_is_rejected_at_any_size(encoded):
-    with pytest.raises(cobs.CobsError):
-        cobs.decode(encoded)
+    """An empty packet, or one with a zero, cannot come out of a decoder, which splits at zeros."""
+    assert cobs.decode_or_none(encoded) is None
 
 
 @given(any_data)
@@ -44,15 +42,15 @@ def test_decoding_reverses_encoding(data):
     assert encoded == cobs_encode(data)
     assert 0 not in encoded
     assert len(encoded) <= len(data) + 1 + len(data) // 254
-    assert cobs.decode(encoded) == data
+    assert cobs.decode_or_none(encoded) == data
 
 
 @given(st.binary(min_size=1, max_size=600))
 def test_any_bytes_are_rejected_or_decode_to_data_that_encodes_to_them(encoded):
-    try:
-        decoded = cobs.decode(encoded)
-    except cobs.CobsError:
+    decoded = cobs.decode_or_none(encoded.replace(b'\0', b'\1'))
+    if decoded is None:
         return
+    encoded = encoded.replace(b'\0', b'\1')
     # A full block at the very end may have a needless code byte behind it.
     assert cobs.encode(decoded) in (encoded, encoded[:-1])
 
@@ -62,4 +60,4 @@ def test_short_and_long_inputs_decode_alike(codes):
     """They take different paths in the decoder, so a short one is compared with a long prefix."""
     long = cobs.encode(bytes(codes) + b'\0' + b'\7' * 300)
     short = cobs.encode(bytes(codes))
-    assert cobs.decode(long).startswith(cobs.decode(short) + b'\0')
+    assert cobs.decode_or_none(long).startswith(cobs.decode_or_none(short) + b'\0')

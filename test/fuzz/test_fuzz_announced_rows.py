@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 pytest.importorskip('rospy')
 from serial_communication.boards.arduino import DESCRIPTION  # noqa: E402
-from serial_communication.framing.announced_text import announcement_text  # noqa: E402
+from serial_communication.framing.announcement import write_announcement  # noqa: E402
 from serial_communication.link.announcement import BoardAnnouncement  # noqa: E402
 from serial_communication.link.sparing_log import SparingLog  # noqa: E402
 from serial_communication.ros.announced import AnnouncedRows  # noqa: E402
@@ -25,7 +25,7 @@ rows = st.dictionaries(
         st.builds(lambda type_: dict(ROW, type=type_, ros_type='std_msgs/Nothing'),
                   st.integers(38, 42)),
         st.just({'type': 10}), st.just(5)), max_size=6)
-texts = st.one_of(rows.map(lambda given: announcement_text(given, 'nano_car 1.1.0')),
+texts = st.one_of(rows.map(lambda given: write_announcement(given, 'nano_car 1.1.0')),
                   st.binary(max_size=60))
 
 
@@ -78,7 +78,7 @@ def test_what_is_in_use_is_what_the_latest_announcement_allows(sequence):
 def test_a_row_that_cannot_be_made_is_left_out_and_the_others_stand(first, second):
     stage, whole = Stage(failing=['force']), Stage()
     for given_rows in first, second:
-        text = announcement_text(given_rows)
+        text = write_announcement(given_rows)
         expected = whole.update(text)
         expected.pop('force', None)
         assert stage.update(text) == expected
@@ -86,8 +86,8 @@ def test_a_row_that_cannot_be_made_is_left_out_and_the_others_stand(first, secon
 
 def test_unchanged_rows_are_not_made_again():
     stage = Stage()
-    stage.update(announcement_text({'force': dict(ROW, type=38), 'level': dict(ROW, type=39)}))
+    stage.update(write_announcement({'force': dict(ROW, type=38), 'level': dict(ROW, type=39)}))
     force = stage.up['force']
-    stage.update(announcement_text({
+    stage.update(write_announcement({
         'level': dict(ROW, type=41), 'force': dict(ROW, type=38, scale=1, direction='from_board')}))
     assert stage.up['force'] is force and stage.made == 3

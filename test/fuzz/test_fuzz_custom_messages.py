@@ -2,33 +2,27 @@
 a ROS message that a subscriber gets, and from a published message to the bytes for the board."""
 import logging
 import math
-import os
-import pty
-import threading
-import tty
+import tempfile
 from collections import deque
-from functools import partial
+from contextlib import contextmanager
 from io import BytesIO
 
 import pytest
-import waiting
+from custom_rows import encoded, layout_and_raws
+from fake_boards import CarBoard, until
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from custom_rows import encoded, layout_and_raws
+from lines import Pty
 
 pytest.importorskip('rospy')
 from sensor_msgs.msg import CameraInfo  # noqa: E402
 
-from serial_communication.boards.arduino import DESCRIPTION  # noqa: E402
+from serial_communication.boards.arduino import DESCRIPTION, wire  # noqa: E402
 from serial_communication.boards.arduino.link import ArduinoLink  # noqa: E402
 from serial_communication.link.link import Refused  # noqa: E402
-from serial_communication.framing import cobs  # noqa: E402
 from serial_communication.ros.custom_topics import message_rows  # noqa: E402
 from serial_communication.ros.parameters import check  # noqa: E402
 from serial_communication.transport.port import Port  # noqa: E402
-
-PATIENCE = 10.0     # s; only a test that fails waits as long
-until = partial(waiting.until, seconds=PATIENCE, every=0.001)
 
 # CameraInfo has all kinds of fields: integers, fractions, a bool, a text, and both kinds of arrays.
 WHOLE = ('height', 'width', 'binning_x', 'binning_y', 'roi.x_offset', 'roi.height')   # uint32
@@ -119,45 +113,30 @@ def delivered(message):
     return CameraInfo().deserialize(buffer.getvalue())
 
 
-class Stage:
-    """A link on a real tty, whose other end this process has."""
+@contextmanager
+def link_and_board(rows):
+    """A link with these rows and its board, on a real tty; and the messages that it receives."""
+    got = deque()
+    with tempfile.TemporaryDirectory() as folder:
+        line = Pty(f'{folder}/car').plug()
+        board = CarBoard(line)
+        link = ArduinoLink(Port(line.path), logger=logging.getLogger('fuzz'),
+                           messages=[row.kind for row in rows if not row.custom.is_command],
+                           on_message=lambda message, stamp: got.append(message))
+        link.start()
+        try:
+            until(board.heartbeats, 'a heartbeat')
+            yield link, board, got
+        finally:
+            link.stop()
+            link.join()
+            board.close()
+            line.unplug()
 
-    def __init__(self, rows):
-        self.near, slave = pty.openpty()
-        tty.setraw(slave)
-        self.got = deque()
-        self.link = ArduinoLink(
-            Port(os.ttyname(slave), 115200), messages=[
-                row.kind for row in rows if not row.custom.is_command],
-            on_message=lambda message, stamp: self.got.append(message),
-            logger=logging.getLogger('fuzz'))
-        self._slave = slave
-        self._packets = b''
-        self._reader = threading.Thread(target=self._read, name='far end', daemon=True)
-        self._ended = False
-        self._reader.start()
-        self.link.start()
-        until(lambda: b'\x02\x0b' in self._packets, 'a heartbeat')
 
-    def _read(self):
-        while not self._ended:
-            try:
-                self._packets += os.read(self.near, 4096)
-            except OSError:
-                return
-
-    def sent(self, type_):
-        """Wait for a packet of a type; return the data of the first."""
-        decoded = [cobs.decode(each) for each in self._packets.split(b'\0')[:-1] if each]
-        return [each[1:] for each in decoded if each[0] == type_]
-
-    def close(self):
-        self.link.stop()
-        self.link.join()
-        self._ended = True
-        os.close(self._slave)
-        self._reader.join(PATIENCE)
-        os.close(self.near)
+def sent(board, type_):
+    """The data of the packets of a type that the board got, and does not know."""
+    return [frame.data for frame in list(board.bad) if frame.type == type_]
 
 
 @settings(max_examples=max(20, settings().max_examples // 2))
@@ -169,40 +148,32 @@ def test_any_values_of_any_rows_are_published_and_sent_back_unchanged(cases):
         entries[f'to{index}'] = dict(row, type=120 + index, direction='to_board')
     checked, _ = check({'arduino': {'messages': entries}}, '/node')
     rows = {row.custom.name: row for row in checked['arduino/messages']}
-    stage = Stage(rows.values())
-    try:
+    with link_and_board(rows.values()) as (link, board, got):
         for index, (row, raws) in enumerate(cases):
             data = encoded(row['layout'], raws)
-            there = rows[f'from{index}']
-            counted = dict(stage.link.decoder.errors)
-            os.write(stage.near, b'\0' + cobs.encode(bytes((20 + index,)) + data) + b'\0')
-            until(lambda counted=counted: stage.got or stage.link.decoder.errors != counted,
+            there, back = rows[f'from{index}'], rows[f'to{index}']
+            counted = dict(link.decoder.errors)
+            board.write(b'\0' + wire.encode_raw(20 + index, data))
+            until(lambda counted=counted: got or link.decoder.errors != counted,
                   'the packet is taken in')
             wanted = expected_of(row, raws)
             if wanted is None:
                 counted['implausible'] += 1
-                assert stage.link.decoder.errors == counted and not stage.got
+                assert link.decoder.errors == counted and not got
                 continue
-            values = stage.got.popleft()
-            assert stage.link.decoder.errors == counted and type(values) is there.kind
+            values = got.popleft()
+            assert link.decoder.errors == counted and type(values) is there.kind
             message = delivered(there.fields.fill(there.fields.new(), values))
             assert [field(message, path) for path in row['fields']] == wanted
-            check_way_back(stage, rows[f'to{index}'], row, raws, message, data)
-    finally:
-        stage.close()
-
-
-def check_way_back(stage, back, row, raws, message, data):
-    """Publish the received message to the board; the bytes are the same, unless rounded."""
-    try:
-        stage.link.command(back.kind(*back.fields.read(message)))
-    except Refused:
-        # Rounding and scaling may exceed the raw number's range, but only by one step.
-        assert (row['scale'], row['offset']) != (1, 0) or not lossless(row, raws)
-        return
-    until(lambda: stage.sent(back.kind.TYPE), 'the command')
-    if (row['scale'], row['offset']) == (1, 0) and lossless(row, raws):
-        assert stage.sent(back.kind.TYPE) == [data]
+            is_exact = (row['scale'], row['offset']) == (1, 0) and lossless(row, raws)
+            try:
+                link.command(back.kind(*back.fields.read(message)))
+            except Refused:
+                # Rounding and scaling may exceed the raw number's range, but only by one step.
+                assert not is_exact
+                continue
+            until(lambda back=back: sent(board, back.kind.TYPE), 'the command')
+            assert not is_exact or sent(board, back.kind.TYPE) == [data]
 
 
 def lossless(row, raws):

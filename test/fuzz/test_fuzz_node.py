@@ -1,17 +1,15 @@
 """Any bytes into the three ports of a running node: it keeps running and receives valid frames."""
 import os
-import pty
-import threading
 import time
-import tty
 from collections import deque
 from functools import partial
 
 import pytest
 import waiting
-from fake_bus import FakeBus
+from fake_boards import BusBoard, CarBoard, SensorBoard
 from fuzz_streams import garbage
 from hypothesis import given
+from lines import Pty
 
 rospy = pytest.importorskip('rospy')
 from serial_communication.msg import McuStatus2, SerialMsg, Ticks  # noqa: E402
@@ -30,45 +28,9 @@ _number = [0]            # of the example
 until = partial(waiting.until, seconds=PATIENCE, every=0.02)
 
 
-class Far:
-    """The board's end of a port."""
-
-    def __init__(self):
-        self._master, slave = pty.openpty()
-        tty.setraw(slave)
-        self.name = os.ttyname(slave)
-        threading.Thread(target=self._run, daemon=True).start()
-
-    def received(self, data):
-        """Handle received bytes; subclasses override this."""
-
-    def write(self, data):
-        while data:
-            data = data[os.write(self._master, data):]
-
-    def _run(self):
-        while True:
-            try:
-                data = os.read(self._master, 4096)
-            except OSError:
-                return
-            self.received(data)
-
-
-class BusFar(FakeBus, Far):
-    """A board on the bus that answers every function with the data that it gets."""
-
-    def __init__(self):
-        FakeBus.__init__(self)
-        self.rule = lambda request: (
-            bus.Reply(bus.OK, request.data) if request.cmd1 == bus.FUNCTION else None)
-        self._decoder = bus.RequestDecoder()
-        Far.__init__(self)
-
-    def received(self, data):
-        for frame in self._decoder.feed(data):
-            if not frame.cause:
-                self.take(frame)
+def returned(request):
+    """What the bus board answers: every function returns the data that it gets."""
+    return bus.Reply(bus.OK, request.data) if request.cmd1 == bus.FUNCTION else None
 
 
 class Scene:
@@ -76,8 +38,10 @@ class Scene:
 
     def __init__(self, folder):
         self.stage = Stage('', folder).__enter__()
-        self.ports = {'bus': BusFar(), 'arduino': Far(), 'mcu': Far()}
-        self.bridge = self.stage.bridge({name: port.name for name, port in self.ports.items()},
+        lines = {name: Pty(f'{folder}/{name}').plug() for name in ('bus', 'arduino', 'mcu')}
+        self.ports = {'bus': BusBoard(lines['bus'], rule=returned),
+                      'arduino': CarBoard(lines['arduino']), 'mcu': SensorBoard(lines['mcu'])}
+        self.bridge = self.stage.bridge({name: line.path for name, line in lines.items()},
                                         {'bus/reply_timeout': 0.2, 'bus/environment_period': 0.0})
         rospy.init_node('fuzz', anonymous=True, disable_signals=True, disable_rosout=True)
         self.seen = {'ticks': deque(maxlen=50), 'ranges': deque(maxlen=50)}
@@ -114,6 +78,9 @@ class Scene:
 
     def close(self):
         self.stage.__exit__()
+        for board in self.ports.values():
+            board.close()
+            board.line.unplug()
 
 
 @pytest.fixture(scope='module')
@@ -144,6 +111,6 @@ def test_the_node_needs_no_more_memory_and_has_logged_no_fault(scene):
     assert 'Traceback' not in text and 'fault in the bridge' not in text, text[-3000:]
 
 
-def test_until_fails_if_the_condition_stays_false(scene):
+def test_until_fails_if_the_condition_stays_false():
     with pytest.raises(AssertionError):
         until(lambda: False, 'never', seconds=0.1)

@@ -1,112 +1,84 @@
-"""The board's end of a link's port, for tests: a real tty, and boards that a test controls.
+"""Boards for tests, which show all that they do and receive.
 
-The boards are much simpler than the simulated ones, so that a test shows all that they do.
+They are much simpler than the simulated boards. A board runs in a thread from its construction
+until `close`, on a `Pty`, or on the tty with a path, which may vanish and return.
 """
-import os
-import pty
-import select
-import socket
 import threading
 import time
-import tty
 from contextlib import contextmanager
 from functools import partial
 
-import serial
-import serial.rfc2217
 import waiting
 from fake_bus import FakeBus
+from heartbeats import longest_gap
+from lines import Tty
 
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
+from serial_communication.boards.mcu import wire as mcu
 
 PATIENCE = 8.0      # s that a condition may take on the slowest machine
 until = partial(waiting.until, seconds=PATIENCE, every=0.002)
-
-
-class Line:
-    """A pseudo terminal with a fixed path; it can vanish, and return as another device."""
-
-    def __init__(self, path):
-        self.path = str(path)
-        self.fd = -1
-
-    def plug(self):
-        self.fd, slave = pty.openpty()
-        tty.setraw(slave)
-        os.set_blocking(self.fd, False)
-        new = self.path + '.new'
-        os.symlink(os.ttyname(slave), new)
-        os.replace(new, self.path)
-        self._slave = slave       # kept open: else a closed port would be a hang-up here
-        return self
-
-    def unplug(self):
-        if self.fd >= 0:
-            os.unlink(self.path)
-            os.close(self._slave)
-            fd, self.fd = self.fd, -1
-            os.close(fd)
-
-    def write(self, data):
-        """Write all of it; the other end has to read."""
-        while data:
-            _, writable, _ = select.select([], [self.fd], [], PATIENCE)
-            assert writable, 'nobody reads'
-            data = data[os.write(self.fd, data):]
-
-    def read(self, seconds=0.0):
-        """The bytes received, or the first ones within `seconds`; b'': none."""
-        readable, _, _ = select.select([self.fd], [], [], seconds)
-        try:
-            return os.read(self.fd, 65536) if readable else b''
-        except (BlockingIOError, OSError):
-            return b''
-
-    def read_all(self, quiet=0.1):
-        """The bytes received until there are none for `quiet` s."""
-        data = b''
-        while True:
-            part = self.read(quiet)
-            if not part:
-                return data
-            data += part
+_GIVE_UP = 0.3      # s after which a board drops an incomplete frame
+_QUIET = 0.4        # s after which a car that has talked sends an empty packet
 
 
 class Board:
-    """A thread that decodes received bytes and calls `take` with each valid frame."""
+    """Decodes the received bytes, and calls `take` with each valid frame."""
 
-    def __init__(self, line, decoder, name):
-        self.line = line
-        self.seen = []             # frames, with the time of each in `stamp`
+    POLL = 0.05     # s between two calls of `idle` at most
+
+    def __init__(self, line, decoder):
+        self.line = Tty(line) if isinstance(line, str) else line
+        self.forget()
         self._decoder = decoder
-        self._ending = threading.Event()
-        self._paused = threading.Event()
-        self._idle = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._last_byte = 0.0
+        self._closing, self._paused, self._idle = (threading.Event() for _ in range(3))
+        self._thread = threading.Thread(target=self._run, name=type(self).__name__, daemon=True)
+        self._thread.start()
+
+    @property
+    def connected(self):
+        """Whether the tty with the path is open."""
+        return self.line.connected
+
+    @property
+    def raws(self):
+        """The bytes of the valid frames."""
+        return [frame.raw for frame in list(self.frames)]
 
     def messages(self, kind=None):
         """The messages received so far."""
-        return [frame.message for frame in list(self.seen)
+        return [frame.message for frame in list(self.frames)
                 if kind is None or isinstance(frame.message, kind)]
+
+    def forget(self):
+        """Clear the records: all bytes, the valid frames and the invalid ones.
+
+        The frames are stamped with time.monotonic().
+        """
+        self.wire, self.frames, self.bad = bytearray(), [], []
 
     def take(self, frame):
         """A valid frame was received; for subclasses."""
 
     def idle(self):
-        """Called about a hundred times a second; for subclasses."""
+        """Called after each read; for subclasses."""
 
-    def start(self):
-        self._thread.start()
-        return self
+    def write(self, data):
+        """Write bytes; on a tty with a path, False if it is absent."""
+        return self.line.write(data)
 
-    def stop(self):
-        self._ending.set()
-        self._thread.join(1.0)
+    def close(self):
+        """End the thread, and close the tty."""
+        self._closing.set()
+        self._thread.join(5)
+        if isinstance(self.line, Tty):
+            self.line.close()
 
     @contextmanager
     def unplugged(self):
-        """Context in which the port is absent."""
+        """Context in which the `Pty` is absent."""
         self._paused.set()
         assert self._idle.wait(PATIENCE)
         self.line.unplug()
@@ -116,18 +88,33 @@ class Board:
         self._paused.clear()
 
     def _run(self):
-        while not self._ending.is_set():
-            if self._paused.is_set():
+        while not self._closing.is_set():
+            try:
+                if self._paused.is_set():
+                    self._idle.set()
+                    raise OSError
+                self._read()
+                self.idle()
+            except OSError:         # the line was cut
                 self._decoder.reset()
-                self._idle.set()
-                self._ending.wait(0.002)
-                continue
-            data = self.line.read(0.005)
-            for frame in self._decoder.feed(data, time.monotonic()):
-                if not frame.cause:
-                    self.seen.append(frame)
-                    self.take(frame)
-            self.idle()
+                self._closing.wait(0.005)
+
+    def _read(self):
+        data = self.line.read(self.POLL)
+        now = time.monotonic()
+        frames = []
+        if data:
+            self._last_byte = now
+            self.wire.extend(data)
+            frames = self._decoder.feed(data, now)
+        elif now > self._last_byte + _GIVE_UP:
+            frames = self._decoder.give_up()
+        for frame in frames:
+            if frame.cause:
+                self.bad.append(frame)
+            else:
+                self.frames.append(frame)
+                self.take(frame)
 
 
 class BusBoard(FakeBus, Board):
@@ -135,10 +122,15 @@ class BusBoard(FakeBus, Board):
 
     def __init__(self, line, **manners):
         FakeBus.__init__(self, **manners)
-        Board.__init__(self, line, bus.RequestDecoder(), 'bus board')
-        self.write = line.write
+        Board.__init__(self, line, bus.RequestDecoder())
+
+    @property
+    def others(self):
+        """The bytes of the frames that are neither SYNC nor ECHO."""
+        return [frame.raw for frame in list(self.frames) if frame.type not in (bus.SYNC, bus.ECHO)]
 
     def requests(self, cmd1=None):
+        """The requests so far."""
         return [request for request in self.messages() if cmd1 in (None, request.cmd1)]
 
     def moves(self):
@@ -148,19 +140,26 @@ class BusBoard(FakeBus, Board):
 
 
 class CarBoard(Board):
-    """Records what it receives; with `streaming` it sends IMU packets as fast as possible.
+    """The model car, which does not move at first. With `streaming` it sends IMU packets all the
+    time.
 
-    Its speed is 0 at first. A SPEED 0 while the speed is 0 is a repetition: `seen` has it,
-    `commands` does not.
+    A SPEED 0 while the speed is 0 is a repetition, which is a frame but no command. Once the car
+    has sent something by `write` or `say`, it is never silent as long as it gets heartbeats, since
+    the bridge refuses commands to a silent board: it sends empty packets, which are nothing.
     """
 
     IMU = arduino.encode(arduino.Imu(16384, *[0] * 10))
+    POLL = 0.005
 
     def __init__(self, line, messages=()):
-        super().__init__(line, arduino.BoardDecoder(messages=messages), 'car board')
         self.streaming = False
-        self._commands = []
         self._speed = 0
+        self._wrote_at = float('inf')
+        super().__init__(line, arduino.BoardDecoder(messages=messages))
+
+    def forget(self):
+        super().forget()
+        self.command_frames = []
 
     def take(self, frame):
         message = frame.message
@@ -169,102 +168,87 @@ class CarBoard(Board):
             if before == message.value == 0:
                 return
         if not isinstance(message, arduino.Heartbeat):
-            self._commands.append(message)
+            self.command_frames.append(frame)
+        elif time.monotonic() > self._wrote_at + _QUIET:
+            self.write(b'\0')
 
     def idle(self):
         if self.streaming:
             self.line.write(self.IMU)
 
-    def heartbeats(self):
-        return len(self.messages(arduino.Heartbeat))
+    def write(self, data):
+        self._wrote_at = time.monotonic()
+        return super().write(data)
+
+    def say(self, message):
+        """Send a typed message."""
+        self.write(arduino.encode(message))
 
     def commands(self):
-        """All messages but heartbeats and repetitions of SPEED 0."""
-        return list(self._commands)
-
-    def forget(self):
-        """Clear the records."""
-        del self.seen[:], self._commands[:]
-
-
-class Rfc2217Server:
-    """A server for one connection, or a few, one after the other. Later ones are refused at once,
-    so that no link still waits for an answer when a test ends."""
-
-    def __init__(self, listening, path, connections=1):
-        self.url = 'rfc2217://127.0.0.1:%d' % listening.getsockname()[1]
-        self.peer = None
-        self._going = threading.Event()
-        self._going.set()
-        self._standing = threading.Event()
-        self._ended = threading.Event()
-        self._server, self._path, self._connections = listening, path, connections
-        self._thread = threading.Thread(target=self._serve, name='rfc2217 server', daemon=True)
-        self._thread.start()
+        """The messages that are neither heartbeats nor repetitions of SPEED 0."""
+        return [frame.message for frame in list(self.command_frames)]
 
     @property
-    def alive(self):
-        return self._thread.is_alive()
+    def raw_commands(self):
+        """The bytes of these messages."""
+        return [frame.raw for frame in list(self.command_frames)]
 
-    def stop_reading(self):
-        """Stop reading; it has stopped when this returns, until `go_on`."""
-        self._standing.clear()
-        self._going.clear()
-        assert self._standing.wait(PATIENCE)
+    @property
+    def speeds(self):
+        """The values of the speed commands among them."""
+        return [message.value for message in self.commands()
+                if isinstance(message, arduino.SpeedCommand)]
 
-    def go_on(self):
-        self._going.set()
+    def heartbeats(self):
+        """How many were received."""
+        return len(self.messages(arduino.Heartbeat))
 
-    def end(self):
-        self._ended.set()
-        self._going.set()
-        self._thread.join()
+    @property
+    def heartbeat_times(self):
+        """When each was received, by time.monotonic()."""
+        return [frame.stamp for frame in list(self.frames)
+                if isinstance(frame.message, arduino.Heartbeat)]
 
-    def _serve(self):
-        with self._server:
-            for _ in range(self._connections - 1):
-                self.peer, _ = self._server.accept()
-                self._serve_peer()
-            self.peer, _ = self._server.accept()
-        self._serve_peer()
+    def wait_for_heartbeats(self, number):
+        """Wait for that many heartbeats from now on."""
+        wanted = self.heartbeats() + number
+        waiting.until(lambda: self.heartbeats() >= wanted, '%d heartbeats' % number)
 
-    def _serve_peer(self):
-        connection = _Connection(self.peer)
-        with self.peer, _Device(self._path, timeout=0.05) as device:
-            manager = serial.rfc2217.PortManager(device, connection)
-            self.peer.settimeout(0.05)
-            while not self._ended.is_set():
-                if not self._going.is_set():
-                    self._standing.set()
-                    self._going.wait()
-                    continue
-                connection.write(b''.join(manager.escape(device.read(device.in_waiting))))
-                try:
-                    data = self.peer.recv(65536)
-                except socket.timeout:
-                    continue
-                except OSError:
-                    break
-                if not data:
-                    break       # closed, not reset: the peer knew that all had arrived
-                device.write(b''.join(manager.filter(data)))
+    def longest_gap(self, rate=100.0):
+        """The longest time between two heartbeats, in s, at least, as the bridge sent them."""
+        return longest_gap(self.heartbeat_times, rate)
+
+    def wait_for_heartbeat_rate(self, least, most, number=100):
+        """Wait until the rate of `number` heartbeats is between these limits, in Hz.
+
+        A stall of this machine lowers only the rate of the heartbeats that it delays.
+        """
+        def measured():
+            self.forget()
+            self.wait_for_heartbeats(number)
+            stamps = self.heartbeat_times
+            return least < (len(stamps) - 1) / (stamps[-1] - stamps[0]) < most
+        waiting.until(measured, 'heartbeats at %g to %g Hz' % (least, most))
 
 
-class _Device(serial.Serial):
-    """A pseudo terminal, which has no modem lines."""
+class SensorBoard(Board):
+    """The board with the range sensors. Nothing is sent to it: `wire` must stay empty."""
 
-    cts = dsr = ri = cd = False
-    rts = dtr = True
+    def __init__(self, line):
+        self.seq = 0
+        super().__init__(line, mcu.Decoder())
+
+    def say(self, message):
+        """Send a typed message as the next frame."""
+        self.write(mcu.encode(message, self.seq))
+        self.seq = (self.seq + 1) % 256
 
 
-class _Connection:
-    """What a PortManager writes its answers to."""
+def level_imu():
+    """A plausible IMU packet, level and at rest."""
+    return arduino.Imu(16384, 0, 0, 0, 0, 0, 0, 0, 0, 8192, 0)
 
-    def __init__(self, peer):
-        self._peer = peer
 
-    def write(self, data):
-        try:
-            self._peer.sendall(data)
-        except OSError:
-            pass    # the peer no longer reads; what it sent can still be read
+def ranges(first=470, second=580, yaw=0.0, pitch=0.0, roll=0.0):
+    """A sensor status."""
+    return mcu.SensorStatus(first, second, yaw, pitch, roll)

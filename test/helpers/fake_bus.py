@@ -20,12 +20,13 @@ class FakeBus:
     An element of `script` may be a function that gets the request and returns one of these.
 
     Args:
+        rule: the initial one.
         has_cmd2: replies have CMD2.
         polled: requests for the environment take nothing from `script`.
     """
 
-    def __init__(self, has_cmd2=False, polled=False):
-        self.rule = lambda request: None
+    def __init__(self, has_cmd2=False, polled=False, rule=lambda request: None):
+        self.rule = rule
         self.script = deque()
         self.air = AIR
         self.executed = []           # the executed function requests; every function exists

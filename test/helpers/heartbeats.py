@@ -1,5 +1,7 @@
 """Finds out when heartbeats were sent, from the times at which they were read."""
-import glob
+import time
+
+from witness import Witness, priority_of
 
 BEAT_MISSED = 0.030   # s without a heartbeat after which the board stops its motor
 
@@ -13,14 +15,16 @@ class HeartbeatWatch:
     """
 
     def __init__(self, car, pid):
-        self._car, self._pid = car, pid
-        self._waited = processor_wait(pid)
+        self._car, self._witness = car, Witness(priority_of(pid))
+        self._since = time.monotonic()
         car.forget()
 
     def check(self):
-        """AssertionError if a gap was too long, not counting the wait for a processor."""
-        gap, waited = self._car.longest_gap(), processor_wait(self._pid) - self._waited
-        result = (f'longest gap between heartbeats {gap * 1e3:.1f} ms, waited for a processor '
+        """AssertionError if a gap was too long, less what a witness had to wait (witness.py)."""
+        waited = max(self._witness.late(self._since, time.monotonic()), default=0.0)
+        self._witness.end()
+        gap = self._car.longest_gap()
+        result = (f'longest gap between heartbeats {gap * 1e3:.1f} ms, a witness waited '
                   f'{waited * 1e3:.1f} ms')
         print(result)
         assert gap - waited < BEAT_MISSED, result
@@ -44,19 +48,3 @@ def longest_gap(stamps, rate):
         longest = max(longest, sent - before)
         sent -= 1.0 / rate
     return longest
-
-
-def processor_wait(pid):
-    """How long the threads of a process have waited for a processor so far, in s.
-
-    Without real-time priority the bridge shares the processor with other programs, so a heartbeat
-    may be late through no fault of the bridge. With real-time priority the wait is close to 0.
-    """
-    waited = 0
-    for path in glob.glob('/proc/%d/task/*/schedstat' % pid):
-        try:
-            with open(path) as file:
-                waited += int(file.read().split()[1])
-        except (OSError, ValueError, IndexError):
-            pass        # the thread has ended
-    return waited / 1e9

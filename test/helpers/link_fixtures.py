@@ -8,7 +8,8 @@ import time
 
 import pytest
 
-from fake_boards import Line
+from fake_boards import Board
+from lines import Pty
 
 from serial_communication.boards.arduino import motor
 from serial_communication.link import connection
@@ -61,7 +62,7 @@ def this_machine_stalls_no_link(request, monkeypatch):
 @pytest.fixture
 def line(tmp_path):
     """A real tty; the test has its other end."""
-    made = Line(tmp_path / 'port').plug()
+    made = Pty(tmp_path / 'port').plug()
     yield made
     made.unplug()
 
@@ -93,17 +94,19 @@ def lines(caplog):
 
 @pytest.fixture
 def running():
-    """A function that starts a link or a board, which is stopped when the test ends."""
+    """A function that starts a link, which is stopped when the test ends; or a board, which runs
+    already."""
     started = []
 
     def start(thing):
         started.append(thing)
-        thing.start()
+        if not isinstance(thing, Board):
+            thing.start()
         return thing
 
     yield start
     for thing in reversed(started):
-        thing.stop()
+        thing.close() if isinstance(thing, Board) else thing.stop()
     for thing in started:
         if hasattr(thing, 'join'):
             thing.join()

@@ -1,4 +1,7 @@
-"""Starts programs for a test, and ends them with it."""
+"""Starts programs for a test, ends them with it, and finds what is left of them."""
+import contextlib
+import socket
+from pathlib import Path
 
 
 def started(make):
@@ -17,3 +20,28 @@ def started(make):
         if one.process.poll() is None:
             one.process.kill()
             one.process.wait()
+
+
+def processes_with(variable):
+    """The ids of the processes with this variable, NAME=VALUE, in their environment."""
+    found = []
+    for entry in Path('/proc').glob('[0-9]*'):
+        with contextlib.suppress(OSError):     # it has ended, or is another user's
+            if f'{variable}\0' in (entry / 'environ').read_text(errors='replace'):
+                found.append(int(entry.name))
+    return found
+
+
+def arguments_of(pid):
+    """The command line of a process; empty if it has ended."""
+    try:
+        return Path(f'/proc/{pid}/cmdline').read_text().split('\0')
+    except OSError:
+        return []
+
+
+def free_master():
+    """The address of a master that is not there yet."""
+    with socket.socket() as free:
+        free.bind(('localhost', 0))
+        return f'http://localhost:{free.getsockname()[1]}'

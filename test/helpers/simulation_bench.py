@@ -1,17 +1,15 @@
 """Runs simulated boards for tests: with simulated time, or on real ports in real time."""
 import contextlib
-import os
-import subprocess
 import threading
 from functools import partial
 
 import waiting
+from lines import ROOT  # noqa: F401
 
 from serial_communication.transport.port import Port, PortBusy, PortError
 from serial_communication.simulation.board import Runner
 from serial_communication.simulation.line import SimulatedLine
 
-ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 PATIENCE = 10.0   # s; only a failing test waits as long
 until = partial(waiting.until, seconds=PATIENCE, every=0.002)
 
@@ -84,28 +82,6 @@ class Bench:
         frames = self.decoder.feed(self.output())
         return [frame.message for frame in frames if frame.message is not None
                 and (kind is None or isinstance(frame.message, kind))]
-
-
-class Cable:
-    """A socat pair, which can be unplugged and plugged in again."""
-
-    def __init__(self, directory):
-        self.a = str(directory / 'near' / 'ttyA')
-        self.b = str(directory / 'far' / 'ttyB')
-        self._process = None
-
-    def plug(self):
-        self._process = subprocess.Popen(
-            [os.path.join(ROOT, 'scripts', 'socat_pair'), self.a, self.b, '__name:=cable'])
-        until(lambda: os.path.exists(self.a) and os.path.exists(self.b), 'the ports')
-
-    def unplug(self):
-        # The links first, so that they never point to a device that another test has got.
-        for path in self.a, self.b:
-            if os.path.lexists(path):
-                os.unlink(path)
-        self._process.kill()
-        self._process.wait()
 
 
 @contextlib.contextmanager

@@ -1,11 +1,10 @@
 """The fixture for tests of simulated boards on a real tty."""
 import pytest
-from simulation_bench import Cable
+from lines import Line
 
 
 @pytest.fixture
 def cable(tmp_path):
-    one = Cable(tmp_path)
-    one.plug()
+    one = Line(tmp_path / 'near' / 'ttyA', tmp_path / 'far' / 'ttyB').plug()
     yield one
     one.unplug()

@@ -22,6 +22,18 @@ def until(condition, what='the condition', seconds=PATIENCE, doing=None, every=0
         time.sleep(every)
 
 
+def again_if_stalled(attempt, tries=5):
+    """Return the first true result of `attempt()`, which a stall of this machine may spoil.
+
+    AssertionError if all of so many tries in a row are without one: a stall is no excuse for that.
+    """
+    for _ in range(tries):
+        result = attempt()
+        if result:
+            return result
+    raise AssertionError(f'failed {tries} times in a row: {attempt.__name__}')
+
+
 class Waiter(threading.Thread):
     """Runs a blocking call in a thread, so that the test can act meanwhile."""
 

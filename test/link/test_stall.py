@@ -10,7 +10,8 @@ import time
 from pathlib import Path
 
 import pytest
-from fake_boards import PATIENCE, BusBoard, Rfc2217Server, until
+from fake_boards import PATIENCE, BusBoard, until
+from lines import Rfc2217Server
 from waiting import Waiter
 
 from serial_communication.boards.arduino.link import ArduinoLink
@@ -253,7 +254,6 @@ def test_values_that_a_relay_sends_slowly_after_a_stall_are_not_published(server
 
 def test_a_reply_that_waited_is_not_published_and_the_bus_is_out_of_step(
         line, one_link, running):
-    board = BusBoard(line)
     link = one_link('bus', line.path)
     asked = []          # for each request for a reading, the other requests before it
     others = []
@@ -269,8 +269,7 @@ def test_a_reply_that_waited_is_not_published_and_the_bus_is_out_of_step(
             link.suspend()
         return bus.Reply(bus.OK, bus.Environment(len(asked), 20.0, 50.0).pack())
 
-    board.rule = answer
-    running(board)
+    running(BusBoard(line, rule=answer))
     until(lambda: len(asked) == wait_for)
     suspended = time.monotonic()
     until(lambda: time.monotonic() > suspended + 1.0)
@@ -477,12 +476,12 @@ def test_no_request_is_sent_while_replies_are_dropped(bus_link, clock):
     board = bus_link.board
     for readings in range(3):
         clock.begin_stall(bus_link, 1.0)
-        seen = len(board.seen)
+        seen = len(board.frames)
         caller = Waiter(bus_link.environment)
         caller.name = 'caller'
         waited = time.monotonic()
         until(lambda: time.monotonic() > waited + 0.2)
-        assert len(board.seen) == seen
+        assert len(board.frames) == seen
         clock.end(bus_link)
         assert caller.result()[0].success and len(board.executed) == readings + 1
     assert bus_link.master.timeouts == 0, 'the reply to an ECHO was dropped'

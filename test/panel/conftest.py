@@ -44,16 +44,12 @@ def robot(started_robot):
 @pytest.fixture(scope='session')
 def panel(started_robot):
     """A panel that is read-only."""
-    panel = Panel(name='panel_read_only')
-    yield panel
-    assert panel.end() == 0
-    assert 'Traceback' not in panel.output()
+    with Panel(name='panel_read_only') as panel:
+        yield panel
 
 
 @pytest.fixture(scope='session')
 def control_panel(started_robot):
     """A panel that takes commands."""
-    panel = Panel('--control', '--token', TOKEN, name='panel_control')
-    yield panel
-    assert panel.end() == 0
-    assert 'Traceback' not in panel.output()
+    with Panel('--control', '--token', TOKEN, name='panel_control') as panel:
+        yield panel

@@ -13,7 +13,6 @@ import contextlib
 import math
 import os
 import random
-import signal
 import statistics
 import subprocess
 import sys
@@ -72,53 +71,33 @@ def latencies(browser, number):
 
 
 @contextlib.contextmanager
-def _released(browser, _network, _panel):
-    began = time.monotonic()
-    browser.release()
-    yield began
-
-
-@contextlib.contextmanager
-def _hidden(browser, _network, _panel):
-    began = time.monotonic()
-    with browser.other_tab():
-        yield began
-
-
-@contextlib.contextmanager
-def _cut(_browser, network, _panel):
-    began = time.monotonic()
+def _cut(network):
     network.cut()
-    yield began
+    yield
     network.restore()
 
 
 @contextlib.contextmanager
-def _delayed(_browser, network, _panel):
-    began = time.monotonic()
+def _delayed(network):
     network.delay()
-    yield began
+    yield
     network.deliver()
 
 
 @contextlib.contextmanager
-def _panel_suspended(_browser, _network, panel):
-    began = time.monotonic()
-    panel.process.send_signal(signal.SIGSTOP)
-    yield began
-    panel.process.send_signal(signal.SIGCONT)
-
-
-@contextlib.contextmanager
-def _killed(browser, _network, _panel):
+def _killed(browser):
     yield browser.kill()
 
 
+# Contexts in which a page that drives fails.
 FAILURES = {
-    'the pad is released': _released, 'its tab is hidden': _hidden,
-    'its connection is cut': _cut, 'the network delivers nothing': _delayed,
+    'its tab is hidden': lambda browser, _network, _panel: browser.other_tab(),
+    'its connection is cut': lambda _browser, network, _panel: _cut(network),
+    'the network delivers nothing': lambda _browser, network, _panel: _delayed(network),
     'the browser is suspended': lambda browser, _network, _panel: browser.frozen(),
-    'the browser is killed': _killed, 'the panel is suspended': _panel_suspended}
+    'the browser is killed': lambda browser, _network, _panel: _killed(browser),
+    'the panel is suspended':
+        lambda _browser, _network, panel: panel_helpers.suspended(panel.process.pid)}
 
 
 def time_until_stop(failure, robot, panel):
@@ -134,14 +113,16 @@ def time_until_stop(failure, robot, panel):
         browser.wait_for_text('[data-link="bus"] .summary', 'ready')
         robot.car.forget()
         hold(browser, robot)
-        with failure(browser, network, panel) as began:
+        began = time.monotonic()
+        with failure(browser, network, panel) as known:
+            began = known or began
             until(lambda: robot.car.speeds[-1] == 0, 'the car stops')
         return next((1e3 * (frame.stamp - began) for frame in robot.car.command_frames
                      if frame.stamp > began and isinstance(frame.message, arduino.SpeedCommand)
                      and frame.message.value == 0), None)
     finally:
         browser.quit()
-        network.close()
+        network.cut()
 
 
 def print_times_until_stop():

@@ -22,7 +22,7 @@ _FLAGS = ('--headless=new', '--no-sandbox', '--disable-gpu', '--disable-quic', '
 
 
 class Browser:
-    """One window of a browser with an empty profile."""
+    """One window of a browser with an empty profile; `driver` is its driver."""
 
     def __init__(self, width=1600, height=1000):
         self._profile = tempfile.TemporaryDirectory(prefix='panel_browser_')
@@ -32,30 +32,30 @@ class Browser:
             options.add_argument(flag)
         options.binary_location = '/usr/bin/chromium'
         options.set_capability('goog:loggingPrefs', {'browser': 'ALL'})
-        self._driver = webdriver.Chrome(options=options,
-                                        service=Service('/usr/bin/chromedriver'))
+        self.driver = webdriver.Chrome(options=options,
+                                       service=Service('/usr/bin/chromedriver'))
         self.resize(width, height)
         self.scheme('light')
 
     def quit(self):
         """Close the browser."""
         with contextlib.suppress(WebDriverException):    # it was killed
-            self._driver.quit()
+            self.driver.quit()
         self._profile.cleanup()
 
     def open(self, url):
         """Open this address."""
-        self._driver.get(url)
+        self.driver.get(url)
 
     def resize(self, width, height, scale=1):
         """Set the size of the page in CSS pixels."""
-        self._driver.execute_cdp_cmd('Emulation.setDeviceMetricsOverride', {
+        self.driver.execute_cdp_cmd('Emulation.setDeviceMetricsOverride', {
             'width': width, 'height': height, 'deviceScaleFactor': scale,
             'mobile': width < 600})
 
     def scheme(self, scheme):
         """Set the preference of the system: light or dark."""
-        self._driver.execute_cdp_cmd('Emulation.setEmulatedMedia', {
+        self.driver.execute_cdp_cmd('Emulation.setEmulatedMedia', {
             'features': [{'name': 'prefers-color-scheme', 'value': scheme}]})
 
     # -- content ---------------------------------------------------------------------------
@@ -63,15 +63,15 @@ class Browser:
     @property
     def title(self):
         """The title of the tab."""
-        return self._driver.title
+        return self.driver.title
 
     def script(self, text, *arguments):
         """Run JavaScript; return its result."""
-        return self._driver.execute_script(text, *arguments)
+        return self.driver.execute_script(text, *arguments)
 
     def all(self, selector):
         """Every element that matches."""
-        return self._driver.find_elements(By.CSS_SELECTOR, selector)
+        return self.driver.find_elements(By.CSS_SELECTOR, selector)
 
     def text(self, selector):
         """The text of the first element that matches; empty if none does."""
@@ -87,7 +87,7 @@ class Browser:
         """A PNG of the visible page, or of one element."""
         if selector:
             return self.all(selector)[0].screenshot_as_png
-        shot = self._driver.execute_cdp_cmd('Page.captureScreenshot', {'format': 'png'})
+        shot = self.driver.execute_cdp_cmd('Page.captureScreenshot', {'format': 'png'})
         return base64.b64decode(shot['data'])
 
     def attribute(self, selector, name):
@@ -125,8 +125,8 @@ class Browser:
 
     def wait_for_updates(self, number):
         """Wait for this number of updates: three frames of the browser each."""
-        self._driver.set_script_timeout(20)
-        self._driver.execute_async_script('''
+        self.driver.set_script_timeout(20)
+        self.driver.execute_async_script('''
             let left = arguments[0];
             const next = () => {
                 if (left-- > 0) requestAnimationFrame(next); else arguments[1]();
@@ -135,19 +135,19 @@ class Browser:
 
     def errors(self):
         """The warnings and errors in the console since the last call."""
-        return [entry for entry in self._driver.get_log('browser')
+        return [entry for entry in self.driver.get_log('browser')
                 if entry['level'] in ('SEVERE', 'WARNING')]
 
     def accessibility(self):
         """The nodes of the accessibility tree, as screen readers get them."""
-        tree = self._driver.execute_cdp_cmd('Accessibility.getFullAXTree', {})['nodes']
+        tree = self.driver.execute_cdp_cmd('Accessibility.getFullAXTree', {})['nodes']
         return [node for node in tree if not node.get('ignored')]
 
     # -- input -----------------------------------------------------------------------------
 
     def _actions(self):
         """Mouse and keys; a movement takes 10 ms instead of 250 ms."""
-        return ActionChains(self._driver, duration=10)
+        return ActionChains(self.driver, duration=10)
 
     def click(self, selector):
         """Click the first element that matches."""
@@ -199,7 +199,7 @@ class Browser:
             key, code: the key by its text and by its position.
             more: further arguments of Input.dispatchKeyEvent.
         """
-        self._driver.execute_cdp_cmd('Input.dispatchKeyEvent', {
+        self.driver.execute_cdp_cmd('Input.dispatchKeyEvent', {
             'type': what, 'key': key, 'code': code, **more})
 
     @contextlib.contextmanager
@@ -228,7 +228,7 @@ class Browser:
         """The ids of the browser's processes: the descendants of its driver."""
         table = [line.split() for line in subprocess.check_output(
             ['ps', '-eo', 'ppid,pid'], text=True).splitlines()[1:]]
-        found, new = [], [str(self._driver.service.process.pid)]
+        found, new = [], [str(self.driver.service.process.pid)]
         while new:
             new = [pid for parent, pid in table if parent in new]
             found += map(int, new)
@@ -237,26 +237,26 @@ class Browser:
     @contextlib.contextmanager
     def other_tab(self):
         """Inside this block, another tab is in front."""
-        here = self._driver.current_window_handle
-        self._driver.switch_to.new_window('tab')
+        here = self.driver.current_window_handle
+        self.driver.switch_to.new_window('tab')
         try:
             yield
         finally:
-            self._driver.close()
-            self._driver.switch_to.window(here)
+            self.driver.close()
+            self.driver.switch_to.window(here)
 
     @contextlib.contextmanager
     def window_opened_by(self, selector):
         """Inside this block, the window that a click on this element opens is in front."""
-        here, before = self._driver.current_window_handle, set(self._driver.window_handles)
+        here, before = self.driver.current_window_handle, set(self.driver.window_handles)
         self.click(selector)
-        until(lambda: set(self._driver.window_handles) - before, 'a window opens', every=0.01)
-        self._driver.switch_to.window((set(self._driver.window_handles) - before).pop())
+        until(lambda: set(self.driver.window_handles) - before, 'a window opens', every=0.01)
+        self.driver.switch_to.window((set(self.driver.window_handles) - before).pop())
         try:
             yield
         finally:
-            self._driver.close()
-            self._driver.switch_to.window(here)
+            self.driver.close()
+            self.driver.switch_to.window(here)
 
     def click_now(self, selector, count=1):
         """Click the middle of this element at once, whatever its state.
@@ -271,27 +271,5 @@ class Browser:
             return [left + width / 2, top + height / 4];""", selector)
         for number in range(1, count + 1):
             for what in 'mousePressed', 'mouseReleased':
-                self._driver.execute_cdp_cmd('Input.dispatchMouseEvent', {
+                self.driver.execute_cdp_cmd('Input.dispatchMouseEvent', {
                     'type': what, 'x': x, 'y': y, 'button': 'left', 'clickCount': number})
-
-    def assert_in_frame(self, selector, condition):
-        """Assert `condition(self)` inside this frame."""
-        self._driver.switch_to.frame(self.all(selector)[0])
-        try:
-            assert condition(self)
-        finally:
-            self._driver.switch_to.default_content()
-
-    def forget_storage(self, url):
-        """Delete what this site has stored."""
-        self._driver.get(url)
-        self._driver.execute_script('localStorage.clear()')
-
-    def history(self):
-        """The addresses that the tab can go back or forward to."""
-        return [entry['url'] for entry in self._driver.execute_cdp_cmd(
-            'Page.getNavigationHistory', {})['entries']]
-
-    def cookies(self):
-        """All cookies of the page's host."""
-        return self._driver.get_cookies()

@@ -33,6 +33,16 @@ def free_port():
         return probe.getsockname()[1]
 
 
+@contextlib.contextmanager
+def suspended(pid):
+    """Inside this block, the process does not run."""
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(pid, signal.SIGCONT)
+
+
 class Core:
     """The roscore at ROS_MASTER_URI."""
 
@@ -48,15 +58,9 @@ class Core:
         until(rosgraph.is_master_online, 'the master answers', every=0.1)
         until(lambda: '/rosout' in publishers_and_subscribers()[1], 'roscore is complete')
 
-    @contextlib.contextmanager
     def hung(self):
         """Inside this block, it accepts connections and answers nothing."""
-        pid = rosgraph.Master('/panel_test').getPid()      # roscore itself only supervises it
-        os.kill(pid, signal.SIGSTOP)
-        try:
-            yield
-        finally:
-            os.kill(pid, signal.SIGCONT)
+        return suspended(rosgraph.Master('/panel_test').getPid())    # roscore only supervises it
 
     def stop(self):
         """Stop it, and wait until it has ended."""
@@ -144,7 +148,10 @@ class Robot:
 
 
 class Panel:
-    """A panel in a process of its own, whose output goes to a file; None: its default."""
+    """A panel in a process of its own, whose output goes to a file; None: its default.
+
+    As a context it ends with its block, and has to end well.
+    """
 
     def __init__(self, *arguments, port=0, name='panel', environment=None):
         self.node = f'/{name}'
@@ -158,6 +165,13 @@ class Panel:
                          'the panel prints its address').group()
         self.port = int(re.search(r':(\d+)/', self.url).group(1))
         self.token = self.url.partition('#')[2]
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, *_):
+        status = self.end()
+        assert kind or status == 0 and 'Traceback' not in self.output(), self.output()
 
     def output(self):
         """The output so far."""
@@ -207,76 +221,40 @@ def request(port, path, body, headers):
 
 
 class Network:
-    """A network between a browser and a panel that can be cut or delayed."""
+    """A network between a browser and a panel that can be cut or delayed: socat."""
 
     def __init__(self, panel):
-        self._to = panel.port
-        self._pairs = []
-        self._flows = threading.Event()
-        self._flows.set()
-        self._is_cut = False
-        self._listener = socket.create_server(('127.0.0.1', 0))
-        self.port = self._listener.getsockname()[1]
+        self.port = free_port()
         self.url = panel.url.replace(f':{panel.port}/', f':{self.port}/')
-        threading.Thread(target=self._accept, daemon=True).start()
+        self._command = ['socat', f'TCP-LISTEN:{self.port},bind=127.0.0.1,fork,reuseaddr',
+                         f'TCP:127.0.0.1:{panel.port}']
+        self.restore()
+
+    def restore(self):
+        """Accept connections, again."""
+        self._process = subprocess.Popen(self._command, start_new_session=True)
+        until(self._answers, 'the network is there')
 
     def cut(self):
         """Close every connection, and accept no other."""
-        self._is_cut = True
-        for end in [each for pair in self._pairs for each in pair]:
-            try:
-                end.shutdown(socket.SHUT_RDWR)
-            except OSError:
-                pass
-        self._pairs.clear()
-
-    def restore(self):
-        """Accept connections again."""
-        self._is_cut = False
+        self._send(signal.SIGKILL)
+        self._process.wait()
 
     def delay(self):
         """Deliver nothing in either direction; lose nothing."""
-        self._flows.clear()
+        self._send(signal.SIGSTOP)
 
     def deliver(self):
         """Deliver everything that was delayed, at once."""
-        self._flows.set()
+        self._send(signal.SIGCONT)
 
-    def close(self):
-        """Close all connections and the port."""
-        self._listener.close()
-        self.deliver()
-        self.cut()
+    def _answers(self):
+        with socket.socket() as probe:
+            return probe.connect_ex(('127.0.0.1', self.port)) == 0
 
-    def _accept(self):
-        while True:
-            try:
-                near, _address = self._listener.accept()
-            except OSError:
-                return
-            if self._is_cut:
-                near.close()
-                continue
-            far = socket.create_connection(('127.0.0.1', self._to))
-            self._pairs.append((near, far))
-            for source, sink in ((near, far), (far, near)):
-                threading.Thread(target=self._carry, args=(source, sink), daemon=True).start()
-
-    def _carry(self, source, sink):
-        try:
-            while True:
-                data = source.recv(65536)
-                if not data:
-                    break
-                self._flows.wait()
-                sink.sendall(data)
-        except OSError:
-            pass
-        for end in (source, sink):
-            try:
-                end.shutdown(socket.SHUT_RDWR)
-            except OSError:
-                pass
+    def _send(self, number):
+        """Send a signal to socat, and to its process for each connection."""
+        os.killpg(self._process.pid, number)
 
 
 class Page:
@@ -319,6 +297,18 @@ class Page:
             self.send(watch=list(watch))
             if reads:
                 threading.Thread(target=self._read, daemon=True).start()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()
+
+    @property
+    def refusals(self):
+        """Why commands were refused, by key."""
+        return {update['refused']['key']: update['refused']['words']
+                for update in list(self.updates) if 'refused' in update}
 
     def send(self, **message):
         """Send a message with the time of the latest update."""

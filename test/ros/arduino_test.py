@@ -45,7 +45,7 @@ class ArduinoTest(unittest.TestCase):
         cls.speed = command_topic('/%s/speed' % cls.node, SpeedPWMCommand)
         cls.steering = command_topic('/%s/steering' % cls.node, SteeringPWMCommand)
         cls.led = command_topic('/%s/led' % cls.node, String)
-        until(lambda: cls.board.heartbeats, 'a heartbeat')
+        until(lambda: cls.board.heartbeats(), 'a heartbeat')
 
     def setUp(self):
         self.board.forget()
@@ -55,8 +55,8 @@ class ArduinoTest(unittest.TestCase):
 
     def sent(self, number):
         """The first `number` commands on the wire."""
-        until(lambda: len(self.board.commands) >= number, '%d commands on the wire' % number)
-        return self.board.commands[:number]
+        until(lambda: len(self.board.raw_commands) >= number, '%d commands on the wire' % number)
+        return self.board.raw_commands[:number]
 
     def drive(self, *speeds):
         """Send each when the one before is on the wire, since only the newest may wait."""
@@ -179,13 +179,13 @@ class Commands(ArduinoTest):
             if not published or time.monotonic() > published[-1] + 2.0:
                 published.append(time.monotonic())
                 self.speed.publish(value=300)
-        until(lambda: self.board.commands, 'the speed is sent', doing=publish)
+        until(lambda: self.board.raw_commands, 'the speed is sent', doing=publish)
         self.sent(2)
         command, end = self.board.command_frames
         self.assertEqual(end.raw, SPEED_0_PACKET)
         self.assertGreater(end.stamp - published[-1], 0.5)
         # The bridge's own clock: it sends 100 heartbeats in a second.
-        between = [stamp for stamp in self.board.heartbeats if command.stamp < stamp < end.stamp]
+        between = [at for at in self.board.heartbeat_times if command.stamp < at < end.stamp]
         self.assertLess(len(between), 200)
         ROSOUT.wait_for(self.node, 'no speed command for 0.5 s', Log.WARN)
         self.board.wait_for_heartbeats(80)
@@ -208,7 +208,7 @@ class Commands(ArduinoTest):
         return [frame for frame in self.board.frames if frame.raw == SPEED_0_PACKET]
 
     def test_a_speed_that_is_renewed_is_kept(self):
-        until(lambda: len(self.board.commands) > 12, 'a dozen commands', every=0.1,
+        until(lambda: len(self.board.raw_commands) > 12, 'a dozen commands', every=0.1,
               doing=lambda: self.speed.publish(value=100))
         commands = self.board.command_frames
         for before, after in zip(commands, commands[1:]):
@@ -244,7 +244,7 @@ class Calibration(ArduinoTest):
         # IMU data ends it only after a silence: data already on its way does not.
         until(lambda: not late.messages[-1].data, 'the calibration is over',
               doing=lambda: self.board.say(level_imu()), every=2.5)
-        self.assertEqual(len(self.board.commands), 3)
+        self.assertEqual(len(self.board.raw_commands), 3)
         self.steering.publish(value=1234)
         self.assertEqual(self.sent(4)[3], bytes.fromhex('0405d20400'))
         self.assertEqual(self.board.speeds, [200, 0])
@@ -335,7 +335,7 @@ class Tuned(ArduinoTest):
         self.led.publish('x' * 30)
         self.assertEqual(self.sent(1), [b'\x20\x06' + b'x' * 30 + b'\x01\x00'])
         self.board.wait_for_heartbeats(3)
-        self.assertEqual(len(self.board.commands), 1)
+        self.assertEqual(len(self.board.raw_commands), 1)
 
 
 if __name__ == '__main__':

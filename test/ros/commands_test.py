@@ -55,7 +55,7 @@ class CommandsTest(unittest.TestCase):
                                             for key, value in parameters.items()}})
         self.addCleanup(self.bridge.end)
         rospy.wait_for_service(NODE + '/calibrate_imu', 15)
-        until(lambda: self.car.heartbeats, 'a heartbeat')
+        until(lambda: self.car.heartbeats(), 'a heartbeat')
 
     def publisher(self, name='/driver', topic='speed', message_class=SpeedPWMCommand, **more):
         """A FakePublisher, which ends with the test."""
@@ -114,7 +114,7 @@ class Latched(CommandsTest):
         self.start_bridge()
         for words in 'steering 1600', "LED 'left'", 'heater temperature=30', 'horn data=7':
             self.assert_said(words + ' refused: /', 'latches')
-        self.assertEqual(self.car.commands, [])
+        self.assertEqual(self.car.raw_commands, [])
         # The second message on each connection is new.
         made[0].say(SteeringPWMCommand(value=1700))
         made[1].say(String('right'))
@@ -271,7 +271,7 @@ class Stamps(CommandsTest):
             self.car.forget()
             self.assert_drives(self.driver, 300, ago=0.0)
             self.driver.say(speed(0, ago=ago))
-            until(lambda: self.car.commands[-1] == SPEED_0_PACKET, 'it stops')
+            until(lambda: self.car.raw_commands[-1] == SPEED_0_PACKET, 'it stops')
 
     def test_steering_and_custom_commands_with_a_header_follow_the_same_rules(self):
         def stamped(message, ago):
@@ -320,7 +320,7 @@ class Parameters(CommandsTest):
         self.car.forget()
         process.send_signal(signal.SIGCONT)
         self.assert_said(' s: SPEED 0 is sent first')
-        until(lambda: len(self.car.heartbeats) > 10, 'heartbeats')
+        until(lambda: self.car.heartbeats() > 10, 'heartbeats')
         # The signal may have arrived between the decision to send a heartbeat and its write.
         self.assertIn(SPEED_0_PACKET, self.car.raws[:2])
         self.assert_drives(driver, 400, ago=0.0)

@@ -78,8 +78,8 @@ class Unwritable:
         speed = command_topic('/serial_communication/speed', SpeedPWMCommand)
         for value in 300, 310:
             speed.publish(value=value)
-            until(lambda v=value: v in self.car.speeds and SPEED_0_PACKET in self.car.commands[
-                self.car.speeds.index(v):], 'SPEED 0 after %d' % value)
+            until(lambda v=value: v in self.car.speeds
+                  and 0 in self.car.speeds[self.car.speeds.index(v):], 'SPEED 0 after %d' % value)
             self.assert_data_flows()
         speed.unregister()
 

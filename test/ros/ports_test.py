@@ -223,9 +223,9 @@ class Cut(PortsTest):
         board.forget()
         self.plug('arduino')
         board.wait_for_heartbeats(80)
-        self.assertTrue(set(board.commands) <= {SPEED_0_PACKET}, board.commands)
+        self.assertTrue(set(board.raw_commands) <= {SPEED_0_PACKET}, board.raw_commands)
         steering.publish(value=1500)
-        until(lambda: board.commands[-1:] == [bytes.fromhex('0405dc0500')], 'new commands')
+        until(lambda: board.raw_commands[-1:] == [bytes.fromhex('0405dc0500')], 'new commands')
 
     def test_after_a_standstill_speed_0_is_first_and_nothing_old_is_sent(self):
         """SIGSTOP for 5 s while the car drives and ten commands without a stamp are sent."""
@@ -236,7 +236,7 @@ class Cut(PortsTest):
         # then leaves first, which nothing in the process can exclude, and SPEED 0 is next.
         for _ in range(TRIES):
             self.stand_still(speed, steering)
-            self.assertTrue(set(board.commands) <= {SPEED_0_PACKET}, board.commands)
+            self.assertTrue(set(board.raw_commands) <= {SPEED_0_PACKET}, board.raw_commands)
             self.assertIn(SPEED_0_PACKET, board.raws[:2])
             if board.raws[0] == SPEED_0_PACKET:
                 break

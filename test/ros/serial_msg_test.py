@@ -28,7 +28,7 @@ class SerialMsgTest(unittest.TestCase):
 
     def setUp(self):
         settle(PACKAGE, BUS)
-        until(lambda: CAR.heartbeats and SENSORS.connected, 'the other boards are there')
+        until(lambda: CAR.heartbeats() and SENSORS.connected, 'the other boards are there')
         self.since = rospy.Time.now()
         self.topic = Topic('/serial_msg', SerialMsg)
         self.topic.first(lambda m: m.link == 'arduino')    # the bridge has the subscriber

@@ -34,7 +34,7 @@ class SimulatedTime(unittest.TestCase):
     def setUpClass(cls):
         assert rospy.Time.now() == rospy.Time(0), 'time stands still'
         settle(PACKAGE, BUS)
-        until(lambda: CAR.heartbeats and SENSORS.connected, 'the other boards are there')
+        until(lambda: CAR.heartbeats() and SENSORS.connected, 'the other boards are there')
 
     def test_heartbeats_are_sent(self):
         CAR.wait_for_heartbeat_rate(40, 130)

@@ -66,10 +66,10 @@ def test_the_frames_of_the_sensor_board_are_valid():
 
 HEARTBEAT = 'heartbeat: deviation, ms'
 RESULTS = {
-    'latency': {'bridge': {'p50, ms': 1.0, 'p99, ms': 9.0, HEARTBEAT: 0.1,
+    'latency': {'bridge': {'p50, ms': 1.0, 'p99, ms': 9.0, HEARTBEAT: 0.1, report.SCHEDSTAT: 4.0,
                            'a link, ms in 10 s': 200.0, 'idle, ms in 10 s': 1.0},
-                'old': {'p50, ms': 2.0, 'p99, ms': 9.0, HEARTBEAT: 0.1,
-                        'a link, ms in 10 s': 100.0},
+                'old': {'p50, ms': 2.0, 'p99, ms': 9.0, HEARTBEAT: 0.1, report.SCHEDSTAT: 2.0,
+                        'a link, ms in 10 s': 100.0, 'idle, wake-ups per packet': 0.01},
                 'polling': {'p50, ms': 10.0, 'p99, ms': 10.0, HEARTBEAT: 0.1}},
     'bus': {'bridge': {'get: gap p50, ms': 0.1, 'echo: gap p50, ms': 0.29, 'echo: failed': 3}},
     'flood': {'bridge': {'bytes lost at the port': 1, 'messages lost': 0, 'CPU, % of a core': 5}}}
@@ -82,11 +82,8 @@ def test_goals_are_judged_only_for_sections_that_ran():
         (0, 1, 'NOT MET')]
 
 
-def test_every_goal_belongs_to_a_section():
+def test_goals_and_the_option_only_know_every_section():
     assert {goal.section for goal in report.GOALS} == set(sections.SECTIONS)
-
-
-def test_the_option_only_knows_every_section():
     assert arguments.SECTIONS == tuple(sections.SECTIONS)
 
 
@@ -99,20 +96,39 @@ def test_the_report_compares_the_bridge_with_another_commit():
     assert text.startswith('this machine\n')
 
 
+def test_the_bridge_is_to_cost_at_most_a_tenth_more_than_another_commit():
+    results = {'latency': {'bridge': {'p50, ms': 1.1, 'p99, ms': 2.3, report.SCHEDSTAT: 3.0},
+                           'old': {'p50, ms': 1.0, 'p99, ms': 2.0, report.SCHEDSTAT: 2.0},
+                           'polling': {'p50, ms': 9.0, 'p99, ms': 9.0}}}
+    for side in results['latency'].values():
+        side[HEARTBEAT] = 0.1
+    assert [row[3] for row in report.judge(results, 'old')] == ['met'] * 2 + ['NOT MET', 'met'] \
+        + ['NOT MET'] * 2
+
+
 def test_an_unknown_commit_is_reported():
     with pytest.raises(StageError, match='--against no-such-commit: .*no-such-commit'):
         stage.BenchStage('no-such-commit')
 
 
-def test_threads_have_their_names_in_the_kernel(tmp_path):
+def test_threads_have_their_names_in_the_kernel_and_their_wake_ups_are_counted(tmp_path):
     program = tmp_path / 'program'
     program.write_text('import sys, threading\n'
-                       'threading.Thread(target=sys.stdin.read, name="a reader").start()\n'
+                       'def read():\n    for line in sys.stdin: print("read", flush=True)\n'
+                       'threading.Thread(target=read, name="a reader").start()\n'
                        'print(sys.argv[1:], flush=True)\n')
     with subprocess.Popen(['/usr/bin/python3', '-c', stage._NAMED_THREADS, str(program), 'given'],
                           stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout.readline() == "['given']\n"
-            assert 'a reader' in sections._threads(process.pid)
+            before = sections.threads_of(process.pid)
+            for _ in range(10):
+                process.stdin.write('a line\n')
+                process.stdin.flush()
+                assert process.stdout.readline() == 'read\n'
+            found = sections.thread_figures(before, sections.threads_of(process.pid), 2.0, 10)
+            assert 0.5 <= found['a reader, wake-ups per packet'] <= 2
+            assert found['all threads, wake-ups per packet'] >= 0.5
+            assert 0 < found['a reader, ms in 10 s'] < found['all threads, ms in 10 s'] + 1e-6
         finally:
             process.stdin.close()

@@ -8,6 +8,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from programs import arguments_of, free_master, processes_with
 from waiting import until
 
 DEMO = Path(__file__).resolve().parents[2] / 'scripts' / 'demo'
@@ -42,26 +43,7 @@ def started(folder, command, uri, **environment):
 
 def running(folder):
     """The processes that were started with this folder for temporary files."""
-    found = []
-    for entry in Path('/proc').glob('[0-9]*'):
-        with contextlib.suppress(OSError):     # it has ended, or is another user's
-            if f'TMPDIR={folder}\0' in (entry / 'environ').read_text(errors='replace'):
-                found.append(int(entry.name))
-    return found
-
-
-def arguments(pid):
-    try:
-        return Path(f'/proc/{pid}/cmdline').read_text().split('\0')
-    except OSError:
-        return []      # it has ended
-
-
-def free_address():
-    """The address of a master that is not there yet."""
-    with socket.socket() as free:
-        free.bind(('localhost', 0))
-        return f'http://localhost:{free.getsockname()[1]}'
+    return processes_with(f'TMPDIR={folder}')
 
 
 @pytest.mark.parametrize('uri, why', [
@@ -81,11 +63,11 @@ def test_a_master_that_cannot_be_used_is_named_with_the_mend(folder, uri, why):
 
 
 def test_the_end_of_roslaunch_ends_the_demo_with_its_last_lines(folder):
-    with started(folder, [DEMO], free_address()) as demo:
+    with started(folder, [DEMO], free_master()) as demo:
         log = DEMO.parents[1] / 'build' / 'ros' / 'log' / f'demo_{demo.pid}.log'
         until(lambda: log.exists() and 'process[serial_communication-' in log.read_text(),
               'roslaunch has output', PATIENCE)
-        roslaunch, = [pid for pid in running(folder) if '--skip-log-check' in arguments(pid)]
+        roslaunch, = [pid for pid in running(folder) if '--skip-log-check' in arguments_of(pid)]
         os.kill(roslaunch, signal.SIGKILL)
         errors = demo.communicate(timeout=PATIENCE)[1]
     assert demo.returncode == 1
@@ -95,7 +77,7 @@ def test_the_end_of_roslaunch_ends_the_demo_with_its_last_lines(folder):
 
 def test_a_reader_that_has_ended_ends_the_demo_without_a_word(folder):
     pipe = ['bash', '-o', 'pipefail', '-c', '"$0" | head -n 2', DEMO]
-    with started(folder, pipe, free_address()) as demo:
+    with started(folder, pipe, free_master()) as demo:
         output, errors = demo.communicate(timeout=PATIENCE)
     assert (demo.returncode, errors) == (128 + signal.SIGPIPE, '')
     assert output.splitlines()[1].endswith('the bridge is there')
@@ -112,7 +94,7 @@ def test_a_full_disk_is_one_line(folder, fills):
         'cat /dev/zero >"$1/fill" 2>/dev/null) & '
     full = ['unshare', '-m', 'bash', '-c',
             f'mount -t tmpfs -o size={size} none "$1"; {fill}"$0"', DEMO, logs]
-    with started(folder, full, free_address()) as demo:
+    with started(folder, full, free_master()) as demo:
         errors = demo.communicate(timeout=PATIENCE)[1]
     assert demo.returncode == 1
     # The nodes of roslaunch that are ended may warn of each other.
@@ -123,7 +105,7 @@ def test_a_full_disk_is_one_line(folder, fills):
 @pytest.mark.skipif(not shutil.which('avr-g++'), reason='gcc-avr is not installed')
 def test_firmware_that_does_not_build_ends_the_demo_with_the_last_lines_of_make(folder, tmp_path):
     build = tmp_path / 'firmware'
-    with started(folder, [DEMO, '--avr'], free_address(), FIRMWARE_BUILD=str(build),
+    with started(folder, [DEMO, '--avr'], free_master(), FIRMWARE_BUILD=str(build),
                  ARDUINO='/nowhere') as demo:
         output, errors = demo.communicate(timeout=PATIENCE)
     assert demo.returncode == 1 and 'Launching' not in output

@@ -1,12 +1,12 @@
 """scripts/demo in a real terminal: its table at each size, and its end."""
 import os
 import signal
-import socket
 import subprocess
 import time
 from pathlib import Path
 
 import pytest
+from programs import arguments_of, free_master, processes_with
 from terminal import Terminal
 from witness import Witness
 
@@ -19,10 +19,7 @@ MOST = 3.0      # s until the demo has ended, on a machine that has time
 @pytest.fixture(name='demo')
 def fixture_demo():
     """A function that starts a demo with its own master."""
-    started = []
-    with socket.socket() as free:
-        free.bind(('localhost', 0))
-        uri = f'http://localhost:{free.getsockname()[1]}'
+    started, uri = [], free_master()
 
     def start(*arguments, columns=80, rows=24):
         started.append(Terminal([ROOT / 'scripts' / 'demo', *arguments], columns, rows,
@@ -36,20 +33,13 @@ def fixture_demo():
 
 
 def descendants(terminal):
-    """Return the processes of a demo that still run, by their marked environment."""
-    found = []
-    for entry in Path('/proc').glob('[0-9]*'):
-        try:
-            if f'SERIAL_COMMUNICATION_DEMO={terminal.pid}\0' in (entry / 'environ').read_text():
-                found.append(int(entry.name))
-        except (OSError, ValueError):
-            pass     # the process has ended, or is another user's
-    return found
+    """Return the processes of a demo that still run."""
+    return processes_with(f'SERIAL_COMMUNICATION_DEMO={terminal.pid}')
 
 
 def ends_in_time(terminal):
     """Wait for the end of a demo; return whether it came in time."""
-    with Witness() as witness:
+    with Witness(work=0.02, period=0.1) as witness:
         took = terminal.wait()
     print(f'ended after {took:.2f} s, slowed down by {witness.slowdown:.2f}')
     return took < MOST * witness.slowdown
@@ -58,6 +48,11 @@ def ends_in_time(terminal):
 def is_table(rows):
     """Whether a screen shows the links and the car."""
     return all(any(row.startswith(name + ' ') for row in rows) for name in (*LINKS, 'car'))
+
+
+def ignores_ctrl_c(pid):
+    status = Path(f'/proc/{pid}/status').read_text()
+    return int(status.split('SigIgn:')[1].split()[0], 16) & 1 << signal.SIGINT - 1
 
 
 def test_links_and_calls_are_shown_at_every_size_and_hidden_topics_are_counted(demo):
@@ -86,6 +81,7 @@ def test_links_and_calls_are_shown_at_every_size_and_hidden_topics_are_counted(d
     screen = terminal.until(lambda: next((each for each in reversed(terminal.screens())
                                           if is_table(each)), None), 'a table')
     assert not any('~speed' in row for row in screen)
+    assert [arguments_of(pid) for pid in descendants(terminal) if ignores_ctrl_c(pid)] == []
     terminal.press(CTRL_C)
     assert ends_in_time(terminal) and terminal.status == 0
 
@@ -121,8 +117,7 @@ def test_ctrl_c_during_the_start_ends_every_process(demo, moment):
 def test_a_roslaunch_that_hangs_is_killed_without_output_of_the_shell(demo):
     terminal = demo()
     terminal.until(lambda: any(is_table(each) for each in terminal.screens()), 'the table')
-    roslaunch, = [pid for pid in descendants(terminal)
-                  if b'--skip-log-check' in Path(f'/proc/{pid}/cmdline').read_bytes()]
+    roslaunch, = [pid for pid in descendants(terminal) if '--skip-log-check' in arguments_of(pid)]
     os.kill(roslaunch, signal.SIGSTOP)
     terminal.press(CTRL_C)
     assert ends_in_time(terminal) and terminal.status == 0
@@ -138,17 +133,3 @@ def test_ctrl_c_during_the_set_up_ends_the_demo(demo, delay):
     # On a busy machine bash may not have read the first line by then, and ends by the signal.
     assert terminal.status == 0 or (terminal.status == -signal.SIGINT
                                     and terminal.text().strip() in ('', '^C'))
-
-
-def test_no_launched_process_ignores_ctrl_c(demo):
-    terminal = demo()
-    terminal.until(lambda: any(is_table(each) for each in terminal.screens()), 'the table')
-    ignoring = []
-    for pid in descendants(terminal):
-        status = dict(line.split(':\t') for line in Path(f'/proc/{pid}/status').read_text()
-                      .splitlines() if line.startswith(('SigIgn', 'Name')))
-        if int(status['SigIgn'], 16) & 1 << 1:      # SIGINT is 2
-            ignoring.append(status['Name'])
-    assert ignoring == []
-    terminal.press(CTRL_C)
-    assert ends_in_time(terminal)

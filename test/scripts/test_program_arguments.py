@@ -1,9 +1,9 @@
 """--help, wrong arguments and an early Ctrl-C of every program.
 
-test_demo_arguments has those of scripts/demo and scripts/test; test/ros/same_name_test has those of
-a node while another one of its name runs.
+test/ros/same_name_test has those of a node while another one of its name runs.
 """
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -18,17 +18,39 @@ PROGRAMS = sorted(path.name for path in SCRIPTS.iterdir()
 WRONG = (
     ('avr_board', ()), ('avr_board', ('wheel',)), ('avr_board', ('bus', '--wrong')),
     ('avr_board', ('bus', '--link')), ('avr_board', ('--elf',)), ('bench', ('--wrong',)),
-    ('demo', ('--wrong',)), ('export_library', ()), ('export_library', ('--wrong',)),
+    ('export_library', ()), ('export_library', ('--wrong',)),
     ('header', ()), ('header', ('--wrong', 'x')), ('header', ('a', 'b', 'c')),
     ('monitor', ('--wrong',)), ('other_program', ()), ('other_program', ('rviz',)),
-    ('panel', ('--wrong',)), ('pictures', ('--wrong',)),
-    ('ports', ('--wrong',)), ('ports', ('--seconds', '-1')), ('ports', ('socket://x',)),
+    ('panel', ('--wrong',)), ('ports', ('--wrong',)), ('ports', ('--seconds', '-1')),
+    ('ports', ('socket://x',)),
     ('serial_communication_node', ('--wrong',)),
     ('serial_communication_node', ('/dev/ttyS0',)), ('simulator', ()),
     ('simulator', ('wheel',)), ('simulator', ('bus', '--wrong')), ('soak', ('--wrong',)),
     ('socat_pair', ()), ('socat_pair', ('a',)), ('socat_pair', ('--wrong', 'a')),
-    ('test', ('--wrong',)), ('wire', ()), ('wire', ('wheel',)), ('wire', ('listen', 'wheel')),
+    ('wire', ()), ('wire', ('wheel',)), ('wire', ('listen', 'wheel')),
 )
+# What a script of a checkout says, before any set-up.
+SAYS = (
+    ('demo', '--fast', 'unknown argument: --fast'), ('demo', '20', 'unknown argument: 20'),
+    ('demo', '--duration', '--duration needs a number of seconds'),
+    ('demo', '--duration long', "--duration is 'long', must be a number of seconds above 0"),
+    ('demo', '--duration -1', "--duration is '-1'"), ('demo', '--duration=0', "--duration is '0'"),
+    ('demo', '--duration= --wrong', 'unknown argument: --wrong'),
+    ('demo', '--ports', '--ports needs LINK=PORT'),
+    ('demo', '--ports --move', '--ports needs LINK=PORT'),
+    ('demo', '--ports /dev/ttyS0', "'/dev/ttyS0' is not LINK=PORT: write bus=PORT"),
+    ('demo', '--ports lift=/dev/ttyS0', "'lift=/dev/ttyS0' is not LINK=PORT"),
+    ('demo', '--ports bus=', "'bus=' names no port"),
+    ('demo', '--ports bus=/dev/a bus=/dev/b', 'the port of bus is given twice'),
+    ('demo', '--ports bus=/dev/ttyS0 --avr', '--avr and --ports exclude each other'),
+    ('demo', '--move', '--move goes with --ports'), ('demo', '--faults', '--faults needs faults'),
+    ('demo', '--faults flap=1', "there is no fault 'flap'"),
+    ('demo', '"--faults=flip=0.1 cut=2"', "fault 'cut': a probability is 0 to 1"),
+    ('demo', '--faults all --avr', '--faults goes with the simulated boards'),
+    ('demo', '--faults all --ports bus=/dev/ttyS0', '--faults goes with the simulated boards'),
+    ('test', 'everything', 'unknown part: everything'),
+    ('test', 'ros/nothing', 'no file test/ros/nothing.test'),
+    ('pictures', '--fast', 'unknown argument: --fast'))
 
 
 def run(name, *arguments):
@@ -46,6 +68,8 @@ def test_help_prints_the_usage(name, option):
     assert (done.returncode, done.stderr) == (0, '')
     assert done.stdout.startswith('usage: ')
     assert name in done.stdout.split('\n', 1)[0]
+    if name in ('demo', 'test', 'pictures'):
+        assert max(map(len, done.stdout.splitlines())) <= 100
 
 
 @pytest.mark.parametrize('name', ['avr_board', 'bench', 'demo', 'pictures', 'soak', 'test'])
@@ -70,6 +94,13 @@ def test_wrong_arguments_give_status_2(name, arguments):
     assert (done.returncode, done.stdout) == (2, '')
     assert name in done.stderr and ('usage:' in done.stderr or '--help' in done.stderr)
     assert 'Traceback' not in done.stderr
+
+
+@pytest.mark.parametrize('name, arguments, words', SAYS)
+def test_wrong_arguments_of_a_script_are_two_lines_before_any_set_up(name, arguments, words):
+    done = run(name, *shlex.split(arguments))
+    assert done.returncode == 2 and words in done.stderr and not done.stdout
+    assert done.stderr.startswith(name + ': ') and len(done.stderr.splitlines()) == 2
 
 
 _CTRL_C = '''
@@ -103,4 +134,4 @@ def test_a_missing_package_of_view_launch_is_named_in_one_line():
 
 
 def test_every_program_has_a_case_with_wrong_arguments():
-    assert {name for name, _arguments in WRONG} == set(PROGRAMS)
+    assert {each[0] for each in WRONG + SAYS} == set(PROGRAMS)

@@ -162,13 +162,3 @@ def test_a_full_disk_during_the_build_is_one_line(folder):
     program(folder, 'cmake', CMAKE.replace('No space left on device', 'syntax error'))
     done = run(folder, 'build_inputs() { echo; }; build_if_changed')
     assert done.returncode == 1 and 'syntax error\ndemo: the build failed' in done.stderr
-
-
-@pytest.mark.skipif(subprocess.call(['unshare', '-m', 'true'], stderr=subprocess.DEVNULL) != 0,
-                    reason='to fill a disk, a file system is mounted: only root may')
-def test_a_build_on_a_small_disk_is_one_line(folder):
-    done = run(folder, f'''unshare -m bash -euo pipefail -c '
-        mount -t tmpfs -o size=200k none "$1"; . {ENVIRONMENT}
-        build=$1; PYTHONPATH= build_if_changed' demo {folder}/bin''')
-    assert done.returncode == 1
-    assert done.stderr == NO_SPACE.format(f'the disk of {folder}/bin')

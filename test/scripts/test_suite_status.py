@@ -71,13 +71,8 @@ def test_the_status_is_that_of_the_tests(suite, tests, status, last):
     assert process.returncode == status
 
 
-def test_a_conftest_above_the_checkout_is_not_loaded(suite, tmp_path):
+def test_each_folder_of_a_part_is_a_process_without_a_conftest_above_the_checkout(suite, tmp_path):
     (tmp_path / 'conftest.py').write_text('import no_module_of_this_name\n')
-    said = suite(framing=GREEN).communicate(timeout=4 * PATIENCE)[0]
-    assert said.splitlines()[-1] == '1 passed, 0 failed'
-
-
-def test_each_folder_of_a_part_is_a_process(suite, tmp_path):
     below = tmp_path / 'checkout/test/boards/below'
     below.mkdir(parents=True)
     (below / 'test_it.py').write_text(GREEN)    # in one process, two files of one name clash

@@ -226,19 +226,19 @@ def test_input_during_a_reset_is_lost():
 def test_boards_with_events_go_on_over_a_real_tty(cable):
     """Bytes that arrive during a stall wait in the kernel, and are read after it."""
     seqs = []
-    with running(SensorBoard(rate=200), cable.b,
+    with running(SensorBoard(rate=200), cable.far,
                  faults=Faults(parse(['reset=600/min:0.01', 'silence=300/min:0.02'],
                                      SensorBoard), 1)):
-        link = McuLink(Port(cable.a), on_status=lambda message, seq, stamp: seqs.append(seq))
+        link = McuLink(Port(cable.near), on_status=lambda message, seq, stamp: seqs.append(seq))
         link.start()
         try:
             until(lambda: len(seqs) > 50, 'frames')
         finally:
             link.stop()
             link.join(10.0)
-    with running(ControlBoard(), cable.b,
+    with running(ControlBoard(), cable.far,
                  faults=Faults(parse(['stall=200/min:0.2'], ControlBoard), 1)) as notes:
-        port = Port(cable.a)
+        port = Port(cable.near)
         port.open()
         until(lambda: notes.of('fault'), 'the stall')
         port.write(SYNC)

@@ -275,7 +275,7 @@ def test_the_journal_reports_a_full_disk():
 
 def test_a_pair_is_connected_and_replaces_old_links(cable):
     for _ in range(2):
-        ends = [Port(cable.a), Port(cable.b)]
+        ends = [Port(cable.near), Port(cable.far)]
         for end in ends:
             end.open()
         ends[0].write(b'there')
@@ -285,7 +285,7 @@ def test_a_pair_is_connected_and_replaces_old_links(cable):
         for end in ends:
             end.close()
         cable.unplug()
-        for link in cable.a, cable.b:
+        for link in cable.near, cable.far:
             os.symlink('gone', link)    # as after SIGKILL of a pair
         cable.plug()
 

@@ -147,7 +147,7 @@ def arduino_length(data):
     if end <= 0:
         return max(end + 1, 0) if data[:1] == b'\0' else 0
     try:
-        packet = cobs.decode(data[:end])
+        packet = cobs.decode_or_none(data[:end])
     except cobs.CobsError:
         return 0
     sizes = {4: 2, 5: 2, 7: 2, 8: 1, 9: 22, 10: 4, 11: 0, 12: 0}

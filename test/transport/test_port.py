@@ -1,6 +1,7 @@
 """The port, over real ttys, over sockets, and over kinds without a descriptor."""
 import getpass
 import os
+import re
 import shutil
 import socket
 import subprocess
@@ -9,11 +10,14 @@ import threading
 import time
 
 import pytest
-from fake_boards import PATIENCE, Line, Rfc2217Server, until
+from fake_boards import PATIENCE, until
+from lines import Rfc2217Server
 from waiting import Waiter
 
+from serial_communication.transport.pace import set_priority
 from serial_communication.transport.holders import Holder, holders_of
-from serial_communication.transport.port import Port, PortBusy, PortError, check_url, read_url
+from serial_communication.transport.port import Port, PortBusy, PortError
+from serial_communication.transport.urls import check_url, read_url
 
 
 class Reader:
@@ -51,7 +55,7 @@ def test_a_read_returns_all_bytes_received(port, line):
     assert port.read(PATIENCE) == b'one'
     line.write(b'two')
     line.write(b'three')
-    until(lambda: port._serial.in_waiting == 8)
+    until(lambda: port._open._serial.in_waiting == 8)
     assert port.read(0) == b'twothree'
     assert port.read(0) == b''
     assert port.bytes_received == 11
@@ -65,6 +69,27 @@ def test_a_read_sleeps_until_bytes_are_received(port, line):
     assert port.read(None) == b'late'
     assert time.thread_time() - before < 0.1, 'it did not sleep'
     timer.join()
+
+
+def test_a_reader_of_real_time_priority_sleeps_once_for_each_packet(port, line):
+    """A poll that waits for the kernel's worker would put it to sleep a second time."""
+    packet, count = b'a packet of 22 bytes..', 200
+
+    def read():
+        if not set_priority(10):
+            raise PermissionError
+        for _ in range(count):
+            port.read(PATIENCE)
+        with open('/proc/thread-self/status') as file:
+            return int(re.search(r'^voluntary\D*(\d+)', file.read(), re.MULTILINE)[1])
+
+    reader = Waiter(read)
+    for number in range(1, count + 1):
+        line.write(packet)
+        until(lambda: port.bytes_received == number * len(packet) or reader.error, every=0.001)
+    if isinstance(reader.error, PermissionError):
+        pytest.skip('this user may not have real-time priority')
+    assert reader.result() < 1.15 * count
 
 
 def test_a_read_ends_after_its_timeout(port):
@@ -218,7 +243,7 @@ def test_the_program_that_has_a_port_open_is_named(line, tmp_path):
 
 def test_the_holder_is_looked_up_once_for_many_tries(line, monkeypatch):
     looked_up = []
-    monkeypatch.setattr('serial_communication.transport.port.holders_of',
+    monkeypatch.setattr('serial_communication.transport.port_errors.holders_of',
                         lambda path: looked_up.append(path) or [])
     port = Port(line.path, 115200)
     holder = Port(line.path, 115200)
@@ -235,21 +260,9 @@ def test_the_holder_is_looked_up_once_for_many_tries(line, monkeypatch):
 
 
 def test_a_holder_that_cannot_be_seen_is_found_with_a_command(line, port, monkeypatch):
-    monkeypatch.setattr('serial_communication.transport.port.holders_of', lambda path: [])
+    monkeypatch.setattr('serial_communication.transport.port_errors.holders_of', lambda path: [])
     assert refusal(line.path) == ('another program has it open, of another user: `sudo fuser -v '
                                   f'{line.path}` names it')
-
-
-@pytest.mark.parametrize('url', ['nonsense://x', 'sockets://localhost:1', '://', 'hwgrep://['])
-def test_an_invalid_url_raises_value_error(url):
-    with pytest.raises(ValueError):
-        check_url(url)
-
-
-@pytest.mark.parametrize('url', ['/dev/ttyUSB0', 'hwgrep://0403:6001', 'socket://localhost:1',
-                                 'rfc2217://localhost:1', 'loop://', '/dev/serial/by-id/x'])
-def test_a_valid_url_of_an_absent_port_is_accepted(url):
-    check_url(url)
 
 
 @pytest.mark.parametrize('url, lower, scheme', [
@@ -467,12 +480,6 @@ def test_a_write_to_a_full_socket_does_not_block_and_nothing_taken_is_lost(free_
     port.close()
 
 
-def test_a_socket_without_a_server_is_reported(free_server):
-    number = free_server.getsockname()[1]
-    free_server.close()
-    assert 'refused' in refusal('socket://127.0.0.1:%d' % number).lower()
-
-
 @pytest.fixture
 def rfc2217(free_server, line):
     """A server of telnet with serial options, as ser2net is."""
@@ -496,7 +503,7 @@ def test_rfc2217_passes_bytes_both_ways(rfc2217, line):
 
 def narrow(port):
     """Make its buffer small, since the server takes long for each byte."""
-    port._serial._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 16)
+    port._open._serial._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 16)
 
 
 def test_a_write_to_an_rfc2217_server_that_stops_reading_does_not_block(rfc2217, line):
@@ -631,19 +638,3 @@ def test_a_port_without_a_descriptor_is_read_in_slices():
     port.close()
     with pytest.raises(PortError):
         port.read(0)
-
-
-def test_a_line_can_be_plugged_again(tmp_path):
-    """Checks the test helper: a plugged line is another device under the same name."""
-    line = Line(tmp_path / 'p').plug()
-    first = os.path.realpath(line.path)
-    port = Port(line.path)
-    port.open()
-    line.unplug()
-    port.close()
-    line.plug()
-    port.open()
-    port.write(b'again')
-    assert line.read(PATIENCE) == b'again' and os.path.exists(first)
-    port.close()
-    line.unplug()

@@ -4,7 +4,7 @@ import pty
 
 import pytest
 
-from serial_communication.transport.same_port import identity
+from serial_communication.transport.urls import identity
 
 
 @pytest.fixture

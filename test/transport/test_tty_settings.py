@@ -16,10 +16,8 @@ from serial_communication.boards.arduino.link import ArduinoLink
 from serial_communication.boards.bus.link import BusLink, BusSettings
 from serial_communication.boards.mcu.link import McuLink
 from serial_communication.boards.arduino import wire as arduino
-from serial_communication.boards.mcu import wire as mcu
-from serial_communication.transport import port as port_module
-from serial_communication.transport import tty_settings
-from serial_communication.transport.port import Port
+from serial_communication.transport import open_port, tty_settings
+from serial_communication.transport.port import Port, PortError
 
 EVERY_BYTE = bytes(range(256))
 _IS_EXCLUSIVE = 0x80045440      # TIOCGEXCL, which termios does not name
@@ -69,7 +67,7 @@ def test_a_nonstandard_baud_rate_is_restored(line):
     port.open()
     stty(line.path, '115200')
     assert port.restore_settings() == '115200 baud'
-    assert struct.unpack('=I', tty_settings.read(port._fd)[-4:]) == (31250,)
+    assert struct.unpack('=I', tty_settings.read(port._open._fd)[-4:]) == (31250,)
     port.close()
 
 
@@ -162,7 +160,7 @@ def open_as_ordinary_user(path):
 
 def test_an_open_tty_is_locked_until_it_is_closed(line, monkeypatch):
     """A pseudo terminal stands in for a device: the kernel treats both as ttys."""
-    monkeypatch.setattr(port_module, '_PTY', ())
+    monkeypatch.setattr(open_port, '_PTY', ())
     device = os.path.realpath(line.path)
     os.chmod(device, 0o666)
     other = os.open(device, os.O_RDWR | os.O_NOCTTY)
@@ -226,7 +224,7 @@ def test_after_sigkill_an_ordinary_user_can_open_a_socat_port_again(tmp_path):
 def test_restoring_the_settings_of_a_removed_tty_does_not_raise(port, line):
     line.unplug()
     assert port.restore_settings() == ''
-    with pytest.raises(port_module.PortError):
+    with pytest.raises(PortError):
         port.read(PATIENCE)
 
 
@@ -235,22 +233,7 @@ def test_an_opened_tty_is_raw_whatever_its_settings_were(line, before):
     stty(line.path, *before)
     port = Port(line.path)
     port.open()
-    iflag, oflag, cflag, lflag, speed = termios.tcgetattr(port._fd)[:5]
+    iflag, oflag, cflag, lflag, speed = termios.tcgetattr(port._open._fd)[:5]
     assert (iflag, oflag, lflag, speed) == (0, 0, 0, termios.B115200)
     assert cflag & ~termios.B115200 == termios.CS8 | termios.CREAD | termios.CLOCAL
     port.close()
-
-
-def test_after_stty_sane_all_frames_of_the_sensor_board_are_received(line, logger, running, lines):
-    """A tty in canonical mode holds bytes back until a newline, which no checksum can detect."""
-    got = []
-    running(McuLink(Port(line.path), logger=logger, timeout=20.0,
-                    on_status=lambda message, seq, stamp: got.append(seq)))
-    until(lambda: got or line.write(mcu.encode(mcu.AdcStatus(1, 2, 3, 4, 5, 6), 1)))
-    stty(line.path, 'sane')
-    until(lambda: lines('another program changed the settings'))
-    del got[:]
-    for seq in range(100):
-        line.write(mcu.encode(mcu.AdcStatus(13, 10, 3, 4, 17, 19), seq))
-    until(lambda: len(got) >= 100)
-    assert got == list(range(100))

@@ -180,7 +180,7 @@ class ArduinoLink(Link):
             return None     # the board may be silent
         self._check_pty(now)
         try:
-            return self.connection.check_silence(now, self.settings.network_silence)
+            return self.check_silence(now, self.settings.network_silence)
         except PortError:
             # Behind the commands that wait in the network, which cannot be dropped.
             self.output.send_speed_0()

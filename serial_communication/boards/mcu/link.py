@@ -85,7 +85,7 @@ class McuLink(Link):
 
     def tick(self, now: float) -> float:
         due = self.idle(now)
-        next_check = self.connection.check_silence(now, self._network_silence)
+        next_check = self.check_silence(now, self._network_silence)
         return due if next_check is None else min(due, next_check)
 
     def idle(self, now: float) -> float:

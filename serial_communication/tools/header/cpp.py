@@ -8,7 +8,7 @@ import re
 import struct
 from typing import Any, Dict, Iterable, List, Set, Tuple
 
-from ...framing.announced_text import announcement_text
+from ...framing.announcement import write_announcement
 from ...framing.layout import FRACTIONS, Layout, Value
 
 _TYPES = {'b': 'int8_t', 'B': 'uint8_t', 'h': 'int16_t', 'H': 'uint16_t', 'i': 'int32_t',
@@ -232,7 +232,7 @@ def _raw(number: float, code: str) -> str:
 def _announcement(rows: Dict[str, Any]) -> str:
     """The text with which the board announces these rows."""
     try:
-        text = announcement_text(rows)
+        text = write_announcement(rows)
     except ValueError as error:
         return f'// No announcement: {error}\n'
     quoted = '\n'.join(f'    "{_escaped(line)}"' for line in text.splitlines(keepends=True))

@@ -17,7 +17,7 @@ from ...output import no_more_output, prepare_output
 from ...transport import devices
 from ...transport.devices import Device
 from ...transport.holders import holders_of
-from ...transport.port import url_argument
+from ...transport.urls import url_argument
 from . import configuration
 from .configuration import WriteError
 from .listening import Candidate, Heard, Listener

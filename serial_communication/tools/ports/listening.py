@@ -3,8 +3,7 @@ import time
 from typing import Any, Callable, Dict, Iterable, List, Mapping, NamedTuple, Optional
 
 from ...boards.description import Description
-from ...framing.announced_text import read_announcement
-from ...framing.announcement import Assembly, Chunk
+from ...framing.announcement import Assembly, Chunk, read_announcement
 from ...framing.recognition import Recognition
 from ...framing.stream import Decoder
 from ...transport.port import Port, PortBusy, PortError

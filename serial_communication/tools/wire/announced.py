@@ -3,8 +3,7 @@ import struct
 from typing import Any, Dict, Iterable, List, Optional, Tuple
 
 from ...boards.description import Command
-from ...framing.announced_text import read_announcement
-from ...framing.announcement import TYPE, Assembly, Chunk
+from ...framing.announcement import TYPE, Assembly, Chunk, read_announcement
 from ...framing.custom_messages import RowError
 from ...framing.stream import Frame
 from .lines import Settings

@@ -17,7 +17,7 @@ examples:
 import argparse
 import os
 
-from ...transport.port import url_argument
+from ...transport.urls import url_argument
 from . import display, lines
 from .recording import frames_of, learned_from, load
 

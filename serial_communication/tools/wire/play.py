@@ -29,7 +29,8 @@ from typing import Dict, List, NamedTuple, Sequence, Tuple
 
 from ...framing.stream import CHECKSUM, FRAMING, OVERSIZE
 from ...transport.pace import set_priority
-from ...transport.port import Port, PortBusy, PortError, url_argument
+from ...transport.port import Port, PortBusy, PortError
+from ...transport.urls import url_argument
 from . import lines
 from .figures import percentile
 from .recording import Recording, frames_of, load

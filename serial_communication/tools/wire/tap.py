@@ -17,7 +17,7 @@ and return.
 """
 import argparse
 
-from ...transport.port import url_argument
+from ...transport.urls import url_argument
 from . import display, lines
 
 SUMMARY = 'sit between computer and board, forward and show both directions'

@@ -10,7 +10,8 @@ import time
 
 import pytest
 
-from fake_boards import PATIENCE, CarBoard, Line, Rfc2217Server, until
+from fake_boards import PATIENCE, CarBoard, until
+from lines import Pty, Rfc2217Server
 from serial_communication.boards.arduino import link as link_module
 from serial_communication.boards.arduino import output as output_module
 from serial_communication.boards.arduino import calibration as calibration_module
@@ -185,7 +186,7 @@ def test_heartbeats_arrive_at_about_their_rate(board, open_link):
     def rate():
         first = board.heartbeats()
         until(lambda: board.heartbeats() >= first + 60)
-        times = [frame.stamp for frame in list(board.seen)
+        times = [frame.stamp for frame in list(board.frames)
                  if isinstance(frame.message, Heartbeat)][first:]
         return (len(times) - 1) / (times[-1] - times[0])
     # If this machine stalls the board as it begins to count, the rest comes faster.
@@ -196,7 +197,7 @@ def test_heartbeats_arrive_at_about_their_rate(board, open_link):
 def test_the_heartbeat_rate_is_a_parameter(board, open_link):
     open_link(STEADY._replace(heartbeat_rate=20.0))
     until(lambda: board.heartbeats() >= 8)
-    times = [frame.stamp for frame in board.seen if isinstance(frame.message, Heartbeat)]
+    times = [frame.stamp for frame in board.frames if isinstance(frame.message, Heartbeat)]
     assert 5 < (len(times) - 1) / (times[-1] - times[0]) < 25
 
 
@@ -269,7 +270,7 @@ def test_speed_0_is_sent_if_no_speed_command_follows(board, open_link, lines):
     commanded = time.monotonic()    # not when the board has read it, which may be later
     link.set_speed(300)
     until(lambda: SpeedCommand(0) in board.commands())
-    speeds = [frame for frame in board.seen if isinstance(frame.message, SpeedCommand)]
+    speeds = [frame for frame in board.frames if isinstance(frame.message, SpeedCommand)]
     first = [frame.message for frame in speeds].index(SpeedCommand(300))
     assert speeds[first + 1].stamp - commanded >= 0.1
     more_heartbeats(board, 30)
@@ -893,7 +894,7 @@ def relayed(logger, running, tmp_path):
     relay = subprocess.Popen(['socat', f'pty,raw,echo=0,link={near}',
                               f'pty,raw,echo=0,link={far}'])
     until(lambda: near.exists() and far.exists())
-    end = Line(far)
+    end = Pty(far)
     end.fd = os.open(str(far), os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     board = running(CarBoard(end))
     link = running(ArduinoLink(Port(str(near)), STEADY._replace(network_silence=0.4),
@@ -902,7 +903,7 @@ def relayed(logger, running, tmp_path):
     until(lambda: link.heartbeats_sent)
     yield link
     relay.send_signal(signal.SIGCONT)
-    board.stop()
+    board.close()
     relay.terminate()
     relay.wait()
     os.close(end.fd)

@@ -233,8 +233,8 @@ def test_works_after_any_input(chunks):
 def car(cable):
     board = ModelCar(calibration_time=3.0)
     messages, calibrating = [], []
-    with running(board, cable.b) as notes:
-        link = ArduinoLink(Port(cable.a), on_message=lambda message, stamp: messages.append(
+    with running(board, cable.far) as notes:
+        link = ArduinoLink(Port(cable.near), on_message=lambda message, stamp: messages.append(
             message), on_calibrating=calibrating.append)
         link.board, link.notes, link.messages = board, notes, messages
         link.calibrations = calibrating
@@ -288,6 +288,6 @@ def test_a_time_in_the_past_is_not_recorded_as_late(cable):
             super().advance(now)
             return now - 1000.0
 
-    with running(DueInThePast(), cable.b) as notes:
+    with running(DueInThePast(), cable.far) as notes:
         until(lambda: len(notes.of('tx')) > 3, 'measurements')
     assert not [fields for fields in notes.of('late') if fields['by'] > 900]

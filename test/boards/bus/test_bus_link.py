@@ -5,7 +5,8 @@ import time
 
 import pytest
 
-from fake_boards import PATIENCE, BusBoard, Line, until
+from fake_boards import PATIENCE, BusBoard, until
+from lines import Pty
 from serial_communication.link import link as link_module
 from serial_communication.link.connection import Connection, PortState
 from serial_communication.boards.bus.link import BusLink, BusSettings
@@ -134,7 +135,7 @@ def test_settings_change_the_frames(line, running, logger):
         reply_has_cmd2=True, environment_datelen=0), logger=logger))
     until(lambda: link.master.synchronised)
     assert link.environment()[0].success
-    assert bus.encode_request(bus.ENVIRONMENT_REQUEST, 0) in [frame.raw for frame in board.seen]
+    assert bus.encode_request(bus.ENVIRONMENT_REQUEST, 0) in [frame.raw for frame in board.frames]
 
 
 def test_callers_in_many_threads_get_their_own_replies(board, open_link):
@@ -219,8 +220,8 @@ def test_a_board_without_echo_gets_a_silence_before_a_move(board, open_link):
         assert link.call(bus.SYNC_FUNCTION, ()).success
         before = answered[-1]
         assert link.lift(0, 100).success
-        assert board.seen[-1].message == LIFT
-        assert board.seen[-1].stamp - before >= FENCE_SILENCE
+        assert board.frames[-1].message == LIFT
+        assert board.frames[-1].stamp - before >= FENCE_SILENCE
 
 
 def test_a_reading_of_a_wrong_length_is_reported_at_once(board, open_link, lines):
@@ -285,11 +286,11 @@ def test_no_request_is_sent_while_a_reply_is_incomplete(board, open_link):
     link = open_link(frame_timeout=PATIENCE * 2)
     board.line.write(OK_WIRE[:2])
     until(lambda: link.decoder.pending)
-    known = len(board.seen)
+    known = len(board.frames)
     outcomes = call_in_thread(link.lift, 0, 100)
     until(lambda: list(link.master.calls))
     threading.Event().wait(0.1)
-    assert len(board.seen) == known and not outcomes
+    assert len(board.frames) == known and not outcomes
     board.line.write(OK_WIRE[2:])
     assert until(lambda: outcomes)[0].success
     assert [request.cmd1 for request in board.requests()][known:] == [bus.ECHO, bus.FUNCTION]
@@ -492,7 +493,7 @@ def test_a_move_that_timed_out_is_dropped_where_it_waits(line, board, open_link)
     def stand(request):
         if request.cmd1 == bus.ECHO:
             link.port.write(bytes(8000))    # a flush does not reach what the other side can read
-            board._ending.set()
+            board._closing.set()
 
     assert link.request(bus.Request(bus.FUNCTION, 0x30)).success    # so that the next has a fence
     board.rule = stand
@@ -510,7 +511,7 @@ def test_a_move_that_timed_out_closes_a_network_connection(logger, running):
                                SHORT._replace(retries=0), logger=logger))
         with server.accept()[0] as peer:
             peer.setblocking(False)
-            line = Line('a connection')
+            line = Pty('a connection')
             line.fd = peer.fileno()
             board = running(BusBoard(line))
             until(lambda: link.master.in_step)
@@ -526,4 +527,4 @@ def test_a_move_that_timed_out_closes_a_network_connection(logger, running):
             assert link.lift(0, 100).status == TIMEOUT
             server.accept()[0].close()
             until(lambda: link.connection.reconnects)
-            board.stop()
+            board.close()

@@ -287,8 +287,8 @@ def test_a_request_changed_by_a_fault_is_not_genuine():
 @pytest.fixture
 def master(cable):
     board = ControlBoard(lift_speed=2000, gimbal_speed=2000)
-    with running(board, cable.b) as notes:
-        link = BusLink(Port(cable.a), BusSettings(environment_period=0.05))
+    with running(board, cable.far) as notes:
+        link = BusLink(Port(cable.near), BusSettings(environment_period=0.05))
         link.board, link.notes = board, notes
         link.start()
         until(lambda: link.master.synchronised, 'SYNC')
@@ -330,9 +330,9 @@ def unusual_board(cable):
 
     def start(**arguments):
         board = ControlBoard(**{'lift_speed': 2000, 'gimbal_speed': 2000, **arguments})
-        notes = boards.enter_context(running(board, cable.b))
-        links.append(BusLink(Port(cable.a), BusSettings(reply_timeout=0.1,
-                                                        environment_period=0.0)))
+        notes = boards.enter_context(running(board, cable.far))
+        links.append(BusLink(Port(cable.near), BusSettings(
+            reply_timeout=0.1, environment_period=0.0)))
         links[0].start()
         until(lambda: links[0].master.in_step, 'the board is found')
         links[0].board, links[0].notes = board, notes

@@ -302,6 +302,6 @@ def test_a_silent_network_port_is_opened_anew(logger, running, lines):
 
 def test_only_a_network_port_with_a_limit_is_opened_anew(line, logger, watch):
     watched = watch(network_silence=0.05)
-    assert watched.link.connection.check_silence(time.monotonic() + 100, 0.05) is None
+    assert watched.link.check_silence(time.monotonic() + 100, 0.05) is None
     link = McuLink(Port('socket://localhost:1'), logger=logger, network_silence=0.0)
-    assert link.connection.check_silence(time.monotonic() + 100, 0.0) is None
+    assert link.check_silence(time.monotonic() + 100, 0.0) is None

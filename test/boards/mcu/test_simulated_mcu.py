@@ -89,8 +89,8 @@ def test_journal_has_every_frame():
 
 def test_link_receives_its_frames_again_after_an_unplug(cable):
     seqs = []
-    with running(SensorBoard(rate=100), cable.b) as notes:
-        link = McuLink(Port(cable.a), on_status=lambda message, seq, stamp: seqs.append(seq))
+    with running(SensorBoard(rate=100), cable.far) as notes:
+        link = McuLink(Port(cable.near), on_status=lambda message, seq, stamp: seqs.append(seq))
         link.start()
         try:
             until(lambda: len(seqs) > 20, 'frames')

@@ -1,0 +1,265 @@
+"""An open port, one class a kind: a tty, two kinds of network port, and what only pyserial can use.
+
+`Port` has one of these objects from an opening to the next closing. Their methods raise OSError if
+the port is gone.
+"""
+import fcntl
+import os
+import select
+import socket
+import struct
+import sys
+import termios
+import time
+from contextlib import suppress
+from typing import Optional
+
+import serial
+
+from . import tty_settings
+from .port_errors import GONE, PortError
+
+_READ_SIZE = 65536
+_SLICE = 0.05      # s; longest wait of pyserial's reads and writes
+_NOT_SENT = 0x894B     # SIOCOUTQNSD, which no Python module defines
+_VANISHED = 4      # s without an answer after which a connection's peer has vanished
+_IAC = b'\xff'     # RFC 2217 is telnet, where this byte is doubled in data
+_PTY = range(136, 144)               # major numbers of /dev/pts/*
+
+
+class OpenPort:
+    """What only pyserial can read and write, as loop://; and the base of the other kinds.
+
+    Args:
+        opened: pyserial's object.
+        wake: a descriptor that can be read after `Port.wake`.
+    """
+
+    is_pty = False
+
+    def __init__(self, opened: serial.SerialBase, wake: int) -> None:
+        self._serial = opened
+        self._wake = wake
+
+    def read(self, timeout: Optional[float], wants_room: bool) -> bytes:
+        """The bytes received, at least one; b'' after `timeout` s or a wake-up.
+
+        With `wants_room` it also returns when the port can be written, or after some time.
+        """
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while True:
+            has_time = deadline is None or time.monotonic() < deadline
+            try:
+                data: bytes = self._serial.read(
+                    min(self._serial.in_waiting, _READ_SIZE) or int(has_time))
+            except (AttributeError, TypeError):     # it is closed meanwhile
+                raise PortError('the connection has gone') from None
+            is_woken = False
+            with suppress(BlockingIOError):
+                is_woken = bool(os.read(self._wake, _READ_SIZE))
+            if data or is_woken or wants_room or not has_time:
+                return data
+
+    def escaped(self, frame: bytes) -> bytes:
+        """The bytes that carry a frame."""
+        return frame
+
+    def send(self, data: bytes) -> int:
+        """Send what is taken at once; return how many bytes. BlockingIOError: none."""
+        self._serial.write(data)
+        return len(data)
+
+    def unsent(self) -> int:
+        """How many bytes wait in the kernel to be sent; 0: none, or unknown."""
+        return 0
+
+    def on_its_way(self) -> int:
+        """The same, and those that the peer of a connection has not acknowledged."""
+        return self.unsent()
+
+    def discard_output(self) -> None:
+        """Drop what waits in the kernel, where that is possible."""
+
+    def restore_settings(self) -> str:
+        """See `Port.restore_settings`."""
+        return ''
+
+    def close(self, is_held: bool) -> None:
+        """Close it. `is_held`: its peer takes too little."""
+        self._serial.close()
+
+
+class _Polled(OpenPort):
+    """A kind with a file descriptor."""
+
+    EVENTS = select.EPOLLIN
+
+    def __init__(self, opened: serial.SerialBase, wake: int, descriptor: int) -> None:
+        super().__init__(opened, wake)
+        self._fd = descriptor
+        self._polls_room = False       # `_poll` also waits for room to write
+        self._poll = select.epoll()
+        self._poll.register(wake, select.EPOLLIN)
+        self._poll.register(descriptor, self.EVENTS)
+
+    def read(self, timeout: Optional[float], wants_room: bool) -> bytes:
+        if wants_room is not self._polls_room:
+            self._polls_room = wants_room
+            self._poll.modify(self._fd, self.EVENTS | select.EPOLLOUT * wants_room)
+        data = b''
+        for descriptor, event in self._poll.poll(None if timeout is None else max(timeout, 0)):
+            if descriptor == self._wake:
+                os.read(descriptor, _READ_SIZE)
+            elif event != select.EPOLLOUT:
+                data = self._received()
+        return data
+
+    def _received(self) -> bytes:
+        try:
+            data = os.read(self._fd, _READ_SIZE)
+        except BlockingIOError:
+            return b''
+        if not data:
+            raise PortError(GONE)
+        return data
+
+    def send(self, data: bytes) -> int:
+        return os.write(self._fd, data)
+
+    def unsent(self) -> int:
+        return self._queued(termios.TIOCOUTQ)
+
+    def close(self, is_held: bool) -> None:
+        self._poll.close()
+        super().close(is_held)
+
+    def _queued(self, request: int) -> int:
+        with suppress(OSError):
+            return int.from_bytes(fcntl.ioctl(self._fd, request, bytes(4)), sys.byteorder)
+        return 0
+
+
+class OpenTty(_Polled):
+    """A tty, that is a serial device or a pseudo terminal: locked and raw.
+
+    Its events are edge-triggered: one read returns all bytes that the tty has, and the kernel wakes
+    the reader for each later one. With level-triggered events the kernel also asks the tty before
+    it lets the reader sleep. That waits for the worker that is just delivering the bytes, so a
+    reader of real-time priority would be put to sleep twice for a packet.
+    """
+
+    EVENTS = select.EPOLLIN | select.EPOLLET
+
+    def __init__(self, opened: serial.SerialBase, wake: int, reset: bool) -> None:
+        super().__init__(opened, wake, opened.fileno())
+        self.is_pty = os.major(os.fstat(self._fd).st_rdev) in _PTY
+        with suppress(AttributeError, OSError, ValueError, NotImplementedError):
+            opened.set_low_latency_mode(True)   # else an FTDI chip holds data back for 16 ms
+        if reset:
+            self._pulse_dtr()
+        # Locked also against programs that ignore pyserial's lock, except those of root. Of a
+        # pseudo terminal the kernel would keep the lock for as long as the other end is open, so
+        # after a SIGKILL this user could not open the port again.
+        if not self.is_pty:
+            self._lock(termios.TIOCEXCL)
+        self._settings = b''        # which it should have; b'': unknown
+        # The ioctl has another number on some processors; pyserial's settings do there.
+        with suppress(OSError, struct.error):
+            self._settings = tty_settings.set_raw(self._fd, opened.baudrate)
+
+    def _pulse_dtr(self) -> None:
+        """Reset a board whose reset line is connected to DTR."""
+        with suppress(OSError, termios.error):
+            self._serial.dtr = False
+            time.sleep(0.05)
+            self._serial.dtr = True
+
+    def _lock(self, request: int) -> None:
+        with suppress(OSError):
+            fcntl.ioctl(self._fd, request)
+
+    def discard_output(self) -> None:
+        with suppress(OSError, termios.error):
+            termios.tcflush(self._fd, termios.TCOFLUSH)
+
+    def restore_settings(self) -> str:
+        wanted = self._settings
+        try:
+            found = tty_settings.read(self._fd) if wanted else b''
+            if found == wanted:
+                return ''
+            tty_settings.write(self._fd, wanted)
+            # Read back, since a device may refuse some of them: do not try again each time.
+            self._settings = tty_settings.read(self._fd)
+            termios.tcflush(self._fd, termios.TCIFLUSH)
+        except (OSError, termios.error):
+            return ''       # the device is gone; the next read reports it
+        return tty_settings.changes(wanted, found)
+
+    def close(self, is_held: bool) -> None:
+        if is_held:     # closing waits up to 30 s for the output to drain
+            self.discard_output()
+        self._lock(termios.TIOCNXCL)    # it would last while any other program has the tty open
+        super().close(is_held)
+
+
+class OpenSocket(_Polled):
+    """socket://, a TCP connection. It sends small packets at once, detects a peer that vanished,
+    and when it is closed it drops what is not sent, which else would arrive later."""
+
+    def __init__(self, opened: serial.SerialBase, wake: int) -> None:
+        self._socket = opened._socket       # pyserial has no public name for it
+        super().__init__(opened, wake, self._socket.fileno())
+        tcp = socket.IPPROTO_TCP
+        for level, option, value in (
+                (tcp, socket.TCP_NODELAY, 1), (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1),
+                (tcp, socket.TCP_KEEPIDLE, 1), (tcp, socket.TCP_KEEPINTVL, 1),
+                (tcp, socket.TCP_KEEPCNT, _VANISHED - 1),
+                # mypy does not know this one.
+                (tcp, socket.TCP_USER_TIMEOUT, _VANISHED * 1000)):  # type: ignore[attr-defined]
+            self._socket.setsockopt(level, option, value)
+
+    def unsent(self) -> int:
+        return self._queued(_NOT_SENT)
+
+    def on_its_way(self) -> int:
+        return self._queued(termios.TIOCOUTQ)
+
+    def close(self, is_held: bool) -> None:
+        if is_held or self.on_its_way():
+            with suppress(OSError):     # already gone
+                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER,
+                                        struct.pack('ii', 1, 0))     # resets it
+        super().close(is_held)
+
+
+class OpenRfc2217(OpenSocket):
+    """rfc2217://, telnet with the settings of a serial port. pyserial reads it; what is written
+    goes to its socket, since pyserial's write would block."""
+
+    read = OpenPort.read
+
+    def escaped(self, frame: bytes) -> bytes:
+        return frame.replace(_IAC, _IAC * 2)
+
+
+def open_port(port: serial.SerialBase, scheme: str, wake: int, reset: bool) -> OpenPort:
+    """Open a port of pyserial's.
+
+    Raises:
+        OSError, ValueError, termios.error: it cannot be opened now.
+    """
+    port.timeout = _SLICE
+    if scheme != 'rfc2217':     # which has no write timeout
+        port.write_timeout = _SLICE
+    port.exclusive = True
+    port.open()
+    try:
+        if isinstance(port, serial.Serial):
+            return OpenTty(port, wake, reset)
+        if scheme == 'socket':
+            return OpenSocket(port, wake)
+        return OpenRfc2217(port, wake) if scheme == 'rfc2217' else OpenPort(port, wake)
+    except BaseException:
+        port.close()
+        raise

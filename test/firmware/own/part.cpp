@@ -1,0 +1,2 @@
+#include "part.h"
+int twice(int number) { return 2 * number; }
