@@ -423,7 +423,7 @@ def test_a_refusal_is_reported_with_its_code_and_not_repeated(session, name, rep
      f'call raw; send raw; {NO_ECHO} < SYNC; call lift; +0.4; IT; +0.4; > -; out of step;'
      'lift is waiting; +0.2; > lift', ('< OK', '< INVALID:40', '< INVALID:20', 'noise', 'missed')),
     ('INVALID "not synchronised" ends the silence',
-     f'call raw; send raw; {NO_ECHO} < SYNC; < INVALID:10; > SYNC'),
+     f'call raw; send raw; {NO_ECHO} < SYNC; < INVALID:10; lost; > SYNC'),
     ('after a stall nothing is sent before an ECHO returns',
      'missed; call air; fence; > air; < AIR; air is done'),
     ('calls that wait are not given up early while a reply may follow noise',
