@@ -297,7 +297,7 @@ def test_no_row_may_take_what_a_built_in_function_has(function):
         with pytest.raises(RowError, match='from 0 to 254 but 32, 33 and 34'):
             read_functions({'a': row})
     described = {service.name: service.type for service in DESCRIPTION.services}
-    assert function.service in ('', *DESCRIPTION.other_names)
+    assert function.service in ('', *DESCRIPTION.names)
     assert described.get(function.service, function.srv_type) == function.srv_type
 
 
