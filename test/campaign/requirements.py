@@ -109,6 +109,10 @@ class Table:
         return [each for each in self.used if each.checks < self.least(each)]
 
     @property
+    def undecided(self) -> int:
+        return sum(each.undecided for each in self.rows.values())
+
+    @property
     def is_green(self) -> bool:
         return not self.violated and not self.too_few
 
@@ -132,7 +136,7 @@ class Table:
                  else 'each tried as often as it has to be' if self._runs else
                  'only a part of the scenarios was run')
         return '\n'.join([*lines, f'{len(self.used)} requirements, {tried}; {len(self.violated)} '
-                          f'violated, {sum(each.undecided for each in self.used)} checks not '
+                          f'violated, {self.undecided} checks not '
                           'decided'])
 
     def as_json(self) -> str:

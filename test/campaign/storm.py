@@ -139,7 +139,7 @@ class Storm:
                 file.writelines(f'{record}\n' for record in list(self._records))
 
     def __call__(self, rig: Rig) -> None:
-        rig.use_lines(rig.bus_line, rig.car_line)       # boards without records of before
+        rig.use_lines(rig.lines)       # boards without records of before
         rig.table.on_violation = self._on_violation
         self._connect_lines()
         rig.start(POLLING)
@@ -172,7 +172,7 @@ class Storm:
                 rig.end(child)
             rig.end_bridge()
             rig.robot.on_message = rig.robot.keep
-            rig.use_lines(rig.bus_line, rig.car_line)
+            rig.use_lines(rig.lines)
 
     def _guarded(self, loop: Callable[[], None]) -> None:
         try:
@@ -338,7 +338,7 @@ class MotorCheck:
             if self._speed_at is None:
                 return
             seconds, excess = now - self._speed_at, now - self._speed_at - _STOP_TIME
-            if excess > 0 and self._storm.rig.excuses(self._speed_at, now - 0.06, excess):
+            if excess > 0 and self._storm.rig.excuses(self._speed_at, now - 0.06):
                 self._stop.undecided += 1
                 return
             self._stop.keep_worst(seconds * 1e3, 'ms')
@@ -461,7 +461,7 @@ class ValueCheck:
         for key, at in lost:
             beside = any(which in ('', link) and since - _BESIDE[0] < at < until + _BESIDE[1]
                          for which, since, until in list(self._storm.disturbed))
-            if not beside and self._storm.rig.longest_delay(at - 1.0, at + 0.3) > _LATE:
+            if not beside and self._storm.rig.excuses(at - 1.0, at + 0.3, _LATE):
                 self._lost.undecided += 1
             else:
                 self._lost.check(beside, f'{topic} {key}, sent at {at:.3f}')
