@@ -103,11 +103,11 @@ def run_exact(rig: Rig, only: str) -> None:
         if group.network:
             rig.use_lines({name: NetworkLine(rig.path(name)) for name in NAMES})
         rig.start(group.parameters)
-        name = rig.bridge_name
+        first = rig.bridge_number
         carry_out(rig, scenarios)
         rig.end_bridge()
         if len(scenarios) == len(group.scenarios):
-            rig.logs.check_events(name, group.events)
+            rig.logs.check_events(range(first, rig.bridge_number + 1), group.events)
         if group.network:
             rig.use_lines(before)
 
