@@ -135,8 +135,7 @@ def carry_out(rig: Rig, scenarios: Iterable[Scenario]) -> None:
                 scenario(rig)
             except Exception as error:  # pylint: disable=broad-except
                 error_text = f'{type(error).__name__}: {error}'
-            rig.decide(required, not error_text, f'{name_of(scenario)}: {error_text}', began,
-                       time.monotonic())
+            required.check(not error_text, f'{name_of(scenario)}: {error_text}')
             spoiled = rig.table.undecided - undecided
             print(f'    {time.monotonic() - began:.1f} s {error_text}'
                   f'{f" {spoiled} checks not decided" if spoiled else ""}', file=sys.stderr)
