@@ -1,8 +1,11 @@
 """The requirements that a campaign checks, their results, and the table of them."""
 import json
+import math
 import threading
 import time
-from typing import Any, Callable, Dict, List, Tuple
+from collections import Counter
+from pathlib import Path
+from typing import Any, Callable, Dict, List
 
 from processes import Stage, StageError
 
@@ -11,17 +14,16 @@ _EXAMPLES = 4        # violations of a requirement that are kept and printed
 
 
 class Requirement:
-    """One requirement and the results of its checks; if `counted`, only a number of events."""
+    """One requirement and the results of its checks."""
 
-    def __init__(self, group: str, text: str, counted: bool = False) -> None:
-        self.group, self.text, self.counted = group, text, counted
-        self.checks = 0
-        self.violations = 0
-        self.undecided = 0      # checks without a result
+    def __init__(self, table: 'Table', part: str, group: str, text: str, least: int) -> None:
+        self._table = table
+        self.part, self.group, self.text, self.least = part, group, text, least
+        self.checks = self.violations = 0
+        self.undecided = 0      # checks without a result, since the witness was late, too
         self.examples: List[str] = []       # descriptions of the first violations
         self.violated_at = 0.0
-        self.worst = float('-inf')
-        self._unit = ''
+        self.worst, self._unit = float('-inf'), ''
         self._lock = threading.Lock()
 
     def check(self, holds: Any, text: str) -> bool:
@@ -31,8 +33,9 @@ class Requirement:
             if not holds:
                 self.violated_at = self.violated_at or time.monotonic()
                 self.violations += 1
-                if len(self.examples) < _EXAMPLES:
-                    self.examples.append(text[:300])
+                self.examples += [text[:300]] if len(self.examples) < _EXAMPLES else []
+        if not holds:
+            self._table.on_violation(self.text, text)
         return bool(holds)
 
     def at_most(self, value: float, limit: float, unit: str, text: str) -> bool:
@@ -43,10 +46,10 @@ class Requirement:
     def keep_worst(self, value: float, unit: str) -> None:
         self.worst, self._unit = max(self.worst, value), unit
 
-    def wait(self, condition: Callable[[], Any], text: str) -> Any:
-        """Check that `condition()` becomes true within `MAX_WAIT`; StageError if it does not."""
+    def wait(self, condition: Callable[[], Any], text: str, seconds: float = MAX_WAIT) -> Any:
+        """Check that `condition()` becomes true within `seconds`; StageError if it does not."""
         try:
-            value = Stage.wait(condition, text, MAX_WAIT)
+            value = Stage.wait(condition, text, seconds)
         except StageError as error:
             self.check(False, str(error))
             raise
@@ -59,55 +62,83 @@ class Requirement:
 
 
 class Table:
-    """All requirements, by group, in the order in which they were first used."""
+    """All requirements of rows.txt: by group, with how often each has to be checked at least.
+
+    That is in each run of the exact part; in the groups of the storm, in each minute of it. A
+    requirement that was checked less often is not fulfilled, whatever the reason is.
+    """
 
     def __init__(self) -> None:
-        self._requirements: Dict[Tuple[str, str], Requirement] = {}
+        self.on_violation: Callable[[str, str], None] = lambda requirement, text: None
+        self.rows: Dict[str, Requirement] = {}
+        group = ''
+        for line in Path(__file__).with_name('rows.txt').read_text().splitlines():
+            if line.startswith(' '):
+                least, text = line.split(None, 1)
+                part = 'storm' if group.startswith('storm') else 'exact'
+                assert text not in self.rows, text
+                self.rows[text] = Requirement(self, part, group, text, int(least))
+            else:
+                group = line
+        self._runs: 'Counter[str]' = Counter()
         self._began = time.monotonic()
 
-    def require(self, group: str, text: str, counted: bool = False) -> Requirement:
-        """Return this requirement; add it if it is new."""
-        return self._requirements.setdefault((group, text), Requirement(group, text, counted))
+    def row(self, text: str) -> Requirement:
+        return self.rows[text]
+
+    def has_run(self, part: str, times: float = 1.0) -> None:
+        """The whole part was begun once more; the storm: for so many minutes."""
+        self._runs[part] += times       # type: ignore[assignment]
+
+    def least(self, row: Requirement) -> int:
+        """How often it should have been checked until now."""
+        return math.floor(row.least * self._runs[row.part])
 
     @property
-    def requirements(self) -> List[Requirement]:
-        """Those that were checked, by group."""
-        checked = [each for each in list(self._requirements.values())
-                   if each.checks or each.undecided]
-        groups = list(dict.fromkeys(each.group for each in checked))
-        return sorted(checked, key=lambda each: groups.index(each.group))
+    def used(self) -> List[Requirement]:
+        """Those that were checked, or should have been."""
+        return [each for each in self.rows.values()
+                if each.checks or each.undecided or self.least(each)]
 
     @property
     def violated(self) -> List[Requirement]:
-        return [each for each in self.requirements if each.violations]
+        return [each for each in self.rows.values() if each.violations]
 
-    def render(self) -> str:
-        """As text: all requirements, then the first violations of each."""
-        lines = [f'{"":14} {"requirement":76} {"checks":>8} {"violations":>10} '
+    @property
+    def too_few(self) -> List[Requirement]:
+        return [each for each in self.used if each.checks < self.least(each)]
+
+    @property
+    def is_green(self) -> bool:
+        return not self.violated and not self.too_few
+
+    def __str__(self) -> str:
+        """All requirements, the first violations of each, and whether all was tried enough."""
+        lines = [f'{"":14} {"requirement":76} {"least":>7} {"checks":>8} {"violations":>10} '
                  f'{"not decided":>11}  worst case']
         group = ''
-        for each in self.requirements:
+        for each in self.used:
             shown, group = (each.group if each.group != group else ''), each.group
-            violations = 'counted' if each.counted else str(each.violations)
-            undecided = '' if each.counted else str(each.undecided)
-            lines.append(f'{shown:14} {each.text:76} {each.checks:8} {violations:>10} '
-                         f'{undecided:>11}  {each.worst_case}'.rstrip())
+            lines.append(f'{shown:14} {each.text:76} {self.least(each):7} {each.checks:8} '
+                         f'{each.violations:10} {each.undecided:11}  {each.worst_case}'.rstrip())
         for each in self.violated:
             lines += ['', f'VIOLATED  {each.group}: {each.text}']
             lines += [f'  {text}' for text in each.examples]
             if each.violations > len(each.examples):
                 lines.append(f'  and {each.violations - len(each.examples)} more')
-        return '\n'.join(lines)
-
-    def summary(self) -> str:
-        checked = [each for each in self.requirements if not each.counted]
-        return (f'{len(checked)} requirements, {len(self.violated)} violated, '
-                f'{sum(each.undecided for each in checked)} checks not decided')
+        lines += [f'\nNOT TRIED ENOUGH  {each.group}: {each.text}: '
+                  f'{each.checks} of {self.least(each)}' for each in self.too_few]
+        tried = (f'{len(self.too_few)} not tried as often as they have to be' if self.too_few
+                 else 'each tried as often as it has to be' if self._runs else
+                 'only a part of the scenarios was run')
+        return '\n'.join([*lines, f'{len(self.used)} requirements, {tried}; {len(self.violated)} '
+                          f'violated, {sum(each.undecided for each in self.used)} checks not '
+                          'decided'])
 
     def as_json(self) -> str:
         return json.dumps([{
-            'group': each.group, 'requirement': each.text, 'counted': each.counted,
+            'group': each.group, 'requirement': each.text, 'least': self.least(each),
             'checks': each.checks, 'violations': each.violations, 'not decided': each.undecided,
             'worst case': each.worst_case, 'examples': each.examples,
-            'violated after': round(each.violated_at - self._began) if each.violations else None}
-            for each in self.requirements], indent=1)
+            'violated after': round(each.violated_at - self._began, 1) if each.violations else None}
+            for each in self.used], indent=1)

@@ -1,5 +1,7 @@
 """The campaign's table, lines, boards and logs."""
+import math
 import os
+import pathlib
 import struct
 import time
 
@@ -7,9 +9,9 @@ import pytest
 from waiting import until
 
 import by_definition as codec
-from campaign import logs
-from campaign.boards import (BusBoard, Car, Reaction, Request, Sensors, angles_key, imu_values,
-                             range_key, reply_frame)
+from campaign import broken, logs, requirements
+from campaign.boards import (BusBoard, Car, Reaction, Request, Sensors, imu_values, range_key,
+                             reply_frame)
 from campaign.lines import Clock, NetworkLine, SerialLine
 from campaign.requirements import Table
 
@@ -28,19 +30,43 @@ def opened(line):
 
 def test_table():
     table = Table()
-    required = table.require('motor', 'it stops')
+    required = table.row('data is published again within 1 s of a stall')
     required.check(True, '')
-    assert table.violated == [] and table.require('motor', 'it stops') is required
+    assert table.is_green and 'only a part of the scenarios was run' in str(table)
     required.at_most(3.0, 2.0, 's', 'too late')
     required.undecided += 1
-    table.require('motor', 'events', counted=True).checks += 1
-    table.require('bus', 'not checked')
     assert table.violated == [required] and required.worst_case == '3 s'
-    assert table.summary() == '1 requirements, 1 violated, 1 checks not decided'
-    text = table.render()
-    assert 'too late: 3 s, limit 2 s' in text and 'not checked' not in text
-    assert [line.split() for line in text.splitlines() if 'it stops' in line][0] == [
-        'motor', 'it', 'stops', '2', '1', '1', '3', 's']
+    assert str(table).endswith('\n1 requirements, only a part of the scenarios was run; '
+                               '1 violated, 1 checks not decided')
+    text = str(table)
+    assert 'too late: 3 s, limit 2 s' in text and 'no growth: memory' not in text
+    assert [line.split() for line in text.splitlines() if required.text in line][0][-6:] == [
+        '0', '2', '1', '1', '3', 's']
+    with pytest.raises(KeyError):
+        table.row('not in the list')
+
+
+def test_a_requirement_that_was_tried_too_seldom_is_red():
+    table = Table()
+    for part, times in (('exact', 2), ('storm', 0.5)):
+        table.has_run(part, times)
+        for row in table.rows.values():
+            if row.part == part:
+                row.checks = math.floor(row.least * times)
+        assert table.is_green and 'each tried as often as it has to be' in str(table)
+    row = table.row('heartbeats: 100 a second')
+    assert row.least and {each.part for each in table.rows.values()} == {'exact', 'storm'}
+    row.checks -= 1
+    assert not table.is_green and '1 not tried as often as they have to be' in str(table)
+    assert f'{row.text}: {row.checks} of {row.checks + 1}' in str(table)
+
+
+def test_every_requirement_of_the_code_is_in_the_list_and_used():
+    folder = pathlib.Path(requirements.__file__).parent
+    code = ''.join(path.read_text() for path in folder.glob('*.py')
+                   if not path.name.startswith('test_'))
+    unused = [text for text in Table().rows if text not in code and 'no growth' not in text]
+    assert unused == []
 
 
 def test_line_returns_as_another_device(line):
@@ -83,31 +109,63 @@ def test_network_loses_a_connection(tmp_path):
 
 
 def test_car_records_packets_and_heartbeats(line):
-    car = Car(line)
+    car = Car(line, Clock())
     end = opened(line)
     heartbeat = codec.arduino_packet(codec.HEARTBEAT)
     os.write(end, codec.arduino_packet(codec.SPEED, b'\0\0') + heartbeat * 3
              + codec.arduino_packet(codec.SPEED, struct.pack('<h', -7)))
     until(lambda: len(car.packets) == 2)
-    assert car.first[0].is_stop and car.heartbeats == 3 and car.packets[1].heartbeats == 3
-    assert car.stop_after(car.packets[0]) is None and car.packets[1].since(car.packets[0]) == 0.03
+    assert car.first[0].is_stop and car.beats == 3 and car.packets[1].beats == 3
+    assert car.stop_after(car.packets[0]) is None and car.gaps == []
     assert car.commands(codec.SPEED) == [0, -7] and car.packet(codec.SPEED, -7)
     line.unplug()
-    assert car.connection == 1 and car.heartbeats == 0 and car.ended == [3]
+    assert car.connection == 1 and car.beats == 0 and car.ended == [3]
     os.close(end)
 
 
 def test_boards_record_the_values_that_they_send(line):
-    car, sensors = Car(line), Sensors(line)
+    car, sensors = Car(line, Clock()), Sensors(line)
     car.measure()
     assert [each.topic for each in car.sent] == [
-        '~ticks', '~steering_angle', '~voltage', '~counter', '~imu', '~imu/temperature']
+        '~ticks', '~steering_angle', '~voltage', '~counter', '~imu', '~imu/temperature',
+        'tf/imu_orientation']
     assert [each.key for each in car.sent[:5]] == [1, 1, 1, 1, imu_values(1)[:10]]
     sensors.measure()
-    assert [each.key for each in sensors.sent] == [(1, 1, 7, (37, -4499, -1)), 'near', 'near']
-    assert angles_key((1, -32768, 2)) is angles_key((None, 1, 2)) is None
+    assert [each.key for each in sensors.sent] == [
+        (1, True, 1, 7, (37, -4499, -1)), 'near', 'near', (37, -4499, -1), (37, -4499, -1),
+        (2, 1, 2, 3, 4, 5, 6)]
+    sensors.sent.clear()
+    for _ in range(6):
+        sensors.measure()
+    assert sensors.sent[-4].key == (13, False, 7, 49, (None,) * 3)    # no attitude with it
     assert [range_key(value) for value in (65535, 29, 30, 2000, 2001)] == [
         'timed out', 'near', 30, 2000, 'far']
+
+
+def test_a_gap_between_heartbeats_is_recorded(line):
+    car, heartbeat = Car(line, Clock()), codec.arduino_packet(codec.HEARTBEAT)
+    for now in (1.0, 1.01, 1.041, 1.05):
+        car.read(heartbeat, now)
+    assert car.gaps == [(1.01, 1.041)] and car.first_beat == 1.0
+    car.forget_beat()
+    car.read(heartbeat, 3.0)
+    assert len(car.gaps) == 1 and car.all_beats == 5
+
+
+def test_bus_board_checks_the_fence(line):
+    board = BusBoard(line, Clock())
+    echo, lift = codec.bus_frame(b'\1\0', b'nonc'), codec.bus_frame(b'\x55\x20', b'\0\1')
+    for data in (echo, lift):
+        board.read(data, 1.0)
+    assert not board.faults and board.checked == 1
+    board.read(lift, 2.0)
+    assert 'came behind' in board.faults.pop()
+    board.read(echo, 3.0)
+    assert 'is not new' in board.faults.pop()
+    board.probe = lambda request, reply: Reaction()     # not answered
+    for data in (codec.bus_frame(b'\1\0', b'othe'), lift):
+        board.read(data, 4.0)
+    assert 'came behind' in board.faults.pop() and not board.faults
 
 
 def test_bus_board_keeps_the_order_of_its_line(line):
@@ -147,7 +205,7 @@ def test_cause_of_a_log_line(text, cause):
 
 def test_log_lines_of_the_bridge(tmp_path):
     table = Table()
-    check = logs.LogCheck(str(tmp_path), table.require)
+    check = logs.LogCheck(str(tmp_path), table.row)
 
     def log(second, text, logger='rosout'):
         with open(str(tmp_path / 'bridge_1.log'), 'a') as file:
@@ -165,11 +223,56 @@ def test_log_lines_of_the_bridge(tmp_path):
     assert len(table.violated) == 2
 
 
-def test_old_late_wake_ups_are_forgotten(tmp_path, monkeypatch):
-    monkeypatch.setattr(logs, '_LATE_KEPT', 3)
-    path = tmp_path / 'sleeper.out'
-    path.write_text('1.0 0.9\n2.0 0.2\n3.0 0.1\n4.')
-    wake_ups = logs.LateWakeUps(str(path))
-    assert [wake_ups.longest(since) for since in (0.0, 1.5, 3.5)] == [0.9, 0.2, 0.0]
-    path.write_text(path.read_text() + '0 0.3\n')
-    assert [wake_ups.longest(since) for since in (0.0, 4.5)] == [0.3, 0.0]
+def test_terminal_output(tmp_path):
+    table = Table()
+    check = logs.LogCheck(str(tmp_path), table.row)
+    out = tmp_path / 'bridge_1.out'
+    out.write_text('\x1b[33m[WARN] [1.2]: mcu: the board is silent\x1b[0m\n[INFO] [1.2]: ready\n')
+    check.check_new_lines()
+    assert table.violated == []
+    out.write_text(out.read_text() + 'Exception ignored\n')
+    check.check_new_lines()
+    assert [row.text for row in table.violated] == ['the terminal shows the log and nothing else']
+
+
+def test_witness():
+    """It is late from the byte before a late one until that one."""
+    ends = []
+    witness = logs.Witness(ends.append)
+
+    def write(pause):
+        time.sleep(pause)
+        os.write(ends[0], b'.')
+        return time.monotonic()
+
+    write(0)
+    since = write(0.1)
+    until = write(0.0)
+    later = write(0.2)      # its reads may be a little less apart
+    for _ in range(20):
+        write(0.01)
+    assert witness.excuses(since - 0.05, since, 0.07)
+    assert witness.excuses(until - 9.0, later, 0.15) and not witness.excuses(since, since, 99.0)
+    assert not witness.excuses(since - 9.0, since - 8.0, 0.0)
+    assert witness.longest(since - 9.0, later) >= 0.1
+
+
+def test_every_broken_bridge_applies():
+    found = broken.all_broken()
+    assert len(found) >= 40 and all(each.what and each.part and each.files() for each in found)
+
+
+def test_a_broken_bridge_that_no_longer_applies_is_an_error():
+    for old in ('no such text', 'import'):
+        each = broken.Broken('it', '', 'storm', [('link/link.py', old, '')])
+        with pytest.raises(ValueError, match='times in link/link.py'):
+            each.files()
+
+
+@pytest.mark.parametrize('silence, faults', [(0.3, 0), (0.1, 1)])
+def test_fence_after_lost_echoes(line, silence, faults):
+    """After three lost ECHOs, SYNC and a silence are the fence of a call."""
+    bus = BusBoard(line, Clock())
+    bus.read(codec.bus_frame(bytes((codec.SYNC, 0)), b''), time.monotonic())
+    bus.read(codec.bus_frame(b'\x55\x60', b''), bus.written_at + silence)
+    assert bus.checked == 1 and len(bus.faults) == faults
