@@ -1,11 +1,12 @@
 """Runs the parts of the campaign, and prints the table of the results."""
 import contextlib
+import math
 import os
 import signal
 import sys
 import time
 from argparse import Namespace
-from typing import Any, Dict, Iterable, NamedTuple, Optional, Tuple
+from typing import Any, Dict, Iterable, Iterator, NamedTuple, Optional, Tuple
 
 from processes import StageError
 from serial_communication.output import prepare_output
@@ -15,7 +16,7 @@ from .requirements import Table
 from .rig import Rig, Scenario
 from .storm import Storm
 
-_STORM_DURATION = 1800.0     # s of the statistical part between two exact parts
+_ROUND = 3600.0              # s of the statistical part between two exact parts
 _TABLE_PERIOD = 10.0         # s
 _PRIORITY = 2                # real-time, above the bridge's threads, below its heartbeat
 _SWITCH_INTERVAL = 5e-4      # s, of Python's threads
@@ -26,7 +27,7 @@ class Group(NamedTuple):
 
     scenarios: Tuple[Scenario, ...]
     parameters: Dict[str, Any] = {}
-    network: bool = False       # whether car and bus are behind a network
+    network: bool = False       # whether the boards are behind networks
     events: Tuple[str, ...] = ()    # patterns; if all scenarios were run, its log has each
 
 
@@ -72,44 +73,53 @@ def main(options: Namespace) -> int:
         status, error_text = 2, f'the campaign does not work: {error}'
     _report(table, rig, options.json)
     print(error_text, end='\n' if error_text else '', file=sys.stderr)
-    return status or int(not table.is_green)
+    return status or int(bool(table.failed))
 
 
 def _run(rig: Rig, options: Namespace) -> None:
-    left, number = options.duration, 0
-    while True:
-        if options.part != 'storm':
-            run_exact(rig, '' if options.part in ('all', 'exact') else options.part)
-        if options.part not in ('all', 'storm'):
-            return
-        duration = min(left, _STORM_DURATION)
-        carry_out(rig, [Storm(rig, duration, f'{options.seed} {number}', options.busy)])
-        rig.table.has_run('storm', duration / 60)
-        rig.end_bridge()
-        left, number = left - _STORM_DURATION, number + 1
-        if left <= 0:
-            return
+    if options.part not in ('all', 'storm'):
+        run_exact(rig, '' if options.part == 'exact' else options.part)
+        return
+    for number in range(math.ceil(options.duration / _ROUND)):
+        if options.part == 'all':
+            run_exact(rig)
+        run_storm(rig, min(_ROUND, options.duration - number * _ROUND),
+                  f'{options.seed} {number}', options.busy)
 
 
-def run_exact(rig: Rig, only: str) -> None:
+def run_exact(rig: Rig, only: str = '') -> None:
     """Run all scenarios, or those with `only` in their names."""
-    if not only:
-        rig.table.has_run('exact')
+    rig.table.part = 'exact'
+    rig.table.runs['exact'] += not only
     for group in GROUPS:
         scenarios = [each for each in group.scenarios if only in name_of(each)]
         if not scenarios:
             continue
-        before = rig.bus_line, rig.car_line
-        if group.network:
-            rig.use_lines(*(NetworkLine(rig.path(name)) for name in ('bus', 'arduino')))
-        rig.start(group.parameters)
-        name = rig.bridge_name
-        carry_out(rig, scenarios)
-        rig.end_bridge()
+        with _lines(rig, group.network):
+            rig.start(group.parameters)
+            name = rig.bridge_name
+            carry_out(rig, scenarios)
         if len(scenarios) == len(group.scenarios):
             rig.logs.check_events(name, group.events)
-        if group.network:
-            rig.use_lines(*before)
+
+
+def run_storm(rig: Rig, duration: float, seed: str, busy: int) -> None:
+    """One half on serial lines, the other half with the boards behind networks."""
+    rig.table.part = 'storm'
+    for network in (False, True):
+        with _lines(rig, network):
+            carry_out(rig, [Storm(rig, duration / 2, f'{seed} {network}', busy)])
+    rig.table.runs['storm'] += duration / 60
+
+
+@contextlib.contextmanager
+def _lines(rig: Rig, network: bool) -> Iterator[None]:
+    """New boards at the usual lines, or behind networks, and at the end no bridge."""
+    before = rig.lines
+    rig.use_lines({name: NetworkLine(rig.path(name)) for name in before} if network else before)
+    yield
+    rig.end_bridge()
+    rig.use_lines(before)
 
 
 def name_of(scenario: Scenario) -> str:
@@ -118,7 +128,6 @@ def name_of(scenario: Scenario) -> str:
 
 def carry_out(rig: Rig, scenarios: Iterable[Scenario]) -> None:
     """Run them one after the other. After an exception, a violation, the next has a new bridge."""
-    required = rig.row('every scenario runs to its end')
     for scenario in scenarios:
         print(f'{name_of(scenario)} ...', file=sys.stderr)
         began, error_text = time.monotonic(), ''
@@ -126,7 +135,8 @@ def carry_out(rig: Rig, scenarios: Iterable[Scenario]) -> None:
             scenario(rig)
         except Exception as error:  # pylint: disable=broad-except
             error_text = f'{type(error).__name__}: {error}'
-        required.check(not error_text, f'{name_of(scenario)}: {error_text}')
+        rig.row('every scenario runs to its end').check(
+            not error_text, f'{name_of(scenario)}: {error_text}')
         print(f'    {time.monotonic() - began:.1f} s {error_text}', file=sys.stderr)
         if error_text:
             rig.restore()
@@ -146,7 +156,7 @@ def _report(table: Table, rig: Optional[Rig], json_file: str) -> None:
     if json_file:
         with open(json_file, 'w') as file:
             file.write(table.as_json())
-    if not table.is_green:
+    if table.failed:
         print(f'records: {rig.folder}' if rig else 'no records', file=sys.stderr)
     elif rig:
         rig.discard()
