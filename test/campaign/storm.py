@@ -3,6 +3,7 @@
 Every check uses only the last seconds, so the memory that a run needs does not grow.
 """
 import collections
+import contextlib
 import functools
 import itertools
 import random
@@ -11,7 +12,7 @@ import struct
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor, wait
-from typing import Any, Callable, Deque, Optional, Tuple
+from typing import Any, Deque, Dict, Optional, Tuple
 
 import by_definition as codec
 from .boards import DEPTH, HEIGHT, Board, Reaction, Request, reply_frame
@@ -24,8 +25,7 @@ from .storm_checks import CallCheck, GrowthCheck, MotorCheck, ValueCheck
 _DAMAGE_SHARE = 0.03     # of the frames
 _STALLS = 0.2, 0.4, 0.7, 1.2     # s for which the bridge is suspended
 _MEASURE_PERIOD = 0.02   # s
-_RECORDS = 20000         # records that are kept to be written at a violation
-_RECORD_FILES = 10       # violations at which they are written
+_RECORDS = 20000         # records that are kept to be written at the first violation
 _REFUSED = reply_frame(codec.INVALID, bytes((codec.BAD_CHECKSUM,)))
 _FAILED = reply_frame(codec.ERROR, struct.pack('<H', codec.FAILED))
 
@@ -39,17 +39,13 @@ class Storm:
         self._random = random.Random(f'storm {seed}')
         self._stopping = threading.Event()
         self._records: Deque[Tuple] = collections.deque(maxlen=_RECORDS)
-        self._record_files = 0
+        self._boards: Dict[str, Any] = {'arduino': rig.car, 'bus': rig.bus, 'mcu': rig.sensors}
         self._to_bridge = {link: DamagedLine(board.sent_frame_at, self._random, _DAMAGE_SHARE)
                            for link, board in self._boards.items()}
         self._to_bus = DamagedLine(codec.request_at, self._random, _DAMAGE_SHARE)
-        self._echoed_on = -1     # the connection on which an ECHO has returned
+        self._echoed_on = -1     # the latest connection on which an ECHO has returned
         self._motor, self._calls = MotorCheck(rig), CallCheck(rig)
         self._values = ValueCheck(rig)
-
-    @property
-    def _boards(self) -> Any:
-        return {'arduino': self.rig.car, 'bus': self.rig.bus, 'mcu': self.rig.sensors}
 
     def __call__(self, rig: Rig) -> None:
         self._connect()
@@ -98,12 +94,10 @@ class Storm:
         self._records.append((round(time.monotonic(), 4), *what))
 
     def _on_violation(self, requirement: str, text: str) -> None:
-        """Write the latest records to a file."""
+        """Write the latest records to a file, at the first violation."""
         self._record('VIOLATED', requirement, text)
-        if self._record_files < _RECORD_FILES:
-            self._record_files += 1
-            with open(self.rig.path(f'violation_{self._record_files}.txt'), 'w') as file:
-                file.writelines(f'{record}\n' for record in list(self._records))
+        with contextlib.suppress(FileExistsError), open(self.rig.path('violation.txt'), 'x') as file:
+            file.writelines(f'{record}\n' for record in list(self._records))
 
     # -- lines and boards ---------------------------------------------------------------------
 
@@ -111,7 +105,7 @@ class Storm:
         """Let the lines damage what they transfer, and the boards keep no records."""
         rig = self.rig
         rig.table.on_violation, rig.robot.on_message = self._on_violation, self._values.published
-        rig.car.on_packet, rig.car.on_beat = self._motor.received, self._motor.check_stop
+        rig.car.on_packet, rig.car.on_beat = self._motor.received, self._motor.heartbeat
         rig.bus.on_request, rig.bus.executed = self._calls.received, self._calls.executed
         rig.bus.react = self._react
         for link, board in self._boards.items():
@@ -132,26 +126,25 @@ class Storm:
         """Return what the bridge receives of a frame."""
         line = self._to_bridge[link]
         must_arrive = not line.is_open
-        received = line.pass_on(data, link != 'bus' or self._has_echoed(data))
+        received = line.pass_on(data, link != 'bus' or self._may_damage_bus)
         if received == data:
             frame = codec.decode(data, board.sent_frame_at)[0][0]
             self._values.sent(board.keys(frame), must_arrive)
+            if link == 'bus' and frame.type == codec.ECHO:
+                self._echoed_on = board.connection
         self._record(link, 'to the bridge', data.hex(), received.hex())
         return received
 
-    def _has_echoed(self, reply: bytes = b'') -> bool:
-        """Whether an ECHO has returned on this connection before this reply. Until then nothing is
-        damaged: three lost ECHOs make a board one that never echoes, and silence is its fence."""
-        connection = self.rig.bus.connection
-        has_echoed = self._echoed_on == connection
-        if reply[2:3] == bytes((codec.ECHO,)):
-            self._echoed_on = connection
-        return has_echoed
+    @property
+    def _may_damage_bus(self) -> bool:
+        """Whether an ECHO has returned on this connection: three lost ones make a board one that
+        never echoes, and silence its fence."""
+        return self._echoed_on == self.rig.bus.connection
 
     def _to_bus_board(self, data: bytes, now: float) -> None:
         for frame in codec.decode(data, codec.request_at)[0]:
             sent = data[frame.start:frame.end]
-            received = self._to_bus.pass_on(sent, self._has_echoed())
+            received = self._to_bus.pass_on(sent, self._may_damage_bus)
             self._record('bus', 'to the board', sent.hex(), received.hex())
             self.rig.bus.read(received, now)
             if received != sent and self._random.random() < 0.5:

@@ -1,6 +1,6 @@
 """What the statistical part checks: the motor, the calls, the values and the process.
 
-Lateness is judged later, in the storm's own thread: waiting for the witness would delay the thread
+Times are judged later, in the storm's own thread: to wait for the witness would delay the thread
 that reads the line.
 """
 import contextlib
@@ -9,12 +9,11 @@ import struct
 import threading
 import time
 from collections import Counter, defaultdict, deque
-from typing import Any, Callable, Deque, Dict, Iterator, List, NamedTuple, Optional, Tuple
+from typing import Any, Deque, Dict, Iterator, List, NamedTuple, Tuple
 
 from processes import usage_of
 import by_definition as codec
 from .boards import ANNOUNCE, DEPTH, HEIGHT, MEMORY, Key, Packet, Request
-from .exact_bus import Key as RequestKey
 from .rig import POLLED_TOPICS, SPEED_TIMEOUT, Rig
 from .robot import Outcome, Published
 
@@ -34,66 +33,54 @@ class MotorCheck:
     """Checks what the car receives."""
 
     def __init__(self, rig: Rig) -> None:
-        self._rig, self._oldest = rig, _NETWORK_AGE if rig.is_network else _AGE
-        self._commanded = rig.row('every SPEED was commanded, and is sent once')
-        self._fresh = rig.row('no SPEED over 0.7 s after its command, 1.5 s behind socket://')
-        self._stopped = rig.row('SPEED 0 within speed_timeout + 50 ms of the last command')
-        self._first = rig.row('SPEED 0 is the first packet whenever the port opens')
+        self._rig = rig
         self._commands: Dict[int, float] = {}        # when each was published
-        self._is_first = True
-        self._speed_at: Optional[float] = None       # of the last speed other than 0
-        self._late: Deque[Tuple] = deque()
-        self._lock = threading.RLock()
+        self._is_first = True                        # the next packet of this connection
+        self._speed_at = float('inf')                # of the last speed, unless it was 0
+        self._times: Deque[Tuple] = deque()          # to be judged
 
     def command(self, value: int) -> None:
-        with self._lock:
-            self._commands[value] = time.monotonic()
+        self._commands[value] = time.monotonic()
         self._rig.robot.command('speed', value, time.time())
 
     def start_connection(self) -> None:
-        with self._lock:
-            self._is_first, self._speed_at = True, None
+        self._is_first, self._speed_at = True, float('inf')
 
     def resumed(self) -> None:
         """The bridge or its network continues; it may stop from now on."""
-        with self._lock:
-            self._speed_at = self._speed_at and time.monotonic()
+        self._speed_at = max(self._speed_at, time.monotonic())
 
     def received(self, packet: Packet) -> None:
-        with self._lock:
-            if self._is_first:
-                self._first.check(packet.is_stop and not packet.beats, f'the first was {packet}')
-                self._is_first = False
-            if packet.type != codec.SPEED:
-                return
-            self.check_stop(packet.t)
-            self._speed_at = packet.t if packet.number else None
-            if not packet.number:
-                return
-            at, text = self._commands.pop(packet.number, None), f'SPEED {packet.number}'
-            if self._commanded.check(at, text):
-                self._in_time(self._fresh, at, packet.t, self._oldest, text)
+        row, text = self._rig.row, f'SPEED {packet.number}'
+        if self._is_first:
+            row('SPEED 0 is the first packet whenever the port opens').check(
+                packet.is_stop and not packet.beats, f'the first was {packet}')
+            self._is_first = False
+        if packet.type != codec.SPEED:
+            return
+        self._drove_until(packet.t)
+        if packet.number:
+            self._speed_at = packet.t
+            at = self._commands.pop(packet.number, None)
+            if row('every SPEED was commanded, and is sent once').check(at, text):
+                self._times.append((
+                    row('no SPEED over 0.7 s after its command, 1.5 s behind socket://'),
+                    at, packet.t, _NETWORK_AGE if self._rig.is_network else _AGE, text))
 
-    def check_stop(self, now: float) -> None:
-        """To be called for each heartbeat, too."""
-        with self._lock:
-            if self._speed_at is not None:
-                if not self._in_time(self._stopped, self._speed_at, now, _STOP_TIME, 'no stop'):
-                    self._speed_at = None       # one violation is enough
+    def heartbeat(self, now: float) -> None:
+        if now > self._speed_at + _STOP_TIME:
+            self._drove_until(now)
 
-    def _in_time(self, *check: Any) -> bool:
-        """`Rig.in_time`; if it is late, at the next `judge`."""
-        required, since, until, limit, _text = check
-        if until - since > limit:
-            self._late.append(check)
-            return False
-        required.keep_worst((until - since) * 1e3, 'ms')
-        required.checks += 1
-        return True
+    def _drove_until(self, now: float) -> None:
+        if self._speed_at <= now:
+            self._times.append((
+                self._rig.row('SPEED 0 within speed_timeout + 50 ms of the last command'),
+                self._speed_at, now, _STOP_TIME, 'no stop'))
+        self._speed_at = float('inf')
 
     def judge(self) -> None:
-        while self._late:
-            self._rig.in_time(*self._late.popleft())
+        while self._times:
+            self._rig.in_time(*self._times.popleft())
 
 
 class CallCheck:
@@ -106,14 +93,12 @@ class CallCheck:
             'done': rig.row('outcome done: executed exactly once'),
             'not known': rig.row('outcome not known: executed at most once'),
             'refused': refused, 'not sent': refused}
-        self._own_data = rig.row('a raw call returns the data of its own reply')
         self._returned = rig.row('every call returns within 6 s')
-        self._belongs = rig.row('every request belongs to a call that waits, or to a poll')
-        self._once = rig.row('a request comes again only after INVALID')
-        self.executed: 'Counter[RequestKey]' = Counter()
+        self.executed: 'Counter[Tuple[int, bytes]]' = Counter()
+        # By request: how often the board may still receive it.
+        self._expected: Dict[Tuple[int, bytes], int] = {}
         self._numbers = itertools.count(1)
-        self._expected: Dict[RequestKey, int] = {}      # how often each may still be received
-        self._lock = threading.RLock()
+        self._lock = threading.Lock()
 
     def call(self) -> None:
         """Make one call."""
@@ -126,30 +111,33 @@ class CallCheck:
         self._rig.in_time(self._returned, began, time.monotonic(), _CALL_TIME, f'{key}')
         self.check(key, outcome)
 
-    def received(self, request: Request) -> None:
-        """To be called for each request that the board receives."""
-        key = request.key
-        if request.cmd1 in (codec.SYNC, codec.ECHO):
-            return
-        with self._lock:
-            self._belongs.check(key in self._expected or key in _POLLS, f'{request}')
-            if key in self._expected:
-                self._once.check(self._expected[key] > 0, f'{request}')
-                self._expected[key] -= 1
-
-    def invalid(self, key: RequestKey) -> None:
-        """The board replies that it has not executed this request."""
-        with self._lock:
-            if key in self._expected:
-                self._expected[key] += 1
-
-    def check(self, key: RequestKey, outcome: Outcome) -> None:
+    def check(self, key: Tuple[int, bytes], outcome: Outcome) -> None:
         executed = self.executed.pop(key, 0)
         text = f'{key[1].hex()}: {outcome}, executed {executed} times'
         if self._returned.check(outcome.status is not None, text):
             self._outcomes[outcome.name].check(outcome.is_true(executed), text)
         if outcome.success:
-            self._own_data.check(outcome.data == key[1], text)
+            self._rig.row('a raw call returns the data of its own reply').check(
+                outcome.data == key[1], text)
+
+    def received(self, request: Request) -> None:
+        """To be called for each request that the board receives."""
+        if request.cmd1 in (codec.SYNC, codec.ECHO):
+            return
+        key, row = request.key, self._rig.row
+        with self._lock:
+            row('every request belongs to a call that waits, or to a poll').check(
+                key in self._expected or key in _POLLS, f'{request}')
+            if key in self._expected:
+                row('a request comes again only after INVALID').check(
+                    self._expected[key] > 0, f'{request}')
+                self._expected[key] -= 1
+
+    def invalid(self, key: Tuple[int, bytes]) -> None:
+        """The board has not executed this request, and replies so: it may receive it again."""
+        with self._lock:
+            if key in self._expected:
+                self._expected[key] += 1
 
 
 class Value(NamedTuple):
@@ -160,6 +148,18 @@ class Value(NamedTuple):
     must: bool           # whether it has to be published
 
 
+class Disturbance:
+    """A time in which values of a link, or of all links, may be lost."""
+
+    def __init__(self, link: str) -> None:
+        self.link, self.since, self.until = link, time.monotonic(), float('inf')
+
+    def excuses(self, link: str, at: float, latest: float) -> bool:
+        """Whether a value may be lost; `latest` was sent before it, and published."""
+        return self.link in ('', link) and latest < self.until and \
+            self.since - _BEFORE < at < self.until + _AFTER
+
+
 class ValueCheck:
     """Compares what was published with what was sent in valid frames: in order, and once.
 
@@ -168,26 +168,25 @@ class ValueCheck:
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
-        self._correct = rig.row('every published value was in a valid frame, in order, once')
         self._lost = rig.row('values are lost only in a stall or reconnect, until the next one')
         self._waiting: Dict[str, Deque[Value]] = defaultdict(deque)     # by topic
         self._latest: Dict[str, float] = defaultdict(float)     # when the last published was sent
         self._skipped: List[Tuple[str, Value, float]] = []      # with `_latest` of that time
-        self._disturbances: Deque[Disturbance] = deque(maxlen=1000)
-        self._lock = threading.RLock()
+        self.disturbances: Deque[Disturbance] = deque(maxlen=1000)
+        self._lock = threading.Lock()
 
     @contextlib.contextmanager
     def disturbance(self, link: str = '') -> Iterator[None]:
         """Something happens to a link, or to all, by which values may be lost."""
-        disturbance = Disturbance(link, time.monotonic())
-        self._disturbances.append(disturbance)
+        disturbance = Disturbance(link)
+        self.disturbances.append(disturbance)
         yield
         disturbance.until = time.monotonic()
 
     def sent(self, keys: List[Key], must: bool) -> None:
         with self._lock:
-            for topic, key in keys:     # words, as for a range, say nothing about which it is
-                if not isinstance(key, str):
+            for topic, key in keys:
+                if not isinstance(key, str):     # a word, as for a range, does not say which it is
                     self._waiting[topic].append(
                         Value(key, time.monotonic(), must and topic not in POLLED_TOPICS))
 
@@ -195,32 +194,29 @@ class ValueCheck:
         if message.key is None or isinstance(message.key, str):
             return
         with self._lock:
-            waiting = self._waiting[topic]
-            keys = [each.key for each in waiting]
-            if not self._correct.check(message.key in keys, f'{topic} {message.key}'):
-                return
-            for _ in range(keys.index(message.key)):
-                self._skip(topic)
-            value = waiting.popleft()
-            self._latest[topic] = value.at
-            self._lost.checks += value.must
+            keys = [each.key for each in self._waiting[topic]]
+            if self._rig.row('every published value was in a valid frame, in order, once').check(
+                    message.key in keys, f'{topic} {message.key}'):
+                self._skip(topic, keys.index(message.key))
+                value = self._waiting[topic].popleft()
+                self._latest[topic] = value.at
+                self._lost.checks += value.must
 
-    def _skip(self, topic: str) -> None:
-        value = self._waiting[topic].popleft()
-        if value.must:
-            self._skipped.append((topic, value, self._latest[topic]))
+    def _skip(self, topic: str, number: int) -> None:
+        """So many values were not published."""
+        values = [self._waiting[topic].popleft() for _ in range(number)]
+        self._skipped += [(topic, each, self._latest[topic]) for each in values if each.must]
 
     def judge(self) -> None:
         """Decide about the values that were not published."""
         until = time.monotonic() - _KEPT
         with self._lock:
             for topic, waiting in self._waiting.items():
-                while waiting and waiting[0].at < until:
-                    self._skip(topic)
+                self._skip(topic, sum(each.at < until for each in waiting))
             skipped, self._skipped = self._skipped, []
         for topic, value, latest in skipped:
             link = 'mcu' if 'mcu' in topic else 'arduino'
-            if any(each.excuses(link, value.at, latest) for each in self._disturbances):
+            if any(each.excuses(link, value.at, latest) for each in list(self.disturbances)):
                 continue
             if self._rig.excuses(value.at - _BEFORE, value.at + _BEFORE, _STALL):
                 self._lost.undecided += 1
@@ -228,37 +224,26 @@ class ValueCheck:
                 self._lost.check(False, f'{topic} {value.key}, sent at {value.at:.3f}')
 
 
-class Disturbance:
-    """A time in which values of a link, or of all links, may be lost."""
-
-    def __init__(self, link: str, since: float) -> None:
-        self.link, self.since, self.until = link, since, float('inf')
-
-    def excuses(self, link: str, at: float, latest: float) -> bool:
-        """Whether a value may be lost; `latest` was sent before it, and published."""
-        return self.link in ('', link) and latest < self.until and \
-            self.since - _BEFORE < at < self.until + _AFTER
-
-
 class GrowthCheck:
     """Compares the bridge's memory, threads and files in the two halves of a storm."""
 
     def __init__(self, rig: Rig, duration: float) -> None:
         self._rig = rig
-        self._began = time.monotonic() + min(_SETTLING, duration / 3)
-        self._half = (time.monotonic() + duration - self._began) / 2
+        settling = min(_SETTLING, duration / 3)
+        self._began, self._half = time.monotonic() + settling, (duration - settling) / 2
         self._most = [dict.fromkeys(_GROWTH, 0.0), dict.fromkeys(_GROWTH, 0.0)]
 
     def judge(self) -> None:
         """To be called every few seconds."""
         seconds = time.monotonic() - self._began
-        if seconds < 0:
-            return
-        half = int(seconds > self._half)
-        for name, value in usage_of(self._rig.child_bridge.pid).items():
-            self._most[half][name] = max(self._most[half][name], value)
-            if half:
-                noise, per_hour, unit = _GROWTH[name]
-                first, second = (most[name] for most in self._most)
-                self._rig.row(f'no growth: {name}').at_most(
-                    second - first, noise + per_hour * self._half / 3600, unit, f'from {first:.1f}')
+        if seconds > 0:
+            half = int(seconds > self._half)
+            for name, value in usage_of(self._rig.child_bridge.pid).items():
+                self._most[half][name] = max(self._most[half][name], value)
+                if half:
+                    self._check(name, *(most[name] for most in self._most))
+
+    def _check(self, name: str, first: float, second: float) -> None:
+        noise, per_hour, unit = _GROWTH[name]
+        self._rig.row(f'no growth: {name}').at_most(
+            second - first, noise + per_hour * self._half / 3600, unit, f'from {first:.1f}')

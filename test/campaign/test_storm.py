@@ -108,9 +108,9 @@ def speed(value, t, beats=0):
 
 def test_stop_in_time(rig, motor):
     for index in range(54):
-        motor.check_stop(100.0 + index / 100)
+        motor.heartbeat(100.0 + index / 100)
     motor.received(speed(0, 100.545))
-    motor.check_stop(102.0)
+    motor.heartbeat(102.0)
     motor.judge()
     assert rig.violated == []
 
@@ -118,8 +118,8 @@ def test_stop_in_time(rig, motor):
 @pytest.mark.parametrize('late', [0.0, 0.1])
 def test_no_stop(rig, motor, late):
     rig.late = late
-    motor.check_stop(100.56)
-    motor.check_stop(100.57)
+    motor.heartbeat(100.56)
+    motor.heartbeat(100.57)
     motor.judge()
     row = rig.row('SPEED 0 within speed_timeout + 50 ms of the last command')
     assert (row.violations, row.undecided) == ((0, 1) if late else (1, 0))
@@ -194,9 +194,9 @@ class Values:
         return self.rig.violated
 
     def disturb(self, link, since, until):
-        disturbance = storm_checks.Disturbance(link, self.began + since)
-        disturbance.until = self.began + until
-        self.check._disturbances.append(disturbance)
+        disturbance = storm_checks.Disturbance(link)
+        disturbance.since, disturbance.until = self.began + since, self.began + until
+        self.check.disturbances.append(disturbance)
 
 
 CORRECT = 'every published value was in a valid frame, in order, once'
