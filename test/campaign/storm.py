@@ -24,6 +24,7 @@ from .storm_checks import CallCheck, GrowthCheck, MotorCheck, ValueCheck
 
 _DAMAGE_SHARE = 0.03     # of the frames
 _STALLS = 0.2, 0.4, 0.7, 1.2     # s for which the bridge is suspended
+_FREEZES = 0.3, 1.0, 2.0, 5.0    # s for which a network is frozen
 _MEASURE_PERIOD = 0.02   # s
 _RECORDS = 20000         # records that are kept to be written at the first violation
 _REFUSED = reply_frame(codec.INVALID, bytes((codec.BAD_CHECKSUM,)))
@@ -38,6 +39,8 @@ class Storm:
         self.__name__ = f"all faults at once, for {duration:g} s{' over networks' * rig.is_network}"
         self._random = random.Random(f'storm {seed}')
         self._stopping = threading.Event()
+        # A bridge that is suspended cannot close the connection to a network that is frozen.
+        self._either = threading.Lock()
         self._records: Deque[Tuple] = collections.deque(maxlen=_RECORDS)
         self._boards: Dict[str, Any] = {'arduino': rig.car, 'bus': rig.bus, 'mcu': rig.sensors}
         self._to_bridge = {link: DamagedLine(board.sent_frame_at, self._random, _DAMAGE_SHARE)
@@ -77,7 +80,7 @@ class Storm:
         growth, until = GrowthCheck(self.rig, self._duration), time.monotonic() + self._duration
         while time.monotonic() < until:
             self.wait(self._random.uniform(2.0, 6.0))
-            with self._values.disturbance(), self.rig.suspended():
+            with self._either, self._values.disturbance(), self.rig.suspended():
                 self._record('bridge', 'suspended')
                 self.wait(self._random.choice(_STALLS))
                 self._motor.resumed()
@@ -96,7 +99,8 @@ class Storm:
     def _on_violation(self, requirement: str, text: str) -> None:
         """Write the latest records to a file, at the first violation."""
         self._record('VIOLATED', requirement, text)
-        with contextlib.suppress(FileExistsError), open(self.rig.path('violation.txt'), 'x') as file:
+        path = self.rig.path(f'violation_{self.rig.bridge_name}.txt')
+        with contextlib.suppress(FileExistsError), open(path, 'x') as file:
             file.writelines(f'{record}\n' for record in list(self._records))
 
     # -- lines and boards ---------------------------------------------------------------------
@@ -206,9 +210,10 @@ class Storm:
                 self._record(link, 'continues')
 
     def _freeze(self, line: NetworkLine) -> None:
-        line.freeze()
-        self.wait(self._random.choice((0.3, 1.0, 2.0, 5.0)))
-        if line is self.rig.car_line:       # what waited is read only now
-            self._motor.resumed()
-            self.rig.car.forget_beat()
-        line.thaw()
+        with self._either:
+            line.freeze()
+            self.wait(self._random.choice(_FREEZES))
+            if line is self.rig.car_line:       # what waited is read only now
+                self._motor.resumed()
+                self.rig.car.forget_beat()
+            line.thaw()
