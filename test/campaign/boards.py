@@ -8,7 +8,8 @@ from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional, Tuple
 import by_definition as codec
 from .lines import Clock, SerialLine
 
-_SILENCE = 0.29          # s; after three lost ECHOs, SYNC and so much silence are the fence
+# s: silences that are a fence: after three lost ECHOs and a SYNC, of a board that never echoes.
+_SILENCE, _SHORT_SILENCE = 0.29, 0.019
 BEAT_MISSED = 0.03       # s without a heartbeat after which the board stops its motor
 # Custom messages of the car: a number, bytes and a sign of life that it sends, and two commands.
 COUNTER, BLOB, ALIVE, HEATER, WINCH = range(60, 65)
@@ -16,6 +17,7 @@ CLIFF = 0x20             # a custom message of the sensor board
 # Custom functions of the bus board.
 PRESS, PROBE, HALT, PUMP, DEPTH, HEIGHT = 0x60, 0x61, 0x62, 0x63, 0x70, 0x71
 MEMORY = 0xF0            # a function of the bus board that only raw requests use
+POLLS = codec.ENVIRONMENT, DEPTH, HEIGHT
 ANNOUNCE = 0xFF          # the function that returns a chunk of its announcement
 _NUMBER = {'ros_type': 'std_msgs/UInt32', 'layout': '<I', 'fields': ['data']}
 _TRIGGER = {'srv_type': 'std_srvs/Trigger', 'timeout': 0.3, 'repeatable': True}
@@ -208,8 +210,8 @@ class Car(Board):
         self.packets: List[Packet] = []          # without heartbeats
         self.beats = 0                           # heartbeats received on this connection
         self.all_beats = 0
-        self.longest_gap = 0.0                   # s
         self.gaps: List[Tuple[float, float]] = []
+        self.longest_gap = 0.0                   # s, of the others
         self.first: Dict[int, Packet] = {}       # the first packet of each connection
         self.first_beat = 0.0                    # when that of this connection was read
         self.ended: List[int] = []               # heartbeats of each connection that has ended
@@ -243,9 +245,10 @@ class Car(Board):
         self.first_beat = self.first_beat if self.beats else now
         self.beats += 1
         self.all_beats += 1
-        self.longest_gap = max(self.longest_gap, now - self._last_beat)
         if now - self._last_beat >= BEAT_MISSED:
             self.gaps.append((self._last_beat, now))
+        else:
+            self.longest_gap = max(self.longest_gap, now - self._last_beat)
         self._last_beat = now
         self.on_beat(now)
 
@@ -330,6 +333,9 @@ class Request(NamedTuple):
         return self.cmd2, self.data
 
 
+OK = b''         # in a reaction: the usual reply
+
+
 class Reaction(NamedTuple):
     """How a bus board reacts to a request."""
 
@@ -342,8 +348,9 @@ class BusBoard(Board):
 
     Attributes:
         react: if set, returns another reaction to a function; None: the usual one.
-        probe: likewise to SYNC and ECHO; its second argument is the usual reply.
+        probe: likewise to SYNC and ECHO.
         in_step: False after a reset, until a SYNC.
+        lost_echoes: ECHOs since the latest one that returned.
         checked, faults: requests that needed a fence, and what was wrong about it.
     """
 
@@ -356,8 +363,8 @@ class BusBoard(Board):
         self.requests: List[Request] = []
         self.executed: 'Counter[Tuple[int, bytes]]' = Counter()
         self.react: Optional[Callable[[Request], Optional[Reaction]]] = None
-        self.probe: Optional[Callable[[Request, bytes], Optional[Reaction]]] = None
-        self.in_step = True
+        self.probe: Optional[Callable[[Request], Optional[Reaction]]] = None
+        self.in_step, self.lost_echoes = True, 0
         self.announces = b''
         self.readings = 0
         self.checked, self.faults = 0, deque(maxlen=100)      # type: int, Deque[str]
@@ -367,8 +374,13 @@ class BusBoard(Board):
         self._free_at = 0.0      # when the last delayed reply is written
         self._delayed: Deque[Tuple[int, bytes]] = deque()
         self._before: Optional[Request] = None
+        self._has_echoed = False     # on this connection
         self._nonces: Deque[bytes] = deque(maxlen=1000)
         self._echoed: Deque[bytes] = deque(maxlen=100)      # replies to ECHO that were written
+
+    def count(self, cmd2: int) -> int:
+        """How many requests of this function were received."""
+        return [each.cmd2 for each in self.requests].count(cmd2)
 
     def received(self, frame: codec.Frame, now: float) -> None:
         request = Request(now, *frame.content, self.connection)
@@ -378,7 +390,7 @@ class BusBoard(Board):
         if reaction.executes:
             self.executed[request.key] += 1
         for seconds, reply in reaction.replies:
-            self._write_in_order(seconds, reply)
+            self._write_in_order(seconds, reply or self.ok_reply(request))
 
     def _check_fence(self, request: Request) -> None:
         before, self._before = self._before, request
@@ -386,19 +398,26 @@ class BusBoard(Board):
             if len(request.data) != 4 or request.data in self._nonces:
                 self.faults.append(f'the nonce of {request} is not new, or has not 4 bytes')
             self._nonces.append(request.data)
-        elif request.cmd1 != codec.SYNC:
+            self.lost_echoes += 1
+        elif request.cmd1 != codec.SYNC and request.cmd2 != HALT:      # a stop needs no fence
             self.checked += 1
-            polled = request.cmd2 in (codec.ENVIRONMENT, DEPTH, HEIGHT)
-            silence = request.t - self.written_at
-            if not (before and (before.cmd1 == codec.ECHO and before.data in self._echoed
-                                or before.cmd1 == codec.SYNC and silence >= _SILENCE
-                                or polled and before.key == request.key)):
+            is_same_poll = before and before.key == request.key and request.cmd2 in POLLS
+            is_echoed = before and before.cmd1 == codec.ECHO and before.data in self._echoed
+            if not is_same_poll and not is_echoed and not self._is_silent(before, request.t):
                 self.faults.append(f'{request} came behind {before}')
+
+    def _is_silent(self, before: Optional[Request], now: float) -> bool:
+        """Whether a silence is the fence: after three lost ECHOs and a SYNC, or of a board that
+        never echoes."""
+        least = _SILENCE if before and before.cmd1 == codec.SYNC else (
+            math.inf if self._has_echoed else _SHORT_SILENCE)
+        return self.lost_echoes >= 3 and now - self.written_at >= least
 
     def write(self, data: bytes) -> bool:
         self.written_at = time.monotonic()
-        if data[2] == codec.ECHO:
+        if data[2:3] == bytes((codec.ECHO,)):
             self._echoed.append(data[3:-1])
+            self.lost_echoes, self._has_echoed = 0, True
         return super().write(data)
 
     def _write_in_order(self, seconds: float, reply: bytes) -> None:
@@ -420,6 +439,7 @@ class BusBoard(Board):
     def start_connection(self) -> None:
         super().start_connection()
         self._free_at, self._before = 0.0, None
+        self.lost_echoes, self._has_echoed = 0, False
 
     def clear_records(self) -> None:
         super().clear_records()
@@ -431,20 +451,17 @@ class BusBoard(Board):
         self.react, self.probe, self.in_step = None, None, True
 
     def _reaction(self, request: Request) -> Reaction:
-        is_probe = request.cmd1 in (codec.SYNC, codec.ECHO)
-        reply = reply_frame(request.cmd1, request.data if request.cmd1 else b'')
+        is_function = request.cmd1 == codec.FUNCTION
         self.in_step = self.in_step or request.cmd1 == codec.SYNC
-        other = self.probe(request, reply) if is_probe and self.probe else None
-        if other is not None:
-            return other
-        if not self.in_step:
-            reply = reply_frame(codec.INVALID, bytes((codec.NOT_SYNCHRONISED,)))
-        if is_probe or not self.in_step:
-            return Reaction([(0, reply)])
-        if request.cmd2 == ANNOUNCE:
-            return self._chunk(request.data[0])
-        other = self.react(request) if self.react else None
-        return other or Reaction([(0, self.ok_reply(request))], True)
+        if not is_function and self.probe:
+            other = self.probe(request)
+        elif not self.in_step:
+            other = Reaction([(0, reply_frame(codec.INVALID, bytes((codec.NOT_SYNCHRONISED,))))])
+        elif request.cmd2 == ANNOUNCE:
+            other = self._chunk(request.data[0])
+        else:
+            other = self.react(request) if is_function and self.react else None
+        return other or Reaction([(0, OK)], is_function)
 
     def _chunk(self, index: int) -> Reaction:
         chunks = codec.announcement(self.announces, 30)
@@ -452,7 +469,9 @@ class BusBoard(Board):
         return Reaction([(0, reply_frame(codec.OK, chunks[index]) if index < len(chunks) else end)])
 
     def ok_reply(self, request: Request) -> bytes:
-        if request.cmd2 not in (codec.ENVIRONMENT, DEPTH, HEIGHT):
+        if request.cmd1 != codec.FUNCTION:
+            return reply_frame(request.cmd1, request.data)
+        if request.cmd2 not in POLLS:
             return reply_frame(codec.OK, request.data if request.cmd2 == MEMORY else b'')
         self.readings = n = self.readings + 1
         data = struct.pack('<I', 2 * n + (request.cmd2 == HEIGHT))      # the depth is always even

@@ -5,10 +5,8 @@
     latching NAME A B   publishes A latched as a command of each type; after a line on stdin B, when
                         A was received
     numbers NAME A      publishes A, A + 1 ... as commands of each type, at 20 Hz
-    witness NAME FD CPU see logs.Witness
 """
 import itertools
-import os
 import signal
 import sys
 import time
@@ -19,7 +17,6 @@ import rosgraph
 import rospy
 
 from serial_communication.srv import Lift
-from .logs import WITNESS_PERIOD
 from .robot import COMMANDS, NODE, TOPICS, command_of
 
 _PERIOD = 0.01       # s
@@ -73,19 +70,8 @@ def _bridge_has_received() -> bool:
                for id_, _bytes, number, *_ in connections if id_ in ids) == len(COMMANDS)
 
 
-def witness(descriptor: str, processor: str) -> None:
-    os.sched_setaffinity(0, {int(processor)})
-    due = time.monotonic()
-    while True:
-        due = max(due + WITNESS_PERIOD, time.monotonic())
-        time.sleep(max(0.0, due - time.monotonic()))
-        os.write(int(descriptor), b'.')
-
-
 if __name__ == '__main__':
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())     # also while it reads stdin
-    if sys.argv[1] == 'witness':
-        witness(*sys.argv[3:])
     rospy.init_node(sys.argv[2], disable_rosout=True, disable_signals=True)
     try:
         {'subscriber': subscriber, 'caller': caller, 'latching': latching,

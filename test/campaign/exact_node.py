@@ -1,6 +1,7 @@
 """The node, exactly: what happens to its process, and to others that it works with."""
 import contextlib
 import glob
+import itertools
 import json
 import signal
 import termios
@@ -15,16 +16,15 @@ from std_msgs.msg import Empty, UInt8
 import by_definition as codec
 from processes import StageError
 from .boards import CUSTOM, POLLED, Reaction
-from .exact_bus import Calls
-from .exact_car import Drive, check_first, measurements
-from .rig import LATCHED, STOP_FIRST, Rig
+from .exact_car import Drive, check_first
+from .exact_data import measurements
+from .rig import LATCHED, Rig
 from .robot import NODE
 
 _END = 2.0               # s
 _MASTER_RETURN = 10.0    # s
-_NETWORK_AGE = 1.5       # s: arduino/network_silence and some delay
-_NETWORK_RETURN = 3.0    # s
-_ENDS = 20
+_ENDS = 'it ends within 2 s, whatever hangs; last packet SPEED 0'
+_TRIES = 20
 _SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 # The third one conflicts with a parameter.
 _ROWS = (b'hoist_%d: {type: %d, direction: to_board, ros_type: std_msgs/Empty, layout: <, fields: '
@@ -91,30 +91,6 @@ def _registered() -> FrozenSet[Tuple[str, str]]:
         return frozenset()
 
 
-def resets(rig: Rig) -> None:
-    """Each board is reset: its current frame stays incomplete, it is silent, then starts again."""
-    required = rig.row('after a reset of the board SYNC brings it in step again')
-    calls = Calls(rig)
-    rig.settle()
-    rig.car.talks = False
-    for board, incomplete in (rig.sensors, b'\x02\x0c\x10\x01'), (rig.car, b'\x05\x07\x01'):
-        for _ in range(5):
-            board.measure()
-        board.line.write(incomplete)
-    call = calls.start_unanswered()
-    rig.bus.in_step, rig.bus.react = False, None
-    calls.check(call, 'reset', 'not known')
-    rig.sleep(0.9)
-    rig.sensors.seq = 0
-    for _ in range(5):
-        rig.car.measure()
-        rig.sensors.measure()
-    rig.car.talks = True
-    calls.call('lift', 'after a reset', 'done')
-    required.check(rig.bus.in_step, 'no SYNC was received')
-    rig.compare(rig.car, rig.sensors)
-
-
 def killed(rig: Rig) -> None:
     """SIGKILL while the car drives; then another bridge, an absent port, an old latched speed."""
     latched = rig.row(LATCHED)
@@ -141,17 +117,20 @@ def killed(rig: Rig) -> None:
 def ends(rig: Rig) -> None:
     """A signal ends the bridge, twenty times: while the car drives and a call waits for its reply,
     or while the ports of bus and mcu take no bytes. The last one is left to the caller."""
-    for index in range(_ENDS):
-        end(rig, _SIGNALS[index % 3], hang=index % 2 == 1)
-        if index < _ENDS - 1:
-            rig.bus.usual()
-            rig.start()
+    if rig.is_network:
+        return _end(rig, signal.SIGTERM, hang=False)
+    required = rig.row(_ENDS)
+    for index in itertools.count():
+        _end(rig, _SIGNALS[index % 3], hang=index % 2 == 1)
+        if required.checks >= 3 * _TRIES or index >= 2 * _TRIES:
+            return None
+        rig.bus.usual()
+        rig.start()
 
 
-def end(rig: Rig, number: int, hang: bool) -> None:
+def _end(rig: Rig, number: int, hang: bool) -> None:
     """End the bridge with this signal."""
-    required = rig.row('it ends within 2 s, whatever hangs; last packet SPEED 0')
-    what = f'{signal.Signals(number).name}{", ports hang" if hang else ""}'
+    required, what = rig.row(_ENDS), f'{signal.Signals(number).name}{", ports hang" * hang}'
     drive, lines = Drive(rig), (rig.bus_line, rig.mcu_line)
     rig.robot.command('speed', 0)
     rig.bus.clear_records()
@@ -173,11 +152,10 @@ def end(rig: Rig, number: int, hang: bool) -> None:
                       for thread, seconds in _waits(rig.child_bridge.pid).items())
         return not rig.child_bridge.alive
     with contextlib.suppress(StageError):
-        rig.wait(has_ended, '', 3 * _END)
-    seconds = time.monotonic() - began - max(waited)
+        rig.wait(has_ended, '', 30.0)
+    rig.in_time(required, began + max(waited), time.monotonic(), _END,
+                f'{what}, not counting {max(waited):.2f} s in which it got no processor')
     rig.end(rig.child_bridge)
-    required.at_most(seconds, _END, 's', f'{what}, not counting {max(waited):.2f} s in which it '
-                     'got no processor')
     rig.car_line.drain()
     last, status = rig.car.packets[-1], rig.child_bridge.process.returncode
     beats = [*rig.car.ended, rig.car.beats][last.connection] - last.beats
@@ -190,11 +168,6 @@ def end(rig: Rig, number: int, hang: bool) -> None:
         line.drain()
 
 
-def network_end(rig: Rig) -> None:
-    """SIGTERM of a bridge behind networks."""
-    end(rig, signal.SIGTERM, hang=False)
-
-
 def _waits(pid: int) -> Dict[str, float]:
     """How long each thread of a process was ready to run but got no processor, in s."""
     waited = {}
@@ -203,53 +176,6 @@ def _waits(pid: int) -> Dict[str, float]:
             with open(path) as file:
                 waited[path] = int(file.read().split()[1]) / 1e9
     return waited
-
-
-def network(rig: Rig) -> None:
-    """The car's network freezes, or loses the connection, and returns after some time."""
-    fresh = rig.row('no SPEED older than 1.5 s reaches a board behind socket://')
-    returns = rig.row("heartbeats within 3 s of the network's return")
-    first, drive, car = rig.row(STOP_FIRST), Drive(rig), rig.car
-    for seconds, event in ((1.2, rig.car_line.freeze), (3.0, rig.car_line.lose_connection),
-                           (2.0, rig.car_line.freeze), (5.0, rig.car_line.freeze)):
-        drive.command_until_accepted()
-        since, connection = len(car.packets), car.connection
-        rig.car.forget_beat()
-        event()
-        commanded, began = {}, time.monotonic()     # when each was published
-        while time.monotonic() < began + seconds:
-            now = time.monotonic()
-            commanded[drive.publish(1, ['speed'])[0]] = now
-        rig.car.forget_beat()
-        rig.car_line.thaw()
-        returned = time.monotonic()
-        returns.wait(lambda: car.connection > connection and car.beats > 5, 'heartbeats')
-        returns.at_most(time.monotonic() - returned, _NETWORK_RETURN, 's', event.__name__)
-        drive.command_until_accepted()
-        for packet in car.packets[since:]:
-            if packet.type == codec.SPEED and packet.number in commanded:
-                fresh.at_most(packet.t - commanded[packet.number], _NETWORK_AGE, 's', f'{packet}')
-        for packet in [car.first[number] for number in car.first if number > connection]:
-            first.check(packet.is_stop, f'the first packet was {packet}')
-
-
-def network_stall(rig: Rig) -> None:
-    """SIGSTOP of a bridge behind networks, which keep what the boards send meanwhile."""
-    stale = rig.row('no data from the time of a stall is published over a network')
-    drive = Drive(rig)
-    for seconds in (0.7, 1.5):
-        drive.command_until_accepted()
-        rig.settle()
-        connection = rig.car.connection
-        with rig.suspended():
-            for _ in range(10):
-                rig.car.measure()
-                rig.sleep(seconds / 10)
-        rig.sleep(0.5)
-        keys = [each.key for each in rig.robot.published['~counter']]
-        stale.check(not keys, f'~counter: {keys[:3]} were published')
-        rig.wait_for_data('~counter', rig.car.measure, stale)
-        stale.check(rig.car.connection > connection, 'the port was not opened anew')
 
 
 def announcements(rig: Rig) -> None:
@@ -305,4 +231,4 @@ def _announced() -> Set[str]:
     return {*rospy.get_param(NODE + '/arduino/announced', {})}
 
 
-SCENARIOS = second_bridge, suspended_subscriber, new_master, resets, announcements
+SERIAL = second_bridge, suspended_subscriber, new_master, announcements

@@ -3,15 +3,21 @@ import contextlib
 import itertools
 import os
 import pty
+import re
 import sched
 import select
 import socket
+import struct
 import threading
 import time
 import tty
 from typing import Any, Callable, Iterator
 
-_POLL = 20               # ms that a reader waits at most until it checks the line's state
+_MARK = b'\xFE\xED\xFA\xCE%b'      # a mark of `SerialLine` with the time when it was written
+_MARKS = re.compile(_MARK % b'(.{8})', re.DOTALL)
+_PART_OF_MARK = re.compile(b'\xFE(\xED(\xFA(\xCE.{0,7})?)?)?\\Z', re.DOTALL)
+_MARK_PERIOD = 0.005     # s
+_POLL = 5                # ms that a reader waits at most until it checks the line's state
 _TICK = 0.002            # s
 _SIZE = 65536            # bytes of one read
 _PTY_DELAY = 0.05        # s that the kernel may take to move bytes through a pseudo terminal
@@ -56,8 +62,13 @@ class Clock(threading.Thread):
 class SerialLine(threading.Thread):
     """A pseudo terminal with a fixed name, `port`, which the bridge opens.
 
+    The kernel moves its bytes in a thread of ordinary priority, so on a busy machine they are read
+    late. So this thread writes a mark to the bridge's end each 5 ms: what is read before a mark was
+    written before it.
+
     Attributes:
-        on_bytes: called with what the bridge wrote, and when it was read by `time.monotonic`.
+        on_bytes: called with what the bridge wrote, and when by `time.monotonic`: when it was read,
+            or the next mark was written.
         on_unplugged: called when the line is unplugged.
         damage: returns what the bridge receives for bytes that the board sends.
     """
@@ -69,10 +80,10 @@ class SerialLine(threading.Thread):
         self.on_unplugged: Callable[[], None] = lambda: None
         self.damage: Callable[[bytes], bytes] = lambda data: data
         self.frozen = False
-        self._master = self._listener = -1
+        self._master = self._listener = self.slave = -1
         self._device = ''        # name of `slave`, which is the bridge's end
         self._lock = threading.RLock()
-        self._bytes_read = 0
+        self._bytes_read, self._rest, self._marked_at = 0, b'', 0.0
         self.plug()
         self.start()
 
@@ -88,6 +99,8 @@ class SerialLine(threading.Thread):
             self._device = os.ttyname(self.slave)
             tty.setraw(self.slave)
             os.set_blocking(self._master, False)
+            os.set_blocking(self.slave, False)
+            self._rest = b''
             os.symlink(self._device, self.port + '~')
             os.replace(self.port + '~', self.port)
 
@@ -96,7 +109,7 @@ class SerialLine(threading.Thread):
         with self._lock:
             os.unlink(self.port)
             os.close(self.slave)
-            self.frozen = False
+            self.slave, self.frozen = -1, False
             self._end()
 
     @property
@@ -157,16 +170,31 @@ class SerialLine(threading.Thread):
                 if not data:
                     self._end()
                     return
-                self._bytes_read += len(data)
-                self.on_bytes(data, time.monotonic())
+                self._read(self._rest + data, time.monotonic())
+
+    def _read(self, data: bytes, now: float) -> None:
+        part = _PART_OF_MARK.search(data)
+        end = part.start() if part else len(data)
+        self._rest = data[end:]
+        pieces = _MARKS.split(data[:end])
+        for piece, mark in itertools.zip_longest(pieces[::2], pieces[1::2]):
+            if piece:
+                self._bytes_read += len(piece)
+                self.on_bytes(piece, min(now, *struct.unpack('<d', mark)) if mark else now)
 
     def run(self) -> None:
         while True:
             fd = self._master if self.plugged else self._listener
             if fd < 0 or self.frozen:
                 time.sleep(_POLL / 1000)
-            elif _events(fd, _POLL):
+                continue
+            if _events(fd, _POLL):
                 self.read_all()
+            now = time.monotonic()
+            if now >= self._marked_at + _MARK_PERIOD:
+                self._marked_at = now
+                with self._lock, contextlib.suppress(OSError):      # unplugged, or full
+                    os.write(self.slave, _MARK % struct.pack('<d', time.monotonic()))
 
     def _end(self) -> None:
         with self._lock:
@@ -204,6 +232,11 @@ class NetworkLine(SerialLine):
 
     def write(self, data: bytes) -> bool:
         return not self.frozen and super().write(data)
+
+    def shut_down(self) -> None:
+        """End the connection as a program does that sends no more, but reads on: no reset."""
+        with socket.socket(fileno=os.dup(self._master)) as connection:
+            connection.shutdown(socket.SHUT_WR)
 
     def lose_connection(self) -> None:
         """Forget the connection without closing it, so the bridge is not notified."""

@@ -1,22 +1,13 @@
-"""What the bridge logs, read while it writes it, and when the witness was late."""
+"""What the bridge logs, read while it writes it."""
 import glob
 import os
-import pty
 import re
-import threading
 import time
-import tty
-from collections import deque
 from pathlib import Path
-from typing import Any, Callable, Deque, Dict, Iterable, List, Tuple
+from typing import Callable, Dict, Iterable, List, Tuple
 
-from processes import Stage
 from .requirements import Requirement
 
-LATE = 0.005         # s: a byte of the witness that is later is an excuse …
-MARGIN = 0.05        # s … for what happened within this time of it
-WITNESS_PERIOD = 0.01    # s
-_LATE_KEPT = 5000    # late bytes: those of the last 75 s or more
 _LINE = re.compile(r'\[(.*?)\]\[\w+\] (\d{4}-\d\d-\d\d \d\d:\d\d:\d\d),(\d{3}): (.*)')
 _VARYING = re.compile(r'"[^"]*"|/\S+|\b(0x)?[0-9a-f]*\d[0-9a-f.]*\b|\b[0-9a-f]{6,}\b')
 # What rospy's handlers print: the colour, the level and the time.
@@ -52,47 +43,6 @@ class NewLines:
             complete = file.read().rpartition(b'\n')[0]
         self._position += len(complete) + bool(complete)
         return complete.decode(errors='replace').splitlines()
-
-
-class Witness(threading.Thread):
-    """Reads a byte each 10 ms from a process that has the bridge's policy and priority, stays on
-    one processor, and does nothing but sleep and write to a pseudo terminal of its own.
-
-    It excuses the bridge: if its byte is late, the machine gave it no time either. The kernel moves
-    the bytes of pseudo terminals in a thread of ordinary priority, so on a busy machine they are
-    late though no process is.
-    """
-
-    def __init__(self, start: Callable[[int], Any]) -> None:
-        """`start` starts the process, which is to write to this descriptor."""
-        super().__init__(name='witness', daemon=True)
-        self._read_end, write_end = pty.openpty()
-        tty.setraw(write_end)
-        start(write_end)
-        self._late: Deque[Tuple[float, float]] = deque(maxlen=_LATE_KEPT)
-        self._read_at = float('inf')
-        self.start()
-
-    def run(self) -> None:
-        while True:
-            os.read(self._read_end, 100)
-            before, self._read_at = self._read_at, time.monotonic()
-            if self._read_at - before > WITNESS_PERIOD + LATE:
-                self._late.append((before, self._read_at))
-
-    def excuses(self, since: float, until: float, seconds: float) -> bool:
-        """Whether it was late in this time, or `MARGIN` before or after it.
-
-        Lines are not equally late: it has to have been late by a quarter of `seconds` in all."""
-        Stage.wait(lambda: self._read_at > until + MARGIN, 'the witness')
-        late = [end - begin - WITNESS_PERIOD for begin, end in list(self._late)
-                if end > since - MARGIN and begin < until + MARGIN]
-        return bool(late) and sum(late) >= seconds / 4
-
-    def longest(self, since: float, until: float) -> float:
-        """The longest time in s without a byte of it, if that was too long."""
-        return max((end - begin for begin, end in list(self._late)
-                    if end > since and begin < until), default=0.0)
 
 
 class LogCheck:

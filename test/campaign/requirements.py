@@ -118,6 +118,10 @@ class Table:
         return [each for each in self.rows if each.checks or each.undecided or each.least]
 
     @property
+    def undecided(self) -> int:
+        return sum(each.undecided for each in self.rows)
+
+    @property
     def violated(self) -> List[Requirement]:
         return [each for each in self.used if each.violations]
 
@@ -146,10 +150,9 @@ class Table:
         tried = (f'{few} not tried as often as they have to be' if few
                  else 'each tried as often as it has to be' if any(self.runs.values())
                  else 'only a part of the scenarios was run')
-        undecided = sum(each.undecided for each in self.used)
         too_often = sum(each.is_undecided for each in self.used)
         return (f'{len(self.used)} requirements, {tried}; {len(self.violated)} violated; '
-                f'{undecided} checks not decided' + (
+                f'{self.undecided} checks not decided' + (
                     f', too many of {too_often} requirements' if too_often else ''))
 
     def as_json(self) -> str:

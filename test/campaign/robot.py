@@ -3,6 +3,7 @@ import math
 import operator
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
+from types import SimpleNamespace
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tuple
 
 import rospy
@@ -47,6 +48,11 @@ class Outcome(NamedTuple):
     data: bytes = b''
     error_code: int = 0
     reading: Any = None      # of get_environment, as it is published
+    ended: float = 0.0
+
+    @property
+    def began(self) -> float:
+        return self.ended - self.seconds
 
     @property
     def name(self) -> str:
@@ -219,11 +225,12 @@ class Robot:
         try:
             response = rospy.ServiceProxy(f'{NODE}/{service}', SERVICES[service])(*arguments)
         except (rospy.ServiceException, rospy.ROSException, OSError) as error:
-            return Outcome(False, None, time.monotonic() - began, repr(error))
+            response = SimpleNamespace(success=False, status=None, message=repr(error))
+        now = time.monotonic()
         return Outcome(getattr(response, 'success', True), getattr(response, 'status', None),
-                       time.monotonic() - began, getattr(response, 'message', ''),
+                       now - began, getattr(response, 'message', ''),
                        bytes(getattr(response, 'data', b'')), getattr(response, 'error_code', 0),
-                       _environment(getattr(response, 'environment', Environment())))
+                       _environment(getattr(response, 'environment', Environment())), now)
 
     def start_call(self, service: str, *arguments: Any) -> 'Future[Outcome]':
         return self._pool.submit(self.call, service, *arguments)

@@ -1,15 +1,16 @@
 """The campaign's table, lines, boards and logs."""
-import math
 import os
-import pathlib
+import signal
 import struct
+import subprocess
+import sys
 import time
 
 import pytest
 from waiting import until
 
 import by_definition as codec
-from campaign import broken, logs, requirements
+from campaign import broken, lines, logs, witness
 from campaign.boards import (BusBoard, Car, Reaction, Request, Sensors, imu_values, range_key,
                              reply_frame)
 from campaign.lines import Clock, NetworkLine, SerialLine
@@ -26,47 +27,6 @@ def line(tmp_path):
 
 def opened(line):
     return os.open(line.port, os.O_RDWR | os.O_NOCTTY)
-
-
-def test_table():
-    table = Table()
-    required = table.row('data is published again within 1 s of a stall')
-    required.check(True, '')
-    assert table.is_green and 'only a part of the scenarios was run' in str(table)
-    required.at_most(3.0, 2.0, 's', 'too late')
-    required.undecided += 1
-    assert table.violated == [required] and required.worst_case == '3 s'
-    assert str(table).endswith('\n1 requirements, only a part of the scenarios was run; '
-                               '1 violated, 1 checks not decided')
-    text = str(table)
-    assert 'too late: 3 s, limit 2 s' in text and 'no growth: memory' not in text
-    assert [line.split() for line in text.splitlines() if required.text in line][0][-6:] == [
-        '0', '2', '1', '1', '3', 's']
-    with pytest.raises(KeyError):
-        table.row('not in the list')
-
-
-def test_a_requirement_that_was_tried_too_seldom_is_red():
-    table = Table()
-    for part, times in (('exact', 2), ('storm', 0.5)):
-        table.has_run(part, times)
-        for row in table.rows.values():
-            if row.part == part:
-                row.checks = math.floor(row.least * times)
-        assert table.is_green and 'each tried as often as it has to be' in str(table)
-    row = table.row('heartbeats: 100 a second')
-    assert row.least and {each.part for each in table.rows.values()} == {'exact', 'storm'}
-    row.checks -= 1
-    assert not table.is_green and '1 not tried as often as they have to be' in str(table)
-    assert f'{row.text}: {row.checks} of {row.checks + 1}' in str(table)
-
-
-def test_every_requirement_of_the_code_is_in_the_list_and_used():
-    folder = pathlib.Path(requirements.__file__).parent
-    code = ''.join(path.read_text() for path in folder.glob('*.py')
-                   if not path.name.startswith('test_'))
-    unused = [text for text in Table().rows if text not in code and 'no growth' not in text]
-    assert unused == []
 
 
 def test_line_returns_as_another_device(line):
@@ -162,7 +122,7 @@ def test_bus_board_checks_the_fence(line):
     assert 'came behind' in board.faults.pop()
     board.read(echo, 3.0)
     assert 'is not new' in board.faults.pop()
-    board.probe = lambda request, reply: Reaction()     # not answered
+    board.probe = lambda request: Reaction()     # not answered
     for data in (codec.bus_frame(b'\1\0', b'othe'), lift):
         board.read(data, 4.0)
     assert 'came behind' in board.faults.pop() and not board.faults
@@ -236,25 +196,57 @@ def test_terminal_output(tmp_path):
 
 
 def test_witness():
-    """It is late from the byte before a late one until that one."""
-    ends = []
-    witness = logs.Witness(ends.append)
+    """Only a process that woke up late at that time is an excuse."""
+    memory = []
+    one = witness.Witness(memory.append)
+    record = struct.Struct('<2d').pack
+    os.pwrite(memory[0], record(100.0, 2) + record(5.0, 5.1) + record(6.0, 6.02), 0)
+    assert one.longest(5.16, 5.9) == 0.0
+    assert one.longest(5.16, 6.0) == pytest.approx(0.02)
+    assert one.longest(4.0, 4.96) == pytest.approx(0.1)
 
-    def write(pause):
-        time.sleep(pause)
-        os.write(ends[0], b'.')
-        return time.monotonic()
 
-    write(0)
-    since = write(0.1)
-    until = write(0.0)
-    later = write(0.2)      # its reads may be a little less apart
-    for _ in range(20):
-        write(0.01)
-    assert witness.excuses(since - 0.05, since, 0.07)
-    assert witness.excuses(until - 9.0, later, 0.15) and not witness.excuses(since, since, 99.0)
-    assert not witness.excuses(since - 9.0, since - 8.0, 0.0)
-    assert witness.longest(since - 9.0, later) >= 0.1
+def test_witness_process_notes_that_it_was_suspended():
+    def start(memory):
+        process.append(subprocess.Popen([sys.executable, witness.__file__, str(memory), str(
+            min(os.sched_getaffinity(0)))], pass_fds=(memory,)))
+    process = []
+    one = witness.Witness(start)
+    began = time.monotonic()
+    one.longest(began, began)       # it runs
+    process[0].send_signal(signal.SIGSTOP)
+    time.sleep(0.2)
+    process[0].send_signal(signal.SIGCONT)
+    assert 0.15 < one.longest(began, time.monotonic())
+    process[0].kill()
+    process[0].wait()
+
+
+def test_time_of_bytes_is_that_of_the_next_mark_if_they_are_read_late(line):
+    received = []
+    line.on_bytes = lambda data, now: received.append((data, now))
+    line.frozen = True
+    time.sleep(0.01)        # until its own thread reads nothing
+    mark = lines._MARK % struct.pack('<d', 5.0)
+    line._read(b'one' + mark + b'two' + mark[:7], 6.0)
+    line._read(line._rest + mark[7:] + b'three\xFE', 7.0)
+    line._read(line._rest + b'!', 8.0)
+    assert received == [(b'one', 5.0), (b'two', 6.0), (b'three', 7.0), (b'\xFE!', 8.0)]
+
+
+def test_what_is_read_late_has_the_time_of_its_write(line):
+    """As if the kernel delayed it."""
+    received = []
+    line.on_bytes = lambda data, now: received.append(now)
+    end = opened(line)
+    with line._lock:
+        os.write(end, b'x')
+        wrote = time.monotonic()
+        os.write(line.slave, lines._MARK % struct.pack('<d', wrote))
+        time.sleep(0.1)
+    until(lambda: received)
+    assert received[0] == wrote
+    os.close(end)
 
 
 def test_every_broken_bridge_applies():
@@ -269,10 +261,24 @@ def test_a_broken_bridge_that_no_longer_applies_is_an_error():
             each.files()
 
 
-@pytest.mark.parametrize('silence, faults', [(0.3, 0), (0.1, 1)])
-def test_fence_after_lost_echoes(line, silence, faults):
+@pytest.mark.parametrize('lost, silence, faults', [(3, 0.3, 0), (3, 0.1, 1), (2, 0.3, 1)])
+def test_fence_after_lost_echoes(line, lost, silence, faults):
     """After three lost ECHOs, SYNC and a silence are the fence of a call."""
     bus = BusBoard(line, Clock())
-    bus.read(codec.bus_frame(bytes((codec.SYNC, 0)), b''), time.monotonic())
+    bus.write(reply_frame(codec.ECHO))
+    bus.probe = lambda request: Reaction() if request.cmd1 == codec.ECHO else None
+    for number in range(lost):
+        bus.read(codec.bus_frame(b'\1\0', bytes((number,)) * 4), 1.0)
+    bus.read(codec.bus_frame(bytes((codec.SYNC, 0)), b''), 2.0)
     bus.read(codec.bus_frame(b'\x55\x60', b''), bus.written_at + silence)
     assert bus.checked == 1 and len(bus.faults) == faults
+
+
+@pytest.mark.parametrize('silence, faults', [(0.02, 0), (0.01, 1)])
+def test_fence_of_a_board_that_never_echoes(line, silence, faults):
+    bus = BusBoard(line, Clock())
+    bus.lost_echoes = 3
+    for request in b'\x55\x60', b'\x55\x61':
+        bus.faults.clear()
+        bus.read(codec.bus_frame(request, b''), bus.written_at + silence)
+    assert len(bus.faults) == faults
