@@ -240,7 +240,7 @@ class GrowthCheck:
             half = int(seconds > self._half)
             for name, value in usage_of(self._rig.child_bridge.pid).items():
                 self._most[half][name] = max(self._most[half][name], value)
-                if half:
+                if half and self._most[0][name]:
                     self._check(name, *(most[name] for most in self._most))
 
     def _check(self, name: str, first: float, second: float) -> None:
