@@ -24,7 +24,8 @@ from .storm_checks import CallCheck, GrowthCheck, MotorCheck, ValueCheck
 
 _DAMAGE_SHARE = 0.03     # of the frames
 _STALLS = 0.2, 0.4, 0.7, 1.2     # s for which the bridge is suspended
-_FREEZES = 0.3, 1.0, 2.0, 5.0    # s for which a network is frozen
+# s for which a network is frozen; that of the bus not until three ECHOs are lost.
+_FREEZES = {'bus': (0.2, 0.5), 'arduino': (0.3, 1.0, 2.0, 5.0), 'mcu': (0.3, 1.0, 3.0, 6.0)}
 _MEASURE_PERIOD = 0.02   # s
 _RECORDS = 20000         # records that are kept to be written at the first violation
 _REFUSED = reply_frame(codec.INVALID, bytes((codec.BAD_CHECKSUM,)))
@@ -47,7 +48,6 @@ class Storm:
                            for link, board in self._boards.items()}
         self._to_bus = DamagedLine(codec.request_at, self._random)
         self._damaged = *self._to_bridge.values(), self._to_bus
-        self._echoed_on = -1     # the latest connection on which an ECHO has returned
         self._motor, self._calls = MotorCheck(rig), CallCheck(rig)
         self._values = ValueCheck(rig)
 
@@ -131,27 +131,20 @@ class Storm:
 
     def _damage(self, link: str, board: Board, data: bytes) -> bytes:
         """Return what the bridge receives of a frame."""
-        line = self._to_bridge[link]
+        line, frame = self._to_bridge[link], codec.decode(data, board.sent_frame_at)[0][0]
         must_arrive = not line.is_open
-        received = line.pass_on(data, link != 'bus' or self._may_damage_bus)
+        received = line.pass_on(data, link != 'bus' or frame.type != codec.ECHO)
         if received == data:
-            frame = codec.decode(data, board.sent_frame_at)[0][0]
             self._values.sent(board.keys(frame), must_arrive)
-            if link == 'bus' and frame.type == codec.ECHO:
-                self._echoed_on = board.connection
         self._record(link, 'to the bridge', data.hex(), received.hex())
         return received
 
-    @property
-    def _may_damage_bus(self) -> bool:
-        """Whether an ECHO has returned on this connection: three lost ones make a board one that
-        never echoes, and silence its fence."""
-        return self._echoed_on == self.rig.bus.connection
-
     def _to_bus_board(self, data: bytes, now: float) -> None:
+        """An ECHO is never damaged: three lost ones make a board one that never echoes, and
+        silence is its fence."""
         for frame in codec.decode(data, codec.request_at)[0]:
             sent = data[frame.start:frame.end]
-            received = self._to_bus.pass_on(sent, self._may_damage_bus)
+            received = self._to_bus.pass_on(sent, frame.type != codec.ECHO)
             self._record('bus', 'to the board', sent.hex(), received.hex())
             self.rig.bus.read(received, now)
             if received != sent and self._random.random() < 0.5:
@@ -205,17 +198,17 @@ class Storm:
             with self._values.disturbance(link):
                 self._record(link, 'disturbed')
                 if isinstance(line, NetworkLine) and rand.random() < 0.5:
-                    self._freeze(line)
+                    self._freeze(line, rand.choice(_FREEZES[link]))
                 else:
                     line.unplug()
                     self.wait(rand.uniform(0.05, 1.0))
                     line.plug(another_name=rand.random() < 0.3)
                 self._record(link, 'continues')
 
-    def _freeze(self, line: NetworkLine) -> None:
+    def _freeze(self, line: NetworkLine, seconds: float) -> None:
         with self._either:
             line.freeze()
-            self.wait(self._random.choice(_FREEZES))
+            self.wait(seconds)
             if line is self.rig.car_line:       # what waited is read only now
                 self._motor.resumed()
                 self.rig.car.forget_beat()
