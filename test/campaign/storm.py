@@ -74,6 +74,7 @@ class Storm:
                     rig.end(child)
                 rig.end_bridge()        # also ends calls that hang
                 rig.robot.on_message = rig.robot.keep
+        self._motor.judge()
         for each in running:
             each.result()       # raises what the loop has raised
         rig.row('frames that were damaged, in both directions').checks += sum(
