@@ -167,7 +167,7 @@ class Board:
 
     def read(self, data: bytes, now: float) -> None:
         for frame in self._reader.feed(data, now):
-            self.received(frame, now)
+            self.received(frame, self.line.written_at(now))
 
     def start_connection(self) -> None:
         self._reader.reset()

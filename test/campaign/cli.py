@@ -97,10 +97,10 @@ def run_exact(rig: Rig, only: str = '') -> None:
             continue
         with _lines(rig, group.network):
             rig.start(group.parameters)
-            name = rig.bridge_name
+            first = rig.bridge_number
             carry_out(rig, scenarios)
         if len(scenarios) == len(group.scenarios):
-            rig.logs.check_events(name, group.events)
+            rig.logs.check_events(range(first, rig.bridge_number + 1), group.events)
 
 
 def run_storm(rig: Rig, duration: float, seed: str, busy: int) -> None:

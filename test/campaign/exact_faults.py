@@ -11,7 +11,7 @@ from .boards import Reaction, Request, reply_frame
 from .exact_bus import SERVICES, Calls
 from .exact_car import Drive, check_first, check_repetitions
 from .requirements import MAX_WAIT
-from .rig import MOTION_TIMEOUT, STOP_FIRST, Rig
+from .rig import AFTER, MOTION_TIMEOUT, STOP_FIRST, Rig
 from .robot import COMMANDS, NOT_SENT
 
 PORT_RETURNS = "data within 1.5 s of the port's return"
@@ -19,7 +19,6 @@ _PORT_RETURN = 1.5       # s
 _NETWORK_RETURN = 3.0    # s
 _UNSEEN = 1.5            # s: no command that has waited longer unseen reaches the board
 _SILENCE = 5.0           # s: mcu/network_silence
-_AFTER = 0.6             # s until a packet that must not arrive would have arrived
 _RESUMES = 1.0           # s
 
 
@@ -60,7 +59,7 @@ def openings(rig: Rig) -> None:
         calls.call('lift', 'after a reconnect', 'done')
         for call in (outstanding, absent):
             calls.check_received(call.key, 0, 'from before the reconnect', connection)
-        rig.wait_beats(_AFTER)
+        rig.wait_beats(AFTER)
         check_repetitions(rig, check_first(rig))
         drive.check_not_sent(old, 'from before the reconnect', since)
         drive.command_until_accepted()
@@ -136,8 +135,9 @@ def _try_cut(rig: Rig, cut: Cut) -> None:
     required, car, drive = rig.row(cut.requirement), rig.car, Drive(rig)
     rig.settle()
     drive.command_until_accepted()
+    connection = car.connection
     cut.begin(rig)
-    since, beats, connection = len(car.packets), car.beats, car.connection
+    since, beats = len(car.packets), car.beats
     began, published = time.monotonic(), {}     # type: float, Dict[int, float]
     while time.monotonic() < began + cut.seconds:
         now = time.monotonic()
@@ -157,7 +157,7 @@ def _try_cut(rig: Rig, cut: Cut) -> None:
         rig.in_time(returns, returned, time.monotonic(), _NETWORK_RETURN, f'{cut.seconds:g} s')
         check_first(rig)
     else:
-        rig.wait_beats(_AFTER)
+        rig.wait_beats(AFTER)
     if cut is _FROZEN:
         check_stop_first(rig, 'SPEED 0 is the first packet after dropped output', since, beats)
     drive.command_until_accepted()
@@ -181,8 +181,8 @@ def frozen_bus(rig: Rig) -> None:
     for _ in range(2):
         rig.settle()
 
-        def probe(request: Request, reply: bytes) -> Reaction:
-            rig.bus.write(reply)
+        def probe(request: Request) -> Reaction:
+            rig.bus.write(rig.bus.ok_reply(request))
             rig.bus_line.hang()
             return Reaction()
         rig.bus.probe = probe
@@ -192,6 +192,7 @@ def frozen_bus(rig: Rig) -> None:
         rig.sleep(0.5)
         rig.bus_line.thaw()
         rig.wait_in_step()
+        rig.wait_beats(AFTER)
         calls.check(call, 'frozen', 'not known')
         required.check(not rig.bus.executed[call.key], 'the lift moved after its call had returned')
 
@@ -199,12 +200,15 @@ def frozen_bus(rig: Rig) -> None:
 def short_stall(rig: Rig) -> None:
     """SIGSTOP of the bridge for 0.2 s, while commands and data are sent."""
     rig.settle()
-    with rig.suspended():
+    rig.car.talks = False
+    rig.measure()       # wakes up links that may sleep for 0.1 s
+    with rig.suspended() as held_at:
         value = Drive(rig).publish(1, pause=0.0)[0]
-        for _ in range(4):
+        for number in range(1, 5):
             rig.measure()
-            rig.sleep(0.05)
-    rig.wait_beats(_AFTER)
+            rig.sleep(held_at + 0.05 * number - time.monotonic())
+    rig.wait_beats(AFTER)
+    rig.car.talks = True
     rig.compare(rig.car, rig.sensors)
     rig.row('a stall of 0.2 s loses nothing').check(
         rig.car.packet(codec.SPEED, value), 'the newest speed is lost')
@@ -259,7 +263,7 @@ def _stall(rig: Rig, seconds: float) -> None:
         outcome, executed = call.result(), rig.bus.executed[call.key]
         old_calls.check(outcome.status == NOT_SENT and not executed,
                         f'{call.service}: {outcome}, executed {executed} times')
-    rig.wait_beats(_AFTER)
+    rig.wait_beats(AFTER)
     outcome = calibrated.result(MAX_WAIT)
     sent = [each for each in car.packets if each.type == codec.CALIBRATION]
     old_calls.check(not outcome.success and not sent, f'calibrate_imu: {outcome}')

@@ -1,23 +1,23 @@
 """The lines to the bridge, held at their far ends. All that can happen to a line is a method."""
 import contextlib
+import ctypes
 import itertools
 import os
 import pty
-import re
 import sched
 import select
 import socket
-import struct
 import threading
 import time
 import tty
-from typing import Any, Callable, Iterator
+from collections import deque
+from typing import Any, Callable, Deque, Iterator
 
-_MARK = b'\xFE\xED\xFA\xCE%b'      # a mark of `SerialLine` with the time when it was written
-_MARKS = re.compile(_MARK % b'(.{8})', re.DOTALL)
-_PART_OF_MARK = re.compile(b'\xFE(\xED(\xFA(\xCE.{0,7})?)?)?\\Z', re.DOTALL)
-_MARK_PERIOD = 0.005     # s
-_POLL = 5                # ms that a reader waits at most until it checks the line's state
+_LIBC = ctypes.CDLL(None)
+_MODIFIED = 2            # an event of inotify
+_SOON = 0.005            # s within which the event of a write is known
+_OLD = 1.0               # s: an older event is of bytes that were dropped
+_POLL = 20               # ms that a reader waits at most until it checks the line's state
 _TICK = 0.002            # s
 _SIZE = 65536            # bytes of one read
 _PTY_DELAY = 0.05        # s that the kernel may take to move bytes through a pseudo terminal
@@ -63,12 +63,10 @@ class SerialLine(threading.Thread):
     """A pseudo terminal with a fixed name, `port`, which the bridge opens.
 
     The kernel moves its bytes in a thread of ordinary priority, so on a busy machine they are read
-    late. So this thread writes a mark to the bridge's end each 5 ms: what is read before a mark was
-    written before it.
+    late, by up to 0.2 s. But it tells at once (inotify) when a program has written to the device.
 
     Attributes:
-        on_bytes: called with what the bridge wrote, and when by `time.monotonic`: when it was read,
-            or the next mark was written.
+        on_bytes: called with what the bridge wrote, and when it was read by `time.monotonic`.
         on_unplugged: called when the line is unplugged.
         damage: returns what the bridge receives for bytes that the board sends.
     """
@@ -80,10 +78,14 @@ class SerialLine(threading.Thread):
         self.on_unplugged: Callable[[], None] = lambda: None
         self.damage: Callable[[bytes], bytes] = lambda data: data
         self.frozen = False
-        self._master = self._listener = self.slave = -1
+        self._master = self._listener = -1
         self._device = ''        # name of `slave`, which is the bridge's end
         self._lock = threading.RLock()
-        self._bytes_read, self._rest, self._marked_at = 0, b'', 0.0
+        self._bytes_read = 0
+        self._writes: Deque[float] = deque()        # when the bridge wrote what was not read yet
+        self._missed_until = 0.0
+        self._events = _LIBC.inotify_init1(0)
+        threading.Thread(target=self._note_writes, name=f'{self.name}~', daemon=True).start()
         self.plug()
         self.start()
 
@@ -99,8 +101,8 @@ class SerialLine(threading.Thread):
             self._device = os.ttyname(self.slave)
             tty.setraw(self.slave)
             os.set_blocking(self._master, False)
-            os.set_blocking(self.slave, False)
-            self._rest = b''
+            self._writes.clear()
+            _LIBC.inotify_add_watch(self._events, self._device.encode(), _MODIFIED)
             os.symlink(self._device, self.port + '~')
             os.replace(self.port + '~', self.port)
 
@@ -109,7 +111,7 @@ class SerialLine(threading.Thread):
         with self._lock:
             os.unlink(self.port)
             os.close(self.slave)
-            self.slave, self.frozen = -1, False
+            self.frozen = False
             self._end()
 
     @property
@@ -141,6 +143,7 @@ class SerialLine(threading.Thread):
         self.fill(2 * 4096)
 
     def thaw(self) -> None:
+        self._writes.clear()
         self.frozen = False
 
     def drain(self) -> None:
@@ -170,37 +173,41 @@ class SerialLine(threading.Thread):
                 if not data:
                     self._end()
                     return
-                self._read(self._rest + data, time.monotonic())
+                self._bytes_read += len(data)
+                self.on_bytes(data, time.monotonic())
 
-    def _read(self, data: bytes, now: float) -> None:
-        part = _PART_OF_MARK.search(data)
-        end = part.start() if part else len(data)
-        self._rest = data[end:]
-        pieces = _MARKS.split(data[:end])
-        for piece, mark in itertools.zip_longest(pieces[::2], pieces[1::2]):
-            if piece:
-                self._bytes_read += len(piece)
-                self.on_bytes(piece, min(now, *struct.unpack('<d', mark)) if mark else now)
+    def _note_writes(self) -> None:
+        while True:
+            size, now = len(os.read(self._events, 4096)), time.monotonic()
+            for _ in range(0 if self.frozen else size // 16):
+                if now < self._missed_until:        # read already
+                    self._missed_until = 0.0
+                else:
+                    self._writes.append(now)
+
+    def written_at(self, now: float) -> float:
+        """To be called for each frame that is read, now: when the bridge wrote it."""
+        while self._writes and self._writes[0] < now - _OLD:
+            self._writes.popleft()
+        if self._writes:
+            return self._writes.popleft()
+        self._missed_until = now + _SOON
+        return now
 
     def run(self) -> None:
         while True:
             fd = self._master if self.plugged else self._listener
             if fd < 0 or self.frozen:
                 time.sleep(_POLL / 1000)
-                continue
-            if _events(fd, _POLL):
+            elif _events(fd, _POLL):
                 self.read_all()
-            now = time.monotonic()
-            if now >= self._marked_at + _MARK_PERIOD:
-                self._marked_at = now
-                with self._lock, contextlib.suppress(OSError):      # unplugged, or full
-                    os.write(self.slave, _MARK % struct.pack('<d', time.monotonic()))
 
     def _end(self) -> None:
         with self._lock:
-            os.close(self._master)
-            self._master = -1
-            self.on_unplugged()
+            if self.plugged:
+                os.close(self._master)
+                self._master = -1
+                self.on_unplugged()
 
 
 def _events(fd: int, milliseconds: int) -> int:

@@ -66,11 +66,12 @@ class LogCheck:
                 else:
                     self._terminal.check(_TERMINAL.match(line), f'{path}: {line}')
 
-    def check_events(self, bridge: str, patterns: Iterable[str]) -> None:
-        """Check that the log of this bridge has a line for each of these patterns."""
-        text = Path(self.folder, bridge + '.log').read_text(errors='replace')
+    def check_events(self, bridges: Iterable[int], patterns: Iterable[str]) -> None:
+        """Check that the logs of these bridges have a line for each of these patterns."""
+        text = ''.join(Path(self.folder, f'bridge_{number}.log').read_text(errors='replace')
+                       for number in bridges)
         for pattern in patterns:
-            self._events.check(re.search(pattern, text), f'{bridge}: no line matches {pattern}')
+            self._events.check(re.search(pattern, text), f'no line matches {pattern}')
 
     def _check_line(self, path: str, line: str) -> None:
         match = _LINE.match(line)

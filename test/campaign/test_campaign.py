@@ -10,7 +10,7 @@ import pytest
 from waiting import until
 
 import by_definition as codec
-from campaign import broken, lines, logs, witness
+from campaign import broken, logs, witness
 from campaign.boards import (BusBoard, Car, Reaction, Request, Sensors, imu_values, range_key,
                              reply_frame)
 from campaign.lines import Clock, NetworkLine, SerialLine
@@ -222,30 +222,24 @@ def test_witness_process_notes_that_it_was_suspended():
     process[0].wait()
 
 
-def test_time_of_bytes_is_that_of_the_next_mark_if_they_are_read_late(line):
-    received = []
-    line.on_bytes = lambda data, now: received.append((data, now))
-    line.frozen = True
-    time.sleep(0.01)        # until its own thread reads nothing
-    mark = lines._MARK % struct.pack('<d', 5.0)
-    line._read(b'one' + mark + b'two' + mark[:7], 6.0)
-    line._read(line._rest + mark[7:] + b'three\xFE', 7.0)
-    line._read(line._rest + b'!', 8.0)
-    assert received == [(b'one', 5.0), (b'two', 6.0), (b'three', 7.0), (b'\xFE!', 8.0)]
-
-
 def test_what_is_read_late_has_the_time_of_its_write(line):
-    """As if the kernel delayed it."""
-    received = []
-    line.on_bytes = lambda data, now: received.append(now)
-    end = opened(line)
-    with line._lock:
-        os.write(end, b'x')
-        wrote = time.monotonic()
-        os.write(line.slave, lines._MARK % struct.pack('<d', wrote))
-        time.sleep(0.1)
-    until(lambda: received)
-    assert received[0] == wrote
+    """As if the kernel delayed it; a write that is read at once is noted afterwards."""
+    read, written, end = [], [], opened(line)
+    line.on_bytes = lambda data, now: read.extend((line.written_at(now), now) for _ in data)
+    for times in (2, 1, 3):
+        with line._lock:        # nothing is read
+            for number in range(1, times + 1):
+                began = time.monotonic()
+                os.write(end, b'x')
+                until(lambda: len(line._writes) == number)
+                written.append((began, time.monotonic()))
+        until(lambda: len(read) == len(written))
+        os.write(end, b'x')     # read at once
+        written.append((0.0, time.monotonic() + 9.0))
+        until(lambda: len(read) == len(written))
+        until(lambda: not line._missed_until or time.monotonic() > line._missed_until)
+    for (since, before), (at, read_at) in zip(written, read):
+        assert since <= at <= min(before, read_at)
     os.close(end)
 
 
