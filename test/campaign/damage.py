@@ -13,17 +13,14 @@ _CAR_LENGTHS = {codec.STEERING_ANGLE: 2, codec.TICKS: 1, codec.IMU: 22, codec.VO
 
 
 class DamagedLine:
-    """One direction of a line, on which frames are damaged.
+    """One direction of a line, on which this `share` of the frames is damaged.
 
     Damage is drawn again until no valid frame ends in it but those that were sent, wherever in the
     latest bytes a decoder begins.
-
-    Attributes:
-        share: of the frames that are damaged.
     """
 
-    def __init__(self, frame_at: codec.FrameAt, rand: random.Random) -> None:
-        self._frame_at, self._random, self.share = frame_at, rand, 0.0
+    def __init__(self, frame_at: codec.FrameAt, rand: random.Random, share: float) -> None:
+        self._frame_at, self._random, self._share = frame_at, rand, share
         self._is_car = frame_at is codec.arduino_at
         self._starts = re.compile(b'\x02' if frame_at is codec.mcu_at else b'[\xA5\x5A]')
         self.damaged = 0         # frames
@@ -42,7 +39,7 @@ class DamagedLine:
     def pass_on(self, data: bytes, may_damage: bool = True) -> bytes:
         """Return what arrives of one frame."""
         received = data
-        if may_damage and self._random.random() < self.share:
+        if may_damage and self._random.random() < self._share:
             received = damage(data, self._random)
         while self._has_foreign_frame(received, received == data):
             received = damage(data, self._random)

@@ -44,18 +44,16 @@ class Storm:
         self._either = threading.Lock()
         self._records: Deque[Tuple] = collections.deque(maxlen=_RECORDS)
         self._boards: Dict[str, Any] = {'arduino': rig.car, 'bus': rig.bus, 'mcu': rig.sensors}
-        self._to_bridge = {link: DamagedLine(board.sent_frame_at, self._random)
+        self._to_bridge = {link: DamagedLine(board.sent_frame_at, self._random, _DAMAGE_SHARE)
                            for link, board in self._boards.items()}
-        self._to_bus = DamagedLine(codec.request_at, self._random)
-        self._damaged = *self._to_bridge.values(), self._to_bus
+        self._to_bus = DamagedLine(codec.request_at, self._random, _DAMAGE_SHARE)
         self._motor, self._calls = MotorCheck(rig), CallCheck(rig)
         self._values = ValueCheck(rig)
 
     def __call__(self, rig: Rig) -> None:
-        self._connect()
         rig.start(POLLING)
-        for each in self._damaged:
-            each.share = _DAMAGE_SHARE
+        rig.settle()
+        self._connect()
         traffic = rig.robot.subscribe_to_traffic(lambda message: None)
         subscriber = rig.user('subscriber', 'storm_subscriber')
         children = [subscriber, *rig.busy(self._busy)]
@@ -78,7 +76,7 @@ class Storm:
         for each in running:
             each.result()       # raises what the loop has raised
         rig.row('frames that were damaged, in both directions').checks += sum(
-            each.damaged for each in self._damaged)
+            each.damaged for each in (*self._to_bridge.values(), self._to_bus))
 
     def _run(self) -> None:
         growth, until = GrowthCheck(self.rig, self._duration), time.monotonic() + self._duration

@@ -33,8 +33,7 @@ def frames(frame_at, rand):
 def test_no_valid_frame_that_was_not_sent_is_on_the_line(frame_at):
     """Whatever a decoder does with incomplete frames, all that it finds was sent."""
     rand = random.Random(5)
-    line, source = DamagedLine(frame_at, rand), frames(frame_at, rand)
-    line.share = 0.3
+    line, source = DamagedLine(frame_at, rand, 0.3), frames(frame_at, rand)
     received, intact = b'', set()
     for _ in range(600):
         data = next(source)
@@ -58,8 +57,7 @@ def test_a_packet_of_the_car_whose_beginning_was_given_up_is_no_foreign_one(give
     """A decoder that has given up some of the damaged packets finds none in what follows."""
     for seed in range(300):
         rand = random.Random(seed)
-        line = DamagedLine(codec.arduino_at, rand)
-        line.share = 0.8
+        line = DamagedLine(codec.arduino_at, rand, 0.8)
         sent = [codec.arduino_packet(60, struct.pack('<I', number)) for number in range(4)]
         arrived = [line.pass_on(data) for data in sent]
         found = codec.decode(b''.join(arrived[given_up:]), codec.arduino_at)[0]
