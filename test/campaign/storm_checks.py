@@ -35,7 +35,7 @@ class MotorCheck:
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
         self._commands: Dict[int, float] = {}        # when each was published
-        self._is_first = False                       # whether the next packet of a connection
+        self._is_first = False                       # whether the next packet is of a connection
         self._speed_at = float('inf')                # of the last speed, unless it was 0
         self._times: Deque[Tuple] = deque()          # to be judged
 
