@@ -28,6 +28,8 @@ parser.add_argument('--json', metavar='FILE', help='write the table to this file
 parser.add_argument('--part', default='all', metavar='NAME',
                     help='run only this part (exact or storm), or only the scenarios of the exact '
                          'part with NAME in their name (exact_car, openings)')
+parser.add_argument('--until', default='', metavar='REQUIREMENT',
+                    help='end when this requirement is violated')
 parser.add_argument('--bridge', default='', metavar='COMMAND',
                     help='run this command instead of the node, to test the campaign')
 options = parser.parse_args()

@@ -64,6 +64,7 @@ def main(options: Namespace) -> int:
     try:
         print(f'seed {options.seed}', file=sys.stderr)
         rig = Rig(table, options.keep, options.bridge)
+        table.on_violation = lambda text, _example: text == options.until and _stop()
         with rig, rig.clock.each(_TABLE_PERIOD, lambda: _write_table(rig)):
             print('starting', file=sys.stderr)
             _run(rig, options)
@@ -74,6 +75,11 @@ def main(options: Namespace) -> int:
     _report(table, rig, options.json)
     print(error_text, end='\n' if error_text else '', file=sys.stderr)
     return status or int(bool(table.failed))
+
+
+def _stop() -> None:
+    """As Ctrl-C, from any thread."""
+    os.kill(os.getpid(), signal.SIGINT)
 
 
 def _run(rig: Rig, options: Namespace) -> None:

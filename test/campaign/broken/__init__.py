@@ -1,8 +1,9 @@
 """Broken bridges: each file here is one, and the campaign has to find it.
 
-A file has a line that says what is broken, a line with the part of the campaign that has to find it
-(as for ``soak --part``; storm: 60 s of it), and changes: ``=== FILE``, and the old (-) and the new
-text (+). The old text has to occur exactly once in the file of the package.
+A file has a line that says what is broken, a line with the scenario and the requirement that has to
+find it, as ``exact_car.stops: SPEED 0 within ...`` (storm: 60 s of it), and changes: ``=== FILE``,
+and the old (-) and the new text (+). The old text has to occur exactly once in the file of the
+package.
 """
 import re
 from pathlib import Path
@@ -17,7 +18,8 @@ class Broken(NamedTuple):
 
     name: str
     what: str
-    part: str
+    scenario: str
+    requirement: str
     changes: List[Tuple[str, str, str]]     # file, old text, new text
 
     def files(self) -> Dict[str, str]:
@@ -37,10 +39,12 @@ def all_broken() -> List[Broken]:
 
 
 def _read(path: Path) -> Broken:
-    what, part, *changes = re.split('^=== |\n', path.read_text(), 2)
+    head, *changes = re.split('^=== ', path.read_text(), flags=re.MULTILINE)
+    what, found_by, _empty = head.split('\n')
+    scenario, requirement = found_by.split(': ', 1)
     found = []
-    for change in re.split('^=== ', changes[0], flags=re.MULTILINE)[1:]:
+    for change in changes:
         name, *lines = change.splitlines()
         old, new = ('\n'.join(line[1:] for line in lines if line[0] == sign) for sign in '-+')
         found.append((name, old, new))
-    return Broken(path.stem, what, part, found)
+    return Broken(path.stem, what, scenario, requirement, found)
