@@ -64,7 +64,7 @@ def main(options: Namespace) -> int:
     try:
         print(f'seed {options.seed}', file=sys.stderr)
         rig = Rig(table, options.keep, options.bridge)
-        table.on_violation = lambda text, _example: text == options.until and _stop()
+        table.on_violation.append(lambda text, _example: text == options.until and _stop())
         with rig, rig.clock.each(_TABLE_PERIOD, lambda: _write_table(rig)):
             print('starting', file=sys.stderr)
             _run(rig, options)

@@ -36,7 +36,8 @@ class Requirement:
                 self.violations += 1
                 self.examples += [text[:300]] if len(self.examples) < _EXAMPLES else []
         if not holds:
-            self._table.on_violation(self.text, text)
+            for on_violation in list(self._table.on_violation):
+                on_violation(self.text, text)
         return bool(holds)
 
     def at_most(self, value: float, limit: float, unit: str, text: str) -> bool:
@@ -84,12 +85,13 @@ class Table:
     requirement that was checked less often, or too often without a result, is not fulfilled.
 
     Attributes:
+        on_violation: called with a requirement and what has violated it.
         part: the part that runs now, `exact` or `storm`.
         runs: how often each part was run; of the storm the minutes.
     """
 
     def __init__(self) -> None:
-        self.on_violation: Callable[[str, str], None] = lambda requirement, text: None
+        self.on_violation: List[Callable[[str, str], Any]] = []
         self.part = 'exact'
         self.runs: Dict[str, float] = {'exact': 0, 'storm': 0}
         self._rows: Dict[Tuple[str, str], Requirement] = {}

@@ -72,6 +72,7 @@ class Storm:
                     rig.end(child)
                 rig.end_bridge()        # also ends calls that hang
                 rig.robot.on_message = rig.robot.keep
+                rig.table.on_violation.remove(self._on_violation)
         self._motor.judge()
         for each in running:
             each.result()       # raises what the loop has raised
@@ -110,7 +111,8 @@ class Storm:
     def _connect(self) -> None:
         """Let the lines damage what they transfer, and the boards keep no records."""
         rig = self.rig
-        rig.table.on_violation, rig.robot.on_message = self._on_violation, self._values.published
+        rig.table.on_violation.append(self._on_violation)
+        rig.robot.on_message = self._values.published
         rig.car.on_packet, rig.car.on_beat = self._motor.received, self._motor.heartbeat
         rig.bus.on_request, rig.bus.executed = self._calls.received, self._calls.executed
         rig.bus.react = self._react

@@ -75,7 +75,7 @@ class FakeRig:
         self.row, self.late, self.is_network = self.table.row, 0.0, False
         self.robot = SimpleNamespace(command=lambda name, value, stamp: None)
         self.violated = []
-        self.table.on_violation = lambda requirement, text: self.violated.append(requirement)
+        self.table.on_violation.append(lambda text, _example: self.violated.append(text))
 
     def excuses(self, since, until, seconds=0.005):
         return self.late >= seconds
