@@ -166,8 +166,9 @@ class Board:
         line.damage = lambda data: data
 
     def read(self, data: bytes, now: float) -> None:
-        for frame in self._reader.feed(data, now):
-            self.received(frame, self.line.written_at(now))
+        frames = self._reader.feed(data, now)
+        for frame, at in zip(frames, self.line.written(len(frames), now)):
+            self.received(frame, at)
 
     def start_connection(self) -> None:
         self._reader.reset()

@@ -7,16 +7,14 @@ import pty
 import sched
 import select
 import socket
+import struct
 import threading
 import time
 import tty
-from collections import deque
-from typing import Any, Callable, Deque, Iterator
+from typing import Any, Callable, Iterator, List
 
 _LIBC = ctypes.CDLL(None)
 _MODIFIED = 2            # an event of inotify
-_SOON = 0.005            # s within which the event of a write is known
-_OLD = 1.0               # s: an older event is of bytes that were dropped
 _POLL = 20               # ms that a reader waits at most until it checks the line's state
 _TICK = 0.002            # s
 _SIZE = 65536            # bytes of one read
@@ -82,8 +80,7 @@ class SerialLine(threading.Thread):
         self._device = ''        # name of `slave`, which is the bridge's end
         self._lock = threading.RLock()
         self._bytes_read = 0
-        self._writes: Deque[float] = deque()        # when the bridge wrote what was not read yet
-        self._missed_until = 0.0
+        self._writes: List[float] = []      # when the bridge wrote, since the latest frame was read
         self._events = _LIBC.inotify_init1(0)
         threading.Thread(target=self._note_writes, name=f'{self.name}~', daemon=True).start()
         self.plug()
@@ -178,21 +175,18 @@ class SerialLine(threading.Thread):
 
     def _note_writes(self) -> None:
         while True:
-            size, now = len(os.read(self._events, 4096)), time.monotonic()
-            for _ in range(0 if self.frozen else size // 16):
-                if now < self._missed_until:        # read already
-                    self._missed_until = 0.0
-                else:
+            events, now = os.read(self._events, 4096), time.monotonic()
+            for _watch, kind, _cookie, _size in struct.iter_unpack('iIII', events):
+                if kind == _MODIFIED and not self.frozen:
                     self._writes.append(now)
 
-    def written_at(self, now: float) -> float:
-        """To be called for each frame that is read, now: when the bridge wrote it."""
-        while self._writes and self._writes[0] < now - _OLD:
-            self._writes.popleft()
-        if self._writes:
-            return self._writes.popleft()
-        self._missed_until = now + _SOON
-        return now
+    def written(self, frames: int, now: float) -> List[float]:
+        """When the bridge wrote so many frames that are read now: its latest writes until now. A
+        frame that is read before its write is known has the time of the read."""
+        times: List[float] = []
+        if frames:
+            times, self._writes = self._writes[-frames:], []
+        return times + [now] * (frames - len(times))
 
     def run(self) -> None:
         while True:

@@ -223,24 +223,29 @@ def test_witness_process_notes_that_it_was_suspended():
 
 
 def test_what_is_read_late_has_the_time_of_its_write(line):
-    """As if the kernel delayed it; a write that is read at once is noted afterwards."""
+    """As if the kernel delayed it."""
     read, written, end = [], [], opened(line)
-    line.on_bytes = lambda data, now: read.extend((line.written_at(now), now) for _ in data)
-    for times in (2, 1, 3):
-        with line._lock:        # nothing is read
-            for number in range(1, times + 1):
-                began = time.monotonic()
-                os.write(end, b'x')
-                until(lambda: len(line._writes) == number)
-                written.append((began, time.monotonic()))
-        until(lambda: len(read) == len(written))
-        os.write(end, b'x')     # read at once
-        written.append((0.0, time.monotonic() + 9.0))
-        until(lambda: len(read) == len(written))
-        until(lambda: not line._missed_until or time.monotonic() > line._missed_until)
+    line.on_bytes = lambda data, now: read.extend(
+        (at, now) for at in line.written(len(data), now))
+    with line._lock:        # nothing is read
+        for number in range(1, 4):
+            began = time.monotonic()
+            os.write(end, b'x')
+            until(lambda: len(line._writes) == number)
+            written.append((began, time.monotonic()))
+    until(lambda: len(read) == 3)
     for (since, before), (at, read_at) in zip(written, read):
-        assert since <= at <= min(before, read_at)
+        assert since <= at <= before <= read_at
     os.close(end)
+
+
+@pytest.mark.parametrize('writes, times', [
+    ([1.0, 2.0, 3.0], [2.0, 3.0]), ([3.0], [3.0, 5.0]), ([], [5.0, 5.0])])
+def test_times_of_two_frames(line, writes, times):
+    """The first write was read before it was known, or the second one is not known yet."""
+    line._writes = writes
+    assert line.written(0, 4.0) == [] and line.written(2, 5.0) == times
+    assert line.written(1, 6.0) == [6.0]
 
 
 def test_every_broken_bridge_applies():
