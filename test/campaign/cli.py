@@ -1,11 +1,12 @@
 """Runs the parts of the campaign, and prints the table of the results."""
 import contextlib
+import math
 import os
 import signal
 import sys
 import time
 from argparse import Namespace
-from typing import Any, Dict, Iterable, NamedTuple, Optional, Tuple
+from typing import Any, Dict, Iterable, Iterator, NamedTuple, Optional, Tuple
 
 from processes import StageError
 from serial_communication.output import prepare_output
@@ -15,8 +16,8 @@ from .requirements import Table
 from .rig import NAMES, Rig, Scenario
 from .storm import Storm
 
-_STORM_DURATION = 1800.0     # s of the statistical part between two exact parts
-_ATTEMPTS = 3                # at a scenario with checks that were not decided
+_ROUND = 3600.0              # s of the statistical part between two exact parts
+_ATTEMPTS = 3                # at a scenario of which the machine has spoiled a check
 _TABLE_PERIOD = 10.0         # s
 _PRIORITY = 2                # real-time, above the bridge's threads, below its heartbeat
 _SWITCH_INTERVAL = 5e-4      # s, of Python's threads
@@ -63,7 +64,7 @@ def main(options: Namespace) -> int:
     try:
         print(f'seed {options.seed}', file=sys.stderr)
         rig = Rig(table, options.keep, options.bridge)
-        table.on_violation = lambda text, _example: text == options.until and _stop()
+        table.on_violation.append(lambda text, _example: text == options.until and _stop())
         with rig, rig.clock.each(_TABLE_PERIOD, lambda: _write_table(rig)):
             print('starting', file=sys.stderr)
             _run(rig, options)
@@ -73,7 +74,7 @@ def main(options: Namespace) -> int:
         status, error_text = 2, f'the campaign does not work: {error}'
     _report(table, rig, options.json)
     print(error_text, end='\n' if error_text else '', file=sys.stderr)
-    return status or int(not table.is_green)
+    return status or int(bool(table.failed))
 
 
 def _stop() -> None:
@@ -82,40 +83,49 @@ def _stop() -> None:
 
 
 def _run(rig: Rig, options: Namespace) -> None:
-    left, number = options.duration, 0
-    while True:
-        if options.part != 'storm':
-            run_exact(rig, '' if options.part in ('all', 'exact') else options.part)
-        if options.part not in ('all', 'storm'):
-            return
-        duration = min(left, _STORM_DURATION)
-        carry_out(rig, [Storm(rig, duration, f'{options.seed} {number}', options.busy)])
-        rig.table.has_run('storm', duration / 60)
-        rig.end_bridge()
-        left, number = left - _STORM_DURATION, number + 1
-        if left <= 0:
-            return
+    if options.part not in ('all', 'storm'):
+        run_exact(rig, '' if options.part == 'exact' else options.part)
+        return
+    for number in range(math.ceil(options.duration / _ROUND)):
+        if options.part == 'all':
+            run_exact(rig)
+        run_storm(rig, min(_ROUND, options.duration - number * _ROUND),
+                  f'{options.seed} {number}', options.busy)
 
 
-def run_exact(rig: Rig, only: str) -> None:
+def run_exact(rig: Rig, only: str = '') -> None:
     """Run all scenarios, or those with `only` in their names."""
-    if not only:
-        rig.table.has_run('exact')
+    rig.table.part = 'exact'
+    rig.table.runs['exact'] += not only
     for group in GROUPS:
         scenarios = [each for each in group.scenarios if only in name_of(each)]
         if not scenarios:
             continue
-        before = rig.lines
-        if group.network:
-            rig.use_lines({name: NetworkLine(rig.path(name)) for name in NAMES})
-        rig.start(group.parameters)
-        first = rig.bridge_number
-        carry_out(rig, scenarios)
-        rig.end_bridge()
+        with _lines(rig, group.network):
+            rig.start(group.parameters)
+            first = rig.bridge_number
+            carry_out(rig, scenarios)
         if len(scenarios) == len(group.scenarios):
             rig.logs.check_events(range(first, rig.bridge_number + 1), group.events)
-        if group.network:
-            rig.use_lines(before)
+
+
+def run_storm(rig: Rig, duration: float, seed: str, busy: int) -> None:
+    """One half on serial lines, the other half with the boards behind networks."""
+    rig.table.part = 'storm'
+    for network in (False, True):
+        with _lines(rig, network):
+            carry_out(rig, [Storm(rig, duration / 2, f'{seed} {network}', busy)])
+    rig.table.runs['storm'] += duration / 60
+
+
+@contextlib.contextmanager
+def _lines(rig: Rig, network: bool) -> Iterator[None]:
+    """New boards at the usual lines, or behind networks, and at the end no bridge."""
+    before = rig.lines
+    rig.use_lines({name: NetworkLine(rig.path(name)) for name in NAMES} if network else before)
+    yield
+    rig.end_bridge()
+    rig.use_lines(before)
 
 
 def name_of(scenario: Scenario) -> str:
@@ -123,27 +133,29 @@ def name_of(scenario: Scenario) -> str:
 
 
 def carry_out(rig: Rig, scenarios: Iterable[Scenario]) -> None:
-    """Run them one after the other; again, if the machine spoiled one. After an exception, a
-    violation, the next has a new bridge."""
-    required = rig.row('every scenario runs to its end')
+    """Run them one after the other; those of the exact part again if a check was not decided."""
     for scenario in scenarios:
-        print(f'{name_of(scenario)} ...', file=sys.stderr)
-        for _ in range(_ATTEMPTS):
-            began, undecided = time.monotonic(), rig.table.undecided
-            error_text = ''
-            try:
-                scenario(rig)
-            except Exception as error:  # pylint: disable=broad-except
-                error_text = f'{type(error).__name__}: {error}'
-            required.check(not error_text, f'{name_of(scenario)}: {error_text}')
-            spoiled = rig.table.undecided - undecided
-            print(f'    {time.monotonic() - began:.1f} s {error_text}'
-                  f'{f" {spoiled} checks not decided" if spoiled else ""}', file=sys.stderr)
-            if error_text:
-                rig.restore()
-            rig.check_always()
-            if not spoiled:
+        for _ in range(1 if isinstance(scenario, Storm) else _ATTEMPTS):
+            undecided = rig.table.undecided
+            _carry_out_once(rig, scenario)
+            if rig.table.undecided == undecided:
                 break
+
+
+def _carry_out_once(rig: Rig, scenario: Scenario) -> None:
+    """After an exception, which is a violation, there is a new bridge."""
+    print(f'{name_of(scenario)} ...', file=sys.stderr)
+    began, error_text = time.monotonic(), ''
+    try:
+        scenario(rig)
+    except Exception as error:  # pylint: disable=broad-except
+        error_text = f'{type(error).__name__}: {error}'
+    rig.row('every scenario runs to its end').check(
+        not error_text, f'{name_of(scenario)}: {error_text}')
+    print(f'    {time.monotonic() - began:.1f} s {error_text}', file=sys.stderr)
+    if error_text:
+        rig.restore()
+    rig.check_always()
 
 
 def _write_table(rig: Rig) -> None:
@@ -159,7 +171,7 @@ def _report(table: Table, rig: Optional[Rig], json_file: str) -> None:
     if json_file:
         with open(json_file, 'w') as file:
             file.write(table.as_json())
-    if not table.is_green:
+    if table.failed:
         print(f'records: {rig.folder}' if rig else 'no records', file=sys.stderr)
     elif rig:
         rig.discard()

@@ -3,24 +3,25 @@ import json
 import math
 import threading
 import time
-from collections import Counter
 from pathlib import Path
-from typing import Any, Callable, Dict, List
+from typing import Any, Callable, Dict, List, Tuple
 
 from processes import Stage, StageError
 
 MAX_WAIT = 30.0      # s for an event without a limit of its own; only a failure takes so long
 _EXAMPLES = 4        # violations of a requirement that are kept and printed
+_UNDECIDED = 0.05    # share of the checks that may be undecided …
+_FEW = 2             # … and so many in any case
 
 
 class Requirement:
     """One requirement and the results of its checks."""
 
     def __init__(self, table: 'Table', part: str, group: str, text: str, least: int) -> None:
-        self._table = table
-        self.part, self.group, self.text, self.least = part, group, text, least
+        self._table, self._part, self._least = table, part, least
+        self.group, self.text = group, text
         self.checks = self.violations = 0
-        self.undecided = 0      # checks without a result, since the witness was late, too
+        self.undecided = 0      # checks without a result, since a witness was late, too
         self.examples: List[str] = []       # descriptions of the first violations
         self.violated_at = 0.0
         self.worst, self._unit = float('-inf'), ''
@@ -35,7 +36,8 @@ class Requirement:
                 self.violations += 1
                 self.examples += [text[:300]] if len(self.examples) < _EXAMPLES else []
         if not holds:
-            self._table.on_violation(self.text, text)
+            for on_violation in list(self._table.on_violation):
+                on_violation(self.text, text)
         return bool(holds)
 
     def at_most(self, value: float, limit: float, unit: str, text: str) -> bool:
@@ -60,61 +62,74 @@ class Requirement:
     def worst_case(self) -> str:
         return f'{self.worst:.4g} {self._unit}' if self.worst > float('-inf') else ''
 
+    @property
+    def least(self) -> int:
+        """How often it should have been checked until now."""
+        return math.floor(self._least * self._table.runs[self._part])
+
+    @property
+    def is_undecided(self) -> bool:
+        return self.undecided > max(_FEW, _UNDECIDED * self.checks)
+
+    @property
+    def failure(self) -> str:
+        """Why it is not fulfilled, if so."""
+        return ('VIOLATED' if self.violations else 'NOT TRIED ENOUGH' if self.checks < self.least
+                else 'NOT DECIDED TOO OFTEN' if self.is_undecided else '')
+
 
 class Table:
     """All requirements of rows.txt: by group, with how often each has to be checked at least.
 
     That is in each run of the exact part; in the groups of the storm, in each minute of it. A
-    requirement that was checked less often is not fulfilled, whatever the reason is.
+    requirement that was checked less often, or too often without a result, is not fulfilled.
+
+    Attributes:
+        on_violation: called with a requirement and what has violated it.
+        part: the part that runs now, `exact` or `storm`.
+        runs: how often each part was run; of the storm the minutes.
     """
 
     def __init__(self) -> None:
-        self.on_violation: Callable[[str, str], None] = lambda requirement, text: None
-        self.rows: Dict[str, Requirement] = {}
+        self.on_violation: List[Callable[[str, str], Any]] = []
+        self.part = 'exact'
+        self.runs: Dict[str, float] = {'exact': 0, 'storm': 0}
+        self._rows: Dict[Tuple[str, str], Requirement] = {}
+        self._began = time.monotonic()
         group = ''
         for line in Path(__file__).with_name('rows.txt').read_text().splitlines():
             if line.startswith(' '):
                 least, text = line.split(None, 1)
-                part = 'storm' if group.startswith('storm') else 'exact'
-                assert text not in self.rows, text
-                self.rows[text] = Requirement(self, part, group, text, int(least))
+                part = group.split(':')[0] if group.startswith('storm') else 'exact'
+                assert (part, text) not in self._rows, text
+                self._rows[part, text] = Requirement(self, part, group, text, int(least))
             else:
                 group = line
-        self._runs: 'Counter[str]' = Counter()
-        self._began = time.monotonic()
 
     def row(self, text: str) -> Requirement:
-        return self.rows[text]
+        """The requirement of the part that runs now, or else of the exact part."""
+        return self._rows.get((self.part, text)) or self._rows['exact', text]
 
-    def has_run(self, part: str, times: float = 1.0) -> None:
-        """The whole part was begun once more; the storm: for so many minutes."""
-        self._runs[part] += times       # type: ignore[assignment]
-
-    def least(self, row: Requirement) -> int:
-        """How often it should have been checked until now."""
-        return math.floor(row.least * self._runs[row.part])
+    @property
+    def rows(self) -> List[Requirement]:
+        return list(self._rows.values())
 
     @property
     def used(self) -> List[Requirement]:
         """Those that were checked, or should have been."""
-        return [each for each in self.rows.values()
-                if each.checks or each.undecided or self.least(each)]
-
-    @property
-    def violated(self) -> List[Requirement]:
-        return [each for each in self.rows.values() if each.violations]
-
-    @property
-    def too_few(self) -> List[Requirement]:
-        return [each for each in self.used if each.checks < self.least(each)]
+        return [each for each in self.rows if each.checks or each.undecided or each.least]
 
     @property
     def undecided(self) -> int:
-        return sum(each.undecided for each in self.rows.values())
+        return sum(each.undecided for each in self.rows)
 
     @property
-    def is_green(self) -> bool:
-        return not self.violated and not self.too_few
+    def violated(self) -> List[Requirement]:
+        return [each for each in self.used if each.violations]
+
+    @property
+    def failed(self) -> List[Requirement]:
+        return [each for each in self.used if each.failure]
 
     def __str__(self) -> str:
         """All requirements, the first violations of each, and whether all was tried enough."""
@@ -123,26 +138,29 @@ class Table:
         group = ''
         for each in self.used:
             shown, group = (each.group if each.group != group else ''), each.group
-            lines.append(f'{shown:14} {each.text:76} {self.least(each):7} {each.checks:8} '
+            lines.append(f'{shown:14} {each.text:76} {each.least:7} {each.checks:8} '
                          f'{each.violations:10} {each.undecided:11}  {each.worst_case}'.rstrip())
-        for each in self.violated:
-            lines += ['', f'VIOLATED  {each.group}: {each.text}']
+        for each in self.failed:
+            lines += ['', f'{each.failure}  {each.group}: {each.text}']
             lines += [f'  {text}' for text in each.examples]
             if each.violations > len(each.examples):
                 lines.append(f'  and {each.violations - len(each.examples)} more')
-        lines += [f'\nNOT TRIED ENOUGH  {each.group}: {each.text}: '
-                  f'{each.checks} of {self.least(each)}' for each in self.too_few]
-        tried = (f'{len(self.too_few)} not tried as often as they have to be' if self.too_few
-                 else 'each tried as often as it has to be' if self._runs else
-                 'only a part of the scenarios was run')
-        return '\n'.join([*lines, f'{len(self.used)} requirements, {tried}; {len(self.violated)} '
-                          f'violated, {self.undecided} checks not '
-                          'decided'])
+        return '\n'.join([*lines, '', self._conclusion()])
+
+    def _conclusion(self) -> str:
+        few = sum(each.checks < each.least for each in self.used)
+        tried = (f'{few} not tried as often as they have to be' if few
+                 else 'each tried as often as it has to be' if any(self.runs.values())
+                 else 'only a part of the scenarios was run')
+        too_often = sum(each.is_undecided for each in self.used)
+        return (f'{len(self.used)} requirements, {tried}; {len(self.violated)} violated; '
+                f'{self.undecided} checks not decided' + (
+                    f', too many of {too_often} requirements' if too_often else ''))
 
     def as_json(self) -> str:
         return json.dumps([{
-            'group': each.group, 'requirement': each.text, 'least': self.least(each),
+            'group': each.group, 'requirement': each.text, 'least': each.least,
             'checks': each.checks, 'violations': each.violations, 'not decided': each.undecided,
-            'worst case': each.worst_case, 'examples': each.examples,
+            'failure': each.failure, 'worst case': each.worst_case, 'examples': each.examples,
             'violated after': round(each.violated_at - self._began, 1) if each.violations else None}
             for each in self.used], indent=1)

@@ -1,7 +1,5 @@
 """The campaign's table, lines, boards and logs."""
-import math
 import os
-import pathlib
 import signal
 import struct
 import subprocess
@@ -12,7 +10,7 @@ import pytest
 from waiting import until
 
 import by_definition as codec
-from campaign import broken, logs, requirements, witness
+from campaign import broken, logs, witness
 from campaign.boards import (BusBoard, Car, Reaction, Request, Sensors, imu_values, range_key,
                              reply_frame)
 from campaign.lines import Clock, NetworkLine, SerialLine
@@ -29,47 +27,6 @@ def line(tmp_path):
 
 def opened(line):
     return os.open(line.port, os.O_RDWR | os.O_NOCTTY)
-
-
-def test_table():
-    table = Table()
-    required = table.row('data is published again within 1 s of a stall')
-    required.check(True, '')
-    assert table.is_green and 'only a part of the scenarios was run' in str(table)
-    required.at_most(3.0, 2.0, 's', 'too late')
-    required.undecided += 1
-    assert table.violated == [required] and required.worst_case == '3 s'
-    assert str(table).endswith('\n1 requirements, only a part of the scenarios was run; '
-                               '1 violated, 1 checks not decided')
-    text = str(table)
-    assert 'too late: 3 s, limit 2 s' in text and 'no growth: memory' not in text
-    assert [line.split() for line in text.splitlines() if required.text in line][0][-6:] == [
-        '0', '2', '1', '1', '3', 's']
-    with pytest.raises(KeyError):
-        table.row('not in the list')
-
-
-def test_a_requirement_that_was_tried_too_seldom_is_red():
-    table = Table()
-    for part, times in (('exact', 2), ('storm', 0.5)):
-        table.has_run(part, times)
-        for row in table.rows.values():
-            if row.part == part:
-                row.checks = math.floor(row.least * times)
-        assert table.is_green and 'each tried as often as it has to be' in str(table)
-    row = table.row('heartbeats: 100 a second')
-    assert row.least and {each.part for each in table.rows.values()} == {'exact', 'storm'}
-    row.checks -= 1
-    assert not table.is_green and '1 not tried as often as they have to be' in str(table)
-    assert f'{row.text}: {row.checks} of {row.checks + 1}' in str(table)
-
-
-def test_every_requirement_of_the_code_is_in_the_list_and_used():
-    folder = pathlib.Path(requirements.__file__).parent
-    code = ''.join(path.read_text() for path in folder.glob('*.py')
-                   if not path.name.startswith('test_'))
-    unused = [text for text in Table().rows if text not in code and 'no growth' not in text]
-    assert unused == []
 
 
 def test_line_returns_as_another_device(line):
@@ -294,7 +251,8 @@ def test_times_of_two_frames(line, writes, times):
 def test_every_broken_bridge_applies():
     found = broken.all_broken()
     assert len(found) >= 60 and all(each.files() for each in found)
-    assert {each.requirement for each in found} <= {*Table().rows}
+    assert {each.requirement for each in found} <= {
+        row.text for row in Table().rows}
 
 
 def test_a_broken_bridge_that_no_longer_applies_is_an_error():

@@ -8,27 +8,24 @@ import by_definition as codec
 import pytest
 
 pytest.importorskip('rospy')
-from campaign import storm  # noqa: E402
-from campaign.boards import MEMORY, Packet, Request, car_keys  # noqa: E402
+from campaign import storm_checks  # noqa: E402
+from campaign.boards import MEMORY, Packet, Request  # noqa: E402
+from campaign.damage import DamagedLine  # noqa: E402
 from campaign.requirements import Table  # noqa: E402
 from campaign.robot import NOT_SENT, TIMEOUT, Outcome, Published  # noqa: E402
 
 TOKEN = struct.pack('<I', 7)
 
 
-def frames(link, rand):
+def frames(frame_at, rand):
     """Random frames of a link."""
     while True:
         data = bytes(rand.choice((0xA5, 0x5A, 2, 3, 0, rand.randrange(256)))
                      for _ in range(rand.randrange(1, 12)))
-        if link is codec.mcu_at:
-            yield codec.mcu_frame(0x20, rand.randrange(256), data)
-        elif link is codec.reply_at:
-            yield codec.bus_frame(b'\2', data)
-        elif link is codec.request_at:
-            yield codec.bus_frame(b'\x55\xf0', data)
-        else:
-            yield codec.arduino_packet(60, data[:4].ljust(4))
+        yield {codec.mcu_at: codec.mcu_frame(0x20, rand.randrange(256), data),
+               codec.reply_at: codec.bus_frame(b'\2', data),
+               codec.request_at: codec.bus_frame(b'\x55\xf0', data),
+               codec.arduino_at: codec.arduino_packet(60, data[:4].ljust(4))}[frame_at]
 
 
 @pytest.mark.parametrize('frame_at', [codec.mcu_at, codec.reply_at, codec.request_at,
@@ -36,18 +33,18 @@ def frames(link, rand):
 def test_no_valid_frame_that_was_not_sent_is_on_the_line(frame_at):
     """Whatever a decoder does with incomplete frames, all that it finds was sent."""
     rand = random.Random(5)
-    stream = storm.Stream(frame_at, rand, 0.3)
-    received, intact, source = b'', set(), frames(frame_at, rand)
+    line, source = DamagedLine(frame_at, rand, 0.3), frames(frame_at, rand)
+    received, intact = b'', set()
     for _ in range(600):
         data = next(source)
-        arrived = stream.pass_on(data)
+        arrived = line.pass_on(data)
         if arrived == data:
             intact.add((len(received), len(received) + len(data)))
         received += arrived
-    assert stream.damaged > 100 and len(intact) > 300
+    assert line.damaged > 100 and len(intact) > 300
     if frame_at is codec.arduino_at:
-        found = codec.decode(received, frame_at)[0]
-        found = [frame for frame in found if len(frame.data) == 4 and frame.type == 60]
+        found = [frame for frame in codec.decode(received, frame_at)[0]
+                 if frame.type == 60 and len(frame.data) == 4]
     else:
         found = codec.all_frames(received, frame_at)
     for frame in found:
@@ -55,80 +52,96 @@ def test_no_valid_frame_that_was_not_sent_is_on_the_line(frame_at):
     assert len(found) > 200
 
 
-class FakeStorm:
-    """Has what the checks use of a Storm."""
+@pytest.mark.parametrize('given_up', [0, 1, 2])
+def test_a_packet_of_the_car_whose_beginning_was_given_up_is_no_foreign_one(given_up):
+    """A decoder that has given up some of the damaged packets finds none in what follows."""
+    for seed in range(300):
+        rand = random.Random(seed)
+        line = DamagedLine(codec.arduino_at, rand, 0.8)
+        sent = [codec.arduino_packet(60, struct.pack('<I', number)) for number in range(4)]
+        arrived = [line.pass_on(data) for data in sent]
+        found = codec.decode(b''.join(arrived[given_up:]), codec.arduino_at)[0]
+        whole = [number for number in range(4) if arrived[number] == sent[number]]
+        assert {struct.unpack('<I', frame.data)[0] for frame in found
+                if frame.type == 60 and len(frame.data) == 4} <= set(whole)
+
+
+class FakeRig:
+    """Has what the checks use of a rig."""
 
     def __init__(self):
         self.table = Table()
-        self.lock, self.disturbed, self.late = storm.threading.RLock(), [], 0.0
-        self.rig = SimpleNamespace(
-            row=self.table.row, bus=SimpleNamespace(connection=1),
-            excuses=lambda since, until, seconds: self.late > seconds,
-            longest_delay=lambda since, until: self.late,
-            robot=SimpleNamespace(command=lambda name, value, stamp: None))
+        self.table.part = 'storm'
+        self.row, self.late, self.is_network = self.table.row, 0.0, False
+        self.robot = SimpleNamespace(command=lambda name, value, stamp: None)
         self.violated = []
+        self.table.on_violation.append(lambda text, _example: self.violated.append(text))
 
-        self.table.on_violation = lambda requirement, text: self.violated.append(requirement)
+    def excuses(self, since, until, seconds=0.005):
+        return self.late >= seconds
 
-    def record(self, *what):
-        pass
+    def in_time(self, required, since, until, limit, text):
+        if self.late:
+            required.undecided += 1
+        else:
+            required.at_most(until - since, limit, 's', text)
 
 
 @pytest.fixture
-def fake():
-    return FakeStorm()
+def rig():
+    return FakeRig()
 
 
 @pytest.fixture
-def motor(fake):
-    return storm.MotorCheck(fake)
+def motor(rig):
+    """The port is open, and 300 was commanded at 100.0."""
+    motor = storm_checks.MotorCheck(rig)
+    motor.received(speed(0, 100.0))
+    motor._commands[300] = 100.0
+    motor.received(speed(300, 100.0))
+    return motor
 
 
 def speed(value, t, beats=0):
     return Packet(t, codec.SPEED, struct.pack('<h', value), beats, 0)
 
 
-def test_stop_in_time(fake, motor):
-    motor.received(speed(0, 100.0))
-    motor._commands[300] = 100.0
-    motor.received(speed(300, 100.0))
+def test_stop_in_time(rig, motor):
     for index in range(54):
-        motor.check_stop(100.0 + index / 100)
+        motor.heartbeat(100.0 + index / 100)
     motor.received(speed(0, 100.545))
-    motor.check_stop(102.0)
-    assert fake.violated == []
+    motor.heartbeat(102.0)
+    motor.judge()
+    assert rig.violated == []
 
 
-def test_no_stop(fake, motor):
-    motor.received(speed(0, 100.0))
-    motor._commands[300] = 100.0
-    motor.received(speed(300, 100.0))
-    fake.late = 0.1
-    motor.check_stop(100.56)
-    assert fake.violated == []
-    fake.late = 0.0
-    motor.check_stop(100.57)
-    assert fake.violated == ['storm: SPEED 0 within speed_timeout + 50 ms']
+@pytest.mark.parametrize('late', [0.0, 0.1])
+def test_no_stop(rig, motor, late):
+    rig.late = late
+    motor.heartbeat(100.56)
+    motor.heartbeat(100.57)
+    motor.judge()
+    row = rig.row('SPEED 0 within speed_timeout + 50 ms of the last command')
+    assert (row.violations, row.undecided) == ((0, 1) if late else (1, 0))
 
 
 @pytest.mark.parametrize('first', [speed(300, 1.0), speed(0, 1.0, beats=1)])
-def test_first_packet_of_a_connection_is_not_speed_0(fake, motor, first):
+def test_first_packet_of_a_connection_is_not_speed_0(rig, motor, first):
     motor._commands[300] = 1.0
+    motor.start_connection()
     motor.received(first)
-    assert fake.violated == ['storm: SPEED 0 is the first packet whenever the port opens']
+    assert rig.violated == ['SPEED 0 is the first packet whenever the port opens']
 
 
-def test_speeds_that_were_not_commanded_or_are_old(fake, motor):
-    motor.received(speed(0, 1.0))
-    motor._commands.update({300: 1.0, 301: 1.0})
-    motor.received(speed(300, 1.1))
-    assert fake.violated == []
-    motor.received(speed(300, 1.1))
-    motor.received(speed(302, 1.1))
-    assert fake.violated == ['every SPEED was commanded, and is sent once'] * 2
-    motor.received(speed(0, 1.2))
-    motor.received(speed(301, 1.9))
-    assert fake.violated[2:] == ['no SPEED over 0.7 s after its command']
+def test_speeds_that_were_not_commanded_or_are_old(rig, motor):
+    motor.received(speed(300, 100.1))       # once more
+    motor.received(speed(302, 100.1))
+    assert rig.violated == ['every SPEED was commanded, and is sent once'] * 2
+    motor.received(speed(0, 100.2))
+    motor._commands[301] = 100.2
+    motor.received(speed(301, 101.0))
+    motor.judge()
+    assert rig.violated[2:] == ['no SPEED over 0.7 s after its command, 1.5 s behind socket://']
 
 
 @pytest.mark.parametrize('outcome, executed, violated', [
@@ -136,49 +149,88 @@ def test_speeds_that_were_not_commanded_or_are_old(fake, motor):
     (Outcome(True, 2, 0.1, '', TOKEN), 2, 'done'), (Outcome(False, 3, 0.1, ''), 0, ''),
     (Outcome(False, 3, 0.1, ''), 1, 'refused'), (Outcome(False, NOT_SENT, 0.1, ''), 1, 'refused'),
     (Outcome(False, TIMEOUT, 0.1, ''), 1, ''), (Outcome(False, TIMEOUT, 0.1, ''), 2, 'not known'),
-    (Outcome(True, 2, 0.1, '', b'else'), 1, 'its own reply')])
-def test_outcome_of_a_call(fake, outcome, executed, violated):
-    calls = storm.CallCheck(fake)
-    key = MEMORY, TOKEN
-    calls.executed[key] = executed
-    calls.check(key, outcome)
-    assert bool(fake.violated) == bool(violated)
-    assert all(violated in text for text in fake.violated)
+    (Outcome(True, 2, 0.1, '', b'else'), 1, 'its own reply'),
+    (Outcome(False, None, 9.0, 'error'), 0, 'returns')])
+def test_outcome_of_a_call(rig, outcome, executed, violated):
+    calls = storm_checks.CallCheck(rig)
+    calls.executed[MEMORY, TOKEN] = executed
+    calls.check((MEMORY, TOKEN), outcome)
+    assert len(rig.violated) == bool(violated)
+    assert all(violated in text for text in rig.violated)
 
 
-def test_requests_that_belong_to_no_call_or_come_again(fake):
-    calls, request = storm.CallCheck(fake), Request(1.0, codec.FUNCTION, MEMORY, TOKEN, 0)
-    calls._waiting[request.key] = 1
+def test_requests_that_belong_to_no_call_or_come_again(rig):
+    calls, request = storm_checks.CallCheck(rig), Request(1.0, codec.FUNCTION, MEMORY, TOKEN, 0)
+    calls._expected[request.key] = 1
     calls.received(request)
     calls.received(request._replace(cmd1=codec.ECHO))
-    assert fake.violated == []
+    calls.received(request._replace(cmd2=codec.ENVIRONMENT, data=b''))
+    assert rig.violated == []
     calls.received(request)
-    assert fake.violated == ['a request comes again only after INVALID']
-    calls.invalid()
+    assert rig.violated == ['a request comes again only after INVALID']
+    calls._expected[request.key] = 0
+    calls.invalid(request.key)
     calls.received(request)
-    del calls._waiting[request.key]
+    del calls._expected[request.key]
     calls.received(request)
-    assert fake.violated[1:] == ['every request belongs to a call that waits, or to a poll']
+    assert rig.violated[1:] == ['every request belongs to a call that waits, or to a poll']
 
 
-def test_published_values(fake):
-    values, now = storm.ValueCheck(fake), time.monotonic()
+class Values:
+    """A ValueCheck to which `sent` values were sent, each 0.1 s after the one before."""
 
-    def publish(number):
-        values.published('~counter', Published(0.0, 0.0, number, None))
+    def __init__(self, rig, sent, must=True):
+        self.check, self.rig, self.began = storm_checks.ValueCheck(rig), rig, time.monotonic()
+        for number in range(sent):
+            self.check.sent([('~counter', number)], must)
+        waiting = self.check._waiting['~counter']
+        for index, value in enumerate(list(waiting)):
+            waiting[index] = value._replace(at=self.began + index / 10)
 
-    for number in range(1, 8):
-        packet = codec.arduino_packet(60, struct.pack('<I', number))
-        values.sent(codec.decode(packet, codec.arduino_at)[0][0], car_keys, number != 2)
-    for number in (1, 3, 4):        # 2 could not be found
-        publish(number)
-    assert fake.violated == []
-    publish(4)
-    publish(9)
-    assert fake.violated == ['every published value was in a valid frame, in order, once'] * 2
-    publish(6)
-    assert fake.violated[2:] == ['values are lost only beside a stall or a reconnect']
-    fake.disturbed.append(('arduino', now, now + 1.0))
-    values._waiting['~counter'][0] = (7, now - storm._KEPT - 1.0, True)
-    values.check_old()
-    assert len(fake.violated) == 4 and not values._waiting['~counter']
+    def publish(self, *numbers):
+        for number in numbers:
+            self.check.published('~counter', Published(0.0, 0.0, number, None))
+        self.check.judge()
+        return self.rig.violated
+
+    def disturb(self, link, since, until):
+        disturbance = storm_checks.Disturbance(link)
+        disturbance.since, disturbance.until = self.began + since, self.began + until
+        self.check.disturbances.append(disturbance)
+
+
+CORRECT = 'every published value was in a valid frame, in order, once'
+LOST = 'values are lost only in a stall or reconnect, until the next one'
+
+
+@pytest.mark.parametrize('published, violated', [
+    ((0, 1, 2), []), ((0, 1, 1, 2), [CORRECT]), ((0, 2, 1), [CORRECT, LOST]),
+    ((0, 1, 99), [CORRECT]), ((0, 2), [LOST])])
+def test_published_values(rig, published, violated):
+    assert Values(rig, 3).publish(*published) == violated
+
+
+def test_a_value_that_need_not_be_published(rig):
+    assert Values(rig, 3, must=False).publish(0, 2) == []
+
+
+def test_a_value_that_is_never_published(rig, monkeypatch):
+    values = Values(rig, 3)
+    assert values.publish(0, 1) == []
+    monkeypatch.setattr(storm_checks, '_KEPT', -1.0)
+    assert values.publish() == [LOST] and not values.check._waiting['~counter']
+
+
+@pytest.mark.parametrize('link, late, violated', [
+    ('arduino', 0.0, 0), ('', 0.0, 0), ('mcu', 0.0, 1), ('mcu', 0.1, 1), ('mcu', 0.3, 0)])
+def test_values_may_be_lost_in_a_disturbance_or_if_a_witness_was_as_late(rig, link, late, violated):
+    values, rig.late = Values(rig, 12), late
+    values.disturb(link, 0.5, 0.9)
+    assert len(values.publish(*range(6), *range(7, 12))) == violated    # sent at 0.6
+
+
+def test_after_a_disturbance_values_may_be_lost_only_until_the_next_one(rig):
+    values = Values(rig, 20)
+    values.disturb('arduino', 0.45, 0.85)
+    assert values.publish(0, 1, 2, 3, 4, 12, 13) == []
+    assert values.publish(15) == [LOST]
