@@ -228,22 +228,18 @@ class GrowthCheck:
     """Compares the bridge's memory, threads and files in the two halves of a storm."""
 
     def __init__(self, rig: Rig, duration: float) -> None:
-        self._rig = rig
         settling = min(_SETTLING, duration / 3)
-        self._began, self._half = time.monotonic() + settling, (duration - settling) / 2
-        self._most = [dict.fromkeys(_GROWTH, 0.0), dict.fromkeys(_GROWTH, 0.0)]
+        self._rig, self._half = rig, (duration - settling) / 2
+        self._began = time.monotonic() + settling
+        self._most = {name: [0.0, 0.0] for name in _GROWTH}     # in each half
 
     def judge(self) -> None:
         """To be called every few seconds."""
-        seconds = time.monotonic() - self._began
-        if seconds > 0:
-            half = int(seconds > self._half)
-            for name, value in usage_of(self._rig.child_bridge.pid).items():
-                self._most[half][name] = max(self._most[half][name], value)
-                if half and self._most[0][name]:
-                    self._check(name, *(most[name] for most in self._most))
-
-    def _check(self, name: str, first: float, second: float) -> None:
-        noise, per_hour, unit = _GROWTH[name]
-        self._rig.row(f'no growth: {name}').at_most(
-            second - first, noise + per_hour * self._half / 3600, unit, f'from {first:.1f}')
+        halves = (time.monotonic() - self._began) / self._half
+        for name, value in usage_of(self._rig.child_bridge.pid).items() if halves > 0 else ():
+            most, (noise, per_hour, unit) = self._most[name], _GROWTH[name]
+            most[halves > 1] = max(most[halves > 1], value)
+            if all(most):
+                self._rig.row(f'no growth: {name}').at_most(
+                    most[1] - most[0], noise + per_hour * self._half / 3600, unit,
+                    f'from {most[0]:.1f}')
