@@ -150,10 +150,9 @@ def _carry_out_once(rig: Rig, scenario: Scenario) -> None:
         scenario(rig)
     except Exception as error:  # pylint: disable=broad-except
         error_text = f'{type(error).__name__}: {error}'
-    ended = time.monotonic()
-    rig.decide(rig.row('every scenario runs to its end'), not error_text,
-               f'{name_of(scenario)}: {error_text}', began, ended)
-    print(f'    {ended - began:.1f} s {error_text}', file=sys.stderr)
+    rig.row('every scenario runs to its end').check(
+        not error_text, f'{name_of(scenario)}: {error_text}')
+    print(f'    {time.monotonic() - began:.1f} s {error_text}', file=sys.stderr)
     if error_text:
         rig.restore()
     rig.check_always()

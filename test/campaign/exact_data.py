@@ -125,8 +125,8 @@ def traffic(rig: Rig) -> None:
     subscriber = rig.robot.subscribe_to_traffic(
         lambda message: shown[message.link, message.direction].append(message))
     # Until each link has shown frames.
-    rig.wait(lambda: not rig.measure() and rig.robot.call('bus/echo').success and len(shown) >= 5,
-             'serial_msg')
+    required.wait(lambda: not rig.measure() and rig.robot.call('bus/echo').success
+                  and len(shown) >= 5, 'serial_msg shows frames of all links')
     rig.settle()
     wanted = {'frames received': 40, 'framing errors': 20, 'checksum errors': 0,
               'bytes received': 0}
