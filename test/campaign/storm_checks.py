@@ -22,7 +22,6 @@ _STOP_TIME = SPEED_TIMEOUT + 0.05      # s
 _CALL_TIME = 6.0         # s: for its turn, three tries, and two stalls
 _KEPT = 10.0             # s after which a value that was not published is lost
 _BEFORE, _AFTER = 0.3, 3.0       # s beside a disturbance in which values may be lost
-_STALL = 0.2             # s by which a witness has to be late to excuse a lost value
 # Growth at most, in a run of any length and in each hour.
 _GROWTH = {'memory': (1.0, 2.0, 'MB'), 'threads': (3.0, 1.0, ''), 'files': (10.0, 1.0, '')}
 _SETTLING = 60.0         # s, or a third of a shorter part
@@ -218,7 +217,7 @@ class ValueCheck:
             link = 'mcu' if 'mcu' in topic else 'arduino'
             if any(each.excuses(link, value.at, latest) for each in list(self.disturbances)):
                 continue
-            if self._rig.excuses(value.at - _BEFORE, value.at + _BEFORE, _STALL):
+            if self._rig.may_lose(value.at - _BEFORE, value.at + _BEFORE):
                 self._lost.undecided += 1
             else:
                 self._lost.check(False, f'{topic} {value.key}, sent at {value.at:.3f}')
