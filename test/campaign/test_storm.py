@@ -241,7 +241,7 @@ def test_growth_between_the_halves(rig, monkeypatch, growth, violated):
     rig.child_bridge, now = SimpleNamespace(pid=1), [0.0]
     monkeypatch.setattr(storm_checks.time, 'monotonic', lambda: now[0])
     check = storm_checks.GrowthCheck(rig, 90.0)
-    for now[0], memory in ((10.0, 9.0), (40.0, 50.0), (55.0, 49.0), (80.0, 50.0 + growth)):
+    for now[0], memory in ((10.0, 9.0), (40.0, 50.0), (55.0, 60.0), (80.0, 50.0 + growth)):
         monkeypatch.setattr(storm_checks, 'usage_of', lambda pid: {'memory': memory})
         check.judge()
     assert rig.violated == violated and rig.row('no growth: memory').checks == 1
