@@ -1,4 +1,4 @@
-"""Damage on the lines that leaves no valid frame which was not sent, so every comparison is exact."""
+"""Damage on the lines that leaves no valid frame but those that were sent."""
 import random
 import re
 from typing import List
@@ -28,7 +28,7 @@ class DamagedLine:
 
     def reset(self) -> None:
         """The line was plugged in again."""
-        # The latest bytes; of the car those since the last 0x00, and where each write of them began.
+        # The latest bytes; of the car those since the last 0x00, and where each write began.
         self._before, self._writes = b'', []    # type: bytes, List[int]
 
     @property

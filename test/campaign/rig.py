@@ -14,7 +14,7 @@ from .lines import Clock, NetworkLine, SerialLine
 from .logs import LogCheck
 from .requirements import Requirement, Table
 from .robot import FRAMES, TOPICS, Published, Robot
-from .witness import LATE, MARGIN, Witness
+from .witness import LATE, MARGIN, LineWitness, Witness
 
 REPLY_TIMEOUT = 0.3      # s: parameters of the bridge
 MOTION_TIMEOUT = SPEED_TIMEOUT = 0.5
@@ -58,6 +58,7 @@ class Rig(Stage):
             f'witness_{processor}', [sys.executable, '-m', f'{__package__}.witness', str(memory),
                                      str(processor)], priority=_BRIDGE_PRIORITY, fds=(memory,)))
                            for processor in os.sched_getaffinity(0)]
+        self._line_witness = LineWitness()
         self._permanent = {*self.children}
         return self
 
@@ -105,6 +106,11 @@ class Rig(Stage):
     def excuses(self, since: float, until: float, seconds: float = LATE) -> bool:
         """Whether a witness was so late in this time, or `witness.MARGIN` beside it."""
         return max([each.longest(since, until) for each in self._witnesses]) >= seconds
+
+    def may_lose(self, since: float, until: float) -> bool:
+        """Whether the machine was so late in this time that the bridge may have dropped values."""
+        return self.excuses(since, until, _STALL) or \
+            self._line_witness.longest(since, until) >= _STALL
 
     def decide(self, required: Requirement, holds: bool, text: str, since: float, until: float,
                excess: float = 0.0) -> None:
@@ -273,7 +279,7 @@ class Rig(Stage):
         with contextlib.suppress(StageError):
             self.wait(lambda: len(published()) >= len(sent), '', UNTIL_PUBLISHED)
         required, found = self.row(PUBLISHED), published()
-        if len(found) < len(sent) and self.excuses(self._settled_at, time.monotonic(), _STALL):
+        if len(found) < len(sent) and self.may_lose(self._settled_at, time.monotonic()):
             required.undecided += 1
             return
         for one, message in itertools.zip_longest(sent, found):

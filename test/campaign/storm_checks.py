@@ -5,6 +5,7 @@ that reads the line.
 """
 import contextlib
 import itertools
+import math
 import struct
 import threading
 import time
@@ -22,9 +23,8 @@ _STOP_TIME = SPEED_TIMEOUT + 0.05      # s
 _CALL_TIME = 6.0         # s: for its turn, three tries, and two stalls
 _KEPT = 10.0             # s after which a value that was not published is lost
 _BEFORE, _AFTER = 0.3, 3.0       # s beside a disturbance in which values may be lost
-_STALL = 0.2             # s by which a witness has to be late to excuse a lost value
 # Growth at most, in a run of any length and in each hour.
-_GROWTH = {'memory': (1.0, 2.0, 'MB'), 'threads': (3.0, 1.0, ''), 'files': (10.0, 1.0, '')}
+_GROWTH = {'memory': (1.0, 2.0, 'MB'), 'threads': (3.0, 1.0, ''), 'files': (5.0, 1.0, '')}
 _SETTLING = 60.0         # s, or a third of a shorter part
 _POLLS = (DEPTH, b''), (HEIGHT, b''), (codec.ENVIRONMENT, b''), (ANNOUNCE, b'\0')
 
@@ -36,7 +36,7 @@ class MotorCheck:
         self._rig = rig
         self._commands: Dict[int, float] = {}        # when each was published
         self._is_first = False                       # whether the next packet is of a connection
-        self._speed_at = float('inf')                # of the last speed, unless it was 0
+        self._speed_at = math.inf                # of the last speed, unless it was 0
         self._times: Deque[Tuple] = deque()          # to be judged
 
     def command(self, value: int) -> None:
@@ -44,7 +44,7 @@ class MotorCheck:
         self._rig.robot.command('speed', value, time.time())
 
     def start_connection(self) -> None:
-        self._is_first, self._speed_at = True, float('inf')
+        self._is_first, self._speed_at = True, math.inf
 
     def resumed(self) -> None:
         """The bridge or its network continues; it may stop from now on."""
@@ -76,7 +76,7 @@ class MotorCheck:
             self._times.append((
                 self._rig.row('SPEED 0 within speed_timeout + 50 ms of the last command'),
                 self._speed_at, now, _STOP_TIME, 'no stop'))
-        self._speed_at = float('inf')
+        self._speed_at = math.inf
 
     def judge(self) -> None:
         while self._times:
@@ -152,7 +152,7 @@ class Disturbance:
     """A time in which values of a link, or of all links, may be lost."""
 
     def __init__(self, link: str) -> None:
-        self.link, self.since, self.until = link, time.monotonic(), float('inf')
+        self.link, self.since, self.until = link, time.monotonic(), math.inf
 
     def excuses(self, link: str, at: float, latest: float) -> bool:
         """Whether a value may be lost; `latest` was sent before it, and published."""
@@ -218,32 +218,28 @@ class ValueCheck:
             link = 'mcu' if 'mcu' in topic else 'arduino'
             if any(each.excuses(link, value.at, latest) for each in list(self.disturbances)):
                 continue
-            if self._rig.excuses(value.at - _BEFORE, value.at + _BEFORE, _STALL):
+            if self._rig.may_lose(value.at - _BEFORE, value.at + _BEFORE):
                 self._lost.undecided += 1
             else:
                 self._lost.check(False, f'{topic} {value.key}, sent at {value.at:.3f}')
 
 
 class GrowthCheck:
-    """Compares the bridge's memory, threads and files in the two halves of a storm."""
+    """Compares the least memory, threads and files of the bridge in the two halves of a storm."""
 
     def __init__(self, rig: Rig, duration: float) -> None:
-        self._rig = rig
         settling = min(_SETTLING, duration / 3)
-        self._began, self._half = time.monotonic() + settling, (duration - settling) / 2
-        self._most = [dict.fromkeys(_GROWTH, 0.0), dict.fromkeys(_GROWTH, 0.0)]
+        self._rig, self._half = rig, (duration - settling) / 2
+        self._began = time.monotonic() + settling
+        self._least = {name: [math.inf, math.inf] for name in _GROWTH}      # in each half
 
     def judge(self) -> None:
         """To be called every few seconds."""
-        seconds = time.monotonic() - self._began
-        if seconds > 0:
-            half = int(seconds > self._half)
-            for name, value in usage_of(self._rig.child_bridge.pid).items():
-                self._most[half][name] = max(self._most[half][name], value)
-                if half and self._most[0][name]:
-                    self._check(name, *(most[name] for most in self._most))
-
-    def _check(self, name: str, first: float, second: float) -> None:
-        noise, per_hour, unit = _GROWTH[name]
-        self._rig.row(f'no growth: {name}').at_most(
-            second - first, noise + per_hour * self._half / 3600, unit, f'from {first:.1f}')
+        halves = (time.monotonic() - self._began) / self._half
+        for name, value in usage_of(self._rig.child_bridge.pid).items() if halves > 0 else ():
+            least, (noise, per_hour, unit) = self._least[name], _GROWTH[name]
+            least[halves > 1] = min(least[halves > 1], value)
+            if max(least) < math.inf:
+                self._rig.row(f'no growth: {name}').at_most(
+                    least[1] - least[0], noise + per_hour * self._half / 3600, unit,
+                    f'from {least[0]:.1f}')

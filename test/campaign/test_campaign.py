@@ -283,3 +283,11 @@ def test_fence_of_a_board_that_never_echoes(line, silence, faults):
         bus.faults.clear()
         bus.read(codec.bus_frame(request, b''), bus.written_at + silence)
     assert len(bus.faults) == faults
+
+
+def test_line_witness_measures_how_long_the_kernel_moves_bytes(monkeypatch):
+    began, read = time.monotonic(), os.read
+    monkeypatch.setattr(witness.os, 'read', lambda fd, size: time.sleep(0.05) or read(fd, size))
+    one = witness.LineWitness()
+    until(lambda: one.longest(began, time.monotonic()) >= 0.05)
+    assert one.longest(began - 9.0, began - 8.0) == 0.0

@@ -77,8 +77,8 @@ class FakeRig:
         self.violated = []
         self.table.on_violation.append(lambda text, _example: self.violated.append(text))
 
-    def excuses(self, since, until, seconds=0.005):
-        return self.late >= seconds
+    def may_lose(self, since, until):
+        return self.late >= 0.2
 
     def in_time(self, required, since, until, limit, text):
         if self.late:
@@ -234,3 +234,14 @@ def test_after_a_disturbance_values_may_be_lost_only_until_the_next_one(rig):
     values.disturb('arduino', 0.45, 0.85)
     assert values.publish(0, 1, 2, 3, 4, 12, 13) == []
     assert values.publish(15) == [LOST]
+
+
+@pytest.mark.parametrize('growth, violated', [(0.9, []), (1.2, ['no growth: memory'])])
+def test_growth_between_the_halves(rig, monkeypatch, growth, violated):
+    rig.child_bridge, now = SimpleNamespace(pid=1), [0.0]
+    monkeypatch.setattr(storm_checks.time, 'monotonic', lambda: now[0])
+    check = storm_checks.GrowthCheck(rig, 90.0)
+    for now[0], memory in ((10.0, 9.0), (40.0, 50.0), (55.0, 60.0), (80.0, 50.0 + growth)):
+        monkeypatch.setattr(storm_checks, 'usage_of', lambda pid: {'memory': memory})
+        check.judge()
+    assert rig.violated == violated and rig.row('no growth: memory').checks == 1

@@ -4,10 +4,14 @@ As a program (arguments: a descriptor of shared memory, and a processor) it is s
 only sleeps, and notes when it woke up late. It uses no line and no ROS.
 """
 import os
+import pty
 import struct
 import sys
+import threading
 import time
-from typing import Callable
+import tty
+from collections import deque
+from typing import Callable, Deque, Tuple
 
 LATE = 0.005             # s: a process that wakes up later than that excuses the bridge …
 MARGIN = 0.05            # s … for what happened within this time of it
@@ -46,6 +50,33 @@ class Witness:
         records = os.pread(self._memory, _RECORD.size * _KEPT, _RECORD.size)
         return max((awake - due for due, awake in _RECORD.iter_unpack(records)
                     if awake > since - MARGIN and due < until + MARGIN), default=0.0)
+
+
+class LineWitness(threading.Thread):
+    """Sends itself bytes through a pseudo terminal: the kernel moves them in a thread of ordinary
+    priority. If that is late, a process that waits for bytes is, too."""
+
+    def __init__(self) -> None:
+        super().__init__(name='line witness', daemon=True)
+        self._late: Deque[Tuple[float, float]] = deque(maxlen=1000)     # written and read
+        self.start()
+
+    def run(self) -> None:
+        end, other = pty.openpty()
+        tty.setraw(other)
+        while True:
+            written = time.monotonic()
+            os.write(other, b'.')
+            os.read(end, 1)
+            now = time.monotonic()
+            if now - written > LATE:
+                self._late.append((written, now))
+            time.sleep(_PERIOD)
+
+    def longest(self, since: float, until: float) -> float:
+        """The longest time in s that a byte took in this time, or `MARGIN` beside it."""
+        return max((read - written for written, read in list(self._late)
+                    if read > since - MARGIN and written < until + MARGIN), default=0.0)
 
 
 if __name__ == '__main__':
