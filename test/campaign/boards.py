@@ -8,28 +8,39 @@ from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional, Tuple
 import by_definition as codec
 from .lines import Clock, SerialLine
 
-PERIOD = 0.01            # s from one heartbeat to the next
-COUNTER, WINCH = 60, 62  # custom messages of the car: a number that it sends, a command
+# s: silences that are a fence: after three lost ECHOs and a SYNC, of a board that never echoes.
+_SILENCE, _SHORT_SILENCE = 0.29, 0.019
+BEAT_MISSED = 0.03       # s without a heartbeat after which the board stops its motor
+# Custom messages of the car: a number, bytes and a sign of life that it sends, and two commands.
+COUNTER, BLOB, ALIVE, HEATER, WINCH = range(60, 65)
 CLIFF = 0x20             # a custom message of the sensor board
-PRESS, PROBE, DEPTH, HEIGHT = 0x60, 0x61, 0x70, 0x71     # custom functions of the bus board
+# Custom functions of the bus board.
+PRESS, PROBE, HALT, PUMP, DEPTH, HEIGHT = 0x60, 0x61, 0x62, 0x63, 0x70, 0x71
 MEMORY = 0xF0            # a function of the bus board that only raw requests use
+POLLS = codec.ENVIRONMENT, DEPTH, HEIGHT
+ANNOUNCE = 0xFF          # the function that returns a chunk of its announcement
+_NUMBER = {'ros_type': 'std_msgs/UInt32', 'layout': '<I', 'fields': ['data']}
+_TRIGGER = {'srv_type': 'std_srvs/Trigger', 'timeout': 0.3, 'repeatable': True}
 CUSTOM: Dict[str, Dict[str, Any]] = {    # parameters of the bridge that define these
     'arduino/messages': {
-        'counter': {'type': COUNTER, 'ros_type': 'std_msgs/UInt32', 'layout': '<I',
-                    'fields': ['data']},
+        'counter': {'type': COUNTER, **_NUMBER},
+        'blob': {'type': BLOB, 'ros_type': 'std_msgs/UInt8MultiArray', 'layout': '<B*',
+                 'fields': ['data']},
+        'alive': {'type': ALIVE, 'ros_type': 'std_msgs/Empty', 'layout': '<', 'fields': []},
+        'heater': {'type': HEATER, 'direction': 'to_board', 'ros_type': 'sensor_msgs/Temperature',
+                   'layout': '>H', 'fields': ['temperature']},
         'winch': {'type': WINCH, 'direction': 'to_board', 'ros_type': 'std_msgs/UInt16',
                   'layout': '>H', 'fields': ['data']}},
-    'mcu/messages': {
-        'cliff': {'type': CLIFF, 'ros_type': 'std_msgs/UInt32', 'layout': '<I',
-                  'fields': ['data']}},
+    'mcu/messages': {'cliff': {'type': CLIFF, **_NUMBER}},
     'bus/functions': {
         'press': {'cmd2': PRESS, 'srv_type': 'serial_communication/Lift', 'timeout': 0.3,
                   'request': {'layout': '<2B', 'fields': ['direction', 'distance']}},
-        'probe': {'cmd2': PROBE, 'srv_type': 'std_srvs/Trigger', 'timeout': 0.3,
-                  'repeatable': True}}}
+        'probe': {'cmd2': PROBE, **_TRIGGER},
+        'halt': {'cmd2': HALT, 'interrupts': True, **_TRIGGER}}}
 POLLED = {name: {'cmd2': cmd2, 'ros_type': 'std_msgs/UInt32', 'period': 0.1,
                  'reply': {'layout': '<I', 'fields': ['data']}}
           for name, cmd2 in (('depth', DEPTH), ('height', HEIGHT))}
+PUMP_ROW = b'pump: {cmd2: %d, srv_type: std_srvs/Trigger, timeout: 0.3}' % PUMP
 
 
 class Sent(NamedTuple):
@@ -40,27 +51,32 @@ class Sent(NamedTuple):
     wall: float      # time.time() before it was written
 
 
+_COMMANDS = {codec.SPEED: '<h', codec.STEERING: '<H', WINCH: '>H', HEATER: '>H'}
+_MEASUREMENTS = {codec.TICKS: ('~ticks', '<B'), codec.STEERING_ANGLE: ('~steering_angle', '<H'),
+                 COUNTER: ('~counter', '<I'), codec.VOLTAGE: ('~voltage', '<f'),
+                 codec.IMU: ('~imu', '>11h')}
+
+
 class Packet(NamedTuple):
-    """A packet that the bridge sent to the car."""
+    """A packet that the bridge sent to the car, and when it was read."""
 
     t: float
     type: int
     data: bytes
-    heartbeats: int      # received before it on this connection
+    beats: int           # heartbeats before it on this connection
     connection: int
 
     @property
     def number(self) -> int:
-        layout = {codec.SPEED: '<h', codec.STEERING: '<H', WINCH: '>H'}[self.type]
-        return struct.unpack(layout, self.data)[0]
+        """The number of the command; -1: it has none."""
+        if self.type == codec.LED:      # the text is a letter and the number
+            return int(self.data[1:-1]) if self.data[1:-1].isdigit() else -1
+        layout = _COMMANDS.get(self.type)
+        return struct.unpack(layout, self.data)[0] if layout else -1
 
     @property
     def is_stop(self) -> bool:
         return self.type == codec.SPEED and not self.number
-
-    def since(self, other: 'Packet') -> float:
-        """Seconds since the other packet, in heartbeats: at most one period too short."""
-        return (self.heartbeats - other.heartbeats) * PERIOD
 
 
 Key = Tuple[str, Any]     # a topic, and a value as robot.py converts it
@@ -68,17 +84,17 @@ Key = Tuple[str, Any]     # a topic, and a value as robot.py converts it
 
 def car_keys(frame: codec.Frame) -> List[Key]:
     """The topics and values that a packet of the car is published as."""
-    topic, layout = {
-        codec.TICKS: ('~ticks', '<B'), codec.STEERING_ANGLE: ('~steering_angle', '<H'),
-        COUNTER: ('~counter', '<I'), codec.VOLTAGE: ('~voltage', '<f'),
-        codec.IMU: ('~imu', '>11h')}.get(frame.type, ('', ''))
+    if frame.type == BLOB:
+        return [('~blob', frame.data)]
+    topic, layout = _MEASUREMENTS.get(frame.type, ('', ''))
     if not topic or len(frame.data) != struct.calcsize(layout):
         return []
     values = struct.unpack(layout, frame.data)
     if frame.type == codec.IMU:
-        return [('~imu', values[:10]), ('~imu/temperature', values[10])]
+        return [(topic, values[:10]), ('~imu/temperature', values[10]),
+                ('tf/imu_orientation', unit_key(values[:4]))]
     if frame.type == codec.VOLTAGE:
-        return [('~voltage', wire_number(values[0] * 1000))] if 0 <= values[0] <= 100 else []
+        return [(topic, wire_number(values[0] * 1000))] if 0 <= values[0] <= 100 else []
     return [(topic, values[0])]
 
 
@@ -86,21 +102,32 @@ def sensor_keys(frame: codec.Frame) -> List[Key]:
     """The topics and values that a frame of the sensor board is published as."""
     if frame.type == CLIFF and len(frame.data) == 4:
         return [('mcu/cliff', struct.unpack('<I', frame.data)[0])]
+    if frame.type == codec.ADC:
+        return [('mcu/adc_status', (frame.command, *struct.unpack('<6H', frame.data)))]
     if frame.type != codec.SENSORS:
         return []
-    one, two, yaw, pitch, roll = struct.unpack('<HHhhh', frame.data)
-    angles = angles_key((yaw if yaw >= -18000 else yaw + 65536, pitch, roll))
-    return [('mcu/status', (frame.number, one, two, angles)), ('mcu/range_1', range_key(one)),
-            ('mcu/range_2', range_key(two))]
+    one, two, *angles = struct.unpack('<HHhhh', frame.data)
+    attitude: List[Key] = []
+    if angles[1] == angles[2] == -32768:        # the angles are not known
+        angles = [None] * 3
+    else:
+        angles[0] += 0 if angles[0] >= -18000 else 65536
+        attitude = [(topic, (angles[0] % 36000, *angles[1:]))
+                    for topic in ('mcu/imu', 'tf/mcu_imu_orientation')]
+    valid = 0xFFFF not in (one, two) and None not in angles
+    return [('mcu/status', (frame.command, valid, one, two, tuple(angles))),
+            ('mcu/range_1', range_key(one)), ('mcu/range_2', range_key(two)), *attitude]
 
 
 def reply_keys(frame: codec.Frame) -> List[Key]:
     """The topics and values that a reply on the bus may be published as."""
     if frame.type == codec.OK and len(frame.data) == 6:
-        return [('~environment', struct.unpack('<HhH', frame.data))]
-    if frame.type == codec.OK and len(frame.data) == 4:
+        smoke, temperature, humidity = struct.unpack('<HhH', frame.data)
+        return [('~environment', (smoke, temperature, humidity)),
+                ('~environment/temperature', temperature), ('~environment/humidity', humidity)]
+    if frame.type == codec.OK and len(frame.data) == 4:     # the depth is always even
         number = struct.unpack('<I', frame.data)[0]
-        return [('~depth', number), ('~height', number)]
+        return [('~height' if number % 2 else '~depth', number)]
     return []
 
 
@@ -110,9 +137,10 @@ def wire_number(value: float) -> Any:
     return number if abs(value - number) < 0.02 else value
 
 
-def angles_key(angles: Tuple) -> Any:
-    """The angles, or None if one of them is unknown: then none of them is compared."""
-    return None if {None, -32768, 32768} & set(angles) else angles
+def unit_key(quaternion: Tuple[float, ...]) -> Tuple[int, ...]:
+    """The quaternion with a norm of 10000, rounded."""
+    norm = math.sqrt(sum(part * part for part in quaternion))
+    return tuple(round(part / norm * 1e4) for part in quaternion)
 
 
 def range_key(millimetres: int) -> Any:
@@ -134,14 +162,13 @@ class Board:
         self.sent: List[Sent] = []
         self.written: List[bytes] = []      # valid and invalid frames
         self._reader = codec.Reader(self.received_frame_at)
-        self.attach()
+        line.on_bytes, line.on_unplugged = self.read, self.start_connection
+        line.damage = lambda data: data
 
-    def attach(self) -> None:
-        self.line.on_bytes, self.line.on_unplugged = self._read, self.start_connection
-
-    def _read(self, data: bytes, now: float) -> None:
-        for frame in self._reader.feed(data, now):
-            self.received(frame, now)
+    def read(self, data: bytes, now: float) -> None:
+        frames = self._reader.feed(data, now)
+        for frame, at in zip(frames, self.line.written(len(frames), now)):
+            self.received(frame, at)
 
     def start_connection(self) -> None:
         self._reader.reset()
@@ -161,40 +188,70 @@ class Board:
         """Send a frame whose values have to be published."""
         wall = time.time()
         if self.write(data):
-            self.sent += [Sent(*key, wall) for frame in codec.decode(data, self.sent_frame_at)[0]
-                          for key in self.keys(frame)]
+            self._remember(data, wall)
+
+    def _remember(self, data: bytes, wall: float) -> None:
+        self.sent += [Sent(*key, wall) for frame in codec.decode(data, self.sent_frame_at)[0]
+                      for key in self.keys(frame)]
 
 
 class Car(Board):
-    """The model car."""
+    """The model car. It sends a sign of life each 0.1 s while `talks`.
+
+    Attributes:
+        gaps: between two heartbeats, if too long: when both were read.
+    """
 
     received_frame_at = sent_frame_at = staticmethod(codec.arduino_at)
     keys = staticmethod(car_keys)
 
-    def __init__(self, line: SerialLine) -> None:
+    def __init__(self, line: SerialLine, clock: Clock) -> None:
         super().__init__(line)
+        self.talks, self.quiet_until = True, 0.0
         self.packets: List[Packet] = []          # without heartbeats
-        self.heartbeats = 0                      # received on this connection
-        self.heartbeat_times: Deque[float] = deque(maxlen=6000)
+        self.beats = 0                           # heartbeats received on this connection
+        self.all_beats = 0
+        self.gaps: List[Tuple[float, float]] = []
+        self.longest_gap = 0.0                   # s, of the others
         self.first: Dict[int, Packet] = {}       # the first packet of each connection
+        self.first_beat = 0.0                    # when that of this connection was read
         self.ended: List[int] = []               # heartbeats of each connection that has ended
         self.on_packet: Callable[[Packet], None] = self.packets.append
-        self._number = 0
+        self.on_beat: Callable[[float], None] = lambda now: None
+        self._last_beat = float('inf')           # inf: a gap is no fault
+        self._clock, self._number = clock, 0
+        self._live()
+
+    def _live(self) -> None:
+        if self.talks and self.beats and time.monotonic() > self.quiet_until:
+            self.write(codec.arduino_packet(ALIVE))
+        self._clock.after(0.1, self._live)
 
     def start_connection(self) -> None:
         super().start_connection()
-        self.ended.append(self.heartbeats)
-        self.heartbeats = 0
-        self.heartbeat_times.clear()
+        self.ended.append(self.beats)
+        self.beats = 0
+        self.forget_beat()
+
+    def forget_beat(self) -> None:
+        """The gap between the previous heartbeat and the next one is no fault of the bridge."""
+        self._last_beat = float('inf')
 
     def received(self, frame: codec.Frame, now: float) -> None:
-        packet = Packet(now, frame.type, frame.data, self.heartbeats, self.connection)
+        packet = Packet(now, frame.type, frame.data, self.beats, self.connection)
         self.first.setdefault(self.connection, packet)
-        if frame.type == codec.HEARTBEAT:
-            self.heartbeats += 1
-            self.heartbeat_times.append(now)
-        else:
+        if frame.type != codec.HEARTBEAT:
             self.on_packet(packet)
+            return
+        self.first_beat = self.first_beat if self.beats else now
+        self.beats += 1
+        self.all_beats += 1
+        if now - self._last_beat >= BEAT_MISSED:
+            self.gaps.append((self._last_beat, now))
+        else:
+            self.longest_gap = max(self.longest_gap, now - self._last_beat)
+        self._last_beat = now
+        self.on_beat(now)
 
     def clear_records(self) -> None:
         super().clear_records()
@@ -215,11 +272,11 @@ class Car(Board):
     def measure(self) -> None:
         """Send one packet of each type, with the next number."""
         self._number = n = self._number + 1
-        self.send(codec.arduino_packet(codec.TICKS, bytes((n % 256,))))
-        self.send(codec.arduino_packet(codec.STEERING_ANGLE, struct.pack('<H', n % 1025)))
-        self.send(codec.arduino_packet(codec.VOLTAGE, struct.pack('<f', n % 90000 / 1000)))
-        self.send(codec.arduino_packet(COUNTER, struct.pack('<I', n)))
-        self.send(codec.arduino_packet(codec.IMU, struct.pack('>11h', *imu_values(n))))
+        for type_, *values in ((codec.TICKS, n % 256), (codec.STEERING_ANGLE, n % 1025),
+                               (codec.VOLTAGE, n % 90000 / 1000), (COUNTER, n),
+                               (codec.IMU, *imu_values(n))):
+            layout = _MEASUREMENTS[type_][1]
+            self.send(codec.arduino_packet(type_, struct.pack(layout, *values)))
 
 
 def imu_values(n: int) -> Tuple[int, ...]:
@@ -253,7 +310,10 @@ class Sensors(Board):
         ranges = n % 65535, 0xFFFF if n % 10 == 0 else n * 7 % 2500
         heading, pitch, roll = n * 37 % 36000, n % 9000 - 4500, -(n % 17000)
         wrapped = heading if heading <= 32767 else heading - 65536
+        if n % 7 == 0:
+            wrapped = pitch = roll = -32768
         self.send(self.frame(codec.SENSORS, struct.pack('<HHhhh', *ranges, wrapped, pitch, roll)))
+        self.send(self.frame(codec.ADC, struct.pack('<6H', *range(n, n + 6))))
 
     def cliff(self) -> None:
         self._number = n = self._number + 1
@@ -274,6 +334,9 @@ class Request(NamedTuple):
         return self.cmd2, self.data
 
 
+OK = b''         # in a reaction: the usual reply
+
+
 class Reaction(NamedTuple):
     """How a bus board reacts to a request."""
 
@@ -286,7 +349,10 @@ class BusBoard(Board):
 
     Attributes:
         react: if set, returns another reaction to a function; None: the usual one.
+        probe: likewise to SYNC and ECHO.
         in_step: False after a reset, until a SYNC.
+        lost_echoes: ECHOs since the latest one that returned.
+        checked, faults: requests that needed a fence, and what was wrong about it.
     """
 
     received_frame_at = staticmethod(codec.request_at)
@@ -298,21 +364,62 @@ class BusBoard(Board):
         self.requests: List[Request] = []
         self.executed: 'Counter[Tuple[int, bytes]]' = Counter()
         self.react: Optional[Callable[[Request], Optional[Reaction]]] = None
-        self.in_step = True
+        self.probe: Optional[Callable[[Request], Optional[Reaction]]] = None
+        self.in_step, self.lost_echoes = True, 0
+        self.announces = b''
         self.readings = 0
+        self.checked, self.faults = 0, deque(maxlen=100)      # type: int, Deque[str]
         self.on_request: Callable[[Request], None] = self.requests.append
+        self.written_at = 0.0
         self._clock = clock
         self._free_at = 0.0      # when the last delayed reply is written
         self._delayed: Deque[Tuple[int, bytes]] = deque()
+        self._before: Optional[Request] = None
+        self._has_echoed = False     # on this connection
+        self._nonces: Deque[bytes] = deque(maxlen=1000)
+        self._echoed: Deque[bytes] = deque(maxlen=100)      # replies to ECHO that were written
+
+    def count(self, cmd2: int) -> int:
+        """How many requests of this function were received."""
+        return [each.cmd2 for each in self.requests].count(cmd2)
 
     def received(self, frame: codec.Frame, now: float) -> None:
         request = Request(now, *frame.content, self.connection)
+        self._check_fence(request)
         self.on_request(request)
         reaction = self._reaction(request)
         if reaction.executes:
             self.executed[request.key] += 1
         for seconds, reply in reaction.replies:
-            self._write_in_order(seconds, reply)
+            self._write_in_order(seconds, reply or self.ok_reply(request))
+
+    def _check_fence(self, request: Request) -> None:
+        before, self._before = self._before, request
+        if request.cmd1 == codec.ECHO:
+            if len(request.data) != 4 or request.data in self._nonces:
+                self.faults.append(f'the nonce of {request} is not new, or has not 4 bytes')
+            self._nonces.append(request.data)
+            self.lost_echoes += 1
+        elif request.cmd1 != codec.SYNC and request.cmd2 != HALT:      # a stop needs no fence
+            self.checked += 1
+            is_same_poll = before and before.key == request.key and request.cmd2 in POLLS
+            is_echoed = before and before.cmd1 == codec.ECHO and before.data in self._echoed
+            if not is_same_poll and not is_echoed and not self._is_silent(before, request.t):
+                self.faults.append(f'{request} came behind {before}')
+
+    def _is_silent(self, before: Optional[Request], now: float) -> bool:
+        """Whether a silence is the fence: after three lost ECHOs and a SYNC, or of a board that
+        never echoes."""
+        least = _SILENCE if before and before.cmd1 == codec.SYNC else (
+            math.inf if self._has_echoed else _SHORT_SILENCE)
+        return self.lost_echoes >= 3 and now - self.written_at >= least
+
+    def write(self, data: bytes) -> bool:
+        self.written_at = time.monotonic()
+        if data[2:3] == bytes((codec.ECHO,)):
+            self._echoed.append(data[3:-1])
+            self.lost_echoes, self._has_echoed = 0, True
+        return super().write(data)
 
     def _write_in_order(self, seconds: float, reply: bytes) -> None:
         """A line keeps the order of its bytes: a delayed reply delays all later ones."""
@@ -332,36 +439,48 @@ class BusBoard(Board):
 
     def start_connection(self) -> None:
         super().start_connection()
-        self._free_at = 0.0
+        self._free_at, self._before = 0.0, None
+        self.lost_echoes, self._has_echoed = 0, False
 
     def clear_records(self) -> None:
         super().clear_records()
         self.requests.clear()
         self.executed.clear()
 
+    def usual(self) -> None:
+        """React as usual from now on."""
+        self.react, self.probe, self.in_step = None, None, True
+
     def _reaction(self, request: Request) -> Reaction:
-        if request.cmd1 == codec.SYNC:
-            self.in_step = True
-            return Reaction([(0, reply_frame(codec.SYNC))])
-        if not self.in_step:
-            return Reaction([(0, reply_frame(codec.INVALID, bytes((codec.NOT_SYNCHRONISED,))))])
-        if request.cmd1 == codec.ECHO:
-            return Reaction([(0, reply_frame(codec.ECHO, request.data))])
-        other = self.react(request) if self.react else None
-        return other or Reaction([(0, self.ok_reply(request))], True)
+        is_function = request.cmd1 == codec.FUNCTION
+        self.in_step = self.in_step or request.cmd1 == codec.SYNC
+        if not is_function and self.probe:
+            other = self.probe(request)
+        elif not self.in_step:
+            other = Reaction([(0, reply_frame(codec.INVALID, bytes((codec.NOT_SYNCHRONISED,))))])
+        elif request.cmd2 == ANNOUNCE:
+            other = self._chunk(request.data[0])
+        else:
+            other = self.react(request) if is_function and self.react else None
+        return other or Reaction([(0, OK)], is_function)
+
+    def _chunk(self, index: int) -> Reaction:
+        chunks = codec.announcement(self.announces, 30)
+        end = reply_frame(codec.ERROR, struct.pack('<H', 0x8000))
+        return Reaction([(0, reply_frame(codec.OK, chunks[index]) if index < len(chunks) else end)])
 
     def ok_reply(self, request: Request) -> bytes:
+        if request.cmd1 != codec.FUNCTION:
+            return reply_frame(request.cmd1, request.data)
+        if request.cmd2 not in POLLS:
+            return reply_frame(codec.OK, request.data if request.cmd2 == MEMORY else b'')
+        self.readings = n = self.readings + 1
+        data = struct.pack('<I', 2 * n + (request.cmd2 == HEIGHT))      # the depth is always even
         if request.cmd2 == codec.ENVIRONMENT:
-            self.readings = n = self.readings + 1
-            values = n % 65536, n % 20000 - 4000, n % 10001
-            self.sent.append(Sent('~environment', values, time.time()))
-            return reply_frame(codec.OK, struct.pack('<HhH', *values))
-        if request.cmd2 in (DEPTH, HEIGHT):     # the depth is always even, the height odd
-            self.readings += 1
-            n = 2 * self.readings + (request.cmd2 == HEIGHT)
-            self.sent.append(Sent('~depth' if request.cmd2 == DEPTH else '~height', n, time.time()))
-            return reply_frame(codec.OK, struct.pack('<I', n))
-        return reply_frame(codec.OK, request.data if request.cmd2 == MEMORY else b'')
+            data = struct.pack('<HhH', n % 65536, n % 20000 - 4000, n % 10001)
+        reply = reply_frame(codec.OK, data)
+        self._remember(reply, time.time())
+        return reply
 
 
 def reply_frame(cmd1: int, data: bytes = b'') -> bytes:

@@ -1,78 +1,177 @@
-"""The fault campaign; arguments.py says what it does."""
+"""Runs the parts of the campaign, and prints the table of the results."""
 import contextlib
+import math
 import os
 import signal
 import sys
 import time
 from argparse import Namespace
-from typing import Optional
+from typing import Any, Dict, Iterable, Iterator, NamedTuple, Optional, Tuple
 
 from processes import StageError
 from serial_communication.output import prepare_output
-from . import exact
+from . import exact_bus, exact_car, exact_data, exact_faults, exact_node
+from .lines import NetworkLine
 from .requirements import Table
-from .rig import Rig
+from .rig import NAMES, Rig, Scenario
 from .storm import Storm
 
-_STORM_DURATION = 1800.0     # s of the statistical part between two exact parts
+_ROUND = 3600.0              # s of the statistical part between two exact parts
+_ATTEMPTS = 3                # at a scenario of which the machine has spoiled a check
 _TABLE_PERIOD = 10.0         # s
+_PRIORITY = 2                # real-time, above the bridge's threads, below its heartbeat
+_SWITCH_INTERVAL = 5e-4      # s, of Python's threads
+
+
+class Group(NamedTuple):
+    """Scenarios of the exact part with one bridge."""
+
+    scenarios: Tuple[Scenario, ...]
+    parameters: Dict[str, Any] = {}
+    network: bool = False       # whether the boards are behind networks
+    events: Tuple[str, ...] = ()    # patterns; if all scenarios were run, its log has each
+
+
+GROUPS = (
+    Group((*exact_bus.SERIAL, *exact_car.SERIAL, *exact_data.SERIAL, *exact_faults.SERIAL,
+           *exact_node.SERIAL), events=(
+        'arduino: speed \\d+ refused: .*clos', 'arduino: speed \\d+ refused: its stamp',
+        'arduino: .* refused: .*latches', 'arduino: .* refused: .*old connection',
+        'arduino: .* refused: .*calibrates', 'arduino: LED .*refused', 'arduino: .*stalled for',
+        'arduino: no speed command for 0.5 s', 'arduino: speed 5000 is out of range',
+        'arduino: the port takes no data', 'arduino: the port closed while the car may',
+        'arduino: .*announces hoist_70, gauge_71', 'arduino: .*winch.* left out',
+        'arduino: framing', 'arduino: length', 'arduino: unknown type', 'arduino: implausible',
+        'arduino: oversize', 'mcu: checksum', 'mcu: framing', 'mcu: length', 'bus: checksum',
+        'bus: out of step', 'bus: no reply to', 'bus: the board does not answer ECHO',
+        'mcu: .*silent', 'mcu: .* back', '(?s)open.*open.*open')),
+    Group((exact_node.killed,)),
+    Group((exact_bus.polls, exact_bus.announced), exact_node.POLLING),
+    Group((exact_node.ends,)),
+    Group((*exact_faults.NETWORK, exact_node.ends), network=True))
 
 
 def main(options: Namespace) -> int:
     prepare_output()
     for number in signal.SIGTERM, signal.SIGHUP:
         signal.signal(number, signal.default_int_handler)    # as Ctrl-C, so that children are ended
-    table = Table()
-    rig = None
+    # Read what the bridge writes at once, also while the machine is busy, if the system allows it.
+    # All threads of this process inherit this, its children do not.
+    sys.setswitchinterval(_SWITCH_INTERVAL)
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
+    table, rig, status, error_text = Table(), None, 0, ''
     try:
         print(f'seed {options.seed}', file=sys.stderr)
         rig = Rig(table, options.keep, options.bridge)
-        with rig:
+        table.on_violation.append(lambda text, _example: text == options.until and _stop())
+        with rig, rig.clock.each(_TABLE_PERIOD, lambda: _write_table(rig)):
             print('starting', file=sys.stderr)
-            _write_table_regularly(rig)
             _run(rig, options)
-        status, error_text = 0, ''
     except KeyboardInterrupt:
         status, error_text = 130, 'stopped'
     except StageError as error:
         status, error_text = 2, f'the campaign does not work: {error}'
-    violated = _report(table, rig, options)
+    _report(table, rig, options.json)
     print(error_text, end='\n' if error_text else '', file=sys.stderr)
-    return status or int(violated)
+    return status or int(bool(table.failed))
 
 
-def _run(rig: Rig, options) -> None:
-    left, number = options.duration, 0
-    while True:
-        if options.part != 'storm':
-            exact.run(rig, '' if options.part == 'all' else options.part)
-        if options.part not in ('all', 'storm'):
-            return
-        storm = Storm(rig, min(left, _STORM_DURATION), f'{options.seed} {number}', options.busy)
-        exact.carry_out(rig, [storm])
-        rig.end_bridge()
-        left, number = left - _STORM_DURATION, number + 1
-        if left <= 0:
-            return
+def _stop() -> None:
+    """As Ctrl-C, from any thread."""
+    os.kill(os.getpid(), signal.SIGINT)
 
 
-def _write_table_regularly(rig: Rig) -> None:
+def _run(rig: Rig, options: Namespace) -> None:
+    if options.part not in ('all', 'storm'):
+        run_exact(rig, '' if options.part == 'exact' else options.part)
+        return
+    for number in range(math.ceil(options.duration / _ROUND)):
+        if options.part == 'all':
+            run_exact(rig)
+        run_storm(rig, min(_ROUND, options.duration - number * _ROUND),
+                  f'{options.seed} {number}', options.busy)
+
+
+def run_exact(rig: Rig, only: str = '') -> None:
+    """Run all scenarios, or those with `only` in their names."""
+    rig.table.part = 'exact'
+    rig.table.runs['exact'] += not only
+    for group in GROUPS:
+        scenarios = [each for each in group.scenarios if only in name_of(each)]
+        if not scenarios:
+            continue
+        with _lines(rig, group.network):
+            rig.start(group.parameters)
+            first = rig.bridge_number
+            carry_out(rig, scenarios)
+        if len(scenarios) == len(group.scenarios):
+            rig.logs.check_events(range(first, rig.bridge_number + 1), group.events)
+
+
+def run_storm(rig: Rig, duration: float, seed: str, busy: int) -> None:
+    """One half on serial lines, the other half with the boards behind networks."""
+    rig.table.part = 'storm'
+    for network in (False, True):
+        with _lines(rig, network):
+            carry_out(rig, [Storm(rig, duration / 2, f'{seed} {network}', busy)])
+    rig.table.runs['storm'] += duration / 60
+
+
+@contextlib.contextmanager
+def _lines(rig: Rig, network: bool) -> Iterator[None]:
+    """New boards at the usual lines, or behind networks, and at the end no bridge."""
+    before = rig.lines
+    rig.use_lines({name: NetworkLine(rig.path(name)) for name in NAMES} if network else before)
+    yield
+    rig.end_bridge()
+    rig.use_lines(before)
+
+
+def name_of(scenario: Scenario) -> str:
+    return f"{scenario.__module__.rpartition('.')[2]}.{scenario.__name__}"
+
+
+def carry_out(rig: Rig, scenarios: Iterable[Scenario]) -> None:
+    """Run them one after the other; those of the exact part again if a check was not decided."""
+    for scenario in scenarios:
+        for _ in range(1 if isinstance(scenario, Storm) else _ATTEMPTS):
+            undecided = rig.table.undecided
+            _carry_out_once(rig, scenario)
+            if rig.table.undecided == undecided:
+                break
+
+
+def _carry_out_once(rig: Rig, scenario: Scenario) -> None:
+    """After an exception, which is a violation, there is a new bridge."""
+    print(f'{name_of(scenario)} ...', file=sys.stderr)
+    began, error_text = time.monotonic(), ''
+    try:
+        scenario(rig)
+    except Exception as error:  # pylint: disable=broad-except
+        error_text = f'{type(error).__name__}: {error}'
+    rig.row('every scenario runs to its end').check(
+        not error_text, f'{name_of(scenario)}: {error_text}')
+    print(f'    {time.monotonic() - began:.1f} s {error_text}', file=sys.stderr)
+    if error_text:
+        rig.restore()
+    rig.check_always()
+
+
+def _write_table(rig: Rig) -> None:
     with contextlib.suppress(OSError):      # the folder is deleted at the end
         with open(rig.path('table~'), 'w') as file:
-            print(time.strftime('%F %T'), rig.table.render(), rig.table.summary(), sep='\n',
-                  file=file)
+            print(time.strftime('%F %T'), rig.table, sep='\n', file=file)
         os.replace(rig.path('table~'), rig.path('table.txt'))
-    rig.clock.after(_TABLE_PERIOD, lambda: _write_table_regularly(rig))
 
 
-def _report(table: Table, rig: Optional[Rig], options) -> bool:
-    """Print the table. Keep the records if a requirement was violated, which is returned."""
-    print(table.render(), table.summary(), sep='\n')
-    if options.json:
-        with open(options.json, 'w') as file:
+def _report(table: Table, rig: Optional[Rig], json_file: str) -> None:
+    """Print the table. Keep the records unless it is green."""
+    print(table)
+    if json_file:
+        with open(json_file, 'w') as file:
             file.write(table.as_json())
-    if table.violated:
-        print(f'records: {rig.folder}')
+    if table.failed:
+        print(f'records: {rig.folder}' if rig else 'no records', file=sys.stderr)
     elif rig:
         rig.discard()
-    return bool(table.violated)

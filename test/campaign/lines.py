@@ -1,17 +1,20 @@
 """The lines to the bridge, held at their far ends. All that can happen to a line is a method."""
 import contextlib
+import ctypes
 import itertools
 import os
 import pty
 import sched
 import select
 import socket
-import termios
+import struct
 import threading
 import time
 import tty
-from typing import Callable
+from typing import Any, Callable, Iterator, List
 
+_LIBC = ctypes.CDLL(None)
+_MODIFIED = 2            # an event of inotify
 _POLL = 20               # ms that a reader waits at most until it checks the line's state
 _TICK = 0.002            # s
 _SIZE = 65536            # bytes of one read
@@ -33,6 +36,21 @@ class Clock(threading.Thread):
     def at(self, when: float, action: Callable[[], None]) -> None:
         self._due.enterabs(when, next(self._numbers), action)
 
+    @contextlib.contextmanager
+    def each(self, period: float, action: Callable[[], Any]) -> Iterator[None]:
+        """Call this now and then each `period` s, until the end of the block."""
+        active = [True]
+
+        def act() -> None:
+            if active:
+                action()
+                self.after(period, act)
+        act()
+        try:
+            yield
+        finally:
+            active.clear()
+
     def run(self) -> None:
         while True:
             self._due.run(blocking=False)
@@ -42,13 +60,14 @@ class Clock(threading.Thread):
 class SerialLine(threading.Thread):
     """A pseudo terminal with a fixed name, `port`, which the bridge opens.
 
+    The kernel moves its bytes in a thread of ordinary priority, so on a busy machine they are read
+    late, by up to 0.2 s. But it tells at once (inotify) when a program has written to the device.
+
     Attributes:
         on_bytes: called with what the bridge wrote, and when it was read by `time.monotonic`.
         on_unplugged: called when the line is unplugged.
         damage: returns what the bridge receives for bytes that the board sends.
     """
-
-    _is_network = False
 
     def __init__(self, path: str) -> None:
         super().__init__(name=os.path.basename(path), daemon=True)
@@ -58,24 +77,29 @@ class SerialLine(threading.Thread):
         self.damage: Callable[[bytes], bytes] = lambda data: data
         self.frozen = False
         self._master = self._listener = -1
-        self._device = ''        # name of `_slave`, which is the bridge's end
+        self._device = ''        # name of `slave`, which is the bridge's end
         self._lock = threading.RLock()
         self._bytes_read = 0
+        self._writes: List[float] = []      # when the bridge wrote, since the latest frame was read
+        self._events = _LIBC.inotify_init1(0)
+        threading.Thread(target=self._note_writes, name=f'{self.name}~', daemon=True).start()
         self.plug()
         self.start()
 
     def plug(self, another_name: bool = False) -> None:
         """Make the port appear; with `another_name` it is another device than before."""
         with self._lock:
-            self._master, self._slave = pty.openpty()
-            if another_name and os.ttyname(self._slave) == self._device:
-                spare = self._master, self._slave
-                self._master, self._slave = pty.openpty()
+            self._master, self.slave = pty.openpty()
+            if another_name and os.ttyname(self.slave) == self._device:
+                spare = self._master, self.slave
+                self._master, self.slave = pty.openpty()
                 for fd in spare:
                     os.close(fd)
-            self._device = os.ttyname(self._slave)
-            tty.setraw(self._slave)
+            self._device = os.ttyname(self.slave)
+            tty.setraw(self.slave)
             os.set_blocking(self._master, False)
+            self._writes.clear()
+            _LIBC.inotify_add_watch(self._events, self._device.encode(), _MODIFIED)
             os.symlink(self._device, self.port + '~')
             os.replace(self.port + '~', self.port)
 
@@ -83,7 +107,7 @@ class SerialLine(threading.Thread):
         """Make the port disappear, with all bytes on their way."""
         with self._lock:
             os.unlink(self.port)
-            os.close(self._slave)
+            os.close(self.slave)
             self.frozen = False
             self._end()
 
@@ -99,21 +123,24 @@ class SerialLine(threading.Thread):
         while self.fill():      # until no more bytes leave the line
             time.sleep(_PTY_DELAY)
 
-    def fill(self) -> int:
+    def fill(self, most: int = 1 << 20) -> int:
         """Write 0x00, which has no effect, until the line is full; return how many bytes fitted."""
         fd, size = os.open(self.port, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK), 0
         for piece in 4096, 256, 1:      # a smaller piece may fit where a larger one does not
             with contextlib.suppress(BlockingIOError):
-                while True:
+                while size < most:
                     size += os.write(fd, bytes(piece))
         os.close(fd)
         return size
 
-    def set_flow(self, flows: bool) -> None:
-        """Flow control: whether the bridge's end sends anything."""
-        termios.tcflow(self._slave, termios.TCOON if flows else termios.TCOOFF)
+    def hang(self) -> None:
+        """Read nothing any more, but let the line take bytes, behind those that can be read: only
+        what waits behind them can be dropped."""
+        self.frozen = True
+        self.fill(2 * 4096)
 
     def thaw(self) -> None:
+        self._writes.clear()
         self.frozen = False
 
     def drain(self) -> None:
@@ -129,8 +156,7 @@ class SerialLine(threading.Thread):
         with self._lock:
             data = self.damage(data)
             try:
-                is_up = self.plugged and not (self._is_network and self.frozen)
-                return is_up and os.write(self._master, data) == len(data)
+                return os.write(self._master, data) == len(data)
             except OSError:
                 return False
 
@@ -147,25 +173,42 @@ class SerialLine(threading.Thread):
                 self._bytes_read += len(data)
                 self.on_bytes(data, time.monotonic())
 
+    def _note_writes(self) -> None:
+        while True:
+            events, now = os.read(self._events, 4096), time.monotonic()
+            for _watch, kind, _cookie, _size in struct.iter_unpack('iIII', events):
+                if kind == _MODIFIED and not self.frozen:
+                    self._writes.append(now)
+
+    def written(self, frames: int, now: float) -> List[float]:
+        """When the bridge wrote so many frames that are read now: its latest writes until now. A
+        frame that is read before its write is known has the time of the read."""
+        times: List[float] = []
+        if frames:
+            times, self._writes = self._writes[-frames:], []
+        return times + [now] * (frames - len(times))
+
     def run(self) -> None:
         while True:
             fd = self._master if self.plugged else self._listener
             if fd < 0 or self.frozen:
                 time.sleep(_POLL / 1000)
-            elif _ready(fd, select.POLLIN, _POLL):
+            elif _events(fd, _POLL):
                 self.read_all()
 
     def _end(self) -> None:
         with self._lock:
-            os.close(self._master)
-            self._master = -1
-            self.on_unplugged()
+            if self.plugged:
+                os.close(self._master)
+                self._master = -1
+                self.on_unplugged()
 
 
-def _ready(fd: int, events: int, milliseconds: int) -> bool:
+def _events(fd: int, milliseconds: int) -> int:
+    """What poll() reports for this descriptor; it waits for bytes to read."""
     poll = select.poll()
-    poll.register(fd, events)
-    return bool(poll.poll(milliseconds))
+    poll.register(fd, select.POLLIN | select.POLLRDHUP)
+    return sum(event for _fd, event in poll.poll(milliseconds))
 
 
 class NetworkLine(SerialLine):
@@ -174,13 +217,27 @@ class NetworkLine(SerialLine):
     If a connection ends while the network is frozen, its unread bytes are lost.
     """
 
-    _is_network = True
-
     def plug(self, another_name: bool = False) -> None:
+        if self._listener >= 0:
+            return
         self._server = socket.create_server(('127.0.0.1', 0))
         self._server.setblocking(False)
         self._listener = self._server.fileno()
         self.port = f'socket://127.0.0.1:{self._server.getsockname()[1]}'
+
+    def unplug(self) -> None:
+        """Close the connection; the server accepts another one."""
+        with self._lock:
+            self.frozen = False
+            self._end()
+
+    def write(self, data: bytes) -> bool:
+        return not self.frozen and super().write(data)
+
+    def shut_down(self) -> None:
+        """End the connection as a program does that sends no more, but reads on: no reset."""
+        with socket.socket(fileno=os.dup(self._master)) as connection:
+            connection.shutdown(socket.SHUT_WR)
 
     def lose_connection(self) -> None:
         """Forget the connection without closing it, so the bridge is not notified."""
@@ -191,13 +248,15 @@ class NetworkLine(SerialLine):
     def freeze(self) -> None:
         self.frozen = True
 
+    hang = freeze
+
     def thaw(self) -> None:
         with self._lock:
             self.frozen = False
             self._end_if_closed()
 
     def _end_if_closed(self) -> None:
-        if self.plugged and _ready(self._master, select.POLLRDHUP, 0):
+        if self.plugged and _events(self._master, 0) & select.POLLRDHUP:
             self._end()
 
     def read_all(self) -> None:
@@ -210,5 +269,5 @@ class NetworkLine(SerialLine):
                 connection.setblocking(False)
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 self._master = connection.detach()
-                self._end_if_closed()       # it was closed while the network was frozen
+                self._end_if_closed()       # while the network was frozen
             super().read_all()

@@ -1,15 +1,19 @@
-"""What the bridge and the sleeper log, read while they write it."""
+"""What the bridge logs, read while it writes it."""
 import glob
 import os
 import re
 import time
-from collections import deque
-from typing import Any, Callable, Deque, Dict, List, Tuple
+from pathlib import Path
+from typing import Callable, Dict, Iterable, List, Tuple
 
-LATE = 0.01          # s: a wake-up of the sleeper that is later is logged
-_LATE_KEPT = 5000    # late wake-ups: those of the last 100 s or more
+from .requirements import Requirement
+
 _LINE = re.compile(r'\[(.*?)\]\[\w+\] (\d{4}-\d\d-\d\d \d\d:\d\d:\d\d),(\d{3}): (.*)')
 _VARYING = re.compile(r'"[^"]*"|/\S+|\b(0x)?[0-9a-f]*\d[0-9a-f.]*\b|\b[0-9a-f]{6,}\b')
+# What rospy's handlers print: the colour, the level and the time.
+_TERMINAL = re.compile(r'(\x1b\[\d*m)?\[(DEBUG|INFO|WARN|ERROR|FATAL)\] \[|(\x1b\[0m)?$')
+# Each text of a board is logged.
+_BY_BOARD = re.compile('says: |announces |(the|an) announced row')
 _PERIOD, _JITTER = 10.0, 0.25     # s between two lines of a cause; of the log's clock
 _LINKS = 'bus', 'arduino', 'mcu'
 
@@ -17,7 +21,7 @@ _LINKS = 'bus', 'arduino', 'mcu'
 def cause_of(text: str) -> Tuple[str, str]:
     """(link, cause) of a log line: its words without what differs each time."""
     link, _colon, rest = text.partition(': ')
-    if link not in _LINKS or rest.startswith('says: '):
+    if link not in _LINKS or _BY_BOARD.match(rest):
         return '', ''
     rest = re.sub(r' \(and \d+ more like it\)$', '', rest)
     rest = re.sub(r'^(speed|steering|LED) .*?refused: ', r'\1 refused: ', rest)
@@ -36,40 +40,38 @@ class NewLines:
     def read(self) -> List[str]:
         with open(self._path, 'rb') as file:
             file.seek(self._position)
-            data = file.read()
-        complete = data[:data.rfind(b'\n') + 1]
-        self._position += len(complete)
+            complete = file.read().rpartition(b'\n')[0]
+        self._position += len(complete) + bool(complete)
         return complete.decode(errors='replace').splitlines()
 
 
-class LateWakeUps:
-    """The latest entries in the log of the sleeper; older ones are forgotten."""
-
-    def __init__(self, path: str) -> None:
-        self._lines = NewLines(path)
-        self._entries: Deque[Tuple[float, ...]] = deque(maxlen=_LATE_KEPT)
-
-    def longest(self, since: float) -> float:
-        """The longest delay of a wake-up since then, in s."""
-        self._entries.extend(tuple(map(float, line.split())) for line in self._lines.read())
-        return max((late for due, late in self._entries if due >= since), default=0.0)
-
-
 class LogCheck:
-    """Checks the log files of all bridges in `folder`; `require` adds a requirement."""
+    """Checks the log files and the terminal output of all bridges in `folder`."""
 
-    def __init__(self, folder: str, require: Callable[[str, str], Any]) -> None:
+    def __init__(self, folder: str, row: Callable[[str], Requirement]) -> None:
         self.folder = folder
-        self._rate = require('node', 'at most one log line in 10 s for each cause and link')
-        self._faults = require('node', 'no traceback and no stuck link in the log')
+        self._rate = row('at most one log line in 10 s for each cause and link')
+        self._faults = row('no traceback and no stuck link in the log')
+        self._terminal = row('the terminal shows the log and nothing else')
+        self._events = row('what happened is in the log')
         self._files: Dict[str, NewLines] = {}
         self._last: Dict[Tuple[str, str, str], float] = {}     # by file, link and cause
         self._by_bridge = True      # whether the bridge wrote the latest line, not rospy
 
     def check_new_lines(self) -> None:
-        for path in glob.glob(os.path.join(self.folder, 'bridge_*.log')):
+        for path in glob.glob(os.path.join(self.folder, 'bridge_*')):
             for line in self._files.setdefault(path, NewLines(path)).read():
-                self._check_line(path, line)
+                if path.endswith('.log'):
+                    self._check_line(path, line)
+                else:
+                    self._terminal.check(_TERMINAL.match(line), f'{path}: {line}')
+
+    def check_events(self, bridges: Iterable[int], patterns: Iterable[str]) -> None:
+        """Check that the logs of these bridges have a line for each of these patterns."""
+        text = ''.join(Path(self.folder, f'bridge_{number}.log').read_text(errors='replace')
+                       for number in bridges)
+        for pattern in patterns:
+            self._events.check(re.search(pattern, text), f'no line matches {pattern}')
 
     def _check_line(self, path: str, line: str) -> None:
         match = _LINE.match(line)
@@ -79,9 +81,8 @@ class LogCheck:
         link, cause = cause_of(match.group(4)) if match else ('', '')
         if not link:
             return
-        now = time.mktime(time.strptime(match.group(2), '%Y-%m-%d %H:%M:%S')) \
-            + int(match.group(3)) / 1000
+        now = time.mktime(time.strptime(match.group(2), '%Y-%m-%d %H:%M:%S'))
+        now += int(match.group(3)) / 1000
         before = self._last.get((path, link, cause), float('-inf'))
         self._last[path, link, cause] = now
-        self._rate.check(now - before >= _PERIOD - _JITTER,
-                         f'{now - before:.2f} s after the previous one: {line}')
+        self._rate.check(now - before >= _PERIOD - _JITTER, f'{now - before:.2f} s later: {line}')

@@ -1,27 +1,30 @@
 """The requirements that a campaign checks, their results, and the table of them."""
 import json
+import math
 import threading
 import time
+from pathlib import Path
 from typing import Any, Callable, Dict, List, Tuple
 
 from processes import Stage, StageError
 
 MAX_WAIT = 30.0      # s for an event without a limit of its own; only a failure takes so long
 _EXAMPLES = 4        # violations of a requirement that are kept and printed
+_UNDECIDED = 0.05    # share of the checks that may be undecided …
+_FEW = 2             # … and so many in any case
 
 
 class Requirement:
-    """One requirement and the results of its checks; if `counted`, only a number of events."""
+    """One requirement and the results of its checks."""
 
-    def __init__(self, group: str, text: str, counted: bool = False) -> None:
-        self.group, self.text, self.counted = group, text, counted
-        self.checks = 0
-        self.violations = 0
-        self.undecided = 0      # checks without a result
+    def __init__(self, table: 'Table', part: str, group: str, text: str, least: int) -> None:
+        self._table, self._part, self._least = table, part, least
+        self.group, self.text = group, text
+        self.checks = self.violations = 0
+        self.undecided = 0      # checks without a result, since a witness was late, too
         self.examples: List[str] = []       # descriptions of the first violations
         self.violated_at = 0.0
-        self.worst = float('-inf')
-        self._unit = ''
+        self.worst, self._unit = float('-inf'), ''
         self._lock = threading.Lock()
 
     def check(self, holds: Any, text: str) -> bool:
@@ -31,8 +34,10 @@ class Requirement:
             if not holds:
                 self.violated_at = self.violated_at or time.monotonic()
                 self.violations += 1
-                if len(self.examples) < _EXAMPLES:
-                    self.examples.append(text[:300])
+                self.examples += [text[:300]] if len(self.examples) < _EXAMPLES else []
+        if not holds:
+            for on_violation in list(self._table.on_violation):
+                on_violation(self.text, text)
         return bool(holds)
 
     def at_most(self, value: float, limit: float, unit: str, text: str) -> bool:
@@ -43,10 +48,10 @@ class Requirement:
     def keep_worst(self, value: float, unit: str) -> None:
         self.worst, self._unit = max(self.worst, value), unit
 
-    def wait(self, condition: Callable[[], Any], text: str) -> Any:
-        """Check that `condition()` becomes true within `MAX_WAIT`; StageError if it does not."""
+    def wait(self, condition: Callable[[], Any], text: str, seconds: float = MAX_WAIT) -> Any:
+        """Check that `condition()` becomes true within `seconds`; StageError if it does not."""
         try:
-            value = Stage.wait(condition, text, MAX_WAIT)
+            value = Stage.wait(condition, text, seconds)
         except StageError as error:
             self.check(False, str(error))
             raise
@@ -57,57 +62,105 @@ class Requirement:
     def worst_case(self) -> str:
         return f'{self.worst:.4g} {self._unit}' if self.worst > float('-inf') else ''
 
-
-class Table:
-    """All requirements, by group, in the order in which they were first used."""
-
-    def __init__(self) -> None:
-        self._requirements: Dict[Tuple[str, str], Requirement] = {}
-        self._began = time.monotonic()
-
-    def require(self, group: str, text: str, counted: bool = False) -> Requirement:
-        """Return this requirement; add it if it is new."""
-        return self._requirements.setdefault((group, text), Requirement(group, text, counted))
+    @property
+    def least(self) -> int:
+        """How often it should have been checked until now."""
+        return math.floor(self._least * self._table.runs[self._part])
 
     @property
-    def requirements(self) -> List[Requirement]:
-        """Those that were checked, by group."""
-        checked = [each for each in list(self._requirements.values())
-                   if each.checks or each.undecided]
-        groups = list(dict.fromkeys(each.group for each in checked))
-        return sorted(checked, key=lambda each: groups.index(each.group))
+    def is_undecided(self) -> bool:
+        return self.undecided > max(_FEW, _UNDECIDED * self.checks)
+
+    @property
+    def failure(self) -> str:
+        """Why it is not fulfilled, if so."""
+        return ('VIOLATED' if self.violations else 'NOT TRIED ENOUGH' if self.checks < self.least
+                else 'NOT DECIDED TOO OFTEN' if self.is_undecided else '')
+
+
+class Table:
+    """All requirements of rows.txt: by group, with how often each has to be checked at least.
+
+    That is in each run of the exact part; in the groups of the storm, in each minute of it. A
+    requirement that was checked less often, or too often without a result, is not fulfilled.
+
+    Attributes:
+        on_violation: called with a requirement and what has violated it.
+        part: the part that runs now, `exact` or `storm`.
+        runs: how often each part was run; of the storm the minutes.
+    """
+
+    def __init__(self) -> None:
+        self.on_violation: List[Callable[[str, str], Any]] = []
+        self.part = 'exact'
+        self.runs: Dict[str, float] = {'exact': 0, 'storm': 0}
+        self._rows: Dict[Tuple[str, str], Requirement] = {}
+        self._began = time.monotonic()
+        group = ''
+        for line in Path(__file__).with_name('rows.txt').read_text().splitlines():
+            if line.startswith(' '):
+                least, text = line.split(None, 1)
+                part = group.split(':')[0] if group.startswith('storm') else 'exact'
+                assert (part, text) not in self._rows, text
+                self._rows[part, text] = Requirement(self, part, group, text, int(least))
+            else:
+                group = line
+
+    def row(self, text: str) -> Requirement:
+        """The requirement of the part that runs now, or else of the exact part."""
+        return self._rows.get((self.part, text)) or self._rows['exact', text]
+
+    @property
+    def rows(self) -> List[Requirement]:
+        return list(self._rows.values())
+
+    @property
+    def used(self) -> List[Requirement]:
+        """Those that were checked, or should have been."""
+        return [each for each in self.rows if each.checks or each.undecided or each.least]
+
+    @property
+    def undecided(self) -> int:
+        return sum(each.undecided for each in self.rows)
 
     @property
     def violated(self) -> List[Requirement]:
-        return [each for each in self.requirements if each.violations]
+        return [each for each in self.used if each.violations]
 
-    def render(self) -> str:
-        """As text: all requirements, then the first violations of each."""
-        lines = [f'{"":14} {"requirement":76} {"checks":>8} {"violations":>10} '
+    @property
+    def failed(self) -> List[Requirement]:
+        return [each for each in self.used if each.failure]
+
+    def __str__(self) -> str:
+        """All requirements, the first violations of each, and whether all was tried enough."""
+        lines = [f'{"":14} {"requirement":76} {"least":>7} {"checks":>8} {"violations":>10} '
                  f'{"not decided":>11}  worst case']
         group = ''
-        for each in self.requirements:
+        for each in self.used:
             shown, group = (each.group if each.group != group else ''), each.group
-            violations = 'counted' if each.counted else str(each.violations)
-            undecided = '' if each.counted else str(each.undecided)
-            lines.append(f'{shown:14} {each.text:76} {each.checks:8} {violations:>10} '
-                         f'{undecided:>11}  {each.worst_case}'.rstrip())
-        for each in self.violated:
-            lines += ['', f'VIOLATED  {each.group}: {each.text}']
+            lines.append(f'{shown:14} {each.text:76} {each.least:7} {each.checks:8} '
+                         f'{each.violations:10} {each.undecided:11}  {each.worst_case}'.rstrip())
+        for each in self.failed:
+            lines += ['', f'{each.failure}  {each.group}: {each.text}']
             lines += [f'  {text}' for text in each.examples]
             if each.violations > len(each.examples):
                 lines.append(f'  and {each.violations - len(each.examples)} more')
-        return '\n'.join(lines)
+        return '\n'.join([*lines, '', self._conclusion()])
 
-    def summary(self) -> str:
-        checked = [each for each in self.requirements if not each.counted]
-        return (f'{len(checked)} requirements, {len(self.violated)} violated, '
-                f'{sum(each.undecided for each in checked)} checks not decided')
+    def _conclusion(self) -> str:
+        few = sum(each.checks < each.least for each in self.used)
+        tried = (f'{few} not tried as often as they have to be' if few
+                 else 'each tried as often as it has to be' if any(self.runs.values())
+                 else 'only a part of the scenarios was run')
+        too_often = sum(each.is_undecided for each in self.used)
+        return (f'{len(self.used)} requirements, {tried}; {len(self.violated)} violated; '
+                f'{self.undecided} checks not decided' + (
+                    f', too many of {too_often} requirements' if too_often else ''))
 
     def as_json(self) -> str:
         return json.dumps([{
-            'group': each.group, 'requirement': each.text, 'counted': each.counted,
+            'group': each.group, 'requirement': each.text, 'least': each.least,
             'checks': each.checks, 'violations': each.violations, 'not decided': each.undecided,
-            'worst case': each.worst_case, 'examples': each.examples,
-            'violated after': round(each.violated_at - self._began) if each.violations else None}
-            for each in self.requirements], indent=1)
+            'failure': each.failure, 'worst case': each.worst_case, 'examples': each.examples,
+            'violated after': round(each.violated_at - self._began, 1) if each.violations else None}
+            for each in self.used], indent=1)

@@ -3,19 +3,22 @@ import math
 import operator
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
+from types import SimpleNamespace
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tuple
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 from rospy.impl.registration import Registration, get_registration_listeners
-from sensor_msgs.msg import Imu, Range, Temperature
-from std_msgs.msg import String, UInt16, UInt32
+from sensor_msgs.msg import Imu, Range, RelativeHumidity, Temperature
+from std_msgs.msg import Bool, String, UInt8MultiArray, UInt16, UInt32
 from std_srvs.srv import Empty, Trigger
+from tf2_msgs.msg import TFMessage
 
-from serial_communication.msg import (Environment, McuStatus2, SerialMsg, SpeedPWMCommand,
-                                      SteeringFeedback, SteeringPWMCommand, Ticks, Voltage)
+from serial_communication.msg import (Environment, McuStatus, McuStatus2, SerialMsg,
+                                      SpeedPWMCommand, SteeringFeedback, SteeringPWMCommand, Ticks,
+                                      Voltage)
 from serial_communication.srv import BusRequest, GetEnvironment, Gimbal, Lift
-from .boards import Sent, angles_key, range_key, wire_number
+from .boards import Sent, range_key, unit_key, wire_number
 
 NODE = '/serial_communication'
 TIMEOUT, NOT_SENT = 254, 253     # status of the bus services
@@ -23,7 +26,7 @@ _GYRO = 4000 / 65536 * math.pi / 180 * 25
 _ACCELERATION = 8 / 65536 * 9.81
 SERVICES = {'lift': Lift, 'gimbal': Gimbal, 'bus/request': BusRequest, 'press': Lift,
             'probe': Trigger, 'get_environment': GetEnvironment, 'bus/echo': Trigger,
-            'bus/sync': Trigger, 'calibrate_imu': Empty}
+            'bus/sync': Trigger, 'calibrate_imu': Empty, 'halt': Trigger, 'pump': Trigger}
 
 
 class Published(NamedTuple):
@@ -43,6 +46,22 @@ class Outcome(NamedTuple):
     seconds: float
     message: str
     data: bytes = b''
+    error_code: int = 0
+    reading: Any = None      # of get_environment, as it is published
+    ended: float = 0.0
+
+    @property
+    def began(self) -> float:
+        return self.ended - self.seconds
+
+    @property
+    def name(self) -> str:
+        status = {TIMEOUT: 'not known', NOT_SENT: 'not sent'}.get(self.status, 'refused')
+        return 'done' if self.success else status
+
+    def is_true(self, executed: int) -> bool:
+        """Whether the board may have executed the request so often."""
+        return {'done': executed == 1, 'not known': executed <= 1}.get(self.name, not executed)
 
 
 # -- published values as the numbers on the wire -------------------------------------------------
@@ -61,14 +80,34 @@ def _hundredths(value: float) -> Any:
 
 def _status(message: McuStatus2) -> Any:
     angles = tuple(map(_hundredths, (message.yaw, message.pitch, message.roll)))
-    return (message.seq, message.vl53_1, message.vl53_2,
-            angles_key(angles)) if message.connected else None
+    return (message.seq, message.valid, message.vl53_1, message.vl53_2, angles) \
+        if message.connected else None
+
+
+def _adc(message: McuStatus) -> Any:
+    return (message.seq, *(getattr(message, f'adc{n}') for n in range(6))) \
+        if message.connected else None
+
+
+def _attitude(q: Any) -> Tuple:
+    """Heading, pitch and roll in hundredths of a degree."""
+    if math.isnan(q.w + q.x + q.y + q.z):
+        return ('not known',)
+    roll = math.atan2(2 * (q.w * q.x + q.y * q.z), 1 - 2 * (q.x * q.x + q.y * q.y))
+    yaw = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
+    pitch = math.asin(max(-1.0, min(1.0, 2 * (q.w * q.y - q.z * q.x))))
+    heading, *others = (round(math.degrees(angle) * 100) for angle in (-yaw, pitch, roll))
+    return (heading % 36000, *others)
 
 
 def _range(message: Range) -> Any:
     if math.isinf(message.range):
         return 'far' if message.range > 0 else 'near'
     return range_key(0xFFFF) if math.isnan(message.range) else round(message.range * 1000, 3)
+
+
+def _environment(message: Environment) -> Tuple:
+    return message.smoke, _hundredths(message.temperature), _hundredths(message.humidity)
 
 
 ToKey = Callable[[Any], Any]
@@ -80,11 +119,33 @@ TOPICS: Dict[str, Tuple[Any, ToKey]] = {
     '~imu/temperature': (Temperature, lambda m: wire_number((m.temperature - 36.53) * 340)),
     'mcu/status': (McuStatus2, _status), 'mcu/cliff': (UInt32, _DATA),
     'mcu/range_1': (Range, _range), 'mcu/range_2': (Range, _range),
-    '~environment': (Environment, lambda m: (m.smoke, _hundredths(m.temperature),
-                                             _hundredths(m.humidity))),
+    '~environment': (Environment, _environment),
+    '~environment/temperature': (Temperature, lambda m: _hundredths(m.temperature)),
+    '~environment/humidity': (RelativeHumidity, lambda m: _hundredths(m.relative_humidity * 100)),
+    '~imu/calibrating': (Bool, lambda m: None),      # no measurement
+    '~blob': (UInt8MultiArray, lambda m: bytes(m.data)), 'mcu/adc_status': (McuStatus, _adc),
+    'mcu/imu': (Imu, lambda m: _attitude(m.orientation)),
+    'tf/imu_orientation': (None, lambda q: unit_key((q.w, -q.y, q.x, q.z))),
+    'tf/mcu_imu_orientation': (None, _attitude),
     '~depth': (UInt32, _DATA), '~height': (UInt32, _DATA)}
-COMMANDS = {'speed': SpeedPWMCommand, 'steering': SteeringPWMCommand, 'led': String,
-            'winch': UInt16}
+FRAMES = {'~imu': 'imu', '~imu/temperature': 'imu', 'mcu/imu': 'mcu_imu',
+          'mcu/range_1': 'range_1', 'mcu/range_2': 'range_2', '~environment': 'base_link',
+          '~environment/temperature': 'base_link', '~environment/humidity': 'base_link'}
+# The commands: class of the message, and its field.
+COMMANDS: Dict[str, Tuple[Any, str]] = {
+    'speed': (SpeedPWMCommand, 'value'), 'steering': (SteeringPWMCommand, 'value'),
+    'led': (String, 'data'), 'winch': (UInt16, 'data'), 'heater': (Temperature, 'temperature')}
+WITH_STAMP = tuple(name for name, (kind, _field) in COMMANDS.items() if kind._has_header)
+
+
+def command_of(name: str, value: Any, stamp: float = 0.0) -> Any:
+    """The message of this command; an LED command has the number as its text."""
+    kind, field = COMMANDS[name]
+    message = kind()
+    if stamp:
+        message.header.stamp = rospy.Time.from_sec(stamp)
+    setattr(message, field, f'n{value}' if name == 'led' and isinstance(value, int) else value)
+    return message
 
 
 class Robot:
@@ -99,11 +160,12 @@ class Robot:
         self._pool = ThreadPoolExecutor(32)
         self._publishers = {
             name: rospy.Publisher(f'{NODE}/{name}', kind, queue_size=100, tcp_nodelay=True)
-            for name, kind in COMMANDS.items()}
+            for name, (kind, _field) in COMMANDS.items()}
         self._subscribers = {
             topic: rospy.Subscriber(topic.replace('~', NODE + '/'), kind, self._receive,
                                     (topic, to_key), tcp_nodelay=True)
-            for topic, (kind, to_key) in TOPICS.items()}
+            for topic, (kind, to_key) in TOPICS.items() if kind}
+        rospy.Subscriber('/tf', TFMessage, self._receive_transforms, tcp_nodelay=True)
         rospy.Subscriber('/diagnostics', DiagnosticArray, self._receive_report)
 
     def clear_records(self) -> None:
@@ -121,33 +183,33 @@ class Robot:
         wall, (topic, to_key) = time.time(), topic_and_key
         stamp = (message.stamp if hasattr(message, 'stamp') else message.header.stamp
                  if hasattr(message, 'header') else None)
-        self.on_message(topic, Published(wall, stamp.to_sec() if stamp else 0.0, to_key(message),
-                                         message))
+        seconds = stamp.to_sec() if stamp else 0.0
+        self.on_message(topic, Published(wall, seconds, to_key(message), message))
+
+    def _receive_transforms(self, message: TFMessage) -> None:
+        for each in message.transforms:
+            topic, rotation = f'tf/{each.child_frame_id}', each.transform.rotation
+            self.on_message(topic, Published(time.time(), each.header.stamp.to_sec(),
+                                             TOPICS[topic][1](rotation), message))
 
     def _receive_report(self, message: DiagnosticArray) -> None:
         for status in message.status:
             self.reports[status.name.split(': ')[-1].split(' ')[0]] = (
                 time.monotonic(), int(status.level), status.message,
-                {value.key: value.value for value in status.values})
+                {'hardware id': status.hardware_id,
+                 **{value.key: value.value for value in status.values}})
 
     def subscribe_to_traffic(self, on_frame: Callable[[SerialMsg], None]) -> rospy.Subscriber:
         return rospy.Subscriber('/serial_msg', SerialMsg, on_frame, tcp_nodelay=True)
 
     def command(self, name: str, value: Any, stamp: float = 0.0) -> None:
         """Publish a command; `stamp` is ROS time."""
-        message = COMMANDS[name]()
-        if stamp:
-            message.header.stamp = rospy.Time.from_sec(stamp)
-        if hasattr(message, 'value'):
-            message.value = value
-        else:
-            message.data = value
-        self._publishers[name].publish(message)
+        self._publishers[name].publish(command_of(name, value, stamp))
 
     def connected(self, topics: Iterable[str]) -> bool:
         """Whether the bridge receives all commands, and this node receives these topics."""
-        return all(each.get_num_connections() for each in (
-            *self._publishers.values(), *(self._subscribers[topic] for topic in topics)))
+        used = [self._subscribers[topic] for topic in topics if topic in self._subscribers]
+        return all(each.get_num_connections() for each in (*self._publishers.values(), *used))
 
     def register_again(self) -> None:
         """Register with a new master; rospy itself registers only once."""
@@ -163,10 +225,12 @@ class Robot:
         try:
             response = rospy.ServiceProxy(f'{NODE}/{service}', SERVICES[service])(*arguments)
         except (rospy.ServiceException, rospy.ROSException, OSError) as error:
-            return Outcome(False, None, time.monotonic() - began, repr(error))
+            response = SimpleNamespace(success=False, status=None, message=repr(error))
+        now = time.monotonic()
         return Outcome(getattr(response, 'success', True), getattr(response, 'status', None),
-                       time.monotonic() - began, getattr(response, 'message', ''),
-                       bytes(getattr(response, 'data', b'')))
+                       now - began, getattr(response, 'message', ''),
+                       bytes(getattr(response, 'data', b'')), getattr(response, 'error_code', 0),
+                       _environment(getattr(response, 'environment', Environment())), now)
 
     def start_call(self, service: str, *arguments: Any) -> 'Future[Outcome]':
         return self._pool.submit(self.call, service, *arguments)

@@ -1,15 +1,18 @@
 """The campaign's table, lines, boards and logs."""
 import os
+import signal
 import struct
+import subprocess
+import sys
 import time
 
 import pytest
 from waiting import until
 
 import by_definition as codec
-from campaign import logs
-from campaign.boards import (BusBoard, Car, Reaction, Request, Sensors, angles_key, imu_values,
-                             range_key, reply_frame)
+from campaign import broken, logs, witness
+from campaign.boards import (BusBoard, Car, Reaction, Request, Sensors, imu_values, range_key,
+                             reply_frame)
 from campaign.lines import Clock, NetworkLine, SerialLine
 from campaign.requirements import Table
 
@@ -24,23 +27,6 @@ def line(tmp_path):
 
 def opened(line):
     return os.open(line.port, os.O_RDWR | os.O_NOCTTY)
-
-
-def test_table():
-    table = Table()
-    required = table.require('motor', 'it stops')
-    required.check(True, '')
-    assert table.violated == [] and table.require('motor', 'it stops') is required
-    required.at_most(3.0, 2.0, 's', 'too late')
-    required.undecided += 1
-    table.require('motor', 'events', counted=True).checks += 1
-    table.require('bus', 'not checked')
-    assert table.violated == [required] and required.worst_case == '3 s'
-    assert table.summary() == '1 requirements, 1 violated, 1 checks not decided'
-    text = table.render()
-    assert 'too late: 3 s, limit 2 s' in text and 'not checked' not in text
-    assert [line.split() for line in text.splitlines() if 'it stops' in line][0] == [
-        'motor', 'it', 'stops', '2', '1', '1', '3', 's']
 
 
 def test_line_returns_as_another_device(line):
@@ -83,31 +69,63 @@ def test_network_loses_a_connection(tmp_path):
 
 
 def test_car_records_packets_and_heartbeats(line):
-    car = Car(line)
+    car = Car(line, Clock())
     end = opened(line)
     heartbeat = codec.arduino_packet(codec.HEARTBEAT)
     os.write(end, codec.arduino_packet(codec.SPEED, b'\0\0') + heartbeat * 3
              + codec.arduino_packet(codec.SPEED, struct.pack('<h', -7)))
     until(lambda: len(car.packets) == 2)
-    assert car.first[0].is_stop and car.heartbeats == 3 and car.packets[1].heartbeats == 3
-    assert car.stop_after(car.packets[0]) is None and car.packets[1].since(car.packets[0]) == 0.03
+    assert car.first[0].is_stop and car.beats == 3 and car.packets[1].beats == 3
+    assert car.stop_after(car.packets[0]) is None and car.gaps == []
     assert car.commands(codec.SPEED) == [0, -7] and car.packet(codec.SPEED, -7)
     line.unplug()
-    assert car.connection == 1 and car.heartbeats == 0 and car.ended == [3]
+    assert car.connection == 1 and car.beats == 0 and car.ended == [3]
     os.close(end)
 
 
 def test_boards_record_the_values_that_they_send(line):
-    car, sensors = Car(line), Sensors(line)
+    car, sensors = Car(line, Clock()), Sensors(line)
     car.measure()
     assert [each.topic for each in car.sent] == [
-        '~ticks', '~steering_angle', '~voltage', '~counter', '~imu', '~imu/temperature']
+        '~ticks', '~steering_angle', '~voltage', '~counter', '~imu', '~imu/temperature',
+        'tf/imu_orientation']
     assert [each.key for each in car.sent[:5]] == [1, 1, 1, 1, imu_values(1)[:10]]
     sensors.measure()
-    assert [each.key for each in sensors.sent] == [(1, 1, 7, (37, -4499, -1)), 'near', 'near']
-    assert angles_key((1, -32768, 2)) is angles_key((None, 1, 2)) is None
+    assert [each.key for each in sensors.sent] == [
+        (1, True, 1, 7, (37, -4499, -1)), 'near', 'near', (37, -4499, -1), (37, -4499, -1),
+        (2, 1, 2, 3, 4, 5, 6)]
+    sensors.sent.clear()
+    for _ in range(6):
+        sensors.measure()
+    assert sensors.sent[-4].key == (13, False, 7, 49, (None,) * 3)    # no attitude with it
     assert [range_key(value) for value in (65535, 29, 30, 2000, 2001)] == [
         'timed out', 'near', 30, 2000, 'far']
+
+
+def test_a_gap_between_heartbeats_is_recorded(line):
+    car, heartbeat = Car(line, Clock()), codec.arduino_packet(codec.HEARTBEAT)
+    for now in (1.0, 1.01, 1.041, 1.05):
+        car.read(heartbeat, now)
+    assert car.gaps == [(1.01, 1.041)] and car.first_beat == 1.0
+    car.forget_beat()
+    car.read(heartbeat, 3.0)
+    assert len(car.gaps) == 1 and car.all_beats == 5
+
+
+def test_bus_board_checks_the_fence(line):
+    board = BusBoard(line, Clock())
+    echo, lift = codec.bus_frame(b'\1\0', b'nonc'), codec.bus_frame(b'\x55\x20', b'\0\1')
+    for data in (echo, lift):
+        board.read(data, 1.0)
+    assert not board.faults and board.checked == 1
+    board.read(lift, 2.0)
+    assert 'came behind' in board.faults.pop()
+    board.read(echo, 3.0)
+    assert 'is not new' in board.faults.pop()
+    board.probe = lambda request: Reaction()     # not answered
+    for data in (codec.bus_frame(b'\1\0', b'othe'), lift):
+        board.read(data, 4.0)
+    assert 'came behind' in board.faults.pop() and not board.faults
 
 
 def test_bus_board_keeps_the_order_of_its_line(line):
@@ -147,7 +165,7 @@ def test_cause_of_a_log_line(text, cause):
 
 def test_log_lines_of_the_bridge(tmp_path):
     table = Table()
-    check = logs.LogCheck(str(tmp_path), table.require)
+    check = logs.LogCheck(str(tmp_path), table.row)
 
     def log(second, text, logger='rosout'):
         with open(str(tmp_path / 'bridge_1.log'), 'a') as file:
@@ -165,11 +183,111 @@ def test_log_lines_of_the_bridge(tmp_path):
     assert len(table.violated) == 2
 
 
-def test_old_late_wake_ups_are_forgotten(tmp_path, monkeypatch):
-    monkeypatch.setattr(logs, '_LATE_KEPT', 3)
-    path = tmp_path / 'sleeper.out'
-    path.write_text('1.0 0.9\n2.0 0.2\n3.0 0.1\n4.')
-    wake_ups = logs.LateWakeUps(str(path))
-    assert [wake_ups.longest(since) for since in (0.0, 1.5, 3.5)] == [0.9, 0.2, 0.0]
-    path.write_text(path.read_text() + '0 0.3\n')
-    assert [wake_ups.longest(since) for since in (0.0, 4.5)] == [0.3, 0.0]
+def test_terminal_output(tmp_path):
+    table = Table()
+    check = logs.LogCheck(str(tmp_path), table.row)
+    out = tmp_path / 'bridge_1.out'
+    out.write_text('\x1b[33m[WARN] [1.2]: mcu: the board is silent\x1b[0m\n[INFO] [1.2]: ready\n')
+    check.check_new_lines()
+    assert table.violated == []
+    out.write_text(out.read_text() + 'Exception ignored\n')
+    check.check_new_lines()
+    assert [row.text for row in table.violated] == ['the terminal shows the log and nothing else']
+
+
+def test_witness():
+    """Only a process that woke up late at that time is an excuse."""
+    memory = []
+    one = witness.Witness(memory.append)
+    record = struct.Struct('<2d').pack
+    os.pwrite(memory[0], record(100.0, 2) + record(5.0, 5.1) + record(6.0, 6.02), 0)
+    assert one.longest(5.16, 5.9) == 0.0
+    assert one.longest(5.16, 6.0) == pytest.approx(0.02)
+    assert one.longest(4.0, 4.96) == pytest.approx(0.1)
+
+
+def test_witness_process_notes_that_it_was_suspended():
+    def start(memory):
+        process.append(subprocess.Popen([sys.executable, witness.__file__, str(memory), str(
+            min(os.sched_getaffinity(0)))], pass_fds=(memory,)))
+    process = []
+    one = witness.Witness(start)
+    began = time.monotonic()
+    one.longest(began, began)       # it runs
+    process[0].send_signal(signal.SIGSTOP)
+    time.sleep(0.2)
+    process[0].send_signal(signal.SIGCONT)
+    assert 0.15 < one.longest(began, time.monotonic())
+    process[0].kill()
+    process[0].wait()
+
+
+def test_what_is_read_late_has_the_time_of_its_write(line):
+    """As if the kernel delayed it."""
+    read, written, end = [], [], opened(line)
+    line.on_bytes = lambda data, now: read.extend(
+        (at, now) for at in line.written(len(data), now))
+    with line._lock:        # nothing is read
+        for number in range(1, 4):
+            began = time.monotonic()
+            os.write(end, b'x')
+            until(lambda: len(line._writes) == number)
+            written.append((began, time.monotonic()))
+    until(lambda: len(read) == 3)
+    for (since, before), (at, read_at) in zip(written, read):
+        assert since <= at <= before <= read_at
+    os.close(end)
+
+
+@pytest.mark.parametrize('writes, times', [
+    ([1.0, 2.0, 3.0], [2.0, 3.0]), ([3.0], [3.0, 5.0]), ([], [5.0, 5.0])])
+def test_times_of_two_frames(line, writes, times):
+    """The first write was read before it was known, or the second one is not known yet."""
+    line._writes = writes
+    assert line.written(0, 4.0) == [] and line.written(2, 5.0) == times
+    assert line.written(1, 6.0) == [6.0]
+
+
+def test_every_broken_bridge_applies():
+    found = broken.all_broken()
+    assert len(found) >= 60 and all(each.files() for each in found)
+    assert {each.requirement for each in found} <= {
+        row.text for row in Table().rows}
+
+
+def test_a_broken_bridge_that_no_longer_applies_is_an_error():
+    for old in ('no such text', 'import'):
+        each = broken.Broken('it', '', 'storm', '', [('link/link.py', old, '')])
+        with pytest.raises(ValueError, match='times in link/link.py'):
+            each.files()
+
+
+@pytest.mark.parametrize('lost, silence, faults', [(3, 0.3, 0), (3, 0.1, 1), (2, 0.3, 1)])
+def test_fence_after_lost_echoes(line, lost, silence, faults):
+    """After three lost ECHOs, SYNC and a silence are the fence of a call."""
+    bus = BusBoard(line, Clock())
+    bus.write(reply_frame(codec.ECHO))
+    bus.probe = lambda request: Reaction() if request.cmd1 == codec.ECHO else None
+    for number in range(lost):
+        bus.read(codec.bus_frame(b'\1\0', bytes((number,)) * 4), 1.0)
+    bus.read(codec.bus_frame(bytes((codec.SYNC, 0)), b''), 2.0)
+    bus.read(codec.bus_frame(b'\x55\x60', b''), bus.written_at + silence)
+    assert bus.checked == 1 and len(bus.faults) == faults
+
+
+@pytest.mark.parametrize('silence, faults', [(0.02, 0), (0.01, 1)])
+def test_fence_of_a_board_that_never_echoes(line, silence, faults):
+    bus = BusBoard(line, Clock())
+    bus.lost_echoes = 3
+    for request in b'\x55\x60', b'\x55\x61':
+        bus.faults.clear()
+        bus.read(codec.bus_frame(request, b''), bus.written_at + silence)
+    assert len(bus.faults) == faults
+
+
+def test_line_witness_measures_how_long_the_kernel_moves_bytes(monkeypatch):
+    began, read = time.monotonic(), os.read
+    monkeypatch.setattr(witness.os, 'read', lambda fd, size: time.sleep(0.05) or read(fd, size))
+    one = witness.LineWitness()
+    until(lambda: one.longest(began, time.monotonic()) >= 0.05)
+    assert one.longest(began - 9.0, began - 8.0) == 0.0

@@ -1,4 +1,5 @@
-"""The checks of the statistical part: what is a violation and what is not."""
+"""The statistical part: damage that makes no valid frame, and the checks."""
+import random
 import struct
 import time
 from types import SimpleNamespace
@@ -7,117 +8,140 @@ import by_definition as codec
 import pytest
 
 pytest.importorskip('rospy')
-from campaign import storm  # noqa: E402
-from campaign.boards import COUNTER, MEMORY, car_keys, reply_keys  # noqa: E402
+from campaign import storm_checks  # noqa: E402
+from campaign.boards import MEMORY, Packet, Request  # noqa: E402
+from campaign.damage import DamagedLine  # noqa: E402
 from campaign.requirements import Table  # noqa: E402
 from campaign.robot import NOT_SENT, TIMEOUT, Outcome, Published  # noqa: E402
 
-HEARTBEAT = codec.arduino_packet(codec.HEARTBEAT)
 TOKEN = struct.pack('<I', 7)
 
 
-def speed(value):
-    return codec.arduino_packet(codec.SPEED, struct.pack('<h', value))
+def frames(frame_at, rand):
+    """Random frames of a link."""
+    while True:
+        data = bytes(rand.choice((0xA5, 0x5A, 2, 3, 0, rand.randrange(256)))
+                     for _ in range(rand.randrange(1, 12)))
+        yield {codec.mcu_at: codec.mcu_frame(0x20, rand.randrange(256), data),
+               codec.reply_at: codec.bus_frame(b'\2', data),
+               codec.request_at: codec.bus_frame(b'\x55\xf0', data),
+               codec.arduino_at: codec.arduino_packet(60, data[:4].ljust(4))}[frame_at]
 
 
-class FakeStorm:
-    """Has what the checks use of a Storm."""
+@pytest.mark.parametrize('frame_at', [codec.mcu_at, codec.reply_at, codec.request_at,
+                                      codec.arduino_at])
+def test_no_valid_frame_that_was_not_sent_is_on_the_line(frame_at):
+    """Whatever a decoder does with incomplete frames, all that it finds was sent."""
+    rand = random.Random(5)
+    line, source = DamagedLine(frame_at, rand, 0.3), frames(frame_at, rand)
+    received, intact = b'', set()
+    for _ in range(600):
+        data = next(source)
+        arrived = line.pass_on(data)
+        if arrived == data:
+            intact.add((len(received), len(received) + len(data)))
+        received += arrived
+    assert line.damaged > 100 and len(intact) > 300
+    if frame_at is codec.arduino_at:
+        found = [frame for frame in codec.decode(received, frame_at)[0]
+                 if frame.type == 60 and len(frame.data) == 4]
+    else:
+        found = codec.all_frames(received, frame_at)
+    for frame in found:
+        assert any(start <= frame.start and frame.end <= end for start, end in intact)
+    assert len(found) > 200
+
+
+@pytest.mark.parametrize('given_up', [0, 1, 2])
+def test_a_packet_of_the_car_whose_beginning_was_given_up_is_no_foreign_one(given_up):
+    """A decoder that has given up some of the damaged packets finds none in what follows."""
+    for seed in range(300):
+        rand = random.Random(seed)
+        line = DamagedLine(codec.arduino_at, rand, 0.8)
+        sent = [codec.arduino_packet(60, struct.pack('<I', number)) for number in range(4)]
+        arrived = [line.pass_on(data) for data in sent]
+        found = codec.decode(b''.join(arrived[given_up:]), codec.arduino_at)[0]
+        whole = [number for number in range(4) if arrived[number] == sent[number]]
+        assert {struct.unpack('<I', frame.data)[0] for frame in found
+                if frame.type == 60 and len(frame.data) == 4} <= set(whole)
+
+
+class FakeRig:
+    """Has what the checks use of a rig."""
 
     def __init__(self):
         self.table = Table()
-        self.histories = {'arduino': storm.LineHistory(codec.arduino_at, car_keys),
-                          'bus': storm.LineHistory(codec.reply_at, reply_keys)}
-        self.rig = SimpleNamespace(
-            require=self.table.require, has_priority=lambda: True, was_starved=lambda *_: False,
-            car_line=SimpleNamespace(plugged=True),
-            robot=SimpleNamespace(command=lambda name, value, stamp: None))
+        self.table.part = 'storm'
+        self.row, self.late, self.is_network = self.table.row, 0.0, False
+        self.robot = SimpleNamespace(command=lambda name, value, stamp: None)
         self.violated = []
-        self.from_damage = self.table.require('storm', 'from damage', True)
+        self.table.on_violation.append(lambda text, _example: self.violated.append(text))
 
-    def record(self, *what):
-        pass
+    def may_lose(self, since, until):
+        return self.late >= 0.2
 
-    def check(self, required, holds, text):
-        if not required.check(holds, text):
-            self.violated.append(required.text)
-        return holds
-
-
-@pytest.fixture
-def fake():
-    return FakeStorm()
+    def in_time(self, required, since, until, limit, text):
+        if self.late:
+            required.undecided += 1
+        else:
+            required.at_most(until - since, limit, 's', text)
 
 
 @pytest.fixture
-def motor(fake):
-    check = storm.MotorCheck(fake)
-    check.start_connection()
-    return check
+def rig():
+    return FakeRig()
 
 
-def heartbeats(check, number, start=100.0, period=0.01):
-    for index in range(number):
-        check.read(HEARTBEAT, start + index * period)
+@pytest.fixture
+def motor(rig):
+    """The port is open, and 300 was commanded at 100.0."""
+    motor = storm_checks.MotorCheck(rig)
+    motor.received(speed(0, 100.0))
+    motor._commands[300] = 100.0
+    motor.received(speed(300, 100.0))
+    return motor
 
 
-def test_stop_in_time(fake, motor):
-    motor.command(300)
-    motor.read(speed(0) + HEARTBEAT + speed(300), 100.0)
-    heartbeats(motor, 55)
-    motor.read(speed(0), 101.0)
-    heartbeats(motor, 30, 100.55)
-    assert fake.violated == []
+def speed(value, t, beats=0):
+    return Packet(t, codec.SPEED, struct.pack('<h', value), beats, 0)
 
 
-def test_no_stop(fake, motor):
-    motor.command(300)
-    motor.read(speed(0) + speed(300), 100.0)
-    heartbeats(motor, 58)
-    assert set(fake.violated) == {'SPEED 0 within speed_timeout + 50 ms, in heartbeats'}
+def test_stop_in_time(rig, motor):
+    for index in range(54):
+        motor.heartbeat(100.0 + index / 100)
+    motor.received(speed(0, 100.545))
+    motor.heartbeat(102.0)
+    motor.judge()
+    assert rig.violated == []
 
 
-@pytest.mark.parametrize('first', [HEARTBEAT, speed(300)])
-def test_first_packet_of_a_connection_is_not_speed_0(fake, motor, first):
-    motor.command(300)
-    motor.read(first, 100.0)
-    assert 'SPEED 0 is the first packet whenever the port opens' in fake.violated
+@pytest.mark.parametrize('late', [0.0, 0.1])
+def test_no_stop(rig, motor, late):
+    rig.late = late
+    motor.heartbeat(100.56)
+    motor.heartbeat(100.57)
+    motor.judge()
+    row = rig.row('SPEED 0 within speed_timeout + 50 ms of the last command')
+    assert (row.violations, row.undecided) == ((0, 1) if late else (1, 0))
 
 
-def test_speed_sent_twice_and_speed_not_commanded(fake, motor):
-    motor.command(300)
-    motor.read(speed(0) + speed(300), time.monotonic())
-    assert fake.violated == []
-    motor.read(speed(300) + speed(301), time.monotonic())
-    assert fake.violated == ['every SPEED was commanded, and is sent once'] * 2
-
-
-def test_speed_from_before_a_reconnect(fake, motor):
-    motor.command(300)
+@pytest.mark.parametrize('first', [speed(300, 1.0), speed(0, 1.0, beats=1)])
+def test_first_packet_of_a_connection_is_not_speed_0(rig, motor, first):
+    motor._commands[300] = 1.0
     motor.start_connection()
-    motor.read(speed(0) + speed(300), time.monotonic() + 2.0)
-    assert fake.violated == ['no SPEED from before a reconnect']
+    motor.received(first)
+    assert rig.violated == ['SPEED 0 is the first packet whenever the port opens']
 
 
-def test_heartbeat_gap(fake, motor):
-    motor.read(speed(0), 99.0)
-    heartbeats(motor, 100)
-    motor.read(HEARTBEAT * 60, 101.6)       # read late, and not yet all of them
-    heartbeats(motor, 300, 101.6)
-    assert fake.violated == []
-    heartbeats(motor, 300, 104.65)          # all were read late, so none may have been sent late
-    assert fake.violated == []
-    heartbeats(motor, 200, 107.65)
-    assert fake.violated == ['no gap of 30 ms between heartbeats of an open port']
-
-
-def test_heartbeat_gap_is_not_decided_if_the_machine_gave_no_time(fake, motor):
-    fake.rig.was_starved = lambda gap, since: since < 101.1 and gap > 0.03
-    motor.read(speed(0), 99.0)
-    heartbeats(motor, 100)
-    heartbeats(motor, 500, 101.05)
-    required = fake.table.require('storm: motor',
-                                  'no gap of 30 ms between heartbeats of an open port')
-    assert fake.violated == [] and required.undecided == 1
+def test_speeds_that_were_not_commanded_or_are_old(rig, motor):
+    motor.received(speed(300, 100.1))       # once more
+    motor.received(speed(302, 100.1))
+    assert rig.violated == ['every SPEED was commanded, and is sent once'] * 2
+    motor.received(speed(0, 100.2))
+    motor._commands[301] = 100.2
+    motor.received(speed(301, 101.0))
+    motor.judge()
+    assert rig.violated[2:] == ['no SPEED over 0.7 s after its command, 1.5 s behind socket://']
 
 
 @pytest.mark.parametrize('outcome, executed, violated', [
@@ -125,71 +149,99 @@ def test_heartbeat_gap_is_not_decided_if_the_machine_gave_no_time(fake, motor):
     (Outcome(True, 2, 0.1, '', TOKEN), 2, 'done'), (Outcome(False, 3, 0.1, ''), 0, ''),
     (Outcome(False, 3, 0.1, ''), 1, 'refused'), (Outcome(False, NOT_SENT, 0.1, ''), 1, 'refused'),
     (Outcome(False, TIMEOUT, 0.1, ''), 1, ''), (Outcome(False, TIMEOUT, 0.1, ''), 2, 'not known'),
-    (Outcome(True, 2, 0.1, '', b'else'), 1, 'its own reply')])
-def test_outcome_of_a_call(fake, outcome, executed, violated):
-    calls = storm.CallCheck(fake)
-    key = MEMORY, TOKEN
-    calls.executed[key] = executed
-    calls._check(key, outcome, time.time())
-    assert bool(fake.violated) == bool(violated)
-    assert all(violated in text for text in fake.violated)
+    (Outcome(True, 2, 0.1, '', b'else'), 1, 'its own reply'),
+    (Outcome(False, None, 9.0, 'error'), 0, 'returns')])
+def test_outcome_of_a_call(rig, outcome, executed, violated):
+    calls = storm_checks.CallCheck(rig)
+    calls.executed[MEMORY, TOKEN] = executed
+    calls.check((MEMORY, TOKEN), outcome)
+    assert len(rig.violated) == bool(violated)
+    assert all(violated in text for text in rig.violated)
 
 
-def test_wrong_outcome_from_a_frame_that_damage_created(fake):
-    calls = storm.CallCheck(fake)
-    began = time.time() - 1
-    created = b'\xa5\x20' + codec.bus_frame(b'\3', b'\2\x80')
-    fake.histories['bus'].add(b'x', created, began + 0.5)
-    for violated in [], ['outcome refused or not sent: not executed']:
-        calls.executed[MEMORY, TOKEN] = 1
-        calls._check((MEMORY, TOKEN), Outcome(False, 3, 0.1, ''), began)
-        assert fake.violated == violated
-        error = codec.bus_frame(b'\3', b'\2\x80')      # which the board sent for another call
-        fake.histories['bus'].add(error, error, began + 0.5)
+def test_requests_that_belong_to_no_call_or_come_again(rig):
+    calls, request = storm_checks.CallCheck(rig), Request(1.0, codec.FUNCTION, MEMORY, TOKEN, 0)
+    calls._expected[request.key] = 1
+    calls.received(request)
+    calls.received(request._replace(cmd1=codec.ECHO))
+    calls.received(request._replace(cmd2=codec.ENVIRONMENT, data=b''))
+    assert rig.violated == []
+    calls.received(request)
+    assert rig.violated == ['a request comes again only after INVALID']
+    calls._expected[request.key] = 0
+    calls.invalid(request.key)
+    calls.received(request)
+    del calls._expected[request.key]
+    calls.received(request)
+    assert rig.violated[1:] == ['every request belongs to a call that waits, or to a poll']
 
 
-def test_wrong_outcome_of_a_request_that_damage_changed_to_another(fake):
-    calls, key, began = storm.CallCheck(fake), (MEMORY, TOKEN), time.time()
-    calls._unchecked.add(key)
-    calls.received(key)
-    both = ['outcome done: executed exactly once', 'a raw call returns the data of its own reply']
-    for violated in both, []:
-        calls._check(key, Outcome(True, 2, 60.0, '', b'else'), began)
-        assert fake.violated == violated
-        fake.violated.clear()
-        calls.received((MEMORY, b'else'))
+class Values:
+    """A ValueCheck to which `sent` values were sent, each 0.1 s after the one before."""
+
+    def __init__(self, rig, sent, must=True):
+        self.check, self.rig, self.began = storm_checks.ValueCheck(rig), rig, time.monotonic()
+        for number in range(sent):
+            self.check.sent([('~counter', number)], must)
+        waiting = self.check._waiting['~counter']
+        for index, value in enumerate(list(waiting)):
+            waiting[index] = value._replace(at=self.began + index / 10)
+
+    def publish(self, *numbers):
+        for number in numbers:
+            self.check.published('~counter', Published(0.0, 0.0, number, None))
+        self.check.judge()
+        return self.rig.violated
+
+    def disturb(self, link, since, until):
+        disturbance = storm_checks.Disturbance(link)
+        disturbance.since, disturbance.until = self.began + since, self.began + until
+        self.check.disturbances.append(disturbance)
 
 
-def test_published_values(fake):
-    fake.histories['mcu'] = fake.histories['arduino']
-    values = storm.ValueCheck(fake)
-    frame = codec.arduino_packet(COUNTER, struct.pack('<I', 5))
-    now = time.time()
-    fake.histories['arduino'].add(frame, frame, now)
-    values.check('~counter', Published(now, 0.0, 5, None))
-    assert fake.violated == []
-    values.check('~counter', Published(now, 0.0, 6, None))
-    assert fake.violated == ['every published value was in a valid frame']
-    created = codec.arduino_packet(COUNTER, struct.pack('<I', 6))
-    fake.histories['arduino'].add(frame, b'\x09' + created, now)
-    values.check('~counter', Published(now, 0.0, 6, None))
-    assert len(fake.violated) == 1
+CORRECT = 'every published value was in a valid frame, in order, once'
+LOST = 'values are lost only in a stall or reconnect, until the next one'
 
 
-def test_what_was_checked_is_forgotten(fake):
-    history, calls = fake.histories['arduino'], storm.CallCheck(fake)
-    motor, sizes = storm.MotorCheck(fake), []
-    for step in range(3600):
-        now = step / 10
-        frame = codec.arduino_packet(COUNTER, struct.pack('<I', step))
-        history.add(frame, frame, now)
-        motor.command(step % 999 + 1)
-        motor.read(speed(step % 999 + 1), now)
-        heartbeats(motor, 10, now)
-        key = MEMORY, struct.pack('<I', step)
-        calls.executed[key] = 1
-        calls._check(key, Outcome(True, 2, 0.1, '', key[1]), now)
-        sizes.append([len(kept) for kept in (
-            history._writes, history._sent, calls.executed, motor._commands, motor._times)])
-    assert fake.violated == []
-    assert [max(kept) for kept in zip(*sizes)] == [max(kept) for kept in zip(*sizes[:600])]
+@pytest.mark.parametrize('published, violated', [
+    ((0, 1, 2), []), ((0, 1, 1, 2), [CORRECT]), ((0, 2, 1), [CORRECT, LOST]),
+    ((0, 1, 99), [CORRECT]), ((0, 2), [LOST])])
+def test_published_values(rig, published, violated):
+    assert Values(rig, 3).publish(*published) == violated
+
+
+def test_a_value_that_need_not_be_published(rig):
+    assert Values(rig, 3, must=False).publish(0, 2) == []
+
+
+def test_a_value_that_is_never_published(rig, monkeypatch):
+    values = Values(rig, 3)
+    assert values.publish(0, 1) == []
+    monkeypatch.setattr(storm_checks, '_KEPT', -1.0)
+    assert values.publish() == [LOST] and not values.check._waiting['~counter']
+
+
+@pytest.mark.parametrize('link, late, violated', [
+    ('arduino', 0.0, 0), ('', 0.0, 0), ('mcu', 0.0, 1), ('mcu', 0.1, 1), ('mcu', 0.3, 0)])
+def test_values_may_be_lost_in_a_disturbance_or_if_a_witness_was_as_late(rig, link, late, violated):
+    values, rig.late = Values(rig, 12), late
+    values.disturb(link, 0.5, 0.9)
+    assert len(values.publish(*range(6), *range(7, 12))) == violated    # sent at 0.6
+
+
+def test_after_a_disturbance_values_may_be_lost_only_until_the_next_one(rig):
+    values = Values(rig, 20)
+    values.disturb('arduino', 0.45, 0.85)
+    assert values.publish(0, 1, 2, 3, 4, 12, 13) == []
+    assert values.publish(15) == [LOST]
+
+
+@pytest.mark.parametrize('growth, violated', [(0.9, []), (1.2, ['no growth: memory'])])
+def test_growth_between_the_halves(rig, monkeypatch, growth, violated):
+    rig.child_bridge, now = SimpleNamespace(pid=1), [0.0]
+    monkeypatch.setattr(storm_checks.time, 'monotonic', lambda: now[0])
+    check = storm_checks.GrowthCheck(rig, 90.0)
+    for now[0], memory in ((10.0, 9.0), (40.0, 50.0), (55.0, 60.0), (80.0, 50.0 + growth)):
+        monkeypatch.setattr(storm_checks, 'usage_of', lambda pid: {'memory': memory})
+        check.judge()
+    assert rig.violated == violated and rig.row('no growth: memory').checks == 1

@@ -340,14 +340,14 @@ def _free_port() -> int:
 
 
 def _before_exec(priority: int) -> None:
-    """In the child: end with the parent; real-time priority if asked for and allowed."""
+    """In the child: end with the parent; real-time priority if asked for and allowed, else none."""
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDS)
     try:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
     except (OSError, AttributeError):
         pass
-    if priority:
-        try:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-        except OSError:
-            pass
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO if priority else os.SCHED_OTHER,
+                              os.sched_param(priority))
+    except OSError:
+        pass

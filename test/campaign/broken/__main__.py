@@ -1,0 +1,69 @@
+"""Runs the campaign on each broken bridge, until its requirement is violated; prints the seconds.
+
+The exit status is 0 only if each was found by its requirement, and every change still applies.
+"""
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Tuple
+
+from serial_communication.output import prepare_output
+from . import PACKAGE, Broken, all_broken
+
+_NODE = f"{sys.executable} -c 'from serial_communication.ros.node import main; main()'"
+_TIME = 200      # s that one of them may take at most
+
+
+def main() -> int:
+    prepare_output()
+    parser = argparse.ArgumentParser(
+        prog='soak --broken', description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('names', nargs='*', metavar='NAME', help='run these only')
+    names = parser.parse_args().names
+    chosen = [each for each in all_broken() if not names or each.name in names]
+    if len(chosen) < len(names):
+        parser.error(f'not all of these are broken bridges: {" ".join(names)}')
+    missed = []
+    for each in chosen:
+        with tempfile.TemporaryDirectory(prefix='serial_communication_broken_') as folder:
+            found, text = _run(each, Path(folder))
+        print(f'{each.name:27} {text}', flush=True)
+        missed += [] if found else [each.name]
+    print(f'{len(chosen) - len(missed)} of {len(chosen)} found', *missed)
+    return int(bool(missed))
+
+
+def _run(broken: Broken, folder: Path) -> Tuple[bool, str]:
+    """Return whether it was found as it should be, and a text about it."""
+    try:
+        files = broken.files()
+    except ValueError as error:
+        return False, f'DOES NOT APPLY: {error}'
+    shutil.copytree(str(PACKAGE), str(folder / PACKAGE.name))
+    for path, text in files.items():
+        (folder / PACKAGE.name / path).write_text(text)
+    result = folder / 'result.json'
+    env = f'env PYTHONPATH={folder}:{os.environ["PYTHONPATH"]} '
+    arguments = [sys.executable, '-m', 'campaign', '--json', str(result), '--keep',
+                 str(folder / 'records'), '--bridge', env + _NODE, '--part', broken.scenario,
+                 '--until', broken.requirement]
+    with open(str(folder / 'output'), 'w+') as output:
+        subprocess.run(['timeout', str(_TIME), *arguments], stdout=output, stderr=output,
+                       check=False)
+        output.seek(0)
+        if not result.exists():
+            return False, f'the campaign does not run: {output.read()[-500:]}'
+    violated = {row['requirement']: row['violated after']
+                for row in json.loads(result.read_text()) if row['violations']}
+    if broken.requirement in violated:
+        return True, f'{violated[broken.requirement]:6.1f} s  {broken.requirement}'
+    return False, f'NOT FOUND: {broken.what} Violated: {"; ".join(violated) or "nothing"}'
+
+
+sys.exit(main())

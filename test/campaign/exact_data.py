@@ -1,0 +1,217 @@
+"""Data, exactly: compares what the boards sent with what was published, counted and shown."""
+import contextlib
+import itertools
+import math
+import os
+import struct
+import termios
+import time
+from collections import defaultdict
+from typing import Dict, List, Tuple
+
+import by_definition as codec
+from processes import StageError
+from serial_communication.msg import SerialMsg
+from .boards import ALIVE, BLOB, CLIFF
+from .exact_car import Drive
+from .rig import NOISE, UNTIL_PUBLISHED, Rig
+
+_COUNTED = 'the counters in /diagnostics are exact'
+_FRAME_TIMEOUT = 0.05    # s: the bridge's default
+_REPORT_PERIOD = 1.3     # s at most between two reports of a silent board
+_VALID = codec.mcu_frame(0x55, 0, bytes(range(16, 32)))
+_FALSE_START = b'\x02\xFF\x55'
+# Invalid bytes, and the counter of each; each comes between valid frames.
+DAMAGE = {
+    'arduino': (
+        ('framing errors', b'\x09\x01\x02\x00'),
+        ('length errors', codec.arduino_packet(codec.TICKS, b'\1\2')),
+        ('unknown type errors', codec.arduino_packet(200, b'abc')),
+        ('implausible errors', codec.arduino_packet(codec.VOLTAGE, struct.pack('<f', 300.0))),
+        ('implausible errors', codec.arduino_packet(codec.IMU, bytes(22))),
+        ('implausible errors', codec.arduino_packet(codec.STEERING_ANGLE, b'\xFF\xFF')),
+        ('oversize errors', b'\x01' * 300 + b'\0')),
+    'mcu': 3 * (
+        ('checksum errors', bytes((*_VALID[:8], _VALID[8] ^ 1, *_VALID[9:]))),
+        ('framing errors', _VALID[:-1] + b'\x04'), ('framing errors', b'\x77'),
+        ('length errors', codec.mcu_frame(CLIFF, 0, b'12')))}
+
+
+def measurements(rig: Rig) -> None:
+    """All types of messages of the car and the sensor board, a hundred of each."""
+    rig.settle()
+    began, beats = time.monotonic(), rig.car.all_beats
+    for number in range(100):
+        rig.measure()
+        rig.sensors.cliff()
+        if number % 10 == 0:
+            size = 246 + number // 10       # with the type 247 … 256 bytes
+            rig.car.send(codec.arduino_packet(BLOB, bytes(1 + n % 255 for n in range(size))))
+        rig.wait_beats(0.05)
+    seconds, beats = time.monotonic() - began, rig.car.all_beats - beats
+    rig.row('heartbeats: 100 a second').check(
+        abs(beats / seconds - 100) < 2, f'{beats} in {seconds:.3f} s')
+    rig.compare(rig.car, rig.sensors)
+
+
+def damaged(rig: Rig) -> None:
+    """Invalid frames, each between valid ones; noise before a frame; a false start, and then a byte
+    each 30 ms between frames."""
+    required = rig.row('every error is counted by cause and costs no valid frame')
+    for link, board in ('arduino', rig.car), ('mcu', rig.sensors):
+        rig.settle()
+        keys = [key for key, _data in DAMAGE[link]]
+        with rig.counted(required, link, {key: keys.count(key) for key in keys}):
+            for _key, data in DAMAGE[link]:
+                board.measure()
+                # A length error of the sensor board has the SEQ of the frame before it.
+                board.line.write(data if data[:1] != b'\x02' else codec.mcu_frame(
+                    CLIFF, rig.sensors.seq, b'12') if data[2] == CLIFF else data)
+                board.measure()
+            rig.diagnosed(link, 1, 'errors in the last second')
+            rig.compare(board)
+    count = rig.robot.published['mcu/status'][-1].message.crc_error_count
+    wanted = rig.count('mcu', 'checksum errors')
+    required.check(count == wanted, f'crc_error_count is {count}, in /diagnostics {wanted}')
+    for _ in range(3):
+        rig.settle()
+        for board, end in (rig.car, b'\0'), (rig.sensors, b''):
+            board.line.write(NOISE + end)
+            board.measure()
+        rig.mcu_line.write(_FALSE_START)
+        for _ in range(20):
+            rig.mcu_line.write(b'\x11')
+            rig.sensors.measure()
+            rig.sleep(0.03)
+        rig.compare(rig.car, rig.sensors)
+
+
+def lost_frames(rig: Rig) -> None:
+    """Gaps in SEQ, and doubled frames."""
+    rig.settle()
+    rig.sensors.cliff()
+    rig.wait(lambda: rig.robot.published['mcu/cliff'], 'the first frame')
+    gaps = 0, 1, 0, 5, 200, 0, 254
+    with rig.counted(rig.row('every lost and every doubled frame is counted'), 'mcu',
+                     {'frames lost': sum(gaps), 'frames doubled': 8}):
+        for gap in gaps:
+            rig.sensors.seq = (rig.sensors.seq + gap) % 256
+            rig.sensors.cliff()
+        for _ in range(4):
+            rig.sensors.write(2 * rig.sensors.frame(0x55, b'of an unknown type'))
+            rig.sensors.cliff()
+            rig.sensors.line.write(rig.sensors.written[-1])     # the same again
+        rig.compare(rig.sensors)
+
+
+def false_starts(rig: Rig) -> None:
+    """A frame after a false start is published when that times out, with an earlier stamp."""
+    required = rig.row('a frame after a false start keeps the stamp of its read')
+    for start in b'\x02', b'\x02\x60', b'\x02\x60\x55':
+        rig.settle()
+        rig.sensors.line.write(start)
+        rig.sensors.measure()
+        statuses = rig.robot.published['mcu/status']
+        status = required.wait(lambda: [each for each in statuses if each.key], 'the status')[0]
+        required.check(len(start) == 1 or status.wall - status.stamp >= _FRAME_TIMEOUT - 0.005,
+                       f'stamped only {status.wall - status.stamp:.4f} s before it arrived')
+
+
+def traffic(rig: Rig) -> None:
+    """What serial_msg and /diagnostics show, compared with the frames on the lines."""
+    required = rig.row('serial_msg has every received and sent frame once, in order')
+    counters, drive = rig.row(_COUNTED), Drive(rig)
+    shown: Dict[Tuple[str, int], List[SerialMsg]] = defaultdict(list)   # by link and direction
+    subscriber = rig.robot.subscribe_to_traffic(
+        lambda message: shown[message.link, message.direction].append(message))
+    # Until each link has shown frames.
+    required.wait(lambda: not rig.measure() and rig.robot.call('bus/echo').success
+                  and len(shown) >= 5, 'serial_msg shows frames of all links')
+    rig.settle()
+    wanted = {'frames received': 40, 'framing errors': 20, 'checksum errors': 0,
+              'bytes received': 0}
+    with rig.counted(counters, 'mcu', wanted):
+        rig.clear_records()
+        for number in range(1, 21):
+            rig.measure()
+            rig.sensors.write(codec.mcu_frame(0x55, number, b'damaged')[:-1] + b'!')
+            drive.command('steering')
+            rig.robot.call('bus/echo')
+        rig.sleep(0.1)      # a damaged frame is given up
+        wanted['bytes received'] = len(b''.join(rig.sensors.written))
+    for link, direction, frames, frame_at in (
+            ('arduino', 1, [codec.arduino_packet(each.type, each.data) for each in rig.car.packets],
+             codec.arduino_at), *((board.line.name, 0, board.written, board.sent_frame_at)
+                                  for board in (rig.car, rig.sensors, rig.bus))):
+        frames = [frame for frame in frames         # signs of life are all the same
+                  if b'damaged' not in frame and frame != codec.arduino_packet(ALIVE)]
+
+        def found() -> List[SerialMsg]:
+            return [each for each in list(shown[link, direction]) if bytes(each.frame) in frames]
+        with contextlib.suppress(StageError):
+            rig.wait(lambda: len(found()) >= len(frames), '', UNTIL_PUBLISHED)
+        for each, frame in itertools.zip_longest(found(), frames):
+            content = codec.decode(frame or b'', frame_at)[0]
+            required.check(each and content and bytes(each.frame) == frame and content[0].content
+                           == (each.type, each.command, bytes(each.data)) and each.text
+                           and not each.error, f'{link} {direction}: {each}, not {frame!r}')
+    errors = b''.join(bytes(each.frame) for each in shown['mcu', 0] if each.error)
+    required.check(errors.count(b'damaged') == 20, 'not all damaged frames are shown')
+    subscriber.unregister()
+    for link, line in rig.lines.items():
+        counters.check(rig.next_report(link)[2]['hardware id'] == line.port, f'port of {link}')
+
+
+def settings(rig: Rig) -> None:
+    """Another program changes the settings of the port (stty icrnl)."""
+    required = rig.row('changed settings of a tty are restored within 0.3 s')
+    for _ in range(2):
+        rig.settle()
+        with open(rig.car_line.port, 'rb', buffering=0, opener=lambda path, flags: os.open(
+                path, flags | os.O_NOCTTY | os.O_NONBLOCK)) as port:
+            changed = termios.tcgetattr(port)
+            changed[0] |= termios.ICRNL
+            changed[3] |= termios.ECHO
+            termios.tcsetattr(port, termios.TCSANOW, changed)
+        rig.sleep(0.3)
+        rig.clear_records()
+        for _ in range(20):
+            rig.car.send(codec.arduino_packet(codec.TICKS, b'\x0d'))
+            rig.wait_beats(0.02)
+        rig.compare(rig.car)
+        echoed = [each for each in rig.car.packets if not each.is_stop]
+        required.check(not echoed, f'{echoed[:3]} was echoed to the board')
+
+
+def silent(rig: Rig) -> None:
+    """The boards send, and fall silent."""
+    reported = rig.row('a silent sensor board: reports each second, no old values')
+    rig.settle()
+    rig.car.talks = False
+    with rig.clock.each(0.05, rig.measure):
+        for link in ('mcu', 'arduino'):
+            rig.diagnosed(link, 0, 'open')
+    rig.sleep(0.05)         # until the last call has returned
+    rig.compare(rig.car, rig.sensors)
+    statuses, adc = rig.robot.published['mcu/status'], rig.robot.published['mcu/adc_status']
+    last = [each for each in statuses if each.key][-1]
+    reported.wait(lambda: statuses[-3].wall > last.wall, 'three reports')
+    reports = statuses[-3:]
+    for each in reports:
+        m = each.message
+        reported.check((m.connected, m.valid, m.vl53_1, m.vl53_2) == (False, False, 65535, 65535)
+                       and all(map(math.isnan, (m.yaw, m.pitch, m.roll)))
+                       and m.seq == last.message.seq, f'{m}')
+    for before, after in zip(reports, reports[1:]):
+        rig.in_time(reported, before.stamp, after.stamp, _REPORT_PERIOD, 'between two reports')
+        ages = before.message.last_frame_age_sec, after.message.last_frame_age_sec
+        reported.check(ages[0] < ages[1], f'ages {ages}')
+    m = adc[-1].message
+    reported.check(adc[-1].key is None and {getattr(m, f'adc{n}') for n in range(6)} == {65535}
+                   and not m.connected and not m.valid, f'{m}')
+    for link in ('mcu', 'arduino'):
+        rig.diagnosed(link, 1, 'silent')
+    rig.car.talks = True
+
+
+SERIAL = measurements, damaged, lost_frames, false_starts, traffic, settings, silent
