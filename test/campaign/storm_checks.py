@@ -24,7 +24,7 @@ _CALL_TIME = 6.0         # s: for its turn, three tries, and two stalls
 _KEPT = 10.0             # s after which a value that was not published is lost
 _BEFORE, _AFTER = 0.3, 3.0       # s beside a disturbance in which values may be lost
 # Growth at most, in a run of any length and in each hour.
-_GROWTH = {'memory': (1.0, 2.0, 'MB'), 'threads': (3.0, 1.0, ''), 'files': (5.0, 1.0, '')}
+_GROWTH = {'memory': (1.0, 2.0, 'MB'), 'threads': (3.0, 1.0, ''), 'files': (10.0, 1.0, '')}
 _SETTLING = 60.0         # s, or a third of a shorter part
 _POLLS = (DEPTH, b''), (HEIGHT, b''), (codec.ENVIRONMENT, b''), (ANNOUNCE, b'\0')
 
