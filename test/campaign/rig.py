@@ -14,7 +14,7 @@ from .lines import Clock, NetworkLine, SerialLine
 from .logs import LogCheck
 from .requirements import Requirement, Table
 from .robot import FRAMES, TOPICS, Published, Robot
-from .witness import LATE, LineWitness, Witness
+from .witness import LATE, MARGIN, LineWitness, Witness
 
 REPLY_TIMEOUT = 0.3      # s: parameters of the bridge
 MOTION_TIMEOUT = SPEED_TIMEOUT = 0.5
@@ -112,10 +112,11 @@ class Rig(Stage):
         return self.excuses(since, until, _STALL) or \
             self._line_witness.longest(since, until) >= _STALL
 
-    def decide(self, required: Requirement, holds: bool, text: str, since: float,
-               until: float) -> None:
-        """Check what the machine can spoil: if a witness was late, too, it is not decided."""
-        if not holds and self.excuses(since, until):
+    def decide(self, required: Requirement, holds: bool, text: str, since: float, until: float,
+               excess: float = 0.0) -> None:
+        """Check what the machine can spoil: it is not decided if a witness was late, too, and by so
+        many seconds, not counting `MARGIN`."""
+        if not holds and self.excuses(since, until, max(LATE, excess - MARGIN)):
             required.undecided += 1
         else:
             required.check(holds, text)
@@ -124,11 +125,11 @@ class Rig(Stage):
                 least: float = 0.0) -> None:
         """Check the time between two events, in s."""
         seconds = until - since
-        holds = least <= seconds <= limit
-        if holds:
+        excess = max(seconds - limit, least - seconds)
+        if excess <= 0:
             required.keep_worst(seconds * 1e3, 'ms')
-        self.decide(required, holds, f'{text}: {seconds * 1e3:.1f} ms, {least * 1e3:g} to '
-                    f'{limit * 1e3:g} ms allowed', since, until)
+        self.decide(required, excess <= 0, f'{text}: {seconds * 1e3:.1f} ms, {least * 1e3:g} to '
+                    f'{limit * 1e3:g} ms allowed', since, until, excess)
 
     def wait_for_bridge(self) -> None:
         """Until it serves every link that is plugged in, and is connected to the robot."""
