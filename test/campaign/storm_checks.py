@@ -22,9 +22,10 @@ _AGE, _NETWORK_AGE = 0.7, 1.5    # s; no older speed reaches the board
 _STOP_TIME = SPEED_TIMEOUT + 0.05      # s
 _CALL_TIME = 6.0         # s: for its turn, three tries, and two stalls
 _KEPT = 10.0             # s after which a value that was not published is lost
+_RETURN = 1.0            # s until values are published again after a stall
 _BEFORE, _AFTER = 0.3, 3.0       # s beside a disturbance in which values may be lost
 # Growth at most, in a run of any length and in each hour.
-_GROWTH = {'memory': (1.0, 2.0, 'MB'), 'threads': (3.0, 1.0, ''), 'files': (5.0, 1.0, '')}
+_GROWTH = {'memory': (1.0, 2.0, 'MB'), 'threads': (3.0, 1.0, ''), 'files': (10.0, 1.0, '')}
 _SETTLING = 60.0         # s, or a third of a shorter part
 _POLLS = (DEPTH, b''), (HEIGHT, b''), (codec.ENVIRONMENT, b''), (ANNOUNCE, b'\0')
 
@@ -218,7 +219,7 @@ class ValueCheck:
             link = 'mcu' if 'mcu' in topic else 'arduino'
             if any(each.excuses(link, value.at, latest) for each in list(self.disturbances)):
                 continue
-            if self._rig.may_lose(value.at - _BEFORE, value.at + _BEFORE):
+            if self._rig.may_lose(value.at - _RETURN, value.at + _BEFORE):
                 self._lost.undecided += 1
             else:
                 self._lost.check(False, f'{topic} {value.key}, sent at {value.at:.3f}')
