@@ -103,7 +103,7 @@ def sensor_keys(frame: codec.Frame) -> List[Key]:
     if frame.type == CLIFF and len(frame.data) == 4:
         return [('mcu/cliff', struct.unpack('<I', frame.data)[0])]
     if frame.type == codec.ADC:
-        return [('mcu/adc_status', (frame.command, *struct.unpack('<6H', frame.data)))]
+        return [('mcu/adc_status', (frame.number, *struct.unpack('<6H', frame.data)))]
     if frame.type != codec.SENSORS:
         return []
     one, two, *angles = struct.unpack('<HHhhh', frame.data)
@@ -115,7 +115,7 @@ def sensor_keys(frame: codec.Frame) -> List[Key]:
         attitude = [(topic, (angles[0] % 36000, *angles[1:]))
                     for topic in ('mcu/imu', 'tf/mcu_imu_orientation')]
     valid = 0xFFFF not in (one, two) and None not in angles
-    return [('mcu/status', (frame.command, valid, one, two, tuple(angles))),
+    return [('mcu/status', (frame.number, valid, one, two, tuple(angles))),
             ('mcu/range_1', range_key(one)), ('mcu/range_2', range_key(two)), *attitude]
 
 
