@@ -22,7 +22,7 @@ class PortBusy(Exception):
 
 
 GONE = 'the device has gone'
-_ABSENT = 'there is no such device; waiting for it'
+_ABSENT = 'there is no such device' + WAITING
 _IN_USE = 'another program has it open'
 _CLOSED = 'the other side closed the connection'
 _NO_ANSWER = 'the host does not answer'
@@ -73,12 +73,8 @@ def who_has_it_open(path: str) -> str:
 
 def explain(error: BaseException, path: str = '',
             in_use: Callable[[str], str] = who_has_it_open) -> str:
-    """The text for an error of the system or of pyserial.
-
-    Args:
-        path: of the device, if it is one.
-        in_use: says who has it open.
-    """
+    """The text for an error of the system or of pyserial. `path`: of the device, if it is one;
+    `in_use`: says who has it open."""
     for cause in _causes(error):
         if isinstance(cause, socket.gaierror):
             return 'no host of that name is known'
