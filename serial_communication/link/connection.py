@@ -71,9 +71,8 @@ class Connection:
         self._port.wake()
 
     def may_be_from_a_stall(self) -> bool:
-        """Whether what is asked for now may have waited while the bridge stalled: during a stall,
-        also if this connection's thread does not run again yet, and until `AFTER_STALL` s later.
-        """
+        """Whether what is asked for now may have waited during a stall: also while the connection's
+        thread does not run again yet, and until `AFTER_STALL` s later."""
         now = pace.clock()
         return self.stalls.stalled_for(now) > 0 or self.stalls.has_just_stalled(now)
 

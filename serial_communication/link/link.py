@@ -81,24 +81,19 @@ class Link:
         """An invalid frame or noise was received; it is already counted and logged."""
 
     def stalled(self, seconds: float, now: float) -> None:
-        """The thread stalled for `seconds`, which are more than `STALL`.
-
-        After this call what is received is dropped until `AFTER_STALL` s after the stall, and
-        `received` is not called.
-        """
+        """The thread stalled for `seconds`, more than `STALL`. What is received is dropped, and not
+        passed to `received`, until `AFTER_STALL` s after the stall."""
 
     def altered(self, now: float) -> None:
-        """Another program had changed the tty's settings, which are restored now.
-
-        Bytes may have changed on the way, in both directions.
-        """
+        """Another program had changed the tty's settings, which are restored now; bytes may have
+        changed on the way, in both directions."""
         self.stalled(0.0, now)
 
     def tick(self, now: float) -> Optional[float]:
-        """Do what is due; return the time of the next call at the latest, or None.
+        """Do what is due; return the time of the next call at the latest, or None. PortError has
+        the port closed and opened again.
 
-        Called then, after `wake`, when no bytes are received, and every 0.1 s at the latest. It may
-        raise PortError to have the port closed and opened again.
+        Called then, after `wake`, when no bytes are received, and every 0.1 s at the latest.
         """
         return None
 
@@ -139,7 +134,7 @@ class Link:
         self.connection.wake()
 
     def send(self, frame: bytes, type_: int, number: int, data: bytes, message: Any) -> None:
-        """Write one frame, count it and pass it to `tap`; PortError, PortBusy: it is not written."""
+        """Write a frame, count it and pass it to `tap`; PortError, PortBusy: it is not written."""
         self.port.write(frame)
         self.written(frame, type_, number, data, message)
 

@@ -1,7 +1,6 @@
 """A log with a limited rate: a cause that repeats is not logged each time."""
 import logging
 import time
-from contextlib import suppress
 from typing import Callable, Dict, List
 
 
@@ -47,5 +46,7 @@ class SparingLog:
         self._write(level, text)
 
     def _write(self, level: int, text: str) -> None:
-        with suppress(Exception):       # no other place to report it
+        try:
             self._logger.log(level, '%s: %s', self._link, text)
+        except Exception:  # pylint: disable=broad-except
+            pass    # no other place to report it

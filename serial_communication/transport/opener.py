@@ -76,8 +76,10 @@ class Opener:
             if self.ending.is_set():
                 return
             trouble = 'out of memory while opening it'
-            with suppress(BaseException):       # too little even for the text of the error
+            try:
                 trouble = self._try()
+            except BaseException:  # pylint: disable=broad-except
+                pass        # too little memory even for the text of the error
             if trouble or self.ending.is_set():     # then `open` may have returned already
                 self._port.close()
             self._results.put(trouble)

@@ -41,9 +41,7 @@ class Port:
         self._in_use = ('', '', 0.0)     # path, who has it open, when to look again (monotonic)
         self._lock = threading.Lock()    # held to write, open and close
         self._rest = b''                 # the unsent rest of a frame that the kernel took in part
-        self._wake_read, self._wake_write = os.pipe()
-        os.set_blocking(self._wake_read, False)
-        os.set_blocking(self._wake_write, False)
+        self._wake_read, self._wake_write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
 
     @property
     def is_open(self) -> bool:
