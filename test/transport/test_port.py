@@ -329,6 +329,16 @@ def test_a_partly_written_frame_is_completed_before_the_next(port, line):
     assert port.bytes_sent == len(expected)
 
 
+def test_no_frame_is_taken_before_the_rest_of_the_last_one_is_sent(port, line, monkeypatch):
+    send = port._opened.send
+    monkeypatch.setattr(port._opened, 'send', lambda data: send(data[:3]))
+    port.write(b'abcdefgh')
+    with pytest.raises(PortBusy):
+        port.write(b'lost')
+    port.write(b'ijk')
+    assert line.read_all() == b'abcdefghijk' and port.bytes_sent == 11
+
+
 def test_the_reading_thread_completes_a_partly_written_frame(port, line):
     reader = Reader(port)
     taken = fill(port)
