@@ -22,7 +22,7 @@ class PortBusy(Exception):
 
 
 GONE = 'the device has gone'
-_ABSENT = 'there is no such device' + WAITING
+_ABSENT = 'there is no such device; waiting for it'
 _IN_USE = 'another program has it open'
 _CLOSED = 'the other side closed the connection'
 _NO_ANSWER = 'the host does not answer'
