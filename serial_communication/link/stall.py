@@ -12,7 +12,7 @@ class StallWatch:
     """
 
     def __init__(self, limit: float, now: float = float('inf')) -> None:
-        self.awake_at = now      # when the thread last ran
+        self.awake_at = now      # when the thread last ran; infinite: it has not been started
         self._limit = limit
         self._until = float('-inf')
 
