@@ -9,9 +9,8 @@ from .sparing_log import SparingLog
 class BoardAnnouncement:
     """The announcement of one board, as far as its link knows it.
 
-    After the port was opened the board may be another one, or have other firmware, where the same
-    bytes mean something else. So until the board has announced the rows again, nothing that they
-    describe is sent or published.
+    After the port was opened the board may be another one, or have other firmware. So until the
+    board has announced the rows again, nothing that they describe is sent or published.
     """
 
     def __init__(self, log: SparingLog) -> None:
@@ -50,8 +49,8 @@ class BoardAnnouncement:
         return self.assembly.confirmed and self.assembly.text == self._in_use
 
     def holds_back(self, message: Any) -> bool:
-        """Whether a received message must not be published, since only a row describes it that the
-        board is not known to announce; it is then counted."""
+        """Whether a received message must not be published, since the board is not known to
+        announce its row; it is then counted."""
         if not message.ANNOUNCED or self.is_current:
             return False
         self.held_back += 1

@@ -30,13 +30,7 @@ class PortState(enum.Enum):
 
 
 class Connection:
-    """Serves one link: calls its hooks in this connection's thread.
-
-    Args:
-        link: whose port and decoder it uses.
-        frame_timeout: s without a byte after which an incomplete frame is given up.
-        clock: returns the stamp of each read.
-    """
+    """Serves one link: calls its hooks in this connection's thread."""
 
     def __init__(self, link: 'Link', frame_timeout: float, clock: Callable[[], Any]) -> None:
         self.state = PortState.CLOSED
@@ -58,7 +52,7 @@ class Connection:
         self._opener = Opener(link.port, link.name + ' opening')
         self._thread = threading.Thread(target=self._run, name=link.name + ' link', daemon=True)
 
-    # -- for any thread; see `Link` for the first four ----------------------------------
+    # -- for any thread; `Link` explains the first four ---------------------------------
 
     def start(self) -> None:
         self._opener.start()
@@ -77,17 +71,13 @@ class Connection:
         self._port.wake()
 
     def may_be_from_a_stall(self) -> bool:
-        """Whether what is asked for now may have waited while the bridge stalled.
-
-        That is so during a stall, and until `AFTER_STALL` s after it. A caller's thread may run
-        again before the connection's thread does.
-        """
+        """Whether what is asked for now may have waited during a stall: also while the connection's
+        thread does not run again yet, and until `AFTER_STALL` s later."""
         now = pace.clock()
         return self.stalls.stalled_for(now) > 0 or self.stalls.has_just_stalled(now)
 
     @property
     def reconnects(self) -> int:
-        """How often the port has been opened again."""
         return max(self.number - 1, 0)
 
     # -- for the link, in the thread --------------------------------------------------
@@ -97,8 +87,7 @@ class Connection:
         return now - self.last_byte_at if self.last_byte_at > self.opened_at else 0.0
 
     def guarded(self, function: Callable, *arguments: Any) -> Any:
-        """Call a function. If it raises, log that, report it as the port's trouble and return
-        None."""
+        """Call a function. If it raises, log and report that, and return None."""
         try:
             return function(*arguments)
         except PortError as error:
@@ -115,10 +104,7 @@ class Connection:
     # -- opening and closing ----------------------------------------------------------
 
     def _run(self) -> None:
-        """Open the port, serve it and close it, again and again until `stop`.
-
-        Errors of hooks and callbacks, and a lack of memory, do not end the thread.
-        """
+        """Errors of hooks and callbacks, and a lack of memory, do not end this."""
         while not self._opener.ending.is_set():
             try:
                 if self._port.is_open:       # an error ended the turn before
@@ -158,7 +144,6 @@ class Connection:
     # -- reading ----------------------------------------------------------------------
 
     def _serve(self) -> None:
-        """Read until the port is lost or the link is stopped."""
         link, port, timer = self._link, self._port, self._timer
         now = tick_at = look_at = self._begin()
         while not self._opener.ending.is_set():
@@ -211,7 +196,6 @@ class Connection:
             self._link.altered(now)
 
     def _receive(self, data: bytes, stamp: Any, now: float) -> None:
-        """Decode the bytes of one read, and give up what has been incomplete for too long."""
         link = self._link
         if data:
             self.last_byte_at = now
@@ -230,8 +214,7 @@ class Connection:
                 unknown.reset()
 
     def _check_stall(self, now: float) -> float:
-        """Begin to drop after a stall of this thread, and return its length in s, else 0.0. End
-        that when what is read is new."""
+        """After a stall begin to drop, and return its length in s; end that when bytes are new."""
         link, awake_at = self._link, pace.clock()
         seconds = self.stalls.stalled_for(awake_at)
         self.stalls.awake_at = awake_at
@@ -250,7 +233,6 @@ class Connection:
         return seconds
 
     def _drop(self, data: bytes, stall: float, now: float) -> None:
-        """Drop the bytes of one read at the end of a stall, or shortly after it."""
         decoder = self._link.decoder
         self.stale += len(data)
         self._dropped += len(data)

@@ -33,11 +33,9 @@ class Link:
     Args:
         name: of the board, in logs, `SerialMsg` and diagnostics.
         port: the link alone opens and closes it.
-        decoder: for the bytes that the board sends.
         frame_timeout: s without a byte after which an incomplete frame is given up.
         clock: returns the stamp of each read; it is used for nothing else.
-        logger: None: the logger of this module.
-        other_boards: boards to recognise if their frames are received instead of this board's.
+        other_boards: to be recognised if their frames are received instead of this board's.
     """
 
     STOPS_FIRST = False     # True: at shutdown this link is stopped before the others
@@ -83,26 +81,19 @@ class Link:
         """An invalid frame or noise was received; it is already counted and logged."""
 
     def stalled(self, seconds: float, now: float) -> None:
-        """The thread stalled for `seconds`, which are more than `STALL`.
-
-        After this call what is received is dropped until `AFTER_STALL` s after the stall, and
-        `received` is not called.
-        """
+        """The thread stalled for `seconds`, more than `STALL`. What is received is dropped, and not
+        passed to `received`, until `AFTER_STALL` s after the stall."""
 
     def altered(self, now: float) -> None:
-        """Another program had changed the tty's settings, which are restored now.
-
-        Bytes may have changed on the way, in both directions.
-        """
+        """Another program had changed the tty's settings, which are restored now; bytes may have
+        changed on the way, in both directions."""
         self.stalled(0.0, now)
 
     def tick(self, now: float) -> Optional[float]:
-        """Do what is due; return the time of the next call at the latest, or None.
+        """Do what is due; return the time of the next call at the latest, or None. PortError has
+        the port closed and opened again.
 
         Called then, after `wake`, when no bytes are received, and every 0.1 s at the latest.
-
-        Raises:
-            PortError: to have the port closed and opened again.
         """
         return None
 
@@ -115,11 +106,8 @@ class Link:
         return frame
 
     def talks(self, now: float) -> Optional[bool]:
-        """Whether the board talks; None: unknown.
-
-        Asked while the port is open; changes are logged. Silence is not logged while the board
-        may still be starting up.
-        """
+        """Whether the board talks, None: unknown; changes are logged. Silence is not logged while
+        the board may still be starting up."""
         return self.last_frame_at is not None and now - self.last_frame_at <= SILENCE
 
     def silence(self) -> str:
@@ -146,11 +134,7 @@ class Link:
         self.connection.wake()
 
     def send(self, frame: bytes, type_: int, number: int, data: bytes, message: Any) -> None:
-        """Write one frame, count it and pass it to `tap`.
-
-        Raises:
-            PortError, PortBusy: nothing was written.
-        """
+        """Write a frame, count it and pass it to `tap`; PortError, PortBusy: it is not written."""
         self.port.write(frame)
         self.written(frame, type_, number, data, message)
 
@@ -164,13 +148,10 @@ class Link:
                 frame, type_, number, data, message, self._clock())), tap)
 
     def check_silence(self, now: float, limit: float) -> Optional[float]:
-        """For `tick`: have a network port closed if it has been silent for `limit` s (0: never).
+        """For `tick`: raise PortError if a network port has been silent for `limit` s (0: never).
 
         That drops unsent bytes, which may wait unseen in the network or in the peer's kernel.
         Return when to check again, or None.
-
-        Raises:
-            PortError: nothing was received for `limit` s.
         """
         if not limit or not self.port.is_network:
             return None
@@ -182,8 +163,7 @@ class Link:
     # -- diagnostics ------------------------------------------------------------------
 
     def report(self, now: float) -> Report:
-        """The state of the link, with the errors since the previous call as those of the last
-        second. So it has to be called once a second."""
+        """To be called once a second: the errors since the last call are those of that second."""
         errors = self.error_count()
         new_errors, self._reported_errors = errors - self._reported_errors, errors
         level, summary = self.condition(now)

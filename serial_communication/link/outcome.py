@@ -9,7 +9,6 @@ import enum
 import re
 from typing import Any, NamedTuple, Optional, Tuple
 
-
 # A status is the CMD1 of a reply on the bus, or one of the two that the bridge adds.
 _DONE = (0x00, 0x01, 0x02)      # SYNC, ECHO, OK
 _ERROR, _INVALID = 0x03, 0xFF
@@ -23,15 +22,11 @@ _TEXT = re.compile(r'(?:^|: )status (\d{1,3}) \([^)]*\): (.*)', re.DOTALL)
 
 
 class Refused(Exception):
-    """A command was not sent; the text says why.
-
-    Args:
-        cause: why, in a word or two; lines with the same cause are logged sparingly.
-    """
+    """A command was not sent; the text says why."""
 
     def __init__(self, text: str, cause: str) -> None:
         super().__init__(text)
-        self.cause = cause
+        self.cause = cause      # in a word or two; lines with the same one are logged sparingly
 
 
 class Verdict(enum.Enum):
@@ -55,8 +50,7 @@ class Outcome(NamedTuple):
 
     @property
     def success(self) -> bool:
-        """Whether it was executed, with a reply as expected: exactly once, unless it may be
-        repeated."""
+        """Whether it was executed, as `Verdict.DONE`, with a reply as expected."""
         return self.status in _DONE and self.as_expected
 
     @property
@@ -73,10 +67,6 @@ def read_text(text: str) -> Tuple[Optional[int], str]:
 
 
 def verdict_of_failure(status: Optional[int]) -> Verdict:
-    """The verdict on a call that was reported as failed.
-
-    Args:
-        status: None: it was not reported.
-    """
+    """The verdict on a call that was reported as failed; `status` None: it was not reported."""
     refused = status in (NOT_SENT, _ERROR, _INVALID)
     return Verdict.REFUSED if refused else Verdict.NOT_KNOWN

@@ -22,13 +22,8 @@ class PresenceLog:
         self._logged_at: Dict[str, float] = {}
 
     def update(self, talks: Optional[bool], silence: str, now: float) -> None:
-        """To be called when it is `due`, every `LOOK_PERIOD` seconds.
-
-        Args:
-            talks: whether the board talks; None: unknown.
-            silence: the line that reports its silence.
-            now: s, monotonic.
-        """
+        """To be called when it is `due`: whether the board talks (None: unknown), and the line that
+        reports its silence."""
         self.due = now + LOOK_PERIOD
         state = 'talks' if talks else silence
         line = silence if not talks else 'back' if self._has_talked else 'ready'

@@ -5,23 +5,16 @@ from typing import Callable, Dict, List
 
 
 class SparingLog:
-    """Logs at most one line for each cause in every `period` seconds.
+    """Logs at most one line for each cause in every `period` seconds, with the link's name.
 
     The next line of a cause says how many were left out. Errors of the logger are ignored: a link
     must not end because its log cannot be written.
-
-    Args:
-        link: name of the link, put before each line.
-        period: s.
-        clock: returns seconds, monotonic.
     """
 
     def __init__(self, link: str, logger: logging.Logger, period: float = 10.0,
                  clock: Callable[[], float] = time.monotonic) -> None:
-        self._link = link
-        self._logger = logger
-        self._period = period
-        self._clock = clock
+        self._link, self._logger = link, logger
+        self._period, self._clock = period, clock
         self._causes: Dict[str, List[float]] = {}   # cause -> [logged at, left out since]
 
     def info(self, cause: str, text: str) -> None:
@@ -32,6 +25,13 @@ class SparingLog:
 
     def error(self, cause: str, text: str) -> None:
         self._log(logging.ERROR, cause, text)
+
+    def always_info(self, text: str) -> None:
+        """Log each line; the caller limits how often."""
+        self._write(logging.INFO, text)
+
+    def always_warn(self, text: str) -> None:
+        self._write(logging.WARNING, text)
 
     def _log(self, level: int, cause: str, text: str) -> None:
         now = self._clock()
@@ -44,14 +44,6 @@ class SparingLog:
         if left_out:
             text += f' (and {left_out} more like it)'
         self._write(level, text)
-
-    def always_info(self, text: str) -> None:
-        """Log each line; the caller limits how often."""
-        self._write(logging.INFO, text)
-
-    def always_warn(self, text: str) -> None:
-        """As `always_info`, a warning."""
-        self._write(logging.WARNING, text)
 
     def _write(self, level: int, text: str) -> None:
         try:

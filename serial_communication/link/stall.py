@@ -5,17 +5,14 @@ LONGEST_SLEEP = 0.1    # s; a link's thread never sleeps longer in a read
 
 
 class StallWatch:
-    """Watches one thread, and tells which commands and calls may have waited during a stall.
+    """Watches one thread, which runs from `now` on; any thread may ask.
 
-    Any thread may ask. Times are seconds of a clock that also runs while the computer is suspended.
-
-    Args:
-        limit: s; a longer time in which the thread does not run is a stall.
-        now: the thread runs from now on; infinite: it has not been started.
+    A time longer than `limit` in which it does not run is a stall. Times are seconds of a clock
+    that also runs while the computer is suspended.
     """
 
     def __init__(self, limit: float, now: float = float('inf')) -> None:
-        self.awake_at = now      # when the thread last ran
+        self.awake_at = now      # when the thread last ran; infinite: it has not been started
         self._limit = limit
         self._until = float('-inf')
 

@@ -26,24 +26,19 @@ class OtherBoard(NamedTuple):
 
 class UnknownBytes:
     """Counts the bytes since the last frame, and tries the decoders of other boards on them.
-    Recognises text, also between frames, and frames of types that nobody knows.
 
-    Args:
-        others: boards other than the link's own.
-        baud: of the port.
-        print_to: what a sketch should print to instead of the port.
+    Recognises text, also between frames, and frames of types that nobody knows. `print_to` is what
+    a sketch should print to instead of the port.
     """
 
     def __init__(self, others: Iterable[OtherBoard], baud: int = 115200,
                  print_to: str = 'another port') -> None:
         self._others = {other.name: other for other in others}
-        self._baud = baud
-        self._print_to = print_to
+        self._baud, self._print_to = baud, print_to
         self.understood_at = float('-inf')   # the latest frame of a known type; monotonic
         self.opened()
 
     def opened(self) -> None:
-        """The port was opened."""
         self._may_be_cut = True     # the next invalid frame may have begun before
         self._printed_at = float('-inf')     # when the latest text was received; monotonic
         self.reset()
@@ -55,8 +50,8 @@ class UnknownBytes:
         self._types: Set[int] = set()    # of the frames of unknown types …
         self._frames = 0                 # … their number …
         self._surplus = 0                # … and their bytes, less those of invalid frames
-        self._recognition = Recognition({
-            other.name: other.decoder for other in self._others.values()})
+        self._recognition = Recognition(
+            {name: other.decoder for name, other in self._others.items()})
 
     def add(self, frame: Frame, now: float) -> str:
         """Take a frame without a message; if the board prints it, return a line that says so."""
@@ -92,16 +87,13 @@ class UnknownBytes:
         if now > self._last_at + _PAUSE:
             return ''
         other = self._others.get(self._recognition.name)
-        if other is None:
-            printed = self.printed(now)
-            if printed:
-                return printed
-            if self._frames >= _FRAMES and self._surplus > 0:
-                types = ', '.join(map(str, sorted(self._types)[:_MOST_TYPES]))
-                return (f'messages come, but of unknown types ({types}): no row of the parameters, '
-                        'and none that the board announces, has them')
-            return '' if self.size < _ENOUGH else (
-                f'bytes come, but none is a frame of this board: another baud rate ({self._baud} '
-                'is set), or another board')
-        return f"bytes come, but they are the {other.name}'s: " + (
-            'are the two ports swapped?' if other.has_port else 'is this its port?')
+        if other:
+            return f"bytes come, but they are the {other.name}'s: " + (
+                'are the two ports swapped?' if other.has_port else 'is this its port?')
+        if self._frames >= _FRAMES and self._surplus > 0 and not self.printed(now):
+            types = ', '.join(map(str, sorted(self._types)[:_MOST_TYPES]))
+            return (f'messages come, but of unknown types ({types}): no row of the parameters, '
+                    'and none that the board announces, has them')
+        return self.printed(now) or ('' if self.size < _ENOUGH else (
+            f'bytes come, but none is a frame of this board: another baud rate ({self._baud} '
+            'is set), or another board'))

@@ -1,7 +1,7 @@
 """The serial ports of this computer, with all their names."""
 import glob
 import os
-from typing import Any, Dict, List, NamedTuple, Tuple
+from typing import Dict, List, NamedTuple, Tuple
 
 from serial.tools import list_ports
 
@@ -27,9 +27,8 @@ class Device(NamedTuple):
 
 def devices() -> List[Device]:
     """All serial ports, sorted; without those of the kernel's list that have no hardware."""
-    usb = _usb_adapters()
-    by_id, by_path = _links('by-id'), _links('by-path')
-    return [_device(path, usb.get(path), by_id.get(path, ''), by_path.get(path, ''))
+    usb, by_id, by_path = _usb_adapters(), _links('by-id'), _links('by-path')
+    return [Device(path, by_id.get(path, ''), by_path.get(path, ''), *usb.get(path, ()))
             for path in paths()]
 
 
@@ -56,9 +55,13 @@ def _order(path: str) -> Tuple[str, int]:
     return name, int(path[len(name):] or 0)
 
 
-def _usb_adapters() -> Dict[str, Any]:
+def _usb_adapters() -> Dict[str, Tuple[str, str, str]]:
+    """The last three fields of a `Device`, by its path."""
     try:
-        return {each.device: each for each in list_ports.comports() if each.vid is not None}
+        return {each.device: (
+            ' '.join(filter(None, (each.manufacturer, each.product))) or 'USB adapter',
+            f'{each.vid:04x}:{each.pid:04x}', each.serial_number or '')
+            for each in list_ports.comports() if each.vid is not None}
     except (OSError, TypeError, ValueError):
         return {}     # an adapter that vanished meanwhile
 
@@ -66,11 +69,3 @@ def _usb_adapters() -> Dict[str, Any]:
 def _links(kind: str) -> Dict[str, str]:
     """udev's names of one kind, by the path of the device."""
     return {os.path.realpath(link): link for link in sorted(glob.glob(f'{_LINKS}/{kind}/*'))}
-
-
-def _device(path: str, usb: Any, by_id: str, by_path: str) -> Device:
-    if usb is None:
-        return Device(path, by_id, by_path)
-    return Device(path, by_id, by_path,
-                  ' '.join(each for each in (usb.manufacturer, usb.product) if each)
-                  or 'USB adapter', f'{usb.vid:04x}:{usb.pid:04x}', usb.serial_number or '')

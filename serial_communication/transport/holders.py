@@ -1,6 +1,7 @@
 """The programs that have a device open, as far as this user may see them."""
 import glob
 import os
+from contextlib import suppress
 from typing import List, NamedTuple, Set
 
 
@@ -39,12 +40,10 @@ def _by_descriptor(device: str, port: os.stat_result) -> Set[int]:
     """Those that have it open; seen for the processes of this user, by root for all."""
     found = set()
     for descriptor in glob.iglob('/proc/[0-9]*/fd/*'):
-        try:
+        with suppress(OSError):     # closed meanwhile
             # In a container the same path may be another device.
             if os.readlink(descriptor) == device and os.path.samestat(os.stat(descriptor), port):
                 found.add(int(descriptor.split('/')[2]))
-        except OSError:
-            pass     # closed meanwhile
     if device.startswith('/dev/pts/'):
         found = {pid for pid in found if not _has_master(pid, device.rpartition('/')[2])}
     return found
@@ -53,28 +52,20 @@ def _by_descriptor(device: str, port: os.stat_result) -> Set[int]:
 def _has_master(pid: int, number: str) -> bool:
     """Whether a program has the other end of a pseudo terminal: socat, or a simulated board."""
     for descriptor in glob.iglob(f'/proc/{pid}/fd/*'):
-        try:
+        with suppress(OSError):
             if os.readlink(descriptor).endswith('ptmx'):
                 with open(descriptor.replace('/fd/', '/fdinfo/')) as file:
                     if ['tty-index:', number] in map(str.split, file):
                         return True
-        except OSError:
-            pass
     return False
 
 
 def holder(pid: int) -> Holder:
-    """This process with the name of its program."""
-    return Holder(pid, _program(pid))
-
-
-def _program(pid: int) -> str:
-    try:
-        with open(f'/proc/{pid}/cmdline', 'rb') as file:
-            words = file.read().decode('utf-8', 'replace').split('\0')
-    except OSError:
-        return '?'     # it has just ended
-    names = [os.path.basename(word) for word in words if word]
-    if len(names) > 1 and names[0].startswith('python') and not words[1].startswith('-'):
-        return names[1]
-    return names[0] if names else '?'
+    """This process with the name of its program; '?' if it has just ended."""
+    words: List[str] = []
+    with suppress(OSError), open(f'/proc/{pid}/cmdline', encoding='utf-8',
+                                 errors='replace') as file:
+        words = [word for word in file.read().split('\0') if word]
+    names = [os.path.basename(word) for word in words] or ['?']
+    is_script = names[0].startswith('python') and len(words) > 1 and words[1][0] != '-'
+    return Holder(pid, names[is_script])

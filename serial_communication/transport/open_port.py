@@ -1,7 +1,6 @@
-"""An open port, one class a kind: a tty, two kinds of network port, and what only pyserial can use.
+"""An open port, one class a kind. `Port` has one from an opening to the next closing.
 
-`Port` has one of these objects from an opening to the next closing. Their methods raise OSError if
-the port is gone.
+Its methods raise OSError if the port is gone; those with the names of `Port`'s do the same.
 """
 import fcntl
 import os
@@ -28,24 +27,17 @@ _PTY = range(136, 144)               # major numbers of /dev/pts/*
 
 
 class OpenPort:
-    """What only pyserial can read and write, as loop://; and the base of the other kinds.
-
-    Args:
-        opened: pyserial's object.
-        wake: a descriptor that can be read after `Port.wake`.
-    """
+    """What only pyserial can read and write, as loop://; and the base of the other kinds."""
 
     is_pty = False
 
     def __init__(self, opened: serial.SerialBase, wake: int) -> None:
         self._serial = opened
-        self._wake = wake
+        self._wake = wake       # a descriptor that can be read after `Port.wake`
 
     def read(self, timeout: Optional[float], wants_room: bool) -> bytes:
-        """The bytes received, at least one; b'' after `timeout` s or a wake-up.
-
-        With `wants_room` it also returns when the port can be written, or after some time.
-        """
+        """As `Port.read`; with `wants_room` it also returns when the port can be written, or after
+        some time."""
         deadline = None if timeout is None else time.monotonic() + timeout
         while True:
             has_time = deadline is None or time.monotonic() < deadline
@@ -71,17 +63,16 @@ class OpenPort:
 
     def unsent(self) -> int:
         """How many bytes wait in the kernel to be sent; 0: none, or unknown."""
-        return 0
+        return self.on_its_way()
 
     def on_its_way(self) -> int:
         """The same, and those that the peer of a connection has not acknowledged."""
-        return self.unsent()
+        return 0
 
     def discard_output(self) -> None:
         """Drop what waits in the kernel, where that is possible."""
 
     def restore_settings(self) -> str:
-        """See `Port.restore_settings`."""
         return ''
 
     def close(self, is_held: bool) -> None:
@@ -115,22 +106,16 @@ class _Polled(OpenPort):
             if descriptor == self._wake:
                 os.read(descriptor, _READ_SIZE)
             elif event != select.EPOLLOUT:
-                data = self._received()
-        return data
-
-    def _received(self) -> bytes:
-        try:
-            data = os.read(self._fd, _READ_SIZE)
-        except BlockingIOError:
-            return b''
-        if not data:
-            raise PortError(GONE)
+                with suppress(BlockingIOError):
+                    data = os.read(self._fd, _READ_SIZE)
+                    if not data:
+                        raise PortError(GONE)
         return data
 
     def send(self, data: bytes) -> int:
         return os.write(self._fd, data)
 
-    def unsent(self) -> int:
+    def on_its_way(self) -> int:
         return self._queued(termios.TIOCOUTQ)
 
     def close(self, is_held: bool) -> None:
@@ -158,8 +143,11 @@ class OpenTty(_Polled):
         self.is_pty = os.major(os.fstat(self._fd).st_rdev) in _PTY
         with suppress(AttributeError, OSError, ValueError, NotImplementedError):
             opened.set_low_latency_mode(True)   # else an FTDI chip holds data back for 16 ms
-        if reset:
-            self._pulse_dtr()
+        if reset:       # a board whose reset line is connected to DTR
+            with suppress(OSError, termios.error):
+                opened.dtr = False
+                time.sleep(0.05)
+                opened.dtr = True
         # Locked also against programs that ignore pyserial's lock, except those of root. Of a
         # pseudo terminal the kernel would keep the lock for as long as the other end is open, so
         # after a SIGKILL this user could not open the port again.
@@ -177,13 +165,6 @@ class OpenTty(_Polled):
             self._poll.modify(self._fd, self._events)
             data = self._wait(0)
         return data
-
-    def _pulse_dtr(self) -> None:
-        """Reset a board whose reset line is connected to DTR."""
-        with suppress(OSError, termios.error):
-            self._serial.dtr = False
-            time.sleep(0.05)
-            self._serial.dtr = True
 
     def _lock(self, request: int) -> None:
         with suppress(OSError):
@@ -233,9 +214,6 @@ class OpenSocket(_Polled):
     def unsent(self) -> int:
         return self._queued(_NOT_SENT)
 
-    def on_its_way(self) -> int:
-        return self._queued(termios.TIOCOUTQ)
-
     def close(self, is_held: bool) -> None:
         if is_held or self.on_its_way():
             with suppress(OSError):     # already gone
@@ -255,11 +233,7 @@ class OpenRfc2217(OpenSocket):
 
 
 def open_port(port: serial.SerialBase, scheme: str, wake: int, reset: bool) -> OpenPort:
-    """Open a port of pyserial's.
-
-    Raises:
-        OSError, ValueError, termios.error: it cannot be opened now.
-    """
+    """Open a port of pyserial's; OSError, ValueError or termios.error if that fails."""
     port.timeout = _SLICE
     if scheme != 'rfc2217':     # which has no write timeout
         port.write_timeout = _SLICE

@@ -5,6 +5,7 @@ Opening runs in a separate thread: over a network it takes seconds, and some dev
 import queue
 import threading
 import time
+from contextlib import suppress
 from typing import Callable, Optional
 
 from .port import Port
@@ -13,19 +14,11 @@ from .port_errors import PortError
 _BACK_OFF = (0.1, 1.0)    # s before a try: the first pause, the longest
 
 
-def _nothing_is_due(_now: float) -> Optional[float]:
-    return None
-
-
 class Opener:
-    """Opens one port on request, until `end`.
+    """Opens one port on request, until `end`; its reader closes it.
 
-    Its thread is started once, at the beginning: starting a thread when memory has run out may
-    never return.
-
-    Args:
-        port: the port to open; its reader closes it.
-        name: of the thread.
+    Its thread, of this name, is started once: starting a thread when memory has run out may never
+    return.
     """
 
     def __init__(self, port: Port, name: str) -> None:
@@ -34,12 +27,11 @@ class Opener:
         self._pause = 0.0                    # s before the next try
         self._is_trying = False              # the result of a try has not been taken yet
         # For each try the pause before it, and why it failed or ''. Their get() takes no memory.
-        self._tries: queue.SimpleQueue = queue.SimpleQueue()
-        self._results: queue.SimpleQueue = queue.SimpleQueue()
+        self._tries: 'queue.SimpleQueue[float]' = queue.SimpleQueue()
+        self._results: 'queue.SimpleQueue[str]' = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self) -> None:
-        """Start the thread."""
         self._thread.start()
 
     def end(self) -> None:
@@ -49,13 +41,11 @@ class Opener:
         self._results.put('')
 
     def open(self, failed: Callable[[str], None],
-             idle: Callable[[float], Optional[float]] = _nothing_is_due) -> bool:
+             idle: Callable[[float], Optional[float]] = lambda now: None) -> bool:
         """Open the port; return True as soon as it is open, or False after `end`.
 
-        Args:
-            failed: called with the reason after each try that failed.
-            idle: called meanwhile with the time (time.monotonic); returns when to call it next at
-                the latest, or None.
+        `failed` is called with the reason after each try that failed. `idle` is called meanwhile
+        with the time (time.monotonic), and returns when to call it next at the latest, or None.
         """
         while not self.ending.is_set():
             if self._port.is_open and not self._is_trying:
@@ -77,11 +67,8 @@ class Opener:
             now = time.monotonic()
             due = idle(now)
             wait = _BACK_OFF[1] if due is None else min(max(due - now, 0.0), _BACK_OFF[1])
-            try:
-                result: str = self._results.get(timeout=wait)
-                return result
-            except queue.Empty:
-                pass
+            with suppress(queue.Empty):
+                return self._results.get(timeout=wait)
 
     def _run(self) -> None:
         while True:

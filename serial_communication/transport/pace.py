@@ -3,7 +3,6 @@
 Times are passed in by the caller, in seconds of one monotonic clock.
 """
 import os
-import threading
 import time
 
 
@@ -13,13 +12,9 @@ def clock() -> float:
 
 
 class Every:
-    """Periodic deadlines that do not drift.
+    """Periodic deadlines that do not drift, the first one `period` s from `now`.
 
     After a stall the next deadline is one whole period later, so there is no burst.
-
-    Args:
-        period: s.
-        now: the first deadline is one period later.
     """
 
     def __init__(self, period: float, now: float) -> None:
@@ -40,16 +35,10 @@ class Every:
 
 
 class Allowance:
-    """A rate limit: a token bucket.
-
-    Args:
-        burst: how many are allowed at once.
-        rate: how many are allowed per second after that.
-    """
+    """A rate limit, a token bucket: `burst` at once, after that `rate` per second."""
 
     def __init__(self, burst: int, rate: float) -> None:
-        self._burst = burst
-        self._rate = rate
+        self._burst, self._rate = burst, rate
         self._left = float(burst)
         self._asked_at = 0.0
 
@@ -64,15 +53,10 @@ class Allowance:
 
 
 def set_priority(priority: int, thread: int = 0) -> bool:
-    """Give a thread a real-time priority; return whether the system allowed it.
-
-    Args:
-        priority: of SCHED_FIFO, 1 … 99; 0: ordinary scheduling.
-        thread: its native id; 0: the calling thread.
-    """
-    policy = os.SCHED_FIFO if priority else os.SCHED_OTHER
+    """Give a thread (its native id; 0: the calling one) a priority of SCHED_FIFO, 1 … 99, or
+    ordinary scheduling, 0; return whether the system allowed it."""
     try:
-        os.sched_setscheduler(thread or threading.get_native_id(), policy,
+        os.sched_setscheduler(thread, os.SCHED_FIFO if priority else os.SCHED_OTHER,
                               os.sched_param(priority))
     except (OSError, AttributeError):
         return False

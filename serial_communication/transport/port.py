@@ -1,8 +1,7 @@
 """A serial port whose reads can be woken and whose writes never block.
 
-A port is anything that pyserial opens. Writing hands over what the kernel takes at once. Reading
-sleeps until a byte is received; what only pyserial can read (rfc2217://, loop://) is read in slices
-of 50 ms. `open_port` has the kinds.
+A port is anything that pyserial opens; what only pyserial can read (rfc2217://, loop://) is read
+in slices of 50 ms. `open_port` has the kinds.
 """
 import os
 import termios
@@ -22,14 +21,10 @@ _LOOK_AGAIN = 10.0  # s for which the program that has the port open is not look
 
 
 class Port:
-    """A port that can be opened and closed any number of times; other programs are kept out.
+    """A path or a URL of pyserial's that can be opened any number of times; other programs are kept
+    out. One thread opens, reads and closes; any thread may write or wake.
 
-    One thread opens, reads and closes; any thread may write or wake.
-
-    Args:
-        url: a path, or a URL as pyserial has it.
-        baud: bits per second.
-        reset_on_open: pulse DTR at each opening, which resets many boards.
+    `baud` is in bits per second. `reset_on_open` pulses DTR, which resets many boards.
     """
 
     def __init__(self, url: str, baud: int = 115200, reset_on_open: bool = False) -> None:
@@ -46,20 +41,14 @@ class Port:
         self._in_use = ('', '', 0.0)     # path, who has it open, when to look again (monotonic)
         self._lock = threading.Lock()    # held to write, open and close
         self._rest = b''                 # the unsent rest of a frame that the kernel took in part
-        self._wake_read, self._wake_write = os.pipe()
-        os.set_blocking(self._wake_read, False)
-        os.set_blocking(self._wake_write, False)
+        self._wake_read, self._wake_write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
 
     @property
     def is_open(self) -> bool:
         return self._opened is not None
 
     def open(self) -> None:
-        """Open the port.
-
-        Raises:
-            PortError: it cannot be opened now; the text says why.
-        """
+        """Open the port; raise PortError with the reason if it cannot be opened now."""
         path = ''
         try:
             port = serial.serial_for_url(self.url, do_not_open=True)
@@ -71,9 +60,7 @@ class Port:
             raise PortError(explain(error, path, self._who_has_it_open)) from None
         with self._lock:
             self.is_pty = opened.is_pty
-            self._rest = b''
-            self._failure = ''
-            self._in_use = ('', '', 0.0)
+            self._rest, self._failure, self._in_use = b'', '', ('', '', 0.0)
             self._opened = opened
 
     def _who_has_it_open(self, path: str) -> str:
@@ -96,14 +83,8 @@ class Port:
     def read(self, timeout: Optional[float]) -> bytes:
         """Sleep until bytes are received, and return all of them.
 
-        Args:
-            timeout: s; None: no limit.
-
-        Returns:
-            b'' after the timeout or `wake`.
-
-        Raises:
-            PortError: the port is gone.
+        Return b'' after `timeout` s (None: no limit) or `wake`; raise PortError if the port is
+        gone.
         """
         opened = self._opened
         if opened is None:
@@ -111,8 +92,8 @@ class Port:
         try:
             data = opened.read(timeout, bool(self._rest))
             if self._rest:
-                with self._lock:
-                    self._send_rest(opened)
+                with self._lock, suppress(BlockingIOError):
+                    self._rest = self._send(opened, self._rest)
         except OSError as error:
             raise PortError(explain(error)) from None
         if self._failure:
@@ -124,11 +105,8 @@ class Port:
         """Write one whole frame; never blocks.
 
         If the kernel takes only a part of it, the rest is sent before any other frame, so frames
-        are neither mixed nor cut.
-
-        Raises:
-            PortBusy: the kernel takes nothing now; nothing of this frame was sent.
-            PortError: the port is closed or gone.
+        are neither mixed nor cut. Raise PortBusy if the kernel takes nothing now, so nothing of
+        this frame was sent, and PortError if the port is closed or gone.
         """
         with self._lock:
             opened = self._opened
@@ -136,25 +114,22 @@ class Port:
                 raise PortError(self._failure or 'the port is closed')
             try:
                 if self._rest:
-                    self._send_rest(opened)
+                    self._rest = self._send(opened, self._rest)
                     if self._rest:
-                        raise PortBusy('the port takes no data')
-                frame = opened.escaped(frame)
-                sent = opened.send(frame)
+                        raise BlockingIOError
+                self._rest = self._send(opened, opened.escaped(frame))
             except BlockingIOError:
                 raise PortBusy('the port takes no data') from None
             except OSError as error:
                 raise PortError(explain(error)) from None
-            self.bytes_sent += sent
-            if sent < len(frame):
-                self._rest = frame[sent:]
+            if self._rest:
                 self.wake()
 
-    def _send_rest(self, opened: OpenPort) -> None:
-        with suppress(BlockingIOError):
-            sent = opened.send(self._rest)
-            self.bytes_sent += sent
-            self._rest = self._rest[sent:]
+    def _send(self, opened: OpenPort, data: bytes) -> bytes:
+        """Send what is taken at once; return the rest. BlockingIOError: nothing is taken."""
+        sent = opened.send(data)
+        self.bytes_sent += sent
+        return data[sent:]
 
     def backlog(self) -> float:
         """The bytes that wait in the kernel to be sent, as s of wire time; 0.0 if unknown."""
@@ -167,16 +142,11 @@ class Port:
         return opened is not None and opened.on_its_way() + len(self._rest) > 0
 
     def discard_output(self, why: str = 'the peer takes no data') -> bool:
-        """Drop what was written but not sent.
+        """Drop what was written but not sent; return whether the port is still usable.
 
-        A connection cannot do that. It is given up instead, and the next `read` raises PortError.
-        Of a pseudo terminal, up to 4095 bytes that its other side can read already stay there.
-
-        Args:
-            why: the text of that error.
-
-        Returns:
-            whether the port is still usable.
+        A connection cannot do that. It is given up instead, and the next `read` raises PortError,
+        whose text is `why`. Of a pseudo terminal, up to 4095 bytes that its other side can read
+        already stay there.
         """
         with self._lock:
             self._rest = b''
@@ -189,13 +159,11 @@ class Port:
         return False
 
     def restore_settings(self) -> str:
-        """Restore the settings of a tty if another program has changed them.
+        """Restore the settings of a tty if another program has changed them; return those, for
+        people, or ''.
 
         Only the reading thread may call this. Bytes that wait to be read are dropped then, since
         the other settings may have changed them.
-
-        Returns:
-            the changed settings, for people; '' if there are none.
         """
         return self._opened.restore_settings() if self._opened else ''
 

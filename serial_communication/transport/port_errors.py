@@ -5,7 +5,7 @@ import os
 import pwd
 import socket
 import termios
-from typing import Callable, Iterator
+from typing import Callable, Iterator, Optional
 
 from . import devices
 from .holders import holders_of
@@ -73,13 +73,9 @@ def who_has_it_open(path: str) -> str:
 
 def explain(error: BaseException, path: str = '',
             in_use: Callable[[str], str] = who_has_it_open) -> str:
-    """The text for an error of the system or of pyserial.
-
-    Args:
-        path: of the device, if it is one.
-        in_use: says who has it open.
-    """
-    for cause in _causes(error):
+    """The text for an error of the system or of pyserial. `path`: of the device, if it is one;
+    `in_use`: says who has it open."""
+    for cause in _system_errors(error):
         if isinstance(cause, socket.gaierror):
             return 'no host of that name is known'
         number = cause.args[0]
@@ -93,13 +89,12 @@ def explain(error: BaseException, path: str = '',
     return next((meaning for part, meaning in _TEXTS.items() if part in str(error)), str(error))
 
 
-def _causes(error: BaseException) -> Iterator[BaseException]:
-    """The errors of the system among it and those before it: pyserial hides them behind its own."""
-    cause = error
-    while cause is not None:
-        if isinstance(cause, (OSError, termios.error)) and cause.args:
-            yield cause
-        cause = cause.__context__    # type: ignore[assignment]  # None at the end
+def _system_errors(error: Optional[BaseException]) -> Iterator[BaseException]:
+    """Those among it and the ones before it: pyserial hides them behind its own."""
+    while error is not None:
+        if isinstance(error, (OSError, termios.error)) and error.args:
+            yield error
+        error = error.__context__
 
 
 def _who_may_open(path: str) -> str:

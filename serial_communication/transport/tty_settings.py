@@ -31,8 +31,7 @@ def write(fd: int, settings: bytes) -> None:
 def set_raw(fd: int, baud: int) -> bytes:
     """Make the tty raw, 8N1, without flow control; return its settings as `read` does.
 
-    HUPCL is off, so that closing the port leaves DTR as it is. Opening it again then does not
-    reset a board whose reset line is connected to DTR.
+    HUPCL is off: closing leaves DTR as it is, so opening it again does not reset a board by DTR.
     """
     line, characters = _FORM.unpack(read(fd))[4:6]
     characters = bytearray(characters)

@@ -75,10 +75,9 @@ def _check_network_url(url: str, port: serial.SerialBase) -> None:
 
 
 def identity(url: str) -> Optional[Hashable]:
-    """A value that is equal for two URLs of the same port.
+    """A value that is equal for two URLs of the same port; by its path if the device is absent.
 
-    None: each opening leads to a different port (loop://). A device that is absent is identified
-    by its path.
+    None: each opening leads to a different port (loop://).
     """
     url, scheme = read_url(url)
     rest = url.partition('://')[2]

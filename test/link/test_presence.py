@@ -6,20 +6,16 @@ import time
 
 import pytest
 
-from fake_boards import BusBoard, CarBoard, until
+from fake_boards import CarBoard, until
 from serial_communication.boards.arduino.link import ArduinoLink, ArduinoSettings
 from serial_communication.boards.arduino.calibration import Calibration
-from serial_communication.boards.bus.link import BusLink, BusSettings
 from serial_communication.link.link import SILENCE
 from serial_communication.boards.mcu.link import McuLink
 from serial_communication.link.presence import LOOK_PERIOD, STARTUP_TIME, PresenceLog
 from serial_communication.link.sparing_log import SparingLog
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.boards.bus import wire as bus
 from serial_communication.transport.port import Port
-
-QUICK = BusSettings(reply_timeout=0.15, motion_timeout=0.3, environment_period=0.1)
 
 
 @pytest.fixture
@@ -43,12 +39,6 @@ def test_each_change_is_logged_once(presence, said):
                       'the board is back, it was silent for 3 s']
 
 
-def test_a_board_that_starts_late_is_logged_as_ready(presence, said):
-    presence.update(False, 'the board is silent', 0.0)
-    presence.update(True, '', 60.0)
-    assert said() == ['the board is silent', 'ready: the board talks']
-
-
 def test_frequent_changes_are_logged_sparingly_and_the_last_state_is_logged(presence, said):
     changes = 1000
     for at in range(changes):
@@ -62,21 +52,23 @@ def test_frequent_changes_are_logged_sparingly_and_the_last_state_is_logged(pres
 
 
 def test_a_car_that_talks_falls_silent_and_is_back_is_logged(line, running, open_link, said):
-    talking = [True]
-
     class Car(CarBoard):
+        talks = True
+
         def idle(self):
-            if talking[0]:
+            if self.talks:
                 self.line.write(arduino.encode(arduino.Voltage(12.0)))
 
-    running(Car(line))
-    open_link(ArduinoLink, ArduinoSettings(network_silence=0.0))
+    car = running(Car(line))
+    link = open_link(ArduinoLink, ArduinoSettings(network_silence=0.0))
     until(lambda: said() == ['ready: the board talks'])
-    talking[0] = False
+    assert 'silent' not in link.condition(link.last_frame_at)[1]
+    car.talks = False
     until(lambda: len(said()) == 2)
+    assert 'open, the board is silent' in link.condition(time.monotonic())[1]
     assert said()[1] == ('the board is silent; check its power, its wiring and the baud rate '
                          '(115200)')
-    talking[0] = True
+    car.talks = True
     until(lambda: len(said()) == 3)
     assert said()[2].startswith('the board is back, it was silent for ')
 
@@ -100,21 +92,6 @@ def test_silence_from_the_beginning_is_logged_after_the_startup_time(line, open_
     talk = mcu.encode(mcu.SensorStatus(1, 2, 0.0, 0.0, 0.0), 0)
     until(lambda: line.write(talk) or len(said()) >= 2)
     assert said()[1] == 'ready: the board talks'
-
-
-def test_a_bus_board_that_does_not_answer_sync_and_then_does_is_logged(
-        line, running, open_link, said):
-    mute = [False]
-
-    board = running(BusBoard(line))
-    board.rule = lambda request: b'' if mute[0] else None
-    open_link(BusLink, QUICK)
-    until(lambda: 'ready: the board talks' in said())
-    mute[0] = True
-    until(lambda: any('does not answer SYNC' in words for words in said()))
-    mute[0] = False
-    until(lambda: any('the board is back' in words for words in said()))
-    assert board.requests(bus.SYNC)
 
 
 @pytest.mark.parametrize('granted', [True, False])

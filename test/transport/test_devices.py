@@ -6,7 +6,6 @@ import pytest
 
 from serial_communication.transport import devices
 from serial_communication.transport.devices import Device
-from serial_communication.transport.port import Port, PortError
 
 ABSENT = '/dev/no_such_port'
 
@@ -69,13 +68,7 @@ def test_this_computers_ports_can_be_listed():
     assert all(os.path.exists(path) for path in devices.paths())
 
 
-def refusal(url):
-    with pytest.raises(PortError) as error:
-        Port(url).open()
-    return str(error.value)
-
-
-def test_the_error_for_an_absent_device_lists_those_that_are_there(computer):
+def test_the_error_for_an_absent_device_lists_those_that_are_there(computer, refusal):
     words = 'there is no such device; waiting for it; '
     assert refusal(ABSENT) == words + 'this computer has no serial port'
     computer.add('ttyUSB1')
@@ -85,5 +78,5 @@ def test_the_error_for_an_absent_device_lists_those_that_are_there(computer):
 
 
 @pytest.mark.parametrize('given', ['null', 'dev/null'])
-def test_a_path_without_dev_is_reported(given):
+def test_a_path_without_dev_is_reported(given, refusal):
     assert refusal(given) == ('there is no such device; waiting for it; did you mean /dev/null?')

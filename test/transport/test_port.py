@@ -1,4 +1,5 @@
 """The port, over real ttys, over sockets, and over kinds without a descriptor."""
+import contextlib
 import getpass
 import os
 import re
@@ -20,32 +21,28 @@ from serial_communication.transport.port import Port, PortBusy, PortError
 from serial_communication.transport.urls import check_url, read_url
 
 
-class Reader:
-    """A thread that reads the port, as every link has one."""
+class Reader(threading.Thread):
+    """Reads the port until it fails or `stop`, as every link does."""
 
     def __init__(self, port, timeout=None):
-        self.got = []
-        self.error = None
-        self.returned = 0
-        self._port, self._timeout = port, timeout
-        self._ending = False
-        self._thread = threading.Thread(target=self._run, name='reader', daemon=True)
-        self._thread.start()
+        super().__init__(name='reader', daemon=True)
+        self.error, self.returned = None, 0
+        self._port, self._timeout, self._ending = port, timeout, False
+        self.start()
 
-    def _run(self):
-        while not self._ending:
-            try:
-                self.got.append(self._port.read(self._timeout))
-            except PortError as error:
-                self.error = error
-                return
-            self.returned += 1
+    def run(self):
+        try:
+            while not self._ending:
+                self._port.read(self._timeout)
+                self.returned += 1
+        except PortError as error:
+            self.error = error
 
     def stop(self):
         self._ending = True
         self._port.wake()
-        self._thread.join(PATIENCE)
-        assert not self._thread.is_alive()
+        self.join(PATIENCE)
+        assert not self.is_alive()
 
 
 def all_of(read, size):
@@ -154,52 +151,16 @@ def test_a_read_of_a_removed_device_raises_port_error(port, line):
         port.write(b'x')
 
 
-def test_a_socat_port_can_be_opened_again_after_it_returns(tmp_path):
-    path = str(tmp_path / 'tty')
-    other = str(tmp_path / 'other')
-    command = ['socat', 'pty,raw,echo=0,link=' + path, 'pty,raw,echo=0,link=' + other]
-    port = Port(path)
-    for _ in range(2):
-        socat = subprocess.Popen(command)
-        try:
-            until(lambda: os.path.exists(path) and os.path.exists(other))
-            port.open()
-            far = Port(other)
-            far.open()
-            port.write(b'there')
-            assert far.read(PATIENCE) == b'there'
-            far.write(b'and back')
-            assert port.read(PATIENCE) == b'and back'
-            far.close()
-        finally:
-            socat.terminate()
-            socat.wait(PATIENCE)
-        with pytest.raises(PortError):
-            while True:
-                port.read(PATIENCE)
-        port.close()
-        assert not port.is_open
-
-
 # -- opening --------------------------------------------------------------------------------------
 
-def refusal(url):
-    port = Port(url)
-    with pytest.raises(PortError) as error:
-        port.open()
-    assert not port.is_open
-    return str(error.value)
-
-
-def test_opening_what_is_not_a_serial_port_reports_why(tmp_path):
+def test_opening_what_is_not_a_serial_port_reports_why(tmp_path, refusal):
     (tmp_path / 'file').write_text('text')
+    (tmp_path / 'dangling').symlink_to(tmp_path / 'nowhere')
     assert refusal(str(tmp_path / 'missing')) == 'there is no such device; waiting for it'
+    assert refusal(str(tmp_path / 'dangling')) == 'there is no such device; waiting for it'
     assert refusal(str(tmp_path)) == 'this is a directory, not a serial port'
     assert refusal(str(tmp_path / 'file')) == 'this is not a serial port'
     assert refusal('/dev/null') == 'this is not a serial port'
-    os.symlink(str(tmp_path / 'nowhere'), str(tmp_path / 'dangling'))
-    assert refusal(str(tmp_path / 'dangling')) == 'there is no such device; waiting for it'
-    assert refusal('hwgrep://no-such-device-is-here')
 
 
 @pytest.mark.parametrize('mode, group, words', [
@@ -207,7 +168,7 @@ def test_opening_what_is_not_a_serial_port_reports_why(tmp_path):
     (0o660, 'uucp', 'join the group that owns it (sudo usermod -a -G uucp $USER)'),
     (0o600, 'dialout', 'only root may open it'), (0o660, 'root', 'only root may open it')])
 def test_a_denied_permission_is_reported_with_its_group_or_owner(
-        tmp_path, line, mode, group, words):
+        tmp_path, line, refusal, mode, group, words):
     target = os.path.realpath(line.path)
     os.chmod(str(tmp_path), 0o755)
     root = os.geteuid() == 0
@@ -231,7 +192,7 @@ def test_a_denied_permission_is_reported_with_its_group_or_owner(
     assert error.startswith('permission denied; ' + words)
 
 
-def test_a_port_is_opened_exclusively(port, line):
+def test_a_port_is_opened_exclusively(port, line, refusal):
     assert refusal(line.path) == f'this program itself has it open (pid {os.getpid()})'
     port.close()
     again = Port(line.path)
@@ -247,7 +208,7 @@ time.sleep(600)
 '''
 
 
-def test_the_program_that_has_a_port_open_is_named(line, tmp_path):
+def test_the_program_that_has_a_port_open_is_named(line, tmp_path, refusal):
     script = tmp_path / 'holds_it'
     script.write_text(_HOLDER)
     with subprocess.Popen([sys.executable, str(script), line.path], stdout=subprocess.PIPE) as held:
@@ -266,24 +227,19 @@ def test_the_holder_is_looked_up_once_for_many_tries(line, monkeypatch):
     looked_up = []
     monkeypatch.setattr('serial_communication.transport.port_errors.holders_of',
                         lambda path: looked_up.append(path) or [])
-    port = Port(line.path, 115200)
-    holder = Port(line.path, 115200)
+    port, holder = Port(line.path), Port(line.path)
     for _ in range(2):
         holder.open()
         for _ in range(3):
-            with pytest.raises(PortError, match='another program has it open'):
+            with pytest.raises(PortError) as error:
                 port.open()
+            assert str(error.value) == ('another program has it open, of another user: `sudo fuser '
+                                        f'-v {line.path}` names it')
         assert looked_up == [line.path]
         holder.close()
         port.open()         # so the next holder may be another one
         port.close()
         looked_up.clear()
-
-
-def test_a_holder_that_cannot_be_seen_is_found_with_a_command(line, port, monkeypatch):
-    monkeypatch.setattr('serial_communication.transport.port_errors.holders_of', lambda path: [])
-    assert refusal(line.path) == ('another program has it open, of another user: `sudo fuser -v '
-                                  f'{line.path}` names it')
 
 
 @pytest.mark.parametrize('url, lower, scheme', [
@@ -295,31 +251,18 @@ def test_a_scheme_is_the_same_in_any_case(url, lower, scheme):
     assert Port(url).is_network == (scheme in ('socket', 'rfc2217'))
 
 
-def test_a_url_in_capitals_can_be_opened():
-    port = Port('LOOP://')
-    port.open()
-    port.write(b'round')
-    until(lambda: port.read(0.1) == b'round')
-    port.close()
-    assert refusal('Hwgrep://no-such-device-is-here') == 'no device matches; waiting for one'
-
-
-@pytest.mark.parametrize('name', ['ptmx', 'link to it'])
-def test_ptmx_is_refused_and_makes_no_pseudo_terminal(tmp_path, name):
-    path = '/dev/ptmx'
-    if name != 'ptmx':
-        path = str(tmp_path / 'ptmx')
-        os.symlink('/dev/ptmx', path)
+def test_ptmx_is_refused_and_makes_no_pseudo_terminal(tmp_path, refusal):
+    (tmp_path / 'ptmx').symlink_to('/dev/ptmx')
     before = set(os.listdir('/dev/pts'))
-    assert 'makes a new pseudo terminal at each opening' in refusal(path)
-    with pytest.raises(ValueError) as refused:
-        check_url(path)
-    assert str(refused.value).startswith(path + ' makes a new pseudo terminal')
+    for path in '/dev/ptmx', str(tmp_path / 'ptmx'):
+        assert 'makes a new pseudo terminal at each opening' in refusal(path)
+        with pytest.raises(ValueError, match='^' + path + ' makes a new pseudo terminal'):
+            check_url(path)
     assert set(os.listdir('/dev/pts')) == before
 
 
 @pytest.mark.parametrize('kind, name', [
-    (None, 'OpenTty'), ('loop://', 'OpenPort'), ('socket', 'OpenSocket'),
+    (None, 'OpenTty'), ('LOOP://', 'OpenPort'), ('socket', 'OpenSocket'),
     ('rfc2217', 'OpenRfc2217')])
 def test_an_open_port_is_of_its_kind(kind, name, line, free_server, rfc2217):
     url = {None: line.path, 'rfc2217': rfc2217.url, 'socket': 'socket://127.0.0.1:%d'
@@ -386,6 +329,16 @@ def test_a_partly_written_frame_is_completed_before_the_next(port, line):
     assert port.bytes_sent == len(expected)
 
 
+def test_no_frame_is_taken_before_the_rest_of_the_last_one_is_sent(port, line, monkeypatch):
+    send = port._opened.send
+    monkeypatch.setattr(port._opened, 'send', lambda data: send(data[:3]))
+    port.write(b'abcdefgh')
+    with pytest.raises(PortBusy):
+        port.write(b'lost')
+    port.write(b'ijk')
+    assert line.read_all() == b'abcdefghijk' and port.bytes_sent == 11
+
+
 def test_the_reading_thread_completes_a_partly_written_frame(port, line):
     reader = Reader(port)
     taken = fill(port)
@@ -398,38 +351,29 @@ def test_the_reading_thread_completes_a_partly_written_frame(port, line):
 
 
 def test_frames_of_several_threads_are_not_mixed(port, line):
-    taken, lock = [], threading.Lock()
+    shares = [range(base, base + 60) for base in (1000, 2000, 3000)]
 
-    def write(base):
-        for number in range(base, base + 60):
+    def write(numbers):
+        for number in numbers:
             while True:
                 try:
                     port.write(frame(number))
                     break
                 except PortBusy:
                     time.sleep(0.001)
-            with lock:
-                taken.append(number)
 
     reader = Reader(port)
-    writers = [threading.Thread(target=write, args=(base,), name='writer %d' % base)
-               for base in (1000, 2000, 3000)]
+    writers = [Waiter(write, share) for share in shares]
+    received = all_of(line.read, sum(len(frame(number)) for share in shares for number in share))
     for writer in writers:
-        writer.start()
-    size = sum(len(frame(number)) for base in (1000, 2000, 3000)
-               for number in range(base, base + 60))
-    received = all_of(line.read, size)
-    for writer in writers:
-        writer.join(PATIENCE)
+        writer.result()
     reader.stop()
-    at = 0
     seen = []
-    while at < len(received):
-        number = int(received[at + 1:at + 7])
-        assert received.startswith(frame(number), at)
-        seen.append(number)
-        at += len(frame(number))
-    assert sorted(seen) == sorted(taken) and len(seen) == 180
+    while received:
+        seen.append(int(received[1:7]))
+        assert received.startswith(frame(seen[-1]))
+        received = received[len(frame(seen[-1])):]
+    assert sorted(seen) == [number for share in shares for number in share]
 
 
 def test_discard_output_drops_the_rest_of_a_frame(port, line):
@@ -460,10 +404,32 @@ def test_a_full_port_neither_blocks_nor_sends_old_frames_when_it_is_opened_again
 
 # -- other kinds of port --------------------------------------------------------------------------
 
-def test_a_socket_reads_writes_and_wakes(free_server):
-    port = Port('socket://127.0.0.1:%d' % free_server.getsockname()[1])
-    port.open()
-    peer, _ = free_server.accept()
+@pytest.fixture
+def free_server():
+    with socket.socket() as server:
+        server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 14)
+        server.bind(('127.0.0.1', 0))
+        server.listen(1)
+        server.settimeout(PATIENCE)
+        yield server
+
+
+@pytest.fixture
+def connect(free_server):
+    """A function that returns an open port, of this kind, and its peer's socket."""
+    with contextlib.ExitStack() as opened:
+        def connected(kind='socket'):
+            port = Port('%s://127.0.0.1:%d' % (kind, free_server.getsockname()[1]))
+            port.open()
+            opened.callback(port.close)
+            peer = opened.enter_context(free_server.accept()[0])
+            peer.settimeout(PATIENCE)
+            return port, peer
+        yield connected
+
+
+def test_a_socket_reads_writes_and_wakes(connect):
+    port, peer = connect()
     peer.sendall(b'hello')
     assert port.read(PATIENCE) == b'hello'
     port.write(b'world')
@@ -474,24 +440,18 @@ def test_a_socket_reads_writes_and_wakes(free_server):
     peer.close()
     until(lambda: reader.error)
     assert str(reader.error) == 'the device has gone'
-    port.close()
 
 
-def test_a_write_to_a_full_socket_does_not_block_and_nothing_taken_is_lost(free_server):
-    port = Port('socket://127.0.0.1:%d' % free_server.getsockname()[1])
-    port.open()
-    peer, _ = free_server.accept()
+def test_a_write_to_a_full_socket_does_not_block_and_nothing_taken_is_lost(connect):
+    port, peer = connect()
     taken = fill(port)
     reader = Reader(port)
-    peer.settimeout(PATIENCE)
     received = b''
     # Read at once: the kernel ends a connection whose peer takes nothing for some seconds.
     while not received.endswith(frame(taken[-1])):
         received += peer.recv(1 << 20)
     assert received == b''.join(map(frame, taken))
-    peer.close()
     reader.stop()
-    port.close()
 
 
 @pytest.fixture
@@ -539,18 +499,16 @@ def test_a_write_to_an_rfc2217_server_that_stops_reading_does_not_block(rfc2217,
 
 
 @pytest.mark.parametrize('kind', ['socket', 'rfc2217', 'SOCKET', 'RFC2217'])
-def test_unsent_bytes_of_a_connection_that_is_given_up_are_never_sent(free_server, line, kind):
-    url = f'{kind}://127.0.0.1:{free_server.getsockname()[1]}'
+def test_unsent_bytes_of_a_connection_that_is_given_up_are_never_sent(request, kind):
     if kind.lower() == 'rfc2217':
-        server = Rfc2217Server(free_server, line.path)
-        port = Port(url)
+        server = request.getfixturevalue('rfc2217')
+        port = Port(server.url.replace('rfc2217', kind))
         port.open()
         server.stop_reading()
         peer = until(lambda: server.peer)
+        peer.settimeout(PATIENCE)
     else:
-        port = Port(url)
-        port.open()
-        peer, _ = free_server.accept()
+        port, peer = request.getfixturevalue('connect')(kind)
     fill(port)
     assert port.discard_output() is False, 'unsent bytes cannot be dropped'
     with pytest.raises(PortError):
@@ -561,31 +519,23 @@ def test_unsent_bytes_of_a_connection_that_is_given_up_are_never_sent(free_serve
     written = port.bytes_sent
     port.close()
     received = 0
-    peer.settimeout(PATIENCE)
     with pytest.raises(ConnectionResetError):
         while True:
             part = peer.recv(1 << 20)
             assert part, 'the connection was closed, not reset'
             received += len(part)
     assert received < written, 'the kernel went on sending it'
-    if kind.lower() == 'rfc2217':
-        server.end()
-    peer.close()
 
 
-def test_sent_bytes_of_a_connection_arrive_though_it_is_closed(free_server):
-    port = Port('socket://127.0.0.1:%d' % free_server.getsockname()[1])
-    port.open()
-    peer, _ = free_server.accept()
+def test_sent_bytes_of_a_connection_arrive_though_it_is_closed(connect):
+    port, peer = connect()
     port.write(b'the last')
     until(lambda: not port.on_its_way())
     port.close()
-    peer.settimeout(PATIENCE)
     assert peer.recv(100) == b'the last' and peer.recv(100) == b''
-    peer.close()
 
 
-def test_a_vanished_peer_is_detected_within_5_s(free_server):
+def test_a_vanished_peer_is_detected_within_5_s(connect):
     """With and without a write meanwhile; both at once, since it takes so long."""
     def trouble(port):
         with pytest.raises(PortError) as error:
@@ -593,39 +543,18 @@ def test_a_vanished_peer_is_detected_within_5_s(free_server):
                 port.read(PATIENCE)
         return str(error.value)
 
-    vanished = []
+    readers = []
     for writes in False, True:
-        port = Port('socket://127.0.0.1:%d' % free_server.getsockname()[1])
-        port.open()
-        peer, _ = free_server.accept()
-        vanish(peer)
+        port, peer = connect()
+        # Its kernel drops every packet without an answer: no packet has so high a TTL. Any user may
+        # set IP_MINTTL; a filter (SO_ATTACH_FILTER) needs root on some kernels.
+        peer.setsockopt(socket.IPPROTO_IP, 21, 255)
         if writes:
             port.write(b'anybody?')
-        vanished.append((port, peer, Waiter(trouble, port)))
-    for port, peer, reader in vanished:
+        readers.append(Waiter(trouble, port))
+    for reader in readers:
         assert reader.result() == 'the host does not answer'
         assert 1.0 < reader.took < 6.0
-        port.close()
-        peer.close()
-
-
-def vanish(peer):
-    """Make the peer's kernel drop every packet without an answer: no packet has so high a TTL.
-
-    Any user may set that. A filter (SO_ATTACH_FILTER) needs root on some kernels.
-    """
-    peer.setsockopt(socket.IPPROTO_IP, 21, 255)     # IP_MINTTL
-
-
-@pytest.fixture
-def free_server():
-    server = socket.socket()
-    server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 14)
-    server.bind(('127.0.0.1', 0))
-    server.listen(1)
-    server.settimeout(PATIENCE)
-    yield server
-    server.close()
 
 
 def test_a_port_without_a_descriptor_is_read_in_slices():

@@ -7,7 +7,6 @@ import termios
 import pytest
 import serial
 
-from serial_communication.transport.port import Port, PortError
 from serial_communication.transport.port_errors import explain
 from serial_communication.transport.urls import check_url
 
@@ -52,34 +51,22 @@ def test_a_valid_url_is_accepted(url):
     check_url(url)
 
 
-def trouble(url):
-    """The error of opening it."""
-    with pytest.raises(PortError) as refusal:
-        Port(url).open()
-    assert not _CODE_WORDS.search(str(refusal.value)), refusal.value
-    return str(refusal.value)
+@pytest.mark.parametrize('url, words', [
+    ('socket://no-such-host.invalid:4001', 'no host of that name is known'),
+    ('Hwgrep://nothing-of-that-name', 'no device matches; waiting for one'),
+    ('socket://127.0.0.1:{}', 'connection refused; does the server run, and is its port right?'),
+    ('rfc2217://127.0.0.1:{}', 'connection refused; does the server run, and is its port right?')])
+def test_a_port_that_cannot_be_opened_is_reported_in_plain_words(url, words, refusal):
+    with socket.socket() as bound:      # nobody listens there
+        bound.bind(('127.0.0.1', 0))
+        assert refusal(url.format(bound.getsockname()[1])) == words
 
 
-def test_an_unknown_host_is_reported():
-    assert trouble('socket://no-such-host.invalid:4001') == 'no host of that name is known'
-
-
-def test_a_refused_connection_is_reported():
-    with socket.socket() as listener:
-        listener.bind(('127.0.0.1', 0))
-        number = listener.getsockname()[1]
-    for kind in 'socket', 'rfc2217':
-        assert trouble(f'{kind}://127.0.0.1:{number}').startswith('connection refused')
-
-
-def test_a_server_that_does_not_speak_rfc2217_is_reported():
+def test_a_server_that_does_not_speak_rfc2217_is_reported(refusal):
     with socket.create_server(('127.0.0.1', 0)) as listener:
         url = f'rfc2217://127.0.0.1:{listener.getsockname()[1]}?timeout=0.1'
-        assert 'does not speak RFC 2217' in trouble(url)
-
-
-def test_a_pattern_that_matches_no_device_is_reported():
-    assert trouble('hwgrep://nothing-of-that-name') == 'no device matches; waiting for one'
+        assert refusal(url) == ('the other side does not speak RFC 2217; socket:// is for a plain '
+                                'TCP connection')
 
 
 def wrapped(inner):

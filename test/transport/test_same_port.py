@@ -1,22 +1,13 @@
 """Two names of one port have one identity."""
 import os
-import pty
 
 import pytest
 
 from serial_communication.transport.urls import identity
 
 
-@pytest.fixture
-def device():
-    """A device that exists until the test ends."""
-    near, far = pty.openpty()
-    yield os.ttyname(far)
-    os.close(near)
-    os.close(far)
-
-
-def test_all_paths_and_links_of_a_device_are_the_same_port(device, tmp_path):
+def test_all_paths_and_links_of_a_device_are_the_same_port(line, tmp_path):
+    device = os.path.realpath(line.path)
     (tmp_path / 'by-id').symlink_to(device)
     (tmp_path / 'link').symlink_to(tmp_path / 'by-id')
     folder, name = os.path.split(device)
@@ -25,6 +16,7 @@ def test_all_paths_and_links_of_a_device_are_the_same_port(device, tmp_path):
                 f'spy://{device}?file=/dev/null', f'SPY://{device}',
                 f'alt://{device}?class=PosixPollSerial'):
         assert identity(url) == identity(device), url
+    assert identity('/dev/null') != identity('/dev/zero'), 'of one driver'
 
 
 def test_a_second_device_node_is_the_same_port(tmp_path):
@@ -42,13 +34,6 @@ def test_an_absent_device_is_identified_by_its_path(tmp_path):
     (tmp_path / 'link').symlink_to(absent)
     assert identity(absent) == identity(f'{tmp_path}/./absent') == identity(str(tmp_path / 'link'))
     assert identity(absent) != identity(absent + '1')
-
-
-def test_two_devices_are_different_ports(device):
-    near, far = pty.openpty()
-    assert identity(os.ttyname(far)) != identity(device)
-    os.close(near)
-    os.close(far)
 
 
 @pytest.mark.parametrize('one, other, same', [

@@ -13,7 +13,6 @@ from fake_boards import PATIENCE, BusBoard, CarBoard, until
 
 from serial_communication.boards.arduino.link import ArduinoLink
 from serial_communication.boards.bus.link import BusLink, BusSettings
-from serial_communication.boards.mcu.link import McuLink
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.transport import open_port, tty_settings
 from serial_communication.transport.port import Port, PortError
@@ -134,15 +133,6 @@ def test_after_changed_settings_the_bus_sends_echo_first(line, logger, running, 
     until(lambda: len(board.requests(0x01)) > echoes)
 
 
-def test_settings_are_restored_while_the_board_is_silent(line, logger, running, lines):
-    link = running(McuLink(Port(line.path), logger=logger))
-    until(lambda: link.port.is_open)
-    before = stty(line.path, '-g')
-    stty(line.path, 'sane')
-    until(lambda: stty(line.path, '-g') == before)
-    until(lambda: lines('another program changed the settings'))
-
-
 # -- who may open it ------------------------------------------------------------------------------
 
 def is_exclusive(fd):
@@ -157,13 +147,14 @@ def open_as_ordinary_user(path):
     return subprocess.run([sys.executable, '-c', code, path]).returncode
 
 
-def test_an_open_tty_is_locked_until_it_is_closed(line, monkeypatch):
-    """A pseudo terminal stands in for a device: the kernel treats both as ttys."""
-    monkeypatch.setattr(open_port, '_PTY', ())
+def test_an_open_tty_is_locked_until_it_is_closed(line, port, monkeypatch):
+    """A pseudo terminal, which itself is not locked, stands in for a device: both are ttys."""
     device = os.path.realpath(line.path)
     os.chmod(device, 0o666)
     other = os.open(device, os.O_RDWR | os.O_NOCTTY)
-    port = Port(line.path)
+    assert not is_exclusive(other)
+    port.close()
+    monkeypatch.setattr(open_port, '_PTY', ())
     for _ in range(2):
         port.open()
         assert is_exclusive(other)
@@ -171,12 +162,6 @@ def test_an_open_tty_is_locked_until_it_is_closed(line, monkeypatch):
         port.close()
         assert not is_exclusive(other)
         assert open_as_ordinary_user(device) == 0
-    os.close(other)
-
-
-def test_a_pseudo_terminal_is_not_locked(port, line):
-    other = os.open(line.path, os.O_RDWR | os.O_NOCTTY)
-    assert not is_exclusive(other)
     os.close(other)
 
 
