@@ -282,7 +282,7 @@ def _holds_all(code: str, value: Value) -> bool:
     """Return whether a field with struct's `code` ('' for a string) can hold every value."""
     if code in ('', 'd'):
         return True
-    return (code == 'f' or not value.may_be_nan) and all(
+    return (code == 'f' or value.code not in FRACTIONS) and all(
         isfinite(end) and _holds(code, end) for end in value.range)
 
 
