@@ -342,7 +342,8 @@ def brief(given: Any, most: int) -> str:
 class LayoutMessage(tuple):
     """Base of the messages that a layout describes: a message is a tuple of its values.
 
-    `message_class` makes the simple ones. The others also derive from a NamedTuple.
+    `framing` explains the members. The classes that `message_class` does not make also derive from
+    a NamedTuple.
     """
 
     __slots__ = ()
@@ -353,20 +354,16 @@ class LayoutMessage(tuple):
 
     @classmethod
     def unpack(cls, data: bytes) -> Any:
-        """The message in `data`; struct.error if it has the wrong length."""
         return tuple.__new__(cls, cls.LAYOUT.unpack(data))
 
     def pack(self) -> bytes:
-        """The data; ValueError for a value that its place cannot hold."""
         return self.LAYOUT.pack(self)
 
     def implausible(self) -> str:
-        """Why a value is outside its limits; '' if none is."""
         return self.LAYOUT.implausible(self)
 
     @classmethod
     def parts(cls, data: bytes) -> List[Part]:
-        """See `Layout.parts`."""
         return cls.LAYOUT.parts(data)
 
     def __str__(self) -> str:
