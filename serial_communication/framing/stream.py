@@ -270,16 +270,20 @@ class StreamDecoder:
                 at = start.start() if start else size
                 continue
             found = self.frame_at(at)
-            if isinstance(found, Need):
+            if isinstance(found, Good):
+                self._add(at, found)
+                # Its LEN may be false: two equal frames inside do not change an XOR.
+                at += 1 if found.cause == LENGTH else found.size
+            elif isinstance(found, Bad):
+                # An invalid frame inside another one that was returned is the same error.
+                if found.cause != FRAMING and self.front + at >= self._classified:
+                    self._add(at, found)
+                at += 1
+            else:
                 self.needed = found.size
                 break
-            # An invalid frame inside another one that was returned is the same error.
-            if isinstance(found, Good) or (found.cause != FRAMING
-                                           and self.front + at >= self._classified):
-                self._add(at, found)
-            # The LEN of a wrong length may be false: two equal frames inside do not change an XOR.
-            at += found.size if isinstance(found, Good) and found.cause != LENGTH else 1
-        self._add_noise(at, is_over=False)
+        if self._classified < self.front + at:
+            self._add_noise(at, is_over=False)
         self.front += at
         self.buffer = buffer[at:]
         self._xors = self._xors[at:]
@@ -289,15 +293,16 @@ class StreamDecoder:
 
     def _add(self, start: int, found: Union[Good, Bad]) -> None:
         """Return the frame that begins at `start`, and the noise before it."""
-        self._add_noise(start, is_over=True)
+        if self._noise or self._classified < self.front + start:
+            self._add_noise(start, is_over=True)
         end = start + found.size
         raw, stamp = self.buffer[start:end], self._stamp_of(end)
         self._classified = self.front + end
-        if isinstance(found, Bad):
-            self._return(invalid_frame(raw, found.cause, found.error, stamp))
-        else:
+        if isinstance(found, Good):
             _, type_, number, data, message, cause, error = found
             self._return(frame_of((raw, type_, number, data, message, stamp, cause, error)))
+        else:
+            self._return(invalid_frame(raw, found.cause, found.error, stamp))
 
     def _add_noise(self, end: int, is_over: bool) -> None:
         """Add the bytes before `end` that are in no frame to the noise; return it if it is over."""
