@@ -35,7 +35,10 @@ def find_type(key: str, name: str, kind: str = 'msg') -> Any:
     if found is not None:
         return found
     package, short = name.split('/')
-    installed = [each.split('/') for each in _installed(kind)]
+    # All installed types, by their generated modules.
+    modules = (path.split(os.sep) for folder in sys.path for path in glob.glob(
+        os.path.join(glob.escape(folder), '*', kind, '_[A-Z]*.py')))
+    installed = sorted({(path[-3], path[-1][1:-3]) for path in modules})
     there = [each for owner, each in installed if owner == package]
     near = [f'{package}/{each}' for each in difflib.get_close_matches(short, there)]
     elsewhere = [f'{owner}/{each}' for owner, each in installed if each == short]
@@ -47,11 +50,8 @@ def find_type(key: str, name: str, kind: str = 'msg') -> Any:
 
 
 def _found(name: str, kind: str) -> Any:
-    """Return the class of a type, or None.
-
-    Only a generated module is imported: a board may announce any name, and importing any other
-    module might do anything.
-    """
+    """Return the class of a type, or None. Only a generated module is imported: a board may
+    announce any name, and importing any other module might do anything."""
     package, short = name.split('/')
     if not any(os.path.exists(os.path.join(folder, package, kind, f'_{short}.py'))
                for folder in sys.path):
@@ -64,13 +64,6 @@ def _found(name: str, kind: str) -> Any:
     return found if getattr(found, '_type', '') == name and (
         hasattr(found, '_slot_types') if kind == 'msg' else hasattr(found, '_request_class')
     ) else None
-
-
-def _installed(kind: str) -> List[str]:
-    """Return the names of all installed types, found by their generated modules."""
-    modules = [path.split(os.sep) for folder in sys.path
-               for path in glob.glob(os.path.join(glob.escape(folder), '*', kind, '_[A-Z]*.py'))]
-    return sorted({f'{path[-3]}/{path[-1][1:-3]}' for path in modules})
 
 
 class _Place(NamedTuple):
