@@ -9,10 +9,10 @@ Every message class has
     TYPE             its type on the wire
     LABEL            its name, for people
     LAYOUT           which values its data has, and where
-    unpack(data)     the message
-    pack()           the data
+    unpack(data)     the message; struct.error if the data has the wrong length
+    pack()           the data; ValueError for a value that its place cannot hold
     implausible()    why its values are impossible, or ''
-    parts(data)      which bytes hold which value
+    parts(data)      which bytes hold which value, for data of any length
     str(message)     one line for people
 
 `layout.message_class` makes the simple classes. The others derive from `layout.LayoutMessage` and

@@ -9,6 +9,7 @@ CRC-16/CCITT-FALSE, little-endian. Each link has one type for chunks, `TYPE`.
 """
 import binascii
 import struct
+from collections import namedtuple
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple
 
 from .layout import Layout, LayoutMessage, Value, brief, readable
@@ -29,15 +30,8 @@ def crc_of(text: bytes) -> int:
     return binascii.crc_hqx(text, 0xFFFF)
 
 
-class _ChunkValues(NamedTuple):
-    index: int       # type: ignore[assignment]  # not tuple's methods
-    count: int       # type: ignore[assignment]
-    crc: int         # of the whole text
-    text: bytes      # may begin or end inside a character
-
-
-class Chunk(LayoutMessage, _ChunkValues):
-    """One chunk of an announcement."""
+class Chunk(LayoutMessage, namedtuple('Chunk', 'index count crc text')):
+    """One chunk of an announcement; its text may begin or end inside a character."""
 
     __slots__ = ()
     TYPE = TYPE
@@ -50,19 +44,16 @@ class Chunk(LayoutMessage, _ChunkValues):
         return tuple.__new__(cls, (*_HEADER.unpack_from(data), data[_HEADER.size:]))
 
     def pack(self) -> bytes:
-        """The data."""
         return _HEADER.pack(*self[:3]) + self.text
 
     @classmethod
     def parts(cls, data: bytes) -> List[Part]:
-        """The values of the data, each with its bytes."""
         parts = cls.LAYOUT.parts(data)
         if len(data) >= _HEADER.size:
             parts[0] = parts[0]._replace(error=cls.unpack(data).implausible())
         return parts
 
     def implausible(self) -> str:
-        """Why these values are impossible; '' if they are not."""
         return '' if self.index < self.count else \
             f'chunk {self.index} of {self.count}: the index has to be under the count'
 
@@ -148,7 +139,7 @@ class Announcement(NamedTuple):
 
     firmware: str              # NAME VERSION; '' if it is not announced
     rows: Dict[str, Any]       # by name, as a file with parameters would hold them
-    problems: List[str]        # a line for each line of the text that is no row
+    problems: List[str]        # one for each line of the text that is no row
 
 
 def read_announcement(text: bytes) -> Announcement:
@@ -178,20 +169,15 @@ def read_announcement(text: bytes) -> Announcement:
             why = ' '.join(str(error).split())
             problems.append(readable(f'line {number} of the announcement is left out: '
                                      f'{brief(line, 60)}: {why[:120]}'))
-    if problems and not rows and not _is_text(text):
+    words = ''.join(text.decode('utf-8', 'replace').split())
+    if problems and not rows and '\N{REPLACEMENT CHARACTER}' in readable(words):
         # An AVR reads the text from program memory; without PROGMEM it is in the RAM.
         problems = [f'the announcement is no text: {brief(text, 60)}: PROGMEM missing in the '
                     'sketch?']
     return Announcement(firmware, rows, problems)
 
 
-def _is_text(text: bytes) -> bool:
-    words = ''.join(text.decode('utf-8', 'replace').split())
-    return '\N{REPLACEMENT CHARACTER}' not in readable(words)
-
-
 def _read_row(line: str) -> Tuple[str, Any]:
-    """The name and the row in a line; ValueError or another exception if it has none."""
     import yaml
     if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(line, yaml.SafeLoader)):
         raise ValueError('a reference (*) is not allowed')     # a few can mean millions of values

@@ -127,12 +127,15 @@ class Row:
         for unknown in given:
             if unknown not in keys:
                 near = difflib.get_close_matches(str(unknown), keys, 1)
-                raise RowError(self.name(unknown), given[unknown], 'is not a key of a row; '
-                               + (f'did you mean {near[0]}?' if near else ', '.join(keys)))
+                raise self._error(unknown, 'is not a key of a row; ' + (
+                    f'did you mean {near[0]}?' if near else ', '.join(keys)))
 
     def name(self, key: str) -> str:
         """The full name of a key's parameter."""
         return f'{self.key}/{key}'
+
+    def _error(self, key: str, allowed: str) -> RowError:
+        return RowError(self.name(key), self.given.get(key), allowed)
 
     def number(self, key: str, may_be: Callable[[float], bool], allowed: str,
                default: Optional[float] = None, whole: bool = False) -> Any:
@@ -140,7 +143,7 @@ class Row:
         value = self.given.get(key, default)
         is_number = type(value) in ((int,) if whole else (int, float))
         if not is_number or (key in self.given and not may_be(value)):
-            raise RowError(self.name(key), value, f'may be {allowed}')
+            raise self._error(key, f'may be {allowed}')
         return value
 
     def text(self, key: str, pattern: Optional[Pattern[str]], allowed: str,
@@ -150,14 +153,14 @@ class Row:
             return default
         value = self.given.get(key)
         if type(value) is not str or (pattern and not pattern.fullmatch(value)):
-            raise RowError(self.name(key), value, f'may be {allowed}')
+            raise self._error(key, f'may be {allowed}')
         return value
 
     def flag(self, key: str) -> bool:
         """Whether a key is true; the default is false."""
         value = self.given.get(key, False)
         if type(value) is not bool:
-            raise RowError(self.name(key), value, 'may be true or false')
+            raise self._error(key, 'may be true or false')
         return value
 
     def constants(self) -> Dict[str, Any]:
@@ -165,8 +168,8 @@ class Row:
         given = self.given.get('constants', {})
         if type(given) is not dict or not all(
                 type(path) is str and path and _PATH.fullmatch(path) for path in given):
-            raise RowError(self.name('constants'), given, 'may be a group with a value for the '
-                           'path of each field, as {present: true}')
+            raise self._error('constants', 'may be a group with a value for the path of each '
+                              'field, as {present: true}')
         for path, value in given.items():
             if type(value) not in (bool, int, float, str):
                 raise RowError(f'{self.name("constants")}/{path}', value,
@@ -177,12 +180,12 @@ class Row:
         """Refuse keys that have no meaning beside another one."""
         for key in keys:
             if key in self.given:
-                raise RowError(self.name(key), self.given[key], f'has no meaning beside {beside}')
+                raise self._error(key, f'has no meaning beside {beside}')
 
     def refuse_second(self, key: str, value: int, names: Dict[int, str]) -> None:
         """Refuse a number that another row has; `names` are the rows by number."""
         if value in names:
-            raise RowError(self.name(key), value, f'is already the {key} of {names[value]}')
+            raise self._error(key, f'is already the {key} of {names[value]}')
 
     def layout(self, longest: int) -> Tuple[str, List[Value]]:
         """The format and its values, by the keys `LAYOUT_KEYS`; at most `longest` bytes of data."""
@@ -190,87 +193,77 @@ class Row:
         paths = self.given.get('fields')
         if type(paths) is not list or not all(
                 type(path) is str and _PATH.fullmatch(path) for path in paths):
-            raise RowError(self.name('fields'), paths, 'may be a list with the path of a field '
-                           'for each value, as [vector.x, "", position[2]]')
+            raise self._error('fields', 'may be a list with the path of a field for each value, '
+                              'as [vector.x, "", position[2]]')
         try:
             count = count_values(layout, longest)
         except ValueError as error:
-            raise RowError(self.name('layout'), layout,
-                           f'may be a format of Python\'s struct, as <hB: {error}') from None
+            raise self._error('layout', 'may be a format of Python\'s struct, as <hB: '
+                              f'{error}') from None
         if count is None:
-            raise RowError(self.name('layout'), layout, f'may have at most {longest} bytes')
+            raise self._error('layout', f'may have at most {longest} bytes')
         if len(paths) != count:
-            raise RowError(self.name('fields'), paths, f'may be a list of {count}, one for each '
-                           f'value of the layout {layout}')
+            raise self._error('fields', f'may be a list of {count}, one for each value of the '
+                              f'layout {layout}')
         for path in paths:
             if path and paths.count(path) > 1:
-                raise RowError(self.name('fields'), paths, f'may have {path} once')
-        scales = self._each('scale', len(paths), 1, lambda n: abs(n) < inf and n != 0,
-                            'a number but 0')
-        offsets = self._each('offset', len(paths), 0, lambda n: abs(n) < inf, 'a number')
-        minima = self._each('minimum', len(paths), -inf, lambda n: True, 'a number')
-        maxima = self._each('maximum', len(paths), inf, lambda n: True, 'a number')
-        values = [Value(path, '', scale, offset, minimum, maximum)
-                  for path, scale, offset, minimum, maximum in zip(
-                      paths, scales, offsets, minima, maxima)]
-        placed = Layout(layout, values).values
-        self._check_limits(placed)
-        return layout, self._with_invalid(placed)
+                raise self._error('fields', f'may have {path} once')
+        scales = self._each('scale', count, 1, lambda n: abs(n) < inf and n != 0, 'a number but 0')
+        offsets = self._each('offset', count, 0, lambda n: abs(n) < inf)
+        minima, maxima = self._each('minimum', count, -inf), self._each('maximum', count, inf)
+        values = Layout(layout, [
+            Value(path, '', scale, offset, minimum, maximum) for path, scale, offset, minimum,
+            maximum in zip(paths, scales, offsets, minima, maxima)]).values
+        self._check_limits(values)
+        return layout, self._with_invalid(values)
 
-    def _each(self, key: str, count: int, default: float, may_be: Callable[[float], bool],
-              allowed: str) -> List[float]:
+    def _each(self, key: str, count: int, default: float,
+              may_be: Callable[[float], bool] = lambda n: True,
+              allowed: str = 'a number') -> List[float]:
         """A number for each value, from a list or from one number for all."""
         given = self.given.get(key, default)
         numbers = given if type(given) is list else [given] * count
         if len(numbers) != count or not all(
                 _is_number(number) and may_be(number) for number in numbers):
-            raise RowError(self.name(key), given, f'may be {allowed}, or a list of {count}')
+            raise self._error(key, f'may be {allowed}, or a list of {count}')
         # Whole numbers stay whole, except where a product with a raw number could overflow a float.
         return [number if abs(number) < _HUGE else float(number) for number in numbers]
 
-    def _with_invalid(self, values: Sequence[Value]) -> List[Value]:
-        """The values with their raw numbers that mean "no value".
+    def _enough(self, key: str, fits: Sequence[bool]) -> bool:
+        """Whether the numbers in a list fit all values, or one number for all fits any of them."""
+        return all(fits) if type(self.given[key]) is list else any(fits)
 
-        One number for all applies to each value whose place can hold it; in a list, '' means that
-        there is none.
-        """
+    def _with_invalid(self, values: Sequence[Value]) -> List[Value]:
+        """The values with their raw numbers that mean "no value"; in a list '' means none."""
         if 'invalid' not in self.given:
             return list(values)
         given = self.given['invalid']
-        is_list = type(given) is list
-        numbers = given if is_list else [given] * len(values)
+        numbers = given if type(given) is list else [given] * len(values)
         if len(numbers) != len(values) or not all(
-                _is_number(number) or is_list and number == '' for number in numbers):
-            raise RowError(self.name('invalid'), given, f'may be a number, or a list of '
-                           f'{len(values)} with a number or an empty text for each value')
+                _is_number(number) or number == '' and type(given) is list for number in numbers):
+            raise self._error('invalid', f'may be a number, or a list of {len(values)} with a '
+                              'number or an empty text for each value')
         fits = [number == '' or value.holds(number) for number, value in zip(numbers, values)]
-        if not (all(fits) if is_list else any(fits)):
+        if not self._enough('invalid', fits):
             code = values[fits.index(False)].code if values else ''
-            raise RowError(self.name('invalid'), given, 'may be a raw number that its place '
-                           f'({code}) can hold exactly')
+            raise self._error('invalid', 'may be a raw number that its place '
+                              f'({code}) can hold exactly')
         return [value._replace(invalid=number) if fit and number != '' else value
                 for number, fit, value in zip(numbers, fits, values)]
 
     def _check_limits(self, values: Sequence[Value]) -> None:
-        """Refuse a limit that no raw number reaches, and a minimum above its maximum.
-
-        One limit for all values has to be in the range of at least one of them.
-        """
-        limited = [(value, value.range) for value in values
-                   if value.name and value.kind != 'text']
+        """Refuse a limit that no raw number reaches, and a minimum above its maximum."""
+        limited = [value for value in values if value.name and value.kind != 'text']
         for key in ('minimum', 'maximum'):
-            given = self.given.get(key)
-            fits = [low <= getattr(value, key) <= high or abs(getattr(value, key)) == inf
-                    for value, (low, high) in limited]
-            if given is not None and limited and not (
-                    all(fits) if type(given) is list else any(fits)):
-                low, high = limited[fits.index(False)][1]
-                raise RowError(self.name(key), given, f'may be from {low:.10g} to {high:.10g}, '
-                               'which is what its place holds')
-        for value, _ in limited:
+            fits = [value.range[0] <= getattr(value, key) <= value.range[1]
+                    or abs(getattr(value, key)) == inf for value in limited]
+            if limited and self.given.get(key) is not None and not self._enough(key, fits):
+                low, high = limited[fits.index(False)].range
+                raise self._error(key, f'may be from {low:.10g} to {high:.10g}, which is what its '
+                                  'place holds')
+        for value in limited:
             if value.minimum > value.maximum:
-                raise RowError(self.name('minimum'), self.given['minimum'],
-                               f'may be at most the maximum, {value.maximum:g}')
+                raise self._error('minimum', f'may be at most the maximum, {value.maximum:g}')
 
 
 def _is_number(value: Any) -> bool:

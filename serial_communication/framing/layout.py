@@ -11,12 +11,16 @@ from math import inf, isfinite
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 from unicodedata import category
 
-from .parts import Part
+from .parts import Part, Parts
 
 NUMBERS = 'bBhHiIlLqQefd?'     # struct's codes that hold one number each
 FRACTIONS = 'efd'             # those of them for floats
-_RANGES = {'?': (0, 1), 'e': (-65504.0, 65504.0), 'f': (-3.4028234663852886e38,
-           3.4028234663852886e38), 'd': (-inf, inf), 's': (-inf, inf)}
+# The least and the greatest raw number of each code.
+_RANGES = {'?': (0, 1), 'e': (-65504.0, 65504.0), 'd': (-inf, inf), 's': (-inf, inf),
+           'f': (-3.4028234663852886e38, 3.4028234663852886e38)}
+for _code, _bits in zip('bhilq', (8, 16, 32, 32, 64)):
+    _RANGES[_code] = -2 ** (_bits - 1), 2 ** (_bits - 1) - 1
+    _RANGES[_code.upper()] = 0, 2 ** _bits - 1
 
 # The value of a raw number that means "no value": a NaN, told from others by its identity.
 NO_VALUE = float('nan')
@@ -49,11 +53,13 @@ class Value(NamedTuple):
 
     @property
     def is_scaled(self) -> bool:
-        """Whether the value differs from the raw number.
-
-        A scale of 1.0 counts as none, so an int stays an int.
-        """
+        """Whether the value differs from the raw number. Without a scale an int stays an int."""
         return self.scale != 1 or self.offset != 0
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether some numbers are outside its limits; a text has none."""
+        return self.code != 's' and (self.minimum > -inf or self.maximum < inf)
 
     @property
     def is_whole(self) -> bool:
@@ -62,16 +68,10 @@ class Value(NamedTuple):
             not self.is_scaled or isinstance(self.scale, int) and isinstance(self.offset, int))
 
     @property
-    def may_be_nan(self) -> bool:
-        """Whether it may be NaN or infinite."""
-        return self.code in FRACTIONS
-
-    @property
     def range(self) -> Tuple[float, float]:
         """The least and the greatest value that its place can hold; infinite for a text."""
-        low, high = (raw * self.scale + self.offset
-                     for raw in _RANGES.get(self.code) or _whole_range(self.code))
-        return min(low, high), max(low, high)
+        low, high = sorted(raw * self.scale + self.offset for raw in _RANGES[self.code])
+        return low, high
 
     def holds(self, raw: float) -> bool:
         """Whether its place can hold exactly this raw number."""
@@ -122,20 +122,18 @@ class Value(NamedTuple):
 
     def why_implausible(self, given: Any) -> str:
         """Why a value, or one number of an array, is outside its limits; '' if it is not."""
-        for number in given if isinstance(given, tuple) else (given,):
-            if not isinstance(number, str) and number is not NO_VALUE \
-                    and not self.minimum <= number <= self.maximum \
-                    and (self.minimum > -inf or self.maximum < inf):
-                return f'{self.name} is {number:.6g}, {self._limits()}'
-        return ''
-
-    def _limits(self) -> str:
+        if not self.is_limited:
+            return ''
         unit = f' {self.unit}'.rstrip()
-        if self.maximum == inf:
-            return f'below the minimum of {self.minimum:g}{unit}'
-        if self.minimum == -inf:
-            return f'above the maximum of {self.maximum:g}{unit}'
-        return f'out of range ({self.minimum:g} … {self.maximum:g}{unit})'
+        for number in given if isinstance(given, tuple) else (given,):
+            if number is not NO_VALUE and not self.minimum <= number <= self.maximum:
+                why = f'{self.name} is {number:.6g}, '
+                if self.maximum == inf:
+                    return f'{why}below the minimum of {self.minimum:g}{unit}'
+                if self.minimum == -inf:
+                    return f'{why}above the maximum of {self.maximum:g}{unit}'
+                return f'{why}out of range ({self.minimum:g} … {self.maximum:g}{unit})'
+        return ''
 
 
 class Layout:
@@ -167,14 +165,11 @@ class Layout:
         self._scaled = [(index, value) for index, value in enumerate(self.values)
                         if value.is_scaled or value.invalid is not None]
         self._limited = [(index, value.minimum, value.maximum)
-                         for index, value in enumerate(self.values) if value.kind != 'text'
-                         and (value.minimum > -inf or value.maximum < inf)]
+                         for index, value in enumerate(self.values) if value.is_limited]
         # Called for every packet, so it is struct's own function where that is enough.
         is_simple = all(value.kind == 'number' for value in self.values)
         self.raw: Callable[[bytes], Tuple] = self._struct.unpack if is_simple else self._raw
         self.unpack: Callable[[bytes], Tuple] = self._unpack if self._scaled else self.raw
-
-    # -- bytes and values -----------------------------------------------------------------
 
     @property
     def is_empty(self) -> bool:
@@ -183,9 +178,8 @@ class Layout:
 
     def fits(self, size: int) -> bool:
         """Whether such a message may have so many bytes of data."""
-        if self._step:
-            return size >= self.size and (size - self.size) % self._step == 0
-        return size == self.size
+        more = size - self.size
+        return more >= 0 and more % self._step == 0 if self._step else more == 0
 
     def sizes(self) -> str:
         """How many bytes of data it may have, in words."""
@@ -206,8 +200,7 @@ class Layout:
             raise struct.error(f'{len(data)} bytes of data, not {self.sizes()}')
         raw = self._struct.unpack_from(data)
         if self._step:
-            rest = data[self.size:]
-            code = self.values[-1].code
+            rest, code = data[self.size:], self.values[-1].code
             raw += (rest if code == 's' else struct.unpack(
                 f'{self.layout[0]}{len(rest) // self._step}{code}', rest),)
         return tuple([each.split(b'\0', 1)[0].decode('utf-8', 'replace')
@@ -237,8 +230,6 @@ class Layout:
         """The data of raw numbers, for a layout of fixed size; struct.error as in struct."""
         return self._struct.pack(*raw)
 
-    # -- checks and texts -------------------------------------------------------------------
-
     def implausible(self, values: Sequence) -> str:
         """Why one of these values is outside its limits; '' if none is."""
         for index, minimum, maximum in self._limited:
@@ -261,36 +252,20 @@ class Layout:
         Args:
             unpack: makes the values of the data; None: as the layout does.
         """
-        parts: List[Part] = []
         whole = len(data) if self.fits(len(data)) else self.size
         padded = (data + bytes(self.size))[:whole]
+        parts = Parts(data)
         for raw, given, value in zip(self.raw(padded), (unpack or self.unpack)(padded),
                                      self.values):
-            self._pad(parts, data, value.start)
-            start = min(value.start, len(data))
-            end = min(value.end if value.end >= 0 else whole, len(data))
-            name, missing = value.name or 'left out', value.end - len(data)
-            if missing > 0:
-                missing = min(missing, value.end - value.start)
-                parts.append(Part(start, end, name, data[start:end],
-                                  unit=value.unit).cut_short(missing))
-            else:
-                parts.append(Part(start, end, name, data[start:end], raw, given, value.unit,
-                                  'no value' if given is NO_VALUE else '',
-                                  value.why_implausible(given)))
-        self._pad(parts, data, min(self.size, len(data)))
-        at = parts[-1].end if parts else 0
-        if at < len(data):
-            parts.append(Part(at, len(data), 'surplus', data[at:],
-                              error=f'{len(data)} bytes of data, not {self.sizes()}'))
-        return parts
-
-    @staticmethod
-    def _pad(parts: List[Part], data: bytes, start: int) -> None:
-        """Add the bytes before `start` that hold no value."""
-        at, start = parts[-1].end if parts else 0, min(start, len(data))
-        if start > at:
-            parts.append(Part(at, start, 'padding', data[at:start]))
+            parts.take_padding(value.start)
+            end = value.end if value.end >= 0 else whole
+            parts.take_bytes(end - value.start, value.name or 'left out')
+            part = parts.found[-1]._replace(unit=value.unit)
+            parts.found[-1] = part if part.missing else part._replace(
+                raw=raw, value=given, meaning='no value' if given is NO_VALUE else '',
+                error=value.why_implausible(given))
+        parts.take_padding(self.size)
+        return parts.take_rest('surplus', f'{len(data)} bytes of data, not {self.sizes()}')
 
 
 def _split(layout: str) -> Tuple[str, str]:
@@ -341,12 +316,6 @@ def count_values(layout: str, longest: int) -> Optional[int]:
     return None if _size(fixed) > longest else len(_places(fixed, rest))
 
 
-def _whole_range(code: str) -> Tuple[int, int]:
-    """The least and the greatest number of an integer code."""
-    bits = 8 * struct.calcsize('<' + code)
-    return (0, 2 ** bits - 1) if code.isupper() else (-2 ** (bits - 1), 2 ** (bits - 1) - 1)
-
-
 def _words(given: Any, unit: str) -> str:
     if isinstance(given, str):
         return repr(readable(given))
@@ -373,8 +342,8 @@ def brief(given: Any, most: int) -> str:
 class LayoutMessage(tuple):
     """Base of the messages that a layout describes: a message is a tuple of its values.
 
-    `message_class` makes the simple ones. Another one is a class of its own, which also derives
-    from a NamedTuple with its fields.
+    `framing` explains the members. The classes that `message_class` does not make also derive from
+    a NamedTuple.
     """
 
     __slots__ = ()
@@ -385,20 +354,16 @@ class LayoutMessage(tuple):
 
     @classmethod
     def unpack(cls, data: bytes) -> Any:
-        """The message in `data`; struct.error if it has the wrong length."""
         return tuple.__new__(cls, cls.LAYOUT.unpack(data))
 
     def pack(self) -> bytes:
-        """The data; ValueError for a value that its place cannot hold."""
         return self.LAYOUT.pack(self)
 
     def implausible(self) -> str:
-        """Why a value is outside its limits; '' if none is."""
         return self.LAYOUT.implausible(self)
 
     @classmethod
     def parts(cls, data: bytes) -> List[Part]:
-        """The bytes of each value, for `data` of any length."""
         return cls.LAYOUT.parts(data)
 
     def __str__(self) -> str:

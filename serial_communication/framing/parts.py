@@ -25,21 +25,12 @@ class Part(NamedTuple):
     kind: Optional[str] = None     # for a type byte: the frame's kind in words; '': unknown
 
     def cut_short(self, missing: int) -> 'Part':
-        """The same part with so many bytes missing."""
         return self._replace(missing=missing,
                              error=f'missing, {missing} byte{"s" * (missing > 1)}')
 
-    def moved(self, by: int) -> 'Part':
-        """The same part `by` bytes further on."""
-        return self._replace(start=self.start + by, end=self.end + by)
-
 
 class Parts:
-    """Cuts a frame into its parts, from the first byte to the last.
-
-    Args:
-        frame: the bytes, as many as there are.
-    """
+    """Cuts a frame, which may be incomplete, into its parts from the first byte on."""
 
     def __init__(self, frame: bytes) -> None:
         self.found: List[Part] = []
@@ -88,7 +79,7 @@ class Parts:
         begin, data = self.at, self._frame[self.at:self.at + size]
         parts = parts_of(data)
         for part in parts:
-            self.add(part.moved(begin))
+            self.add(part._replace(start=begin + part.start, end=begin + part.end))
         if len(data) < size and not any(part.error for part in parts):
             self.take_bytes(size - len(data), 'data')
 
@@ -105,6 +96,12 @@ class Parts:
             self.take(1, name, 'matches')
         else:
             self.take(1, name, error=expected)
+
+    def take_padding(self, end: int) -> None:
+        """Add the bytes before frame[end] that are in no part yet, if any."""
+        size = min(end - self.at, self.left)
+        if size > 0:
+            self.take_bytes(size, 'padding')
 
     def take_rest(self, name: str, error: str) -> List[Part]:
         """Add the bytes that are left, if any, as one part with an error; return all parts."""

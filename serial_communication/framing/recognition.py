@@ -4,7 +4,7 @@ The decoders of all boards read the same bytes. Bytes of another board, of anoth
 noise are sometimes a valid frame by chance, above all without a checksum. So a board is recognised
 only by several valid frames that have most of the bytes.
 """
-from typing import Callable, Dict, List, Mapping
+from typing import Callable, List, Mapping
 
 from .stream import UNKNOWN, Decoder, Frame
 
@@ -26,8 +26,8 @@ class Recognition:
 
     def feed(self, data: bytes) -> None:
         """Read some more bytes."""
-        for name, decoder in self._decoders.items():
-            self._counts[name].add(decoder.feed(data))
+        for each in self._candidates:
+            each.count(each.decoder.feed(data))
         self._size += len(data)
         self._decide(self._size >= _WINDOW)
         if self._size >= _WINDOW:
@@ -35,40 +35,37 @@ class Recognition:
 
     def finish(self) -> None:
         """There are no more bytes: also count what waits for more."""
-        for name, decoder in self._decoders.items():
-            while decoder.pending:
-                self._counts[name].add(decoder.give_up())
+        for each in self._candidates:
+            while each.decoder.pending:
+                each.count(each.decoder.give_up())
         self._decide(False)
 
     def _begin(self) -> None:
-        self._decoders: Dict[str, Decoder] = {name: make() for name, make in self._make.items()}
-        self._counts = {name: _Count() for name in self._make}
+        self._candidates = [_Candidate(name, make()) for name, make in self._make.items()]
         self._size = 0
 
     def _decide(self, is_final: bool) -> None:
-        found = max(self._counts, key=lambda name: self._counts[name].valid, default='')
-        if found and self._counts[found].is_enough:
-            self.name = found
+        found = max(self._candidates, key=lambda each: each.valid, default=None)
+        if found and found.frames >= _FRAMES and found.valid > found.invalid:
+            self.name = found.name
         elif is_final:
             self.name = ''
 
 
-class _Count:
-    """What one decoder made of the bytes."""
+class _Candidate:
+    """What one board's decoder made of the bytes."""
 
-    def __init__(self) -> None:
+    def __init__(self, name: str, decoder: Decoder) -> None:
+        self.name = name
+        self.decoder = decoder
         self.valid = 0        # bytes in valid frames
-        self._frames = 0      # these frames
-        self._invalid = 0     # other bytes
+        self.frames = 0       # these frames
+        self.invalid = 0      # other bytes
 
-    def add(self, frames: List[Frame]) -> None:
+    def count(self, frames: List[Frame]) -> None:
         for frame in frames:
             if frame.message is not None:
                 self.valid += len(frame.raw)
-                self._frames += 1
+                self.frames += 1
             elif frame.cause not in ('', UNKNOWN):
-                self._invalid += len(frame.raw)
-
-    @property
-    def is_enough(self) -> bool:
-        return self._frames >= _FRAMES and self.valid > self._invalid
+                self.invalid += len(frame.raw)

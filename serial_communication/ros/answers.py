@@ -56,7 +56,13 @@ def read_error(error: rospy.ServiceException) -> Tuple[Verdict, str]:
     """Return the verdict and the text of a service error; for callers."""
     if isinstance(error.__context__, rospy.TransportInitError):      # rospy had not connected yet
         return Verdict.REFUSED, 'nothing was sent: the bridge does not answer'
-    return _failure(*read_text(_text_of(error)))
+    text = str(error)
+    quoted = text.partition(' responded with an error: ')[2]    # as bytes; '' without such a text
+    try:
+        text = ast.literal_eval(quoted).decode('utf-8', 'replace')
+    except (AttributeError, SyntaxError, ValueError):
+        text = quoted or f'no answer was received: {text}'
+    return _failure(*read_text(text))
 
 
 def _failure(status: Optional[int], text: str) -> Tuple[Verdict, str]:
@@ -64,13 +70,3 @@ def _failure(status: Optional[int], text: str) -> Tuple[Verdict, str]:
     if verdict is Verdict.NOT_KNOWN and status != TIMEOUT:      # a TIMEOUT's text has LOOK already
         text = f'{text or "no reason was given"}; {LOOK}'
     return verdict, text
-
-
-def _text_of(error: rospy.ServiceException) -> str:
-    """Return the service's error text, which rospy quotes as bytes; without one, rospy's text."""
-    text = str(error)
-    quoted = text.partition(' responded with an error: ')[2]
-    try:
-        return ast.literal_eval(quoted).decode('utf-8', 'replace')
-    except (AttributeError, SyntaxError, ValueError):
-        return quoted or f'no answer was received: {text}'

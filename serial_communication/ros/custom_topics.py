@@ -41,12 +41,7 @@ def message_rows(board: Description, given: Any) -> List[RosMessage]:
 
 
 def names_of(rows: Sequence[Tuple], prefix: str) -> List[Tuple[str, str]]:
-    """Return the topics and services that rows add: (name, the row's parameter).
-
-    Args:
-        rows: tuples that begin with a custom message or a custom function.
-        prefix: of the names, such as ``~``.
-    """
+    """Return the topics and services that rows, such as `RosMessage`, add: (name, parameter)."""
     return [(prefix + custom.name, custom.key) for custom, *_ in rows]
 
 

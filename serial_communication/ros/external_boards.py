@@ -51,8 +51,15 @@ def _load(name: str) -> Tuple[str, Any]:
     The import runs in a thread, so that a signal ends the node even if the import hangs.
     """
     outcome: List[Any] = []
-    thread = threading.Thread(target=_import, args=(name, outcome), name=f'import {name}',
-                              daemon=True)
+
+    def run() -> None:
+        try:
+            board = description(name)
+            outcome.append((board.name, getattr(load(board.package + '.ros'), 'INTERFACE', None)))
+        except BoardError as error:
+            outcome.append(error)
+
+    thread = threading.Thread(target=run, name=f'import {name}', daemon=True)
     thread.start()
     began, reported = time.monotonic(), False
     while thread.is_alive():
@@ -66,14 +73,6 @@ def _load(name: str) -> Tuple[str, Any]:
     if isinstance(outcome[0], BoardError):
         raise ValueError(str(outcome[0]))
     return outcome[0]
-
-
-def _import(name: str, outcome: List[Any]) -> None:
-    try:
-        board = description(name)
-        outcome.append((board.name, getattr(load(board.package + '.ros'), 'INTERFACE', None)))
-    except BoardError as error:
-        outcome.append(error)
 
 
 def _mistakes(described: str, interface: Any,
@@ -96,15 +95,13 @@ def _mistakes(described: str, interface: Any,
         yield '.PARAMETERS', parameters, 'a dict from name to Parameter'
     for key, parameter in parameters.items():
         if not isinstance(key, str) or not _NAME.fullmatch(key):
-            yield ('.PARAMETERS', key,
-                   'a dict from name (letters, digits and _) to Parameter')
+            yield '.PARAMETERS', key, 'a dict from name (letters, digits and _) to Parameter'
         where = f'.PARAMETERS[{key!r}]'
         if not isinstance(parameter, Parameter):
             yield where, parameter, 'a Parameter'
         default = parameter.default
         if type(default) not in (bool, str, int, float, list, dict):
-            yield (where + '.default', default,
-                   'true or false, text, a number, a list or a group')
+            yield where + '.default', default, 'true or false, text, a number, a list or a group'
         if parameter.parse is None and (default == [] or isinstance(default, dict)):
             yield where + '.parse', None, 'a function if the default is empty or a group'
     if 'port' not in parameters or not isinstance(parameters['port'].default, str):

@@ -35,7 +35,10 @@ def find_type(key: str, name: str, kind: str = 'msg') -> Any:
     if found is not None:
         return found
     package, short = name.split('/')
-    installed = [each.split('/') for each in _installed(kind)]
+    # All installed types, by their generated modules.
+    modules = (path.split(os.sep) for folder in sys.path for path in glob.glob(
+        os.path.join(glob.escape(folder), '*', kind, '_[A-Z]*.py')))
+    installed = sorted({(path[-3], path[-1][1:-3]) for path in modules})
     there = [each for owner, each in installed if owner == package]
     near = [f'{package}/{each}' for each in difflib.get_close_matches(short, there)]
     elsewhere = [f'{owner}/{each}' for owner, each in installed if each == short]
@@ -47,11 +50,8 @@ def find_type(key: str, name: str, kind: str = 'msg') -> Any:
 
 
 def _found(name: str, kind: str) -> Any:
-    """Return the class of a type, or None.
-
-    Only a generated module is imported: a board may announce any name, and importing any other
-    module might do anything.
-    """
+    """Return the class of a type, or None. Only a generated module is imported: a board may
+    announce any name, and importing any other module might do anything."""
     package, short = name.split('/')
     if not any(os.path.exists(os.path.join(folder, package, kind, f'_{short}.py'))
                for folder in sys.path):
@@ -64,13 +64,6 @@ def _found(name: str, kind: str) -> Any:
     return found if getattr(found, '_type', '') == name and (
         hasattr(found, '_slot_types') if kind == 'msg' else hasattr(found, '_request_class')
     ) else None
-
-
-def _installed(kind: str) -> List[str]:
-    """Return the names of all installed types, found by their generated modules."""
-    modules = [path.split(os.sep) for folder in sys.path
-               for path in glob.glob(os.path.join(glob.escape(folder), '*', kind, '_[A-Z]*.py'))]
-    return sorted({f'{path[-3]}/{path[-1][1:-3]}' for path in modules})
 
 
 class _Place(NamedTuple):
@@ -102,17 +95,15 @@ class RosFields:
         self._arrays: List[Tuple[Tuple, int, Any]] = []    # path, length and element in a message
         self._places = [self._resolve(key, value) if value.name else None
                         for value in layout.values]
-        paths = [value.name for value in layout.values]
-        self._refuse_shared(key, paths, self._places)
-        self._constants = [(self._constant(constants_key, path, value), value)
-                           for path, value in (constants or {}).items()]
-        for path in set(paths).intersection(constants or ()):
+        places = {value.name: place for value, place in zip(layout.values, self._places) if place}
+        _refuse_shared(key, places)
+        constants = constants or {}
+        fixed = {path: self._constant(constants_key, path, value)
+                 for path, value in constants.items()}
+        for path in places.keys() & fixed:
             raise RowError(constants_key, path, 'is in fields, too')
-        self._refuse_shared(constants_key, [*paths, *(constants or ())],
-                            [*self._places, *(place for place, _ in self._constants)])
-        self._filled: List[Tuple] = [
-            (index, place.owner, place.last, isinstance(place.last, int), place.to_ros)
-            for index, place in enumerate(self._places) if place]
+        _refuse_shared(constants_key, {**places, **fixed})
+        self._constants = [(place, constants[path]) for path, place in fixed.items()]
         # The values that may be "no value", in fields that cannot be NaN.
         self.without_nan = [
             index for index, (value, place) in enumerate(zip(layout.values, self._places))
@@ -133,11 +124,7 @@ class RosFields:
             items += [element() for _ in range(size - len(items))]
             setattr(owner, steps[-1], items)
         for place, value in self._constants:
-            holder = _walk(message, place.owner)
-            if isinstance(place.last, int):
-                holder[place.last] = value
-            else:
-                setattr(holder, place.last, value)
+            _put(message, place, value)
         return message
 
     def lacks(self, values: Sequence) -> bool:
@@ -147,13 +134,9 @@ class RosFields:
 
     def fill(self, message: Any, values: Sequence) -> Any:
         """Write the values into a message from `new`, and return it."""
-        for index, owner, last, is_element, to_ros in self._filled:
-            value = to_ros(values[index]) if to_ros else values[index]
-            holder = _walk(message, owner) if owner else message
-            if is_element:
-                holder[last] = value
-            else:
-                setattr(holder, last, value)
+        for place, value in zip(self._places, values):
+            if place:
+                _put(message, place, place.to_ros(value) if place.to_ros else value)
         return message
 
     def read(self, message: Any) -> Tuple:
@@ -176,7 +159,7 @@ class RosFields:
 
     def _resolve(self, key: str, value: Value) -> _Place:
         path = value.name
-        message_class, type_, array, size = self._class, '', '', ''
+        message_class, type_, array = self._class, '', ''
         steps: Tuple[Union[str, int], ...] = ()
         for name, element in _STEP.findall(path):
             if message_class is None:
@@ -185,18 +168,23 @@ class RosFields:
             if name not in fields:
                 raise RowError(key, path, f'{message_class._type} has no field {name}'
                                + _nearest(name, list(fields)))
-            type_, bracket, size = fields[name].rstrip(']').partition('[')
-            array = bracket and f'[{size}]'
+            type_, bracket, size = fields[name].partition('[')
+            array = bracket + size
             message_class = None if type_ in _CODES or type_ in ('string', 'time', 'duration') \
                 else roslib.message.get_message_class(
                     'std_msgs/Header' if type_ == 'Header' else type_)
             steps += (name,)
             if element:
-                self._lengthen(key, path, steps, int(element), array, size,
-                               message_class or _default_of(type_))
+                if not array:
+                    raise RowError(key, path, f'{name} is not an array')
+                most = int(array[1:-1] or _MOST_ELEMENTS)
+                if int(element) >= most:
+                    raise RowError(key, path, f'{name} has elements 0 to {most - 1}')
+                self._arrays.append((steps, int(element) + 1, message_class
+                                     or {'string': str, 'bool': bool}.get(type_, int)))
                 steps += (int(element),)
                 array = ''
-        return self._checked(key, value, steps, type_, array, size)
+        return self._checked(key, value, steps, type_, array)
 
     def _constant(self, key: str, path: str, given: Any) -> _Place:
         """Return the place of a constant; raise RowError if it cannot hold it."""
@@ -212,43 +200,20 @@ class RosFields:
         return place
 
     @staticmethod
-    def _refuse_shared(key: str, paths: List[str], places: List[Optional[_Place]]) -> None:
-        """Raise RowError if a value would overwrite another, as position does with position[0]."""
-        taken = {(*place.owner, place.last): path
-                 for place, path in zip(places, paths) if place}
-        for place, path in zip(places, paths):
-            steps = (*place.owner, place.last) if place else ()
-            for end in range(1, len(steps) + 1):
-                other = taken.get(steps[:end], path)
-                if other != path:
-                    raise RowError(key, path, f'overlaps with {other}')
-
-    def _lengthen(self, key: str, path: str, steps: Tuple, element: int, array: str, size: str,
-                  default: Any) -> None:
-        most = int(size) if size else _MOST_ELEMENTS
-        if not array:
-            raise RowError(key, path, f'{steps[-1]} is not an array')
-        if element >= most:
-            raise RowError(key, path, f'{steps[-1]} has elements 0 to {most - 1}')
-        self._arrays.append((steps, element + 1, default))
-
-    @staticmethod
-    def _checked(key: str, value: Value, steps: Tuple, type_: str, array: str,
-                 size: str) -> _Place:
+    def _checked(key: str, value: Value, steps: Tuple, type_: str, array: str) -> _Place:
         """Return the place if its type can hold the value; otherwise raise RowError."""
         path, has = value.name, value.kind
-        is_array, is_fixed = bool(array), bool(size)
-        there = type_ + array
-        if has == 'text' and (type_ != 'string' or is_array):
-            raise RowError(key, path, f'is {there}; a text needs a string')
-        if has != 'text' and type_ not in _CODES:
-            raise RowError(key, path, f'is {there}, which cannot hold a number')
-        if has == 'array' and (not is_array or is_fixed):
-            raise RowError(key, path, f'is {there}; the * in the layout needs an array of any '
-                           'length')
-        if has == 'number' and is_array:
-            raise RowError(key, path, f'is {there}; a single number needs one element, such as '
-                           f'{path}[0]')
+        why = ''
+        if has == 'text' and (type_ != 'string' or array):
+            why = '; a text needs a string'
+        elif has != 'text' and type_ not in _CODES:
+            why = ', which cannot hold a number'
+        elif has == 'array' and array != '[]':
+            why = '; the * in the layout needs an array of any length'
+        elif has == 'number' and array:
+            why = f'; a single number needs one element, such as {path}[0]'
+        if why:
+            raise RowError(key, path, f'is {type_}{array}{why}')
         convert: Optional[Callable[[Any], Any]] = None
         if type_ == 'bool':
             convert = bool
@@ -257,6 +222,17 @@ class RosFields:
         if convert and has == 'array':
             convert = _for_each(convert)
         return _Place(steps[:-1], steps[-1], convert, _CODES.get(type_, ''))
+
+
+def _refuse_shared(key: str, places: Dict[str, _Place]) -> None:
+    """Raise RowError if a value would overwrite another, as position does with position[0]."""
+    taken = {(*place.owner, place.last): path for path, place in places.items()}
+    for path, place in places.items():
+        steps = (*place.owner, place.last)
+        for end in range(1, len(steps) + 1):
+            other = taken.get(steps[:end], path)
+            if other != path:
+                raise RowError(key, path, f'overlaps with {other}')
 
 
 class _NarrowedLayout(Layout):
@@ -280,9 +256,7 @@ class _NarrowedLayout(Layout):
 
 def _holds_all(code: str, value: Value) -> bool:
     """Return whether a field with struct's `code` ('' for a string) can hold every value."""
-    if code in ('', 'd'):
-        return True
-    return (code == 'f' or not value.may_be_nan) and all(
+    return code in ('', 'd') or (code == 'f' or value.code not in FRACTIONS) and all(
         isfinite(end) and _holds(code, end) for end in value.range)
 
 
@@ -301,8 +275,12 @@ def _walk(message: Any, steps: Sequence) -> Any:
     return message
 
 
-def _default_of(type_: str) -> Callable[[], Any]:
-    return str if type_ == 'string' else bool if type_ == 'bool' else int
+def _put(message: Any, place: _Place, value: Any) -> None:
+    holder = _walk(message, place.owner)
+    if isinstance(place.last, int):
+        holder[place.last] = value
+    else:
+        setattr(holder, place.last, value)
 
 
 def _for_each(convert: Callable[[Any], Any]) -> Callable[[Iterable], list]:

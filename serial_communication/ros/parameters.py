@@ -17,13 +17,9 @@ from .interface import Interface
 from .parameter import Parameter, ParameterError, Parameters, frame_id, not_empty, seconds
 
 
-def _external_boards(names: Any) -> List[Type[Interface]]:
-    """Return the interfaces of the boards in these packages."""
-    return board_interfaces(names, {*BOARDS, *NODE_PARAMETERS})
-
-
 NODE_PARAMETERS: Parameters = {
-    'boards': Parameter([], unit='names of Python packages with a board', parse=_external_boards),
+    'boards': Parameter([], unit='names of Python packages with a board',
+                        parse=lambda names: board_interfaces(names, {*BOARDS, *NODE_PARAMETERS})),
     'frame_timeout': seconds(0.05, 0.001, 10.0),
     'publish_tf': Parameter(False),
     'base_frame_id': frame_id('base_link'),
@@ -114,22 +110,18 @@ def _check_together(interfaces: List[Type[Interface]], values: Dict[str, Any],
                                  f'to check its parameters: {reason(error)}') from None
         if problem:
             raise ParameterError(f'parameter {namespace}/{interface.NAME}/{problem}')
-        _refuse_second(f'{namespace}/{interface.NAME}/port', own['port'], ports)
+        key, url = f'{namespace}/{interface.NAME}/port', own['port']
+        port = identity(url) if url and isinstance(url, str) else None
+        if port in ports:       # one of the two links would wait for it for ever
+            raise ParameterError(f'parameter {key} is {url!r}, which is also the port of '
+                                 f'{ports[port]}; each link needs its own port')
+        if port is not None:
+            ports[port] = f'{key} ({url!r})'
         for name, key in custom_names:
             if name in names:
                 raise ParameterError(f'parameter {namespace}/{key} has the name of {names[name]}: '
                                      f'both add {name}; rename one of them')
             names[name] = key
-
-
-def _refuse_second(key: str, url: str, ports: Dict[Any, str]) -> None:
-    """Refuse a port that another link has: one of the two would wait for it for ever."""
-    port = identity(url) if url and isinstance(url, str) else None
-    if port in ports:
-        raise ParameterError(f'parameter {key} is {url!r}, which is also the port of '
-                             f'{ports[port]}; each link needs its own port')
-    if port is not None:
-        ports[port] = f'{key} ({url!r})'
 
 
 def _flatten(given: Dict[str, Any], groups: Any, namespace: str) -> Dict[str, Any]:

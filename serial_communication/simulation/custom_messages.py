@@ -11,7 +11,7 @@ from ..boards.config_file import board_parameters, read_parameters
 from ..boards.description import Description
 from ..framing.announcement import chunks_of, write_announcement
 from ..framing.custom_messages import CustomMessage
-from ..framing.layout import NO_VALUE, Layout, Value
+from ..framing.layout import FRACTIONS, NO_VALUE, Layout, Value
 from ..transport.pace import Every
 
 PERIOD = 0.1      # s between two messages of a kind
@@ -134,7 +134,7 @@ def _number(value: Value, index: int, now: float) -> float:
     low, high = max(low, least), min(high, most)
     phase = 2 * math.pi * now / _OSCILLATION + index
     number = low + (high - low) * (0.5 + 0.49 * math.sin(phase))
-    if value.may_be_nan:
+    if value.code in FRACTIONS:
         return number
     # Round to a raw number within the limits.
     ends = sorted(((low - value.offset) / value.scale, (high - value.offset) / value.scale))

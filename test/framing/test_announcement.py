@@ -79,13 +79,6 @@ def test_a_text_that_changes_is_returned_and_never_mixed():
     assert taken(assembly, chunks_of(OTHER, 20)) == [OTHER]
 
 
-def test_lost_chunks_come_with_the_next_round():
-    chunks = chunks_of(TEXT, 20)
-    assembly = Assembly()
-    assert taken(assembly, chunks[1::2]) == []
-    assert taken(assembly, chunks[::2]) == [TEXT]
-
-
 @pytest.mark.parametrize('damaged', [
     dict(text=b'firmware: nano_cat 1'), dict(text=b''), dict(crc=1), dict(count=200),
     dict(index=3)])

@@ -15,8 +15,7 @@ from sources import ROOT
 
 VERSIONS = {'pyserial': '3.4', 'pytest': '4.6.9', 'hypothesis': '4.36.2'}
 # Tests without a ROS node: all of COLLECTED are collected, and RUN, which takes less time, runs.
-COLLECTED = ('boards', 'framing', 'link', 'simulation', 'tools', 'transport',
-             'fuzz/test_fuzz_decoders.py')
+COLLECTED = ('boards', 'framing', 'link', 'simulation', 'tools', 'transport')
 RUN = ('transport/test_port.py', 'transport/test_port_messages.py', 'link/test_link.py',
        'boards/test_stream_decoders.py', 'framing/test_custom_messages.py')
 pytestmark = pytest.mark.slow
