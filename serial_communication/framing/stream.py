@@ -91,7 +91,7 @@ class Decoder(Protocol):
 
     @property
     def front(self) -> int:
-        """How many of them are before the incomplete frame; all if there is none."""
+        """Where the incomplete frame begins: how many bytes are before it; all if there is none."""
 
     @property
     def needed(self) -> int:
@@ -163,7 +163,9 @@ class StreamDecoder:
     A subclass gives the bytes with which a frame may begin (`STARTS`), and says what begins at
     such a byte (`frame_at`, which reads `buffer` and computes checksums by `xor`).
 
-    Noise ends where a frame begins, after a silence (`give_up`) or after `MAX_REPORTED` bytes.
+    Each error is returned as one invalid frame, in whatever pieces its bytes were read. It is a
+    whole frame with a wrong checksum, or noise. Noise ends where a frame begins, after a silence
+    (`give_up`) or after `MAX_REPORTED` bytes.
     """
 
     STARTS = b''
@@ -213,7 +215,7 @@ class StreamDecoder:
         # The search goes on at the second byte.
         frames = self._search(1 if self.buffer else 0)
         if not self.buffer:
-            self._add_noise(0, is_over=True)
+            self._end_noise(0)
         return frames
 
     def reset(self) -> None:
@@ -242,14 +244,14 @@ class StreamDecoder:
                 parts.take_bytes(apart.front - self.received + apart.needed, 'frame')
             return parts.found
         first = frames[0]
-        if first.data:
-            start, payload, end = first.raw.partition(first.data)
-            parts.take_bytes(len(start), 'start')
+        start, payload, end = first.raw.partition(first.data) if first.data else \
+            (first.raw, b'', b'')
+        parts.take_bytes(len(start), 'start' if payload else 'frame',
+                         error='' if payload else first.error)
+        if payload:
             parts.take_bytes(len(payload), 'payload', str(first.message or ''), first.error)
-            if end:
-                parts.take_bytes(len(end), 'end')
-        else:
-            parts.take_bytes(len(first.raw), 'frame', error=first.error)
+        if end:
+            parts.take_bytes(len(end), 'end')
         return parts.take_rest('more', 'does not belong to the frame')
 
     def xor(self, start: int, end: int) -> int:
@@ -263,69 +265,89 @@ class StreamDecoder:
         frames: List[Frame] = []
         self._frames = frames
         buffer, size = self.buffer, len(self.buffer)
-        self.needed = 1
+        need = 1
         while at < size:
             if buffer[at] not in self.STARTS:
                 start = self._any_start.search(buffer, at)
                 at = start.start() if start else size
                 continue
             found = self.frame_at(at)
-            if isinstance(found, Good):
+            if found is NO_FRAME:
+                at += 1
+            elif isinstance(found, Good):
                 self._add(at, found)
                 # Its LEN may be false: two equal frames inside do not change an XOR.
                 at += 1 if found.cause == LENGTH else found.size
             elif isinstance(found, Bad):
                 # An invalid frame inside another one that was returned is the same error.
                 if found.cause != FRAMING and self.front + at >= self._classified:
-                    self._add(at, found)
+                    self._add_bad(at, found)
                 at += 1
             else:
-                self.needed = found.size
+                need = found.size
                 break
         if self._classified < self.front + at:
-            self._add_noise(at, is_over=False)
+            self._add_noise(at)
         self.front += at
+        self.needed = need
         self.buffer = buffer[at:]
         self._xors = self._xors[at:]
-        while self._reads and self._reads[0][0] <= self.front:
-            self._reads.popleft()
+        reads = self._reads
+        while reads and reads[0][0] <= self.front:
+            reads.popleft()
         return frames
 
-    def _add(self, start: int, found: Union[Good, Bad]) -> None:
-        """Return the frame that begins at `start`, and the noise before it."""
+    def _add(self, start: int, found: Good) -> None:
+        """Add the valid frame that begins at `start`."""
         if self._noise or self._classified < self.front + start:
-            self._add_noise(start, is_over=True)
-        end = start + found.size
-        raw, stamp = self.buffer[start:end], self._stamp_of(end)
-        self._classified = self.front + end
-        if isinstance(found, Good):
-            _, type_, number, data, message, cause, error = found
-            self._return(frame_of((raw, type_, number, data, message, stamp, cause, error)))
-        else:
-            self._return(invalid_frame(raw, found.cause, found.error, stamp))
-
-    def _add_noise(self, end: int, is_over: bool) -> None:
-        """Add the bytes before `end` that are in no frame to the noise; return it if it is over."""
-        first = self._classified - self.front
-        if first < end:
-            self._noise += self.buffer[first:end]
-            self._noise_stamp = self._stamp_of(end)
-            self._classified = self.front + end
-        noise = self._noise
-        whole = len(noise) if is_over else len(noise) // MAX_REPORTED * MAX_REPORTED
-        for at in range(0, whole, MAX_REPORTED):
-            piece = noise[at:min(at + MAX_REPORTED, whole)]
-            self._return(invalid_frame(
-                piece, FRAMING, f'{len(piece)} bytes that are no frame' if len(piece) > 1
-                else '1 byte that is no frame', self._noise_stamp))
-        self._noise = noise[whole:]
-
-    def _return(self, frame: Frame) -> None:
-        if frame.cause:
-            self.errors[frame.cause] += 1
-        elif frame.message is None and self.counts_unknown:
+            self._end_noise(start)
+        size, type_, command, data, message, cause, error = found
+        end = start + size
+        if cause:
+            self.errors[cause] += 1
+        elif message is None and self.counts_unknown:
             self.errors[UNKNOWN] += 1
-        self._frames.append(frame)
+        self._frames.append(frame_of((
+            self.buffer[start:end], type_, command, data, message, self._stamp_of(end), cause,
+            error)))
+        self._classified = self.front + end
+
+    def _add_bad(self, start: int, bad: Bad) -> None:
+        """Add the invalid frame that begins at `start`."""
+        self._end_noise(start)
+        end = start + bad.size
+        self.errors[bad.cause] += 1
+        self._frames.append(invalid_frame(self.buffer[start:end], bad.cause, bad.error,
+                                          self._stamp_of(end)))
+        self._classified = self.front + end
+
+    def _add_noise(self, end: int) -> None:
+        """Add the bytes before `end` that are in no frame to the noise."""
+        first = self._classified - self.front
+        if first >= end:
+            return
+        self._noise += self.buffer[first:end]
+        self._noise_stamp = self._stamp_of(end)
+        self._classified = self.front + end
+        if len(self._noise) >= MAX_REPORTED:
+            whole = len(self._noise) // MAX_REPORTED * MAX_REPORTED
+            for at in range(0, whole, MAX_REPORTED):
+                self._return_noise(self._noise[at:at + MAX_REPORTED])
+            self._noise = self._noise[whole:]
+
+    def _end_noise(self, end: int) -> None:
+        """End the noise at `end`."""
+        self._add_noise(end)
+        if self._noise:
+            self._return_noise(self._noise)
+            self._noise = b''
+
+    def _return_noise(self, noise: bytes) -> None:
+        self.errors[FRAMING] += 1
+        size = len(noise)
+        self._frames.append(invalid_frame(
+            noise, FRAMING, f'{size} bytes that are no frame' if size > 1
+            else '1 byte that is no frame', self._noise_stamp))
 
     def _stamp_of(self, end: int) -> Any:
         """The stamp of the read that had the last byte before `end`."""
