@@ -879,18 +879,20 @@ def test_a_calibration_ends_after_its_timeout(board, open_link):
     link.set_speed(1)
 
 
-def test_a_calibration_continues_after_a_reconnect_unless_imu_data_goes_on(
-        board, open_link, monkeypatch):
-    """The reconnect may have reset the board."""
+def test_a_calibration_continues_after_a_reconnect_until_imu_data_goes_on(
+        board, open_link, lines, monkeypatch):
+    """The reconnect may have reset the board. The time of a closed port is no silence."""
+    monkeypatch.setattr(calibration_module, '_SILENCE', 1.0)
     monkeypatch.setattr(calibration_module, '_GOES_ON', 0.5)
     link = open_link()
     link.calibrate_imu()
     with board.unplugged():
         until(lambda: not link.port.is_open)
-    until(lambda: link.port.is_open and link.connection.reconnects)
-    assert refusal(link.set_speed, 100)
-    board.streaming = True
-    until(lambda: not link.calibrating)
+        board.streaming = True
+        assert not threading.Event().wait(1.1)
+        assert link.calibrating and refusal(link.set_speed, 100)
+    until(lambda: lines('IMU data was still received'))
+    assert not link.calibrating and link.connection.reconnects
     board.streaming = False
 
 
