@@ -115,14 +115,6 @@ def test_yaw_over_the_whole_int16_range():
             assert message.yaw == (heading - 36000) / 100
 
 
-@pytest.mark.parametrize('raw, yaw', [(-18000, -180.0), (-18001, 115.35), (-30536, 350.0),
-                                      (-25000, 45.36), (-29536, 360.0), (-29535, 0.01),
-                                      (32767, 327.67), (-32768, 327.68)])
-def test_the_edges_of_the_wrap(raw, yaw):
-    (frame,), _ = decode(MCU, status(raw))
-    assert frame.message.yaw == yaw
-
-
 def test_pitch_and_roll_do_not_wrap():
     (frame,), _ = decode(MCU, status(0, -20000, -30000))
     assert (frame.message.pitch, frame.message.roll) == (-200.0, -300.0)
