@@ -49,11 +49,7 @@ def descriptions(packages: Iterable[str] = ()) -> List[Description]:
 
 def find(name: str, packages: Iterable[str] = ()) -> Description:
     """The board whose link has this name, of this package or of `packages`; or the board of the
-    package `name`.
-
-    Raises:
-        BoardError: there is no such board.
-    """
+    package `name`. BoardError if there is none."""
     for board in () if name in BOARDS else map(description, packages):
         if board.name == name:
             return board
@@ -61,11 +57,7 @@ def find(name: str, packages: Iterable[str] = ()) -> Description:
 
 
 def load(name: str) -> ModuleType:
-    """Import a module.
-
-    Raises:
-        BoardError: there is no such module, or its import raised any exception, also SystemExit.
-    """
+    """Import a module; BoardError if there is none, or importing it raised anything."""
     try:
         return importlib.import_module(name)
     except BaseException as error:  # pylint: disable=broad-except

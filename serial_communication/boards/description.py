@@ -123,11 +123,8 @@ class Description:
                 *(service.name for service in self.services), *self.other_names]
 
     def baud_of(self, parameters: Mapping[str, Any]) -> int:
-        """The rate of the port: `baud` of the board's parameters, else the description's.
-
-        Raises:
-            RowError: the parameter is not a rate that the bridge accepts.
-        """
+        """The rate of the port: `baud` of the board's parameters, else the description's; RowError
+        if the parameter is not a rate that the bridge accepts."""
         given = parameters.get('baud', self.baud)
         if type(given) is not int or not BAUD_RANGE[0] <= given <= BAUD_RANGE[1]:
             raise RowError(f'{self.name}/baud', given, 'may be a whole number from {} to {} '

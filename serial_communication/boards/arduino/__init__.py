@@ -8,11 +8,7 @@ from . import wire
 
 
 def custom_messages(entries: Any, key: str = 'arduino/messages') -> List[CustomMessage]:
-    """The custom messages in ``arduino/messages``, or in another parameter `key`.
-
-    Raises:
-        RowError: for the first mistake in them.
-    """
+    """The custom messages in the parameter `key`; RowError for the first mistake in them."""
     free = [type_ for type_ in range(256) if type_ not in wire.BUILT_IN]
     return read_messages(entries, key, free, wire.MAX_PACKET - 1, (FROM_BOARD, TO_BOARD))
 

@@ -76,11 +76,7 @@ class ArduinoLink(Link):
     # -- commands -----------------------------------------------------------------------
 
     def set_speed(self, value: int) -> None:
-        """Send a speed, the PWM of the drive motor, saturated to -1000 … 1000.
-
-        Raises:
-            Refused: it cannot be sent now.
-        """
+        """Send a speed, the PWM of the drive motor, saturated to -1000 … 1000; see `command`."""
         limit = wire.SPEED_LIMIT
         if not -limit <= value <= limit:
             saturated = limit if value > 0 else -limit
@@ -99,24 +95,17 @@ class ArduinoLink(Link):
         self.command(wire.LedCommand(text))
 
     def calibrate_imu(self) -> None:
-        """Send IMU_CALIBRATION, and SPEED 0 before it if the car moves.
+        """Send IMU_CALIBRATION, and SPEED 0 before it if the car moves; see `command`.
 
         Commands are refused until the calibration is over (see `Calibration`): the board would
         read them minutes later, all at once.
-
-        Raises:
-            Refused: it cannot be sent now.
         """
         self.command(wire.ImuCalibration())
         if self._on_calibrating:
             self._on_calibrating(True)
 
     def command(self, message: LayoutMessage) -> None:
-        """Send any message to the board at once.
-
-        Raises:
-            Refused: a value is out of range, or the message cannot be sent now.
-        """
+        """Send a message; Refused for a value out of range, or if it cannot be sent now."""
         try:
             reason = message.implausible()
             if reason:

@@ -47,11 +47,8 @@ class CarOutput:
         self._check_backlog_at = 0.0
 
     def command(self, message: LayoutMessage) -> None:
-        """Send any message; before a calibration SPEED 0, too, if the car moves.
-
-        Raises:
-            Refused: it cannot be sent now.
-        """
+        """Send any message, and SPEED 0 before a calibration if the car moves; Refused if it cannot
+        be sent now."""
         with self.lock:
             now = clock()
             self._check_for_stall(now)

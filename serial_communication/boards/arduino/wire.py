@@ -58,10 +58,7 @@ class Log(namedtuple('Log', 'severity text')):
             return ''
         return f'{unreadable} of {len(self.text)} characters are unreadable'
 
-    @classmethod
-    def parts(cls, data: bytes) -> List[Part]:
-        """The text with its bytes."""
-        return cls.LAYOUT.parts(data)
+    parts = LAYOUT.parts
 
     @property
     def TYPE(self) -> int:  # noqa: N802 - the type is the severity
@@ -96,11 +93,7 @@ class LedCommand(LayoutMessage, namedtuple('LedCommand', 'text')):
         return cls(data.split(b'\0', 1)[0].decode('ascii', 'replace'))
 
     def pack(self) -> bytes:
-        """The data.
-
-        Raises:
-            ValueError: the text is too long, not ASCII, or has a NUL, which would end it.
-        """
+        """The data; ValueError for a text that is too long, not ASCII, or has a NUL: its end."""
         if len(self.text) > LED_LIMIT:
             raise ValueError(f'LED text has {len(self.text)} characters, may have at most '
                              f'{LED_LIMIT}')
@@ -214,19 +207,14 @@ BUILT_IN = by_type(*FROM_BOARD, *TO_BOARD, Log, announcement.Chunk)
 def encode(message: Any) -> bytes:
     """The packet as it is sent, with the 0x00 at its end.
 
-    Raises:
-        ValueError: the message does not allow a value, or the packet is too long.
-        struct.error: a raw number of the IMU does not fit an int16.
+    ValueError for a value that the message does not allow, or a packet that is too long;
+    struct.error for a raw number of the IMU that does not fit an int16.
     """
     return encode_raw(message.TYPE, message.pack())
 
 
 def encode_raw(type_: int, data: bytes) -> bytes:
-    """A packet of any type, 0 … 255.
-
-    Raises:
-        ValueError: type and data have more than `MAX_PACKET` bytes.
-    """
+    """A packet of any type, 0 … 255; ValueError if it has more than `MAX_PACKET` bytes."""
     if len(data) >= MAX_PACKET:
         raise ValueError(f'{len(data)} bytes of data, a packet holds at most {MAX_PACKET - 1}')
     return cobs.encode(bytes((type_,)) + data) + b'\0'

@@ -1,8 +1,7 @@
 """Calls of the bus: a request, who waits for its outcome, and the queue in which it waits."""
 import enum
 import threading
-from collections import deque
-from typing import Any, Callable, Deque, Iterator, List, Optional
+from typing import Any, Callable, Iterator, List, Optional
 
 from ...link.outcome import LOOK, NOT_SENT, TIMEOUT, Outcome
 from . import wire
@@ -127,25 +126,12 @@ class CallQueue:
     def __init__(self, longest_wait: float) -> None:
         self.served_until = 0.0        # when the latest try of a call ended
         self._longest_wait = longest_wait
-        self._submitted: Deque[Call] = deque()     # from other threads
         self._waiting: List[Call] = []
 
-    def submit(self, call: Call) -> None:
-        """Add a call, from any thread; it waits once `take` has returned it."""
-        self._submitted.append(call)
-
-    @property
-    def has_new(self) -> bool:
-        """Whether there are calls that `take` has not returned."""
-        return bool(self._submitted)
-
-    def take(self) -> Iterator[Call]:
-        """Take over the new calls; each waits after it was yielded."""
-        while self._submitted:
-            call = self._submitted.popleft()
-            call.expires = call.submitted + self._longest_wait
-            yield call
-            self._waiting.append(call)
+    def add(self, call: Call) -> None:
+        """Let a new call wait for its turn."""
+        call.expires = call.submitted + self._longest_wait
+        self._waiting.append(call)
 
     def again(self, call: Call, state: CallState, outcome: Outcome, now: float) -> None:
         """Let a call wait after a try with this outcome: a call before all others, a poll before
@@ -159,7 +145,6 @@ class CallQueue:
         self._waiting.insert(0, call)
 
     def remove(self, call: Call) -> None:
-        """Take a call out of the queue."""
         self._waiting.remove(call)
 
     def abandon(self, call: Call, why: str) -> None:

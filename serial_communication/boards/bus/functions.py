@@ -18,11 +18,7 @@ _FREE = (f'a whole number from 0 to {ANNOUNCEMENT.cmd2 - 1} but {", ".join(_TAKE
 
 
 def read_functions(entries: Any, key: str = 'bus/functions') -> List[Function]:
-    """The custom functions in ``bus/functions``.
-
-    Raises:
-        RowError: for the first mistake in them.
-    """
+    """The custom functions in the parameter `key`; RowError for the first mistake in them."""
     functions: List[Function] = []
     for name, row in rows(entries, key, _KEYS):
         if ('srv_type' in row.given) == ('ros_type' in row.given):

@@ -15,8 +15,7 @@ from ...link.sparing_log import SparingLog
 from . import wire
 from .call import (NOT_READY_WAIT, UNKNOWN, Call, CallQueue, CallState, outcome_of,
                    unknown_after_invalid)
-from .session import (NOTHING, Condition, Event, Exchange, Kind, Session, SessionState, event_of,
-                      may_answer)
+from .session import (NOTHING, Event, Exchange, Kind, Session, SessionState, event_of, may_answer)
 
 FENCE_SILENCE = 0.02   # s of silence as a fence: a USB adapter delivers bytes up to 16 ms late
 FENCE_AGE = 1.0        # s; before a move, an older fence is renewed
@@ -36,7 +35,7 @@ class CallExchange(Exchange):
     reply_may_be_lost: bool = False            # the reply may have been received and dropped
 
 
-class Master:
+class Master(Session):
     """See the module. All times are in s of one monotonic clock.
 
     Args:
@@ -55,54 +54,32 @@ class Master:
                  drop_output: Callable[[float], None] = lambda sent: None,
                  begun_anew: Callable[[float], None] = lambda now: None,
                  still_announces: Callable[[], bool] = lambda: True) -> None:
+        super().__init__(reply_timeout, log, nonce, begun_anew)
         self.calls = CallQueue(max(motion_timeout, NOT_READY_WAIT))
+        self._submitted: Deque[Call] = deque()     # from other threads
         self.timeouts = 0
         self.data_errors: Dict[str, int] = Counter()         # in an OK, by cause
         self.round_trips: Deque[float] = deque(maxlen=200)     # s; the latest
-        self._session = Session(reply_timeout, log, nonce, begun_anew)
-        self._log = log
         self._drop_output = drop_output
         self._still_announces = still_announces
 
     @property
-    def state(self) -> SessionState:
-        """What may be sent next."""
-        return self._session.state
-
-    @property
-    def synchronised(self) -> bool:
-        """Whether the board has answered SYNC and is still synchronised."""
-        return self._session.synchronised
-
-    @property
-    def in_step(self) -> bool:
-        """Whether requests of calls may be sent."""
-        return self._session.in_step
-
-    @property
     def outstanding_call(self) -> Optional[Call]:
         """The call whose reply is expected, or None."""
-        exchange = self._session.exchange
+        exchange = self._exchange
         return exchange.call if isinstance(exchange, CallExchange) else None
-
-    def condition(self) -> Condition:
-        """Whether the link can serve calls, and if not, why."""
-        return self._session.condition()
 
     # -- events -------------------------------------------------------------------------
 
     def submit(self, call: Call) -> Call:
         """Queue a call, from any thread, and return it; `Call.wait` returns its outcome."""
-        self.calls.submit(call)
+        self._submitted.append(call)
         return call
-
-    def connected(self, now: float) -> None:
-        """The port is open: nothing is known about the board."""
-        self._session.opened(now)
 
     def disconnected(self, now: float, why: str) -> None:
         """The port is closed: every call returns."""
-        exchange = self._session.closed()
+        self.state = SessionState.CLOSED
+        exchange, self._exchange = self._exchange, NOTHING
         if isinstance(exchange, CallExchange):
             exchange.call.finish(Outcome(
                 TIMEOUT, f'the port closed before the reply arrived ({why}): {UNKNOWN}'))
@@ -110,36 +87,35 @@ class Master:
 
     def received(self, frame: Frame, now: float) -> None:
         """A valid reply was received."""
-        session, reply = self._session, frame.message
-        session.last_reply = now
+        reply, exchange = frame.message, self._exchange
+        self._last_reply = now
         if reply.cmd1 == wire.ECHO:      # late or not, the board knows ECHO
-            session.has_echoed = True
+            self._has_echoed = True
         if self.calls.doubt_invalid(reply):
             return
-        if isinstance(session.exchange, CallExchange):
-            self._call_answered(session.exchange, frame, now)
+        if isinstance(exchange, CallExchange):
+            self._call_answered(exchange, frame, now)
         else:
-            session.received(reply, now)
+            self._own_answered(reply, now)
 
     def damaged(self, frame: Frame, now: float) -> None:
         """Bytes were received that are no valid reply."""
-        exchange = self._session.exchange
+        exchange = self._exchange
         self.calls.doubt_invalid()
         # Only a frame with a wrong checksum can be the reply. After noise, for example during a
         # motion, the reply may still arrive.
         is_reply = frame.cause == CHECKSUM
-        self._session.happened(Event.DAMAGED if is_reply else Event.NOISE, now,
-                               'received bytes that are no valid reply')
+        self._happened(Event.DAMAGED if is_reply else Event.NOISE, now,
+                       'received bytes that are no valid reply')
         if is_reply and isinstance(exchange, CallExchange):
             self.calls.try_failed(exchange.call, Outcome(
                 TIMEOUT, f'the reply was damaged: {UNKNOWN}'), now)
 
     def may_have_missed(self, why: str, now: float) -> None:
         """Replies may have been received and dropped."""
-        session = self._session
-        session.happened(Event.MISSED, now, why)
-        if isinstance(session.exchange, CallExchange):
-            session.exchange.reply_may_be_lost = True
+        self._happened(Event.MISSED, now, why)
+        if isinstance(self._exchange, CallExchange):
+            self._exchange.reply_may_be_lost = True
         self.calls.doubt_invalid()
 
     def stalled(self, now: float) -> None:
@@ -152,7 +128,7 @@ class Master:
 
     def not_sent(self, why: str) -> None:
         """The request that `step` returned could not be sent."""
-        exchange, self._session.exchange = self._session.exchange, NOTHING
+        exchange, self._exchange = self._exchange, NOTHING
         if exchange is NOTHING:
             self.calls.stop_again()
         elif isinstance(exchange, CallExchange):
@@ -174,8 +150,8 @@ class Master:
             The request counts as outstanding from now on.
         """
         self._take_calls(now)
-        if now >= self._session.exchange.deadline:
-            self._timed_out(self._session.exchange, now)
+        if now >= self._exchange.deadline:
+            self._timed_out(self._exchange, now)
         self._abandon_overdue(now, waits_for)
         if port_ready:
             for call in self.calls:
@@ -186,16 +162,15 @@ class Master:
                 self.calls.abandon(call, _NOT_ANNOUNCED)
                 return None, now
         request, due = self._next_request(now) if port_ready and not waits_for else (None, _NEVER)
-        due = min([due, self._session.exchange.deadline, *map(self._expiry, self.calls)])
+        due = min([due, self._exchange.deadline, *map(self._expiry, self.calls)])
         return request, due if due < _NEVER else None
 
     def _next_request(self, now: float) -> Tuple[Optional[wire.Request], float]:
         """The request to send now, and the end of the silence that has to precede the next one."""
-        session = self._session
-        if session.exchange is not NOTHING or session.state is SessionState.CLOSED:
+        if self._exchange is not NOTHING or self.state is SessionState.CLOSED:
             return None, _NEVER
-        if not session.in_step:
-            return session.send_next(now), _NEVER
+        if not self.in_step:
+            return self._send_next(now), _NEVER
         while True:
             call = self.calls.next()
             if call is None:
@@ -208,26 +183,24 @@ class Master:
             if not self._may_have(call):
                 self.calls.abandon(call, _NOT_ANNOUNCED)
                 continue
-            is_fenced = session.state is SessionState.FENCED
+            is_fenced = self.state is SessionState.FENCED
             if self._needs_fence(call):
-                silent_until = session.last_reply + FENCE_SILENCE
-                is_old = now > session.fenced_at + FENCE_AGE     # rule 10
-                if session.never_echoes and now < silent_until:
+                silent_until = self._last_reply + FENCE_SILENCE
+                is_old = now > self._fenced_at + FENCE_AGE     # rule 10
+                if self._never_echoes and now < silent_until:
                     return None, silent_until
-                if not session.never_echoes and (
+                if not self._never_echoes and (
                         not is_fenced or is_old and not call.function.repeatable):
-                    return session.send(Kind.ECHO, now), _NEVER
+                    return self._send(Kind.ECHO, now), _NEVER
             self.calls.remove(call)
             if call.claim():
-                session.state = SessionState.IN_STEP
-                return session.begin(CallExchange(call.kind, call.request, now, now + call.timeout,
-                                                  call, is_fenced)), _NEVER
+                self.state = SessionState.IN_STEP
+                return self._begin(CallExchange(call.kind, call.request, now, now + call.timeout,
+                                                call, is_fenced)), _NEVER
 
     def _needs_fence(self, call: Call) -> bool:
-        """Whether a reply to the request before could be taken for the reply to this one; rule
-        6."""
-        return call.kind is Kind.CALL or (
-            call.poll and call.request != self._session.latest_request)
+        """Whether a reply to the request before could be taken for its reply; rule 6."""
+        return call.kind is Kind.CALL or (call.poll and call.request != self._latest_request)
 
     def _may_have(self, call: Call) -> bool:
         """Whether the board is known to have the function; rule 12."""
@@ -237,13 +210,13 @@ class Master:
 
     def _call_answered(self, exchange: CallExchange, frame: Frame, now: float) -> None:
         """A reply was received while the request of a call is outstanding."""
-        session, call, reply = self._session, exchange.call, frame.message
+        call, reply = exchange.call, frame.message
         # Without a fence, an OK with data that is not expected may be for another request; rule 5.
-        is_foreign = session.never_echoes and reply.cmd1 == wire.OK and reply.data \
+        is_foreign = self._never_echoes and reply.cmd1 == wire.OK and reply.data \
             and call.function.reply.is_empty
         if is_foreign or not may_answer(reply, call.request):     # the right one may follow
             exchange.other_reply = reply
-            session.happened(Event.OTHER, now, f'{reply} to {call.request}')
+            self._happened(Event.OTHER, now, f'{reply} to {call.request}')
             return
         cause, error = call.function.data_error(reply)
         if error:
@@ -252,8 +225,8 @@ class Master:
             return
         outcome = outcome_of(reply, call.request, now - exchange.sent, frame.stamp)
         self.round_trips.append(outcome.round_trip)
-        session.learn(reply, now)
-        session.happened(event_of(reply, True), now)
+        self._learn(reply, now)
+        self._happened(event_of(reply, True), now)
         if reply.cmd1 != wire.INVALID:
             self.calls.finish(call, outcome, now)
         elif exchange.kind is Kind.CALL and exchange.reply_may_be_lost:
@@ -271,9 +244,9 @@ class Master:
         outcome = Outcome(wire.OK, text, 0, frame.message.data, now - exchange.sent, False,
                           frame.stamp)
         if not exchange.fenced and not call.function.repeatable:
-            self._session.happened(Event.OTHER, now)    # the board never echoes
+            self._happened(Event.OTHER, now)    # the board never echoes
             return
-        self._session.happened(Event.WRONG_DATA, now)
+        self._happened(Event.WRONG_DATA, now)
         if exchange.fenced:
             self.calls.finish(call, outcome, now)
         else:
@@ -283,7 +256,7 @@ class Master:
         if exchange.kind is not Kind.SILENCE:
             self.timeouts += 1
         if not isinstance(exchange, CallExchange):
-            self._session.happened(Event.TIMEOUT, now)
+            self._happened(Event.TIMEOUT, now)
             if exchange.kind is not Kind.SILENCE:
                 self.calls.stop_again()
             return
@@ -291,7 +264,7 @@ class Master:
         if exchange.other_reply is not None:
             within += f' but {exchange.other_reply}, perhaps the reply to another request'
         self._log.warn('timeout', f'no reply to "{call.request}" {within}')
-        self._session.happened(Event.TIMEOUT, now, 'no reply')
+        self._happened(Event.TIMEOUT, now, 'no reply')
         if not call.function.repeatable:
             self._drop_output(exchange.sent)      # before the caller is told; rule 10
         self.calls.try_failed(call, Outcome(TIMEOUT, f'no reply {within}: {UNKNOWN}'), now)
@@ -299,17 +272,19 @@ class Master:
     # -- calls that interrupt; rule 8 -------------------------------------------------------
 
     def _take_calls(self, now: float) -> None:
-        for call in self.calls.take():
+        while self._submitted:
+            call = self._submitted.popleft()
             if call.function.interrupts and self.state is not SessionState.CLOSED:
                 self._interrupt(call, now)
+            self.calls.add(call)
         if self.state is SessionState.CLOSED:
             for call in self.calls:
                 self.calls.abandon(call, 'the port is closed')
 
     def _interrupt(self, call: Call, now: float) -> None:
         """Prepare to send this call at once."""
-        exchange = self._session.exchange
-        self._session.happened(Event.STOP, now)
+        exchange = self._exchange
+        self._happened(Event.STOP, now)
         if isinstance(exchange, CallExchange):
             self.calls.try_failed(exchange.call, Outcome(
                 TIMEOUT, f'{call.request} was sent before the reply: {UNKNOWN}'), now)

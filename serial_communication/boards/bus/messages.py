@@ -80,22 +80,19 @@ class Reply(NamedTuple):
         return f'{name} {self.data.hex()}'.rstrip()
 
 
-class NamedRequest(Request):
+class _Named:
+    text = ''
+
+    def __str__(self) -> str:
+        return self.text
+
+
+class NamedRequest(_Named, Request):
     """A request of a function that has a key; its text has the function's name."""
 
-    text = ''
 
-    def __str__(self) -> str:
-        return self.text
-
-
-class NamedReply(Reply):
+class NamedReply(_Named, Reply):
     """The OK to such a request; its text has the function's name."""
-
-    text = ''
-
-    def __str__(self) -> str:
-        return self.text
 
 
 class _EnvironmentValues(NamedTuple):
@@ -179,11 +176,7 @@ class Function(NamedTuple):
         return f'a service: {self.srv_type}' if self.srv_type else f'polled: {self.ros_type}'
 
     def make_request(self, values: Sequence) -> Request:
-        """The request with these values.
-
-        Raises:
-            ValueError: a value does not fit the layout, or is out of its range.
-        """
+        """The request with these values; ValueError for one that does not fit, or out of range."""
         reason = self._check_move(*values) if self.directions else self.request.implausible(values)
         if reason:
             raise ValueError(reason)
@@ -263,11 +256,7 @@ ANNOUNCEMENT = Function(
 
 
 def by_number(functions: Iterable[Function]) -> Dict[Tuple[int, int], Function]:
-    """The functions by CMD1 and CMD2.
-
-    Raises:
-        ValueError: two of them have the same number, name or service.
-    """
+    """The functions by CMD1 and CMD2; ValueError if two have the same number, name or service."""
     found: Dict[Tuple[int, int], Function] = {}
     for function in functions:
         for other in found.values():

@@ -41,7 +41,8 @@ class BusInterface(Interface):
         'environment_period': seconds(_DEFAULTS.environment_period, 0.0, 86400.0),
         'environment_datelen': Parameter(_DEFAULTS.environment_datelen, choices=(0, 2)),
         'reply_has_cmd2': Parameter(_DEFAULTS.reply_has_cmd2),
-        'functions': Parameter({}, parse=lambda given: _ros_functions(given)),
+        'functions': Parameter({}, parse=lambda given: [
+            _ros_function(function) for function in read_functions(given)]),
         'announcements': Parameter(_DEFAULTS.announcements),
     }
     link: BusLink
@@ -140,11 +141,6 @@ class RosFunction(NamedTuple):
     reply: RosFields
 
 
-def _ros_functions(given: Any) -> List[RosFunction]:
-    """The custom functions in ``bus/functions``; RowError for the first mistake in them."""
-    return [_ros_function(function) for function in read_functions(given)]
-
-
 def _ros_function(function: wire.Function) -> RosFunction:
     refuse_taken(function, '~')
     return _with_types(function)
@@ -173,11 +169,8 @@ def _poll(row: RosFunction, link: BusLink, frame_prefix: str) -> Tuple[Poller, V
     function = row.custom
     topic = ValuePublisher('~' + function.name, row.ros_class, row.reply,
                            function.frame_id and frame_prefix + function.frame_id)
-    return link.polls.add(function, function.period, _publish_reply(function, topic)), topic
-
-
-def _publish_reply(function: wire.Function, topic: ValuePublisher) -> Callable[[Outcome], None]:
-    return lambda outcome: topic.publish(_values(function, outcome), outcome.stamp)
+    return link.polls.add(function, function.period, lambda outcome: topic.publish(
+        _values(function, outcome), outcome.stamp)), topic
 
 
 def _values(function: wire.Function, outcome: Outcome) -> Tuple:

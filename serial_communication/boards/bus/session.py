@@ -130,41 +130,28 @@ NOTHING = Exchange(Kind.NOTHING, wire.SYNC_REQUEST, 0.0, float('inf'))
 
 
 class Session:
-    """The state of a session, and the exchanges that need no caller: SYNC, ECHO and silence.
-
-    Args:
-        reply_timeout: s; for SYNC and ECHO.
-        log: for warnings.
-        nonce: returns new bytes for an ECHO.
-        begun_anew: called with the time when the board may have begun anew; see rule 12.
-    """
+    """The base of `Master`: the state, and the exchanges that need no caller."""
 
     def __init__(self, reply_timeout: float, log: SparingLog, nonce: Callable[[], bytes],
                  begun_anew: Callable[[float], None]) -> None:
         self.state = SessionState.CLOSED
-        self.exchange = NOTHING
-        self.latest_request: Optional[wire.Request] = None
-        self.fenced_at = 0.0           # when the latest fence was complete
-        self.last_reply = 0.0          # when the latest valid reply was received
-        self.has_echoed = False        # since the port opened
+        self._exchange = NOTHING
+        self._latest_request: Optional[wire.Request] = None
+        self._fenced_at = 0.0          # when the latest fence was complete
+        self._last_reply = 0.0         # when the latest valid reply was received
+        self._has_echoed = False       # since the port opened
         self._unanswered: Dict[Kind, int] = Counter()     # SYNCs and ECHOs in a row
         self._reply_timeout = reply_timeout
         self._log = log
         self._nonce = nonce
         self._begun_anew = begun_anew
 
-    def opened(self, now: float) -> None:
+    def connected(self, now: float) -> None:
         """The port is open: nothing is known about the board."""
         self.state = SessionState.UNSYNCHRONISED
-        self.has_echoed = False
+        self._has_echoed = False
         self._unanswered.clear()
-        self.last_reply = now
-
-    def closed(self) -> Exchange:
-        """The port is closed; return what was outstanding."""
-        self.state = SessionState.CLOSED
-        exchange, self.exchange = self.exchange, NOTHING
-        return exchange
+        self._last_reply = now
 
     @property
     def synchronised(self) -> bool:
@@ -177,9 +164,9 @@ class Session:
         return self.state in (SessionState.IN_STEP, SessionState.FENCED)
 
     @property
-    def never_echoes(self) -> bool:
+    def _never_echoes(self) -> bool:
         """Whether the board seems not to know ECHO: then a silence is the fence; see rule 6."""
-        return not self.has_echoed and self._unanswered[Kind.ECHO] >= ECHO_TRIES
+        return not self._has_echoed and self._unanswered[Kind.ECHO] >= ECHO_TRIES
 
     def condition(self) -> Condition:
         """Whether the link can serve calls, and if not, why."""
@@ -189,25 +176,25 @@ class Session:
             return Condition.NO_ECHO if self._unanswered[Kind.ECHO] else Condition.OUT_OF_STEP
         return Condition.READY
 
-    def begin(self, exchange: Exchange) -> wire.Request:
+    def _begin(self, exchange: Exchange) -> wire.Request:
         """Send the request of an exchange."""
-        self.exchange = exchange
-        self.latest_request = exchange.request
+        self._exchange = exchange
+        self._latest_request = exchange.request
         return exchange.request
 
-    def send(self, kind: Kind, now: float) -> wire.Request:
+    def _send(self, kind: Kind, now: float) -> wire.Request:
         """Begin a SYNC, an ECHO or a silence."""
         request = wire.echo(self._nonce()) if kind is Kind.ECHO else wire.SYNC_REQUEST
-        return self.begin(Exchange(kind, request, now, now + self._reply_timeout))
+        return self._begin(Exchange(kind, request, now, now + self._reply_timeout))
 
-    def send_next(self, now: float) -> wire.Request:
+    def _send_next(self, now: float) -> wire.Request:
         """Send what has to be answered before any call; rules 2 and 6."""
         is_echo = self.synchronised and self._unanswered[Kind.ECHO] < ECHO_TRIES
-        return self.send(Kind.ECHO if is_echo else Kind.SYNC, now)
+        return self._send(Kind.ECHO if is_echo else Kind.SYNC, now)
 
-    def happened(self, event: Event, now: float, why: str = '') -> None:
+    def _happened(self, event: Event, now: float, why: str = '') -> None:
         """Follow the table; `why` is logged if calls could be sent, and can no longer."""
-        exchange, was_in_step = self.exchange, self.in_step
+        exchange, was_in_step = self._exchange, self.in_step
         state, then = TRANSITIONS[exchange.kind][event]
         if state is not None and (self.synchronised or exchange is not NOTHING):
             self.state = state
@@ -217,35 +204,35 @@ class Session:
         if state is _LOST:
             self._begun_anew(now)
         elif state is _FENCED:
-            self.fenced_at = now
+            self._fenced_at = now
         if then is not Then.WAIT:
-            self.exchange = NOTHING
+            self._exchange = NOTHING
         if then is Then.AGAIN:
-            self.send(Kind.SILENCE, now)
+            self._send(Kind.SILENCE, now)
         elif then is Then.RETRY:
             self._unanswered[exchange.kind] += 1
             if exchange.kind is Kind.ECHO and self._unanswered[Kind.ECHO] == ECHO_TRIES:
                 self._log.warn('no echo', 'the board does not answer ECHO; a SYNC and '
                                f'{self._reply_timeout:g} s of silence replace it')
-        elif exchange.kind is Kind.SILENCE and event is Event.TIMEOUT and self.has_echoed:
+        elif exchange.kind is Kind.SILENCE and event is Event.TIMEOUT and self._has_echoed:
             self._unanswered[Kind.ECHO] = 0    # the line lost the echoes: try ECHO again
 
-    def received(self, reply: wire.Reply, now: float) -> None:
+    def _own_answered(self, reply: wire.Reply, now: float) -> None:
         """A reply was received while no request of a call is outstanding."""
-        kind, request = self.exchange.kind, self.exchange.request
+        kind, request = self._exchange.kind, self._exchange.request
         is_answer = reply.cmd1 == request.cmd1 and may_answer(reply, request)
         event = event_of(reply, is_answer)
         if kind is Kind.NOTHING:
             why = f'received a reply without a request: {reply}'
         else:
             why = f'{reply} to {kind.name}' if event is not Event.UNSYNCHRONISED else ''
-        self.happened(event, now, why)
+        self._happened(event, now, why)
         if is_answer and kind in (Kind.SYNC, Kind.ECHO):
-            self.learn(reply, now)
+            self._learn(reply, now)
             if kind is Kind.SYNC and self._unanswered[Kind.ECHO] >= ECHO_TRIES:
-                self.send(Kind.SILENCE, now)
+                self._send(Kind.SILENCE, now)
 
-    def learn(self, reply: wire.Reply, now: float) -> None:
+    def _learn(self, reply: wire.Reply, now: float) -> None:
         """A SYNC or an ECHO was answered, of the Master itself or of a caller."""
         if reply.cmd1 == wire.SYNC:
             self._unanswered[Kind.SYNC] = 0

@@ -30,14 +30,11 @@ MAX_LENGTH = 1024      # most DATE bytes accepted
 
 
 def encode_request(request: Request, environment_datelen: int = 2) -> bytes:
-    """The frame of a request.
+    """The frame of a request; ValueError for more than `MAX_LENGTH` DATE bytes.
 
     Args:
         environment_datelen: Datelen of an environment request, which has no DATE: 2 as its source
             documents it, or 0.
-
-    Raises:
-        ValueError: there are more than `MAX_LENGTH` DATE bytes.
     """
     header = bytes((request.cmd1, request.cmd2))
     if request == ENVIRONMENT_REQUEST:
@@ -46,11 +43,7 @@ def encode_request(request: Request, environment_datelen: int = 2) -> bytes:
 
 
 def encode_reply(reply: Reply, has_cmd2: bool = False) -> bytes:
-    """The frame of a reply, with CMD2 if `has_cmd2`.
-
-    Raises:
-        ValueError: there are more than `MAX_LENGTH` DATE bytes.
-    """
+    """The frame of a reply; ValueError for more than `MAX_LENGTH` DATE bytes."""
     return _frame(bytes((reply.cmd1, reply.cmd2) if has_cmd2 else (reply.cmd1,)), reply.data)
 
 

@@ -10,11 +10,7 @@ _STATUS = 1.0     # s; the longest period: the status of a silent board is publi
 
 
 def custom_messages(entries: Any, key: str = 'mcu/messages') -> List[CustomMessage]:
-    """The custom messages in ``mcu/messages``, or in another parameter `key`.
-
-    Raises:
-        RowError: for the first mistake in them.
-    """
+    """The custom messages in the parameter `key`; RowError for the first mistake in them."""
     free = [type_ for type_ in range(256) if type_ not in wire.BUILT_IN]
     return read_messages(entries, key, free, wire.MAX_PAYLOAD)
 

@@ -46,12 +46,8 @@ class SensorStatus(LayoutMessage, namedtuple(
 
     @classmethod
     def unpack(cls, data: bytes) -> 'SensorStatus':
-        """From the payload. A yaw under -180° is a heading that wrapped; it is restored, and
-        one over 360° is given as the same direction under 360°.
-
-        Raises:
-            struct.error: the payload does not have ten bytes.
-        """
+        """From ten bytes; struct.error for more or fewer. A yaw under -180° is a heading that
+        wrapped; it is restored, and one over 360° is given as the same direction under 360°."""
         range_1, range_2, yaw, pitch, roll = cls.LAYOUT.raw(data)
         if pitch == roll == ANGLE_UNKNOWN:    # yaw alone cannot tell: it may be a heading
             return cls(range_1, range_2, nan, nan, nan)

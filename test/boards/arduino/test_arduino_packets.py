@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol_cases import (ARDUINO, ARDUINO_CHECKED, BOARD_ARDUINO, check_case, check_rejected,
-                            decode, feed, give_up, hexed, no_errors, valid, vectors)
+                            decode, feed, hexed, no_errors, valid, vectors)
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.framing import cobs
 from serial_communication.framing.stream import FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN
@@ -68,10 +68,6 @@ def test_the_imu_vector_in_si_units():
 def test_the_imu_vector_is_implausible_by_default():
     """Its quaternion has a norm of 0.91."""
     check_rejected(ARDUINO_CHECKED, hexed(IMU_VECTOR['wire']), IMPLAUSIBLE)
-
-
-def test_the_gyro_scale_is_the_documented_product():
-    assert arduino.GYRO_SCALE == pytest.approx(4000 / 65536 * math.pi / 180 * 25)
 
 
 # -- round trips ---------------------------------------------------------------------------------
@@ -165,25 +161,6 @@ def test_the_rest_of_an_oversize_packet_is_dropped():
     assert [frame.message for frame in decoder.feed(arduino.encode(arduino.Ticks(4)))] == [
         arduino.Ticks(4)]
     assert decoder.errors[OVERSIZE] == 1
-
-
-def test_an_incomplete_packet_is_given_up():
-    decoder = arduino.Decoder()
-    assert decoder.feed(arduino.encode(arduino.Voltage(12.0))[:4]) == [] and decoder.pending
-    given_up = decoder.give_up()
-    assert [frame.cause for frame in given_up] == [FRAMING] and not decoder.pending
-    assert decoder.errors[FRAMING] == 1
-    assert decoder.give_up() == [] and decoder.errors[FRAMING] == 1
-    assert len(valid(decoder.feed(arduino.encode(arduino.Ticks(4))))) == 1
-
-
-def test_reset_forgets_what_is_pending_and_keeps_the_counts():
-    decoder = arduino.Decoder()
-    decoder.feed(b'\1\0' + arduino.encode(arduino.Ticks(4))[:2])
-    decoder.reset()
-    assert not decoder.pending and decoder.errors[FRAMING] == 1
-    assert len(valid(decoder.feed(arduino.encode(arduino.Ticks(4))))) == 1
-    assert give_up(decoder) == []
 
 
 # -- plausibility ---------------------------------------------------------------------------------

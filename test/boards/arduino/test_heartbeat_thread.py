@@ -1,4 +1,5 @@
 """The thread that sends heartbeats: it cannot be ended by a fault, and it reports gaps."""
+import time
 from types import SimpleNamespace
 
 import pytest
@@ -39,6 +40,24 @@ def test_a_failed_sleep_does_not_end_the_thread(thread, monkeypatch):
     before = thread.sent
     until(lambda: thread.sent > before + 3)
     assert 'must be non-negative' in thread.faults[0]
+
+
+def test_missed_heartbeats_are_not_sent_after_a_stall():
+    times = []
+
+    def work(due):
+        if due:
+            times.append(time.monotonic())
+            if len(times) == 3:
+                time.sleep(0.5)      # fifty periods
+        return due
+
+    thread = make(work)
+    thread.start()
+    until(lambda: len(times) >= 20)
+    thread.stop(1.0)
+    after = [moment for moment in times[3:] if moment < times[3] + 0.05]
+    assert len(after) <= 9, 'five periods, and a few for the stall'
 
 
 # -- gaps between heartbeats ----------------------------------------------------------------------

@@ -135,8 +135,3 @@ def test_a_stall_of_the_receiving_threads_alone_is_a_stall(motor):
             assert motor.ignores_commands(now) == (100.5 < now < 103.5)
     assert reported == [pytest.approx(0.51, abs=0.011)]
     assert reported_at[0] in sent and len(sent) <= 23, 'it is repeated like any stop'
-
-
-def test_without_receiving_threads_only_the_heartbeat_thread_counts(motor):
-    assert motor.detect_stall(100.4, float('inf')) is None
-    assert motor.detect_stall(100.6, float('inf')) is not None

@@ -215,7 +215,7 @@ def test_a_board_without_echo_gets_a_silence_before_a_move(board, open_link):
         return b'' if request.cmd1 == bus.ECHO else None
 
     board.rule = rule
-    link = open_link(SHORT)
+    link = open_link(SHORT._replace(motion_timeout=PATIENCE))
     for _ in range(5):
         assert link.call(bus.SYNC_FUNCTION, ()).success
         before = answered[-1]
