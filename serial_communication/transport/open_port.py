@@ -219,7 +219,15 @@ class OpenSocket(_Polled):
             with suppress(OSError):     # already gone
                 self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER,
                                         struct.pack('ii', 1, 0))     # resets it
+        self._end()
         super().close(is_held)
+
+    def _end(self) -> None:
+        """Close the socket itself: pyserial would then sleep for 0.3 s, as long as a stall."""
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+        self._serial.is_open = False
 
 
 class OpenRfc2217(OpenSocket):
@@ -227,6 +235,9 @@ class OpenRfc2217(OpenSocket):
     goes to its socket, since pyserial's write would block."""
 
     read = OpenPort.read
+
+    def _end(self) -> None:
+        """Leave the socket to pyserial, which has a thread for it."""
 
     def escaped(self, frame: bytes) -> bytes:
         return frame.replace(_IAC, _IAC * 2)

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from unittest import mock
 
 import pytest
 from fake_boards import PATIENCE, until
@@ -573,3 +574,13 @@ def test_a_port_without_a_descriptor_is_read_in_slices():
     port.close()
     with pytest.raises(PortError):
         port.read(0)
+
+
+def test_a_socket_is_closed_at_once():
+    """A link that took 0.3 s, as pyserial does, would count as stalled and refuse calls."""
+    with socket.create_server(('127.0.0.1', 0)) as server:
+        port = Port(f'socket://127.0.0.1:{server.getsockname()[1]}')
+        port.open()
+        with mock.patch('time.sleep', side_effect=AssertionError('it sleeps')):
+            port.close()
+        assert not port.is_open and server.accept()[0].recv(1) == b''
