@@ -209,10 +209,6 @@ class Tuned(ArduinoTest):
         self.assertAlmostEqual(warm.temperature, 32.735882352941175)
         self.assertEqual(warm.header.frame_id, 'car_imu')
 
-    def test_an_implausible_voltage_is_published_unchecked(self):
-        self.assertEqual(self.topic('voltage', Voltage).first(
-            doing=lambda: self.board.say(arduino.Voltage(250.0))).value, 250.0)
-
     def test_the_heartbeat_has_the_configured_rate(self):
         self.board.wait_for_heartbeat_rate(10, 50, number=40)
 

@@ -24,10 +24,10 @@ from std_srvs.srv import Trigger
 
 from avr_boards import OnBoard, upward
 from board_ends import angle_between, from_euler
-from boards import (OK, PACKAGE, PATIENCE, RX, TIMEOUT, TX, Diagnostics, Topic, Waiter,
-                    command_topic, own_folder, service, until)
+from boards import (OK, PACKAGE, PATIENCE, TIMEOUT, Diagnostics, Topic, Waiter, command_topic,
+                    own_folder, service, until)
 from launch_test import SIMULATED_TOPICS
-from serial_communication.msg import Environment, McuStatus2, SerialMsg, SpeedPWMCommand
+from serial_communication.msg import Environment, McuStatus2, SpeedPWMCommand
 from serial_communication.boards.bus import wire as bus
 from serial_communication.srv import Gimbal, Lift, LiftRequest
 
@@ -82,39 +82,6 @@ class Car(CarBench):
 
     # -- the motor ----------------------------------------------------------------------
 
-    def test_the_motor_stops_after_the_speed_timeout_and_stays_off(self):
-        speed, traffic = self.speed(), self.collect(Topic('/serial_msg', SerialMsg))
-        traffic.first()     # from now on it records every command
-        for _ in range(TRIES):
-            traffic.forget()
-            before = self.pwm()
-            left_out = self.left_out()
-            speed.publish(value=400)
-            until(lambda: len(self.pwm()) >= len(before) + 2, 'the motor goes on and off')
-            (on, pwm), (off, _) = self.pwm()[len(before):][:2]
-            # The board sends its log lines before its next measurement.
-            begun = len(traffic.messages)
-            until(lambda: len([m for m in traffic.messages[begun:] if m.direction == RX]) > 20,
-                  'the board sends on')
-            if any(b'heartbeat lost' in m.data for m in list(traffic.messages)):
-                continue     # the bridge stalled, so the board itself stopped the motor
-            self.assertEqual(pwm, 102)
-            speeds = [m.data for m in traffic.messages if m.direction == TX and m.type == 4]
-            driven = speeds.index(b'\x90\x01')
-            self.assertEqual(speeds.count(b'\x90\x01'), 1)
-            self.assertEqual(set(speeds[driven + 1:]), {b'\x00\x00'})
-            # Emulated time may be shorter than real time, by what was left out.
-            self.assertGreater(off - on + self.left_out() - left_out, 0.48)
-            self.assertLess(off - on, 0.7)
-            self.wait_for_heartbeats(20)
-            self.assertEqual(len(self.pwm()), len(before) + 2)
-            return
-        self.fail('heartbeats come too late, every time')
-
-    def left_out(self):
-        """How many seconds the emulator is behind real time."""
-        return float(self.board.ask('get speed').split()[-2])
-
     def test_a_bridge_killed_while_driving_and_started_again_leaves_the_motor_off(self):
         rounds = 0
         for _ in range(TRIES):
@@ -145,8 +112,6 @@ class Car(CarBench):
         self.assertLessEqual(when - received_at, STOP)
         # If it stopped sooner, a stall of this computer or the speed timeout was the cause.
         return when - received_at >= 0.030
-
-    # -- servo, lamps, battery, logs ------------------------------------------------------
 
     # -- the IMU ------------------------------------------------------------------------
 

@@ -11,7 +11,6 @@ import sys
 import tempfile
 import time
 import unittest
-import xmlrpc.client
 from typing import Dict, NamedTuple
 
 import rosgraph
@@ -53,12 +52,6 @@ def program(name):
 def own_folder():
     """A new folder for ports; its path is short, since socket names are limited."""
     return tempfile.mkdtemp(prefix='rostest_')
-
-
-def pid_of(node):
-    """The process id of a running node."""
-    with xmlrpc.client.ServerProxy(rosgraph.Master('/test').lookupNode('/' + node)) as proxy:
-        return proxy.getPid('/test')[2]
 
 
 class Bridge:

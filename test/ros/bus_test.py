@@ -84,11 +84,6 @@ class Moves(BusTest):
             self.assertIn('direction is %d' % direction, answer.message)
         self.assert_nothing_was_sent()
 
-    def test_an_error_of_the_board_is_returned(self):
-        self.board.script += [bus.Reply(bus.ERROR, bytes.fromhex('0280'))]
-        self.assert_answer(self.lift(0, 100), False, bus.ERROR, 0x8002)
-        self.assertEqual(self.board.others, [LIFT_UP_100])
-
 
 class Air(BusTest):
     """Environment readings."""

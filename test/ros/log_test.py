@@ -9,10 +9,9 @@ import rospy
 import rostest
 from roscpp.srv import GetLoggers
 
-from boards import (NOT_SENT, PACKAGE, PATIENCE, SPEED_0_PACKET, TIMEOUT, BoardsTest, Bridge,
-                    BusBoard, CarBoard, Topic, command_topic, own_folder, program, service, settle,
-                    until)
-from serial_communication.msg import SpeedPWMCommand, Voltage
+from boards import (NOT_SENT, PACKAGE, PATIENCE, SPEED_0_PACKET, BoardsTest, Bridge, BusBoard,
+                    CarBoard, Topic, own_folder, program, service, settle, until)
+from serial_communication.msg import Voltage
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.srv import Lift
 
@@ -59,22 +58,6 @@ class Unwritable:
         until(lambda: self.car.connected and self.bus.connected, 'both boards are back')
         self.assert_data_flows()
         until(lambda: lift(0, 1).success, 'the lift answers')
-
-    def test_measurements_continue_after_the_warning_of_a_speed_timeout(self):
-        speed = command_topic('/serial_communication/speed', SpeedPWMCommand)
-        for value in 300, 310:
-            speed.publish(value=value)
-            until(lambda v=value: v in self.car.speeds
-                  and 0 in self.car.speeds[self.car.speeds.index(v):], 'SPEED 0 after %d' % value)
-            self.assert_data_flows()
-        speed.unregister()
-
-    def test_the_call_after_one_that_timed_out_is_answered(self):
-        self.bus.script.append(b'')
-        lift = service('/serial_communication/lift', Lift)
-        self.assertEqual(lift(0, 1).status, TIMEOUT)
-        answer = lift(0, 2)
-        self.assertTrue(answer.success, answer.message)
 
     def test_heartbeats_continue_and_the_bridge_ends_in_order(self):
         self.bus.write(bytes(1000))      # noise, which is logged

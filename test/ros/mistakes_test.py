@@ -200,19 +200,6 @@ class Mistakes(unittest.TestCase):
         self.assertTrue(bridge.alive)
         self.assertEqual(bridge.end()[1], 0, bridge.output())
 
-    def test_two_links_with_the_same_port_end_the_node_with_one_line(self):
-        device = os.path.join(self.folder, 'device')
-        os.symlink('/dev/null', device)
-        for number, (one, other) in enumerate((
-                (self.absent('x'), self.absent('./x')), ('/dev/null', device),
-                ('socket://Robot:4001', 'SOCKET://robot:4001'))):
-            with self.subTest(other):
-                name = f'one_port_{number}'
-                result = self.ended(name, {'bus/port': one, 'mcu/port': other, 'mcu/baud': 9600})
-                self.assert_one_line(f"parameter /{name}/mcu/port is '{other}', which is also the "
-                                     f"port of /{name}/bus/port ('{one}'); each link needs its "
-                                     'own port', *result)
-
     def test_the_car_is_stopped_if_a_later_board_fails_to_start(self):
         line = Line(os.path.join(self.folder, 'car')).plug()
         car = CarBoard(line.far)

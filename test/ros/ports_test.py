@@ -142,19 +142,6 @@ class Cut(PortsTest):
         self.boards['bus'].script.clear()
         self.assert_flows()
 
-    def test_ports_that_vanish_and_return_carry_data_again(self):
-        before = self.diagnostics.fresh_of_all(LINKS, lambda s, _link: s.level != ERROR, 'no error')
-        self.unplug()
-        self.assertEqual(self.lift(0, 1).status, NOT_SENT)
-        self.assertFalse(self.echo().success)
-        self.boards['bus'].forget()
-        self.plug()
-        self.assert_flows()
-        self.assertEqual(bytes(self.boards['bus'].wire[:5]), SYNC_FRAME)
-        self.diagnostics.fresh_of_all(LINKS, lambda s, link: int(s.keys['reconnects'])
-                                      == int(before[link].keys['reconnects']) + 1,
-                                      'one reconnect')
-
     def test_serial_msg_tells_which_connection_a_frame_belongs_to(self):
         traffic = Topic('/serial_msg', SerialMsg)
         self.addCleanup(traffic.close)

@@ -1,19 +1,16 @@
 #!/usr/bin/python3
 """Starting a bridge while one of its name is running; --help, wrong arguments, no master."""
-import io
 import os
 import shutil
 import signal
 import socket
 import subprocess
 import unittest
-from urllib.parse import urlsplit
 from xmlrpc.client import ServerProxy, Transport
 
 import rosgraph
 import rospy
 import rostest
-from rosgraph.network import encode_ros_handshake_header, read_ros_handshake_header
 
 from boards import PACKAGE, PATIENCE, Bridge, CarBoard, Line, own_folder, program, until
 from heartbeats import HeartbeatWatch
@@ -85,25 +82,6 @@ class WhileOneRuns(unittest.TestCase):
         said, = lines_of(second.output())
         self.assertIn(f'{NAME} is already running ({self.address})', said)
         self.assertIn(f'rosnode kill {NAME}', said)
-        self.assert_unharmed()
-
-    def test_connections_that_do_not_speak_ros_delay_nobody(self):
-        name = NAME + '/get_loggers'
-        address = urlsplit(self.master.lookupService(name))
-        silent, other, caller = [
-            socket.create_connection((address.hostname, address.port), PATIENCE) for _ in range(3)]
-        other.sendall(b'POST /RPC2 HTTP/1.1')       # the start of an XML-RPC call
-        caller.sendall(encode_ros_handshake_header(
-            {'callerid': '/same_name_test', 'service': name, 'md5sum': '*'}))
-        header = read_ros_handshake_header(caller, io.BytesIO(), 4096)
-        self.assertEqual(header['type'], 'roscpp/GetLoggers')
-        caller.close()
-        for each in silent, other:
-            try:
-                self.assertEqual(each.recv(1), b'')
-            except ConnectionResetError:
-                pass        # reset, since the bridge closed it with unread bytes
-            each.close()
         self.assert_unharmed()
 
     def test_under_roslaunch_it_prints_why_once_and_takes_over_when_the_first_ends(self):
