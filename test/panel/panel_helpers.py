@@ -344,7 +344,7 @@ class Page:
 
     def settle(self):
         """Wait until commands are taken: not in the first second."""
-        self.until(lambda page: 'node' in page.known, 'the panel sends updates')
+        self.until(lambda page: 'node' in page.known and page.updates, 'the panel sends updates')
         first = self.updates[0]['now']
         self.until(lambda page: page.now > first + 1, 'a second passes')
         return self
