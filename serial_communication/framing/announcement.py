@@ -103,7 +103,7 @@ class Assembly:
         self._key = None
         self.confirmed = False
 
-    def take(self, chunk: Chunk) -> Optional[bytes]:
+    def add(self, chunk: Chunk) -> Optional[bytes]:
         """Add a chunk. If it completes a text other than the latest, return that, else None.
 
         Raises:
@@ -139,7 +139,7 @@ class Announcement(NamedTuple):
 
     firmware: str              # NAME VERSION; '' if it is not announced
     rows: Dict[str, Any]       # by name, as a file with parameters would hold them
-    problems: List[str]        # one for each line of the text that is no row
+    problems: List[str]        # one for each line of the text that is not a row
 
 
 def read_announcement(text: bytes) -> Announcement:

@@ -23,12 +23,12 @@ class BoardAnnouncement:
         self._in_use: Optional[bytes] = None     # the text whose rows are in use
         self._log = log
 
-    def take(self, chunk: Chunk) -> None:
+    def add(self, chunk: Chunk) -> None:
         """A chunk was received; called in the link's thread."""
         if self.on_text is None:
             return
         try:
-            text = self.assembly.take(chunk)
+            text = self.assembly.add(chunk)
         except ValueError as error:
             self._log.warn('announcement', str(error))
             return

@@ -209,7 +209,7 @@ class Connection:
         if data:
             unknown = link.unknown_bytes
             if now - unknown.understood_at > SILENCE:
-                self.guarded(unknown.take, data, now)
+                self.guarded(unknown.feed, data, now)
             elif unknown.size:
                 unknown.reset()
 

@@ -1,4 +1,4 @@
-"""What a link receives that is no message of its board: what is it?"""
+"""Finds out what a link receives instead of messages of its board."""
 import re
 from typing import Callable, Iterable, NamedTuple, Set
 
@@ -47,14 +47,14 @@ class UnknownBytes:
         """A frame was received, or there was a pause: begin anew."""
         self.size = 0          # bytes
         self._last_at = 0.0    # when the latest of them was received; monotonic
-        self._types: Set[int] = set()    # of the frames of unknown types …
-        self._frames = 0                 # … their number …
-        self._surplus = 0                # … and their bytes, less those of invalid frames
+        self._types: Set[int] = set()    # unknown types of frames
+        self._frames = 0                 # of unknown types
+        self._surplus = 0                # bytes of these frames, less those of invalid ones
         self._recognition = Recognition(
             {name: other.decoder for name, other in self._others.items()})
 
     def add(self, frame: Frame, now: float) -> str:
-        """Take a frame without a message; if the board prints it, return a line that says so."""
+        """Count a frame without a message; if it is printed text, return a line that says so."""
         if frame.cause in ('', UNKNOWN):
             self._types.add(frame.type)
             self._frames += 1
@@ -74,8 +74,8 @@ class UnknownBytes:
         return f'the sketch prints text to this port: use {self._print_to}' \
             if now <= self._printed_at + _PAUSE else ''
 
-    def take(self, data: bytes, now: float) -> None:
-        """Count the bytes of one read, in which no frame was."""
+    def feed(self, data: bytes, now: float) -> None:
+        """Count the bytes of one read that had no frame."""
         if now > self._last_at + _PAUSE:
             self.reset()
         self.size += len(data)

@@ -64,7 +64,7 @@ class AnnouncedRows:
             names: see `update`.
             parameters: the node's private parameters, which are set at a new master: the announced
                 rows are kept there, too.
-            log: for what is no matter of the link.
+            log: for what does not concern the link.
         """
         def use(text: bytes) -> None:
             self._set_parameter(self.update(text, names), parameters, log)

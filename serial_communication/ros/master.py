@@ -79,7 +79,7 @@ def _ask(name: str, found: List[str]) -> None:
             if _is_running(node, name):
                 found.append(uri)
     except Exception:  # pylint: disable=broad-except
-        pass    # no such node; or a process that is ending, or is no node, may answer anything
+        pass    # no such node; or a process that is ending, or is not a node, may answer anything
 
 
 def _is_running(node: Any, name: str) -> bool:

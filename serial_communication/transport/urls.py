@@ -46,7 +46,7 @@ def url_argument(text: str) -> str:
 
 
 def check_device(path: str) -> None:
-    """Raise ValueError for a device that is no port."""
+    """Raise ValueError for a device that is not a port."""
     try:
         device = os.stat(path).st_rdev
     except (OSError, TypeError, ValueError):

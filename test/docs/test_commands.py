@@ -10,7 +10,7 @@ A comment right before a block of commands tells how to run it:
     <!-- run: panel -->        a bridge, whose links become OK, and the page at its address
     <!-- run: avr -->          beside a bridge with emulated boards, their folder in $SIM_DIR
     <!-- run by: PART -->      by that part of scripts/test
-    <!-- file: NAME -->        not a command: by test/ros/other_board_test.py
+    <!-- file: NAME -->        not a command: by test/ros/external_board_test.py
     <!-- needs a board -->     not run; likewise `needs a screen`, `needs a container`
 """
 import re

@@ -32,7 +32,7 @@ def assembled(chunks):
     assembly = Assembly()
     assert [chunk.index for chunk in chunks] == [
         index % chunks[0].count for index in range(len(chunks))]
-    return [text for text in map(assembly.take, chunks) if text]
+    return [text for text in map(assembly.add, chunks) if text]
 
 
 def quick(chunks):
@@ -131,7 +131,7 @@ def test_the_control_board_announces_the_example(firmware_build):
         while text is None:
             reply = master.function(TYPE, bytes([index]))
             assert reply[:1] == OK
-            text = assembly.take(Chunk.unpack(reply[1:]))
+            text = assembly.add(Chunk.unpack(reply[1:]))
             index += 1
         assert master.function(TYPE, bytes([index])) == error(0x8000)
         assert master.function(TYPE) == error(0x8000)

@@ -63,7 +63,7 @@ def test_a_sketch_exchanges_values_with_the_bridge_and_announces_its_rows(tmp_pa
         'magnetic_field magnetic_field.x=-1.5e-07 magnetic_field.y=1.845e-05 '
         'magnetic_field.z=3.87e-05']
     assembly = Assembly()
-    text, = filter(None, [assembly.take(frame.message) for frame in frames if frame.type == TYPE])
+    text, = filter(None, [assembly.add(frame.message) for frame in frames if frame.type == TYPE])
     assert read_announcement(text) == (
         'my_robot 1.0', read_parameters(EXAMPLES)['arduino']['messages'], [])
 

@@ -16,7 +16,7 @@ OTHER = TEXT.replace(b'32', b'33', 1)
 
 def taken(assembly, chunks):
     """The texts that these chunks complete."""
-    return [text for text in map(assembly.take, chunks) if text is not None]
+    return [text for text in map(assembly.add, chunks) if text is not None]
 
 
 def test_the_crc_is_ccitt_false():
@@ -42,7 +42,7 @@ def test_a_chunk_without_a_whole_header_has_the_wrong_length():
 def test_an_index_beyond_the_count_is_implausible(index, count):
     chunk = Chunk(index, count, crc_of(b''), b'')
     assert chunk.implausible() and chunk.parts(chunk.pack())[0].error == chunk.implausible()
-    assert Assembly().take(chunk) is None
+    assert Assembly().add(chunk) is None
 
 
 def test_a_character_cut_by_a_chunk_is_shown_and_kept():
@@ -102,9 +102,9 @@ def test_a_chunk_of_the_known_text_confirms_it_after_the_port_was_opened():
     assert assembly.confirmed
     assembly.reset()
     assert not assembly.confirmed
-    assembly.take(chunks_of(OTHER, 20)[0])
+    assembly.add(chunks_of(OTHER, 20)[0])
     assert not assembly.confirmed
-    assembly.take(chunks_of(TEXT, 20)[2])
+    assembly.add(chunks_of(TEXT, 20)[2])
     assert assembly.confirmed
 
 
@@ -134,7 +134,7 @@ def test_memory_is_bounded_whatever_is_received():
     assembly = Assembly()
     for crc in range(3000):
         for index in range(8):
-            assembly.take(Chunk(index, 255, crc, bytes(251)))
+            assembly.add(Chunk(index, 255, crc, bytes(251)))
     assert len(assembly._begun) <= 4
     assert sum(len(text) for pieces in assembly._begun.values()
                for text in pieces.values()) <= 4 * LONGEST

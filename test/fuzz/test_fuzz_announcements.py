@@ -39,7 +39,7 @@ class Listener:
     def take(self, chunk):
         self.crcs.add(chunk.crc)
         try:
-            text = self.assembly.take(chunk)
+            text = self.assembly.add(chunk)
         except ValueError as error:
             assert 'over 2048 bytes' in str(error)
             text = None

@@ -170,12 +170,12 @@ def test_the_words_change_with_what_is_received(line, link_of, lines):
 
 def test_bytes_of_before_a_pause_do_not_count():
     unknown = UnknownBytes(others(), 9600)
-    unknown.take(TICKS * 100, 10.0)
+    unknown.feed(TICKS * 100, 10.0)
     assert unknown.meaning(13.0) == SWAPPED.format('arduino')
     assert unknown.meaning(13.1) == ''
-    unknown.take(GARBAGE, 14.0)
+    unknown.feed(GARBAGE, 14.0)
     assert unknown.meaning(14.0) == ''
-    unknown.take(GARBAGE * 2, 15.0)
+    unknown.feed(GARBAGE * 2, 15.0)
     assert unknown.meaning(15.0) == OTHER.replace('115200', '9600')
     unknown.reset()
     assert unknown.meaning(15.0) == ''

@@ -23,7 +23,7 @@ from serial_communication.boards.mcu import wire as mcu
 from serial_communication.framing.announcement import chunks_of
 from serial_communication.tools.ports import advice, cli, configuration, report
 from serial_communication.tools.ports.configuration import Connection
-from serial_communication.tools.ports.listening import Candidate, Heard
+from serial_communication.tools.ports.listening import Candidate, Received
 from serial_communication.tools.ports.report import Found
 from serial_communication.transport.devices import Device
 from serial_communication.transport.holders import Holder
@@ -328,7 +328,7 @@ def test_a_configuration_that_cannot_be_changed_is_left_alone(tmp_path, text):
 BOARDS = {name: Candidate(description(name), {}) for name in ('bus', 'arduino', 'mcu')}
 CLONES = [Found(Device(f'/dev/ttyUSB{number}', '/dev/serial/by-id/usb-1a86_USB_Serial-if00-port0',
                        f'/dev/serial/by-path/pci-{number}', 'USB Serial', '1a86:7523'),
-                [], Heard(name, 115200, 500))
+                [], Received(name, 115200, 500))
           for number, name in enumerate(('arduino', 'mcu'))]
 
 
@@ -345,7 +345,7 @@ def test_adapters_without_a_serial_number_are_named_by_their_socket():
 
 def test_an_adapter_with_a_serial_number_is_named_by_it():
     one = Found(Device('/dev/ttyUSB0', '/dev/serial/by-id/usb-FTDI_A5005A00', '/dev/serial/x',
-                       'FTDI', '0403:6001', 'A5005A00'), [Holder(12, 'screen')], Heard())
+                       'FTDI', '0403:6001', 'A5005A00'), [Holder(12, 'screen')], Received())
     assert json.loads(report.as_json([one]))[0]['name'] == one.device.by_id
     text = report.as_text([one], BOARDS, 2.0, True, '')
     assert 'open in  screen (pid 12)' in text

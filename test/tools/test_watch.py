@@ -25,7 +25,7 @@ def words(type_, message):
 
 def custom_topics(parameters):
     return [topic for name in BOARDS
-            for topic in topics.custom_topics(description(name), parameters)]
+            for topic in topics.row_topics(description(name), parameters)]
 
 
 # -- names and what a bridge publishes ---------------------------------------------------------
@@ -37,7 +37,7 @@ def custom_topics(parameters):
     ('mcu/status', '/car/bridge', '/car/mcu/status'), ('/tf', '/car/bridge', '/tf'),
     ('/mcu/status', '/car/bridge', '/mcu/status'), ('serial_msg', '/a/b/c', '/a/b/serial_msg')])
 def test_relative_and_absolute_names_convert_both_ways(name, node, full):
-    assert topics.resolve(name, node) == full
+    assert topics.absolute(name, node) == full
     assert topics.relative(full, node) == name
 
 

@@ -156,7 +156,7 @@ class ArduinoLink(Link):
         if isinstance(message, wire.Log):
             self._log_received(message, now)
         elif isinstance(message, Chunk):
-            self.announcement.take(message)
+            self.announcement.add(message)
         else:
             if self.output.calibration and isinstance(message, wire.Imu):
                 self._end_calibration(self.output.calibration.imu_data(clock()))

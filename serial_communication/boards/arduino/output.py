@@ -35,8 +35,8 @@ class CarOutput:
         self.lock = threading.Lock()         # held while anything is sent; guards all below
         self.motor = Motor(speed_timeout, clock())
         self.calibration: Optional[Calibration] = None
-        # (cause, text) of warnings. The link's thread logs them: a log call may block, and neither
-        # a heartbeat nor a stop may wait for one.
+        # (cause, text) of warnings. The link's thread logs them: outside the node a log call may
+        # block, and neither a heartbeat nor a stop may wait for one.
         self.warnings: Deque[Tuple[str, str]] = deque()
         self.is_held = False                 # the other side of a pty may hold what is written
         self._link, self._port = link, link.port

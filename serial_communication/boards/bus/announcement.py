@@ -76,7 +76,7 @@ class AnnouncementReader:
 
     def _take(self, chunk: Chunk) -> Optional[bytes]:
         try:
-            text = self._assembly.take(chunk)
+            text = self._assembly.add(chunk)
         except ValueError as error:
             self._log.warn('announcement', str(error))
             return self._end(b'')

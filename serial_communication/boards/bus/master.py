@@ -99,7 +99,7 @@ class Master(Session):
             self._own_answered(reply, now)
 
     def damaged(self, frame: Frame, now: float) -> None:
-        """Bytes were received that are no valid reply."""
+        """Bytes were received that are not a valid reply."""
         exchange = self._exchange
         self.calls.doubt_invalid()
         # Only a frame with a wrong checksum can be the reply. After noise, for example during a

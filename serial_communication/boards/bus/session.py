@@ -49,12 +49,12 @@ class Event(enum.Enum):
     """What the Master receives, or does not."""
 
     ANSWER = 'the reply to what is outstanding, but no INVALID'
-    INVALID = 'an INVALID with any other code'
     UNSYNCHRONISED = 'an INVALID "not synchronised"'
+    INVALID = 'an INVALID with any other code'
     OTHER = 'any other reply'
     WRONG_DATA = 'an OK whose data has a wrong length or impossible values'
     DAMAGED = 'a frame with a wrong checksum'
-    NOISE = 'other bytes that are no valid reply'
+    NOISE = 'other bytes that are not a valid reply'
     MISSED = 'replies may have been received and dropped'
     TIMEOUT = 'the time for the reply, or of the silence, is over'
     STOP = 'a call that interrupts is sent'

@@ -89,7 +89,7 @@ class ControlBoard(Board):
     Args:
         lift_speed, gimbal_speed: mm/s and degrees/s.
         max_length: most DATE bytes; a longer request is refused with 0x20, and one with over 1024
-            bytes is no frame at all.
+            bytes is not a frame at all.
         reply_has_cmd2: whether replies carry their request's CMD2.
         echoes: whether it answers ECHO.
         ok_data: DATE of its OK to a move.

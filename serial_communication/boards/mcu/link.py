@@ -45,7 +45,7 @@ class McuLink(Link):
         super().__init__('mcu', port, wire.Decoder(messages), **link_arguments)
         self.frames_lost = 0
         self.duplicates = 0
-        self.checksum_errors = 0        # a status has those before its own frame: see `damaged`
+        self.checksum_errors = 0        # those before the frame that is delivered
         self.silent = True              # no message of any class is received
         self._timeout = timeout
         self._network_silence = network_silence
@@ -69,7 +69,7 @@ class McuLink(Link):
             return
         self._last, self._last_at = frame, now
         if isinstance(message, Chunk):
-            self.announcement.take(message)
+            self.announcement.add(message)
         elif message is not None:     # None: a valid frame of an unknown type
             if self.silent:
                 self.silent = False
@@ -80,7 +80,8 @@ class McuLink(Link):
                 self._on_status(message, frame.number, frame.stamp)
 
     def damaged(self, frame: Frame, now: float) -> None:
-        # Not the decoder's count, which has all errors of a read that brings several frames.
+        # A status reports the errors before its own frame. The decoder has already counted all
+        # errors of the read, also those of later frames.
         self.checksum_errors += frame.cause == CHECKSUM
 
     def tick(self, now: float) -> float:

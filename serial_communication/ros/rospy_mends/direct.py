@@ -7,7 +7,6 @@ subscribers sends the queues as the sockets become writable.
 
 That thread starts at once. A link's thread, which publishes, must not start one, since starting a
 thread may never return when memory runs out.
-
 """
 import select
 import socket

@@ -24,7 +24,7 @@ from ...ros.latest_worker import LatestWorker
 from ...ros.rospy_mends.connections import header_of, reaches
 from ..watch.calls import MOST_WAIT, Answer, call
 from ..watch.state import BridgeState
-from ..watch.topics import leaves, one_line, resolve
+from ..watch.topics import absolute, leaves, one_line
 from .dead_man import SILENCE, CommandRefused, DeadManSwitch
 from .forms import Message, Service, board_services, custom_messages, custom_services
 
@@ -99,7 +99,7 @@ class Commands:
         """Create and unregister publishers, and watch ~speed. Runs in the registrar's thread."""
         if self._wanted and self._speeds is None:
             self._speeds = rospy.Subscriber(
-                resolve('~speed', self._node), SpeedPWMCommand, self._on_speed, queue_size=10,
+                absolute('~speed', self._node), SpeedPWMCommand, self._on_speed, queue_size=10,
                 tcp_nodelay=True)
         elif not self._wanted and self._speeds is not None:
             self._speeds.unregister()
@@ -112,7 +112,7 @@ class Commands:
                 publisher.unregister()
         for name in set(classes) - set(self._publishers):
             self._publishers[name] = rospy.Publisher(
-                resolve(name, self._node), classes[name], queue_size=1, tcp_nodelay=True)
+                absolute(name, self._node), classes[name], queue_size=1, tcp_nodelay=True)
 
     def describe(self) -> Dict[str, Any]:
         """What the page needs to build its controls."""
@@ -187,7 +187,7 @@ class Commands:
         self._ended = {key: at for key, at in self._ended.items() if key[0] is not page}
 
     def _run(self, page: Any, service_class: Any, request: Any, entry: Dict[str, Any]) -> None:
-        answer = call(resolve(entry['name'], self._node), service_class, request,
+        answer = call(absolute(entry['name'], self._node), service_class, request,
                       entry['began'] + _MAX_AGE)
         self._add_callback(self._answered, page, entry, answer)
 

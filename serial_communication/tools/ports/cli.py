@@ -20,7 +20,7 @@ from ...transport.holders import holders_of
 from ...transport.urls import url_argument
 from . import configuration
 from .configuration import WriteError
-from .listening import Candidate, Heard, Listener
+from .listening import Candidate, Received, Listener
 from .report import Found, as_json, as_text, connections
 
 _LONGEST = 120.0     # s to listen
@@ -127,8 +127,8 @@ def _chosen(urls: List[str]) -> List[Device]:
 
 def _listened(chosen: List[Device], listener: Listener) -> List[Found]:
     """Listen to all ports at the same time."""
-    heard: Dict[int, Heard] = {}
-    found = [Found(device, holders_of(device.path), Heard()) for device in chosen]
+    heard: Dict[int, Received] = {}
+    found = [Found(device, holders_of(device.path), Received()) for device in chosen]
 
     def listen(index: int, url: str) -> None:
         heard[index] = listener.listen(url)
@@ -141,5 +141,5 @@ def _listened(chosen: List[Device], listener: Listener) -> List[Found]:
         thread.start()
     for thread in threads:
         thread.join()
-    in_use = Heard(trouble='another program has it open')
+    in_use = Received(trouble='another program has it open')
     return [port._replace(heard=heard.get(index, in_use)) for index, port in enumerate(found)]

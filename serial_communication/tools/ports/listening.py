@@ -35,7 +35,7 @@ class Candidate(NamedTuple):
         return self.board.baud_of(self.parameters)
 
 
-class Heard(NamedTuple):
+class Received(NamedTuple):
     """What was received on a port."""
 
     board: str = ''                # '': none is recognised
@@ -65,17 +65,17 @@ class Listener:
         self._seconds = seconds
         self._ask = ask
 
-    def listen(self, url: str) -> Heard:
+    def listen(self, url: str) -> Received:
         """What is received on a port. Nothing is written, but for questions to a silent one."""
         try:
             return self._listen(url)
         except PortError as error:
-            return Heard(trouble=str(error).replace(WAITING, ''))
+            return Received(trouble=str(error).replace(WAITING, ''))
 
-    def _listen(self, url: str) -> Heard:
+    def _listen(self, url: str) -> Received:
         rates = list(dict.fromkeys(each.baud for each in self._candidates))
         usual = [*(each.board.baud for each in self._candidates), *USUAL]
-        first = Heard()
+        first = Received()
         for index, baud in enumerate(dict.fromkeys([*rates, *usual])):
             seconds = self._seconds if baud in rates else min(self._seconds, _OTHER)
             heard = self._at(url, baud, seconds, wait=not index)
@@ -86,7 +86,7 @@ class Listener:
                 break     # silent at every rate that a bridge would use
         return first if first.size or not self._ask else self._asked(url) or first
 
-    def _at(self, url: str, baud: int, seconds: float, wait: bool) -> Heard:
+    def _at(self, url: str, baud: int, seconds: float, wait: bool) -> Received:
         """Listen at one rate, until a board is recognised.
 
         Args:
@@ -114,7 +114,7 @@ class Listener:
             port.close()
         recognition.finish()
         found = recognition.name
-        return Heard(found, baud if found else None, size, heard[:_SAMPLE], firmware=firmware)
+        return Received(found, baud if found else None, size, heard[:_SAMPLE], firmware=firmware)
 
     def _firmware(self, port: Port, name: str, heard: bytes) -> str:
         """The name and version of the firmware, if the board announces them soon enough."""
@@ -128,7 +128,7 @@ class Listener:
                 if isinstance(frame.message, Chunk):
                     chunks += 1
                     try:
-                        assembly.take(frame.message)
+                        assembly.add(frame.message)
                     except ValueError:
                         pass     # the text is too long
             return bool(chunks)
@@ -137,13 +137,13 @@ class Listener:
             _read(port, _CHUNKS, lambda data: received(data) and assembly.complete)
         return read_announcement(assembly.text or b'').firmware
 
-    def _asked(self, url: str) -> Optional[Heard]:
+    def _asked(self, url: str) -> Optional[Received]:
         """The board that answers its question; None: no board does."""
         for each in self._candidates:
             if each.board.question:
                 answer = _answer(url, each)
                 if answer:
-                    return Heard(each.board.name, each.baud, len(answer), answer[:_SAMPLE])
+                    return Received(each.board.name, each.baud, len(answer), answer[:_SAMPLE])
         return None
 
 

@@ -9,7 +9,7 @@ from ...transport.devices import Device
 from ...transport.holders import Holder
 from . import advice
 from .configuration import Connection
-from .listening import Candidate, Heard
+from .listening import Candidate, Received
 
 
 class Found(NamedTuple):
@@ -17,7 +17,7 @@ class Found(NamedTuple):
 
     device: Device
     holders: List[Holder]
-    heard: Heard
+    heard: Received
 
 
 def connections(ports: Iterable[Found]) -> Dict[str, Connection]:
@@ -72,7 +72,7 @@ def _port(port: Found, boards: Mapping[str, Candidate], seconds: float) -> str:
     return '\n'.join(lines + [f'    {remedy}' for remedy in advice.of_port(device.path)])
 
 
-def _meaning(heard: Heard, boards: Mapping[str, Candidate]) -> str:
+def _meaning(heard: Received, boards: Mapping[str, Candidate]) -> str:
     if heard.board:
         board = boards[heard.board].board
         other = f', at {heard.baud} baud' if heard.baud != board.baud else ''
@@ -84,7 +84,7 @@ def _meaning(heard: Heard, boards: Mapping[str, Candidate]) -> str:
     return 'bytes of no known board, at no usual baud rate' if heard.size else 'silent'
 
 
-def _received(heard: Heard, seconds: float) -> str:
+def _received(heard: Received, seconds: float) -> str:
     if not heard.size or heard.board:
         return ''
     words = readable(heard.sample.decode('utf-8', 'replace').strip()) \

@@ -97,7 +97,7 @@ TABLE = {topic.name: topic for topic in TOPICS}
 # -- names ---------------------------------------------------------------------------------------
 
 
-def resolve(name: str, node: str) -> str:
+def absolute(name: str, node: str) -> str:
     """Return the absolute name of a name relative to the node: ~imu, mcu/status, /tf."""
     if name.startswith('~'):
         return f'{node}/{name[1:]}'
@@ -105,7 +105,7 @@ def resolve(name: str, node: str) -> str:
 
 
 def relative(name: str, node: str) -> str:
-    """Return the name relative to the node: the inverse of `resolve`."""
+    """Return the name relative to the node: the inverse of `absolute`."""
     if name.startswith(node + '/'):
         return '~' + name[len(node) + 1:]
     # A name of another namespace stays absolute; these three are absolute in every namespace.
@@ -149,7 +149,7 @@ def published_topics(node: str, published: Dict[str, str], parameters: Any,
     """
     topics = {**TABLE, **{
         topic.name: topic for board in boards
-        for topic in (*board_topics(board, parameters), *custom_topics(board, parameters))}}
+        for topic in (*board_topics(board, parameters), *row_topics(board, parameters))}}
     names = {relative(full_name, node): type_ for full_name, type_ in published.items()
              if full_name not in ('/rosout', '/clock')}
     return in_table_order(topics.get(name, BridgeTopic(name, type_))._replace(type=type_)
@@ -182,7 +182,7 @@ def custom_rows(board: Description, parameters: Any) -> Dict[str, Dict[str, Any]
             for name, row in rows.items() if isinstance(row, dict)}
 
 
-def custom_topics(board: Description, parameters: Any) -> List[BridgeTopic]:
+def row_topics(board: Description, parameters: Any) -> List[BridgeTopic]:
     """Return the topics of a board's custom messages and polled functions."""
     prefix = board.custom.prefix if board.custom else ''
     return [BridgeTopic(prefix + name, str(row['ros_type']), (board.name,),

@@ -14,7 +14,7 @@ import rospy
 
 from ...ros.rospy_mends.connections import header_of, packed
 from .state import BridgeState, LinkState
-from .topics import DIAGNOSTICS, BridgeTopic, expected_links, published_topics, resolve
+from .topics import DIAGNOSTICS, BridgeTopic, absolute, expected_links, published_topics
 
 _ASK_EVERY = 1.0      # s between two requests to the master
 _BUFFER = 1 << 18     # bytes; with rospy's 64 KiB the latest message waits behind older ones
@@ -119,7 +119,7 @@ class Watcher:
 
     def subscribe(self) -> None:
         """Subscribe to the topics that are wanted now, and unsubscribe from the others."""
-        wanted = {resolve(each.topic.name, self._state.node): each.topic.name
+        wanted = {absolute(each.topic.name, self._state.node): each.topic.name
                   for each in self._state.topics if self._wants(each.topic)}
         wanted[DIAGNOSTICS] = DIAGNOSTICS
         with self._lock:

@@ -26,7 +26,7 @@ class Learner:
         """Take a frame; return all custom messages of the line if they have changed, else []."""
         chunk = self._chunk(sent, frame)
         try:
-            text = self._assembly.take(chunk) if chunk else None
+            text = self._assembly.add(chunk) if chunk else None
         except ValueError:
             return []       # too long
         custom = self.line.board.custom

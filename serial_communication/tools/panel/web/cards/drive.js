@@ -14,7 +14,7 @@ import {whyNot} from '../reasons.js';
 const TOPICS = '~speed, ~steering';
 const IDLE = 'hold to drive';
 const EVERY = 50;           // ms between two commands
-const DOUBLE_CLICK = 500;   // ms from a press of the pad to the next, which is no wish to drive
+const DOUBLE_CLICK = 500;   // ms from a press of the pad to the next, which is not meant to drive
 const SILENCE = 0.3;        // s without an update from the panel, after which the hold ends
 const PANEL_SILENT = `stopped: no update from the panel for ${SILENCE} s`;
 const MIDDLE = 1500;        // µs, the servo straight ahead
