@@ -536,12 +536,15 @@ def test_sensor_that_times_out(sensors, fault):
 
 @pytest.mark.parametrize('code', [1, 2, 3])
 def test_a_range_sensor_with_a_fault_is_reset(sensors, code):
-    board = sensors.board
-    board.set('range1_error', code)
-    board.wait_until(lambda: sensors.next()[0][1] == 0xFFFF, 1)
-    assert sensors.next()[0][2] == 800
-    board.wait_until(lambda: sensors.next()[0][1] == 800, 3)
-    assert board.get('range1_error') == 0    # only a reset ends it
+    sensors.next()
+    sensors.board.set('range1_error', code)
+
+    def was_reset():
+        ranges = [frame[1] for frame in sensors.read()]
+        return 0xFFFF in ranges and ranges[-1] == 800
+    sensors.board.wait_until(was_reset, 4)
+    assert {frame[2] for frame in sensors.frames} == {800}
+    assert sensors.board.get('range1_error') == 0    # only a reset ends it
 
 
 def test_a_range_without_a_target_is_no_fault(sensors):

@@ -153,6 +153,10 @@ class Browser:
         """Click the first element that matches."""
         self.all(selector)[0].click()
 
+    def focus(self):
+        """Click where nothing is, so that the window has the focus from now on."""
+        self._actions().move_to_element(self.all('h1')[0]).click().perform()
+
     def hover(self, selector):
         """Point at the first element that matches."""
         element = self.all(selector)[0]

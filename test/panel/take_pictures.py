@@ -123,7 +123,7 @@ def take_intact(browser, out):
         browser.open(panel.url)
         browser.wait(lambda page: page.attribute('[data-link="bus"]', 'data-health') == 'ok',
                      'the bridge runs', 60)
-        browser.click('h1')         # the window has the focus from now on
+        browser.focus()
         time.sleep(HISTORY)
         for service, button in (('~gimbal', 2), ('~lift', 1)):
             browser.click(f'[data-service="{service}"] button:nth-of-type({button})')

@@ -88,7 +88,7 @@ def wait_for_attribute(page, selector, name, value):
 
 def wait_until_settled(page):
     """Wait until the page takes commands: it has neither appeared nor got the focus just now."""
-    page.click('h1')        # or the first click of the test would give it the focus
+    page.focus()        # or the first click of the test would do that
     page.wait(lambda page: page.all('[data-service="~lift"] button:enabled'), 'it takes commands')
 
 
@@ -564,9 +564,8 @@ def test_a_wrong_amount_moves_nothing_and_a_double_click_moves_once(control_page
 def test_a_control_is_disabled_until_its_call_is_answered(control_page, robot):
     robot.bus.script.append(b'')        # no answer until the timeout
     down = '[data-service="~lift"] button:last-of-type'
-    control_page.click(down)
     # Checked at the same moment: the call is under way for a second.
-    control_page.wait(lambda page: page.script(
+    press(control_page, down, lambda page: page.script(
         "return document.querySelector('.answers').innerText.includes('under way') &&"
         "[...document.querySelectorAll('[data-service=\"~lift\"] button')]"
         ".every(button => button.disabled)"), 'it is under way, and every button is disabled')
@@ -575,6 +574,17 @@ def test_a_control_is_disabled_until_its_call_is_answered(control_page, robot):
     assert 'not known' in control_page.text('.answers li .outcome')
     assert 'look before you repeat it' in control_page.text('.answers li')
     assert len(robot.lift_requests) == 1
+
+
+def press(page, button, holds, what):
+    """Press a button until `holds(page)`: again if nothing was sent, as on a busy machine."""
+    def press_again():
+        answers = page.texts('.answers li')
+        if answers and 'nothing was sent' in answers[0] and page.all(button + ':enabled'):
+            page.click(button)
+
+    page.click(button)
+    page.wait(holds, what, doing=press_again)
 
 
 def drop_connection(page, network):
@@ -588,8 +598,8 @@ def drop_connection(page, network):
 
 def test_the_outcome_is_not_known_if_the_connection_is_lost(control_page, robot, network):
     robot.bus.script.append(b'')
-    control_page.click('[data-service="~lift"] button')
-    until(lambda: robot.lift_requests, 'the board has received it')
+    press(control_page, '[data-service="~lift"] button', lambda _page: robot.lift_requests,
+          'the board has received it')
     drop_connection(control_page, network)
     control_page.wait(lambda page: any(
         'the connection was lost before the answer was received' in each
@@ -697,8 +707,8 @@ def test_a_button_of_the_led_sends_its_text(control_page, robot):
 
 def test_the_reply_of_a_custom_function_is_shown_field_by_field(control_page, robot):
     robot.bus.script.append(bus.Reply(bus.OK, bytes.fromhex('d204 0000 b841')))
-    control_page.click('[data-service="~weigh"] button')
-    wait_for_attribute(control_page, '.answers li', 'data-outcome', 'done')
+    press(control_page, '[data-service="~weigh"] button',
+          lambda page: page.attribute('.answers li', 'data-outcome') == 'done', 'it is done')
     assert control_page.texts('.answers li:first-child .reply div') == [
         'environment.smoke\n1234', 'environment.temperature\n23', 'environment.humidity\n0']
 
@@ -776,7 +786,7 @@ def test_services_and_cards_of_a_fourth_board_are_those_of_its_description(chrom
     bridge.service('~empty', Trigger, lambda _request: TriggerResponse(
         not asked.append('empty'), 'it is empty'))
     bridge.open('panel_gauge_forms', '--control')
-    chromium.click('h1')        # the window has the focus from now on
+    chromium.focus()
     tilt = '[data-service="~tilt"] '
     chromium.wait(lambda page: page.all(tilt + 'button:enabled'), 'its service is offered')
     assert chromium.text(tilt + 'legend') == 'tilt the funnel'
