@@ -35,7 +35,7 @@ class Group(NamedTuple):
 GROUPS = (
     Group((*exact_bus.SERIAL, *exact_car.SERIAL, *exact_data.SERIAL, *exact_faults.SERIAL,
            *exact_node.SERIAL), events=(
-        'arduino: speed \\d+ refused: .*clos', 'arduino: .* refused: its stamp',
+        'arduino: .* refused: .*clos', 'arduino: .* refused: its stamp',
         'arduino: .* refused: .*latches', 'arduino: .* refused: .*old connection',
         'arduino: .* refused: .*calibrates', 'arduino: LED .*refused', 'arduino: .*stalled for',
         'arduino: no speed command for 0.5 s', 'arduino: speed 5000 is out of range',

@@ -25,7 +25,8 @@ from emulated_board import EmulatedBoard, IMAGES
     (400, 102, 1), (-400, 102, -1), (1000, 255, 1), (-3000, 255, -1), (7, 2, 1)])
 def test_speed_command_sets_the_pwm(car, speed, pwm, direction):
     car.drive(speed)
-    car.board.wait_until(lambda: len(car.board.history('motor_pwm')) == 3, 1)
+    car.board.wait_until(lambda: len(car.board.history('motor_pwm')) == 3
+                         and len(car.board.history('motor_direction')) == 3, 1)
     assert [value for _, value in car.board.history('motor_pwm')] == [0, pwm, 0]
     assert [value for _, value in car.board.history('motor_direction')] == [0, direction, 0]
 
