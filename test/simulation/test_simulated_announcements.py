@@ -50,7 +50,7 @@ def test_chunks_are_sent_ten_times_a_second_at_first_and_then_once(board, decode
     chunks = announced(bench, 0.1 * count - 0.05)
     assert len(chunks) in (count - 1, count)
     assert [chunk.index for chunk in chunks] == [n % size for n in range(len(chunks))]
-    assert list(filter(None, map(Assembly().take, chunks))) == [TEXT * times]
+    assert list(filter(None, map(Assembly().add, chunks))) == [TEXT * times]
     announced(bench, 1.0)
     assert len(announced(bench, 5.0)) in (5, 6) and not any(bench.decoder.errors.values())
     assert announced(Bench(board(), decoder()), 5.0) == []

@@ -286,7 +286,8 @@ def test_a_blocked_board_gets_no_stale_command(tapped):
     board, computer, program = tapped
     count = 0
     while 'not forwarded' not in program.stderr():
-        computer.write(arduino.encode(arduino.SteeringCommand(1)) * 50)
+        computer.write(b''.join(arduino.encode(arduino.SteeringCommand(count + each))
+                                for each in range(50)))
         count += 50
         assert count < 65000
     kept = board.read_all(0.3)
