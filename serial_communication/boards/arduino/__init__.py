@@ -9,8 +9,7 @@ from . import wire
 
 def custom_messages(entries: Any, key: str = 'arduino/messages') -> List[CustomMessage]:
     """The custom messages in the parameter `key`; RowError for the first mistake in them."""
-    free = [type_ for type_ in range(256) if type_ not in wire.BUILT_IN]
-    return read_messages(entries, key, free, wire.MAX_PACKET - 1, (FROM_BOARD, TO_BOARD))
+    return read_messages(entries, key, wire.BUILT_IN, wire.MAX_PACKET - 1, (FROM_BOARD, TO_BOARD))
 
 
 def _decoder(sent: bool, parameters: Mapping[str, Any]) -> Decoder:

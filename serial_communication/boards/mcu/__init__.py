@@ -11,8 +11,7 @@ _STATUS = 1.0     # s; the longest period: the status of a silent board is publi
 
 def custom_messages(entries: Any, key: str = 'mcu/messages') -> List[CustomMessage]:
     """The custom messages in the parameter `key`; RowError for the first mistake in them."""
-    free = [type_ for type_ in range(256) if type_ not in wire.BUILT_IN]
-    return read_messages(entries, key, free, wire.MAX_PAYLOAD)
+    return read_messages(entries, key, wire.BUILT_IN, wire.MAX_PAYLOAD)
 
 
 def _decoder(_sent: bool, parameters: Mapping[str, Any]) -> Decoder:
