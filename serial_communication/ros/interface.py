@@ -14,6 +14,7 @@ class LinkOptions(NamedTuple):
 
     frame_timeout: float           # s
     clock: Callable[[], Any]       # returns the rospy.Time that stamps a read
+    earlier: Callable[[Any, float], Any]     # returns the rospy.Time so many seconds before one
     logger: logging.Logger
     other_boards: Sequence[OtherBoard] = ()
 
