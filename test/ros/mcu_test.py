@@ -8,7 +8,8 @@ import rospy
 import rostest
 from sensor_msgs.msg import Imu, Range
 
-from boards import PACKAGE, Rosout, SensorBoard, Topic, ranges, stamped, until, values_of
+from boards import (PACKAGE, Diagnostics, Rosout, SensorBoard, Topic, ranges, stamped, until,
+                    values_of)
 from serial_communication.msg import McuStatus, McuStatus2
 from serial_communication.boards.mcu import wire as mcu
 
