@@ -1,7 +1,7 @@
 """When a board measured something, from the time of its own clock.
 
-A read is late by whatever held the bytes back: an adapter, a network, a starved process. Delays only
-ever add, and the two clocks differ by a rate that hardly changes. So the line below all points
+A read is late by whatever held the bytes back: an adapter, a network, a starved process. Delays
+only ever add, and the two clocks differ by a rate that hardly changes. So the line below all points
 (board time, arrival) of the last seconds, their lower convex hull, belongs to the bytes that were
 delayed least, and gives the time of all others.
 

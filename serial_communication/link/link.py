@@ -11,7 +11,7 @@ from .connection import Connection
 from .outcome import Refused  # noqa: F401  for the boards
 from .presence import SILENCE, STARTUP_TIME, PresenceLog
 from .sparing_log import SparingLog
-from .stamps import Read, Stamps
+from .stamps import Stamps
 from .unknown_bytes import OtherBoard, UnknownBytes
 
 OK, WARN, ERROR = 0, 1, 2      # as in diagnostic_msgs/DiagnosticStatus
@@ -66,9 +66,9 @@ class Link:
         self.announcement = BoardAnnouncement(self.log)
         self.unknown_bytes = UnknownBytes(
             (other for other in other_boards if other.name != name), port.baud, self.PRINT_TO)
-        self.stamps = Stamps(0.0 if port.is_network else 10.0 / port.baud, earlier)
+        self.stamps = Stamps(0.0 if port.is_network else 10.0 / port.baud, earlier,
+                             self.log, board_time)
         self.connection = Connection(self, frame_timeout, clock)
-        self._board_time = board_time
         self._clock = clock
         self._presence = PresenceLog(self.log)
         self._reported_errors = 0
@@ -253,17 +253,6 @@ class Link:
             self.last_frame_at = now
             if frame.message is not None:     # another board's bytes may be an unknown frame
                 self.unknown_bytes.understood_at = now
-            if frame.ticks is not None and self._board_time:
-                frame = self._measured(frame, read)
-            self.received(frame, now)
+            self.received(self.stamps.measured(frame, read), now)
         if tap:
             self.connection.guarded(tap, self.name, RX, shown)
-
-    def _measured(self, frame: Frame, read: Read) -> Frame:
-        """The frame with the stamp of its measurement; one that cannot be is logged."""
-        errors = self.stamps.clock.errors
-        frame = frame._replace(stamp=self.stamps.of(frame, read))
-        if self.stamps.clock.errors > errors:
-            self.log.warn('clock', "by the board's clock a frame is over 1 s old: it has the stamp "
-                          'of its read')
-        return frame

@@ -49,7 +49,8 @@ def test_log_text_announcements_and_settings_are_not_counted(packet):
 
 @pytest.mark.parametrize('damage', [
     arduino.encode_raw(200, b'unknown'), arduino.encode_raw(8, b'too long'), b'\x09\x02\0', b'\1\0',
-    arduino.encode_raw(10, b'\0\0\xc0\x7f'), arduino.encode_raw(1, b'\xff' * 20), b'\1' * 400 + b'\0',
+    arduino.encode_raw(10, b'\0\0\xc0\x7f'), arduino.encode_raw(1, b'\xff' * 20),
+    b'\1' * 400 + b'\0',
     arduino.encode_raw(254, b'\0\0\0\0'), time(9, 0), time(9, 17)])
 def test_damage_ends_the_reach(damage):
     wire = time(9, 16) + TICKS + damage + TICKS
