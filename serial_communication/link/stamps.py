@@ -1,8 +1,8 @@
 """Stamps of the measurement, from the times that a board sends."""
 from collections import deque
-from typing import Any, Callable, Deque, List, NamedTuple, Tuple
+from typing import Any, Callable, Deque, List, NamedTuple, Optional, Tuple
 
-from ..framing.board_time import BoardClock
+from ..framing.board_time import MOST_DELAY, BoardClock
 from ..framing.stream import Frame
 from .sparing_log import SparingLog
 
@@ -35,25 +35,35 @@ class Stamps:
         self._is_on = is_on
         self._is_told = False                # the board has sent a time
         self._delays: Deque[float] = deque(maxlen=_DELAYS)     # s from measurement to read
+        self._latest: Optional[Tuple[int, float]] = None     # time of the board, and ours
 
     def reset(self) -> None:
         """The port was opened, or the bridge stalled."""
         self._clock.reset()
         self._delays.clear()
+        self._latest = None
 
     def measured(self, frame: Frame, read: Read) -> Frame:
         """The frame with the stamp of its measurement; as it is if that is not known."""
         if frame.ticks is None or not self._is_on:
             return frame
-        self._is_told, errors = True, self._clock.errors
-        at = self._clock.measured_at(frame.ticks, read.at - frame.behind * self._seconds_a_byte)
-        if self._clock.errors > errors:
-            self._log.warn('clock', "by the board's clock a frame is over 1 s old: it has the "
-                           'stamp of its read')
+        at = self._measured_at(frame.ticks, read.at, frame.behind)
         if at is None:
             return frame
         self._delays.append(read.at - at)
         return frame._replace(stamp=self._earlier(read.stamp, read.at - at))
+
+    def _measured_at(self, ticks: int, read_at: float, behind: int) -> Optional[float]:
+        latest = self._latest
+        if latest and latest[0] == ticks and read_at - latest[1] <= MOST_DELAY:
+            return latest[1]     # of several frames of one time only the first is a point
+        self._is_told, errors = True, self._clock.errors
+        at = self._clock.measured_at(ticks, read_at - behind * self._seconds_a_byte)
+        if self._clock.errors > errors:
+            self._log.warn('clock', "by the board's clock a frame is over 1 s old: it has the "
+                           'stamp of its read')
+        self._latest = None if at is None else (ticks, at)
+        return at
 
     def values(self) -> List[Tuple[str, Any]]:
         """For /diagnostics; empty if the board sends no time. From any thread."""

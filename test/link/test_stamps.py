@@ -143,6 +143,16 @@ def test_a_frame_over_1_s_late_has_the_stamp_of_its_read_and_is_counted_and_logg
     assert len(lines('over 1 s old')) == 1
 
 
+def test_a_time_is_for_packets_up_to_1_s_later(car):
+    car.settle()
+    late = [DELAY, 0.5, 0.99, 1.1]
+    car.now += PERIOD
+    wire = [car.time(16), *[b''] * 3]
+    got = [car.read(more + arduino.encode(arduino.Ticks(1)), seconds)[0] - car.now
+           for more, seconds in zip(wire, late)]
+    assert got == pytest.approx([DELAY, DELAY, DELAY, 1.1], abs=1e-3)
+
+
 def test_a_frame_in_an_earlier_read_has_its_time(logger):
     """It is found when a false frame around it is given up."""
     got = []
