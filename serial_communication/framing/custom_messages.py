@@ -7,7 +7,7 @@ and topics stay text here; `ros` resolves them.
 import difflib
 import re
 from math import inf, isnan
-from typing import (Any, Callable, Container, Dict, Iterable, List, NamedTuple, Optional, Pattern,
+from typing import (Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Pattern,
                     Sequence, Tuple, Type)
 
 from .layout import (BOARD_TIME, Layout, LayoutMessage, Value, brief, count_values,
@@ -79,14 +79,14 @@ def _comparable(value: Any) -> Any:
                                          layout.values)
 
 
-def read_messages(entries: Any, key: str, built_in: Container[int], longest: int,
+def read_messages(entries: Any, key: str, types: Sequence[int], longest: int,
                   directions: Tuple[str, ...] = (FROM_BOARD,)) -> List[CustomMessage]:
     """The custom messages of a board.
 
     Args:
         entries: the rows, by name.
         key: their parameter, as ``arduino/messages``.
-        built_in: types under `RESERVED` that a message may not have.
+        types: the allowed types, sorted.
         longest: the most bytes of data that a message may have.
         directions: the allowed directions.
 
@@ -94,7 +94,6 @@ def read_messages(entries: Any, key: str, built_in: Container[int], longest: int
         RowError: a row cannot be used; the first of them is reported.
     """
     messages: List[CustomMessage] = []
-    types = [type_ for type_ in range(RESERVED) if type_ not in built_in]
     for name, row in rows(entries, key, _MESSAGE_KEYS):
         type_ = row.number('type', lambda n: n in types, f'a whole number from {types[0]} to '
                            f'{types[-1]} that no message of the board has', whole=True)

@@ -37,9 +37,9 @@ class Link:
         port: the link alone opens and closes it.
         frame_timeout: s without a byte after which an incomplete frame is given up.
         clock: returns the stamp of each read; it is used for nothing else.
+        other_boards: to be recognised if their frames are received instead of this board's.
         earlier: returns the stamp so many seconds before one of `clock`.
         board_time: whether a frame with the board's time has the stamp of its measurement.
-        other_boards: to be recognised if their frames are received instead of this board's.
     """
 
     STOPS_FIRST = False     # True: at shutdown this link is stopped before the others
@@ -52,9 +52,10 @@ class Link:
 
     def __init__(self, name: str, port: Port, decoder: Decoder, frame_timeout: float = 0.05,
                  clock: Callable[[], Any] = time.time,
-                 earlier: Callable[[Any, float], Any] = operator.sub, board_time: bool = True,
                  logger: Optional[logging.Logger] = None,
-                 other_boards: Iterable[OtherBoard] = ()) -> None:
+                 other_boards: Iterable[OtherBoard] = (),
+                 earlier: Callable[[Any, float], Any] = operator.sub,
+                 board_time: bool = True) -> None:
         self.name = name
         self.port = port
         self.decoder = decoder

@@ -1,5 +1,6 @@
 """The interface between the node and a board."""
 import logging
+import operator
 from abc import ABC, abstractmethod
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
@@ -14,9 +15,10 @@ class LinkOptions(NamedTuple):
 
     frame_timeout: float           # s
     clock: Callable[[], Any]       # returns the rospy.Time that stamps a read
-    earlier: Callable[[Any, float], Any]     # returns the rospy.Time so many seconds before one
     logger: logging.Logger
     other_boards: Sequence[OtherBoard] = ()
+    # Returns the stamp so many seconds before a stamp of `clock`.
+    earlier: Callable[[Any, float], Any] = operator.sub
 
 
 class Interface(ABC):

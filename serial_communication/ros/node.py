@@ -164,8 +164,8 @@ class Bridge:
     """
 
     def __init__(self, p: dict, given: dict) -> None:
-        link_options = LinkOptions(p['frame_timeout'], rospy.Time.now, _earlier, _LOGGER,
-                                   _recognisable(p, given))
+        link_options = LinkOptions(p['frame_timeout'], rospy.Time.now, _LOGGER,
+                                   _recognisable(p, given), _earlier)
         boards = [(board, values) for board, values in (
             (board, parameters.of_board(board, p)) for board in p['boards']) if values['port']]
         self._interfaces, self._links = [], []
