@@ -1,7 +1,4 @@
-"""--help, wrong arguments and an early Ctrl-C of every program.
-
-test/ros/same_name_test has those of a node while another one of its name runs.
-"""
+"""--help, wrong arguments and an early Ctrl-C of every program."""
 import os
 import shlex
 import shutil
@@ -24,7 +21,8 @@ WRONG = (
     ('panel', ('--wrong',)), ('ports', ('--wrong',)), ('ports', ('--seconds', '-1')),
     ('ports', ('socket://x',)),
     ('serial_communication_node', ('--wrong',)),
-    ('serial_communication_node', ('/dev/ttyS0',)), ('simulator', ()),
+    ('serial_communication_node', ('/dev/ttyS0',)), ('serial_communication_node', (':=x',)),
+    ('serial_communication_node', ('bus',)), ('simulator', ()),
     ('simulator', ('wheel',)), ('simulator', ('bus', '--wrong')), ('soak', ('--wrong',)),
     ('socat_pair', ()), ('socat_pair', ('a',)), ('socat_pair', ('--wrong', 'a')),
     ('wire', ()), ('wire', ('wheel',)), ('wire', ('listen', 'wheel')),
