@@ -13,7 +13,7 @@ import rospy
 import rostest
 from std_msgs.msg import Float32
 
-from avr_boards import EmulatedBoard, build_firmware
+from avr_boards import EmulatedBoard, build_firmware, until_announced
 from boards import PACKAGE, PATIENCE, Topic, own_folder, until
 
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
@@ -125,7 +125,8 @@ class Tutorial(unittest.TestCase):
     def check(self, line):
         """Check what the page says about a command."""
         if PORT in line and line.startswith('roslaunch'):
-            topic = Topic('/serial_communication/force', Float32)
+            topic = Topic('/serial_communication/force', Float32, wait=False)
+            until_announced(self.board, topic)
             topic.first(lambda m: abs(m.data - 145.0) < 1e-3, what='is 500 * 29 / 100 N')
             topic.close()
         if 'rostopic pub' in line:
