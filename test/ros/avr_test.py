@@ -24,7 +24,7 @@ from std_srvs.srv import Trigger
 from avr_boards import OnBoard, until_announced, upward
 from board_ends import angle_between, from_euler
 from boards import (PACKAGE, PATIENCE, TIMEOUT, Topic, Waiter, command_topic, own_folder, service,
-                    until)
+                    until, wait_for_launch)
 from launch_test import SIMULATED_TOPICS
 from serial_communication.msg import McuStatus2, SpeedPWMCommand
 from serial_communication.boards.bus import wire as bus
@@ -256,10 +256,11 @@ class Launched(unittest.TestCase):
             return 0
 
     def test_all_boards_work_and_a_bridge_that_is_killed_returns_with_the_motor_off(self):
+        wait_for_launch(self.NODE[1:])
         for name, message_class in SIMULATED_TOPICS:
             topic = Topic(self.NAMESPACE + name, message_class)
             self.addCleanup(topic.close)
-            topic.first(seconds=2 * PATIENCE)
+            topic.first()
         answer = service(self.NODE + '/lift', Lift)(0, 4)
         self.assertTrue(answer.success, answer.message)
         self.assertEqual(self.get('bus', 'lift_position'), 304)

@@ -306,6 +306,15 @@ def service(name, service_class):
     return rospy.ServiceProxy(name, service_class)
 
 
+def wait_for_launch(node=PACKAGE):
+    """Wait until a bridge of a roslaunch is up.
+
+    roslaunch, what it starts before, and the bridge start one after the other. So the patience with
+    one program is not enough on a busy machine.
+    """
+    rospy.wait_for_service('/%s/calibrate_imu' % node, 4 * PATIENCE)
+
+
 def command_topic(name, message_class):
     """A publisher; waits until the bridge has subscribed."""
     topic = rospy.Publisher(name, message_class, queue_size=100, tcp_nodelay=True)

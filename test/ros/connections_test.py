@@ -234,7 +234,8 @@ class Handshakes(unittest.TestCase):
             until(lambda: is_closed(slow[0]), 'the oldest is closed')
             self.call()
             # One for each that came later; the call was one, too.
-            until(lambda: [is_closed(each) for each in slow] == [True] * 4 + [False] * 5, 'the rest')
+            until(lambda: [is_closed(each) for each in slow] == [True] * 4 + [False] * 5,
+                  'the first four are closed')
 
     def test_after_a_handler_raises_others_are_still_served(self):
         server = tcpros_base._tcpros_server.tcp_ros_server

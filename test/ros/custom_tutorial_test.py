@@ -87,12 +87,15 @@ class Tutorial(unittest.TestCase):
             self.launched = subprocess.Popen(['bash', '-c', 'exec ' + line], cwd=self.folder,
                                              stdout=self.output, stderr=subprocess.STDOUT,
                                              start_new_session=True)
-            until(lambda: 'open' in self.said(), f'{line} opens a port', every=0.1)
+            # roslaunch, the simulated boards and the bridge start one after the other.
+            until(lambda: 'open' in self.said(), f'{line} opens a port', 4 * PATIENCE, every=0.1)
             return
-        # Repeat it if the bridge was not running yet, as a reader does.
-        until(lambda: subprocess.run(
-            ['bash', '-c', 'timeout 8 ' + line], cwd=self.folder, stdout=subprocess.DEVNULL,
-            stderr=subprocess.STDOUT).returncode == 0, f'{line} succeeds', 4 * PATIENCE)
+        # Repeat it if the bridge was not running yet, as a reader does. A tool of ROS that is ended
+        # while it starts may never end.
+        command = ['bash', '-c', f'timeout -k 5 {PATIENCE:g} {line}']
+        until(lambda: subprocess.run(command, cwd=self.folder, stdout=subprocess.DEVNULL,
+                                     stderr=subprocess.STDOUT).returncode == 0,
+              f'{line} succeeds', 4 * PATIENCE)
 
     def said(self):
         """The output of roslaunch."""

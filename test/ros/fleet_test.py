@@ -15,7 +15,8 @@ from sensor_msgs.msg import Imu, Range
 from tf2_msgs.msg import TFMessage
 
 from boards import (PACKAGE, PATIENCE, BusBoard, CarBoard, Diagnostics, Line, SensorBoard, Topic,
-                    command_topic, level_imu, own_folder, ranges, service, settle, until)
+                    command_topic, level_imu, own_folder, ranges, service, settle, until,
+                    wait_for_launch)
 from serial_communication.msg import (Environment, McuStatus2, SerialMsg, SpeedPWMCommand, Ticks,
                                       Voltage)
 from serial_communication.boards.arduino import wire as arduino
@@ -92,6 +93,7 @@ class Fleet(unittest.TestCase):
         cls.process = subprocess.Popen(['roslaunch', path], stdout=cls.output,
                                        stderr=subprocess.STDOUT)
         for robot in cls.robots:
+            wait_for_launch(robot.node)
             settle(robot.node, robot.bus)
             until(lambda r=robot: r.car.connected and r.sensors.connected, 'its boards are there')
 

@@ -2,7 +2,6 @@
 """bridge.launch: ports on the command line, and simulated boards. fleet_test has its other
 arguments."""
 import os
-import shutil
 import signal
 import subprocess
 import tempfile
@@ -17,8 +16,8 @@ from sensor_msgs.msg import Imu, Range, RelativeHumidity, Temperature
 from std_msgs.msg import Bool
 from std_srvs.srv import Empty, Trigger
 
-from boards import (NOT_SENT, OK, PACKAGE, PATIENCE, BusBoard, CarBoard, Diagnostics, Line, Topic,
-                    command_topic, own_folder, service, until)
+from boards import (NOT_SENT, OK, PACKAGE, PATIENCE, SPEED_0_PACKET, BoardsTest, BusBoard, CarBoard,
+                    Diagnostics, Topic, command_topic, service, until, wait_for_launch)
 from serial_communication.msg import (Environment, McuStatus2, SerialMsg, SpeedPWMCommand,
                                       SteeringFeedback, Ticks, Voltage)
 from serial_communication.boards.arduino import wire as arduino
@@ -94,13 +93,8 @@ class Arguments(unittest.TestCase):
         self.assertLess(len(folders[0]), 80)
 
 
-class Launch(unittest.TestCase):
+class Launch(BoardsTest):
     """roslaunch, started and ended as a user does."""
-
-    def setUp(self):
-        self.folder = own_folder()
-        self.addCleanup(shutil.rmtree, self.folder, ignore_errors=True)
-        self.process = None
 
     def tearDown(self):
         if self.process.poll() is None:
@@ -108,10 +102,11 @@ class Launch(unittest.TestCase):
             self.process.wait(PATIENCE)
 
     def launch(self, *arguments):
-        """Run roslaunch serial_communication bridge.launch with these arguments."""
+        """Run roslaunch serial_communication bridge.launch with these arguments; it is up then."""
         self.output = tempfile.TemporaryFile('w+')
         self.process = subprocess.Popen(['roslaunch', PACKAGE, 'bridge.launch', *arguments],
                                         stdout=self.output, stderr=subprocess.STDOUT)
+        wait_for_launch()
 
     def output_so_far(self):
         """The output of roslaunch and the bridge."""
@@ -130,39 +125,32 @@ class Launch(unittest.TestCase):
         self.assertNotIn('[WARN]', text[before:])
         self.assertNotIn('[ERROR]', text[before:])
 
-    def plug(self):
-        """Plug in a bus board and a car; return their lines."""
-        lines = [Line(os.path.join(self.folder, name)).plug() for name in ('bus', 'arduino')]
-        self.boards = [BusBoard(lines[0].far), CarBoard(lines[1].far)]
-        for part, end in zip((*lines, *self.boards), (Line.unplug,) * 2 + (CarBoard.close,) * 2):
-            self.addCleanup(end, part)
-        return lines
+    def plug_two(self):
+        """Plug in a bus board and a car."""
+        self.bus, self.car = self.plug('bus', BusBoard), self.plug('arduino', CarBoard)
 
     def assert_two_links_work(self):
-        """Wait until both boards work; return the car."""
-        bus_board, car = self.boards
+        """Wait until both boards work."""
         until(lambda: service('/serial_communication/lift', Lift)(0, 100).success,
               'the lift answers')
-        self.assertIn(bytes.fromhex('a50255200064b6'), bus_board.raws)
+        self.assertIn(bytes.fromhex('a50255200064b6'), self.bus.raws)
         Topic('/serial_communication/voltage', Voltage).first(
-            doing=lambda: car.say(arduino.Voltage(12.0)))
-        return car
+            doing=lambda: self.car.say(arduino.Voltage(12.0)))
 
     def test_ports_on_the_command_line_are_used_and_ctrl_c_ends_with_speed_0(self):
-        bus, arduino_line = self.plug()
-        self.launch('bus_port:=' + bus.near, 'arduino_port:=' + arduino_line.near)
-        car = self.assert_two_links_work()
+        self.plug_two()
+        self.launch(*(f'{link}_port:={line.near}' for link, line in self.lines.items()))
+        self.assert_two_links_work()
         # The config file is loaded, too.
         self.assertEqual(rospy.get_param('/serial_communication/mcu/max_range'), 2.0)
         self.assertEqual(rospy.get_param('/serial_communication/arduino/heartbeat_rate'), 100.0)
         command_topic('/serial_communication/speed', SpeedPWMCommand).publish(value=300)
-        until(lambda: 300 in car.speeds, 'the car drives')
+        until(lambda: 300 in self.car.speeds, 'the car drives')
         self.end()
-        until(lambda: car.raws[-1:] == [bytes.fromhex('0204010100')],
-              'SPEED 0 is the last packet: %s' % car.raws[-3:])
+        until(lambda: self.car.raws[-1:] == [SPEED_0_PACKET], 'SPEED 0 is the last packet')
 
     def test_a_single_empty_port_leaves_the_other_links_as_configured(self):
-        self.plug()
+        self.plug_two()
         config = os.path.join(self.folder, 'robot.yaml')
         with open(config, 'w') as file:
             yaml.safe_dump({name: {'port': os.path.join(self.folder, name)}

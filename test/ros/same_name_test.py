@@ -254,10 +254,11 @@ class WithoutAMaster(unittest.TestCase):
         with socket.socket() as taken:          # bound, but not listening
             taken.bind(('127.0.0.1', 0))
             uri = f'http://127.0.0.1:{taken.getsockname()[1]}'
-            for number in signal.SIGINT, signal.SIGTERM:
-                process = subprocess.Popen(
-                    [program('serial_communication_node')], stderr=subprocess.PIPE, text=True,
-                    env=dict(os.environ, ROS_MASTER_URI=uri))
+            both = [(number, subprocess.Popen(
+                [program('serial_communication_node')], stderr=subprocess.PIPE, text=True,
+                env=dict(os.environ, ROS_MASTER_URI=uri)))
+                    for number in (signal.SIGINT, signal.SIGTERM)]
+            for number, process in both:
                 said = process.stderr.readline()
                 self.assertIn(f'waiting for the ROS master at {uri}', said)
                 self.assertIn('roscore', said)
