@@ -96,8 +96,10 @@ class Arguments(unittest.TestCase):
 class Launch(BoardsTest):
     """roslaunch, started and ended as a user does."""
 
+    process = None
+
     def tearDown(self):
-        if self.process.poll() is None:
+        if self.process and self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
             self.process.wait(PATIENCE)
 
