@@ -303,15 +303,6 @@ def usage_of(pid: int) -> Dict[str, float]:
         return {}
 
 
-def has_priority(pid: int) -> bool:
-    """Return whether a thread of the process has real-time priority."""
-    try:
-        return any(os.sched_getscheduler(int(thread)) == os.SCHED_FIFO for thread in
-                   os.listdir(f'/proc/{pid}/task'))
-    except OSError:
-        return False
-
-
 def _runs_in(process: psutil.Process, folder: str) -> bool:
     try:
         return os.path.samefile(process.cwd(), folder)
