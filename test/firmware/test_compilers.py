@@ -28,12 +28,6 @@ def test_headers(chip, tmp_path):
         check(COMPILERS[chip], str(source))
 
 
-def test_driver_of_the_headers_with_unsigned_char():
-    """It uses every template of the headers."""
-    check(COMPILERS['PC, unsigned char'],
-          os.path.join(HERE, 'protocol_driver.cpp'))
-
-
 @pytest.mark.parametrize('source', ESP_SOURCES)
 def test_sensor_board_on_the_esp32(source):
     check(ON_THE_ESP, os.path.join(FIRMWARE, 'range_imu', source), '-include', 'Arduino.h')

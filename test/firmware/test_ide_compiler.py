@@ -55,7 +55,7 @@ def image(ide_build, request):
 def test_the_motor_turns_and_stops_without_heartbeats(firmware_build, image, pwm):
     with car_end(firmware_build, image=image) as car:
         car.board.wait_until(lambda: car.read(TICKS), 5)
-        check_stop_times(car, nothing, pwm, lambda: None)
+        check_stop_times(car, nothing, pwm)
 
 
 @pytest.mark.parametrize('image', ['ctrl_board', 'ctrl_board_custom', 'ctrl_board_slow', 'Slave'],
