@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from compilers import HERE, ON_THE_AVR, ON_THE_ESP, ON_THE_PC, PROTOCOL, check
+from compilers import ON_THE_AVR, ON_THE_ESP, ON_THE_PC, PROTOCOL, check
 from emulated_board import FIRMWARE
 
 COMPILERS = {

@@ -12,7 +12,7 @@ import pytest
 from board_ends import (
     ANGLE, CALIBRATION, DOWN, ENVIRONMENT, FORCE, GIMBAL, GRIPPER, HEARTBEAT, IMU, INFO, LED,
     LIFT, OK, PUMP, SPEED, STEERING, TANK, TICKS, UP, VOLTAGE, WARN, angle_between, car_end,
-    comes_at, drive_until, driving, error, from_euler, imu_values, master_end, packet, request,
+    drive_until, driving, error, from_euler, imu_values, master_end, packet, request,
     takes,
 )
 from compilers import run

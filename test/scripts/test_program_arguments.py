@@ -27,8 +27,8 @@ WRONG = (
     ('serial_communication_node', ('--wrong',)),
     ('serial_communication_node', ('/dev/ttyS0',)), ('simulator', ()),
     ('simulator', ('wheel',)), ('simulator', ('bus', '--wrong')), ('soak', ('--wrong',)),
-    ('socat_pair', ()), ('socat_pair', ('a',)), ('socat_pair', ('--wrong', 'a')), ('socat_pair', ('a', 'a')),
-    ('socat_pair', ('a', 'b', 'c')), ('socat_pair', ('a,b', 'c')),
+    ('socat_pair', ()), ('socat_pair', ('a',)), ('socat_pair', ('--wrong', 'a')),
+    ('socat_pair', ('a', 'a')), ('socat_pair', ('a', 'b', 'c')), ('socat_pair', ('a,b', 'c')),
     ('wire', ()), ('wire', ('wheel',)), ('wire', ('listen', 'wheel')),
 )
 # What a script of a checkout says, before any set-up.
