@@ -17,6 +17,7 @@ from board_ends import (
 )
 from compilers import run
 from emulated_board import EmulatedBoard, IMAGES
+from lines import Pty
 
 # The model car
 
@@ -577,39 +578,21 @@ def test_angles_are_unknown_from_the_start(tilted):
 
 
 def test_serial_end_that_vanishes_and_returns(firmware_build, tmp_path):
-    link = str(tmp_path / 'tty')
-    masters = []
+    line = Pty(tmp_path / 'tty').plug()
+    received = b''
 
-    def plug():
-        master, slave = os.openpty()
-        os.set_blocking(master, False)
-        if os.path.lexists(link):
-            os.unlink(link)
-        os.symlink(os.ttyname(slave), link)
-        masters.append((master, slave))
-        return master, slave
+    def frames_arrive():
+        nonlocal received
+        received += line.read()
+        return b'\x02\x0c\x10' in received
 
-    def frames_arrive(master):
-        received = []
-
-        def some():
-            try:
-                received.append(os.read(master, 4096))
-            except BlockingIOError:
-                pass
-            return b'\x02\x0c\x10' in b''.join(received)
-
-        return some
-
-    master, slave = plug()
-    with EmulatedBoard(firmware_build, 'range', port=link) as board:
-        board.wait_until(frames_arrive(master), 3)
-        os.close(master)
-        os.close(slave)
-        master, slave = plug()
-        board.wait_until(frames_arrive(master), 3)
-    os.close(master)
-    os.close(slave)
+    with EmulatedBoard(firmware_build, 'range', port=line.path) as board:
+        board.wait_until(frames_arrive, 3)
+        line.unplug()
+        received = b''
+        line.plug()
+        board.wait_until(frames_arrive, 3)
+    line.unplug()
 
 
 def test_control_channel_answers_one_line(firmware_build):
