@@ -85,7 +85,7 @@ class WhileOneRuns(unittest.TestCase):
         self.assert_unharmed()
 
     def test_under_roslaunch_it_prints_why_once_and_takes_over_when_the_first_ends(self):
-        second = self.start('__log:=' + os.path.join(self.folder, 'second.log'))
+        second = self.start('__log:=' + os.path.join(self.folder, 'log', 'second.log'))
         second.wait_for('is already running')
         self.car.wait_for_heartbeats(300)       # three seconds
         self.assertTrue(second.alive, second.output())
@@ -99,7 +99,7 @@ class WhileOneRuns(unittest.TestCase):
         self.assertEqual(status, 0)
 
     def test_ctrl_c_ends_a_bridge_that_waits_for_the_name(self):
-        second = self.start('__log:=' + os.path.join(self.folder, 'second.log'))
+        second = self.start('__log:=' + os.path.join(self.folder, 'log', 'second.log'))
         second.wait_for('is already running')
         _seconds, status = second.end(signal.SIGINT)
         self.assertEqual(status, 0)
