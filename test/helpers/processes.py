@@ -152,7 +152,7 @@ class Stage:
         self.env = {key: value for key, value in os.environ.items()
                     if key not in ('ROS_IP', 'ROS_NAMESPACE')}
         self.env.update(ROS_MASTER_URI=f'http://127.0.0.1:{self._port}',
-                        ROS_HOSTNAME='127.0.0.1', ROS_LOG_DIR=self.path('log'),
+                        ROS_HOSTNAME='127.0.0.1', ROS_LOG_DIR=self.folder,
                         ROS_HOME=self.folder, PYTHONUNBUFFERED='1')
         os.environ.update(self.env)      # for the master's and the nodes' APIs in this process
 
