@@ -73,9 +73,10 @@ BOARD = [
      f'{LAUNCH}: the argument boards has no sonar'),
     *((f'{BOARDS}sonar/{name}', '', (ROOT / BOARDS / 'mcu' / name).read_text().replace(
         "'mcu'", "'sonar'").replace("'mcu/", "'sonar/"), said) for name, said in SONAR.items())]
-# Each change, and the places that are left out of it, by number: none, those alone that others need,
-# and all others together.
-CHANGES = [(places, left_out) for places, alone in ((PACKET, '06'), (FUNCTION, '0'), (BOARD, '045'))
+# Each change, and the places that are left out of it, by number: none, those alone that others
+# need, and all others together.
+CHANGES = [(places, left_out)
+           for places, alone in ((PACKET, '06'), (FUNCTION, '0'), (BOARD, '045'))
            for left_out in ('', *alone, ''.join(str(number) for number in range(len(places))
                                                 if str(number) not in alone))]
 
