@@ -23,9 +23,6 @@ def parse(arguments: Optional[List[str]] = None) -> argparse.Namespace:
                         help='build this commit and measure its bridge in the same rounds')
     parser.add_argument('--only', metavar='SECTION,...', type=_sections, default=list(SECTIONS),
                         help='measure only these sections, of ' + ', '.join(SECTIONS))
-    parser.add_argument('--hostile', action='store_true',
-                        help='measure only the cost of the worst bytes for the decoders, compared '
-                             'with normal traffic')
     parser.add_argument('--json', metavar='FILE', help='write the figures to this file')
     return parser.parse_args(arguments)
 

@@ -87,7 +87,7 @@ class WhileOneRuns(unittest.TestCase):
         self.assert_unharmed()
 
     def test_under_roslaunch_it_prints_why_once_and_takes_over_when_the_first_ends(self):
-        log = '__log:=' + os.path.join(self.folder, 'second.log')
+        log = '__log:=' + os.path.join(self.folder, 'log', 'second.log')
         ended = self.start(log)
         ended.wait_for('is already running')
         _seconds, status = ended.end()          # while it waits for the name
