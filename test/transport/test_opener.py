@@ -68,6 +68,12 @@ def test_end_makes_open_return_false_with_the_port_closed(opener, line):
     assert not opener.open(pytest.fail), 'it has ended'
 
 
+def test_end_makes_a_read_return(opener):
+    assert opener.open(pytest.fail)
+    opener.end()
+    assert opener.port.read(None) == b''
+
+
 def test_an_error_in_idle_leaves_no_result_that_is_taken_for_a_later_one(opener, line):
     with pytest.raises(ZeroDivisionError):
         opener.open(pytest.fail, lambda now: 1 / 0)
