@@ -1,4 +1,4 @@
-"""The backlog of a stall is dropped: over real ttys, a chain of them and sockets. The fault campaign
+"""The backlog of a stall is dropped: on a real tty, a chain of two, and sockets. The campaign
 suspends the whole bridge."""
 import contextlib
 import os
@@ -202,7 +202,7 @@ def held(request, line, tmp_path, running, logger):
 
 @pytest.mark.parametrize('held', ['tty', 'chain'], indirect=True)
 def test_what_fills_the_line_while_a_callback_hangs_is_dropped(held, lines):
-    """It would get a stamp that is too late. The line gives it out in many reads, over some time."""
+    """It would get a stamp that is too late. The line gives it out in many reads."""
     number, rest = 1, b''
 
     def send():
