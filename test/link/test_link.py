@@ -127,18 +127,6 @@ def test_a_port_that_flaps_is_opened_each_time_and_logged_sparingly(
     assert len(lines('the device has gone')) <= 1 and not lines('permission')
 
 
-def test_a_port_is_opened_within_1_5_s_of_its_return(line, open_link):
-    """However long it was absent: the pauses between tries have a limit."""
-    link = open_link(McuLink)
-    line.unplug()
-    until(lambda: not link.port.is_open)
-    threading.Event().wait(2.3)
-    line.plug()
-    back = time.monotonic()
-    until(lambda: link.port.is_open)
-    assert time.monotonic() - back < 1.5
-
-
 def opening_with(function):
     """A kind of port that calls a function of the test before it is opened."""
     class Opening(Port):
