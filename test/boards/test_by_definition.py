@@ -51,6 +51,7 @@ def test_plain_vector(frame_at, raw, content):
 def test_encoders_write_what_the_package_writes(type_, seq, data):
     assert codec.arduino_packet(type_, data) == arduino.encode_raw(type_, data)
     assert codec.mcu_frame(type_, seq, data) == mcu.encode_raw(type_, seq, data)
+    assert codec.bus_frame(bytes((type_,)), data) == bus.encode_reply(bus.Reply(type_, data))
     assert codec.bus_frame(bytes((type_, seq)), data) == bus.encode_request(
         bus.Request(type_, seq, data)) or (type_, seq, data) == (0x55, 0x22, b'')
 

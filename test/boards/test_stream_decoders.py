@@ -86,6 +86,7 @@ def test_any_bytes_give_the_frames_of_the_definition_with_the_stamps_of_their_la
     assert [(frame.type, frame.data) for frame in found] == [
         (frame.type, frame.data) for frame in expected]
     for frame, right in zip(found, expected):
+        str(frame.message)
         assert not kind.checksummed or frame.raw == stream[right.start:right.end]
         assert ends[frame.stamp] < right.end <= ends[frame.stamp + 1]
 

@@ -66,10 +66,6 @@ class _Broken(logging.Logger):
         raise OSError(5, 'Input/output error')
 
 
-def test_errors_of_the_logger_do_not_reach_the_caller():
-    SparingLog('bus', _Broken('broken')).warn('cause', 'text')
-
-
 # -- every link -----------------------------------------------------------------------------------
 
 def threads():
@@ -115,16 +111,6 @@ def test_an_absent_port_is_logged_once(line, logger, running, lines, kind, names
     assert len(lines('no such device')) == 1
     report = link.report(time.monotonic())
     assert report.level == 2 and 'no such device' in report.summary
-
-
-@every_link
-def test_a_port_that_flaps_is_opened_each_time_and_logged_sparingly(
-        line, open_link, lines, kind, names):
-    link = open_link(kind)
-    for count in range(3):
-        assert link.connection.reconnects == count
-        replug(line, link)
-    assert len(lines('the device has gone')) <= 1 and not lines('permission')
 
 
 def opening_with(function):
