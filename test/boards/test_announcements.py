@@ -431,20 +431,3 @@ def test_a_text_whose_crc_never_matches_is_ignored_after_three_rounds(bus_board,
     until(lambda: len(bus_board.executed) > seen + 3)
     assert link.texts == [b''] and len(bus_board.questions()) == 3 * len(bus_board.chunks)
     assert len(lines('does not match its text in 3 rounds')) == 1
-
-
-def test_announced_polls_wait_until_the_board_announces_them(bus_board, bus_link):
-    link = bus_link()
-    poller = link.polls.add(PUMP_FUNCTION, 0.01, lambda outcome: None)
-    until(lambda: link.texts == [b''])
-    seen = len(bus_board.executed)
-    until(lambda: len(bus_board.executed) > seen + 3)
-    assert PUMP not in bus_board.executed
-    link.announcement.use(b'', '', [])
-    until(lambda: PUMP in bus_board.executed)
-    link.polls.remove(poller)
-    until(lambda: bus_board.executed[-1] != PUMP)
-    count = bus_board.executed.count(PUMP)
-    seen = len(bus_board.executed)
-    until(lambda: len(bus_board.executed) > seen + 3)
-    assert bus_board.executed.count(PUMP) <= count + 1

@@ -225,17 +225,6 @@ def test_a_custom_function():
         assert str(polled.name_reply(other)) == str(other)
 
 
-def test_custom_functions_are_explained_by_name():
-    pump = one(PUMP, reply={'layout': '<H', 'fields': ['message'], 'scale': 0.1})
-    request = pump.make_request((True,))
-    parts = bus.RequestDecoder(functions=[pump]).explain(bus.encode_request(request))
-    assert [(part.name, part.value, part.meaning) for part in parts[3:5]] == [
-        ('CMD2', 48, 'name'), ('data', True, '')]
-    parts = bus.ReplyDecoder(functions=[pump]).explain(
-        bus.encode_reply(bus.Reply(bus.OK, b'\x0a\0')), request)
-    assert [(part.name, part.value) for part in parts[3:4]] == [('message', 1.0)]
-
-
 # -- mistakes -------------------------------------------------------------------------------------
 
 @pytest.mark.parametrize('row, changes, key, words', [

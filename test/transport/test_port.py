@@ -282,11 +282,11 @@ def frame(number):
     return b'<%06d:' % number + bytes((65 + number % 26,)) * (number * 37 % 1500) + b'>'
 
 
-def fill(port, first=0):
+def fill(port):
     """Write frames until the port takes no more; return the numbers of those that it took."""
     taken = []
     deadline = time.monotonic() + PATIENCE
-    for number in range(first, first + 100000):
+    for number in range(100000):
         assert time.monotonic() < deadline
         try:
             port.write(frame(number))
