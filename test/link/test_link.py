@@ -34,7 +34,7 @@ VALID = {BusLink: bus.encode_reply(bus.Reply(bus.SYNC, b'')),
 
 @pytest.fixture
 def log(logger):
-    made = SparingLog('bus', logger, 10.0, lambda: made.time)
+    made = SparingLog('bus', logger, clock=lambda: made.time)
     made.time = 0.0
     return made
 
