@@ -60,7 +60,6 @@ class Connection:
 
     def stop(self) -> None:
         self._opener.end()
-        self._port.wake()
 
     def join(self, timeout: float) -> None:
         if self._thread.is_alive():

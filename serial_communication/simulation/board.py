@@ -144,7 +144,6 @@ class Runner:
     def stop(self) -> None:
         """Make `run` return soon; to be called from another thread."""
         self._opener.end()
-        self.port.wake()
 
     def run(self) -> None:
         """Run the board in this thread."""

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol_cases import (ARDUINO, ARDUINO_CHECKED, BOARD_ARDUINO, check_case, check_rejected,
-                            decode, feed, hexed, no_errors, valid, vectors)
+                            decode, hexed, no_errors, valid, vectors)
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.framing import cobs
 from serial_communication.framing.stream import FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN
@@ -123,13 +123,6 @@ def test_a_known_type_has_one_length(kind, type_, size):
     assert len(decode(kind, wire_of(type_, bytes(size)))[0]) == 1
 
 
-def test_empty_packets_are_ignored():
-    ticks = arduino.encode(arduino.Ticks(3))
-    frames, errors = decode(ARDUINO, b'\0\0\0' + ticks + b'\0\0' + ticks + b'\0')
-    assert [frame.message for frame in frames] == [arduino.Ticks(3)] * 2
-    assert errors == no_errors(ARDUINO)
-
-
 @pytest.mark.parametrize('encoded', [b'\1', b'\5\1\2', b'\xff' * 20])
 def test_invalid_cobs_is_a_framing_error(encoded):
     check_rejected(ARDUINO, encoded + b'\0', FRAMING)
@@ -149,18 +142,6 @@ def test_a_packet_holds_at_most_256_bytes():
     assert arduino.encode_raw(1, b'x' * 255) == wire_of(1, b'x' * 255)
     with pytest.raises(ValueError):
         arduino.encode_raw(1, b'x' * 256)
-
-
-def test_the_rest_of_an_oversize_packet_is_dropped():
-    """Even if it would decode to a valid packet."""
-    decoder = arduino.Decoder()
-    decoder.feed(b'\1' * 300)
-    assert decoder.pending
-    assert feed(decoder, [arduino.encode(arduino.Ticks(3))]) == []
-    assert not decoder.pending
-    assert [frame.message for frame in decoder.feed(arduino.encode(arduino.Ticks(4)))] == [
-        arduino.Ticks(4)]
-    assert decoder.errors[OVERSIZE] == 1
 
 
 # -- plausibility ---------------------------------------------------------------------------------
