@@ -258,11 +258,14 @@ class Network:
 
 
 class Page:
-    """A client of a panel's WebSocket, which may also misbehave."""
+    """A client of a panel's WebSocket, which may also misbehave.
+
+    Args:
+        patient: if too many pages are open, wait: those of the test before may still be counted.
+    """
 
     def __init__(self, panel, token=None, watch=(), acknowledges=True, origin='', host='',
-                 reads=True):
-        host = host or f'127.0.0.1:{panel.port}'
+                 reads=True, patient=True):
         self.updates = deque(maxlen=5000)
         self.status = None          # of the HTTP answer
         self.closed = ''            # the reason, once it is closed
@@ -275,11 +278,7 @@ class Page:
         self.acknowledges = acknowledges
         self._fields = {}
         self._sending = threading.Lock()
-        self._socket = socket.socket()
-        self._socket.settimeout(PATIENCE)
-        if not reads:       # and the system buffers little
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
-        self._socket.connect(('127.0.0.1', panel.port))
+        host = host or f'127.0.0.1:{panel.port}'
         lines = ['GET /socket HTTP/1.1', f'Host: {host}', 'Upgrade: websocket',
                  'Connection: Upgrade', 'Sec-WebSocket-Version: 13',
                  'Sec-WebSocket-Key: ' + base64.b64encode(os.urandom(16)).decode()]
@@ -288,15 +287,26 @@ class Page:
         if token:
             status, _headers, key = panel.exchange(token)
             lines.append(f'Sec-WebSocket-Protocol: panel, {key if status == 200 else token}')
-        self._socket.sendall(('\r\n'.join(lines) + '\r\n\r\n').encode())
-        self._stream = self._socket.makefile('rb')
-        self.status = int(self._stream.readline().split()[1])
-        while self._stream.readline().strip():
-            pass
+        header = ('\r\n'.join(lines) + '\r\n\r\n').encode()
+        until(lambda: self._connect(panel.port, header, reads) != 503 or not patient,
+              'there is room for another page', every=0.1)
         if self.status == 101:
             self.send(watch=list(watch))
             if reads:
                 threading.Thread(target=self._read, daemon=True).start()
+
+    def _connect(self, port, header, reads):
+        self._socket = socket.socket()
+        self._socket.settimeout(PATIENCE)
+        if not reads:       # and the system buffers little
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+        self._socket.connect(('127.0.0.1', port))
+        self._socket.sendall(header)
+        self._stream = self._socket.makefile('rb')
+        self.status = int(self._stream.readline().split()[1])
+        while self._stream.readline().strip():
+            pass
+        return self.status
 
     def __enter__(self):
         return self

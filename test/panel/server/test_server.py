@@ -21,12 +21,15 @@ from boards import PATIENCE, again_if_stalled, program, until
 from panel_helpers import (GRIPPER, NODE, TOKEN, Page, Panel, free_port, publishers_and_subscribers,
                            subscribed, suspended)
 
-from std_msgs.msg import String
+from std_msgs.msg import Float32
 
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.msg import SerialMsg, SpeedPWMCommand
+from serial_communication.tools.panel import commands
+from serial_communication.tools.panel.dead_man import CommandRefused
 
+MASK = bytes(4)      # of a WebSocket frame
 TOPICS = ['~imu', '~voltage', '~environment', 'mcu/range_1', '~nothing']
 
 
@@ -50,14 +53,19 @@ def two_pages(panel):
 @pytest.fixture
 def driver(control_panel, robot):
     """A page that may drive, and whose commands the bridge receives."""
-    page = Page(control_panel, TOKEN).settle()
-    until(lambda: robot.car.connected, 'the car is connected')
-    until(lambda: control_panel.node in publishers_and_subscribers()[0].get(NODE + '/speed', ()),
-          'the panel publishes speeds')
-    robot.car.forget()
-    yield page
-    page.close()
+    with Page(control_panel, TOKEN) as page:    # a page left open would disturb later tests
+        page.settle()
+        until(lambda: robot.car.connected, 'the car is connected')
+        until(lambda: publishes(control_panel), 'the panel publishes speeds')
+        robot.car.forget()
+        robot.bus.forget()
+        yield page
     until(lambda: not page.known.get('drive', {}).get('held') or page.closed, 'no page drives')
+
+
+def publishes(panel):
+    """Whether the master knows it as a publisher of speeds."""
+    return panel.node in publishers_and_subscribers()[0].get(NODE + '/speed', ())
 
 
 # -- the command line -------------------------------------------------------------------------
@@ -117,7 +125,8 @@ def test_a_second_panel_without_options_takes_the_next_port_and_name(robot):
     until(lambda: is_registered('/panel'), 'it is registered')
     other = Panel(port=None, name=None)
     assert other.port > one.port >= 8080
-    other.wait_for(f'port 8080 is taken by panel (pid {one.process.pid}); the next')
+    holder = f'panel (pid {one.process.pid})' if one.port == 8080 else ''
+    other.wait_for(f'port 8080 is taken by {holder}')
     until(lambda: is_registered('/panel_2'), 'it is registered under another name')
     for panel in one, other:
         with panel, Page(panel, watch=TOPICS) as page:
@@ -126,16 +135,14 @@ def test_a_second_panel_without_options_takes_the_next_port_and_name(robot):
 
 def test_panels_that_start_together_take_different_names(core):
     panels = []
-    threads = [threading.Thread(target=lambda: panels.append(Panel(name=None))) for _ in range(5)]
+    threads = [threading.Thread(target=lambda: panels.append(Panel(name=None))) for _ in range(3)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert len(panels) == 5
-    names = ['/panel', *(f'/panel_{number}' for number in range(2, 6))]
-    until(lambda: all(is_registered(name) for name in names)
+    until(lambda: all(is_registered(name) for name in ('/panel', '/panel_2', '/panel_3'))
           or not all(panel.alive for panel in panels), 'all are registered')
-    assert [panel.end() for panel in panels] == [0] * 5
+    assert [panel.end() for panel in panels] == [0] * 3
 
 
 def test_on_a_terminal_an_address_for_the_network_is_a_qr_code_as_well():
@@ -287,7 +294,8 @@ def test_a_wrong_token_is_refused_and_the_right_one_gets_in_once():
     """How many are compared: test_guard.py."""
     with Panel('--control', name='panel_guessed') as panel:
         token = panel.token
-        for number in range(1, 6):
+        assert len(token) >= 20
+        for number in range(1, 4):
             status, _headers, text = panel.exchange('not-the-right-one')
             assert status == 401 and 'the token is wrong' in text
             assert panel.exchange(token)[0] == 200
@@ -311,22 +319,20 @@ def test_a_token_can_be_read_from_a_file(tmp_path):
         assert TOKEN.encode() not in open(f'/proc/{panel.process.pid}/cmdline', 'rb').read()
 
 
-@pytest.mark.parametrize('arguments', [[], ['--control']])
-def test_on_loopback_a_name_of_this_machine_is_refused(arguments):
+def test_on_loopback_a_name_of_this_machine_is_refused(panel, control_panel):
     """A proxy or a tunnel that others reach is behind it."""
-    with Panel(*arguments, name='panel_loopback') as panel:
+    for each in panel, control_panel:
         for host in socket.gethostname(), '192.168.1.7':
-            status, _headers, text = panel.get('/', Host=f'{host}:{panel.port}')
+            status, _headers, text = each.get('/', Host=f'{host}:{each.port}')
             assert status == 403 and 'on loopback' in text
-            assert Page(panel, host=f'{host}:{panel.port}').status == 403
-        assert panel.get('/', Host='127.0.0.1')[0] == panel.get('/', Host='localhost')[0] == 200
+            assert Page(each, host=f'{host}:{each.port}').status == 403
+        assert each.get('/', Host='127.0.0.1')[0] == each.get('/', Host='localhost')[0] == 200
 
 
-@pytest.mark.parametrize('arguments', [['--control'], ['--bind', '0.0.0.0']])
-def test_control_and_other_addresses_need_a_new_token(arguments):
-    with Panel(*arguments, name='one') as one, Panel(*arguments, name='other') as other:
-        assert len(one.token) >= 20 and one.token != other.token
-        assert one.get('/key')[0] == Page(one).status == 401
+def test_other_addresses_need_a_token_also_without_control():
+    with Panel('--bind', '0.0.0.0', name='panel_everywhere') as panel:
+        assert len(panel.token) >= 20
+        assert panel.get('/key')[0] == Page(panel).status == 401
 
 
 def test_a_page_that_sends_too_often_or_invalid_messages_is_dropped(panel):
@@ -338,8 +344,7 @@ def test_a_page_that_sends_too_often_or_invalid_messages_is_dropped(panel):
         page.write(message)
         until(lambda: 'sent an invalid message' in page.closed, f'{message} is refused')
     page = Page(panel)
-    for _ in range(400):
-        page.write(b'{"seen": 0}')
+    page.send_raw((b'\x81\x8b' + MASK + b'{"seen": 0}') * 4000)
     until(lambda: 'more than 120 frames a second' in page.closed, 'it is dropped')
     page = Page(panel)
     page.write(json.dumps({'watch': ['x' * 5000]}).encode())
@@ -362,13 +367,10 @@ def continues(page):
     assert not page.closed
 
 
-MASK = bytes(4)
-
-
-@pytest.mark.parametrize('frame', [
-    b'\x89\x80' + MASK, b'\x89\xfd' + MASK + bytes(125), b'\x8a\x80' + MASK, b'\x00\x80' + MASK],
-    ids=['pings', 'long pings', 'pongs', 'fragments'])
-@pytest.mark.parametrize('reads', [True, False])
+@pytest.mark.parametrize('frame, reads', [
+    (b'\x89\x80' + MASK, True), (b'\x89\xfd' + MASK + bytes(125), False),
+    (b'\x8a\x80' + MASK, True), (b'\x00\x80' + MASK, True)],
+    ids=['pings', 'long pings, reads nothing', 'pongs', 'fragments'])
 def test_a_page_that_floods_with_other_frames_is_dropped(panel, other_page, frame, reads):
     page = Page(panel, reads=reads)
     if frame[0] == 0:
@@ -397,14 +399,24 @@ def test_a_ping_is_answered(page):
     page.until(lambda page: page.pongs, 'the answer is received')
 
 
-@pytest.mark.parametrize('message', [
-    {}, {'seen': 1e18}], ids=['nothing', 'everything'])
-def test_a_page_that_reads_nothing_is_dropped_whatever_it_acknowledges(robot, message):
-    with Panel(name='panel_unread') as panel, \
-            Page(panel, watch=[*TOPICS, 'serial_msg'], reads=False) as page:
+_SMALL_BUFFERS = '''
+import socket
+listen = socket.socket.listen
+def listen_with_small_buffers(self, *arguments):
+    self.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)      # its connections inherit it
+    listen(self, *arguments)
+socket.socket.listen = listen_with_small_buffers
+'''
+
+
+def test_a_page_that_reads_nothing_is_dropped_whatever_it_acknowledges(robot, tmp_path):
+    """With the system's own buffers that would take half a minute."""
+    (tmp_path / 'sitecustomize.py').write_text(_SMALL_BUFFERS)
+    with Panel(name='panel_unread', environment={
+            'PYTHONPATH': f'{tmp_path}:{os.environ["PYTHONPATH"]}'}) as panel, \
+            Page(panel, watch=TOPICS, reads=False) as page:
         until(lambda: 'dropped a page at 127.0.0.1: it does not read' in panel.output(),
-              'it is dropped', seconds=60,
-              doing=lambda: message and page.send(**message), every=0.1)
+              'it is dropped', seconds=60, doing=lambda: page.send(seen=1e18), every=0.1)
 
 
 def test_idle_connections_do_not_keep_other_pages_out(robot):
@@ -422,20 +434,12 @@ def test_idle_connections_do_not_keep_other_pages_out(robot):
     assert 'Too many open files' not in panel.output()
 
 
-def open_silent_page(panel, pages):
-    pages.append(Page(panel, reads=False))
-    return pages[-1].status == 101
-
-
 def test_dropped_pages_that_stay_connected_do_not_keep_others_out(panel, other_page):
-    pages = []
-    for _ in range(80):
-        until(lambda: open_silent_page(panel, pages), 'another page is accepted')
-        pages[-1].write(b'{')
-    later = Page(panel, watch=TOPICS)
-    later.until(lambda page: '~imu' in page.samples, 'another page is served')
-    for page in [*pages, later]:
-        page.close()
+    with contextlib.ExitStack() as stack:
+        for _ in range(80):
+            stack.enter_context(Page(panel, reads=False)).write(b'{')
+        later = stack.enter_context(Page(panel, watch=TOPICS))
+        later.until(lambda page: '~imu' in page.samples, 'another page is served')
 
 
 def test_a_slow_page_is_dropped_and_the_others_are_not(panel, two_pages):
@@ -443,24 +447,15 @@ def test_a_slow_page_is_dropped_and_the_others_are_not(panel, two_pages):
     until(lambda: 'does not read' in slow.closed, 'the slow one is dropped')
     assert not other.closed
     panel.wait_for('it does not read what is sent to it')
-    other.close()
 
 
 def test_the_17th_page_is_refused(panel):
-    pages = [Page(panel) for _ in range(16)]
-    try:
+    with contextlib.ExitStack() as stack:
+        pages = [stack.enter_context(Page(panel)) for _ in range(16)]
         assert {page.status for page in pages} == {101}
-        assert Page(panel).status == 503
-    finally:
-        for page in pages:
-            page.close()
-    until(lambda: open_and_close_page(panel), 'another page is accepted again')
-
-
-def open_and_close_page(panel):
-    page = Page(panel)
-    page.close()
-    return page.status == 101
+        assert Page(panel, patient=False).status == 503
+        pages[0].close()
+        assert stack.enter_context(Page(panel)).status == 101
 
 
 # -- subscriptions and updates ----------------------------------------------------------------
@@ -555,6 +550,18 @@ def wait_for_answer(page, key):
     return page.calls[key]
 
 
+def sent_answer(page, key):
+    """Wait for the answer to a call and return it; None if a stall of this machine kept it back."""
+    page.until(lambda page: key in page.refusals or page.calls.get(key, {}).get('outcome'),
+               'the answer')
+    words = page.refusals.get(key) or page.calls[key]['words']
+    if re.search('press again|call again|one call at a time|while the bridge stalled', words):
+        wait(0.6)       # or the next one may be a double click
+        return None
+    assert key in page.calls, words
+    return page.calls[key]
+
+
 def wait_until_refused(page, *keys):
     """Wait until all these commands were refused; return why, for each."""
     page.until(lambda page: set(keys) <= set(page.refusals), f'{keys} are refused')
@@ -564,36 +571,48 @@ def wait_until_refused(page, *keys):
 def test_a_page_that_has_just_been_opened_takes_no_command_but_stop(control_panel, robot):
     robot.car.forget()
     robot.bus.forget()
-    with Page(control_panel, TOKEN) as page:
-        page.until(lambda page: 'node' in page.known, 'the panel sends updates')
-        lift(page, 'early')
-        page.send(led={'key': 'early led', 'text': 'left'})
-        drive(page, 1)
-        page.send(stop={'key': 'early stop'})
-        assert set(wait_until_refused(page, 'early', 'early led', 'drive')) == {
-            'nothing was sent: the page has just appeared; press again'}
-        assert 'just appeared' not in page.refusals.get('early stop', '')
-        page.settle()
-        assert not robot.lift_requests and not any(robot.car.speeds)
+
+    def refused_early():
+        with Page(control_panel, TOKEN) as page:
+            page.send(stop={'key': 'early stop'})
+            lift(page, 'early')
+            page.send(led={'key': 'early led', 'text': 'left'})
+            drive(page, 1)
+            words = set(wait_until_refused(page, 'early', 'early led', 'drive'))
+            assert 'just appeared' not in page.refusals.get('early stop', '')
+            page.settle()
+        return words == {'nothing was sent: the page has just appeared; press again'}
+    again_if_stalled(refused_early)
+    assert not robot.lift_requests and not any(robot.car.speeds)
 
 
 def test_a_call_is_executed_and_answered(driver, robot):
-    robot.bus.forget()
-    lift(driver, 'one', 17)
-    answer = wait_for_answer(driver, 'one')
-    assert answer['outcome'] == 'done' and 'lift up 17 mm' in answer['words']
+    keys = (f'one {number}' for number in count())
+
+    def answer():
+        key = next(keys)
+        lift(driver, key, 17)
+        return sent_answer(driver, key)
+    found = again_if_stalled(answer)
+    assert found['outcome'] == 'done' and 'lift up 17 mm' in found['words']
     assert [request.data for request in robot.lift_requests] == [bytes((0, 17))]
 
 
 def test_a_double_click_moves_once(driver, robot):
-    robot.bus.forget()
-    for key in ('first', 'second', 'third'):
-        lift(driver, key)
-    wait_for_answer(driver, 'first')
-    lift(driver, 'fourth')     # immediately after the answer
-    wait_until_refused(driver, 'fourth')
-    assert len(robot.lift_requests) == 1
-    assert not {'second', 'third', 'fourth'} & set(driver.calls)
+    attempts = count()
+
+    def clicked_often():
+        robot.bus.forget()
+        first, *more, last = (f'{word} {next(attempts)}'
+                              for word in ('first', 'second', 'third', 'last'))
+        for key in first, *more:
+            lift(driver, key)
+        if not sent_answer(driver, first):
+            return False
+        lift(driver, last)     # immediately after the answer
+        driver.until(lambda page: last in page.refusals or last in page.calls, 'the last')
+        return len(robot.lift_requests) == 1 and not {*more, last} & set(driver.calls)
+    again_if_stalled(clicked_often)
 
 
 def call_custom(page, name):
@@ -603,8 +622,7 @@ def call_custom(page, name):
     def answer():
         key = f'{name} at {time.monotonic()}'        # a page also receives earlier calls
         call(page, key, name)
-        found = wait_for_answer(page, key)
-        return 'while the bridge stalled' not in found['words'] and found
+        return sent_answer(page, key)
     return again_if_stalled(answer)
 
 
@@ -630,18 +648,17 @@ _REFUSED = bus.Reply(bus.ERROR, b'\2\x80')
 _WEIGHT = bus.Reply(bus.OK, bytes.fromhex('d204 0000 b841'))
 
 
-@pytest.mark.parametrize('name, sent, outcome, reply', [
-    ('~beep', _REFUSED, 'refused', []), ('~dock', _REFUSED, 'refused', []),
-    ('~weigh', _REFUSED, 'refused', []),
-    ('~weigh', _WEIGHT, 'done', [['environment.smoke', '1234'], ['environment.temperature', '23'],
-                                 ['environment.humidity', '0']])])
-def test_a_reply_is_shown_with_its_outcome_and_its_fields_if_it_is_done(
-        driver, robot, name, sent, outcome, reply):
-    robot.bus.script.append(sent)
-    answer = call_custom(driver, name)
-    assert (answer['outcome'], answer['reply']) == (outcome, reply)
-    if outcome == 'refused':
-        assert answer['words'] == 'the board refused: 0x8002: the operation failed'
+def test_a_reply_is_shown_with_its_outcome_and_its_fields_if_it_is_done(driver, robot):
+    for name in '~weigh', '~beep', '~dock':
+        robot.bus.script.append(_REFUSED)
+        answer = call_custom(driver, name)
+        assert (answer['outcome'], answer['reply'], answer['words']) == (
+            'refused', [], 'the board refused: 0x8002: the operation failed'), name
+    robot.bus.script.append(_WEIGHT)
+    answer = call_custom(driver, '~weigh')
+    assert (answer['outcome'], answer['reply']) == (
+        'done', [['environment.smoke', '1234'], ['environment.temperature', '23'],
+                 ['environment.humidity', '0']])
 
 
 def test_the_outcome_of_a_call_is_not_known_if_the_bridge_dies(driver, robot):
@@ -652,54 +669,24 @@ def test_the_outcome_of_a_call_is_not_known_if_the_bridge_dies(driver, robot):
     assert answer['outcome'] == 'not known' and 'look before you repeat it' in answer['words']
 
 
-@pytest.mark.parametrize('name, arguments, words', [
-    ('~lift', {'direction': 0}, 'takes direction, distance'),
-    ('~lift', {'direction': 0, 'distance': 300}, '~lift'),
-    ('~lift', {'direction': 0, 'distance': 'x'}, '~lift'),
-    ('~get_loggers', {}, 'not a service'), ('/rosout/get_loggers', {}, 'not a service')])
-def test_invalid_calls_are_refused(driver, robot, name, arguments, words):
-    robot.bus.forget()
-    call(driver, 'wrong', name, **arguments)
-    assert words in wait_until_refused(driver, 'wrong')[0] and not robot.lift_requests
+def test_invalid_calls_are_refused(driver, robot):
+    for number, (name, arguments, words) in enumerate((
+            ('~lift', {'direction': 0}, 'takes direction, distance'),
+            ('~lift', {'direction': 0, 'distance': 300}, '~lift'),
+            ('~lift', {'direction': 0, 'distance': 'x'}, '~lift'),
+            ('~get_loggers', {}, 'not a service'), ('/rosout/get_loggers', {}, 'not a service'))):
+        key = f'wrong {number}'
+        call(driver, key, name, **arguments)
+        assert words in wait_until_refused(driver, key)[0]
+    assert not robot.lift_requests
 
 
-_SERVICE = """
-from std_msgs.msg import Float32
-from std_srvs.srv import SetBoolResponse
-
-class Set:
-    _type, _md5sum = 'floats/Set', '0' * 32
-    _request_class, _response_class = Float32, SetBoolResponse
-"""
-
-
-@pytest.fixture
-def floats(core, tmp_path):
-    """A panel of a bridge, simulated here, with a service that takes a number."""
-    module = tmp_path / 'floats' / 'srv'
-    module.mkdir(parents=True)
-    (tmp_path / 'floats' / '__init__.py').touch()
-    (module / '__init__.py').write_text(_SERVICE)
-    rospy.set_param('~bus/functions/set', {'srv_type': 'floats/Set'})
-    there = rospy.Publisher('~there', String, queue_size=1)
-    with Panel('--control', '--token', TOKEN, '--node', rospy.get_name(), name='panel_floats',
-               environment={'PYTHONPATH': f'{tmp_path}:{os.environ["PYTHONPATH"]}'}) as panel:
-        yield panel
-    there.unregister()
-    rospy.delete_param('~bus')
-
-
-@pytest.mark.parametrize('number', ['1e39', '1' + '0' * 400], ids=['beyond float32', 'integer'])
-def test_a_call_with_a_number_out_of_range_is_refused_and_disturbs_no_page(floats, number):
-    with Page(floats, TOKEN).settle() as page, Page(floats, TOKEN) as other:
-        page.until(lambda page: '~set' in page.known.get('controls', {}).get('services', ()),
-                   'the service is offered')
-        page.write(b'{"seen": %f, "call": {"key": "odd", "name": "~set", "arguments": '
-                   b'{"data": %s}}}' % (page.now, number.encode()))
-        wait_until_refused(page, 'odd')
-        continues(page)
-        continues(other)
-        assert 'odd' not in other.calls
+@pytest.mark.parametrize('number', [1e39, 10 ** 400])
+def test_a_number_that_its_type_cannot_hold_is_refused(number):
+    """Whether a page whose call is refused disturbs others: test_invalid_calls_are_refused."""
+    takes_number = types.SimpleNamespace(_request_class=Float32)
+    with pytest.raises(CommandRefused, match='~set: '):
+        commands._request('~set', takes_number, {'data': number})
 
 
 def test_led_text_is_sent_and_too_long_a_one_is_refused(driver, robot):
@@ -717,18 +704,24 @@ def test_a_custom_command_reaches_the_board_and_values_out_of_range_are_refused(
     driver.until(lambda page: '~gripper' in page.known.get('controls', {}).get('messages', ()),
                  'it is offered')
 
+    attempts = count()
+
     def gripper(key, y):
         driver.send(send={'key': key, 'name': '~gripper', 'values': {'x': -2.5, 'y': y, 'z': 3}})
-    until(lambda: GRIPPER in robot.car.wire, 'the board receives it', every=0.2,
-          doing=lambda: 'good' in driver.calls or gripper('good', 50))
-    assert wait_for_answer(driver, 'good')['outcome'] == 'sent'
-    gripper('twice', 50)
-    wait(0.6)
+
+    def sent_twice():
+        robot.car.forget()
+        once, twice = (f'{word} {next(attempts)}' for word in ('once', 'twice'))
+        gripper(once, 50)
+        gripper(twice, 50)
+        driver.until(lambda page: twice in page.refusals or twice in page.calls, 'the second')
+        wait(0.6)
+        return driver.calls.get(once, {}).get('outcome') == 'sent' \
+            and driver.refusals.get(twice) == '~gripper: one call at a time; wait for the answer' \
+            and robot.car.wire.count(GRIPPER) == 1
+    again_if_stalled(sent_twice)
     gripper('wrong', 50.1)
-    assert wait_until_refused(driver, 'twice', 'wrong') == [
-        '~gripper: one call at a time; wait for the answer',
-        'gripper: y is 50.1, out of range (0 … 50)']
-    assert robot.car.wire.count(GRIPPER) == 1
+    assert wait_until_refused(driver, 'wrong') == ['gripper: y is 50.1, out of range (0 … 50)']
 
 
 def wait(seconds):
@@ -795,21 +788,26 @@ def test_release_stops_the_car(driver, robot):
 
 
 def test_silence_stops_the_car(driver, robot):
-    drive_until(driver, drives(robot), 'the car drives')
-    until(has_stopped(robot), 'the car stops')
-    # The panel stopped the car before the bridge's own timeout of 0.5 s had to.
-    driver.until(lambda page: page.known['drive'] == {
-        'held': False, 'words': 'stopped: no command from the page for 0.2 s'}, 'the page shows it')
+    def silence_stopped():
+        robot.car.forget()
+        drive_until(driver, drives(robot), 'the car drives')
+        until(has_stopped(robot), 'the car stops')
+        driver.until(lambda page: not page.known['drive']['held'], 'the page shows it')
+        # The panel stopped the car before the bridge's own timeout of 0.5 s had to.
+        return driver.known['drive']['words'] == 'stopped: no command from the page for 0.2 s'
+    again_if_stalled(silence_stopped)
 
 
 def test_a_lost_connection_stops_the_car(driver, control_panel, robot):
-    with Page(control_panel, TOKEN) as other:
-        drive_until(driver, drives(robot), 'the car drives')
-        other.until(lambda page: page.known.get('drive', {}).get('held'), 'others see it')
-        driver.close()
+    def loss_stopped():
+        robot.car.forget()
+        with Page(control_panel, TOKEN).settle() as lost:
+            drive_until(lost, lambda: drives(robot)() and driver.known['drive']['held'],
+                        'the car drives, and others see it')
         until(has_stopped(robot), 'the car stops')
-        other.until(lambda page: not page.known['drive']['held'], 'others see the end')
-        assert 'no command' not in other.known['drive']['words'], 'the silence stopped it'
+        driver.until(lambda page: not page.known['drive']['held'], 'others see the end')
+        return 'no command' not in driver.known['drive']['words']      # the silence was later
+    again_if_stalled(loss_stopped)
 
 
 def test_a_panel_that_was_suspended_does_not_continue_to_drive(driver, control_panel, robot):
@@ -933,21 +931,25 @@ def test_two_pages_do_not_drive_at_once(driver, control_panel, robot, own_panel)
         other = stack.enter_context(Page(panel, TOKEN).settle())
         until(lambda: panel.node in publishers_and_subscribers()[1].get(NODE + '/speed', ()),
               'it watches the speeds')
-        hold = drive_until(driver, drives(robot), 'the car drives')
         others = count(1) if own_panel else repeat(1)
-
-        def both():
-            drive(driver, hold)
-            drive(other, next(others), speed=-90)
         why = '/panel_control commands the car' if own_panel else 'another page drives'
-        until(lambda: is_refused(why)(other), 'the other is refused', doing=both, every=0.04)
-        robot.car.forget()
-        for _ in range(20):
-            both()
-            time.sleep(0.04)
-        signs = [speed > 0 for speed in robot.car.speeds if speed]
-        assert sum(one != next_ for one, next_ in zip(signs, signs[1:])) == 0
-        assert own_panel or -90 not in robot.car.speeds
+
+        def only_one_drives():
+            robot.car.forget()
+            hold = drive_until(driver, drives(robot), 'the car drives')
+
+            def both():
+                drive(driver, hold)
+                drive(other, next(others), speed=-90)
+            until(lambda: is_refused(why)(other), 'the other is refused', doing=both, every=0.04)
+            robot.car.forget()
+            for _ in range(20):
+                both()
+                time.sleep(0.04)
+            signs = [speed > 0 for speed in robot.car.speeds if speed]
+            return sum(one != next_ for one, next_ in zip(signs, signs[1:])) == 0 \
+                and (own_panel or -90 not in robot.car.speeds)
+        again_if_stalled(only_one_drives)       # for 0.2 s: then the other page may drive
         hold = drive_until(driver, drives(robot, 130), 'the car drives', 130)
         other.send(stop={'key': 'other'})
         check_that_no_speed_follows(driver, hold, robot, 'STOP on the other stops the car')
@@ -975,10 +977,8 @@ def test_pages_and_driving_continue_while_the_master_hangs(driver, control_panel
 
 
 def test_publishers_exist_only_while_a_page_is_open(control_panel, robot, core):
-    def publishes():
-        return control_panel.node in publishers_and_subscribers()[0].get(NODE + '/speed', ())
     with Page(control_panel, TOKEN) as page:
-        until(publishes, 'the panel publishes')
+        until(lambda: publishes(control_panel), 'the panel publishes')
         with core.hung():
             page.close()
             wait(2)
@@ -987,7 +987,7 @@ def test_publishers_exist_only_while_a_page_is_open(control_panel, robot, core):
         robot.car.forget()
         drive_until(page, drives(robot), 'the car drives')
         page.close()
-        until(lambda: not publishes(), 'the panel publishes no more')
+        until(lambda: not publishes(control_panel), 'the panel publishes no more')
 
 
 def nothing(_panel):
@@ -1007,8 +1007,8 @@ def look_up(panel):
     page.until(lambda page: 'key' in page.calls, 'the call is under way')
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize('action', [nothing, show_wire, look_up])
+@pytest.mark.parametrize('number, action', [
+    (signal.SIGINT, nothing), (signal.SIGINT, show_wire), (signal.SIGTERM, look_up)])
 def test_a_signal_ends_the_panel_while_the_master_hangs(robot, core, number, action):
     with Panel('--control', '--token', TOKEN, name='panel_hung') as panel:
         page = Page(panel, TOKEN)
@@ -1050,7 +1050,6 @@ def test_a_terminal_that_reads_nothing_does_not_delay_pages(robot):
 
 @pytest.mark.parametrize('by', ['master', 'bridge'])
 def test_a_call_delayed_by_the_master_or_the_bridge_moves_nothing(driver, robot, core, by):
-    robot.bus.forget()
     with core.hung() if by == 'master' else suspended(robot.bridge.process.pid):
         lift(driver, 'late')
         driver.until(lambda page: 'late' in page.calls, 'the call is under way')
@@ -1062,7 +1061,6 @@ def test_a_call_delayed_by_the_master_or_the_bridge_moves_nothing(driver, robot,
 
 
 def test_a_call_delayed_by_the_panel_moves_nothing(driver, control_panel, robot):
-    robot.bus.forget()
     with suspended(control_panel.process.pid):
         lift(driver, 'late')
         driver.send(led={'key': 'old', 'text': 'old'})
