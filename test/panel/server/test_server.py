@@ -11,7 +11,7 @@ import subprocess
 import threading
 import time
 import types
-from itertools import count, islice, repeat
+from itertools import count, islice
 
 import pytest
 import qrcode
@@ -818,16 +818,17 @@ def test_two_pages_do_not_drive_at_once(driver, control_panel, robot, own_panel)
         other = stack.enter_context(Page(panel, TOKEN).settle())
         until(lambda: panel.node in publishers_and_subscribers()[1].get(NODE + '/speed', ()),
               'it watches the speeds')
-        others = count(1) if own_panel else repeat(1)
+        presses = count(1)
         why = '/panel_control commands the car' if own_panel else 'another page drives'
 
         def only_one_drives():
             robot.car.forget()
             hold = drive_until(driver, drives(robot), 'the car drives')
+            first = next(presses)
 
             def both():
                 drive(driver, hold)
-                drive(other, next(others), speed=-90)
+                drive(other, next(presses) if own_panel else first, speed=-90)
             for page in driver, other:
                 page.known.pop('refused', None)
             until(lambda: is_refused(why)(other) or 'refused' in driver.known,
