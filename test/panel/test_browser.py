@@ -1,9 +1,11 @@
 """The page in a browser: its display, its commands, and outages of bridge, master and panel."""
 import contextlib
+import math
 import os
 import re
 import shutil
 import threading
+import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from itertools import count, starmap
 
@@ -731,16 +733,20 @@ def hold(page, robot):
 
     If the machine stalls for too long, the hold has to end, and another one begins.
     """
+    pressed_at = -math.inf
+
     def press():
-        if page.attribute('#pad', 'data-held') is None:
+        nonlocal pressed_at     # a double click would not drive
+        if page.attribute('#pad', 'data-held') is None and time.monotonic() - pressed_at > 0.6:
             page.release()
             page.press_at('#pad', 0, -60)
+            pressed_at = time.monotonic()
 
     def drives():
         # The page shows the hold a frame later; a test can only see it end if it was shown.
         return any(speed > 0 for speed in robot.car.speeds) \
             and page.attribute('#pad', 'data-held') is not None
-    until(drives, 'the car drives', doing=press, every=0.6)     # a double click would not drive
+    until(drives, 'the car drives', doing=press)
 
 
 def wait_until_stopped(robot, page):
