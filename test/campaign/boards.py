@@ -10,6 +10,8 @@ from .lines import Clock, SerialLine
 
 # s: silences that are a fence: after three lost ECHOs and a SYNC, of a board that never echoes.
 _SILENCE, _SHORT_SILENCE = 0.29, 0.019
+_SILENT = 1.4            # s of silence of the car after which the bridge drops output of a pty
+_DROPS = 0.5             # s in which it notices that the car talks again
 BEAT_MISSED = 0.03       # s without a heartbeat after which the board stops its motor
 # Custom messages of the car: a number, bytes and a sign of life that it sends, and two commands.
 COUNTER, BLOB, ALIVE, HEATER, WINCH = range(60, 65)
@@ -218,7 +220,9 @@ class Car(Board):
         self.ended: List[int] = []               # heartbeats of each connection that has ended
         self.on_packet: Callable[[Packet], None] = self.packets.append
         self.on_beat: Callable[[float], None] = lambda now: None
-        self._last_beat = float('inf')           # inf: a gap is no fault
+        self.beat_at = 0.0                       # when the latest one was written
+        self._last_beat = float('inf')           # likewise; inf: a gap is no fault
+        self._talked_at = self._woke_at = 0.0    # when it talked; also after a silence
         self._clock, self._number = clock, 0
         self._live()
 
@@ -233,6 +237,12 @@ class Car(Board):
         self.beats = 0
         self.forget_beat()
 
+    def write(self, data: bytes) -> bool:
+        now = time.monotonic()
+        self._woke_at = now if now - self._talked_at > _SILENT else self._woke_at
+        self._talked_at = now
+        return super().write(data)
+
     def forget_beat(self) -> None:
         """The gap between the previous heartbeat and the next one is no fault of the bridge."""
         self._last_beat = float('inf')
@@ -246,11 +256,17 @@ class Car(Board):
         self.first_beat = self.first_beat if self.beats else now
         self.beats += 1
         self.all_beats += 1
-        if now - self._last_beat >= BEAT_MISSED:
-            self.gaps.append((self._last_beat, now))
-        else:
-            self.longest_gap = max(self.longest_gap, now - self._last_beat)
-        self._last_beat = now
+        # When a silence begins and when it ends, the bridge drops what waits in a pseudo terminal:
+        # heartbeats that it has written in time.
+        times = [self._last_beat, now]
+        if self._last_beat < self._woke_at + _DROPS or now > self._talked_at + _SILENT:
+            times[1:1] = [at for at in self.line.not_arrived if at > self._last_beat]
+        for before, after in zip(times, times[1:]):
+            if after - before >= BEAT_MISSED:
+                self.gaps.append((before, after))
+            else:
+                self.longest_gap = max(self.longest_gap, after - before)
+        self._last_beat = self.beat_at = now
         self.on_beat(now)
 
     def clear_records(self) -> None:

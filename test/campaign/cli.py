@@ -17,7 +17,7 @@ from .rig import NAMES, Rig, Scenario
 from .storm import Storm
 
 _ROUND = 3600.0              # s of the statistical part between two exact parts
-_ATTEMPTS = 3                # at a scenario of which the machine has spoiled a check
+_ATTEMPTS = 4                # at a scenario that the machine has spoiled
 _TABLE_PERIOD = 10.0         # s
 _PRIORITY = 2                # real-time, above the bridge's threads, below its heartbeat
 _SWITCH_INTERVAL = 5e-4      # s, of Python's threads
@@ -72,7 +72,11 @@ def main(options: Namespace) -> int:
         status, error_text = 130, 'stopped'
     except StageError as error:
         status, error_text = 2, f'the campaign does not work: {error}'
-    _report(table, rig, options.json)
+    print(table)
+    if table.failed:        # keep the records
+        print(f'records: {rig.folder}' if rig else 'no records', file=sys.stderr)
+    elif rig:
+        rig.discard()
     print(error_text, end='\n' if error_text else '', file=sys.stderr)
     return status or int(bool(table.failed))
 
@@ -104,7 +108,8 @@ def run_exact(rig: Rig, only: str = '') -> None:
         with _lines(rig, group.network):
             rig.start(group.parameters)
             first = rig.bridge_number
-            carry_out(rig, scenarios)
+            for scenario in scenarios:
+                carry_out(rig, scenario)
         if len(scenarios) == len(group.scenarios):
             rig.logs.check_events(range(first, rig.bridge_number + 1), group.events)
 
@@ -114,7 +119,7 @@ def run_storm(rig: Rig, duration: float, seed: str, busy: int) -> None:
     rig.table.part = 'storm'
     for network in (False, True):
         with _lines(rig, network):
-            carry_out(rig, [Storm(rig, duration / 2, f'{seed} {network}', busy)])
+            _carry_out_once(rig, Storm(rig, duration / 2, f'{seed} {network}', busy))
     rig.table.runs['storm'] += duration / 60
 
 
@@ -132,14 +137,19 @@ def name_of(scenario: Scenario) -> str:
     return f"{scenario.__module__.rpartition('.')[2]}.{scenario.__name__}"
 
 
-def carry_out(rig: Rig, scenarios: Iterable[Scenario]) -> None:
-    """Run them one after the other; those of the exact part again if a check was not decided."""
-    for scenario in scenarios:
-        for _ in range(1 if isinstance(scenario, Storm) else _ATTEMPTS):
-            undecided = rig.table.undecided
-            _carry_out_once(rig, scenario)
-            if rig.table.undecided == undecided:
-                break
+def carry_out(rig: Rig, scenario: Scenario) -> None:
+    """Run a scenario of the exact part; again if a check was not decided, or if something was
+    violated and the machine stalled."""
+    table = rig.table
+    for _ in range(_ATTEMPTS):
+        before, violated = table.results(), table.violations
+        began, undecided = time.monotonic(), table.undecided
+        _carry_out_once(rig, scenario)
+        if table.violations > violated and rig.machine.stalled(began, time.monotonic()):
+            print('    the machine stalled', file=sys.stderr)
+            table.take_back(before)
+        if table.undecided == undecided:
+            break
 
 
 def _carry_out_once(rig: Rig, scenario: Scenario) -> None:
@@ -163,15 +173,3 @@ def _write_table(rig: Rig) -> None:
         with open(rig.path('table~'), 'w') as file:
             print(time.strftime('%F %T'), rig.table, sep='\n', file=file)
         os.replace(rig.path('table~'), rig.path('table.txt'))
-
-
-def _report(table: Table, rig: Optional[Rig], json_file: str) -> None:
-    """Print the table. Keep the records unless it is green."""
-    print(table)
-    if json_file:
-        with open(json_file, 'w') as file:
-            file.write(table.as_json())
-    if table.failed:
-        print(f'records: {rig.folder}' if rig else 'no records', file=sys.stderr)
-    elif rig:
-        rig.discard()

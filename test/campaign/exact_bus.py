@@ -140,8 +140,7 @@ class Calls:
         text = f'{what}: {outcome.status} "{outcome.message[:90]}", executed {executed} times'
         self.rig.in_time(self.rig.row('a call returns within timeout + 0.8 s + 0.2 s for ROS'),
                          outcome.began, outcome.ended, limit + QUEUE_TIME + _ROS_TIME, what)
-        self.rig.decide(self.matches, outcome.name in wanted, f'{text}, expected "{wanted}"',
-                        outcome.began, outcome.ended)
+        self.matches.check(outcome.name in wanted, f'{text}, expected "{wanted}"')
         self.outcomes[outcome.name].check(outcome.is_true(executed), text)
         if outcome.success:
             self.own_reply.check(key[0] != MEMORY or outcome.data == key[1], f'{what}: other data')

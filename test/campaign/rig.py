@@ -9,12 +9,13 @@ import time
 from typing import Any, Callable, Dict, Iterator, List, Sequence, Tuple
 
 from processes import Child, Stage, StageError
+from witness import LATE
 from .boards import BEAT_MISSED, CUSTOM, Board, BusBoard, Car, Sensors, Sent
 from .lines import Clock, NetworkLine, SerialLine
 from .logs import LogCheck
+from .machine import MARGIN, Machine
 from .requirements import Requirement, Table
 from .robot import FRAMES, TOPICS, Published, Robot
-from .witness import LATE, MARGIN, LineWitness, Witness
 
 REPLY_TIMEOUT = 0.3      # s: parameters of the bridge
 MOTION_TIMEOUT = SPEED_TIMEOUT = 0.5
@@ -35,8 +36,6 @@ NOISE = bytes(byte for byte in range(256) if byte not in b'\xA5\x5A\x02\x00')[:2
 NAMES = 'bus', 'arduino', 'mcu'      # of the links
 _QUIET = 0.2             # s without a packet to the car after which its line is quiet
 _ROUNDING = 1e-4         # s, of stamps
-_BRIDGE_PRIORITY = 1     # the lowest real-time priority of a thread of the bridge
-_STALL = 0.2             # s by which a witness has to be late to excuse lost data
 
 
 class Rig(Stage):
@@ -52,14 +51,8 @@ class Rig(Stage):
 
     def __enter__(self) -> 'Rig':
         super().__enter__()
-        self.robot = Robot()
+        self.robot, self.machine = Robot(), Machine()
         self.use_lines({name: SerialLine(self.path(name)) for name in NAMES})
-        self._witnesses = [Witness(lambda memory: self.child(
-            f'witness_{processor}', [sys.executable, '-m', f'{__package__}.witness', str(memory),
-                                     str(processor)], priority=_BRIDGE_PRIORITY, fds=(memory,)))
-                           for processor in os.sched_getaffinity(0)]
-        self._line_witness = LineWitness()
-        self._permanent = {*self.children}
         return self
 
     def use_lines(self, lines: Dict[str, SerialLine]) -> None:
@@ -71,6 +64,8 @@ class Rig(Stage):
         self.is_network = isinstance(self.car_line, NetworkLine)
         self.car, self.bus = Car(self.car_line, self.clock), BusBoard(self.bus_line, self.clock)
         self.sensors = Sensors(self.mcu_line)
+        for line in lines.values():
+            line.on_moved = self.machine.moved
 
     def start(self, parameters: Dict[str, Any] = {}) -> None:
         """Start a bridge with these parameters besides `PARAMETERS`; wait until it works."""
@@ -103,33 +98,17 @@ class Rig(Stage):
         while self.bus.faults:
             fences.check(False, self.bus.faults.popleft())
 
-    def excuses(self, since: float, until: float, seconds: float = LATE) -> bool:
-        """Whether a witness was so late in this time, or `witness.MARGIN` beside it."""
-        return max([each.longest(since, until) for each in self._witnesses]) >= seconds
-
-    def may_lose(self, since: float, until: float) -> bool:
-        """Whether the machine was so late in this time that the bridge may have dropped values."""
-        return self.excuses(since, until, _STALL) or \
-            self._line_witness.longest(since, until) >= _STALL
-
-    def decide(self, required: Requirement, holds: bool, text: str, since: float, until: float,
-               excess: float = 0.0) -> None:
-        """Check what the machine can spoil: it is not decided if a witness was late, too, and by so
-        many seconds, not counting `MARGIN`."""
-        if not holds and self.excuses(since, until, max(LATE, excess - MARGIN)):
-            required.undecided += 1
-        else:
-            required.check(holds, text)
-
     def in_time(self, required: Requirement, since: float, until: float, limit: float, text: str,
                 least: float = 0.0) -> None:
-        """Check the time between two events, in s."""
+        """Check the time between two events, in s. It is not decided if a witness was late, too,
+        and by as much as the limit was exceeded by, not counting `MARGIN`."""
         seconds = until - since
         excess = max(seconds - limit, least - seconds)
-        if excess <= 0:
+        if excess > 0 and self.machine.late(since, until) >= max(LATE, excess - MARGIN):
+            required.undecided += 1
+        elif required.check(excess <= 0, f'{text}: {seconds * 1e3:.1f} ms, {least * 1e3:g} to '
+                            f'{limit * 1e3:g} ms allowed'):
             required.keep_worst(seconds * 1e3, 'ms')
-        self.decide(required, excess <= 0, f'{text}: {seconds * 1e3:.1f} ms, {least * 1e3:g} to '
-                    f'{limit * 1e3:g} ms allowed', since, until, excess)
 
     def wait_for_bridge(self) -> None:
         """Until it serves every link that is plugged in, and is connected to the robot."""
@@ -145,7 +124,7 @@ class Rig(Stage):
     def restore(self) -> None:
         """After a scenario that failed: no children, all lines as before, another bridge."""
         self.child_bridge.send(signal.SIGKILL)
-        for child in set(self.children) - self._permanent:
+        for child in list(self.children):
             self.end(child)
         self.bus.usual()
         self.car.talks = True
@@ -184,11 +163,12 @@ class Rig(Stage):
             # Until the bridge has dropped what waited meanwhile.
             self.car.quiet_until = time.monotonic() + 0.8
 
-    def wait_beats(self, seconds: float) -> None:
-        """Wait so long, and for a heartbeat and what the bridge sent before it."""
-        self.sleep(seconds)
-        beats = self.car.all_beats
-        self.wait(lambda: self.car.all_beats > beats or not self.car_line.plugged, 'a heartbeat')
+    def wait_beats(self, seconds: float, since: float = 0.0) -> None:
+        """Wait so long, or so long since then, and for a heartbeat that the bridge wrote later and
+        what it wrote before that, however long the kernel delays them."""
+        until = (since or time.monotonic()) + seconds
+        self.sleep(until - time.monotonic())
+        self.wait(lambda: self.car.beat_at > until or not self.car_line.plugged, 'a heartbeat')
 
     def sleep(self, seconds: float) -> None:
         """Wait until `clock` has called all that is due in this time."""
@@ -205,7 +185,6 @@ class Rig(Stage):
                   or time.monotonic() > self.car.packets[-1].t + _QUIET, "the car's line is quiet")
         self.row(PUBLISHED).wait(self._passes_values, 'measurements are published')
         self.clear_records()
-        self._settled_at = time.monotonic()
 
     def _passes_values(self) -> Any:
         """Send a value for each topic: when it is published, no earlier one can be any more."""
@@ -278,11 +257,8 @@ class Rig(Stage):
             return [each for each in self.robot.published[topic] if each.key is not None]
         with contextlib.suppress(StageError):
             self.wait(lambda: len(published()) >= len(sent), '', UNTIL_PUBLISHED)
-        required, found = self.row(PUBLISHED), published()
-        if len(found) < len(sent) and self.may_lose(self._settled_at, time.monotonic()):
-            required.undecided += 1
-            return
-        for one, message in itertools.zip_longest(sent, found):
+        required = self.row(PUBLISHED)
+        for one, message in itertools.zip_longest(sent, published()):
             if not required.check(one and message and one.key == message.key,
                                   f'{topic}: {one} sent, {message} published'):
                 return

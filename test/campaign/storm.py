@@ -32,6 +32,7 @@ _STALLS = 0.2, 0.4, 0.7, 1.2     # s for which the bridge is suspended
 # s for which a network is frozen; that of the bus not until three ECHOs are lost.
 _FREEZES = {'bus': (0.2, 0.5), 'arduino': (0.3, 1.0, 2.0, 5.0), 'mcu': (0.3, 1.0, 3.0, 6.0)}
 _MEASURE_PERIOD = 0.02   # s
+_USAGE_PERIOD = 0.5      # s
 _RECORDS = 20000         # records that are kept to be written at the first violation
 _REFUSED = reply_frame(codec.INVALID, bytes((codec.BAD_CHECKSUM,)))
 _FAILED = reply_frame(codec.ERROR, struct.pack('<H', codec.FAILED))
@@ -95,14 +96,19 @@ class Storm:
 
     def _run(self) -> None:
         growth, until = GrowthCheck(self.rig, self._duration), time.monotonic() + self._duration
+        with self.rig.clock.each(_USAGE_PERIOD, growth.measure):
+            self._disturb_bridge(until)
+        growth.judge()
+
+    def _disturb_bridge(self, until: float) -> None:
         while time.monotonic() < until:
             self.wait(self._random.uniform(2.0, 6.0))
             with self._either, self._values.disturbance(), self.rig.suspended():
                 self._record('bridge', 'suspended')
                 self.wait(self._random.choice(_STALLS))
                 self._motor.resumed()
-            for each in self._motor, self._values, growth:
-                each.judge()
+            self._motor.judge()
+            self._values.judge()
             self.rig.check_always()
             self.rig.check(self.rig.child_bridge)
 

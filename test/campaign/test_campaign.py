@@ -2,15 +2,13 @@
 import os
 import signal
 import struct
-import subprocess
-import sys
 import time
 
 import pytest
 from waiting import until
 
 import by_definition as codec
-from campaign import broken, logs, witness
+from campaign import boards, broken, logs, machine
 from campaign.boards import (BusBoard, Car, Reaction, Request, Sensors, imu_values, range_key,
                              reply_frame)
 from campaign.lines import Clock, NetworkLine, SerialLine
@@ -112,6 +110,25 @@ def test_a_gap_between_heartbeats_is_recorded(line):
     assert len(car.gaps) == 1 and car.all_beats == 5
 
 
+@pytest.mark.parametrize('silent, not_arrived, gaps', [
+    (2.0, (1.02, 1.04), 0), (2.0, (1.02,), 1), (0.1, (1.02, 1.04), 1)])
+def test_heartbeats_that_the_bridge_drops_when_a_silence_ends_were_in_time(
+        line, monkeypatch, silent, not_arrived, gaps):
+    car, heartbeat, now = Car(line, Clock()), codec.arduino_packet(codec.HEARTBEAT), [-9.0]
+    monkeypatch.setattr(boards.time, 'monotonic', lambda: now[0])
+    for now[0] in 1.0 - silent, 1.0:
+        car.write(b'')
+    times = [(1.0, ()), (1.06, not_arrived)]
+
+    def written(frames, now):
+        at, line.not_arrived = times.pop(0)
+        return [at]
+    line.written = written
+    for _ in range(2):
+        car.read(heartbeat, 1.06)
+    assert len(car.gaps) == gaps
+
+
 def test_bus_board_checks_the_fence(line):
     board = BusBoard(line, Clock())
     echo, lift = codec.bus_frame(b'\1\0', b'nonc'), codec.bus_frame(b'\x55\x20', b'\0\1')
@@ -195,31 +212,24 @@ def test_terminal_output(tmp_path):
     assert [row.text for row in table.violated] == ['the terminal shows the log and nothing else']
 
 
-def test_witness():
-    """Only a process that woke up late at that time is an excuse."""
-    memory = []
-    one = witness.Witness(memory.append)
-    record = struct.Struct('<2d').pack
-    os.pwrite(memory[0], record(100.0, 2) + record(5.0, 5.1) + record(6.0, 6.02), 0)
-    assert one.longest(5.16, 5.9) == 0.0
-    assert one.longest(5.16, 6.0) == pytest.approx(0.02)
-    assert one.longest(4.0, 4.96) == pytest.approx(0.1)
+def test_a_byte_that_is_moved_late_is_a_stall():
+    one = machine.Machine()
+    now = time.monotonic()
+    one.moved(now - 10.0, now - 9.8)
+    one.moved(now - 5.0, now - 4.95)
+    assert one.stalled(now - 9.77, now - 9.0) and not one.stalled(now - 9.7, now - 4.0)
+    assert one.late(now - 9.77, now - 9.0) == 0.0
 
 
-def test_witness_process_notes_that_it_was_suspended():
-    def start(memory):
-        process.append(subprocess.Popen([sys.executable, witness.__file__, str(memory), str(
-            min(os.sched_getaffinity(0)))], pass_fds=(memory,)))
-    process = []
-    one = witness.Witness(start)
+def test_a_witness_that_is_suspended_is_late():
+    one = machine.Machine()
     began = time.monotonic()
-    one.longest(began, began)       # it runs
-    process[0].send_signal(signal.SIGSTOP)
+    assert not one.stalled(began, began)       # it runs
+    process = one._witnesses[0]._process
+    process.send_signal(signal.SIGSTOP)
     time.sleep(0.2)
-    process[0].send_signal(signal.SIGCONT)
-    assert 0.15 < one.longest(began, time.monotonic())
-    process[0].kill()
-    process[0].wait()
+    process.send_signal(signal.SIGCONT)
+    assert one.late(began, time.monotonic()) > 0.15
 
 
 def test_what_is_read_late_has_the_time_of_its_write(line):
@@ -227,25 +237,39 @@ def test_what_is_read_late_has_the_time_of_its_write(line):
     read, written, end = [], [], opened(line)
     line.on_bytes = lambda data, now: read.extend(
         (at, now) for at in line.written(len(data), now))
+    noted = []
+    os.write(end, b'x')
+    until(lambda: len(read) == 1 and not read.clear())      # it is noted
     with line._lock:        # nothing is read
         for number in range(1, 4):
             began = time.monotonic()
             os.write(end, b'x')
-            until(lambda: len(line._writes) == number)
+            until(lambda: noted.extend(line._writes.next()) or len(noted) == number)
             written.append((began, time.monotonic()))
+        line._writes.next = lambda seconds=0.0: noted
     until(lambda: len(read) == 3)
     for (since, before), (at, read_at) in zip(written, read):
         assert since <= at <= before <= read_at
     os.close(end)
 
 
-@pytest.mark.parametrize('writes, times', [
-    ([1.0, 2.0, 3.0], [2.0, 3.0]), ([3.0], [3.0, 5.0]), ([], [5.0, 5.0])])
-def test_times_of_two_frames(line, writes, times):
-    """The first write was read before it was known, or the second one is not known yet."""
-    line._writes = writes
+@pytest.mark.parametrize('writes, times, not_arrived', [
+    ([1.0, 2.0, 3.0], [2.0, 3.0], [1.0]), ([3.0], [3.0, 3.0], []), ([], [5.0, 5.0], [])])
+def test_times_of_two_frames(line, writes, times, not_arrived):
+    """The first write has not arrived, or one is not known."""
+    moved, noted = [], [writes]
+    line.on_moved = lambda *each: moved.append(each)
+    line._writes.next = lambda seconds=0.0: noted.pop() if noted else []
     assert line.written(0, 4.0) == [] and line.written(2, 5.0) == times
+    assert line.not_arrived == not_arrived and moved == [(times[0], 5.0)]
     assert line.written(1, 6.0) == [6.0]
+
+
+def test_the_write_of_a_frame_may_be_noted_after_its_read(line):
+    noted = [[time.monotonic() + 1.0], []]
+    line._writes.next = lambda seconds=0.0: noted.pop()
+    now = time.monotonic()
+    assert line.written(1, now) == [now] and not noted
 
 
 def test_every_broken_bridge_applies():
@@ -283,11 +307,3 @@ def test_fence_of_a_board_that_never_echoes(line, silence, faults):
         bus.faults.clear()
         bus.read(codec.bus_frame(request, b''), bus.written_at + silence)
     assert len(bus.faults) == faults
-
-
-def test_line_witness_measures_how_long_the_kernel_moves_bytes(monkeypatch):
-    began, read = time.monotonic(), os.read
-    monkeypatch.setattr(witness.os, 'read', lambda fd, size: time.sleep(0.05) or read(fd, size))
-    one = witness.LineWitness()
-    until(lambda: one.longest(began, time.monotonic()) >= 0.05)
-    assert one.longest(began - 9.0, began - 8.0) == 0.0
