@@ -1,6 +1,6 @@
 """Processes beside the bridge. Most of them are separate processes so that they can be suspended:
 
-    subscriber NAME     subscribes to all topics
+    subscriber NAME ... subscribes to these topics
     caller NAME         calls the lift for each line "DIRECTION DISTANCE" of stdin; prints results
     latching NAME A B   publishes A latched as a command of each type; after a line on stdin B, when
                         A was received
@@ -17,14 +17,15 @@ import rosgraph
 import rospy
 
 from serial_communication.srv import Lift
-from .robot import COMMANDS, NODE, TOPICS, command_of
+from .robot import COMMANDS, NODE, command_of
 
 _PERIOD = 0.01       # s
 
 
-def subscriber() -> None:
-    for topic in [*TOPICS, '/serial_msg', '/diagnostics', '/tf']:
-        rospy.Subscriber(topic.replace('~', NODE + '/'), rospy.AnyMsg, lambda message: None)
+def subscriber(*topics: str) -> None:
+    subscribers = [rospy.Subscriber(topic, rospy.AnyMsg, lambda message: None) for topic in topics]
+    while not all(each.get_num_connections() for each in subscribers):
+        time.sleep(_PERIOD)
     print('ready', flush=True)
     signal.pause()
 

@@ -6,7 +6,7 @@ import signal
 import sys
 import time
 from argparse import Namespace
-from typing import Any, Dict, Iterable, Iterator, NamedTuple, Optional, Tuple
+from typing import Any, Dict, Iterator, NamedTuple, Tuple
 
 from processes import StageError
 from serial_communication.output import prepare_output

@@ -101,10 +101,6 @@ class Calls:
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
-        refused = rig.row('outcome refused or not sent: not executed')
-        self.outcomes = {'done': rig.row('outcome done: executed exactly once'),
-                         'refused': refused, 'not sent': refused,
-                         'not known': rig.row('outcome not known: executed at most once')}
         self.matches = rig.row('the outcome of a call matches what the board replied')
         self.own_reply = rig.row('no late or doubled reply is used for another request')
         self._numbers = itertools.count(1)
@@ -125,7 +121,7 @@ class Calls:
         """Start a call of the lift, which is executed without a reply."""
         self.rig.bus.react = lambda request: _executed()
         call = self.start('lift')
-        self.outcomes['not known'].wait(lambda: self.rig.bus.executed[call.key], 'it arrives')
+        self.rig.wait(lambda: self.rig.bus.executed[call.key], 'it arrives')
         return call
 
     def call(self, service: str, what: str, wanted: str, limit: float = MOTION_TIMEOUT) -> Outcome:
@@ -141,7 +137,7 @@ class Calls:
         self.rig.in_time(self.rig.row('a call returns within timeout + 0.8 s + 0.2 s for ROS'),
                          outcome.began, outcome.ended, limit + QUEUE_TIME + _ROS_TIME, what)
         self.matches.check(outcome.name in wanted, f'{text}, expected "{wanted}"')
-        self.outcomes[outcome.name].check(outcome.is_true(executed), text)
+        outcome.check(self.rig.row, executed, text)
         if outcome.success:
             self.own_reply.check(key[0] != MEMORY or outcome.data == key[1], f'{what}: other data')
         elif outcome.name != 'not known':

@@ -135,7 +135,7 @@ def check_repetitions(rig: Rig, stop: Packet) -> None:
 
 def check_first(rig: Rig) -> Packet:
     """Check, and return, the first packet of this connection."""
-    packet = rig.car.first[rig.car.connection]
+    packet = rig.car.first
     rig.row(STOP_FIRST).check(packet.is_stop, f'the first packet was {packet}')
     return packet
 

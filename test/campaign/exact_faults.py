@@ -55,7 +55,7 @@ def openings(rig: Rig) -> None:
             rig.wait(lambda: rig.car.beats and len(rig.bus.requests) > count, 'ports are opened')
         calls.check(made[0], 'unplugged', 'not known')
         first = rig.bus.requests[count]
-        for link, at in ('mcu', returned), ('arduino', rig.car.first_beat), ('bus', first.t):
+        for link, at in ('mcu', returned), ('arduino', rig.car.first.t), ('bus', first.t):
             rig.in_time(returns, began, at, _PORT_RETURN, link)
         sync.check(first.cmd1 == codec.SYNC, f'the first request was {first}')
         calls.call('lift', 'after a reconnect', 'done')

@@ -51,7 +51,7 @@ def second_bridge(rig: Rig) -> None:
 
 def suspended_subscriber(rig: Rig) -> None:
     """SIGSTOP of a subscriber of all topics."""
-    child = rig.user('subscriber', 'suspended_subscriber')
+    child = rig.user('subscriber', 'suspended_subscriber', *rig.robot.topics)
     child.hold()
     measurements(rig)
     rig.end(child)
@@ -157,9 +157,8 @@ def _end(rig: Rig, number: int, hang: bool) -> None:
                 f'{what}, not counting {max(waited):.2f} s in which it got no processor')
     rig.end(rig.child_bridge)
     rig.car_line.drain()
-    last, status = rig.car.packets[-1], rig.child_bridge.process.returncode
-    beats = [*rig.car.ended, rig.car.beats][last.connection] - last.beats
-    required.check(last.is_stop and not beats, f'{what}: {beats} heartbeats after {last}')
+    last, status = rig.car.last, rig.child_bridge.process.returncode
+    required.check(last.is_stop, f'{what}: the last packet was {last}')
     required.check(status == 0, f'{what}: its exit status is {status}')
     rig.check_always()
     for line in lines if hang else ():

@@ -56,5 +56,3 @@ class Machine:
             os.read(end, 1)
             self.moved(written, time.monotonic())
             time.sleep(_PERIOD)
-
-

@@ -12,11 +12,7 @@ import struct
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor, wait
-from typing import Any, Deque, Dict, Optional, Set, Tuple
-from xmlrpc.client import ServerProxy
-
-import rosgraph
-import rospy
+from typing import Any, Deque, Dict, Optional, Tuple
 
 import by_definition as codec
 from .boards import DEPTH, HEIGHT, Board, Reaction, Request, reply_frame
@@ -24,7 +20,6 @@ from .damage import DamagedLine
 from .exact_node import POLLING
 from .lines import NetworkLine
 from .rig import MOTION_TIMEOUT, Rig
-from .robot import NODE
 from .storm_checks import CallCheck, GrowthCheck, MotorCheck, ValueCheck
 
 _DAMAGE_SHARE = 0.03     # of the frames
@@ -36,13 +31,6 @@ _USAGE_PERIOD = 0.5      # s
 _RECORDS = 20000         # records that are kept to be written at the first violation
 _REFUSED = reply_frame(codec.INVALID, bytes((codec.BAD_CHECKSUM,)))
 _FAILED = reply_frame(codec.ERROR, struct.pack('<H', codec.FAILED))
-
-
-def _subscribed(node: str) -> Set[str]:
-    """The topics of the bridge to which this node is connected."""
-    bridge = ServerProxy(rosgraph.Master('/campaign').lookupNode(NODE))
-    return {topic for _id, name, direction, _transport, topic, *_ in bridge.getBusInfo('')[2]
-            if name == node and direction == 'o'}
 
 
 class Storm:
@@ -68,9 +56,7 @@ class Storm:
         rig.settle()
         self._connect()
         traffic = rig.robot.subscribe_to_traffic(lambda message: None)
-        subscriber = rig.user('subscriber', 'storm_subscriber')
-        rig.wait(lambda: _subscribed(rospy.get_name()) <= _subscribed('/storm_subscriber'),
-                 'the subscriber is connected')
+        subscriber = rig.user('subscriber', 'storm_subscriber', *rig.robot.topics)
         children = [subscriber, *rig.busy(self._busy)]
         loops = (self._measure, self._drive, self._make_calls, self._make_calls,
                  lambda: self._disturb('mcu', 4.0), lambda: self._disturb('bus', 6.0),

@@ -89,11 +89,6 @@ class CallCheck:
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
-        refused = rig.row('outcome refused or not sent: not executed')
-        self._outcomes = {
-            'done': rig.row('outcome done: executed exactly once'),
-            'not known': rig.row('outcome not known: executed at most once'),
-            'refused': refused, 'not sent': refused}
         self._returned = rig.row('every call returns within 6 s')
         self.executed: 'Counter[Tuple[int, bytes]]' = Counter()
         # By request: how often the board may still receive it.
@@ -116,7 +111,7 @@ class CallCheck:
         executed = self.executed.pop(key, 0)
         text = f'{key[1].hex()}: {outcome}, executed {executed} times'
         if self._returned.check(outcome.status is not None, text):
-            self._outcomes[outcome.name].check(outcome.is_true(executed), text)
+            outcome.check(self._rig.row, executed, text)
         if outcome.success:
             self._rig.row('a raw call returns the data of its own reply').check(
                 outcome.data == key[1], text)

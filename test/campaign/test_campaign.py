@@ -1,5 +1,6 @@
 """The campaign's table, lines, boards and logs."""
 import os
+import select
 import signal
 import struct
 import time
@@ -8,7 +9,7 @@ import pytest
 from waiting import until
 
 import by_definition as codec
-from campaign import boards, broken, logs, machine
+from campaign import boards, broken, logs, machine, writes
 from campaign.boards import (BusBoard, Car, Reaction, Request, Sensors, imu_values, range_key,
                              reply_frame)
 from campaign.lines import Clock, NetworkLine, SerialLine
@@ -73,11 +74,11 @@ def test_car_records_packets_and_heartbeats(line):
     os.write(end, codec.arduino_packet(codec.SPEED, b'\0\0') + heartbeat * 3
              + codec.arduino_packet(codec.SPEED, struct.pack('<h', -7)))
     until(lambda: len(car.packets) == 2)
-    assert car.first[0].is_stop and car.beats == 3 and car.packets[1].beats == 3
+    assert car.first.is_stop and car.beats == 3 and car.packets[1].beats == 3
     assert car.stop_after(car.packets[0]) is None and car.gaps == []
     assert car.commands(codec.SPEED) == [0, -7] and car.packet(codec.SPEED, -7)
     line.unplug()
-    assert car.connection == 1 and car.beats == 0 and car.ended == [3]
+    assert car.connection == 1 and car.beats == 0 and car.first is None and car.last.number == -7
     os.close(end)
 
 
@@ -104,7 +105,7 @@ def test_a_gap_between_heartbeats_is_recorded(line):
     car, heartbeat = Car(line, Clock()), codec.arduino_packet(codec.HEARTBEAT)
     for now in (1.0, 1.01, 1.041, 1.05):
         car.read(heartbeat, now)
-    assert car.gaps == [(1.01, 1.041)] and car.first_beat == 1.0
+    assert car.gaps == [(1.01, 1.041)] and car.beat_at == 1.05
     car.forget_beat()
     car.read(heartbeat, 3.0)
     assert len(car.gaps) == 1 and car.all_beats == 5
@@ -129,20 +130,27 @@ def test_heartbeats_that_the_bridge_drops_when_a_silence_ends_were_in_time(
     assert len(car.gaps) == gaps
 
 
+def bus_board(line):
+    """A board, and what was wrong about fences."""
+    board, faults = BusBoard(line, Clock()), []
+    board.check_fence = lambda holds, text: holds or faults.append(text)
+    return board, faults
+
+
 def test_bus_board_checks_the_fence(line):
-    board = BusBoard(line, Clock())
+    board, faults = bus_board(line)
     echo, lift = codec.bus_frame(b'\1\0', b'nonc'), codec.bus_frame(b'\x55\x20', b'\0\1')
     for data in (echo, lift):
         board.read(data, 1.0)
-    assert not board.faults and board.checked == 1
+    assert not faults
     board.read(lift, 2.0)
-    assert 'came behind' in board.faults.pop()
+    assert 'came behind' in faults.pop()
     board.read(echo, 3.0)
-    assert 'is not new' in board.faults.pop()
+    assert 'is not new' in faults.pop()
     board.probe = lambda request: Reaction()     # not answered
     for data in (codec.bus_frame(b'\1\0', b'othe'), lift):
         board.read(data, 4.0)
-    assert 'came behind' in board.faults.pop() and not board.faults
+    assert 'came behind' in faults.pop() and not faults
 
 
 def test_bus_board_keeps_the_order_of_its_line(line):
@@ -232,32 +240,25 @@ def test_a_witness_that_is_suspended_is_late():
     assert one.late(began, time.monotonic()) > 0.15
 
 
-def test_what_is_read_late_has_the_time_of_its_write(line):
-    """As if the kernel delayed it."""
-    read, written, end = [], [], opened(line)
-    line.on_bytes = lambda data, now: read.extend(
-        (at, now) for at in line.written(len(data), now))
-    noted = []
-    os.write(end, b'x')
-    until(lambda: len(read) == 1 and not read.clear())      # it is noted
-    with line._lock:        # nothing is read
-        for number in range(1, 4):
-            began = time.monotonic()
-            os.write(end, b'x')
-            until(lambda: noted.extend(line._writes.next()) or len(noted) == number)
-            written.append((began, time.monotonic()))
-        line._writes.next = lambda seconds=0.0: noted
-    until(lambda: len(read) == 3)
-    for (since, before), (at, read_at) in zip(written, read):
-        assert since <= at <= before <= read_at
-    os.close(end)
+def test_a_write_is_noted_when_it_is_made(tmp_path):
+    noted = writes.Writes()
+    with open(tmp_path / 'device', 'wb', buffering=0) as file:
+        noted.watch(file.name)
+        file.write(b'x')
+        until(noted.next)       # it runs
+        began = time.monotonic()
+        file.write(b'x')
+        until(lambda: select.select([noted._times], [], [], 0)[0])
+        known = time.monotonic()
+        time.sleep(0.05)
+        assert began <= noted.next()[0] <= known and noted.next() == []
 
 
-@pytest.mark.parametrize('writes, times, not_arrived', [
+@pytest.mark.parametrize('found, times, not_arrived', [
     ([1.0, 2.0, 3.0], [2.0, 3.0], [1.0]), ([3.0], [3.0, 3.0], []), ([], [5.0, 5.0], [])])
-def test_times_of_two_frames(line, writes, times, not_arrived):
+def test_times_of_two_frames(line, found, times, not_arrived):
     """The first write has not arrived, or one is not known."""
-    moved, noted = [], [writes]
+    moved, noted = [], [found]
     line.on_moved = lambda *each: moved.append(each)
     line._writes.next = lambda seconds=0.0: noted.pop() if noted else []
     assert line.written(0, 4.0) == [] and line.written(2, 5.0) == times
@@ -289,21 +290,21 @@ def test_a_broken_bridge_that_no_longer_applies_is_an_error():
 @pytest.mark.parametrize('lost, silence, faults', [(3, 0.3, 0), (3, 0.1, 1), (2, 0.3, 1)])
 def test_fence_after_lost_echoes(line, lost, silence, faults):
     """After three lost ECHOs, SYNC and a silence are the fence of a call."""
-    bus = BusBoard(line, Clock())
+    bus, found = bus_board(line)
     bus.write(reply_frame(codec.ECHO))
     bus.probe = lambda request: Reaction() if request.cmd1 == codec.ECHO else None
     for number in range(lost):
         bus.read(codec.bus_frame(b'\1\0', bytes((number,)) * 4), 1.0)
     bus.read(codec.bus_frame(bytes((codec.SYNC, 0)), b''), 2.0)
     bus.read(codec.bus_frame(b'\x55\x60', b''), bus.written_at + silence)
-    assert bus.checked == 1 and len(bus.faults) == faults
+    assert len(found) == faults
 
 
 @pytest.mark.parametrize('silence, faults', [(0.02, 0), (0.01, 1)])
 def test_fence_of_a_board_that_never_echoes(line, silence, faults):
-    bus = BusBoard(line, Clock())
+    bus, found = bus_board(line)
     bus.lost_echoes = 3
     for request in b'\x55\x60', b'\x55\x61':
-        bus.faults.clear()
+        found.clear()
         bus.read(codec.bus_frame(request, b''), bus.written_at + silence)
-    assert len(bus.faults) == faults
+    assert len(found) == faults

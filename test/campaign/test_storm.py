@@ -101,7 +101,7 @@ def motor(rig):
 
 
 def speed(value, t, beats=0):
-    return Packet(t, codec.SPEED, struct.pack('<h', value), beats, 0)
+    return Packet(t, codec.SPEED, struct.pack('<h', value), beats)
 
 
 def test_stop_in_time(rig, motor):
