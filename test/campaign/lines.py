@@ -100,7 +100,6 @@ class SerialLine(threading.Thread):
             self._device = os.ttyname(self.slave)
             tty.setraw(self.slave)
             os.set_blocking(self._master, False)
-            self._writes.next()
             self._writes.watch(self._device)
             os.symlink(self._device, self.port + '~')
             os.replace(self.port + '~', self.port)

@@ -252,6 +252,10 @@ def test_a_write_is_noted_when_it_is_made(tmp_path):
         known = time.monotonic()
         time.sleep(0.05)
         assert began <= noted.next()[0] <= known and noted.next() == []
+        file.write(b'x')
+        noted.watch(str(tmp_path))
+        time.sleep(0.05)
+        assert noted.next() == []       # it is of the device before
 
 
 @pytest.mark.parametrize('found, times, not_arrived', [

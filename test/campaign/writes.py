@@ -20,14 +20,14 @@ _LIBC = ctypes.CDLL(None)
 _MODIFIED = 2            # an event of inotify
 _PR_SET_PDEATHSIG = 1
 _PRIORITY = 30           # real-time, above the bridge's heartbeat
-_TIME = struct.Struct('d')
+_RECORD = struct.Struct('qd')     # of which device, and when
 
 
 class Writes:
-    """Notes when programs write to the devices that are watched."""
+    """Notes when programs write to a device."""
 
     def __init__(self) -> None:
-        self._inotify = _LIBC.inotify_init1(0)
+        self._inotify, self._watched = _LIBC.inotify_init1(0), 0
         self._times, end = os.pipe()
         os.set_blocking(self._times, False)
         self._process = subprocess.Popen([sys.executable, '-IS', __file__, str(self._inotify),
@@ -35,14 +35,16 @@ class Writes:
         os.close(end)
 
     def watch(self, device: str) -> None:
-        _LIBC.inotify_add_watch(self._inotify, device.encode(), _MODIFIED)
+        """From now on return the writes to this device only."""
+        self._watched = _LIBC.inotify_add_watch(self._inotify, device.encode(), _MODIFIED)
 
     def next(self, seconds: float = 0.0) -> List[float]:
         """The times, by `time.monotonic`, that were noted since the last call; waits so long for
         one."""
         select.select([self._times], [], [], seconds)
         with contextlib.suppress(BlockingIOError):
-            return [each for each, in _TIME.iter_unpack(os.read(self._times, 1 << 16))]
+            return [at for watch, at in _RECORD.iter_unpack(os.read(self._times, 1 << 16))
+                    if watch == self._watched]
         return []
 
 
@@ -53,10 +55,10 @@ def _note(inotify: int, pipe: int) -> None:
     os.set_blocking(pipe, False)
     while True:
         events, now = os.read(inotify, 4096), time.monotonic()
-        times = [now for _watch, kind, _cookie, _size in struct.iter_unpack('iIII', events)
-                 if kind == _MODIFIED]
+        records = [_RECORD.pack(watch, now) for watch, kind, _cookie, _size in struct.iter_unpack(
+            'iIII', events) if kind == _MODIFIED]
         with contextlib.suppress(BlockingIOError):      # nobody reads, as from a frozen line
-            os.write(pipe, struct.pack(f'{len(times)}d', *times))
+            os.write(pipe, b''.join(records))
 
 
 if __name__ == '__main__':
