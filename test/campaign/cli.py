@@ -18,7 +18,6 @@ from .storm import Storm
 
 _ROUND = 3600.0              # s of the statistical part between two exact parts
 _ATTEMPTS = 4                # at a scenario that the machine has spoiled
-_TABLE_PERIOD = 10.0         # s
 _PRIORITY = 2                # real-time, above the bridge's threads, below its heartbeat
 _SWITCH_INTERVAL = 5e-4      # s, of Python's threads
 
@@ -64,8 +63,10 @@ def main(options: Namespace) -> int:
     try:
         print(f'seed {options.seed}', file=sys.stderr)
         rig = Rig(table, options.keep, options.bridge)
-        table.on_violation.append(lambda text, _example: text == options.until and _stop())
-        with rig, rig.clock.each(_TABLE_PERIOD, lambda: _write_table(rig)):
+        # As Ctrl-C, from any thread.
+        table.on_violation.append(lambda text, _example: text == options.until and os.kill(
+            os.getpid(), signal.SIGINT))
+        with rig:
             print('starting', file=sys.stderr)
             _run(rig, options)
     except KeyboardInterrupt:
@@ -79,11 +80,6 @@ def main(options: Namespace) -> int:
         rig.discard()
     print(error_text, end='\n' if error_text else '', file=sys.stderr)
     return status or int(bool(table.failed))
-
-
-def _stop() -> None:
-    """As Ctrl-C, from any thread."""
-    os.kill(os.getpid(), signal.SIGINT)
 
 
 def _run(rig: Rig, options: Namespace) -> None:
@@ -166,10 +162,3 @@ def _carry_out_once(rig: Rig, scenario: Scenario) -> None:
     if error_text:
         rig.restore()
     rig.check_always()
-
-
-def _write_table(rig: Rig) -> None:
-    with contextlib.suppress(OSError):      # the folder is deleted at the end
-        with open(rig.path('table~'), 'w') as file:
-            print(time.strftime('%F %T'), rig.table, sep='\n', file=file)
-        os.replace(rig.path('table~'), rig.path('table.txt'))

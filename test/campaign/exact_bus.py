@@ -4,14 +4,12 @@ import itertools
 import signal
 import struct
 import time
-from concurrent.futures import Future
-from typing import Any, ContextManager, NamedTuple, Sequence, Tuple
+from typing import Any, Callable, ContextManager, NamedTuple, Sequence, Tuple
 
 import by_definition as codec
 from .boards import HALT, MEMORY, OK, PRESS, PROBE, PUMP, PUMP_ROW, Reaction, Request, reply_frame
-from .requirements import MAX_WAIT
 from .rig import MOTION_TIMEOUT, NOISE, POLLED_TOPICS, REPLY_TIMEOUT, Rig
-from .robot import NOT_SENT, Outcome
+from .robot import NODE, NOT_SENT, Outcome
 
 Key = Tuple[int, bytes]     # CMD2 and DATE of a request
 QUEUE_TIME = 0.8         # s that a call may wait for its turn, in addition to its timeout
@@ -89,11 +87,7 @@ class Call(NamedTuple):
 
     service: str
     key: Key             # of its request
-    future: 'Future[Outcome]'
-
-    def result(self) -> Outcome:
-        """Wait until it returns."""
-        return self.future.result(MAX_WAIT)
+    result: Callable[[], Outcome]       # waits until it returns
 
 
 class Calls:
@@ -300,7 +294,7 @@ def interrupted(rig: Rig) -> None:
             rig.bus.react = rig.bus.probe = None
             calls.check(outstanding, 'interrupted', 'not known', 1.0)
             calls.check(behind, 'behind a stop', 'not sent', 1.0)
-        at_once.check(stop.result(MAX_WAIT).success or noise, 'the stop failed')
+        at_once.check(stop().success or noise, 'the stop failed')
 
 
 def _dribble(rig: Rig) -> ContextManager[None]:
@@ -325,20 +319,21 @@ def suspended_caller(rig: Rig) -> None:
     """SIGSTOP of a caller while the board executes its request; other callers are served."""
     required = rig.row('a suspended caller delays no other call; its outcome is true')
     calls = Calls(rig)
-    child = rig.user('caller', 'suspended_caller')
     for index in range(3):
         rig.settle()
         key = calls.next_key('lift')
         rig.bus.react = lambda request: _executed(0.05)
-        child.order('%d %d' % tuple(key[1]))
+        child = rig.child(f'suspended_caller_{index}', [
+            'rosservice', 'call', f'{NODE}/lift', *map(str, key[1])])
         required.wait(lambda: rig.bus.executed[key], 'the request arrives')
         child.hold()
         for _ in range(3):
             calls.call('bus/request', 'of another caller', 'done')
         child.send(signal.SIGCONT)
-        required.wait(lambda: child.tail().count('returned True') > index, 'the call returns')
-        required.check(rig.bus.executed[key] == 1, f'executed {rig.bus.executed[key]} times')
-    rig.end(child)
+        required.wait(lambda: not child.alive, 'the call returns')
+        required.check('success: True' in child.tail() and rig.bus.executed[key] == 1,
+                       f'{child.tail()}, executed {rig.bus.executed[key]} times')
+        rig.end(child)
 
 
 def announced(rig: Rig) -> None:

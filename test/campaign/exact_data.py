@@ -71,8 +71,8 @@ def damaged(rig: Rig) -> None:
             rig.diagnosed(link, 1, 'errors in the last second')
             rig.compare(board)
     count = rig.robot.published['mcu/status'][-1].message.crc_error_count
-    wanted = rig.count('mcu', 'checksum errors')
-    required.check(count == wanted, f'crc_error_count is {count}, in /diagnostics {wanted}')
+    wanted = rig.next_report('mcu')[2]['checksum errors']
+    required.check(str(count) == wanted, f'crc_error_count is {count}, in /diagnostics {wanted}')
     for _ in range(3):
         rig.settle()
         for board, end in (rig.car, b'\0'), (rig.sensors, b''):
@@ -111,8 +111,7 @@ def false_starts(rig: Rig) -> None:
         rig.settle()
         rig.sensors.line.write(start)
         rig.sensors.measure()
-        statuses = rig.robot.published['mcu/status']
-        status = required.wait(lambda: [each for each in statuses if each.key], 'the status')[0]
+        status = required.wait(lambda: rig.robot.values('mcu/status'), 'the status')[0]
         required.check(len(start) == 1 or status.wall - status.stamp >= _FRAME_TIMEOUT - 0.005,
                        f'stamped only {status.wall - status.stamp:.4f} s before it arrived')
 
@@ -194,7 +193,7 @@ def silent(rig: Rig) -> None:
     rig.sleep(0.05)         # until the last call has returned
     rig.compare(rig.car, rig.sensors)
     statuses, adc = rig.robot.published['mcu/status'], rig.robot.published['mcu/adc_status']
-    last = [each for each in statuses if each.key][-1]
+    last = rig.robot.values('mcu/status')[-1]
     reported.wait(lambda: statuses[-3].wall > last.wall, 'three reports')
     reports = statuses[-3:]
     for each in reports:

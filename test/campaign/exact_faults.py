@@ -11,7 +11,6 @@ import by_definition as codec
 from .boards import Reaction, Request, reply_frame
 from .exact_bus import QUEUE_TIME, SERVICES, Calls
 from .exact_car import Drive, check_first, check_repetitions
-from .requirements import MAX_WAIT
 from .rig import AFTER, MOTION_TIMEOUT, STOP_FIRST, Rig
 from .robot import COMMANDS, NOT_SENT
 
@@ -233,7 +232,7 @@ def stalls(rig: Rig) -> None:
         required = rig.row('no data from the time of a stall is published over a network') \
             if rig.is_network else counted
         for topic in {each.topic for each in rig.car.sent + rig.sensors.sent}:
-            published = [each.key for each in rig.robot.published[topic] if each.key is not None]
+            published = rig.robot.values(topic)
             required.check(not published, f'{topic}: {published[:3]} was published')
         returns = rig.row('data is published again within 1 s of a stall')
         began = time.monotonic()
@@ -268,7 +267,7 @@ def _stall(rig: Rig, seconds: float) -> None:
         old_calls.check(outcome.status == NOT_SENT and not executed,
                         f'{call.service}: {outcome}, executed {executed} times')
     rig.wait_beats(AFTER)
-    outcome = calibrated.result(MAX_WAIT)
+    outcome = calibrated()
     sent = [each for each in car.packets if each.type == codec.CALIBRATION]
     old_calls.check(not outcome.success and not sent, f'calibrate_imu: {outcome}')
     calls.call('lift', 'after a stall', 'done')

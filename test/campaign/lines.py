@@ -1,10 +1,9 @@
 """The lines to the bridge, held at their far ends. All that can happen to a line is a method."""
+import asyncio
 import contextlib
 import functools
-import itertools
 import os
 import pty
-import sched
 import select
 import socket
 import threading
@@ -15,26 +14,23 @@ from typing import Any, Callable, Iterator, List
 from .writes import Writes
 
 _POLL = 20               # ms that a reader waits at most until it checks the line's state
-_TICK = 0.002            # s
 _SIZE = 65536            # bytes of one read
 _PTY_DELAY = 0.05        # s that the kernel may take to move bytes through a pseudo terminal
 _NOTED = 0.003           # s after the read of a frame until its write is known
 
 
-class Clock(threading.Thread):
-    """Calls functions at given times of `time.monotonic`; those of one time in order."""
+class Clock:
+    """Calls functions at given times of `time.monotonic`, in a thread of its own."""
 
     def __init__(self) -> None:
-        super().__init__(name='clock', daemon=True)
-        self._due = sched.scheduler(time.monotonic)
-        self._numbers = itertools.count()
-        self.start()
+        self._loop = asyncio.new_event_loop()
+        threading.Thread(target=self._loop.run_forever, name='clock', daemon=True).start()
 
     def after(self, seconds: float, action: Callable[[], None]) -> None:
         self.at(time.monotonic() + seconds, action)
 
     def at(self, when: float, action: Callable[[], None]) -> None:
-        self._due.enterabs(when, next(self._numbers), action)
+        self._loop.call_soon_threadsafe(self._loop.call_at, when, action)
 
     @contextlib.contextmanager
     def each(self, period: float, action: Callable[[], Any]) -> Iterator[None]:
@@ -50,11 +46,6 @@ class Clock(threading.Thread):
             yield
         finally:
             active.clear()
-
-    def run(self) -> None:
-        while True:
-            self._due.run(blocking=False)
-            time.sleep(_TICK)
 
 
 class SerialLine(threading.Thread):

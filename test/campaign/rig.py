@@ -204,12 +204,8 @@ class Rig(Stage):
 
     def wait_for_data(self, topic: str, measure: Callable[[], None], required: Requirement) -> None:
         count = len(self.robot.published[topic])
-
-        def is_published() -> bool:
-            measure()
-            self.wait_beats(0.02)
-            return len(self.robot.published[topic]) > count
-        required.wait(is_published, f'{topic} is published')
+        required.wait(lambda: measure() or self.wait_beats(0.02)
+                      or len(self.robot.published[topic]) > count, f'{topic} is published')
 
     def next_report(self, link: str) -> Tuple[int, str, Dict[str, str]]:
         """Level, message and values of the next status of a link in /diagnostics."""
@@ -220,29 +216,22 @@ class Rig(Stage):
     def diagnosed(self, link: str, level: int, words: str) -> None:
         """Check that /diagnostics soon shows this level and these words for a link."""
         def shows() -> bool:
-            found = self.next_report(link)
-            return found[0] == level and words in found[1]
+            found, text, _values = self.next_report(link)
+            return found == level and words in text
         self.row('level and words in /diagnostics are true').wait(
             shows, f'/diagnostics: {link} has level {level} and says "{words}"', 6.0)
 
     @contextlib.contextmanager
     def counted(self, required: Requirement, link: str, wanted: Dict[str, int]) -> Iterator[None]:
         """Check that these counters in /diagnostics grow by exactly these numbers meanwhile."""
-        def counters() -> Dict[str, int]:
-            values = self.next_report(link)[2]
-            return {key: int(values[key]) for key in wanted}
-        before = counters()
+        before = self.next_report(link)[2]
         yield
         for _ in range(2):      # the next report may be from before the event
-            after = counters()
-            grown = {key: after[key] - before[key] for key in wanted}
+            after = self.next_report(link)[2]
+            grown = {key: int(after[key]) - int(before[key]) for key in wanted}
             if grown == wanted:
                 break
         required.check(grown == wanted, f'{link}: counted {grown}, expected {wanted}')
-
-    def count(self, link: str, key: str) -> int:
-        """A counter in the next status of a link in /diagnostics."""
-        return int(self.next_report(link)[2][key])
 
     def compare(self, *boards: Board) -> None:
         """Compare what these boards sent since `settle` with what was published, and its stamps."""
@@ -251,12 +240,10 @@ class Rig(Stage):
                                   if each.topic == topic])
 
     def _compare(self, topic: str, sent: Sequence[Sent]) -> None:
-        def published() -> List[Published]:     # without the reports of a silent board
-            return [each for each in self.robot.published[topic] if each.key is not None]
         with contextlib.suppress(StageError):
-            self.wait(lambda: len(published()) >= len(sent), '', UNTIL_PUBLISHED)
+            self.wait(lambda: len(self.robot.values(topic)) >= len(sent), '', UNTIL_PUBLISHED)
         required = self.row(PUBLISHED)
-        for one, message in itertools.zip_longest(sent, published()):
+        for one, message in itertools.zip_longest(sent, self.robot.values(topic)):
             if not required.check(one and message and one.key == message.key,
                                   f'{topic}: {one} sent, {message} published'):
                 return

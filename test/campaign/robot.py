@@ -2,7 +2,7 @@
 import math
 import operator
 import time
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 
@@ -19,7 +19,7 @@ from serial_communication.msg import (Environment, McuStatus, McuStatus2, Serial
                                       Voltage)
 from serial_communication.srv import BusRequest, GetEnvironment, Gimbal, Lift
 from .boards import Sent, range_key, unit_key, wire_number
-from .requirements import Requirement
+from .requirements import MAX_WAIT, Requirement
 
 NODE = '/serial_communication'
 _OF_POLLS = f'{NODE}/depth', f'{NODE}/height'
@@ -182,6 +182,10 @@ class Robot:
         return any(each.key == sent.key and (not each.stamp or each.stamp >= sent.wall)
                    for each in list(self.published[sent.topic]))
 
+    def values(self, topic: str) -> List[Published]:
+        """What was published, without the reports of a silent board."""
+        return [each for each in list(self.published[topic]) if each.key is not None]
+
     def keep(self, topic: str, message: Published) -> None:
         self.published[topic].append(message)
 
@@ -244,5 +248,7 @@ class Robot:
                        bytes(getattr(response, 'data', b'')), getattr(response, 'error_code', 0),
                        _environment(getattr(response, 'environment', Environment())), now)
 
-    def start_call(self, service: str, *arguments: Any) -> 'Future[Outcome]':
-        return self._pool.submit(self.call, service, *arguments)
+    def start_call(self, service: str, *arguments: Any) -> Callable[[], Outcome]:
+        """Start a call; return a function that waits for its outcome."""
+        future = self._pool.submit(self.call, service, *arguments)
+        return lambda: future.result(MAX_WAIT)
