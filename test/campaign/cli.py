@@ -63,9 +63,10 @@ def main(options: Namespace) -> int:
     try:
         print(f'seed {options.seed}', file=sys.stderr)
         rig = Rig(table, options.keep, options.bridge)
-        # As Ctrl-C, from any thread.
-        table.on_violation.append(lambda text, _example: text == options.until and os.kill(
-            os.getpid(), signal.SIGINT))
+        table.until = options.until
+        # The storm is ended as by Ctrl-C, from any thread.
+        table.on_violation.append(lambda text, _example: table.part == 'storm'
+                                  and text == table.until and os.kill(os.getpid(), signal.SIGINT))
         with rig:
             print('starting', file=sys.stderr)
             _run(rig, options)
@@ -144,6 +145,8 @@ def carry_out(rig: Rig, scenario: Scenario) -> None:
         if table.violations > violated and rig.machine.stalled(began, time.monotonic()):
             print('    the machine stalled', file=sys.stderr)
             table.take_back(before)
+        if table.until in [row.text for row in table.violated]:
+            raise KeyboardInterrupt
         if table.undecided == undecided:
             break
 

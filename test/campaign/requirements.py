@@ -89,11 +89,12 @@ class Table:
         on_violation: called with a requirement and what has violated it.
         part: the part that runs now, `exact` or `storm`.
         runs: how often each part was run; of the storm the minutes.
+        until: the requirement whose violation ends the campaign.
     """
 
     def __init__(self) -> None:
         self.on_violation: List[Callable[[str, str], Any]] = []
-        self.part = 'exact'
+        self.part, self.until = 'exact', ''
         self.runs: Dict[str, float] = {'exact': 0, 'storm': 0}
         self._rows: Dict[Tuple[str, str], Requirement] = {}
         self.began = time.monotonic()
