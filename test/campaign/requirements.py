@@ -59,7 +59,7 @@ class Requirement:
 
     @property
     def worst_case(self) -> str:
-        return f'{self._worst:.4g} {self._unit}' if self._unit else ''
+        return f'{self._worst:.4g} {self._unit}' if self._worst > float('-inf') else ''
 
     @property
     def least(self) -> int:
