@@ -139,15 +139,15 @@ def carry_out(rig: Rig, scenario: Scenario) -> None:
     violated and the machine stalled."""
     table = rig.table
     for _ in range(_ATTEMPTS):
-        before, violated = table.results(), table.violations
-        began, undecided = time.monotonic(), table.undecided
+        began, before = time.monotonic(), table.results()
+        violations, undecided = table.total('violations'), table.total('undecided')
         _carry_out_once(rig, scenario)
-        if table.violations > violated and rig.machine.stalled(began, time.monotonic()):
+        if table.total('violations') > violations and rig.machine.stalled(began, time.monotonic()):
             print('    the machine stalled', file=sys.stderr)
             table.take_back(before)
         if table.until in [row.text for row in table.violated]:
             raise KeyboardInterrupt
-        if table.undecided == undecided:
+        if table.total('undecided') == undecided:
             break
 
 

@@ -121,9 +121,9 @@ class Table:
         """Those that were checked, or should have been."""
         return [each for each in self.rows if each.checks or each.undecided or each.least]
 
-    @property
-    def undecided(self) -> int:
-        return sum(each.undecided for each in self.rows)
+    def total(self, what: str) -> int:
+        """Of all requirements the `violations`, or what is `undecided`."""
+        return sum(getattr(each, what) for each in self.rows)
 
     def results(self) -> Dict[Requirement, Dict[str, Any]]:
         """All results so far, for `take_back`."""
@@ -134,10 +134,6 @@ class Table:
         for row, before in results.items():
             undecided = row.undecided + (row.violations > before['violations'])
             vars(row).update(before, undecided=undecided)
-
-    @property
-    def violations(self) -> int:
-        return sum(each.violations for each in self.rows)
 
     @property
     def violated(self) -> List[Requirement]:
@@ -170,5 +166,5 @@ class Table:
                  else 'only a part of the scenarios was run')
         too_often = sum(each.is_undecided for each in self.used)
         return (f'{len(self.used)} requirements, {tried}; {len(self.violated)} violated; '
-                f'{self.undecided} checks not decided' + (
+                f'{self.total("undecided")} checks not decided' + (
                     f', too many of {too_often} requirements' if too_often else ''))

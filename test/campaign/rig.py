@@ -47,7 +47,7 @@ class Rig(Stage):
         self.table, self.row = table, table.row
         self.clock = Clock()
         self.logs = LogCheck(self.folder, self.row)
-        self.bridge_number = 0
+        self.bridge_number, self._numbers = 0, itertools.count()
 
     def __enter__(self) -> 'Rig':
         super().__enter__()
@@ -122,8 +122,7 @@ class Rig(Stage):
     def restore(self) -> None:
         """After a scenario that failed: no children, all lines as before, another bridge."""
         self.child_bridge.send(signal.SIGKILL)
-        for child in list(self.children):
-            self.end(child)
+        self.clear()
         self.bus.usual()
         self.car.talks = True
         for line in self.lines.values():
@@ -133,14 +132,13 @@ class Rig(Stage):
             line.plug()
         self.start(self._parameters)
 
-    def user(self, role: str, name: str, *arguments: Any, ready: bool = True,
-             **options: Any) -> Child:
+    def user(self, role: str, name: str, *arguments: Any) -> Child:
         """Start a process of children.py; wait until it is ready."""
-        child = self.child(name, [sys.executable, '-m', __package__ + '.children', role, name,
-                                  *map(str, arguments)], orders=True, **options)
-        if ready:
-            self.wait(lambda: 'ready' in child.tail() or not child.alive, name)
-            self.check(child)
+        child = self.child(f'{name}_{next(self._numbers)}', [
+            sys.executable, '-m', __package__ + '.children', role, name, *map(str, arguments)],
+                           orders=True)
+        self.wait(lambda: 'ready' in child.tail() or not child.alive, name)
+        self.check(child)
         return child
 
     @contextlib.contextmanager

@@ -67,7 +67,7 @@ def test_results_of_a_try_that_the_machine_spoiled_are_taken_back(table, row):
     row.at_most(3.0, 2.0, 's', 'too late')
     other = table.row('data is published again within 1 s of a stall')
     other.check(True, '')
-    assert table.violations == 1
+    assert table.total('violations') == 1
     table.take_back(before)
     assert (row.checks, row.violations, row.undecided, row.examples) == (5, 0, 1, [])
     assert row.worst_case == '1 s' and (other.checks, other.undecided) == (12, 0)
