@@ -325,7 +325,7 @@ class Sensors(Board):
         if n % 7 == 0:
             wrapped = pitch = roll = -32768
         self.send(self.frame(codec.SENSORS, struct.pack('<HHhhh', *ranges, wrapped, pitch, roll)))
-        self.send(self.frame(codec.ADC, struct.pack('<6H', *range(n, n + 6))))
+        self.send(self.frame(codec.ADC, struct.pack('<6H', *range(n % 60000, n % 60000 + 6))))
 
     def cliff(self) -> None:
         self._number = n = self._number + 1

@@ -101,6 +101,14 @@ def test_boards_record_the_values_that_they_send(line):
         'timed out', 'near', 30, 2000, 'far']
 
 
+@pytest.mark.parametrize('number', [29999, 32767, 36000, 65529, 65534, 65535, 1 << 24])
+def test_boards_send_for_any_duration(line, number):
+    for board in Car(line, Clock()), Sensors(line):
+        board._number = number
+        board.measure()
+        assert len(board.sent) >= 4
+
+
 def test_a_gap_between_heartbeats_is_recorded(line):
     car, heartbeat = Car(line, Clock()), codec.arduino_packet(codec.HEARTBEAT)
     for now in (1.0, 1.01, 1.041, 1.05):
