@@ -152,10 +152,12 @@ def carry_out(rig: Rig, scenario: Scenario) -> None:
 
 
 def _carry_out_once(rig: Rig, scenario: Scenario) -> None:
-    """After an exception, which is a violation, there is a new bridge."""
+    """Begins with quiet lines. After an exception, which is a violation, there is a new bridge."""
     print(f'{name_of(scenario)} ...', file=sys.stderr)
     began, error_text = time.monotonic(), ''
     try:
+        if rig.table.part == 'exact':       # the storm starts its own bridge
+            rig.settle()
         scenario(rig)
     except Exception as error:  # pylint: disable=broad-except
         error_text = f'{type(error).__name__}: {error}'

@@ -150,14 +150,13 @@ class Calls:
 def outcomes(rig: Rig) -> None:
     """Every service in every case; after each call one that the board refuses, which must fail."""
     calls = Calls(rig)
-    for cases, services in ((CASES, SERVICES), (SESSION_CASES, ('lift', 'press'))):
-        for case, service in itertools.product(cases, services):
-            _try_case(calls, case, service)
+    for case, service in rig.tries(*itertools.product(CASES, SERVICES),
+                                   *itertools.product(SESSION_CASES, ('lift', 'press'))):
+        _try_case(calls, case, service)
 
 
 def _try_case(calls: Calls, case: Case, service: str) -> None:
     rig = calls.rig
-    rig.settle()
 
     def react(request: Request) -> Reaction:
         if request.cmd2 == PROBE:
@@ -183,8 +182,7 @@ def _try_case(calls: Calls, case: Case, service: str) -> None:
 def readings(rig: Rig) -> None:
     """A request that reads is sent again, but its value is that of one reply; long data."""
     again = rig.row('a request that reads is sent again, and published once')
-    for lost in range(3):
-        rig.settle()
+    for lost in rig.tries(*range(3)):
         rig.bus.react = lambda request: _LOST if rig.bus.count(codec.ENVIRONMENT) <= lost \
             else None
         outcome = rig.robot.call('get_environment')
@@ -213,7 +211,6 @@ def never_echoes(rig: Rig) -> None:
     """A board that answers no ECHO: silence is the fence."""
     quiet = rig.row('a board that never echoes: 20 ms of silence before each call')
     calls = Calls(rig)
-    rig.settle()
     _reconnect(rig, codec.ECHO)
     quiet.wait(lambda: rig.robot.call('probe').success, 'calls are possible')
     for index in range(8):
@@ -237,7 +234,6 @@ def unanswered_sync(rig: Rig) -> None:
     """A board that answers no SYNC, and then answers."""
     only = rig.row('until SYNC is answered nothing else is sent')
     calls = Calls(rig)
-    rig.settle()
     _reconnect(rig, codec.SYNC)
     rig.wait(lambda: len(rig.bus.requests) > 2, 'SYNC is repeated')
     calls.call('lift', 'without SYNC', 'not sent', 0.0)
@@ -255,8 +251,8 @@ def queue(rig: Rig) -> None:
     for the queue."""
     required = rig.row('at most one request is outstanding')
     calls = Calls(rig)
-    for delay, wanted, least, most in (0.03, 'done', 8, 8), (0.25, 'done or not sent', 2, 7):
-        rig.settle()
+    for delay, wanted, least, most in rig.tries(
+            (0.03, 'done', 8, 8), (0.25, 'done or not sent', 2, 7)):
         replied_at = [0.0]
 
         def react(request: Request) -> Reaction:
@@ -279,8 +275,7 @@ def interrupted(rig: Rig) -> None:
     """A stop, while a motion and calls behind it wait; also behind noise that never ends."""
     at_once = rig.row('a stop is sent within 50 ms, whatever is outstanding')
     calls = Calls(rig)
-    for noise in (False, False, True):
-        rig.settle()
+    for noise in rig.tries(False, False, True):
         outstanding, behind = calls.start_unanswered(), calls.start('lift')
         rig.sleep(0.1)
         with _dribble(rig) if noise else contextlib.nullcontext():
@@ -306,8 +301,7 @@ def _dribble(rig: Rig) -> ContextManager[None]:
 def dribble(rig: Rig) -> None:
     """A false start and a byte each 30 ms, which could hold the link for seconds."""
     calls = Calls(rig)
-    for _ in range(3):
-        rig.settle()
+    for _ in rig.tries(*range(3)):
         with _dribble(rig):
             rig.sleep(0.2)
             outcome = calls.call('bus/request', 'noise', 'done or not known', 0.3)
@@ -319,8 +313,7 @@ def suspended_caller(rig: Rig) -> None:
     """SIGSTOP of a caller while the board executes its request; other callers are served."""
     required = rig.row('a suspended caller delays no other call; its outcome is true')
     calls = Calls(rig)
-    for index in range(3):
-        rig.settle()
+    for index in rig.tries(*range(3)):
         key = calls.next_key('lift')
         rig.bus.react = lambda request: _executed(0.05)
         child = rig.child(f'suspended_caller_{index}', [
@@ -339,8 +332,7 @@ def suspended_caller(rig: Rig) -> None:
 def announced(rig: Rig) -> None:
     """A board announces a function; another one, which announces nothing, takes its place."""
     required = rig.row('a function is sent only to the board that announced it')
-    for same_port in (True, False):
-        rig.settle()
+    for same_port in rig.tries(True, False):
         rig.bus.announces = PUMP_ROW
         _reconnect(rig)
         required.wait(lambda: rig.robot.call('pump').success, 'the announced function is served')

@@ -182,6 +182,12 @@ class Rig(Stage):
         self.row(PUBLISHED).wait(self._passes_values, 'measurements are published')
         self.clear_records()
 
+    def tries(self, *values: Any) -> Iterator:
+        """The values for tries; settles before each."""
+        for value in values:
+            self.settle()
+            yield value
+
     def _passes_values(self) -> Any:
         """Send a value for each topic: when it is published, no earlier one can be any more."""
         self.clear_records()

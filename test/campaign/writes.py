@@ -30,8 +30,9 @@ class Writes:
         self._inotify, self._watched = _LIBC.inotify_init1(0), 0
         self._times, end = os.pipe()
         os.set_blocking(self._times, False)
-        self._process = subprocess.Popen([sys.executable, '-IS', __file__, str(self._inotify),
-                                          str(end)], pass_fds=(self._inotify, end))
+        self._process = subprocess.Popen(       # Ctrl-C does not reach it
+            [sys.executable, '-IS', __file__, str(self._inotify), str(end)],
+            pass_fds=(self._inotify, end), start_new_session=True)
         os.close(end)
 
     def watch(self, device: str) -> None:
