@@ -143,7 +143,8 @@ def carry_out(rig: Rig, scenario: Scenario) -> None:
         violations, undecided = table.total('violations'), table.total('undecided')
         _carry_out_once(rig, scenario)
         if table.total('violations') > violations and rig.machine.stalled(began, time.monotonic()):
-            print('    the machine stalled', file=sys.stderr)
+            print(*[f'    the machine stalled: {row.examples[-1]}' for row in table.violated],
+                  sep='\n', file=sys.stderr)
             table.take_back(before)
         if table.until in [row.text for row in table.violated]:
             raise KeyboardInterrupt
