@@ -10,8 +10,8 @@ kernel delays what it moves (writes.py). Only a witness (machine.py) can excuse 
 requirements, and how often each has to be tried, are in rows.txt.
 
 Before each scenario and each try of the exact part (exact_*.py) `Rig.settle` waits until nothing is
-in progress, so all that follows is caused by its event. Every command, call and measurement has a unique number,
-so a check compares two lists, or finds that a number did not arrive: a later packet on the same
-line proves that. The other part is in storm.py. That the campaign finds what it claims to find,
-broken/ shows.
+in progress, so all that follows is caused by its event. Every command, call and measurement has a
+unique number, so a check compares two lists, or finds that a number did not arrive: a later packet
+on the same line proves that. The other part is in storm.py. That the campaign finds what it claims
+to find, broken/ shows.
 """
