@@ -73,6 +73,7 @@ void loop() {
     update_range(0, now);
     update_range(1, now);
     update_attitude();
+    bridge.time(micros());
     bridge.send_sensor_status(status);
     start_one(now);
   }

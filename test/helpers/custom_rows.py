@@ -67,6 +67,6 @@ def row_and_raws(draw):
     layout, raws = draw(layout_and_raws())
     paths = [draw(st.sampled_from((f'field{index}', f'list[{index}]', f'a.b{index}', '')))
              for index in range(len(raws))]
-    return dict(type=draw(st.integers(13, 254)), ros_type='any/Type', layout=layout,
+    return dict(type=draw(st.integers(13, 252)), ros_type='any/Type', layout=layout,
                 fields=paths, scale=draw(st.sampled_from((1, 1, 0.01, -0.5, 3))),
                 offset=draw(st.sampled_from((0, 0, -40, 1.5)))), raws

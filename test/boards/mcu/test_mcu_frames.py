@@ -71,7 +71,7 @@ def test_a_len_under_2_is_detected_at_once():
     assert decoder.errors[FRAMING] == 1
 
 
-@pytest.mark.parametrize('type_, right_length', [(0x10, 12), (0x01, 14)])
+@pytest.mark.parametrize('type_, right_length', [(0x10, 12), (0x01, 14), (0xFE, 6)])
 def test_a_known_type_has_one_len(type_, right_length):
     for length in range(2, 256):
         wire = sealed(type_, 7, bytes(length - 2))
@@ -89,7 +89,7 @@ def test_a_wrong_len_of_a_known_type_is_detected_at_once():
     assert len(valid(decoder.feed(status()))) == 1 and decoder.errors[FRAMING] == 1
 
 
-@pytest.mark.parametrize('type_', [0, 2, 3, 0x11, 0xFE])
+@pytest.mark.parametrize('type_', [0, 2, 3, 0x11, 0xFD])
 @pytest.mark.parametrize('size', [0, 1, 253])
 def test_a_valid_frame_of_an_unknown_type_is_returned_and_counted(type_, size):
     payload = bytes(value % 200 + 4 for value in range(size))
