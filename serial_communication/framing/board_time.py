@@ -9,13 +9,14 @@ Sources: E. Olson, "A Passive Solution to the Sensor Synchronization Problem", I
 ethz-asl/cuckoo_time_translator, whose ConvexHullOwt also uses the edge in the middle.
 """
 from bisect import bisect_left
+from math import inf
 from typing import List, Optional, Tuple
 
 WINDOW = 10.0         # s of points that are used
 LEAST_POINTS = 10     # before a time is returned, and
 LEAST_SPAN = 1.0      # s that they span at least
 MOST_DRIFT = 0.01     # a Nano has a ceramic resonator, good to 0.5 %
-MOST_DELAY = 1.0      # s; a greater one is an error
+MOST_JUMP = 1.0       # s between the two clocks from one point to the next; more is a reset
 _SECONDS_A_TICK = 1e-6
 _WRAP = 2 ** 32 * _SECONDS_A_TICK      # s after which the board's clock begins again at 0
 
@@ -29,7 +30,6 @@ class BoardClock:
     """
 
     def __init__(self) -> None:
-        self.errors = 0      # times that were more than `MOST_DELAY` before the arrival
         self.reset()
 
     def reset(self) -> None:
@@ -37,8 +37,8 @@ class BoardClock:
         self._hull: List[_Point] = []
         self._points = 0
         self._first = 0.0                           # board time of the first point
-        self._newest: Optional[_Point] = None
-        self._returned = float('-inf')              # the latest time returned
+        self._newest: _Point = (-inf, -inf)
+        self._returned = -inf                      # the latest time returned
         self._slope = 1.0
 
     @property
@@ -49,35 +49,34 @@ class BoardClock:
     def measured_at(self, ticks: int, arrival: float) -> Optional[float]:
         """Return when the board's clock was at `ticks`, or None if that is not known.
 
-        The result is never after `arrival` and never before an earlier result.
+        The result is never after `arrival`. That of a later time is never an earlier one.
 
         Args:
             ticks: µs, modulo 2 ** 32.
-            arrival: when the frame's last byte was received at the latest.
+            arrival: when the frame began on the wire at the latest.
         """
         board = self._unwrapped(ticks * _SECONDS_A_TICK, arrival)
-        self._add((board, arrival))
-        if self._points < LEAST_POINTS or board - self._first < LEAST_SPAN:
+        is_newest = board >= self._newest[0]
+        if is_newest:
+            self._add((board, arrival))
+        if self._points < LEAST_POINTS or self._newest[0] - self._first < LEAST_SPAN:
             return None
         at = self._on_line(board)
-        if arrival - at > MOST_DELAY:
-            self.errors += 1
-            return None
-        self._returned = max(min(at, arrival), self._returned)
-        return self._returned
+        if is_newest:
+            at = self._returned = max(at, self._returned)
+        return min(at, arrival)
 
     def _unwrapped(self, board: float, arrival: float) -> float:
-        """Return the board time without wraps; reset if the clock jumped."""
-        if self._newest is None:
-            return board
+        """Return the board time without wraps; reset if all points are old or the clock jumped."""
         board_before, arrival_before = self._newest
         elapsed = arrival - arrival_before
-        step = board - board_before
-        step += round((elapsed - step) / _WRAP) * _WRAP
-        if step < 0 or abs(step - elapsed) > MOST_DELAY + MOST_DRIFT * elapsed:
-            self.reset()
-            return board
-        return board_before + step
+        if elapsed <= WINDOW:
+            step = board - board_before
+            step += round((elapsed - step) / _WRAP) * _WRAP
+            if abs(step - elapsed) <= MOST_JUMP + MOST_DRIFT * elapsed:
+                return board_before + step
+        self.reset()
+        return board
 
     def _add(self, point: _Point) -> None:
         hull = self._hull

@@ -67,8 +67,7 @@ class Link:
         self.announcement = BoardAnnouncement(self.log)
         self.unknown_bytes = UnknownBytes(
             (other for other in other_boards if other.name != name), port.baud, self.PRINT_TO)
-        self.stamps = Stamps(0.0 if port.is_network else 10.0 / port.baud, earlier,
-                             self.log, board_time)
+        self.stamps = Stamps(port, earlier, self.log, board_time)
         self.connection = Connection(self, frame_timeout, clock)
         self._clock = clock
         self._presence = PresenceLog(self.log)

@@ -272,7 +272,18 @@ def test_an_open_port_is_of_its_kind(kind, name, line, free_server, rfc2217):
     port.open()
     assert type(port._opened).__name__ == name
     assert port.is_network == (kind in ('socket', 'rfc2217')) and port.is_pty == (kind is None)
+    assert port.byte_time == 0.0
     port.close()
+
+
+@pytest.mark.parametrize('major, byte_time', [(4, 1e-4), (188, 1e-4), (166, 0.0)])
+def test_the_wire_time_of_a_byte_is_known_of_a_uart_but_not_of_ttyacm(
+        major, byte_time, line, monkeypatch):
+    port = Port(line.path, 100_000)
+    monkeypatch.setattr('os.major', lambda device: major)
+    port.open()
+    port.close()
+    assert port.byte_time == byte_time
 
 
 def test_a_closed_port_raises_on_read_and_write_and_can_be_opened_again(port):
