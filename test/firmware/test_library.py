@@ -78,6 +78,17 @@ def test_a_sketch_that_announces_nothing_has_no_code_for_it(
     assert flash - silent_flash - len(text) > at_least
 
 
+@pytest.mark.parametrize('example', ['Hello', 'Car', 'Sensor'])
+def test_a_sketch_without_board_time_has_no_code_for_it(example, firmware_build, tmp_path):
+    sketch = read('%s/examples/%s/%s.ino' % (LIBRARY, example, example))
+    silent = re.sub(r'.*bridge\.time\(micros\(\)\);.*\n', '', sketch)
+    assert silent != sketch
+    flash, switched_off, none = (size_in_the_ide(each, firmware_build, tmp_path)[0] for each in (
+        sketch, '#define NO_BOARD_TIME\n' + sketch, silent))
+    print('%s: %d bytes for the time' % (example, flash - none))
+    assert none <= switched_off < flash - 20     # micros() itself stays
+
+
 @pytest.mark.parametrize('chip', sorted(OTHER_AVRS))
 @pytest.mark.parametrize('example', ['Hello', 'Sensor'])
 def test_example_builds_for_other_avrs(chip, example, tmp_path):
