@@ -17,6 +17,7 @@ LEAST_POINTS = 10     # before a time is returned, and
 LEAST_SPAN = 1.0      # s that they span at least
 MOST_DRIFT = 0.01     # a Nano has a ceramic resonator, good to 0.5 %
 MOST_JUMP = 1.0       # s between the two clocks from one point to the next; more is a reset
+MOST_DELAY = 1.0      # s; a frame that seems to have been delayed more is not believed
 _SECONDS_A_TICK = 1e-6
 _WRAP = 2 ** 32 * _SECONDS_A_TICK      # s after which the board's clock begins again at 0
 
@@ -40,6 +41,8 @@ class BoardClock:
         self._newest: _Point = (-inf, -inf)
         self._returned = -inf                      # the latest time returned
         self._slope = 1.0
+        self._ticks: Optional[int] = None           # the latest
+        self._at: Optional[float] = None            # their result
 
     @property
     def drift(self) -> float:
@@ -49,13 +52,20 @@ class BoardClock:
     def measured_at(self, ticks: int, arrival: float) -> Optional[float]:
         """Return when the board's clock was at `ticks`, or None if that is not known.
 
-        The result is never after `arrival`. That of a later time is never an earlier one.
+        The result is never after `arrival`. That of a later time is never an earlier one. Of
+        several frames with one time only the first is a point: the others were sent later.
 
         Args:
             ticks: µs, modulo 2 ** 32.
             arrival: when the frame began on the wire at the latest.
         """
-        board = self._unwrapped(ticks * _SECONDS_A_TICK, arrival)
+        if ticks != self._ticks:
+            self._at = self._measured_at(ticks * _SECONDS_A_TICK, arrival)
+            self._ticks = ticks
+        return self._at
+
+    def _measured_at(self, board: float, arrival: float) -> Optional[float]:
+        board = self._unwrapped(board, arrival)
         is_newest = board >= self._newest[0]
         if is_newest:
             self._add((board, arrival))

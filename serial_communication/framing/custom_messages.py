@@ -220,7 +220,7 @@ class Row:
         offsets = self._each('offset', count, 0, lambda n: abs(n) < inf)
         minima, maxima = self._each('minimum', count, -inf), self._each('maximum', count, inf)
         values = Layout(layout, [
-            Value(path) if path == BOARD_TIME else
+            Value(path, 'us') if path == BOARD_TIME else
             Value(path, '', scale, offset, minimum, maximum) for path, scale, offset, minimum,
             maximum in zip(paths, scales, offsets, minima, maxima)]).values
         if any(value.name == BOARD_TIME and (value.code != 'I' or value.kind != 'number')

@@ -1,14 +1,13 @@
 """Stamps of the measurement, from the times that a board sends."""
 from collections import deque
-from typing import Any, Callable, Deque, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Deque, List, NamedTuple, Tuple
 
-from ..framing.board_time import BoardClock
+from ..framing.board_time import MOST_DELAY, BoardClock
 from ..framing.stream import Frame
 from ..transport.port import Port
 from .sparing_log import SparingLog
 
-_DELAYS = 1000        # the latest, of which `values` are
-_MOST_DELAY = 1.0     # s; a frame that seems older has the stamp of its read
+_DELAYS = 1000     # the latest, of which `values` are
 
 
 class Read(NamedTuple):
@@ -38,27 +37,23 @@ class Stamps:
         self._is_told = False                # the board has sent a time
         self._errors = 0                     # frames that were too old
         self._delays: Deque[float] = deque(maxlen=_DELAYS)     # s from measurement to read
-        self._ticks: Optional[int] = None    # the board's latest time
-        self._at: Optional[float] = None     # when that was; None: not known
 
     def reset(self) -> None:
         """The port was opened, or the bridge stalled."""
         self._clock.reset()
         self._delays.clear()
-        self._ticks = None
 
     def measured(self, frame: Frame, read: Read) -> Frame:
         """The frame with the stamp of its measurement; as it is if that is not known."""
         if frame.ticks is None or not self._is_on:
             return frame
-        if frame.ticks != self._ticks:     # the frames after the first were sent later: no points
-            self._ticks, self._is_told = frame.ticks, True
-            wire_time = (len(frame.raw) + frame.behind) * self._port.byte_time
-            self._at = self._clock.measured_at(frame.ticks, read.at - wire_time)
-        if self._at is None:
+        self._is_told = True
+        wire_time = (len(frame.raw) + frame.behind) * self._port.byte_time
+        at = self._clock.measured_at(frame.ticks, read.at - wire_time)
+        if at is None:
             return frame
-        delay = read.at - self._at
-        if delay > _MOST_DELAY:
+        delay = read.at - at
+        if delay > MOST_DELAY:
             self._errors += 1
             self._log.warn('clock', "by the board's clock a frame is over 1 s old: it has the "
                            'stamp of its read')

@@ -201,7 +201,7 @@ class Imu(LayoutMessage, namedtuple(
 
 
 Time = message_class(
-    'Time', 254, '<IB', [Value(BOARD_TIME, 'µs'), Value('count', minimum=1, maximum=16)], 'time',
+    'Time', 254, '<IB', [Value(BOARD_TIME, 'us'), Value('count', minimum=1, maximum=16)], 'time',
     'TIME, board -> us: the board\'s time when it measured what the next `count` packets hold.')
 
 FROM_BOARD = (SteeringAngle, Ticks, Imu, Voltage)

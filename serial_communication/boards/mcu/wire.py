@@ -107,7 +107,7 @@ AdcStatus = message_class(
     'TYPE 0x01: six ADC channels, raw.')
 
 Time = message_class(
-    'Time', 0xFE, '<I', [Value(BOARD_TIME, 'µs')], 'time',
+    'Time', 0xFE, '<I', [Value(BOARD_TIME, 'us')], 'time',
     'TYPE 0xFE: the board\'s time when it measured what the frame with the next SEQ holds.')
 
 FROM_BOARD = (SensorStatus, AdcStatus)
