@@ -67,6 +67,6 @@ class Stamps:
             return []
         delays = sorted(self._delays)
         known = [f'{self._clock.drift:.0f}', f'{delays[len(delays) // 2] * 1e3:.2f}',
-                 f'{delays[-1] * 1e3:.2f}'] if delays else ['unknown'] * 3
+                 f'{delays[-1] * 1e3:.2f}'] if delays else ['-'] * 3
         return [*zip(('board clock [ppm]', 'read delay p50 [ms]', 'read delay max [ms]'), known),
                 ('clock errors', self._errors)]

@@ -185,7 +185,7 @@ def test_diagnostics_show_the_clock_only_of_a_board_that_sends_its_time(car):
     car.read(arduino.encode(arduino.Ticks(1)))
     assert car.values() == {}
     car.measure()
-    assert car.values() == {**dict.fromkeys(KEYS, 'unknown'), 'clock errors': 0}
+    assert car.values() == {**dict.fromkeys(KEYS, '-'), 'clock errors': 0}
     car.settle(200)
     car.measure(0.05)
     values = car.values()
@@ -238,7 +238,7 @@ def test_stamps_over_a_tty(line, logger, running):
         until(lambda: len(shown) == count)
 
     while dict(link.report(time.monotonic()).values).get(
-            'read delay p50 [ms]', 'unknown') == 'unknown':
+            'read delay p50 [ms]', '-') == '-':
         send(time.monotonic())
     measured = time.monotonic()
     time.sleep(0.5)
