@@ -212,6 +212,17 @@ def test_a_row_with_the_boards_time_has_its_stamp(logger):
         [car.now + DELAY - 9 * BYTE], abs=1e-4)
 
 
+def test_a_step_of_the_clock_of_the_stamps_changes_no_difference(car):
+    """As of the system's clock, or of simulated time: the read has it, and so has the stamp."""
+    car.settle()
+    car.now += PERIOD
+    for step in 0.0, -3600.0, 1e9:
+        car.link.connection._receive(car.time(1) + arduino.encode(arduino.Ticks(1)),
+                                     car.now + 0.02 + step, car.now + 0.02)
+        assert car.got[-1][1] == pytest.approx(car.now + step + DELAY, abs=2e-3)
+        car.now += PERIOD
+
+
 def test_stamps_are_made_earlier_by_the_function_of_the_caller(logger):
     car = Car(logger, earlier=lambda stamp, seconds: ('earlier', stamp - AHEAD, seconds))
     for _ in range(30):
