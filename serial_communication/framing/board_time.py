@@ -41,8 +41,6 @@ class BoardClock:
         self._newest: _Point = (-inf, -inf)
         self._returned = -inf                      # the latest time returned
         self._slope = 1.0
-        self._ticks: Optional[int] = None           # the latest
-        self._at: Optional[float] = None            # their result
 
     @property
     def drift(self) -> float:
@@ -52,20 +50,13 @@ class BoardClock:
     def measured_at(self, ticks: int, arrival: float) -> Optional[float]:
         """Return when the board's clock was at `ticks`, or None if that is not known.
 
-        The result is never after `arrival`. That of a later time is never an earlier one. Of
-        several frames with one time only the first is a point: the others were sent later.
+        The result is never after `arrival`. That of a later time is never an earlier one.
 
         Args:
             ticks: µs, modulo 2 ** 32.
             arrival: when the frame began on the wire at the latest.
         """
-        if ticks != self._ticks:
-            self._at = self._measured_at(ticks * _SECONDS_A_TICK, arrival)
-            self._ticks = ticks
-        return self._at
-
-    def _measured_at(self, board: float, arrival: float) -> Optional[float]:
-        board = self._unwrapped(board, arrival)
+        board = self._unwrapped(ticks * _SECONDS_A_TICK, arrival)
         is_newest = board >= self._newest[0]
         if is_newest:
             self._add((board, arrival))

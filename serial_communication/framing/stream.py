@@ -62,6 +62,11 @@ frame_of: Callable[[Tuple], Frame] = partial(
     tuple.__new__, Frame)    # type: ignore[assignment]  # mypy does not see that it is a Frame
 
 
+def stamped(frame: Frame, stamp: Any) -> Frame:
+    """The frame with another stamp; in half the time of `_replace`."""
+    return frame_of((*frame[:5], stamp, *frame[6:]))
+
+
 def invalid_frame(raw: bytes, cause: str, error: str, stamp: Any = None, type_: int = 0,
                   data: bytes = b'') -> Frame:
     """A `Frame` for an invalid frame or noise, with the first `MAX_REPORTED` bytes of `raw`."""

@@ -4,7 +4,7 @@ import operator
 import time
 from typing import Any, Callable, Iterable, List, NamedTuple, Optional, Tuple
 
-from ..framing.stream import CHECKSUM, FRAMING, UNKNOWN, Decoder, Frame
+from ..framing.stream import CHECKSUM, FRAMING, UNKNOWN, Decoder, Frame, stamped
 from ..transport.port import Port, PortError
 from .announcement import BoardAnnouncement
 from .connection import Connection
@@ -239,7 +239,7 @@ class Link:
     def deliver(self, frame: Frame, now: float) -> None:
         """Count, log and pass on one frame, valid or not; its stamp is a `Read`."""
         tap, read = self.tap, frame.stamp
-        frame = frame._replace(stamp=read.stamp)
+        frame = stamped(frame, read.stamp)
         shown = self.shown(frame) if tap else frame
         printed = '' if frame.message is not None else self.unknown_bytes.add(frame, now)
         if printed:

@@ -1,9 +1,9 @@
 """Stamps of the measurement, from the times that a board sends."""
 from collections import deque
-from typing import Any, Callable, Deque, List, NamedTuple, Tuple
+from typing import Any, Callable, Deque, List, NamedTuple, Optional, Tuple
 
 from ..framing.board_time import MOST_DELAY, BoardClock
-from ..framing.stream import Frame
+from ..framing.stream import Frame, stamped
 from ..transport.port import Port
 from .sparing_log import SparingLog
 
@@ -36,30 +36,41 @@ class Stamps:
         self._is_on = is_on
         self._is_told = False                # the board has sent a time
         self._errors = 0                     # frames that were too old
+        self._ticks: Optional[int] = None    # the board's latest time
+        self._at: Optional[float] = None     # when that was, monotonic; None: not known
+        self._stamp: Any = None              # the same as a stamp
         self._delays: Deque[float] = deque(maxlen=_DELAYS)     # s from measurement to read
 
     def reset(self) -> None:
         """The port was opened, or the bridge stalled."""
         self._clock.reset()
         self._delays.clear()
+        self._ticks = None
 
     def measured(self, frame: Frame, read: Read) -> Frame:
-        """The frame with the stamp of its measurement; as it is if that is not known."""
+        """The frame with the stamp of its measurement; as it is if that is not known.
+
+        All frames of one measurement have the same stamp.
+        """
         if frame.ticks is None or not self._is_on:
             return frame
-        self._is_told = True
-        wire_time = (len(frame.raw) + frame.behind) * self._port.byte_time
-        at = self._clock.measured_at(frame.ticks, read.at - wire_time)
-        if at is None:
+        if frame.ticks != self._ticks:
+            self._is_told = True
+            self._ticks = frame.ticks
+            wire_time = (len(frame.raw) + frame.behind) * self._port.byte_time
+            self._at = self._clock.measured_at(frame.ticks, read.at - wire_time)
+            if self._at is not None:
+                self._stamp = self._earlier(read.stamp, read.at - self._at)
+        if self._at is None:
             return frame
-        delay = read.at - at
+        delay = read.at - self._at
         if delay > MOST_DELAY:
             self._errors += 1
             self._log.warn('clock', "by the board's clock a frame is over 1 s old: it has the "
                            'stamp of its read')
             return frame
         self._delays.append(delay)
-        return frame._replace(stamp=self._earlier(read.stamp, delay))
+        return stamped(frame, self._stamp)
 
     def values(self) -> List[Tuple[str, Any]]:
         """For /diagnostics; empty if the board sends no time. From any thread."""
