@@ -17,6 +17,7 @@ LEAST_POINTS = 10     # before a time is returned, and
 LEAST_SPAN = 1.0      # s that they span at least
 MOST_DRIFT = 0.01     # a Nano has a ceramic resonator, good to 0.5 %
 MOST_JUMP = 1.0       # s between the two clocks from one point to the next; more is a reset
+MOST_EARLY = 0.01     # s that bytes may seem to arrive before they are sent; else a time is wrong
 MOST_DELAY = 1.0      # s; a frame that seems to have been delayed more is not believed
 _SECONDS_A_TICK = 1e-6
 _WRAP = 2 ** 32 * _SECONDS_A_TICK      # s after which the board's clock begins again at 0
@@ -57,15 +58,22 @@ class BoardClock:
             arrival: when the frame began on the wire at the latest.
         """
         board = self._unwrapped(ticks * _SECONDS_A_TICK, arrival)
+        if self._is_known and self._on_line(board) > arrival + MOST_EARLY:
+            self.reset()
+            return None
         is_newest = board >= self._newest[0]
         if is_newest:
             self._add((board, arrival))
-        if self._points < LEAST_POINTS or self._newest[0] - self._first < LEAST_SPAN:
+        if not self._is_known:
             return None
         at = self._on_line(board)
         if is_newest:
             at = self._returned = max(at, self._returned)
         return min(at, arrival)
+
+    @property
+    def _is_known(self) -> bool:
+        return self._points >= LEAST_POINTS and self._newest[0] - self._first >= LEAST_SPAN
 
     def _unwrapped(self, board: float, arrival: float) -> float:
         """Return the board time without wraps; reset if all points are old or the clock jumped."""

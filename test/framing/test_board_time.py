@@ -166,6 +166,17 @@ def test_a_time_older_than_the_one_before_is_no_jump(older):
     assert before == pytest.approx(at - older, abs=1e-3)
 
 
+@pytest.mark.parametrize('bit', range(32))
+def test_a_time_with_a_wrong_bit_makes_no_other_time_wrong(bit):
+    """The packets of the car have no checksum. It is as if the clock had jumped there and back."""
+    clock, board = BoardClock(), Board(drift=0.002)
+    errors = errors_of(clock, board, take(400, usual()))
+    true, ticks = board.measure()
+    clock.measured_at(ticks ^ 1 << bit, true)
+    errors += errors_of(clock, board, take(400, usual()))
+    assert len(errors) > 550 and -0.011 < min(errors) <= max(errors) < 1e-3
+
+
 def test_points_of_before_a_silence_longer_than_the_window_are_forgotten():
     """A board that was restarted meanwhile may seem to go on."""
     clock, board = BoardClock(), Board(ticks=5_000_000)
