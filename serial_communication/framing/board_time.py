@@ -17,6 +17,7 @@ LEAST_POINTS = 10     # before a time is returned, and
 LEAST_SPAN = 1.0      # s that they span at least
 MOST_DRIFT = 0.01     # a Nano has a ceramic resonator, good to 0.5 %
 MOST_JUMP = 1.0       # s between the two clocks from one point to the next; more is a reset
+MOST_OLDER = 0.1      # s before the newest time; a time that is older is that of a board begun anew
 MOST_EARLY = 0.01     # s that bytes may seem to arrive before they are sent; else a time is wrong
 MOST_DELAY = 1.0      # s; a frame that seems to have been delayed more is not believed
 _SECONDS_A_TICK = 1e-6
@@ -82,7 +83,7 @@ class BoardClock:
         if elapsed <= WINDOW:
             step = board - board_before
             step += round((elapsed - step) / _WRAP) * _WRAP
-            if abs(step - elapsed) <= MOST_JUMP + MOST_DRIFT * elapsed:
+            if step >= -MOST_OLDER and abs(step - elapsed) <= MOST_JUMP + MOST_DRIFT * elapsed:
                 return board_before + step
         self.reset()
         return board

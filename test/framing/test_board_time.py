@@ -143,7 +143,7 @@ def test_a_line_that_delivers_in_batches(batch, limit):
     assert p99(errors) < limit
 
 
-@pytest.mark.parametrize('jump', [-2 ** 31, -1_100_000, 1_100_000, 2 ** 31])
+@pytest.mark.parametrize('jump', [-2 ** 31, -1_100_000, -120_000, 1_100_000, 2 ** 31])
 def test_a_clock_that_jumps_begins_again(jump):
     clock, board = BoardClock(), Board(ticks=5_000_000)
     errors_of(clock, board, take(300, usual()))
@@ -154,7 +154,7 @@ def test_a_clock_that_jumps_begins_again(jump):
     assert 49 <= len(errors) <= 51 and p99(errors) < 1e-4
 
 
-@pytest.mark.parametrize('older', [1e-6, 0.003, 0.4])
+@pytest.mark.parametrize('older', [1e-6, 0.003, 0.09])
 def test_a_time_older_than_the_one_before_is_no_jump(older):
     """As of a value that was measured in an interrupt, and sent behind another one."""
     clock, board = BoardClock(), Board(drift=0.002)

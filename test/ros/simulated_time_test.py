@@ -107,6 +107,11 @@ class WithAClock(unittest.TestCase):
             SENSORS.say(mcu.Time(micros))
             SENSORS.say(ranges())
 
+        def say_late():
+            measured = time.monotonic()
+            threading.Event().wait(0.5)
+            say(measured)
+
         def stamps(now):
             """Those of both boards that are in all of their topics, and 0.5 s before now."""
             orientations = {}
@@ -123,7 +128,7 @@ class WithAClock(unittest.TestCase):
         for now in 1000.0, 50.0:
             until(lambda: stamps(now), 'stamps of 0.5 s before %g' % now, every=0.05,
                   doing=lambda: (clock.publish(rospy.Time(now)), say(time.monotonic()),
-                                 say(time.monotonic() - 0.5)))
+                                 say_late()))
 
     def test_the_age_of_a_command_is_measured_by_it(self):
         clock = rospy.Publisher('/clock', Clock, queue_size=1)
