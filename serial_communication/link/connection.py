@@ -11,6 +11,7 @@ from ..transport.opener import Opener
 from ..transport.port import PortError
 from .presence import SILENCE
 from .stall import LONGEST_SLEEP, STALL, StallWatch
+from .stamps import Read
 
 if TYPE_CHECKING:
     from .link import Link
@@ -175,6 +176,7 @@ class Connection:
         self.number += 1
         link.log.info('opened', f'{self._port.url}: open')
         link.decoder.reset()
+        link.stamps.reset()
         link.unknown_bytes.opened()
         self._timer.reset()
         now = time.monotonic()
@@ -198,7 +200,7 @@ class Connection:
         link = self._link
         if data:
             self.last_byte_at = now
-        frames = link.decoder.feed(data, stamp) if data else []
+        frames = link.decoder.feed(data, Read(stamp, now)) if data else []
         if link.decoder.pending:
             frames += self._timer.overdue(self.last_byte_at, now)
         self.state = PortState.RECEIVING if data or frames else PortState.DRAINED
@@ -221,6 +223,7 @@ class Connection:
             self.state = PortState.DROPPING
             self._stalled_for += seconds
             link.decoder.reset()
+            link.stamps.reset()
             link.stalled(seconds, now)
         elif self.state is PortState.DROPPING and not self.stalls.has_just_stalled(awake_at):
             if self._dropped:

@@ -150,6 +150,11 @@ def _recognisable(p: dict, given: dict) -> List[OtherBoard]:
             for board in map(description, (*BOARDS, *given.get('boards', ())))]
 
 
+def _earlier(stamp: rospy.Time, seconds: float) -> rospy.Time:
+    """Return the time so many seconds before `stamp`; ROS has none before 0."""
+    return rospy.Time(0, max(stamp.to_nsec() - round(seconds * 1e9), 0))
+
+
 class Bridge:
     """All links that have a port, with their diagnostics, transforms and serial_msg.
 
@@ -160,7 +165,7 @@ class Bridge:
 
     def __init__(self, p: dict, given: dict) -> None:
         link_options = LinkOptions(p['frame_timeout'], rospy.Time.now, _LOGGER,
-                                   _recognisable(p, given))
+                                   _recognisable(p, given), _earlier)
         boards = [(board, values) for board, values in (
             (board, parameters.of_board(board, p)) for board in p['boards']) if values['port']]
         self._interfaces, self._links = [], []

@@ -24,12 +24,14 @@ _NOT_SENT = 0x894B     # SIOCOUTQNSD, which no Python module defines
 _VANISHED = 4      # s without an answer after which a connection's peer has vanished
 _IAC = b'\xff'     # RFC 2217 is telnet, where this byte is doubled in data
 _PTY = range(136, 144)               # major numbers of /dev/pts/*
+_ACM = 166         # of /dev/ttyACM*, whose USB may have no line behind it
 
 
 class OpenPort:
     """What only pyserial can read and write, as loop://; and the base of the other kinds."""
 
     is_pty = False
+    has_baud = False     # whether its bytes were received at the baud rate
 
     def __init__(self, opened: serial.SerialBase, wake: int) -> None:
         self._serial = opened
@@ -140,7 +142,9 @@ class OpenTty(_Polled):
 
     def __init__(self, opened: serial.SerialBase, wake: int, reset: bool) -> None:
         super().__init__(opened, wake, opened.fileno())
-        self.is_pty = os.major(os.fstat(self._fd).st_rdev) in _PTY
+        major = os.major(os.fstat(self._fd).st_rdev)
+        self.is_pty = major in _PTY
+        self.has_baud = not self.is_pty and major != _ACM
         with suppress(AttributeError, OSError, ValueError, NotImplementedError):
             opened.set_low_latency_mode(True)   # else an FTDI chip holds data back for 16 ms
         if reset:       # a board whose reset line is connected to DTR

@@ -33,6 +33,7 @@ class Port:
         self.is_network = self._scheme in NETWORK
         self.is_pty = False              # the open port is a pseudo terminal, which hides it, too
         self.baud = baud
+        self.byte_time = 0.0             # s on the wire of a byte received; 0.0: not known
         self.bytes_received = 0
         self.bytes_sent = 0
         self._reset_on_open = reset_on_open
@@ -60,6 +61,7 @@ class Port:
             raise PortError(explain(error, path, self._who_has_it_open)) from None
         with self._lock:
             self.is_pty = opened.is_pty
+            self.byte_time = 10.0 / self.baud if opened.has_baud else 0.0
             self._rest, self._failure, self._in_use = b'', '', ('', '', 0.0)
             self._opened = opened
 

@@ -1,4 +1,4 @@
-"""Measures latency, jitter and CPU time of the bridge on this machine. Takes about six minutes.
+"""Measures latency, jitter and CPU time of the bridge on this machine. Takes about eight minutes.
 
 The bench starts its own roscore, the bridge, boards behind pseudo terminals, and the references: a
 node that polls its port, a node that only publishes, and with --against the bridge of another
@@ -9,7 +9,7 @@ is 0 if the bench worked, whatever it measured.
 import argparse
 from typing import List, Optional
 
-SECTIONS = 'latency', 'busy', 'cpu', 'bus', 'flood', 'bridges'
+SECTIONS = 'latency', 'busy', 'stamps', 'cpu', 'bus', 'flood', 'bridges'
 
 
 def parse(arguments: Optional[List[str]] = None) -> argparse.Namespace:

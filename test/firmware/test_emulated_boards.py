@@ -10,8 +10,8 @@ import struct
 import pytest
 
 from board_ends import (
-    ANGLE, CALIBRATION, DOWN, ENVIRONMENT, FORCE, GIMBAL, GRIPPER, HEARTBEAT, IMU, INFO, LED,
-    LIFT, OK, PUMP, SPEED, STEERING, TANK, TICKS, UP, VOLTAGE, WARN, angle_between, car_end,
+    ANGLE, CALIBRATION, DOWN, ENVIRONMENT, ERROR, FORCE, GIMBAL, GRIPPER, HEARTBEAT, IMU, INFO, LED,
+    LIFT, OK, PUMP, SPEED, STEERING, TANK, TICKS, TIME, UP, VOLTAGE, WARN, angle_between, car_end,
     drive_until, driving, error, from_euler, imu_values, master_end, packet, request,
     takes,
 )
@@ -130,6 +130,20 @@ def test_imu_at_rest(car):
     assert max(abs(rate) for rate in rates) < 0.03
     assert accelerations == pytest.approx((0, 0, 9.81), abs=0.05)
     assert temperature == pytest.approx(25.0, abs=0.01)
+
+
+def test_each_group_of_the_car_follows_its_time(car):
+    """Every 10 ms of the board's clock; what the line holds back does not change it."""
+    car.next(TIME, 50)
+    kinds = [kind for kind, _ in car.packets if kind > ERROR]
+    groups = ' '.join(map(str, kinds[kinds.index(TIME):])).split(str(TIME))[1:-1]
+    assert len(groups) >= 48
+    assert {group.split()[0] for group in groups} == {str(TICKS)}
+    times = [struct.unpack('<IB', data) for data in car.read(TIME)]
+    assert {count for _, count in times} == {16}
+    steps = [after - before for (before, _), (after, _) in zip(times, times[1:])]
+    assert sum(steps) / len(steps) == pytest.approx(10_000, abs=20)
+    assert max(abs(step - 10_000) for step in steps) < 2_500
 
 
 def turn_to(car, **angles):
@@ -501,7 +515,16 @@ def test_twenty_frames_a_second_numbered_in_order(sensors):
     sensors.next()  # begins with a frame
     assert takes(sensors.board, lambda: sensors.next(40), 2)
     numbers = [frame[0] for frame in sensors.frames[:40]]
-    assert numbers == [(numbers[0] + index) % 256 for index in range(40)]
+    assert numbers == [(numbers[0] + 2 * index) % 256 for index in range(40)]
+
+
+def test_each_frame_of_the_sensor_board_follows_its_time(sensors):
+    frames = sensors.next(21)
+    times = dict(sensors.times)
+    assert all((number - 1) % 256 in times for number, *_ in frames)
+    measured = [times[(number - 1) % 256] for number, *_ in frames]
+    assert [after - before for before, after in zip(measured, measured[1:])] == pytest.approx(
+        [50_000] * 20, abs=3_000)
 
 
 @pytest.mark.parametrize('fault', ['alive', 'present'])

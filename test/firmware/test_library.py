@@ -88,6 +88,17 @@ def test_a_sketch_that_announces_nothing_has_no_code_for_it(
     assert flash - silent_flash - len(text) > at_least
 
 
+@pytest.mark.parametrize('example', ['Hello', 'Car', 'Sensor'])
+def test_a_sketch_without_board_time_has_no_code_for_it(example, firmware_build, tmp_path):
+    sketch = read('%s/examples/%s/%s.ino' % (LIBRARY, example, example))
+    silent = re.sub(r'.*bridge\.time\(micros\(\)\);.*\n', '', sketch)
+    assert silent != sketch
+    flash, switched_off, none = (size_in_the_ide(each, firmware_build, tmp_path)[0] for each in (
+        sketch, '#define NO_BOARD_TIME\n' + sketch, silent))
+    print('%s: %d bytes for the time' % (example, flash - none))
+    assert none <= switched_off < flash - 20     # micros() itself stays
+
+
 COMPILERS = {'ESP32': ON_THE_ESP, **{
     chip: [option for option in ON_THE_AVR[:-2] if option != '-mmcu=atmega328p'] + options
     for chip, options in OTHER_AVRS.items()}}

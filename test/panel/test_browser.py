@@ -25,6 +25,7 @@ from serial_communication.msg import (Environment, McuStatus2, SpeedPWMCommand, 
                                       Ticks, Voltage)
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
+from serial_communication.boards.mcu import wire as mcu
 from serial_communication.srv import Lift, LiftResponse
 from serial_communication.tools.watch.topics import TOPICS
 
@@ -216,6 +217,17 @@ def test_a_heartbeat_gap_is_marked_until_it_is_over_and_dropped_bytes_are_shown(
               'it is over, and the card says when it was')
     assert page.script('const gap = document.querySelector(arguments[0]);'
                        'return gap.scrollWidth <= gap.clientWidth', card + ' .gap'), 'it is cut off'
+
+
+def test_the_read_delay_of_a_board_that_sends_its_time_is_shown(page, robot):
+    facts = '[data-link="mcu"] .facts'
+    assert 'read delay' not in page.text(facts)
+    started = time.monotonic()
+
+    def shown(page):
+        robot.sensors.write(mcu.encode(mcu.Time(round((time.monotonic() - started) * 1e6)), 0))
+        return re.search(r'read delay\s+[0-9.]+ ms', page.text(facts))
+    page.wait(shown, 'the delay')
 
 
 def test_an_error_is_shown_and_counted_by_its_cause(page, robot):

@@ -487,6 +487,8 @@ class Mistakes(unittest.TestCase):
                  'is float32; a text needs a string'),
                 ({'layout': '<h*'}, '/fields', 'the * in the layout needs an array of any length'),
                 ({'frame_id': 'x'}, '/frame_id', 'needs a type with a header'),
+                ({'layout': '<I', 'fields': ['@time']}, '/fields',
+                 'needs a type with a header, std_msgs/Float32 has none'),
                 ({'ros_type': 'std_msgs/String'}, '/fields',
                  'is string, which cannot hold a number'),
                 ({'ros_type': 'std_msgs/Header', 'fields': ['stamp']}, '/fields', 'is time'),

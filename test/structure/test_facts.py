@@ -39,7 +39,7 @@ PACKET = [
      f'{HEADERS}arduino_packets.h: the type 13 is missing'),
     (HEADERS + 'arduino_packets.h', 'kMessageTypes = 13', 'kMessageTypes = 14',
      f'{HEADERS}arduino_packets.h: kMessageTypes is 13, but not the first free type'),
-    (PAGE, '| 13–254 |', '| 13 | DISTANCE | from the board | uint16, mm |\n| 14–254 |',
+    (PAGE, '| 13–252 |', '| 13 | DISTANCE | from the board | uint16, mm |\n| 14–252 |',
      f'{PAGE}: the type 13 of the arduino is missing'),
     ('msg/Distance.msg', '', 'Header header\nuint16 value\n',
      'msg/Distance.msg: there is no such file')]
@@ -132,7 +132,7 @@ def test_no_row_takes_the_type_or_the_name_of_a_new_packet(copy):
     row = "{'%s': {'type': %d, 'ros_type': 'a/B', 'layout': '<B', 'fields': ['data']}}"
     script = 'from serial_communication.boards.arduino import custom_messages as read\nread(%s)'
     assert checked(copy, ('-c', script % (row % ('force', 14)))) == ''
-    assert 'force/type is 13 (int), may be a whole number from 14 to 254' in checked(
+    assert 'force/type is 13 (int), may be a whole number from 14 to 252' in checked(
         copy, ('-c', script % (row % ('force', 13))))
     assert '~distance' in checked(copy, ('-c', 'from serial_communication.boards import '
                                          'descriptions\nprint(descriptions()[1].names)'))

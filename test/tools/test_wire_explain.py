@@ -9,6 +9,7 @@ import pytest
 
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
+from serial_communication.boards.mcu import wire as mcu
 from serial_communication.framing import cobs
 from serial_communication.framing.announcement import TYPE, chunks_of
 from serial_communication.framing.stream import UNKNOWN
@@ -228,6 +229,24 @@ def test_a_bag_has_messages_that_the_bridge_learned_later():
     assert bag.frames[0].frame.cause == UNKNOWN
     first, *_ = frames_of(bag, learned_from(bag, line))
     assert (first.frame.cause, first.frame.text) == ('', 'force data=0.01')
+
+
+@pytest.mark.parametrize('link, frame', [
+    ('arduino', arduino.encode(arduino.Time(123456, 16))), ('mcu', mcu.encode(mcu.Time(123456), 7)),
+    ('arduino', arduino.encode_raw(40, b'\x01\0\x40\xe2\x01\0'))])
+def test_the_time_of_a_board_is_explained(link, frame):
+    rows = {'messages': {'force': {'type': 40, 'ros_type': 'a/B', 'layout': '<hI',
+                                   'fields': ['x', '@time']}}}
+    one = only(link, frame, parameters=rows)
+    assert value_of(one, '@time') == 123456 and '@time=123456 us' in one.frame.text
+
+
+def test_a_bag_has_the_times_of_its_frames():
+    """TIME is one frame, what it is for another; a damaged one between them ends its reach."""
+    line, ticks = settings('arduino'), arduino.encode(arduino.Ticks(1))
+    wire = [arduino.encode(arduino.Time(5, 16)), ticks, ticks, arduino.encode_raw(8, b''), ticks]
+    bag = as_bag([Read(0.001 * at, False, frame) for at, frame in enumerate(wire)], line)
+    assert [each.frame.ticks for each in frames_of(bag, line)] == [5, 5, 5, None, None]
 
 
 def test_the_direction_can_be_set():

@@ -696,6 +696,25 @@ def test_stats_have_round_trips_and_heartbeats(tmp_path):
     assert beats['gap max'] == pytest.approx(0.05)
 
 
+def test_stats_have_the_read_delay_of_a_board_that_sends_its_time(tmp_path):
+    """From the measurement to the read; the board's clock is 0.2 % fast."""
+    path = tmp_path / 'kept.txt'
+    lines = ['# serial_communication wire recording', '# link arduino']
+    for number in range(300):
+        at = number * 0.01
+        late = 0.006 if number % 5 == 4 else 0.0005
+        wire = arduino.encode(arduino.Time(round(at * 1.002e6), 1)) + arduino.encode(
+            arduino.Ticks(1)) + arduino.encode(arduino.Log(1, 'x'))
+        lines.append(f'{at + late:.6f} rx {wire.hex()}')
+    path.write_text('\n'.join(lines) + '\n')
+    types = json.loads(run('stats', path, '--json').stdout)['links']['arduino'][
+        'from the board']['types']
+    assert types['ticks']['read delay p50'] == pytest.approx(0.0, abs=1e-4)
+    assert types['ticks']['read delay max'] == pytest.approx(0.0055, abs=1e-4)
+    assert types['INFO']['read delay p50'] is None
+    assert 'delay p50' in run('stats', path).stdout
+
+
 def test_config_makes_custom_messages_known(tmp_path):
     config = os.path.join(ROOT, 'config', 'custom_messages.yaml')
     done = run('explain', 'arduino', '--config', config, '0420f40100')

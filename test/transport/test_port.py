@@ -262,6 +262,16 @@ def test_ptmx_is_refused_and_makes_no_pseudo_terminal(tmp_path, refusal):
     assert set(os.listdir('/dev/pts')) == before
 
 
+@pytest.mark.parametrize('major, byte_time', [(4, 1e-4), (188, 1e-4), (166, 0.0)])
+def test_the_wire_time_of_a_byte_is_known_of_a_uart_but_not_of_ttyacm(
+        major, byte_time, line, monkeypatch):
+    port = Port(line.path, 100_000)
+    monkeypatch.setattr('os.major', lambda device: major)
+    port.open()
+    port.close()
+    assert port.byte_time == byte_time
+
+
 def test_a_closed_port_raises_on_read_and_write_and_can_be_opened_again(port):
     port.close()
     port.close()

@@ -34,12 +34,12 @@ class ArduinoLink(Link):
 
     Args:
         on_message: called in the link's thread with the (message, stamp) of each message except
-            log messages and announcements.
+            log messages, announcements and TIME.
         on_log: called in the link's thread with the (severity 0 … 3, text) of each log message; if
             the board sends too many, some are dropped.
         on_calibrating: called with True when a calibration begins, with False when it ends.
         messages: classes of custom messages that the board sends.
-        link_arguments: frame_timeout, clock and logger, as for `Link`.
+        link_arguments: frame_timeout, clock, board_time and logger, as for `Link`.
     """
 
     STOPS_FIRST = True
@@ -157,7 +157,7 @@ class ArduinoLink(Link):
             self._log_received(message, now)
         elif isinstance(message, Chunk):
             self.announcement.add(message)
-        else:
+        elif not isinstance(message, wire.Time):
             if self.output.calibration and isinstance(message, wire.Imu):
                 self._end_calibration(self.output.calibration.imu_data(clock()))
             if self._on_message and not self.announcement.holds_back(message):

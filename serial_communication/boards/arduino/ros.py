@@ -44,6 +44,7 @@ class ArduinoInterface(Interface):
         'check_plausibility': Parameter(_DEFAULTS.check_plausibility),
         'messages': Parameter({}, parse=partial(message_rows, DESCRIPTION)),
         'announcements': Parameter(True),
+        'board_time': Parameter(True),
         'gyro_scale': Parameter(wire.GYRO_SCALE, -1.0, 1.0, unit='rad/s per LSB'),
         'linear_acceleration_stdev': Parameter(400e-6 * 9.807, 0.0, 1e3, unit='m/s^2'),
         'angular_velocity_stdev': Parameter(radians(0.05), 0.0, 1e3, unit='rad/s'),
@@ -72,7 +73,8 @@ class ArduinoInterface(Interface):
             Port(p['port'], p['baud'], p['reset_on_open']),
             ArduinoSettings(**{name: p[name] for name in ArduinoSettings._fields}),
             messages=self._topics.custom_kinds, on_message=self._received, on_log=self._log,
-            on_calibrating=lambda on: self._calibrating.publish(on), **link_options._asdict())
+            on_calibrating=lambda on: self._calibrating.publish(on), board_time=p['board_time'],
+            **link_options._asdict())
         if p['announcements']:
             self.announced = self._topics.announced(self.link, self._command_age)
 

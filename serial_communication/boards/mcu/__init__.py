@@ -1,7 +1,7 @@
 """The ESP32 with two range sensors and an IMU, or with ADC channels."""
 from typing import Any, List, Mapping
 
-from ...framing.custom_messages import CustomMessage, read_messages
+from ...framing.custom_messages import RESERVED, CustomMessage, read_messages
 from ...framing.stream import Decoder
 from ..description import CustomRows, Description, Numbering, Topic
 from . import wire
@@ -11,7 +11,7 @@ _STATUS = 1.0     # s; the longest period: the status of a silent board is publi
 
 def custom_messages(entries: Any, key: str = 'mcu/messages') -> List[CustomMessage]:
     """The custom messages in the parameter `key`; RowError for the first mistake in them."""
-    free = [type_ for type_ in range(256) if type_ not in wire.BUILT_IN]
+    free = [type_ for type_ in range(RESERVED) if type_ not in wire.BUILT_IN]
     return read_messages(entries, key, free, wire.MAX_PAYLOAD)
 
 

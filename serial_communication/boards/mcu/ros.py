@@ -36,6 +36,7 @@ class McuInterface(Interface):
         'yaw_clockwise': Parameter(True),
         'messages': Parameter({}, parse=partial(message_rows, DESCRIPTION)),
         'announcements': Parameter(True),
+        'board_time': Parameter(True),
         'roll_pitch_stdev': Parameter(radians(1.0), 0.0, pi, unit='rad'),
         'yaw_stdev': Parameter(radians(5.0), 0.0, pi, unit='rad'),
         'min_range': Parameter(0.03, 0.0, 65.0, unit='m'),
@@ -66,7 +67,7 @@ class McuInterface(Interface):
         self.link = McuLink(Port(p['port'], p['baud']), p['timeout'],
                             on_status=self._received, on_silence=self._silent,
                             network_silence=p['network_silence'],
-                            messages=self._topics.custom_kinds,
+                            messages=self._topics.custom_kinds, board_time=p['board_time'],
                             **link_options._asdict())
         if p['announcements']:
             self.announced = self._topics.announced(self.link)
