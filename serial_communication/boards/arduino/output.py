@@ -133,16 +133,26 @@ class CarOutput:
         """Send SPEED 0, and nothing after it: the heartbeat thread may outlive the wait for it."""
         with self.lock:
             self._has_ended = True
-            self._last_stop()
+            self._drop_backlog_if_blocked()
+            self._stop()
+        self._let_it_leave()
 
     def let_go(self, why: str) -> None:
         """Send SPEED 0, and nothing after it until the port is opened again; Refused while the
         board calibrates."""
         with self.lock:
-            if self.calibration:
+            if self.calibration is not None:
                 raise Refused(f'not now: {_CALIBRATES}', 'calibrating')
-            self._last_stop()
+            self._drop_backlog_if_blocked()
+            self._stop()
             self._port.give_up(why)
+        self._let_it_leave()
+
+    def _let_it_leave(self) -> None:
+        """Wait for the last SPEED 0 to leave the port: closing it may drop what has not."""
+        deadline = time.monotonic() + _LAST_STOP_TIME
+        while self._port.on_its_way() and time.monotonic() < deadline:
+            time.sleep(0.002)
 
     def hold(self, is_held: bool) -> None:
         """Refuse commands, or accept them again, and drop what waits."""
@@ -201,14 +211,6 @@ class CarOutput:
             pass
         except Exception:  # pylint: disable=broad-except
             self.warn('fault', traceback.format_exc())
-
-    def _last_stop(self) -> None:
-        """Send SPEED 0, which has to leave the port: closing it may drop what has not."""
-        self._drop_backlog_if_blocked()
-        self._stop()
-        deadline = time.monotonic() + _LAST_STOP_TIME
-        while self._port.on_its_way() and time.monotonic() < deadline:
-            time.sleep(0.002)
 
     def _check_for_stall(self, now: float) -> None:
         # If the link's thread stalls, so do the threads that receive commands: all have the same
