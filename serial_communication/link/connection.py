@@ -126,6 +126,7 @@ class Connection:
         self.stalls.stalled_for(awake_at)
         self.stalls.awake_at = awake_at
         due = self.guarded(self._link.idle, now)
+        self._link.lending.step()
         soon = now + LONGEST_SLEEP
         return soon if due is None else min(due, soon)
 
@@ -166,6 +167,7 @@ class Connection:
             if not data or self._is_woken or now >= tick_at:
                 self._is_woken = False
                 due = link.tick(now)
+                link.lending.step()
                 tick_at = now + LONGEST_SLEEP if due is None else min(due, now + LONGEST_SLEEP)
 
     def _begin(self) -> float:

@@ -8,6 +8,7 @@ from ..framing.stream import CHECKSUM, FRAMING, UNKNOWN, Decoder, Frame, stamped
 from ..transport.port import Port, PortError
 from .announcement import BoardAnnouncement
 from .connection import Connection
+from .lending import Lending
 from .outcome import Refused  # noqa: F401  for the boards
 from .presence import SILENCE, STARTUP_TIME, PresenceLog
 from .sparing_log import SparingLog
@@ -69,6 +70,7 @@ class Link:
             (other for other in other_boards if other.name != name), port.baud, self.PRINT_TO)
         self.stamps = Stamps(port, earlier, self.log, board_time)
         self.connection = Connection(self, frame_timeout, clock)
+        self.lending = Lending(port, self.connection.wake, self.connection.may_be_from_a_stall)
         self._clock = clock
         self._presence = PresenceLog(self.log)
         self._reported_errors = 0
@@ -204,6 +206,9 @@ class Link:
 
     def condition(self, now: float) -> Tuple[int, str]:
         """Level and summary, without regard to new errors."""
+        loan = self.port.loan
+        if loan and loan.runs:
+            return WARN, str(loan)
         if not self.port.is_open:
             return ERROR, f'closed: {self.connection.trouble}'
         if self.last_frame_at is None or now - self.last_frame_at > SILENCE:

@@ -13,7 +13,7 @@ from .calibration import End
 from .heartbeat import HeartbeatThread
 from .output import CarOutput
 
-_LAST_STOP_TIME = 0.1    # s for the last SPEED 0 to leave the port before it is closed
+_HEARTBEAT_END = 0.1    # s for the heartbeat's thread to end
 _BOARD_LINES = 100, 10.0     # log lines of the board that are taken: in a burst, then per second
 
 
@@ -57,6 +57,7 @@ class ArduinoLink(Link):
         self.heartbeat = HeartbeatThread(
             'arduino heartbeat', settings.heartbeat_rate, self.output.send_what_is_due,
             lambda text: self.output.warn('fault', text))
+        self.lending.let_go = self.output.let_go
         self._on_message = on_message
         self._on_log = on_log
         self._on_calibrating = on_calibrating
@@ -126,11 +127,8 @@ class ArduinoLink(Link):
 
     def stop(self) -> None:
         """Send SPEED 0, and nothing after it."""
-        self.heartbeat.stop(_LAST_STOP_TIME)
-        self.output.send_speed_0(is_last=True)
-        deadline = time.monotonic() + _LAST_STOP_TIME
-        while self.port.on_its_way() and time.monotonic() < deadline:
-            time.sleep(0.002)       # closing a port may drop its output
+        self.heartbeat.stop(_HEARTBEAT_END)
+        self.output.end()
         super().stop()
 
     # -- hooks --------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from ...ros.commands import CommandTopic
 from ...ros.custom_topics import MessageTopics, message_rows, names_of
 from ...ros.imu import ImuTopic
 from ...ros.interface import LinkOptions, Interface
-from ...ros.parameter import MOUNT, PORT, Parameter, baud, frame_id, seconds
+from ...ros.parameter import MOUNT, PORT, RESET_LINE, Parameter, baud, frame_id, seconds
 from ...ros.publishing import publisher, wanted
 from ...transport.port import Port
 from . import DESCRIPTION, wire
@@ -35,6 +35,7 @@ class ArduinoInterface(Interface):
         'port': PORT,
         'baud': baud(DESCRIPTION),
         'reset_on_open': Parameter(False),
+        'reset_line': RESET_LINE._replace(default='dtr'),
         # At 34 Hz a heartbeat is sent every 29 ms; the board stops its motor after 30 ms without.
         'heartbeat_rate': Parameter(_DEFAULTS.heartbeat_rate, 34.0, 1000.0, unit='Hz'),
         'speed_timeout': seconds(_DEFAULTS.speed_timeout, 0.0, 3600.0),

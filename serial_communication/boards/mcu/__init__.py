@@ -3,7 +3,7 @@ from typing import Any, List, Mapping
 
 from ...framing.custom_messages import RESERVED, CustomMessage, read_messages
 from ...framing.stream import Decoder
-from ..description import CustomRows, Description, Numbering, Topic
+from ..description import CustomRows, Description, Numbering, Service, Topic
 from . import wire
 
 _STATUS = 1.0     # s; the longest period: the status of a silent board is published once a second
@@ -29,5 +29,7 @@ DESCRIPTION = Description(
         Topic('mcu/imu', 'sensor_msgs/Imu', card=None),
         Topic('mcu/range_1', 'sensor_msgs/Range', card='Ranges'),
         Topic('mcu/range_2', 'sensor_msgs/Range', card='Ranges')),
+    services=(Service('~mcu/reset', 'std_srvs/Trigger', 'reset the board', confirm=(
+        'The board starts anew; its measurements are missing until then.')),),
     custom=CustomRows('messages', custom_messages, 'mcu/'),
     numbering=Numbering.SEQUENCE)

@@ -14,7 +14,7 @@ from ...framing.rotation import quaternion
 from ...ros.custom_topics import MessageTopics, message_rows, names_of
 from ...ros.imu import ImuTopic
 from ...ros.interface import LinkOptions, Interface
-from ...ros.parameter import MOUNT, PORT, Parameter, baud, frame_id, seconds
+from ...ros.parameter import MOUNT, PORT, RESET_LINE, Parameter, baud, frame_id, seconds
 from ...ros.publishing import publisher, wanted
 from ...transport.port import Port
 from . import DESCRIPTION, wire
@@ -31,6 +31,7 @@ class McuInterface(Interface):
     PARAMETERS = {
         'port': PORT,
         'baud': baud(DESCRIPTION),
+        'reset_line': RESET_LINE._replace(default='rts'),
         'timeout': seconds(1.0, 0.01, 3600.0),
         'network_silence': seconds(5.0, 0.0, 3600.0),
         'yaw_clockwise': Parameter(True),
