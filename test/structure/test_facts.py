@@ -32,8 +32,8 @@ PACKET = [
     (ARDUINO + '__init__.py', "        Topic('~voltage',", "        Topic('~distance', "
      "'serial_communication/Distance', message=wire.Distance),\n        Topic('~voltage',",
      'boards/arduino/__init__.py: no Topic has the message Distance'),
-    (ARDUINO + 'simulator.py', '        self._send(wire.Ticks(',
-     '        self._send(wire.Distance(100))\n        self._send(wire.Ticks(',
+    (ARDUINO + 'simulator.py', '        self._send_measured(*measured)',
+     '        self._send_measured(*measured, wire.Distance(100))',
      'boards/arduino/simulator.py: Distance is not simulated'),
     (HEADERS + 'arduino_packets.h', '  Announcement =', '  Distance = 13,\n  Announcement =',
      f'{HEADERS}arduino_packets.h: the type 13 is missing'),
